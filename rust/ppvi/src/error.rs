@@ -1,0 +1,58 @@
+//! What can be wrong with an input. Outcomes of a solve are not errors: see [`crate::Status`].
+
+use thiserror::Error;
+
+/// A rule that an input breaks; each message names the offending place and the value found there.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum Error {
+    /// A scalar parameter is outside its range.
+    #[error("{name} = {value}: {rule}")]
+    Parameter {
+        /// Name of the parameter as the caller spells it.
+        name: &'static str,
+        /// The value found.
+        value: String,
+        /// The rule it breaks, as a sentence without a subject ("must be ...").
+        rule: &'static str,
+    },
+    /// An array has the wrong length.
+    #[error("{name}: expected {expected} elements, found {found}")]
+    Length {
+        /// Name of the array.
+        name: &'static str,
+        /// The length it must have.
+        expected: usize,
+        /// The length it has.
+        found: usize,
+    },
+    /// A row of a tabular problem breaks a rule; the first offending state and action are named.
+    #[error("state {state}, action {action}: {what} ({value})")]
+    Row {
+        /// First state, in index order, whose row is wrong.
+        state: usize,
+        /// Action of that row.
+        action: usize,
+        /// The rule that is broken.
+        what: &'static str,
+        /// The number that breaks it.
+        value: f64,
+    },
+    /// The problem does not fit the machine or the index type.
+    #[error("the problem needs {needed_bytes} bytes ({states} states): {rule}")]
+    TooLarge {
+        /// Number of states asked for.
+        states: u128,
+        /// Bytes the solver would allocate.
+        needed_bytes: u128,
+        /// The limit that is exceeded.
+        rule: &'static str,
+    },
+}
+
+/// Result of a fallible construction.
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// An [`Error::Parameter`].
+pub(crate) fn parameter(name: &'static str, value: impl ToString, rule: &'static str) -> Error {
+    Error::Parameter { name, value: value.to_string(), rule }
+}
