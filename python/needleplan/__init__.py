@@ -1,0 +1,1 @@
+"""Plan, execute and diagnose the steering of flexible bevel-tip needles."""

@@ -1,0 +1,102 @@
+"""Every exception that needleplan raises on purpose.
+
+::
+
+    NeedleplanError
+    └── InputError              what was supplied is wrong: names the source, the key, the value and the rule
+        ├── ScenarioError       a scenario, or the file it came from
+        ├── PoseError           a pose outside the table, or not a number
+        ├── MdpError            arrays that do not describe a Markov decision process
+        ├── TableError          not a policy table of this version, or a truncated one
+        │   └── ChecksumError   a policy table whose bytes have changed since it was written
+        └── OutputError         a file that cannot be written
+
+An `InputError` carries all the mistakes that were found, not the first one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+__all__ = [
+    "ChecksumError",
+    "InputError",
+    "MdpError",
+    "Mistake",
+    "NeedleplanError",
+    "OutputError",
+    "PoseError",
+    "ScenarioError",
+    "TableError",
+]
+
+_LONGEST_VALUE = 60
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One mistake: where it is, what stands there, and the rule that it breaks.
+
+    `key` is the path of the key (`workspace.width_mm`) and may be empty; `value` is what stands there as text, empty
+    where nothing does; `rule` is a sentence without a full stop.
+    """
+
+    key: str
+    value: str
+    rule: str
+
+    def __str__(self) -> str:
+        value = self.value if len(self.value) <= _LONGEST_VALUE else self.value[: _LONGEST_VALUE - 1] + "…"
+        subject = f"{self.key} = {value}" if self.key and value else self.key or value
+        return f"{subject}: {self.rule}" if subject else self.rule
+
+
+class NeedleplanError(Exception):
+    """Root of all exceptions that needleplan raises on purpose."""
+
+
+class InputError(NeedleplanError):
+    """What was supplied is wrong.
+
+    `mistakes` holds all of them, `source` says where they are: a file, or nothing.
+    """
+
+    def __init__(self, mistakes: Sequence[Mistake] | Mistake | str, source: str = "") -> None:
+        if isinstance(mistakes, str):
+            mistakes = Mistake("", "", mistakes)
+        if isinstance(mistakes, Mistake):
+            mistakes = (mistakes,)
+        self.mistakes = tuple(mistakes)
+        self.source = source
+        super().__init__(self.mistakes, source)
+
+    def __str__(self) -> str:
+        prefix = f"{self.source}: " if self.source else ""
+        if len(self.mistakes) == 1:
+            return f"{prefix}{self.mistakes[0]}"
+        return "\n".join([f"{prefix}{len(self.mistakes)} mistakes", *(f"  {each}" for each in self.mistakes)])
+
+
+class ScenarioError(InputError):
+    """A scenario, or the file that it came from, is wrong."""
+
+
+class PoseError(InputError):
+    """A pose lies outside the table or is not a number."""
+
+
+class MdpError(InputError):
+    """The arrays do not describe a Markov decision process."""
+
+
+class TableError(InputError):
+    """The file is not a policy table of this version, or not all of one."""
+
+
+class ChecksumError(TableError):
+    """The bytes of a policy table have changed since it was written."""
+
+
+class OutputError(InputError):
+    """A file cannot be written."""

@@ -1,0 +1,62 @@
+"""Which version made an artefact, the digest by which its children name it, and writing it whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import secrets
+from importlib.metadata import version as _installed_version
+from pathlib import Path
+
+from needleplan.errors import Mistake, OutputError
+
+__all__ = ["digest", "version", "write_whole"]
+
+
+def digest(content: str | bytes | memoryview) -> str:
+    """SHA-256 of a text (as UTF-8) or of bytes, as `sha256:` and 64 hexadecimal digits."""
+    data = content.encode() if isinstance(content, str) else content
+    return f"sha256:{hashlib.sha256(data).hexdigest()}"
+
+
+def version() -> str:
+    """Version of the installed needleplan, for example `0.1.0`."""
+    return _installed_version("needleplan")
+
+
+def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> None:
+    """Write `chunks` to `path` so that at any moment the old file or the new one is there, never half of one.
+
+    The bytes go to a file beside it, to the disk, and only then take the name. A device or pipe is written to directly.
+    Raises OutputError, and leaves nothing behind, where that fails.
+    """
+    try:
+        target = Path(path).resolve()
+        if target.exists() and not target.is_file():
+            with target.open("wb", buffering=0) as stream:
+                _write_all(stream.fileno(), chunks)
+            return
+        partial = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.partial")
+        descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        try:
+            try:
+                _write_all(descriptor, chunks)
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            partial.replace(target)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                partial.unlink()
+            raise
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise OutputError(Mistake("", "", f"cannot be written: {reason}"), os.fspath(path)) from error
+
+
+def _write_all(descriptor: int, chunks: tuple[bytes | memoryview, ...]) -> None:
+    for chunk in chunks:
+        rest = memoryview(chunk).cast("B")
+        while rest:
+            rest = rest[os.write(descriptor, rest) :]

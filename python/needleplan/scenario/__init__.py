@@ -1,0 +1,22 @@
+"""The scenario: anatomy, target, needle, tip noise, grid, objective and solver, read from and written to TOML."""
+
+from needleplan.scenario.choices import Method, Priority, Transition
+from needleplan.scenario.parts import Grid, Motion, Needle, Objective, Obstacle, Solver, Target, Workspace
+from needleplan.scenario.scenario import Scenario
+from needleplan.scenario.shipped import shipped
+
+__all__ = [
+    "Grid",
+    "Method",
+    "Motion",
+    "Needle",
+    "Objective",
+    "Obstacle",
+    "Priority",
+    "Scenario",
+    "Solver",
+    "Target",
+    "Transition",
+    "Workspace",
+    "shipped",
+]

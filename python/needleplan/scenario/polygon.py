@@ -1,0 +1,66 @@
+"""Simple polygons: what an obstacle may be, and whether a point is in one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from needleplan.scenario.rules import Number, Pair, Refused, sequence
+
+__all__ = ["Points", "Simple", "contains"]
+
+Points = tuple[tuple[float, float], ...]
+
+_MOST_POINTS = 100_000
+
+
+@dataclass(frozen=True)
+class Simple:
+    """The corners of a polygon whose boundary does not touch itself; the last corner need not repeat the first."""
+
+    coordinate: Number
+
+    def read(self, value: object) -> Points:
+        """Return the corners, each different from the one before. Raises Refused."""
+        entries = sequence(value)
+        if entries is None or len(entries) > _MOST_POINTS:
+            raise Refused("must be a list of points, [[x, y], [x, y], [x, y], ...]")
+        corners: list[tuple[float, float]] = []
+        for number, entry in enumerate(entries, start=1):
+            try:
+                corner = Pair(self.coordinate).read(entry)
+            except Refused as refused:
+                raise Refused(f"point {number} {refused}") from None
+            if not corners or corner != corners[-1]:
+                corners.append(corner)
+        if len(corners) > 1 and corners[0] == corners[-1]:
+            corners.pop()
+        if len(set(corners)) < 3:
+            raise Refused("must have at least three different points")
+        flaw = _flaw(corners)
+        if flaw:
+            raise Refused(flaw)
+        return tuple(corners)
+
+
+def contains(polygon_mm: Sequence[tuple[float, float]], point_mm: tuple[float, float]) -> bool:
+    """Return whether the point is inside the polygon or on its boundary."""
+    from shapely import Point, Polygon
+
+    return bool(Polygon(polygon_mm).intersects(Point(point_mm)))
+
+
+def _flaw(corners: list[tuple[float, float]]) -> str:
+    """Return what is wrong with the polygon, or nothing."""
+    from shapely import Polygon, is_valid_reason
+
+    polygon = Polygon(corners)
+    if polygon.area == 0:
+        return "must enclose an area; all its points lie on one line"
+    reason = is_valid_reason(polygon)
+    if reason == "Valid Geometry":
+        return ""
+    where = re.search(r"\[(\S+) (\S+)\]", reason)
+    place = f" at ({float(where[1]):g}, {float(where[2]):g})" if where else ""
+    return f"must not cross or touch its own boundary; it does so{place}"

@@ -1,0 +1,72 @@
+"""Files are written whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from needleplan import provenance
+from needleplan.errors import OutputError
+
+
+def test_digest_of_text_and_bytes() -> None:
+    known = "sha256:ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert provenance.digest("abc") == provenance.digest(b"abc") == known
+
+
+def test_new_file_and_replaced_file(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    provenance.write_whole(path, b"one", memoryview(b"two"))
+    assert path.read_bytes() == b"onetwo"
+    provenance.write_whole(path, b"")
+    assert path.read_bytes() == b""
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_link_stays_a_link(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    provenance.write_whole(tmp_path / "link", b"new")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "file").read_bytes() == b"new"
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"old")
+
+    def full(_descriptor: int, _data: memoryview) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(provenance.os, "write", full)
+    with pytest.raises(OutputError, match="cannot be written: No space left on device"):
+        provenance.write_whole(path, b"new")
+    monkeypatch.undo()
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_interrupted_between_write_and_rename(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(_descriptor: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(provenance.os, "fsync", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        provenance.write_whole(tmp_path / "file", b"new")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_device_is_written_to_and_not_replaced() -> None:
+    with pytest.raises(OutputError, match="/dev/full: cannot be written: No space left on device"):
+        provenance.write_whole("/dev/full", b"new")
+    assert Path("/dev/full").is_char_device()
+
+
+@pytest.mark.parametrize("name", [".", "a/b", "nul\0"])
+def test_impossible_names_are_told(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OutputError, match="cannot be written"):
+        provenance.write_whole(name, b"new")
+    assert list(tmp_path.iterdir()) == []
