@@ -6,12 +6,11 @@ import contextlib
 import hashlib
 import os
 import secrets
-from importlib.metadata import version as _installed_version
 from pathlib import Path
 
 from needleplan.errors import Mistake, OutputError
 
-__all__ = ["digest", "version", "write_whole"]
+__all__ = ["digest", "require_writable", "version", "write_whole"]
 
 
 def digest(content: str | bytes | memoryview) -> str:
@@ -22,7 +21,21 @@ def digest(content: str | bytes | memoryview) -> str:
 
 def version() -> str:
     """Version of the installed needleplan, for example `0.1.0`."""
-    return _installed_version("needleplan")
+    from importlib import metadata
+
+    return metadata.version("needleplan")
+
+
+def require_writable(path: str | os.PathLike[str]) -> None:
+    """Raise OutputError where it is clear already that `path` cannot be written, before hours are spent on it."""
+    folder = Path(path).parent
+    for wrong, reason in (
+        (not folder.is_dir(), "no such folder"),
+        (Path(path).is_dir(), "it is a folder"),
+        (folder.is_dir() and not os.access(folder, os.W_OK), "no permission to write in its folder"),
+    ):
+        if wrong:
+            raise OutputError(Mistake("", "", f"cannot be written: {reason}"), os.fspath(path))
 
 
 def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> None:

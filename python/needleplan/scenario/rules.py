@@ -170,7 +170,7 @@ def shown(value: object, depth: int = 3) -> str:
 
 def suggestion(value: object, names: Iterable[str]) -> str:
     """Return `; did you mean "..."?` where one of `names` is close to `value`, else nothing."""
-    close = get_close_matches(value, list(names), n=1, cutoff=0.5) if isinstance(value, str) else []
+    close = get_close_matches(value, list(names), n=1, cutoff=0.6) if isinstance(value, str) else []
     return f'; did you mean "{close[0]}"?' if close else ""
 
 

@@ -1,0 +1,177 @@
+"""The compiled module: the crate `ppvi` seen from Python. Only `needleplan.planning` imports it.
+
+Errors are ValueError with one sentence, or MemoryError. Tables are shaped [nx, ny, headings, 2]; the last axis is
+bevel -1, bevel +1.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypedDict, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Progress = Callable[[float, float, float], None]
+
+class Solution(TypedDict):
+    """What `Lattice.solve` and `Tabular.solve` return."""
+
+    values: NDArray[Any]
+    policy: NDArray[Any]
+    status: str
+    residual: float
+    error_bound: float
+    backups: int
+    sweeps: float
+    partitions: int
+    partitions_processed: int
+    order: NDArray[np.uint32]
+    seconds_solving: float
+    seconds_priorities: float
+
+class Success(TypedDict):
+    """Probability of reaching the target, per state."""
+
+    success: NDArray[np.float32]
+    residual: float
+    sweeps: float
+    converged: bool
+
+class Expectations(TypedDict):
+    """Expected length and number of rotations until the execution ends, per state."""
+
+    length_mm: NDArray[np.float32]
+    turns: NDArray[np.float32]
+    converged: bool
+
+class Rollout(TypedDict):
+    """Executions, each array [starts, runs]."""
+
+    outcome: NDArray[np.uint8]
+    length_mm: NDArray[np.float32]
+    turns: NDArray[np.uint32]
+    cost: NDArray[np.float64]
+
+class Execution(TypedDict):
+    """One execution: poses [k, 4], actions [k - 1]."""
+
+    poses: NDArray[np.float64]
+    actions: NDArray[np.uint8]
+    outcome: int
+
+class Sparse(TypedDict):
+    """An MDP in compressed sparse rows: rows of a state, entries of a row."""
+
+    action_offsets: NDArray[np.int64]
+    row_offsets: NDArray[np.int64]
+    successors: NDArray[np.int32]
+    probabilities: NDArray[np.float64]
+    stage_costs: NDArray[np.float64]
+    discount: float
+
+@final
+class Lattice:
+    """The MDP of a bevel-tip needle on a grid."""
+
+    def __new__(
+        cls,
+        *,
+        width_mm: float,
+        height_mm: float,
+        spacing_mm: tuple[float, float],
+        polygons: Sequence[NDArray[np.float64]],
+        target_center_mm: tuple[float, float],
+        target_radius_mm: float,
+        curvature_radius_mm: float,
+        headings: int,
+        tip_noise: Sequence[float],
+        arc_samples: int,
+        interpolated: bool,
+        insertion_per_mm: float,
+        rotation: float,
+        collision: float,
+        exit: float,
+        discount: float,
+    ) -> Lattice: ...
+    @property
+    def shape(self) -> tuple[int, int, int, int]: ...
+    @property
+    def step_mm(self) -> float: ...
+    def solve(
+        self,
+        *,
+        method: str,
+        partitions: tuple[int, int],
+        priority: str,
+        tolerance: float,
+        max_sweeps: int | None = None,
+        time_limit_s: float | None = None,
+        threads: int | None = None,
+        progress: Progress | None = None,
+    ) -> Solution: ...
+    def success(self, *, policy: NDArray[np.uint8], threads: int | None = None) -> Success: ...
+    def expectations(self, *, policy: NDArray[np.uint8], threads: int | None = None) -> Expectations: ...
+    def outcomes(self) -> NDArray[np.uint8]: ...
+    def rollout(
+        self,
+        *,
+        policy: NDArray[np.uint8],
+        values: NDArray[np.float32],
+        starts: NDArray[np.float64],
+        runs: int,
+        seed: int,
+        greedy: bool = False,
+        arc_samples: int | None = None,
+        noise: bool = True,
+        max_steps: int,
+        threads: int | None = None,
+    ) -> Rollout: ...
+    def path(
+        self,
+        *,
+        policy: NDArray[np.uint8],
+        values: NDArray[np.float32],
+        start: Sequence[float],
+        greedy: bool = False,
+        noise: bool = False,
+        seed: int = 0,
+        max_steps: int,
+    ) -> Execution: ...
+    def tabular(self) -> Sparse: ...
+
+def lookup_many(
+    *,
+    values: NDArray[np.float32],
+    policy: NDArray[np.uint8],
+    success: NDArray[np.float32],
+    spacing_mm: tuple[float, float],
+    poses: NDArray[np.float64],
+    threads: int | None = None,
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]: ...
+
+@final
+class Tabular:
+    """Any finite MDP in compressed sparse rows."""
+
+    def __new__(
+        cls,
+        *,
+        action_offsets: NDArray[np.int64],
+        row_offsets: NDArray[np.int64],
+        successors: NDArray[np.int32],
+        probabilities: NDArray[np.float64],
+        stage_costs: NDArray[np.float64],
+        discount: float,
+    ) -> Tabular: ...
+    def solve(
+        self,
+        *,
+        method: str,
+        labels: NDArray[np.uint32] | None = None,
+        priority: str,
+        tolerance: float,
+        max_sweeps: int | None = None,
+        time_limit_s: float | None = None,
+        threads: int | None = None,
+        progress: Progress | None = None,
+    ) -> Solution: ...
+    def dependencies(self, *, labels: NDArray[np.uint32]) -> dict[str, Any]: ...

@@ -1,0 +1,130 @@
+"""`needleplan plan`: from a scenario to a policy table."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import ProgressLine, complain, note, percent, print_json, print_lines
+from needleplan.cli.options import add_edge, add_figure, add_json, entry_record
+
+if TYPE_CHECKING:
+    from needleplan.planning import Entry, PolicyTable
+    from needleplan.scenario import Scenario
+
+__all__ = ["add_to"]
+
+_POOR_SUCCESS = 0.8
+UNREACHABLE_SUCCESS = 0.001
+_NOISY_PATHS = 40
+_DETERRENT = 10
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "plan",
+        help="solve a scenario into a policy table",
+        description="Solve a scenario into a policy table. Exit code 1: not converged, or the target is unreachable.",
+    )
+    parser.add_argument("scenario", metavar="SCENARIO.toml", help="a scenario file, or the name of a shipped scenario")
+    parser.add_argument("-o", "--output", metavar="TABLE.h5", help="write the table")
+    add_edge(parser)
+    add_figure(parser, "the path from the best entry and the success map")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    from needleplan.provenance import require_writable
+    from needleplan.scenario import Scenario
+
+    scenario = Scenario.read(options.scenario)
+    for output in (options.output, options.figure):
+        if output:
+            require_writable(output)
+    from needleplan.planning import Status, plan
+
+    note(f"{scenario.title or options.scenario}: {scenario.states:,} states, method {scenario.solver.method}")
+    progress = ProgressLine()
+    try:
+        table = plan(scenario, progress)
+    finally:
+        progress.close()
+    best = table.best_entry(options.edge)
+    if options.output:
+        table.write(options.output)
+        note(f"wrote {options.output}")
+    if options.figure:
+        _draw(table, best, options.figure)
+        note(f"drew {options.figure}")
+    if options.json:
+        print_json(_record(table, best, options))
+    else:
+        print_lines(scenario.title or options.scenario, _lines(table, best, options))
+    if table.stats.status is not Status.CONVERGED:
+        return complain(f"not converged: {table.stats.status.replace('_', ' ')}, residual {table.stats.residual:.3g}")
+    if best.success < UNREACHABLE_SUCCESS:
+        return complain(f"the target cannot be reached from the {options.edge} edge")
+    if best.success < _POOR_SUCCESS:
+        note(
+            f"warning: even the best entry on the {options.edge} edge reaches the target in {percent(best.success)} of "
+            f"executions only{_giving_up(scenario)}"
+        )
+    return 0
+
+
+def _giving_up(scenario: Scenario) -> str:
+    """Return a hint where failing is so cheap that the plan may give up on purpose."""
+    objective = scenario.objective
+    way_through = objective.insertion_per_mm * scenario.workspace.width_mm + objective.rotation
+    if objective.discount == 1 and min(objective.collision, objective.exit) > _DETERRENT * way_through:
+        return ""
+    return "; failures are so cheap in [objective] that giving up may cost less than a long way round"
+
+
+def _record(table: PolicyTable, best: Entry, options: argparse.Namespace) -> dict[str, Any]:
+    scenario = table.scenario
+    stats = asdict(table.stats)
+    del stats["order"]
+    return {
+        "title": scenario.title,
+        "scenario_digest": scenario.digest,
+        "digest": table.digest,
+        "shape": scenario.shape,
+        "method": scenario.solver.method,
+        **stats,
+        "edge": options.edge,
+        "best_entry": entry_record(best),
+        "table": options.output,
+        "figure": options.figure,
+    }
+
+
+def _lines(table: PolicyTable, best: Entry, options: argparse.Namespace) -> dict[str, str]:
+    scenario, stats = table.scenario, table.stats
+    lines = {
+        "grid": f"{' x '.join(map(str, scenario.shape))} = {stats.states:,} states, {scenario.grid.transition}",
+        "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, residual {stats.residual:.3g}, "
+        f"error at most {stats.error_bound:.3g}",
+        "work": f"{stats.sweeps:.2f} sweeps, {stats.backups:,} backups, {stats.partitions_processed} of "
+        f"{stats.partitions} partitions",
+        "time": f"{stats.seconds:.3f} s, of which {stats.seconds_solving:.3f} s solving and "
+        f"{stats.seconds_priorities:.3f} s priorities",
+        "best entry": f"{best.pose}",
+        "": f"success {percent(best.success)}, cost {best.value:.4g}",
+    }
+    if options.output:
+        lines["table"] = options.output
+    if options.figure:
+        lines["figure"] = options.figure
+    return lines
+
+
+def _draw(table: PolicyTable, best: Entry, file: str) -> None:
+    from needleplan.workflow.figures import plan_figure, save
+
+    noisy = [table.path(best.pose, noise_seed=seed) for seed in range(_NOISY_PATHS)]
+    save(plan_figure(table, table.path(best.pose), noisy), file)

@@ -1,0 +1,69 @@
+"""The program: which command, and how it ends.
+
+Exit codes: 0 done; 1 the job ran and the answer is no; 2 the input is wrong. Besides, as the shell has them: 130
+interrupted, 141 nobody reads the output any more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from needleplan.cli import entry, evaluate, info, path, plan, reproduce
+from needleplan.errors import InputError
+
+__all__ = ["main"]
+
+_WRONG_INPUT, _INTERRUPTED, _NOBODY_READS = 2, 130, 141
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return the exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        code: int = options.run(options)
+        sys.stdout.flush()
+    except InputError as error:
+        print(f"needleplan: {error}", file=sys.stderr)
+        return _WRONG_INPUT
+    except KeyboardInterrupt:
+        print("needleplan: interrupted", file=sys.stderr)
+        return _INTERRUPTED
+    except BrokenPipeError:
+        _drop_output()
+        return _NOBODY_READS
+    except OSError as error:
+        _drop_output()
+        print(f"needleplan: standard output: cannot be written: {error.strerror}", file=sys.stderr)
+        return _WRONG_INPUT
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="needleplan",
+        description="Plan, execute and diagnose the steering of flexible bevel-tip needles. Not a medical device.",
+        epilog="Exit codes: 0 done, 1 the job ran and the answer is no, 2 the input is wrong.",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for command in (plan, path, evaluate, entry, info, reproduce):
+        command.add_to(commands)
+    return parser
+
+
+class _Version(argparse.Action):
+    """Prints the version; looks it up only then."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from needleplan.provenance import version
+
+        print(f"needleplan {version()}")
+        parser.exit()
+
+
+def _drop_output() -> None:
+    """Send what is still buffered nowhere, so that the interpreter does not complain when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,56 @@
+"""From a scenario to a policy table."""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+from needleplan.errors import ScenarioError
+from needleplan.planning.lattice import lattice_of
+from needleplan.planning.stats import Progress, Stats, Status
+from needleplan.planning.table import PolicyTable
+from needleplan.scenario import Scenario
+
+__all__ = ["plan"]
+
+
+def plan(scenario: Scenario, progress: Progress | None = None) -> PolicyTable:
+    """Solve a scenario.
+
+    `progress` is called now and then with the number of sweeps, the residual and the residual at which the solve ends;
+    an exception that it raises stops the solve and comes out here, as does Ctrl-C. A solve that ends before it has
+    converged returns its table; `table.stats.status` says so. Raises ScenarioError where the grid is too large.
+    """
+    began = perf_counter()
+    solver = scenario.solver
+    lattice = lattice_of(scenario)
+    try:
+        solved = lattice.solve(
+            method=solver.method.value,
+            partitions=solver.partitions,
+            priority=solver.priority.value,
+            tolerance=solver.tolerance,
+            max_sweeps=solver.max_sweeps,
+            time_limit_s=solver.time_limit_s,
+            threads=solver.threads,
+            progress=progress,
+        )
+        success = lattice.success(policy=solved["policy"], threads=solver.threads)["success"]
+    except (ValueError, MemoryError) as error:
+        raise ScenarioError(str(error)) from error
+    stats = Stats(
+        states=scenario.states,
+        partitions=solved["partitions"],
+        partitions_processed=solved["partitions_processed"],
+        backups=solved["backups"],
+        sweeps=solved["sweeps"],
+        residual=solved["residual"],
+        error_bound=solved["error_bound"],
+        status=Status(solved["status"]),
+        seconds=perf_counter() - began,
+        seconds_solving=solved["seconds_solving"],
+        seconds_priorities=solved["seconds_priorities"],
+        order=tuple(solved["order"].tolist()),
+    )
+    table = PolicyTable(solved["values"], solved["policy"], success, stats, scenario)
+    vars(table)["lattice"] = lattice
+    return table

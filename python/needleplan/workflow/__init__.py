@@ -1,0 +1,1 @@
+"""Work that needs several parts of the toolkit: figures and the reproduction of published results."""

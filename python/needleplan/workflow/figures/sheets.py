@@ -1,0 +1,49 @@
+"""The figures of the commands, ready to save."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from needleplan.planning import Path, PolicyTable
+from needleplan.workflow.figures.canvas import sheet, title
+from needleplan.workflow.figures.partitions import draw_partition_order
+from needleplan.workflow.figures.scene import draw_path, draw_scene
+from needleplan.workflow.figures.success_map import draw_success_map
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["order_figure", "path_figure", "plan_figure"]
+
+
+def plan_figure(table: PolicyTable, path: Path, noisy: Sequence[Path] = ()) -> Figure:
+    """Return the execution from one entry beside the success map of the whole workspace."""
+    figure, (left, right) = sheet(table.scenario.workspace, 2)
+    _draw_executions(left, table, path, noisy)
+    draw_success_map(right, table)
+    return figure
+
+
+def path_figure(table: PolicyTable, path: Path, noisy: Sequence[Path] = ()) -> Figure:
+    """Return one execution in the workspace."""
+    figure, (axes,) = sheet(table.scenario.workspace, 1)
+    _draw_executions(axes, table, path, noisy)
+    return figure
+
+
+def order_figure(table: PolicyTable) -> Figure:
+    """Return the order in which the partitions were processed."""
+    figure, (axes,) = sheet(table.scenario.workspace, 1)
+    draw_partition_order(axes, table)
+    return figure
+
+
+def _draw_executions(axes: Axes, table: PolicyTable, path: Path, noisy: Sequence[Path]) -> None:
+    draw_scene(axes, table.scenario)
+    draw_path(axes, path, others=noisy)
+    title(axes, table.scenario.title or "Planned path")
+    if noisy:
+        axes.plot([], [], color="#56B4E9", linewidth=0.8, label=f"{len(noisy)} executions with tip noise")
+    axes.legend(loc="upper left", bbox_to_anchor=(0, -0.16), ncols=3, frameon=False, fontsize=8)
