@@ -1,0 +1,154 @@
+"""A slow, plain twin of the planner, first part: the scenario's numbers and what happens along one arc.
+
+Tests are closed, and coordinates are computed in floating point, so every test has the same tolerance
+`TOLERANCE_MM`: a point that lies on an edge in exact arithmetic counts as on it. An end point exactly halfway
+between two grid points goes up (`nearest_index`); the definition does not say.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Kinds = NDArray[np.int8]
+
+TOLERANCE_MM = 1e-9
+GOES_ON, EXIT, COLLISION, TARGET = 0, 1, 2, 3
+FREE, OBSTACLE, GOAL = 0, 2, 3  # kinds of a grid point; the numbers match the events they cause
+BEVELS = (-1, 1)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The numbers of a scenario (lengths in mm)."""
+
+    width: float
+    height: float
+    polygons: tuple[shapely.Polygon, ...]
+    target: tuple[float, float]
+    target_radius: float
+    rho: float
+    headings: int
+    noise: dict[int, float]  # heading steps m -> probability
+    samples: int
+    dx: float
+    dy: float
+    interpolated: bool
+    insertion: float
+    rotation: float
+    collision: float
+    exit: float
+    discount: float
+
+    @property
+    def nx(self) -> int:
+        return round(self.width / self.dx) + 1
+
+    @property
+    def ny(self) -> int:
+        return round(self.height / self.dy) + 1
+
+    @property
+    def alpha(self) -> float:
+        return 2.0 * np.pi / self.headings
+
+    @property
+    def step_mm(self) -> float:
+        return self.rho * self.alpha
+
+
+def problem_from(scenario: dict[str, Any]) -> Problem:
+    """Read the dict that tomllib returns for a scenario file. No defaults: a missing key is an error."""
+    motion, grid, objective = scenario["motion"], scenario["grid"], scenario["objective"]
+    taps = [float(p) for p in motion["tip_noise"]]
+    noise = {0: taps[0]}
+    for m, p in enumerate(taps[1:], start=1):
+        noise[m] = noise[-m] = p
+    if abs(sum(noise.values()) - 1.0) > 1e-9:
+        raise ValueError(f"tip_noise must sum to one when doubled, got {sum(noise.values())}")
+    return Problem(
+        width=float(scenario["workspace"]["width_mm"]),
+        height=float(scenario["workspace"]["height_mm"]),
+        polygons=tuple(shapely.Polygon(obstacle["polygon_mm"]) for obstacle in scenario.get("obstacle", [])),
+        target=(float(scenario["target"]["center_mm"][0]), float(scenario["target"]["center_mm"][1])),
+        target_radius=float(scenario["target"]["radius_mm"]),
+        rho=float(scenario["needle"]["curvature_radius_mm"]),
+        headings=int(motion["headings"]),
+        noise=noise,
+        samples=int(motion["arc_samples"]),
+        dx=float(grid["spacing_mm"][0]),
+        dy=float(grid["spacing_mm"][1]),
+        interpolated={"nearest": False, "interpolated": True}[grid["transition"]],
+        insertion=float(objective["insertion_per_mm"]),
+        rotation=float(objective["rotation"]),
+        collision=float(objective["collision"]),
+        exit=float(objective["exit"]),
+        discount=float(objective["discount"]),
+    )
+
+
+def arc_point(problem: Problem, x: Floats, y: Floats, theta: Floats, bevel: Ints, t: float) -> tuple[Floats, Floats]:
+    """The point at the fraction t of the arc that starts at (x, y, theta)."""
+    turned = theta + bevel * problem.alpha * t
+    return (
+        x + problem.rho * bevel * (np.sin(turned) - np.sin(theta)),
+        y - problem.rho * bevel * (np.cos(turned) - np.cos(theta)),
+    )
+
+
+def point_event(problem: Problem, x: Floats, y: Floats) -> Kinds:
+    """What a true point is: EXIT before COLLISION before TARGET, else GOES_ON. Every test is closed."""
+    event = np.full(x.shape, GOES_ON, dtype=np.int8)
+    distance = np.hypot(x - problem.target[0], y - problem.target[1])
+    event[distance <= problem.target_radius + TOLERANCE_MM] = TARGET
+    for polygon in problem.polygons:
+        x0, y0, x1, y1 = polygon.buffer(1.0).bounds  # only points near the polygon need the expensive test
+        near = np.flatnonzero((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))
+        points = shapely.points(x.ravel()[near], y.ravel()[near])
+        shapely.prepare(polygon)
+        event.ravel()[near[shapely.dwithin(polygon, points, TOLERANCE_MM)]] = COLLISION
+    inside_x = (x >= -TOLERANCE_MM) & (x <= problem.width + TOLERANCE_MM)
+    inside_y = (y >= -TOLERANCE_MM) & (y <= problem.height + TOLERANCE_MM)
+    event[~(inside_x & inside_y)] = EXIT
+    return event
+
+
+def follow_arc(problem: Problem, x: Floats, y: Floats, theta: Floats, bevel: Ints) -> tuple[Kinds, Floats, Floats]:
+    """The first event along the arc, and the arc's end point."""
+    event = np.full(x.shape, GOES_ON, dtype=np.int8)
+    for sample in range(1, problem.samples + 1):
+        x_end, y_end = arc_point(problem, x, y, theta, bevel, sample / problem.samples)
+        here = point_event(problem, x_end, y_end)
+        event = np.where(event == GOES_ON, here, event)
+    return event, x_end, y_end
+
+
+def nearest_index(coordinate: Floats, spacing: float) -> Ints:
+    """Index of the nearest grid point, not clipped; an exact tie goes up."""
+    return np.floor(coordinate / spacing + 0.5 + TOLERANCE_MM).astype(np.int64)
+
+
+def bilinear_corners(problem: Problem, x: Floats, y: Floats) -> tuple[Ints, Floats]:
+    """Flat grid index and weight of the four corners around each point; last axis is the corner."""
+    i, j = np.floor(x / problem.dx).astype(np.int64), np.floor(y / problem.dy).astype(np.int64)
+    u, v = x / problem.dx - i, y / problem.dy - j
+    corners, weights = [], []
+    for di, dj in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        inside = (i + di >= 0) & (i + di < problem.nx) & (j + dj >= 0) & (j + dj < problem.ny)
+        corners.append(np.where(inside, (i + di) * problem.ny + j + dj, problem.nx * problem.ny))
+        weights.append((u if di else 1.0 - u) * (v if dj else 1.0 - v))
+    return np.stack(corners, axis=-1), np.stack(weights, axis=-1)
+
+
+def edge_distance(problem: Problem, x: Floats, y: Floats) -> Floats:
+    """Distance of each point to the nearest edge of anything: where it is tiny, rounding errors decide an event."""
+    distance = np.abs(np.hypot(x - problem.target[0], y - problem.target[1]) - problem.target_radius)
+    for edge, coordinate in ((0.0, x), (problem.width, x), (0.0, y), (problem.height, y)):
+        distance = np.minimum(distance, np.abs(coordinate - edge))
+    for polygon in problem.polygons:
+        distance = np.minimum(distance, shapely.distance(polygon.exterior, shapely.points(x, y)))
+    return distance

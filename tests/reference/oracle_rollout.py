@@ -1,0 +1,127 @@
+"""A slow, plain twin of the planner's executions: Monte-Carlo in the continuous bicycle model with heading noise.
+
+The true pose (x, y, theta) is continuous; only the decision uses the table. One step:
+
+1. Decide. "look-up": the policy of the nearest grid state. "greedy": one-step look-ahead from the true pose; the
+   value after each action's true arc is read bilinearly in x and y at the nearest heading, corners as in the
+   interpolated MDP (obstacle: collision cost, target: 0, outside the grid: exit cost), expectation over the noise.
+2. Follow the true arc and test its points at t = 1/S, ..., 1. The first event ends the run; nothing else does: a tip
+   whose nearest grid point is an obstacle or target point, but which is not there itself, goes on.
+3. Otherwise turn by m*alpha with the probabilities of the tip noise.
+
+A decision is also needed where the nearest grid point is absorbing, and its policy there is not defined: insert.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from oracle_arc import (
+    COLLISION,
+    EXIT,
+    GOAL,
+    GOES_ON,
+    OBSTACLE,
+    TARGET,
+    Floats,
+    Ints,
+    Problem,
+    bilinear_corners,
+    follow_arc,
+    nearest_index,
+)
+from oracle_mdp import Mdp
+
+
+@dataclass(frozen=True)
+class Runs:
+    """One entry per run. `ending` is GOES_ON where `max_steps` cut the run; costs are discounted like the table."""
+
+    ending: Ints
+    cost: Floats
+    steps: Ints
+    turns: Ints
+
+    @property
+    def success(self) -> float:
+        return float(np.mean(self.ending == TARGET))
+
+
+def corner_values(mdp: Mdp, values: Floats) -> Floats:
+    """Values as the greedy look-ahead reads them: [nx*ny + 1, headings, 2], last row outside the grid."""
+    problem, kind = mdp.problem, mdp.kind[:, :, None, None]
+    table = np.where(kind == OBSTACLE, problem.collision, np.where(kind == GOAL, 0.0, values))
+    cells = table.reshape(problem.nx * problem.ny, problem.headings, 2)
+    return np.concatenate([cells, np.full((1, problem.headings, 2), problem.exit)])
+
+
+def nearest_heading(problem: Problem, theta: Floats) -> Ints:
+    return np.floor(theta / problem.alpha + 0.5).astype(np.int64) % problem.headings
+
+
+def look_up(mdp: Mdp, policy: NDArray[np.uint8], x: Floats, y: Floats, theta: Floats, bevel: Ints) -> Ints:
+    """The policy's action at the nearest grid state."""
+    problem = mdp.problem
+    i = np.clip(nearest_index(x, problem.dx), 0, problem.nx - 1)
+    j = np.clip(nearest_index(y, problem.dy), 0, problem.ny - 1)
+    return policy[i, j, nearest_heading(problem, theta), (bevel + 1) // 2].astype(np.int64)
+
+
+def greedy_q(problem: Problem, cells: Floats, x: Floats, y: Floats, theta: Floats, bevel: Ints) -> Floats:
+    """Q of both actions at the true poses, [n, 2]; `cells` comes from `corner_values`."""
+    q = np.empty((len(x), 2))
+    for action in (0, 1):
+        new = bevel if action == 0 else -bevel
+        ending, x_end, y_end = follow_arc(problem, x, y, theta, new)
+        corner, weight = bilinear_corners(problem, x_end, y_end)
+        onward = np.zeros(len(x))
+        for m, p in problem.noise.items():
+            k = nearest_heading(problem, theta + (new + m) * problem.alpha)
+            at_corners = cells[corner, k[:, None], ((new + 1) // 2)[:, None]]
+            onward += p * np.sum(weight * at_corners, axis=1)
+        failure = np.array([0.0, problem.exit, problem.collision, 0.0])[ending]
+        q[:, action] = problem.insertion * problem.step_mm + action * problem.rotation + failure
+        q[:, action] += np.where(ending == GOES_ON, problem.discount * onward, 0.0)
+    return q
+
+
+def rollout(
+    mdp: Mdp,
+    start: tuple[float, float, float, int],  # x mm, y mm, heading rad, bevel -1 or +1
+    runs: int,
+    seed: int,
+    *,
+    policy: NDArray[np.uint8] | None = None,
+    greedy_values: Floats | None = None,
+    max_steps: int = 10_000,
+) -> Runs:
+    """Execute `runs` insertions. Give either a policy to look up or values to act greedily on."""
+    if (policy is None) == (greedy_values is None):
+        raise ValueError("give either policy or greedy_values")
+    problem, random = mdp.problem, np.random.default_rng(seed)
+    cells = None if greedy_values is None else corner_values(mdp, greedy_values)
+    x, y, theta = (np.full(runs, float(value)) for value in start[:3])
+    bevel = np.full(runs, start[3], dtype=np.int64)
+    result = Runs(np.full(runs, GOES_ON), np.zeros(runs), np.zeros(runs, np.int64), np.zeros(runs, np.int64))
+    jumps, chances = np.array(list(problem.noise)), np.array(list(problem.noise.values()))
+    weight = 1.0
+    for _ in range(max_steps):
+        on = np.flatnonzero(result.ending == GOES_ON)
+        if len(on) == 0:
+            break
+        if cells is None:
+            assert policy is not None
+            action = look_up(mdp, policy, x[on], y[on], theta[on], bevel[on])
+        else:
+            action = np.argmin(greedy_q(problem, cells, x[on], y[on], theta[on], bevel[on]), axis=1)
+        bevel[on] *= 1 - 2 * action
+        ending, x[on], y[on] = follow_arc(problem, x[on], y[on], theta[on], bevel[on])
+        noise = random.choice(jumps, size=len(on), p=chances / chances.sum())
+        theta[on] += (bevel[on] + noise) * problem.alpha
+        result.ending[on] = ending
+        result.steps[on] += 1
+        result.turns[on] += action
+        result.cost[on] += weight * (problem.insertion * problem.step_mm + action * problem.rotation)
+        result.cost[on] += weight * ((ending == EXIT) * problem.exit + (ending == COLLISION) * problem.collision)
+        weight *= problem.discount
+    return result

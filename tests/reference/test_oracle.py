@@ -1,0 +1,218 @@
+"""The oracle against paper and pencil, against a second reading of the definition, and against reference solutions.
+
+NEEDLEPLAN_SLOW=1 adds the checks that need several full solves of 1.2 million states (two to three minutes).
+"""
+
+import math
+import os
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+from oracle_arc import COLLISION, FREE, GOES_ON, OBSTACLE, Problem, follow_arc, nearest_index, problem_from
+from oracle_cases import NPZ_NAME, VARIANTS, case, four_obstacles, npz_path
+from oracle_mdp import Mdp, Solution, build, explicit, solve
+from oracle_rollout import rollout
+
+STEP = math.pi / 2  # rho = 1, four headings: quarter circles that end exactly on the grid
+CORNERS = ([[0, 1.9], [0.1, 1.9], [0.1, 2], [0, 2]], [[2, 0], [2, 0.1], [1.9, 0.1], [1.9, 0]])
+slow = pytest.mark.skipif(not os.environ.get("NEEDLEPLAN_SLOW"), reason="several full solves: set NEEDLEPLAN_SLOW=1")
+
+
+def solved(scenario: dict[str, Any], residual: float = 1e-11) -> tuple[Mdp, Solution]:
+    mdp = build(problem_from(scenario))
+    return mdp, solve(mdp, residual)
+
+
+def quarters(**changes: Any) -> dict[str, Any]:
+    """Return the 2 mm square with obstacles in two corners and the target in a third."""
+    usual: dict[str, Any] = {"target": (2.0, 2.0, 0.1), "rho": 1.0, "headings": 4, "obstacles": CORNERS}
+    return case((2.0, 2.0), **(usual | changes))
+
+
+def wiggly(transition: str, samples: int = 3, discount: float = 1.0) -> dict[str, Any]:
+    return case(
+        (9.0, 7.0),
+        target=(7.3, 4.1, 0.9),
+        rho=3.37,
+        headings=9,
+        obstacles=([[3, 0], [5.2, 0], [4.5, 2.2]], [[2, 5], [3, 7], [1, 7]]),
+        noise=(0.5, 0.2, 0.05),
+        samples=samples,
+        transition=transition,
+        objective=(1.0, 3.0, 60.0, 40.0, discount),
+    )
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("discount", [1.0, 0.9])
+def test_two_quarter_circles_by_hand(samples: int, discount: float) -> None:
+    # (0,0,0 deg) --left--> (1,1,90 deg) --turn, right--> (2,2): one turn, two steps.
+    _, solution = solved(quarters(samples=samples, objective=(1.0, 4.0, 1e4, 1e4, discount)))
+    assert solution.values[1, 1, 1, 0] == pytest.approx(STEP, abs=1e-9)
+    assert solution.values[1, 1, 1, 1] == pytest.approx(STEP + 4.0, abs=1e-9)
+    assert solution.values[0, 0, 0, 1] == pytest.approx(STEP + discount * (STEP + 4.0), abs=1e-9)
+    assert solution.values[0, 0, 0, 0] == pytest.approx(4.0 + STEP + discount * (STEP + 4.0), abs=1e-9)
+    assert solution.values[0, 0, 3, 0] == pytest.approx(STEP + 1e4, abs=1e-9)  # both arcs leave: no turn
+    assert solution.policy[0, 0, 0].tolist() == [1, 0]
+    assert solution.policy[1, 1, 1].tolist() == [0, 1]
+    assert solution.success[0, 0, 0].tolist() == [1.0, 1.0]
+    assert solution.success[0, 0, 3].tolist() == [0.0, 0.0]
+    assert solution.values[0, 2].max() == solution.values[2, 2].max() == 0.0  # absorbing
+
+
+def test_noise_moves_the_heading_after_the_arc_by_hand() -> None:
+    # From (0,0,0 deg,+1) to (1,1) at 90 deg (1/2), 180 deg (1/4) or 0 deg (1/4). At 90: turn, hit the target. At 180:
+    # turn and take the cheap collision. At 0: straight on to the target.
+    mdp, solution = solved(quarters(noise=(0.5, 0.25), objective=(1.0, 2.0, 5.0, 100.0, 1.0)))
+    assert solution.values[1, 1, 2].tolist() == pytest.approx([STEP + 5.0, STEP + 7.0])
+    by_hand = STEP + 0.5 * (STEP + 2.0) + 0.25 * (STEP + 7.0) + 0.25 * STEP
+    assert solution.values[0, 0, 0, 1] == pytest.approx(by_hand)
+    assert solution.success[0, 0, 0, 1] == pytest.approx(0.75)
+    assert solution.gap[0, 0, 0, 0] == pytest.approx(STEP + 100.0 - (2.0 + by_hand))
+    # Here the true pose stays on the grid, so executions must realise what the table promises.
+    for how in ({"policy": solution.policy}, {"greedy_values": solution.values}):
+        runs = rollout(mdp, (0.0, 0.0, 0.0, 1), 20_000, seed=1, **how)
+        assert runs.success == pytest.approx(0.75, abs=5 * math.sqrt(0.75 * 0.25 / 20_000))
+        assert runs.cost.mean() == pytest.approx(by_hand, abs=5 * runs.cost.std() / math.sqrt(20_000))
+        assert not np.any(runs.ending == GOES_ON)
+
+
+def test_interpolated_corners_by_hand() -> None:
+    # Spacing 2 mm: the arc from (0,0) ends at (1,1), a quarter of each corner: (2,0) obstacle, (2,2) target, and
+    # (0,0), (0,2), where the next arc leaves. Turning is far too dear.
+    scenario = quarters(
+        obstacles=([[2, 0], [2, 0.1], [1.9, 0.1], [1.9, 0]],),
+        spacing=(2.0, 2.0),
+        transition="interpolated",
+        objective=(1.0, 10.0, 1.0, 0.5, 0.9),
+    )
+    _, solution = solved(scenario)
+    assert solution.values[0, 0, 0, 1] == pytest.approx(STEP + 0.9 * (0.5 * (STEP + 0.5) + 0.25 * 1.0))
+    assert solution.success[0, 0, 0, 1] == pytest.approx(0.25)
+    assert solution.values[1, 0].tolist() == [[1.0, 1.0]] * 4  # the table's value of an obstacle point
+    assert solution.values[1, 1].max() == 0.0
+    assert solution.success[1, 1].min() == 1.0
+
+
+def test_a_corner_outside_the_grid_carries_the_exit_cost() -> None:
+    # 2.5 mm wide, spacing 2: grid lines x = 0, 2. From (2,0) the arc ends at (2.25, 0.25): one eighth is outside.
+    scenario = case(
+        (2.5, 2.5),
+        target=(0.5, 1.5, 0.1),
+        rho=0.25,
+        headings=4,
+        spacing=(2.0, 2.0),
+        transition="interpolated",
+        objective=(1.0, 50.0, 9.0, 8.0, 0.9),
+    )
+    _, solution = solved(scenario)
+    inner = 0.875 * (0.875 * solution.values[1, 0, 1, 1] + 0.125 * solution.values[1, 1, 1, 1])
+    assert solution.q[1, 0, 0, 1, 0] == pytest.approx(0.25 * STEP + 0.9 * (inner + 0.125 * 8.0))
+
+
+def second_reading(problem: Problem, i: int, j: int, k: int, b: int, values: Any) -> list[float]:
+    """Q of one "nearest" state, one number at a time, written from the definition once more."""
+    result = []
+    for action in (0, 1):
+        new, alpha = (b if action == 0 else -b), 2 * math.pi / problem.headings
+        cost = problem.insertion * problem.rho * alpha + (problem.rotation if action else 0.0)
+        over = False
+        for s in range(1, problem.samples + 1):
+            end = k * alpha + new * alpha * s / problem.samples
+            x = i * problem.dx + problem.rho * new * (math.sin(end) - math.sin(k * alpha))
+            y = j * problem.dy - problem.rho * new * (math.cos(end) - math.cos(k * alpha))
+            if not (0 <= x <= problem.width and 0 <= y <= problem.height):
+                cost, over = cost + problem.exit, True
+            elif any(polygon.covers(shapely.Point(x, y)) for polygon in problem.polygons):
+                cost, over = cost + problem.collision, True
+            elif math.dist((x, y), problem.target) <= problem.target_radius:
+                over = True
+            if over:
+                break
+        if not over:
+            i2, j2 = round(x / problem.dx), round(y / problem.dy)
+            point = shapely.Point(i2 * problem.dx, j2 * problem.dy)
+            if any(polygon.covers(point) for polygon in problem.polygons):
+                cost += problem.collision
+            elif math.dist((point.x, point.y), problem.target) > problem.target_radius:
+                for m, p in problem.noise.items():
+                    cost += problem.discount * p * values[i2, j2, (k + new + m) % problem.headings, (new + 1) // 2]
+        result.append(cost)
+    return result
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 4])
+@pytest.mark.parametrize("discount", [1.0, 0.95])
+def test_a_second_reading_of_the_definition_agrees(samples: int, discount: float) -> None:
+    mdp, solution = solved(wiggly("nearest", samples, discount))
+    assert mdp.tie_mm > 1e-6
+    for i, j, k, bevel in np.ndindex(*solution.values.shape):
+        if mdp.kind[i, j] == FREE:
+            q = second_reading(mdp.problem, i, j, k, 2 * bevel - 1, solution.values)
+            assert q == pytest.approx(solution.q[i, j, k, bevel], abs=1e-9)
+            assert min(q) == pytest.approx(solution.values[i, j, k, bevel], abs=1e-9)
+
+
+def test_explicit_arrays_describe_the_same_chain() -> None:
+    mdp, solution = solved(wiggly("nearest"))
+    successor, probability, cost = explicit(mdp)
+    values = np.append(solution.values.ravel(), 0.0)  # the last entry is read by successor -1: over
+    np.testing.assert_allclose((cost + values[successor] @ probability).min(axis=1), values[:-1], atol=1e-9)
+
+
+@pytest.mark.parametrize("transition", ["nearest", "interpolated"])
+def test_mirrored_scenario_has_the_mirrored_table(transition: str) -> None:
+    scenario = wiggly(transition)
+    mirrored = wiggly(transition)
+    mirrored["target"]["center_mm"][1] = 7.0 - scenario["target"]["center_mm"][1]
+    for obstacle in mirrored["obstacle"]:
+        obstacle["polygon_mm"] = [[x, 7.0 - y] for x, y in obstacle["polygon_mm"]]
+    (_, one), (_, other) = solved(scenario), solved(mirrored)
+    back = np.roll(other.values[:, ::-1, ::-1, ::-1], 1, axis=2)  # heading k -> -k mod 9, bevel -> -bevel
+    np.testing.assert_allclose(one.values, back, atol=1e-8)
+
+
+def reference() -> Any:
+    path = npz_path()
+    if path is None:
+        pytest.skip(f"{NPZ_NAME} is not here: set NEEDLEPLAN_SHARED to the folder that holds it")
+    return np.load(path)
+
+
+@pytest.mark.parametrize("variant", ["success_arc4", *(pytest.param(v, marks=slow) for v in VARIANTS[:2])])
+def test_the_sampled_reference_solutions(variant: str) -> None:
+    data = reference()
+    _, solution = solved(four_obstacles(variant), residual=1e-9)
+    at = tuple(data[f"{variant}_state"].T.astype(int))
+    gap = data[f"{variant}_action_gap"]
+    np.testing.assert_allclose(solution.values[at], data[f"{variant}_value"], atol=1e-6, rtol=0)
+    np.testing.assert_allclose(solution.gap[at], gap, atol=1e-6, rtol=0)
+    np.testing.assert_allclose(solution.success[at], data[f"{variant}_success"], atol=1e-6, rtol=0)
+    assert np.array_equal(solution.policy[at][gap > 1e-9], data[f"{variant}_policy"][gap > 1e-9])
+
+
+@slow
+@pytest.mark.parametrize(
+    ("transition", "landing", "published"),
+    [
+        ("nearest", False, (1113, 4217, 5550, 1635, 2639)),
+        ("interpolated", True, (1341, 5269, 6539, 1681, 3847)),  # see below
+        ("interpolated", False, (1316, 5193, 6469, 1641, 3773)),  # ours: the corners' values only
+    ],
+)
+def test_the_predictions_from_five_entries(transition: str, landing: bool, published: tuple[int, ...]) -> None:
+    """The published interpolated figures also count landing nearest to an obstacle point as a collision."""
+    mdp = build(problem_from(four_obstacles("success_arc4", transition, collision=20000.0)))
+    problem = mdp.problem
+    if landing:
+        axes = [np.arange(n) * d for n, d in ((problem.nx, 1.0), (problem.ny, 1.0), (60, problem.alpha))]
+        _, x, y = follow_arc(problem, *np.meshgrid(*axes, np.array((-1, 1)), indexing="ij"))
+        i, j = np.clip(nearest_index(x, 1.0), 0, problem.nx - 1), np.clip(nearest_index(y, 1.0), 0, problem.ny - 1)
+        hit = (mdp.ending == GOES_ON) & (mdp.kind[i, j] == OBSTACLE)
+        mdp = replace(mdp, ending=np.where(hit, COLLISION, mdp.ending))
+    values = solve(mdp, 1e-6).values
+    entries = ((40, 0), (60, -18), (45, 18), (35, -18), (50, 0))
+    assert tuple(round(values[0, y, degrees // 6 % 60].min()) for y, degrees in entries) == published
