@@ -24,6 +24,8 @@ pub enum Status {
     IterationLimit,
     /// The time limit was reached first.
     TimeLimit,
+    /// Rounding hides what is left of the residual: the tolerance asks for more than double precision.
+    PrecisionLimit,
     /// The progress callback asked to stop.
     Interrupted,
 }
@@ -35,6 +37,7 @@ impl Status {
             Status::Converged => "converged",
             Status::IterationLimit => "iteration_limit",
             Status::TimeLimit => "time_limit",
+            Status::PrecisionLimit => "precision_limit",
             Status::Interrupted => "interrupted",
         }
     }

@@ -1,0 +1,89 @@
+//! The planar bicycle model of a bevel-tip needle (Webster et al. 2006; thesis section 6.2).
+//!
+//! The tip moves on a circle of radius rho to the side the bevel points to; a step is an arc of length
+//! delta = 2 pi rho / headings, so that the heading changes by one heading step alpha = 2 pi / headings. Turning the
+//! needle by 180 degrees mirrors the arc.
+
+use std::f64::consts::TAU;
+
+use crate::error::{Result, parameter};
+
+/// Curvature radius and number of headings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bicycle {
+    /// Radius of curvature rho, mm.
+    pub radius: f64,
+    /// Number of headings of a full turn.
+    pub headings: usize,
+}
+
+impl Bicycle {
+    /// Checks the fields.
+    pub fn new(radius: f64, headings: usize) -> Result<Self> {
+        if !(radius > 0.0 && radius.is_finite()) {
+            return Err(parameter("curvature_radius_mm", radius, "must be positive and finite"));
+        }
+        if headings == 0 || headings > 1_000_000 {
+            return Err(parameter("headings", headings, "must be between 1 and 1,000,000"));
+        }
+        Ok(Bicycle { radius, headings })
+    }
+
+    /// Heading step alpha, rad.
+    pub fn heading_step(&self) -> f64 {
+        TAU / self.headings as f64
+    }
+
+    /// Arc length of a step, mm.
+    pub fn step_length(&self) -> f64 {
+        self.radius * self.heading_step()
+    }
+
+    /// Displacement, mm, after the fraction `t` of a step that starts at `heading` (rad) with `bevel` -1 or +1.
+    pub fn displacement(&self, heading: f64, bevel: f64, t: f64) -> [f64; 2] {
+        // Chord form of rho b (sin(h + b t alpha) - sin h): exact, and no difference of nearly equal numbers for
+        // large radii.
+        let half = 0.5 * t * self.heading_step();
+        let chord = 2.0 * self.radius * half.sin();
+        let (sin, cos) = (heading + bevel * half).sin_cos();
+        [chord * cos, chord * sin]
+    }
+
+    /// The angle of heading index `k`, rad.
+    pub fn heading(&self, k: usize) -> f64 {
+        k as f64 * self.heading_step()
+    }
+
+    /// The heading index nearest to an angle, rad.
+    pub fn nearest_heading(&self, heading: f64) -> usize {
+        let turns = heading / self.heading_step();
+        (turns.round().rem_euclid(self.headings as f64) as usize) % self.headings
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_chord_is_the_arc_of_the_thesis() {
+        let needle = Bicycle::new(40.0, 60).unwrap();
+        for k in 0..60 {
+            for bevel in [-1.0, 1.0] {
+                let (h, a) = (needle.heading(k), needle.heading_step());
+                let x = 40.0 * bevel * ((h + bevel * a).sin() - h.sin());
+                let y = -40.0 * bevel * ((h + bevel * a).cos() - h.cos());
+                let d = needle.displacement(h, bevel, 1.0);
+                assert!((d[0] - x).abs() < 1e-12 && (d[1] - y).abs() < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn headings_wrap() {
+        let needle = Bicycle::new(40.0, 60).unwrap();
+        assert_eq!(needle.nearest_heading(-0.5 * TAU / 60.0 + 1e-9), 0);
+        assert_eq!(needle.nearest_heading(-TAU / 60.0), 59);
+        assert_eq!(needle.nearest_heading(5.0 * TAU + 0.1), 1);
+    }
+}

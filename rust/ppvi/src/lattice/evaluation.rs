@@ -1,0 +1,103 @@
+//! What a policy does: probability of reaching the target, expected length, expected number of turns.
+//!
+//! The chain of the policy is evaluated by the sweeps of the solver, with other costs, no discount, and zero as the
+//! start: the iterates grow towards the smallest solution, which is the right one even where the policy never ends.
+
+use crate::error::{Error, Result};
+use crate::lattice::LatticeMdp;
+use crate::lattice::engine::Engine;
+use crate::lattice::field::Field;
+use crate::lattice::kernel::Numbers;
+use crate::lattice::outcome;
+
+/// Limit on the passes of an evaluation.
+const MAX_PASSES: u64 = 2000;
+
+/// Passes end when no number changes by more than this part of the largest possible (or found) one.
+const RELATIVE_CHANGE: f64 = 1e-6;
+
+/// A number for every state, in table layout.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evaluation {
+    /// The number.
+    pub values: Vec<f32>,
+    /// Largest change in the last pass.
+    pub change: f64,
+    /// Whether that was small enough before the limit on passes.
+    pub converged: bool,
+}
+
+/// Probability that the policy (table layout) reaches the target.
+pub fn success(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
+    let mut ended = [0.0; 7];
+    ended[outcome::TARGET as usize] = 1.0;
+    ended[outcome::AT_TARGET as usize] = 1.0;
+    evaluate(lattice, policy, &Numbers { step: 0.0, rotation: 0.0, discount: 1.0, ended })
+}
+
+/// Probability that the execution ends at all.
+pub fn termination(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
+    evaluate(lattice, policy, &Numbers { step: 0.0, rotation: 0.0, discount: 1.0, ended: [1.0; 7] })
+}
+
+/// Expected inserted length until the execution ends, mm; meaningful where [`termination`] is one.
+pub fn length(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
+    let step = lattice.setup.needle.step_length();
+    let mut ended = [0.0; 7];
+    ended[1..4].fill(step);
+    evaluate(lattice, policy, &Numbers { step, rotation: 0.0, discount: 1.0, ended })
+}
+
+/// Expected number of turns until the execution ends; meaningful where [`termination`] is one.
+pub fn turns(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
+    evaluate(lattice, policy, &Numbers { step: 0.0, rotation: 1.0, discount: 1.0, ended: [0.0; 7] })
+}
+
+/// Expected length and number of turns, in table layout.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Expectations {
+    /// Inserted length until the execution ends, mm.
+    pub length: Vec<f32>,
+    /// Number of turns until the execution ends.
+    pub turns: Vec<f32>,
+    /// Whether both evaluations converged.
+    pub converged: bool,
+}
+
+/// Below this probability of ending an execution is taken as one that need not end.
+const SURELY: f32 = 1.0 - 1e-4;
+
+/// [`length`] and [`turns`], infinite where the policy need not end.
+pub fn expectations(lattice: &LatticeMdp, policy: &[u8]) -> Result<Expectations> {
+    let ends = termination(lattice, policy)?;
+    let (mut length, mut turns) = (length(lattice, policy)?, turns(lattice, policy)?);
+    let converged = ends.converged && length.converged && turns.converged;
+    for (ends, (length, turns)) in ends.values.iter().zip(length.values.iter_mut().zip(&mut turns.values)) {
+        if *ends < SURELY {
+            (*length, *turns) = (f32::INFINITY, f32::INFINITY);
+        }
+    }
+    Ok(Expectations { length: length.values, turns: turns.values, converged })
+}
+
+fn evaluate(lattice: &LatticeMdp, policy: &[u8], numbers: &Numbers<f64>) -> Result<Evaluation> {
+    let states = lattice.shape.states();
+    if policy.len() != states {
+        return Err(Error::Length { name: "policy", expected: states, found: policy.len() });
+    }
+    let policy = Field::of_table(lattice.shape, policy);
+    let mut engine = Engine::<f32>::new(lattice, numbers, 0.0, Some(&policy));
+    let largest = numbers.ended.iter().fold(numbers.rotation, |max, value| max.max(*value));
+    let mut change = f64::INFINITY;
+    let mut converged = false;
+    for pass in 1..=MAX_PASSES {
+        change = engine.pass();
+        // Probabilities are at most one; lengths and turns have no bound known beforehand.
+        let scale = if pass % 8 == 0 { engine.field(lattice).max().max(largest) } else { largest };
+        converged = change <= RELATIVE_CHANGE * scale;
+        if converged {
+            break;
+        }
+    }
+    Ok(Evaluation { values: engine.field(lattice).table(), change, converged })
+}

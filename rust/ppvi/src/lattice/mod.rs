@@ -1,0 +1,406 @@
+//! The structured MDP of a planar needle: positions on a grid, headings on a circle, two bevel sides.
+//!
+//! A state is `(i, j, k, b)`: grid column, grid row, heading index, bevel (0: -1, 1: +1). Action 0 inserts, action 1
+//! turns the needle by 180 degrees and then inserts, so the step always *arrives* with a bevel b' = b xor action.
+//! What the step does depends on (k, b') alone, not on the action:
+//!
+//! ```text
+//! position   moves by stencil[k][b'], the same for every grid point        (a displacement stencil)
+//! heading    k + (b' ? +1 : -1) + m with probability noise[|m|]            (a circular convolution)
+//! outcome    continues, or ends at target, obstacle or border              (2-3 bits, from `workspace`)
+//! ```
+//!
+//! so with W(k', b') = sum over m of noise[|m|] V(k' + m, b') the Q-values are shifted reads of W, and
+//! V(b) = min(Q(b), rotation + Q(1 - b)). `sector` and `sweep` turn that into code; this file is the definition, and it
+//! is an [`Mdp`] like any other, with the states numbered as in the table: `((i * ny + j) * headings + k) * 2 + b`.
+
+pub(crate) mod bellman;
+pub(crate) mod engine;
+pub mod evaluation;
+pub(crate) mod field;
+pub(crate) mod halo;
+pub(crate) mod kernel;
+pub(crate) mod plane;
+pub(crate) mod real;
+pub(crate) mod sector;
+pub mod sweep;
+
+use rayon::prelude::*;
+
+use crate::bicycle::Bicycle;
+use crate::error::{Error, Result, parameter};
+use crate::mdp::Mdp;
+use crate::partition::Partition;
+use crate::workspace::{ColumnScan, Event, Workspace, grid_points};
+
+/// Outcome codes of a step; [`Event`]s have the same numbers.
+pub mod outcome {
+    /// The execution goes on.
+    pub const CONTINUES: u8 = 0;
+    /// Ends at the target.
+    pub const TARGET: u8 = 1;
+    /// Ends in an obstacle.
+    pub const COLLISION: u8 = 2;
+    /// Ends outside the workspace.
+    pub const EXIT: u8 = 3;
+    /// The state itself is an obstacle point (absorbing).
+    pub const AT_OBSTACLE: u8 = 4;
+    /// The state itself is a target point (absorbing).
+    pub const AT_TARGET: u8 = 5;
+}
+
+/// Numbers of grid points and headings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shape {
+    /// Grid points along x.
+    pub nx: usize,
+    /// Grid points along y.
+    pub ny: usize,
+    /// Headings of a full turn.
+    pub headings: usize,
+}
+
+impl Shape {
+    /// Number of states.
+    pub fn states(&self) -> usize {
+        self.nx * self.ny * self.headings * 2
+    }
+}
+
+/// Costs of a step, of a rotation, of failures; the discount.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Costs {
+    /// Cost of inserting one step.
+    pub step: f64,
+    /// Cost of turning the needle.
+    pub rotation: f64,
+    /// Cost of hitting an obstacle.
+    pub collision: f64,
+    /// Cost of leaving the workspace.
+    pub exit: f64,
+    /// Discount factor, in (0, 1].
+    pub discount: f64,
+}
+
+impl Costs {
+    fn validate(&self) -> Result<()> {
+        for (name, value) in [("rotation", self.rotation), ("collision", self.collision), ("exit", self.exit)] {
+            if !(value >= 0.0 && value.is_finite()) {
+                return Err(parameter(name, value, "must be finite and not negative"));
+            }
+        }
+        if !(self.step >= 0.0 && self.step.is_finite()) {
+            return Err(parameter("insertion_per_mm", self.step, "must be finite and not negative"));
+        }
+        if !(self.discount > 0.0 && self.discount <= 1.0) {
+            return Err(parameter("discount", self.discount, "must be in (0, 1]"));
+        }
+        if self.discount == 1.0 && self.step == 0.0 {
+            return Err(parameter("insertion_per_mm", self.step, "must be positive where the discount is 1"));
+        }
+        Ok(())
+    }
+}
+
+/// How a displacement is brought back to the grid.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Transition {
+    /// To the nearest grid point (the thesis).
+    Nearest,
+    /// To the four grid points around it, with bilinear weights: unbiased.
+    Interpolated,
+}
+
+/// A displacement in grid cells: whole cells, and the fraction of a cell beyond them (zero for nearest transitions).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shift {
+    /// Whole cells along x and y.
+    pub cell: [i32; 2],
+    /// Fractions in [0, 1).
+    pub fraction: [f64; 2],
+}
+
+impl Shift {
+    fn new(displacement: [f64; 2], spacing: [f64; 2], transition: Transition, points: [usize; 2]) -> Self {
+        let mut shift = Shift { cell: [0; 2], fraction: [0.0; 2] };
+        for axis in 0..2 {
+            let cells = displacement[axis] / spacing[axis];
+            let whole = match transition {
+                Transition::Nearest => cells.round(),
+                // A fraction that is zero but for rounding must not ask for the point one cell further.
+                Transition::Interpolated if (cells - cells.round()).abs() < 1e-9 => cells.round(),
+                Transition::Interpolated => cells.floor(),
+            };
+            // Anything beyond the grid is as far as anything else there.
+            let beyond = points[axis] as f64 + 1.0;
+            shift.cell[axis] = whole.clamp(-beyond, beyond) as i32;
+            if transition == Transition::Interpolated {
+                shift.fraction[axis] = (cells - whole).max(0.0);
+                if shift.fraction[axis] < 1e-9 {
+                    shift.fraction[axis] = 0.0;
+                }
+            }
+        }
+        shift
+    }
+}
+
+/// What a lattice is made from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Setup {
+    /// Rectangle, obstacles, target.
+    pub workspace: Workspace,
+    /// Curvature and headings.
+    pub needle: Bicycle,
+    /// Grid spacing along x and y, mm.
+    pub spacing: [f64; 2],
+    /// P(0), P(+-1), P(+-2), ... heading steps.
+    pub noise: Vec<f64>,
+    /// Points of each arc that are tested.
+    pub arc_samples: usize,
+    /// Nearest or interpolated.
+    pub transition: Transition,
+    /// Costs and discount.
+    pub costs: Costs,
+}
+
+/// The lattice MDP; see the module for the mathematics.
+#[derive(Debug, Clone)]
+pub struct LatticeMdp {
+    pub(crate) setup: Setup,
+    pub(crate) shape: Shape,
+    /// `[heading][arriving bevel]`.
+    pub(crate) stencil: Vec<[Shift; 2]>,
+    /// `[heading][arriving bevel][i][j]`.
+    pub(crate) outcomes: Vec<u8>,
+}
+
+impl LatticeMdp {
+    /// Validates the setup and classifies every arc.
+    pub fn new(setup: Setup) -> Result<Self> {
+        setup.costs.validate()?;
+        validate_noise(&setup.noise)?;
+        for (name, value) in [("spacing_mm", setup.spacing[0]), ("spacing_mm", setup.spacing[1])] {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(parameter(name, value, "must be positive and finite"));
+            }
+        }
+        if setup.arc_samples == 0 || setup.arc_samples > 1000 {
+            return Err(parameter("arc_samples", setup.arc_samples, "must be between 1 and 1000"));
+        }
+        let shape = Shape {
+            nx: grid_points(setup.workspace.size[0], setup.spacing[0])?,
+            ny: grid_points(setup.workspace.size[1], setup.spacing[1])?,
+            headings: setup.needle.headings,
+        };
+        let states = shape.nx as u128 * shape.ny as u128 * shape.headings as u128 * 2;
+        if states > 1 << 40 {
+            let rule = "more than 2^40 states; use a coarser grid or fewer headings";
+            return Err(Error::TooLarge { states, needed_bytes: states * 16, rule });
+        }
+        let stencil = (0..shape.headings)
+            .map(|k| {
+                [-1.0, 1.0].map(|bevel| {
+                    let displacement = setup.needle.displacement(setup.needle.heading(k), bevel, 1.0);
+                    Shift::new(displacement, setup.spacing, setup.transition, [shape.nx, shape.ny])
+                })
+            })
+            .collect();
+        let mut lattice = LatticeMdp { setup, shape, stencil, outcomes: Vec::new() };
+        lattice.outcomes = lattice.classify();
+        Ok(lattice)
+    }
+
+    /// Numbers of grid points and headings.
+    pub fn shape(&self) -> Shape {
+        self.shape
+    }
+
+    /// What it was made from.
+    pub fn setup(&self) -> &Setup {
+        &self.setup
+    }
+
+    /// The regular grid partition of the thesis: `[px, py]` blocks of grid points, with all headings and bevels.
+    pub fn partition(&self, partitions: [usize; 2]) -> Result<Partition> {
+        let Shape { nx, ny, headings } = self.shape;
+        let place = |state: usize| [state / 2 / headings / ny, state / 2 / headings % ny];
+        Partition::grid(self.shape.states(), [nx, ny], partitions, place)
+    }
+
+    /// Outcome codes in table layout.
+    pub fn outcome_table(&self) -> Vec<u8> {
+        let Shape { nx, ny, headings } = self.shape;
+        let states = (0..nx * ny).flat_map(|p| (0..headings * 2).map(move |plane| (p / ny, p % ny, plane)));
+        states.map(|(i, j, plane)| self.outcome(i, j, plane / 2, plane % 2)).collect()
+    }
+
+    /// Outcome code of the step from `(i, j, k)` that arrives with bevel index `bevel`.
+    pub fn outcome(&self, i: usize, j: usize, k: usize, bevel: usize) -> u8 {
+        self.outcomes[((k * 2 + bevel) * self.shape.nx + i) * self.shape.ny + j]
+    }
+
+    /// Value of an absorbing state: zero, but with interpolation an obstacle point carries the collision's cost, since
+    /// it is a corner of cells from which one still can miss the obstacle.
+    pub fn value_at(&self, code: u8) -> f64 {
+        match (code, self.setup.transition) {
+            (outcome::AT_OBSTACLE, Transition::Interpolated) => self.setup.costs.collision,
+            _ => 0.0,
+        }
+    }
+
+    /// The value of what lies outside the grid, where interpolation reaches there.
+    pub fn value_outside(&self) -> f64 {
+        match self.setup.transition {
+            Transition::Interpolated => self.setup.costs.exit,
+            Transition::Nearest => 0.0,
+        }
+    }
+
+    fn classify(&self) -> Vec<u8> {
+        let Shape { nx, ny, headings } = self.shape;
+        let Setup { workspace, needle, spacing, arc_samples, .. } = &self.setup;
+        let mut points = vec![0u8; nx * ny];
+        let mut scan = ColumnScan::new(workspace);
+        for (i, column) in points.chunks_exact_mut(ny).enumerate() {
+            scan.mark(i as f64 * spacing[0], 0.0, spacing[1], column);
+        }
+        let mut outcomes = vec![0u8; headings * 2 * nx * ny];
+        outcomes.par_chunks_mut(nx * ny).enumerate().for_each_init(
+            || ColumnScan::new(workspace),
+            |scan, (row, plane)| {
+                let (k, bevel) = (row / 2, row % 2);
+                let sign = if bevel == 1 { 1.0 } else { -1.0 };
+                for (i, column) in plane.chunks_exact_mut(ny).enumerate() {
+                    for sample in 1..=*arc_samples {
+                        let t = sample as f64 / *arc_samples as f64;
+                        let [dx, dy] = needle.displacement(needle.heading(k), sign, t);
+                        scan.mark(i as f64 * spacing[0] + dx, dy, spacing[1], column);
+                    }
+                    self.mark_landings(i, self.stencil[k][bevel], &points, column);
+                }
+            },
+        );
+        outcomes
+    }
+
+    /// The end of the step: absorbing states, and for nearest transitions what the point landed on is.
+    fn mark_landings(&self, i: usize, shift: Shift, points: &[u8], column: &mut [u8]) {
+        let Shape { nx, ny, .. } = self.shape;
+        for (j, code) in column.iter_mut().enumerate() {
+            match points[i * ny + j] {
+                p if p == Event::Collision as u8 => *code = outcome::AT_OBSTACLE,
+                p if p == Event::Target as u8 => *code = outcome::AT_TARGET,
+                _ if *code == outcome::CONTINUES && self.setup.transition == Transition::Nearest => {
+                    let to = (i as i64 + i64::from(shift.cell[0]), j as i64 + i64::from(shift.cell[1]));
+                    let on_grid = (0..nx as i64).contains(&to.0) && (0..ny as i64).contains(&to.1);
+                    *code = if on_grid { points[to.0 as usize * ny + to.1 as usize] } else { outcome::EXIT };
+                    // A grid point beyond the border (an extent that is no multiple of the spacing) is a state still.
+                    if on_grid && *code == outcome::EXIT {
+                        *code = outcome::CONTINUES;
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// `(i, j, k, b)` of a state number.
+    fn coordinates(&self, state: usize) -> (usize, usize, usize, usize) {
+        let Shape { ny, headings, .. } = self.shape;
+        let (b, k) = (state % 2, state / 2 % headings);
+        (state / 2 / headings / ny, state / 2 / headings % ny, k, b)
+    }
+
+    /// Calls `visit(None or Some((i, j)), weight)` for the grid points a displaced position is split into.
+    fn for_each_corner(&self, from: (usize, usize), shift: Shift, mut visit: impl FnMut(Option<(usize, usize)>, f64)) {
+        let Shape { nx, ny, .. } = self.shape;
+        for (u, wu) in [(0, 1.0 - shift.fraction[0]), (1, shift.fraction[0])] {
+            for (v, wv) in [(0, 1.0 - shift.fraction[1]), (1, shift.fraction[1])] {
+                if wu * wv > 0.0 {
+                    let i = from.0 as i64 + i64::from(shift.cell[0]) + u;
+                    let j = from.1 as i64 + i64::from(shift.cell[1]) + v;
+                    let on_grid = (0..nx as i64).contains(&i) && (0..ny as i64).contains(&j);
+                    visit(on_grid.then_some((i as usize, j as usize)), wu * wv);
+                }
+            }
+        }
+    }
+}
+
+fn validate_noise(noise: &[f64]) -> Result<()> {
+    if noise.is_empty() || noise.len() > 64 {
+        return Err(parameter("tip_noise", format!("{} entries", noise.len()), "must have 1 to 64 entries"));
+    }
+    if let Some(p) = noise.iter().find(|p| !(**p >= 0.0 && p.is_finite())) {
+        return Err(parameter("tip_noise", p, "must be finite and not negative"));
+    }
+    let sum = noise[0] + 2.0 * noise[1..].iter().sum::<f64>();
+    if (sum - 1.0).abs() > 1e-9 {
+        return Err(parameter("tip_noise", sum, "P(0) + 2 P(1) + 2 P(2) + ... must be one"));
+    }
+    Ok(())
+}
+
+impl Mdp for LatticeMdp {
+    fn states(&self) -> usize {
+        self.shape.states()
+    }
+
+    fn discount(&self) -> f64 {
+        self.setup.costs.discount
+    }
+
+    fn actions(&self, state: usize) -> usize {
+        let (i, j, k, b) = self.coordinates(state);
+        if self.outcome(i, j, k, b) >= outcome::AT_OBSTACLE { 0 } else { 2 }
+    }
+
+    fn absorbing_value(&self, state: usize) -> f64 {
+        let (i, j, k, b) = self.coordinates(state);
+        self.value_at(self.outcome(i, j, k, b))
+    }
+
+    fn stage_cost(&self, state: usize, action: usize) -> f64 {
+        let (i, j, k, b) = self.coordinates(state);
+        let costs = &self.setup.costs;
+        let arriving = b ^ action;
+        let mut cost = costs.step + if action == 1 { costs.rotation } else { 0.0 };
+        match self.outcome(i, j, k, arriving) {
+            outcome::COLLISION => cost += costs.collision,
+            outcome::EXIT => cost += costs.exit,
+            outcome::CONTINUES => self.for_each_corner((i, j), self.stencil[k][arriving], |corner, weight| {
+                if corner.is_none() {
+                    cost += costs.discount * weight * self.value_outside();
+                }
+            }),
+            _ => {}
+        }
+        cost
+    }
+
+    fn for_each_successor(&self, state: usize, action: usize, mut visit: impl FnMut(usize, f64)) {
+        let (i, j, k, b) = self.coordinates(state);
+        let Shape { ny, headings, .. } = self.shape;
+        let arriving = b ^ action;
+        if self.outcome(i, j, k, arriving) != outcome::CONTINUES {
+            return;
+        }
+        let turned = k as i64 + if arriving == 1 { 1 } else { -1 };
+        let reach = self.setup.noise.len() as i64 - 1;
+        self.for_each_corner((i, j), self.stencil[k][arriving], |corner, weight| {
+            let Some((i, j)) = corner else { return };
+            for m in -reach..=reach {
+                let heading = (turned + m).rem_euclid(headings as i64) as usize;
+                let probability = weight * self.setup.noise[m.unsigned_abs() as usize];
+                if probability > 0.0 {
+                    visit(((i * ny + j) * headings + heading) * 2 + arriving, probability);
+                }
+            }
+        });
+    }
+
+    fn least_stage_cost(&self) -> f64 {
+        self.setup.costs.step
+    }
+}

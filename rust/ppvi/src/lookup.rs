@@ -1,0 +1,165 @@
+//! Poses to table entries: "insert or rotate?" at once.
+
+use rayon::prelude::*;
+
+use crate::bicycle::Bicycle;
+use crate::error::{Error, Result, parameter};
+use crate::lattice::Shape;
+
+/// Position, mm, heading, rad, and bevel, -1 or +1, of the tip.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// Along insertion.
+    pub x: f64,
+    /// Lateral.
+    pub y: f64,
+    /// Counter-clockwise from +x.
+    pub heading: f64,
+    /// Sign of the arc's curvature.
+    pub bevel: f64,
+}
+
+impl Pose {
+    /// From a row `[x, y, heading, bevel]`.
+    pub fn of(row: [f64; 4]) -> Self {
+        Pose { x: row[0], y: row[1], heading: row[2], bevel: row[3] }
+    }
+}
+
+/// The grid of a table.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TableGrid {
+    shape: Shape,
+    per_mm: [f64; 2],
+    per_rad: f64,
+}
+
+impl TableGrid {
+    /// The grid with this shape and spacing (mm).
+    pub fn new(shape: Shape, spacing: [f64; 2]) -> Result<Self> {
+        if !spacing.iter().all(|s| *s > 0.0 && s.is_finite()) {
+            return Err(parameter("spacing_mm", format!("{spacing:?}"), "must be positive and finite"));
+        }
+        if shape.states() == 0 {
+            return Err(parameter("shape", format!("{shape:?}"), "must not be empty"));
+        }
+        let per_rad = 1.0 / Bicycle::new(1.0, shape.headings)?.heading_step();
+        Ok(TableGrid { shape, per_mm: [1.0 / spacing[0], 1.0 / spacing[1]], per_rad })
+    }
+
+    /// Index of the table entry nearest to a pose; `None` if the pose is not finite, more than half a cell outside the
+    /// grid, or its bevel neither -1 nor +1.
+    #[inline]
+    pub fn index(&self, pose: Pose) -> Option<usize> {
+        let Shape { nx, ny, headings } = self.shape;
+        let i = nearest(pose.x * self.per_mm[0], nx)?;
+        let j = nearest(pose.y * self.per_mm[1], ny)?;
+        let bevel = if pose.bevel == 1.0 {
+            1
+        } else if pose.bevel == -1.0 {
+            0
+        } else {
+            return None;
+        };
+        let turns = pose.heading * self.per_rad;
+        // Beyond 2^53 heading steps an angle has no direction left.
+        if turns.is_nan() || turns.abs() > 9e15 {
+            return None;
+        }
+        let k = (round(turns) as i64).rem_euclid(headings as i64) as usize;
+        Some(((i * ny + j) * headings + k) * 2 + bevel)
+    }
+
+    /// Actions, values and success probabilities of many poses; the error names the first that has none.
+    pub fn look_up_many(&self, poses: &[[f64; 4]], table: &Table<'_>) -> Result<Answers> {
+        let states = self.shape.states();
+        for (name, length) in
+            [("values", table.values.len()), ("policy", table.policy.len()), ("success", table.success.len())]
+        {
+            if length != states {
+                return Err(Error::Length { name, expected: states, found: length });
+            }
+        }
+        let n = poses.len();
+        let mut answers = Answers { actions: vec![0; n], values: vec![0.0; n], success: vec![0.0; n] };
+        const BLOCK: usize = 4096;
+        let outputs = answers.actions.par_chunks_mut(BLOCK).zip(answers.values.par_chunks_mut(BLOCK));
+        let outputs = outputs.zip(answers.success.par_chunks_mut(BLOCK)).zip(poses.par_chunks(BLOCK)).enumerate();
+        let first_bad = outputs.filter_map(|(block, (((actions, values), success), poses))| {
+            for (row, pose) in poses.iter().enumerate() {
+                let Some(index) = self.index(Pose::of(*pose)) else {
+                    return Some(block * BLOCK + row);
+                };
+                actions[row] = table.policy[index];
+                values[row] = table.values[index];
+                success[row] = table.success[index];
+            }
+            None
+        });
+        match first_bad.min() {
+            None => Ok(answers),
+            Some(row) => {
+                let rule = "must be finite, on the table's grid, with bevel -1 or +1";
+                Err(parameter("pose", format!("{:?} (row {row})", poses[row]), rule))
+            }
+        }
+    }
+}
+
+/// The three arrays of a table.
+#[derive(Debug, Clone, Copy)]
+pub struct Table<'a> {
+    /// Cost-to-go.
+    pub values: &'a [f32],
+    /// 0 insert, 1 rotate then insert.
+    pub policy: &'a [u8],
+    /// Probability of reaching the target.
+    pub success: &'a [f32],
+}
+
+/// One element per pose.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Answers {
+    /// 0 insert, 1 rotate then insert.
+    pub actions: Vec<u8>,
+    /// Cost-to-go.
+    pub values: Vec<f32>,
+    /// Probability of reaching the target.
+    pub success: Vec<f32>,
+}
+
+/// Half away from zero, without the library call that baseline processors need for it.
+#[inline]
+fn round(x: f64) -> f64 {
+    (x + 0.5f64.copysign(x)).trunc()
+}
+
+#[inline]
+fn nearest(cells: f64, count: usize) -> Option<usize> {
+    // NaN fails both comparisons.
+    (cells > -0.5 && cells < count as f64 - 0.5).then(|| (cells + 0.5) as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_entry_or_none() {
+        let grid = TableGrid::new(Shape { nx: 4, ny: 3, headings: 8 }, [2.0, 1.0]).unwrap();
+        let at = |x, y, heading, bevel| grid.index(Pose { x, y, heading, bevel });
+        let step = std::f64::consts::TAU / 8.0;
+        assert_eq!(at(0.9, 0.4, 0.0, -1.0), Some(0));
+        assert_eq!(at(6.9, 2.4, 7.4 * step, 1.0), Some(((3 * 3 + 2) * 8 + 7) * 2 + 1));
+        assert_eq!(at(2.0, 1.0, -step, 1.0), Some(((3 + 1) * 8 + 7) * 2 + 1));
+        for bad in [
+            (7.1, 0.0, 0.0, 1.0),
+            (-1.1, 0.0, 0.0, 1.0),
+            (f64::NAN, 0.0, 0.0, 1.0),
+            (0.0, 0.0, f64::INFINITY, 1.0),
+            (0.0, 0.0, 0.0, 0.0),
+        ] {
+            assert_eq!(at(bad.0, bad.1, bad.2, bad.3), None, "{bad:?}");
+        }
+    }
+}

@@ -1,0 +1,281 @@
+//! Executions of a policy in the continuous bicycle model with heading noise.
+//!
+//! The table is solved on a grid; the needle is not on it. A rollout keeps the true pose: each step asks the policy,
+//! moves along the arc, tests the arc's points, and adds a random number of heading steps. Every run has a random stream
+//! of its own, so results do not depend on the number of threads.
+
+use rand::SeedableRng;
+use rand::rand_core::Rng;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rayon::prelude::*;
+
+use crate::error::{Error, Result, parameter};
+use crate::lattice::{LatticeMdp, Shape, outcome};
+use crate::lookup::{Pose, TableGrid};
+use crate::workspace::Event;
+
+/// How the needle is told what to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Execution {
+    /// By the policy at the nearest grid point.
+    Nearest,
+    /// By one step of look-ahead from the true pose, on values interpolated between grid points.
+    Greedy,
+}
+
+/// A table to execute and how.
+#[derive(Debug, Clone, Copy)]
+pub struct Executor<'a> {
+    lattice: &'a LatticeMdp,
+    grid: TableGrid,
+    policy: &'a [u8],
+    values: &'a [f32],
+    execution: Execution,
+    arc_samples: usize,
+}
+
+/// One execution.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Run {
+    /// What ended it; `None`: the limit on steps.
+    pub event: Option<Event>,
+    /// Inserted length, mm.
+    pub length: f64,
+    /// Number of turns.
+    pub turns: u32,
+    /// Cost as the objective counts it, discounted.
+    pub cost: f64,
+}
+
+/// A run with every pose and action.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trace {
+    /// Poses, the start first.
+    pub poses: Vec<Pose>,
+    /// The action between each pose and the next.
+    pub actions: Vec<u8>,
+    /// Totals.
+    pub run: Run,
+}
+
+impl<'a> Executor<'a> {
+    /// `policy` and `values` are tables of the lattice; `arc_samples` defaults to the lattice's.
+    pub fn new(
+        lattice: &'a LatticeMdp,
+        policy: &'a [u8],
+        values: &'a [f32],
+        execution: Execution,
+        arc_samples: Option<usize>,
+    ) -> Result<Self> {
+        let expected = lattice.shape.states();
+        for (name, found) in [("policy", policy.len()), ("values", values.len())] {
+            if found != expected {
+                return Err(Error::Length { name, expected, found });
+            }
+        }
+        let arc_samples = arc_samples.unwrap_or(lattice.setup.arc_samples);
+        if arc_samples == 0 || arc_samples > 10_000 {
+            return Err(parameter("arc_samples", arc_samples, "must be between 1 and 10,000"));
+        }
+        let grid = TableGrid::new(lattice.shape, lattice.setup.spacing)?;
+        Ok(Executor { lattice, grid, policy, values, execution, arc_samples })
+    }
+
+    /// `runs` executions from each start, start after start.
+    pub fn rollout(
+        &self,
+        starts: &[[f64; 4]],
+        runs: usize,
+        seed: u64,
+        noise: bool,
+        max_steps: u32,
+    ) -> Result<Vec<Run>> {
+        for (row, start) in starts.iter().enumerate() {
+            self.check(*start, row)?;
+        }
+        let total = starts.len() * runs;
+        let run = |index: usize| {
+            let mut random = noise.then(|| stream(seed, index as u64));
+            self.run(Pose::of(starts[index / runs]), max_steps, random.as_mut(), |_, _| {})
+        };
+        Ok((0..total).into_par_iter().with_min_len(64).map(run).collect())
+    }
+
+    /// One execution, with noise if a seed is given.
+    pub fn trace(&self, start: [f64; 4], seed: Option<u64>, max_steps: u32) -> Result<Trace> {
+        self.check(start, 0)?;
+        let (mut poses, mut actions) = (vec![Pose::of(start)], Vec::new());
+        let mut random = seed.map(|seed| stream(seed, 0));
+        let run = self.run(Pose::of(start), max_steps, random.as_mut(), |action, pose| {
+            actions.push(action);
+            poses.push(pose);
+        });
+        Ok(Trace { poses, actions, run })
+    }
+
+    fn check(&self, start: [f64; 4], row: usize) -> Result<()> {
+        match self.grid.index(Pose::of(start)) {
+            Some(_) => Ok(()),
+            None => {
+                let rule = "must be finite, in the workspace, with bevel -1 or +1";
+                Err(parameter("start", format!("{start:?} (row {row})"), rule))
+            }
+        }
+    }
+
+    fn run(
+        &self,
+        start: Pose,
+        max_steps: u32,
+        mut random: Option<&mut Xoshiro256PlusPlus>,
+        mut record: impl FnMut(u8, Pose),
+    ) -> Run {
+        let costs = &self.lattice.setup.costs;
+        let mut run =
+            Run { event: self.lattice.setup.workspace.event([start.x, start.y]), length: 0.0, turns: 0, cost: 0.0 };
+        let (mut pose, mut weight) = (start, 1.0);
+        for _ in 0..max_steps {
+            if run.event.is_some() {
+                break;
+            }
+            let action = match self.execution {
+                Execution::Nearest => self.grid.index(pose).map_or(0, |index| self.policy[index]),
+                Execution::Greedy => self.greedy_action(pose),
+            };
+            let bevel = if action == 1 { -pose.bevel } else { pose.bevel };
+            let (event, mut next) = self.step(pose, bevel);
+            run.turns += u32::from(action);
+            run.length += self.lattice.setup.needle.step_length();
+            run.cost += weight * (costs.step + f64::from(action) * costs.rotation + failure_cost(self.lattice, event));
+            weight *= costs.discount;
+            if let Some(random) = random.as_mut() {
+                let steps = heading_noise(&self.lattice.setup.noise, random);
+                next.heading += f64::from(steps) * self.lattice.setup.needle.heading_step();
+            }
+            record(action, next);
+            run.event = event;
+            pose = next;
+        }
+        run
+    }
+
+    /// Moves along the arc that `bevel` gives: the first event, and the pose it happens at or the pose at the end.
+    fn step(&self, from: Pose, bevel: f64) -> (Option<Event>, Pose) {
+        let needle = &self.lattice.setup.needle;
+        let mut pose = Pose { bevel, ..from };
+        for sample in 1..=self.arc_samples {
+            let t = sample as f64 / self.arc_samples as f64;
+            let [dx, dy] = needle.displacement(from.heading, bevel, t);
+            pose = Pose {
+                x: from.x + dx,
+                y: from.y + dy,
+                heading: from.heading + bevel * t * needle.heading_step(),
+                bevel,
+            };
+            if let Some(event) = self.lattice.setup.workspace.event([pose.x, pose.y]) {
+                return (Some(event), pose);
+            }
+        }
+        (None, pose)
+    }
+
+    fn greedy_action(&self, pose: Pose) -> u8 {
+        let costs = &self.lattice.setup.costs;
+        let insert = self.look_ahead(pose, pose.bevel);
+        let rotate = self.look_ahead(pose, -pose.bevel) + costs.rotation;
+        u8::from(rotate < insert)
+    }
+
+    /// Q-value of a step from the true pose, without the cost of turning.
+    fn look_ahead(&self, pose: Pose, bevel: f64) -> f64 {
+        let costs = &self.lattice.setup.costs;
+        let (event, end) = self.step(pose, bevel);
+        if event.is_some() {
+            return costs.step + failure_cost(self.lattice, event);
+        }
+        let Shape { nx, ny, headings } = self.lattice.shape;
+        let spacing = self.lattice.setup.spacing;
+        let (u, v) = (end.x / spacing[0], end.y / spacing[1]);
+        let (i, j) = (u.floor() as i64, v.floor() as i64);
+        let (fu, fv) = (u - u.floor(), v - v.floor());
+        let k = self.lattice.setup.needle.nearest_heading(end.heading) as i64;
+        let b = usize::from(bevel > 0.0);
+        let noise = &self.lattice.setup.noise;
+        let reach = noise.len() as i64 - 1;
+        let mut expectation = 0.0;
+        for (di, wu) in [(0, 1.0 - fu), (1, fu)] {
+            for (dj, wv) in [(0, 1.0 - fv), (1, fv)] {
+                let (i, j, weight) = (i + di, j + dj, wu * wv);
+                if weight == 0.0 {
+                    continue;
+                }
+                if !((0..nx as i64).contains(&i) && (0..ny as i64).contains(&j)) {
+                    expectation += weight * costs.exit;
+                    continue;
+                }
+                let (i, j) = (i as usize, j as usize);
+                if self.lattice.outcome(i, j, 0, 0) == outcome::AT_OBSTACLE {
+                    expectation += weight * costs.collision;
+                    continue;
+                }
+                for m in -reach..=reach {
+                    let heading = (k + m).rem_euclid(headings as i64) as usize;
+                    let value = f64::from(self.values[((i * ny + j) * headings + heading) * 2 + b]);
+                    expectation += weight * noise[m.unsigned_abs() as usize] * value;
+                }
+            }
+        }
+        costs.step + costs.discount * expectation
+    }
+}
+
+fn failure_cost(lattice: &LatticeMdp, event: Option<Event>) -> f64 {
+    match event {
+        Some(Event::Collision) => lattice.setup.costs.collision,
+        Some(Event::Exit) => lattice.setup.costs.exit,
+        _ => 0.0,
+    }
+}
+
+/// A random number of heading steps with P(+-m) = noise[m].
+fn heading_noise(noise: &[f64], random: &mut Xoshiro256PlusPlus) -> i32 {
+    // 53 random bits in [0, 1).
+    let mut u = (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64 - noise[0];
+    for (m, p) in noise.iter().enumerate().skip(1) {
+        for side in [-1, 1] {
+            if u < 0.0 {
+                break;
+            }
+            u -= p;
+            if u < 0.0 {
+                return side * m as i32;
+            }
+        }
+    }
+    0
+}
+
+/// The random stream of a run: seed and run number, mixed by splitmix64 inside `seed_from_u64`.
+fn stream(seed: u64, run: u64) -> Xoshiro256PlusPlus {
+    let spread = run.wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(32);
+    Xoshiro256PlusPlus::seed_from_u64(seed ^ spread)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn noise_has_the_given_probabilities() {
+        let noise = [0.466, 0.24, 0.027];
+        let mut random = stream(7, 0);
+        let mut counts = [0u32; 5];
+        for _ in 0..1_000_000 {
+            counts[(heading_noise(&noise, &mut random) + 2) as usize] += 1;
+        }
+        for (count, p) in counts.iter().zip([0.027, 0.24, 0.466, 0.24, 0.027]) {
+            let deviation = (f64::from(*count) - 1e6 * p) / (1e6 * p * (1.0 - p)).sqrt();
+            assert!(deviation.abs() < 5.0, "{counts:?}");
+        }
+    }
+}

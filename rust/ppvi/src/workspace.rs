@@ -1,0 +1,255 @@
+//! The plane the needle moves in: a closed rectangle `[0, width] x [0, height]`, polygonal obstacles and a round target.
+//!
+//! "Inside" is closed everywhere: a point on an edge is inside, up to [`CLOSED_MM`], far below any needle's accuracy and
+//! far above the rounding of coordinates of some hundred millimetres.
+
+use crate::error::{Error, Result, parameter};
+
+/// Tolerance of the closed tests, in mm.
+pub const CLOSED_MM: f64 = 1e-9;
+
+/// A simple polygon, convex or not; the first vertex is not repeated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Polygon {
+    vertices: Vec<[f64; 2]>,
+    low: [f64; 2],
+    high: [f64; 2],
+}
+
+impl Polygon {
+    /// At least three finite vertices. Whether the polygon is simple is the caller's business: a self-intersecting one
+    /// is taken by the even-odd rule.
+    pub fn new(vertices: Vec<[f64; 2]>) -> Result<Self> {
+        if vertices.len() < 3 {
+            return Err(parameter("polygon", format!("{} points", vertices.len()), "must have at least three points"));
+        }
+        if let Some(point) = vertices.iter().find(|point| !point.iter().all(|c| c.is_finite())) {
+            return Err(parameter("polygon", format!("{point:?}"), "must have finite coordinates"));
+        }
+        let fold =
+            |axis: usize, pick: fn(f64, f64) -> f64| vertices.iter().map(|p| p[axis]).reduce(pick).unwrap_or(0.0);
+        let low = [fold(0, f64::min), fold(1, f64::min)];
+        let high = [fold(0, f64::max), fold(1, f64::max)];
+        Ok(Polygon { vertices, low, high })
+    }
+
+    /// Edges as pairs of points.
+    fn edges(&self) -> impl Iterator<Item = ([f64; 2], [f64; 2])> + '_ {
+        let next = self.vertices.iter().cycle().skip(1);
+        self.vertices.iter().zip(next).map(|(&a, &b)| (a, b))
+    }
+
+    /// Appends the closed intervals in which the line "coordinate `axis` = `at`" meets the polygon.
+    ///
+    /// The section of a closed polygon is the union of its limits from both sides; where a vertex is within the
+    /// tolerance both are taken, elsewhere one is enough.
+    fn section(&self, axis: usize, at: f64, crossings: &mut Vec<f64>, intervals: &mut Vec<[f64; 2]>) {
+        if at < self.low[axis] - CLOSED_MM || at > self.high[axis] + CLOSED_MM {
+            return;
+        }
+        let at_vertex = self.vertices.iter().any(|v| (v[axis] - at).abs() <= 2.0 * CLOSED_MM);
+        let sides: &[f64] = if at_vertex { &[-CLOSED_MM, CLOSED_MM] } else { &[0.0] };
+        for side in sides {
+            let line = at + side;
+            crossings.clear();
+            for (a, b) in self.edges() {
+                if (a[axis] <= line) != (b[axis] <= line) {
+                    let t = (line - a[axis]) / (b[axis] - a[axis]);
+                    crossings.push(a[1 - axis] + t * (b[1 - axis] - a[1 - axis]));
+                }
+            }
+            crossings.sort_unstable_by(f64::total_cmp);
+            intervals.extend(crossings.chunks_exact(2).map(|c| [c[0] - CLOSED_MM, c[1] + CLOSED_MM]));
+        }
+    }
+
+    /// Whether the point is inside or on the polygon.
+    pub fn contains(&self, point: [f64; 2]) -> bool {
+        let outside =
+            |axis: usize| point[axis] < self.low[axis] - CLOSED_MM || point[axis] > self.high[axis] + CLOSED_MM;
+        if outside(0) || outside(1) {
+            return false;
+        }
+        let mut inside = false;
+        for (a, b) in self.edges() {
+            if distance_to_segment(point, a, b) <= CLOSED_MM {
+                return true;
+            }
+            if (a[0] <= point[0]) != (b[0] <= point[0]) {
+                let crossing = a[1] + (point[0] - a[0]) / (b[0] - a[0]) * (b[1] - a[1]);
+                inside ^= crossing > point[1];
+            }
+        }
+        inside
+    }
+}
+
+fn distance_to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
+    let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
+    let length2 = dx * dx + dy * dy;
+    let t = if length2 > 0.0 { (((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / length2).clamp(0.0, 1.0) } else { 0.0 };
+    (p[0] - a[0] - t * dx).hypot(p[1] - a[1] - t * dy)
+}
+
+/// What ends an execution, in the order in which it is tested at one point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Event {
+    /// Within the target's radius.
+    Target = 1,
+    /// Inside or on an obstacle.
+    Collision = 2,
+    /// Outside the closed rectangle.
+    Exit = 3,
+}
+
+/// The rectangle, the obstacles, the target.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Workspace {
+    /// Extent along x and y, mm.
+    pub size: [f64; 2],
+    /// Obstacles.
+    pub obstacles: Vec<Polygon>,
+    /// Centre of the target, mm.
+    pub target: [f64; 2],
+    /// Radius of the target, mm.
+    pub target_radius: f64,
+}
+
+impl Workspace {
+    /// Checks sizes and the target.
+    pub fn new(size: [f64; 2], obstacles: Vec<Polygon>, target: [f64; 2], target_radius: f64) -> Result<Self> {
+        let lengths = [("width_mm", size[0]), ("height_mm", size[1]), ("target_radius_mm", target_radius)];
+        for (name, value) in lengths {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(parameter(name, value, "must be positive and finite"));
+            }
+        }
+        if !target.iter().all(|c| c.is_finite()) {
+            return Err(parameter("target_center_mm", format!("{target:?}"), "must be finite"));
+        }
+        Ok(Workspace { size, obstacles, target, target_radius })
+    }
+
+    /// The event at a point, if any: exit before collision before target.
+    pub fn event(&self, point: [f64; 2]) -> Option<Event> {
+        let outside = |axis: usize| !(point[axis] >= -CLOSED_MM && point[axis] <= self.size[axis] + CLOSED_MM);
+        if outside(0) || outside(1) {
+            Some(Event::Exit)
+        } else if self.obstacles.iter().any(|polygon| polygon.contains(point)) {
+            Some(Event::Collision)
+        } else {
+            let distance = (point[0] - self.target[0]).hypot(point[1] - self.target[1]);
+            (distance <= self.target_radius + CLOSED_MM).then_some(Event::Target)
+        }
+    }
+}
+
+/// A row of equally spaced points along y at one x, and the first event of each so far: the scan that classifies a
+/// million arcs in milliseconds, because a section of a polygon is computed once for all points of a column.
+pub(crate) struct ColumnScan<'a> {
+    workspace: &'a Workspace,
+    crossings: Vec<f64>,
+    intervals: Vec<[f64; 2]>,
+}
+
+impl<'a> ColumnScan<'a> {
+    pub(crate) fn new(workspace: &'a Workspace) -> Self {
+        ColumnScan { workspace, crossings: Vec::new(), intervals: Vec::new() }
+    }
+
+    /// Marks in `codes` (0: no event yet) what happens at the points `(x, y0 + j * spacing)`.
+    pub(crate) fn mark(&mut self, x: f64, y0: f64, spacing: f64, codes: &mut [u8]) {
+        let [width, height] = self.workspace.size;
+        if !(x >= -CLOSED_MM && x <= width + CLOSED_MM) {
+            fill(codes, 0..codes.len(), Event::Exit);
+            return;
+        }
+        let inside = span([-CLOSED_MM, height + CLOSED_MM], y0, spacing, codes.len());
+        fill(codes, 0..inside.start, Event::Exit);
+        fill(codes, inside.end..codes.len(), Event::Exit);
+        self.intervals.clear();
+        for polygon in &self.workspace.obstacles {
+            polygon.section(0, x, &mut self.crossings, &mut self.intervals);
+        }
+        for &interval in &self.intervals {
+            fill(codes, span(interval, y0, spacing, codes.len()), Event::Collision);
+        }
+        let radius = self.workspace.target_radius + CLOSED_MM;
+        let across = x - self.workspace.target[0];
+        if across.abs() <= radius {
+            let half = (radius * radius - across * across).sqrt();
+            let chord = [self.workspace.target[1] - half, self.workspace.target[1] + half];
+            fill(codes, span(chord, y0, spacing, codes.len()), Event::Target);
+        }
+    }
+}
+
+/// Indices j with `interval[0] <= y0 + j * spacing <= interval[1]`.
+fn span(interval: [f64; 2], y0: f64, spacing: f64, count: usize) -> std::ops::Range<usize> {
+    let first = ((interval[0] - y0) / spacing).ceil().clamp(0.0, count as f64) as usize;
+    let last = ((interval[1] - y0) / spacing).floor().clamp(-1.0, count as f64 - 1.0);
+    let end = (last + 1.0) as usize;
+    first..end.max(first)
+}
+
+fn fill(codes: &mut [u8], range: std::ops::Range<usize>, event: Event) {
+    for code in &mut codes[range] {
+        if *code == 0 {
+            *code = event as u8;
+        }
+    }
+}
+
+/// Number of grid points along an extent: `round(extent / spacing) + 1`.
+pub fn grid_points(extent: f64, spacing: f64) -> Result<usize> {
+    let count = (extent / spacing).round() + 1.0;
+    if count.is_finite() && count < f64::from(u32::MAX) {
+        Ok(count as usize)
+    } else {
+        Err(Error::TooLarge { states: count as u128, needed_bytes: count as u128, rule: "too many grid points" })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn workspace() -> Workspace {
+        let u_shape =
+            vec![[2.0, 1.0], [6.0, 1.0], [6.0, 5.0], [5.0, 5.0], [5.0, 2.0], [3.0, 2.0], [3.0, 5.0], [2.0, 5.0]];
+        Workspace::new([10.0, 6.0], vec![Polygon::new(u_shape).unwrap()], [8.0, 3.0], 1.0).unwrap()
+    }
+
+    #[test]
+    fn points_on_edges_corners_and_the_border_are_inside() {
+        let w = workspace();
+        for (point, event) in [
+            ([2.0, 1.0], Some(Event::Collision)),
+            ([4.0, 2.0], Some(Event::Collision)),
+            ([4.0, 2.1], None),
+            ([3.0, 4.0], Some(Event::Collision)),
+            ([7.0, 3.0], Some(Event::Target)),
+            ([10.0, 6.0], None),
+            ([10.1, 3.0], Some(Event::Exit)),
+            ([f64::NAN, 3.0], Some(Event::Exit)),
+        ] {
+            assert_eq!(w.event(point), event, "{point:?}");
+        }
+    }
+
+    #[test]
+    fn a_column_scan_says_what_the_point_test_says() {
+        let w = workspace();
+        let mut scan = ColumnScan::new(&w);
+        for step in 0..=125 {
+            let x = f64::from(step) * 0.1 - 1.0;
+            let mut codes = vec![0; 81];
+            scan.mark(x, -1.0, 0.1, &mut codes);
+            for (j, &code) in codes.iter().enumerate() {
+                let point = [x, -1.0 + j as f64 * 0.1];
+                assert_eq!(code, w.event(point).map_or(0, |e| e as u8), "{point:?}");
+            }
+        }
+    }
+}
