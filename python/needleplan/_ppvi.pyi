@@ -10,9 +10,13 @@ from typing import Any, TypedDict, final
 import numpy as np
 from numpy.typing import NDArray
 
-Progress = Callable[[float, float, float], None]
+__all__ = ["Lattice", "Tabular", "__version__", "lookup_many"]
 
-class Solution(TypedDict):
+__version__: str
+
+_Progress = Callable[[float, float, float], None]
+
+class _Solution(TypedDict):
     """What `Lattice.solve` and `Tabular.solve` return."""
 
     values: NDArray[Any]
@@ -28,22 +32,21 @@ class Solution(TypedDict):
     seconds_solving: float
     seconds_priorities: float
 
-class Success(TypedDict):
+class _Success(TypedDict):
     """Probability of reaching the target, per state."""
 
     success: NDArray[np.float32]
     residual: float
-    sweeps: float
     converged: bool
 
-class Expectations(TypedDict):
+class _Expectations(TypedDict):
     """Expected length and number of rotations until the execution ends, per state."""
 
     length_mm: NDArray[np.float32]
     turns: NDArray[np.float32]
     converged: bool
 
-class Rollout(TypedDict):
+class _Rollout(TypedDict):
     """Executions, each array [starts, runs]."""
 
     outcome: NDArray[np.uint8]
@@ -51,19 +54,22 @@ class Rollout(TypedDict):
     turns: NDArray[np.uint32]
     cost: NDArray[np.float64]
 
-class Execution(TypedDict):
+class _Execution(TypedDict):
     """One execution: poses [k, 4], actions [k - 1]."""
 
     poses: NDArray[np.float64]
     actions: NDArray[np.uint8]
     outcome: int
+    length_mm: float
+    turns: int
+    cost: float
 
-class Sparse(TypedDict):
+class _Sparse(TypedDict):
     """An MDP in compressed sparse rows: rows of a state, entries of a row."""
 
     action_offsets: NDArray[np.int64]
     row_offsets: NDArray[np.int64]
-    successors: NDArray[np.int32]
+    successors: NDArray[np.uint32]
     probabilities: NDArray[np.float64]
     stage_costs: NDArray[np.float64]
     discount: float
@@ -78,7 +84,7 @@ class Lattice:
         width_mm: float,
         height_mm: float,
         spacing_mm: tuple[float, float],
-        polygons: Sequence[NDArray[np.float64]],
+        polygons: Sequence[Sequence[tuple[float, float]]],
         target_center_mm: tuple[float, float],
         target_radius_mm: float,
         curvature_radius_mm: float,
@@ -106,17 +112,17 @@ class Lattice:
         max_sweeps: int | None = None,
         time_limit_s: float | None = None,
         threads: int | None = None,
-        progress: Progress | None = None,
-    ) -> Solution: ...
-    def success(self, *, policy: NDArray[np.uint8], threads: int | None = None) -> Success: ...
-    def expectations(self, *, policy: NDArray[np.uint8], threads: int | None = None) -> Expectations: ...
+        progress: _Progress | None = None,
+    ) -> _Solution: ...
+    def success(self, policy: NDArray[np.uint8], threads: int | None = None) -> _Success: ...
+    def expectations(self, policy: NDArray[np.uint8], threads: int | None = None) -> _Expectations: ...
     def outcomes(self) -> NDArray[np.uint8]: ...
     def rollout(
         self,
-        *,
         policy: NDArray[np.uint8],
         values: NDArray[np.float32],
         starts: NDArray[np.float64],
+        *,
         runs: int,
         seed: int,
         greedy: bool = False,
@@ -124,22 +130,22 @@ class Lattice:
         noise: bool = True,
         max_steps: int,
         threads: int | None = None,
-    ) -> Rollout: ...
+    ) -> _Rollout: ...
     def path(
         self,
-        *,
         policy: NDArray[np.uint8],
         values: NDArray[np.float32],
         start: Sequence[float],
+        *,
         greedy: bool = False,
         noise: bool = False,
         seed: int = 0,
+        arc_samples: int | None = None,
         max_steps: int,
-    ) -> Execution: ...
-    def tabular(self) -> Sparse: ...
+    ) -> _Execution: ...
+    def tabular(self) -> _Sparse: ...
 
 def lookup_many(
-    *,
     values: NDArray[np.float32],
     policy: NDArray[np.uint8],
     success: NDArray[np.float32],
@@ -157,21 +163,22 @@ class Tabular:
         *,
         action_offsets: NDArray[np.int64],
         row_offsets: NDArray[np.int64],
-        successors: NDArray[np.int32],
+        successors: NDArray[np.uint32],
         probabilities: NDArray[np.float64],
         stage_costs: NDArray[np.float64],
         discount: float,
     ) -> Tabular: ...
+    @property
+    def states(self) -> int: ...
     def solve(
         self,
         *,
         method: str,
         labels: NDArray[np.uint32] | None = None,
-        priority: str,
+        priority: str = "bound",
         tolerance: float,
         max_sweeps: int | None = None,
         time_limit_s: float | None = None,
         threads: int | None = None,
-        progress: Progress | None = None,
-    ) -> Solution: ...
-    def dependencies(self, *, labels: NDArray[np.uint32]) -> dict[str, Any]: ...
+        progress: _Progress | None = None,
+    ) -> _Solution: ...

@@ -9,7 +9,7 @@ from needleplan.cli.answer import complain, percent, print_json, print_lines
 from needleplan.cli.options import add_edge, add_json, add_table, entry_record
 from needleplan.cli.plan import UNREACHABLE_SUCCESS
 
-__all__ = ["add_to"]
+__all__ = ["add_to", "run"]
 
 
 def add_to(commands: Any) -> None:

@@ -10,7 +10,7 @@ from needleplan.cli.answer import complain, percent, print_json, print_lines
 from needleplan.cli.options import add_json, add_table
 from needleplan.errors import ChecksumError
 
-__all__ = ["add_to"]
+__all__ = ["add_to", "run"]
 
 
 def add_to(commands: Any) -> None:

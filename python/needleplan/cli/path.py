@@ -8,7 +8,7 @@ from typing import Any
 from needleplan.cli.answer import complain, note, percent, print_json, print_lines
 from needleplan.cli.options import add_figure, add_greedy, add_json, add_start, add_table, pose_record, start_pose
 
-__all__ = ["add_to"]
+__all__ = ["add_to", "run"]
 
 
 def add_to(commands: Any) -> None:
@@ -28,7 +28,7 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    start = start_pose(options.start) if options.start else None
+    start = start_pose(options.start) if options.start is not None else None
     from needleplan.planning import Outcome, PolicyTable, Pose
 
     table = PolicyTable.read(options.table)

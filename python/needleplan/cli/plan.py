@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from needleplan.planning import Entry, PolicyTable
     from needleplan.scenario import Scenario
 
-__all__ = ["add_to"]
+__all__ = ["add_to", "run"]
 
 _POOR_SUCCESS = 0.8
 UNREACHABLE_SUCCESS = 0.001
@@ -109,8 +109,8 @@ def _lines(table: PolicyTable, best: Entry, options: argparse.Namespace) -> dict
         "grid": f"{' x '.join(map(str, scenario.shape))} = {stats.states:,} states, {scenario.grid.transition}",
         "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, residual {stats.residual:.3g}, "
         f"error at most {stats.error_bound:.3g}",
-        "work": f"{stats.sweeps:.2f} sweeps, {stats.backups:,} backups, {stats.partitions_processed} of "
-        f"{stats.partitions} partitions",
+        "work": f"{stats.sweeps:.2f} sweeps, {stats.backups:,} backups; {len(stats.order)} of {stats.partitions} "
+        f"partitions, {stats.partitions_processed} visits",
         "time": f"{stats.seconds:.3f} s, of which {stats.seconds_solving:.3f} s solving and "
         f"{stats.seconds_priorities:.3f} s priorities",
         "best entry": f"{best.pose}",

@@ -8,7 +8,7 @@ from typing import Any
 
 from needleplan.cli.answer import complain, note, print_json
 
-__all__ = ["add_to"]
+__all__ = ["add_to", "run"]
 
 CHAPTERS = ("ch6",)
 

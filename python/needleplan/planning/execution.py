@@ -70,7 +70,6 @@ class Rollouts:
 
 def follow(table: PolicyTable, start: Pose, greedy: bool, noise_seed: int | None) -> Path:
     """Execute the policy of `table` from `start` once, without noise or with that of a seed."""
-    scenario = table.scenario
     execution = table.lattice.path(
         policy=table.policy,
         values=table.values,
@@ -80,17 +79,12 @@ def follow(table: PolicyTable, start: Pose, greedy: bool, noise_seed: int | None
         seed=noise_seed or 0,
         max_steps=MOST_STEPS,
     )
-    outcome, actions = Outcome(execution["outcome"]), execution["actions"]
-    objective = scenario.objective
-    stage_costs = objective.insertion_per_mm * scenario.step_mm + objective.rotation * actions.astype(np.float64)
-    if len(actions):
-        stage_costs[-1] += {Outcome.COLLISION: objective.collision, Outcome.EXIT: objective.exit}.get(outcome, 0.0)
     return Path(
         poses=execution["poses"],
-        actions=actions,
-        outcome=outcome,
-        length_mm=len(actions) * scenario.step_mm,
-        cost=float(stage_costs @ objective.discount ** np.arange(len(actions))),
+        actions=execution["actions"],
+        outcome=Outcome(execution["outcome"]),
+        length_mm=execution["length_mm"],
+        cost=execution["cost"],
     )
 
 

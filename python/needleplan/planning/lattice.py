@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from needleplan import _ppvi
 from needleplan.errors import ScenarioError
 from needleplan.planning.memory import require_memory
@@ -21,7 +19,7 @@ def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
             width_mm=scenario.workspace.width_mm,
             height_mm=scenario.workspace.height_mm,
             spacing_mm=scenario.grid.spacing_mm,
-            polygons=[np.array(obstacle.polygon_mm, dtype=np.float64) for obstacle in scenario.obstacles],
+            polygons=[obstacle.polygon_mm for obstacle in scenario.obstacles],
             target_center_mm=scenario.target.center_mm,
             target_radius_mm=scenario.target.radius_mm,
             curvature_radius_mm=scenario.needle.curvature_radius_mm,

@@ -35,7 +35,7 @@ class _Rows:
 
     action_offsets: NDArray[np.int64]
     row_offsets: NDArray[np.int64]
-    successors: NDArray[np.int32]
+    successors: NDArray[np.uint32]
     probabilities: NDArray[np.float64]
     stage_costs: NDArray[np.float64]
 
@@ -82,7 +82,7 @@ class TabularMdp:
             rows = _Rows(
                 np.ascontiguousarray(action_offsets, dtype=np.int64),
                 np.ascontiguousarray(row_offsets, dtype=np.int64),
-                np.ascontiguousarray(successors, dtype=np.int32),
+                np.ascontiguousarray(successors, dtype=np.uint32),
                 np.ascontiguousarray(probabilities, dtype=np.float64),
                 np.ascontiguousarray(stage_costs, dtype=np.float64),
             )
@@ -181,21 +181,22 @@ def value_iteration(
     return solve(mdp, method=Method.VALUE_ITERATION, tolerance=tolerance, max_sweeps=max_sweeps, progress=progress)
 
 
-def _compressed(matrix: Any) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
+def _compressed(matrix: Any) -> tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.float64]]:
     """Return offsets, columns and entries of a square matrix. Raises ValueError."""
-    if len(matrix.shape) != 2 or matrix.shape[0] != matrix.shape[1]:
-        raise ValueError(f"a matrix has the shape {matrix.shape}, which is not square")
+    shape = np.shape(matrix) if not hasattr(matrix, "tocsr") else matrix.shape
+    if len(shape) != 2 or shape[0] != shape[1]:
+        raise ValueError(f"a matrix has the shape {shape}, which is not square")
     if hasattr(matrix, "tocsr"):
         rows = matrix.tocsr()
-        return rows.indptr.astype(np.int64), rows.indices.astype(np.int32), rows.data.astype(np.float64)
+        return rows.indptr.astype(np.int64), rows.indices.astype(np.uint32), rows.data.astype(np.float64)
     dense = np.asarray(matrix, dtype=np.float64)
     row, column = np.nonzero(dense)
     offsets = np.concatenate(([0], np.cumsum(np.bincount(row, minlength=len(dense)))))
-    return offsets.astype(np.int64), column.astype(np.int32), dense[row, column]
+    return offsets.astype(np.int64), column.astype(np.uint32), dense[row, column]
 
 
 def _interleaved(
-    matrices: Sequence[tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]], costs: NDArray[np.float64]
+    matrices: Sequence[tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.float64]]], costs: NDArray[np.float64]
 ) -> tuple[_Rows, NDArray[np.uint32]]:
     """Merge the rows of the actions state by state, empty rows left out; also return the action of every row."""
     states, actions = costs.shape
@@ -203,7 +204,7 @@ def _interleaved(
         raise MdpError("all transition matrices must have the same shape")
     lengths = np.stack([np.diff(offsets) for offsets, _, _ in matrices], axis=1)
     starts = np.concatenate(([0], np.cumsum(lengths.ravel())))
-    successors = np.empty(starts[-1], dtype=np.int32)
+    successors = np.empty(starts[-1], dtype=np.uint32)
     probabilities = np.empty(starts[-1], dtype=np.float64)
     for action, (offsets, columns, entries) in enumerate(matrices):
         places = np.repeat(starts[action:-1:actions] - offsets[:-1], lengths[:, action]) + np.arange(len(columns))

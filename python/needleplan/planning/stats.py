@@ -25,10 +25,10 @@ class Status(StrEnum):
 class Stats:
     """Counts, proofs and times of a solve.
 
-    `sweeps` is `backups` divided by the number of states that can be backed up; `residual` is the largest Bellman
-    residual max |TV - V| of the values; `error_bound` bounds max |V - V*|, infinite where the problem gives no bound.
-    `partitions_processed` counts the partitions that were processed at all; `order` lists their numbers, iy * px + ix,
-    in the order of their first processing. `seconds` is the time from the scenario to the table.
+    `sweeps` is `backups` in units of the number of states; `residual` is the largest Bellman residual max |TV - V| of
+    the values; `error_bound` bounds max |V - V*|, infinite where the problem gives no bound. `partitions_processed`
+    counts every visit of a partition; `order` lists the partitions that were visited at all, iy * px + ix, in the order
+    of their first visit (for the directional sweeps: their sectors). `seconds` is the time from scenario to table.
     """
 
     states: int

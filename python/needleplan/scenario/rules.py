@@ -23,6 +23,7 @@ __all__ = [
     "Refused",
     "Rule",
     "Text",
+    "plain",
     "sequence",
     "shown",
     "suggestion",
@@ -182,7 +183,7 @@ def sequence(value: object) -> list[object] | None:
 
 
 def plain(value: object) -> object:
-    """Return a number of NumPy as one of Python. Raises Refused for what is no number."""
+    """Return a number, of NumPy or of Python, as one of Python, and None for anything else."""
     if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, int | float):

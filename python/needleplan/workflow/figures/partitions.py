@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from needleplan.errors import InputError, Mistake
+from needleplan.scenario import Method
 from needleplan.workflow.figures.canvas import BLACK, BLUE, GREY, title
 from needleplan.workflow.figures.scene import draw_scene
 
@@ -16,11 +18,17 @@ __all__ = ["draw_partition_order"]
 
 
 def draw_partition_order(axes: Axes, table: PolicyTable) -> None:
-    """Draw the partitions; in each, large, its place in the order, and small its number. Grey: never processed."""
+    """Draw the partitions; in each, large, its place in the order, and small its number. Grey: never processed.
+
+    Raises InputError for a table that was not solved partition by partition.
+    """
     from matplotlib import colormaps
     from matplotlib.patches import Rectangle
 
     scenario = table.scenario
+    if scenario.solver.method is not Method.PPVI:
+        rule = 'must be "ppvi" for this figure; the other methods know no partitions'
+        raise InputError(Mistake("solver.method", f'"{scenario.solver.method}"', rule))
     columns, rows = scenario.solver.partitions
     width, height = scenario.workspace.width_mm / columns, scenario.workspace.height_mm / rows
     places = {partition: place for place, partition in enumerate(table.stats.order, start=1)}

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from needleplan.scenario import Scenario
 
-__all__ = ["draw_path", "draw_scene"]
+__all__ = ["draw_noisy", "draw_path", "draw_scene"]
 
 _ENDS = {Outcome.COLLISION: "X", Outcome.EXIT: "X", Outcome.STEP_LIMIT: "P"}
 
@@ -39,12 +39,20 @@ def draw_scene(axes: Axes, scenario: Scenario, *, on_colour: bool = False) -> No
     )
 
 
-def draw_path(axes: Axes, path: Path, *, others: Sequence[Path] = (), label: str = "") -> None:
-    """Draw one execution with its turn points as green circles, and `others` thin behind it."""
-    for other in others:
-        reached = other.outcome is Outcome.TARGET
-        axes.plot(*other.poses[:, :2].T, color=SKY if reached else GREY, linewidth=0.5, alpha=0.5, zorder=2)
-    axes.plot(*path.poses[:, :2].T, color=BLUE, linewidth=1.8, zorder=4, label=label or "planned path")
+def draw_noisy(axes: Axes, paths: Sequence[Path]) -> None:
+    """Draw many executions, thin: those that reach the target and those that fail."""
+    reached = [path for path in paths if path.outcome is Outcome.TARGET]
+    failed = [path for path in paths if path.outcome is not Outcome.TARGET]
+    for group, colour, word in ((failed, GREY, "failed"), (reached, SKY, "reached the target")):
+        for path in group:
+            axes.plot(*path.poses[:, :2].T, color=colour, linewidth=0.5, alpha=0.6, zorder=2)
+        if group:
+            axes.plot([], [], color=colour, linewidth=0.8, label=f"with tip noise, {word} ({len(group)})")
+
+
+def draw_path(axes: Axes, path: Path, *, label: str = "") -> None:
+    """Draw one execution with its turn points as green circles."""
+    axes.plot(*path.poses[:, :2].T, color=BLUE, linewidth=1.8, zorder=4, label=label or "without noise")
     start = path.poses[0]
     axes.plot(start[0], start[1], marker=">", markersize=7, color=BLUE, zorder=5, clip_on=False)
     if len(path.turns):

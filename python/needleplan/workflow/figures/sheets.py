@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from needleplan.planning import Path, PolicyTable
 from needleplan.workflow.figures.canvas import sheet, title
 from needleplan.workflow.figures.partitions import draw_partition_order
-from needleplan.workflow.figures.scene import draw_path, draw_scene
+from needleplan.workflow.figures.scene import draw_noisy, draw_path, draw_scene
 from needleplan.workflow.figures.success_map import draw_success_map
 
 if TYPE_CHECKING:
@@ -42,8 +42,7 @@ def order_figure(table: PolicyTable) -> Figure:
 
 def _draw_executions(axes: Axes, table: PolicyTable, path: Path, noisy: Sequence[Path]) -> None:
     draw_scene(axes, table.scenario)
-    draw_path(axes, path, others=noisy)
-    title(axes, table.scenario.title or "Planned path")
-    if noisy:
-        axes.plot([], [], color="#56B4E9", linewidth=0.8, label=f"{len(noisy)} executions with tip noise")
-    axes.legend(loc="upper left", bbox_to_anchor=(0, -0.16), ncols=3, frameon=False, fontsize=8)
+    draw_noisy(axes, noisy)
+    draw_path(axes, path)
+    title(axes, table.scenario.title or "Execution")
+    axes.figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=4, frameon=False, fontsize=8)

@@ -1,0 +1,107 @@
+"""The commands that read a table."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+import needleplan as npl
+from tests.cli.commands import needleplan, refused
+
+
+def test_path(table: npl.PolicyTable, table_file: Path, tmp_path: Path) -> None:
+    done = needleplan("path", table_file, "--start", "0,25,0", "--json", "--figure", tmp_path / "path.svg")
+    answer = json.loads(done.stdout)
+    path = table.path((0, 25, 0))
+    assert done.returncode == (0 if answer["outcome"] == "target" else 1)
+    assert answer["poses"] == pytest.approx(path.poses)
+    assert answer["length_mm"] == pytest.approx(path.length_mm)
+    assert len(answer["turns"]) == len(path.turns)
+    assert "<svg" in (tmp_path / "path.svg").read_text()
+
+
+def test_path_from_the_best_entry(table_file: Path) -> None:
+    done = needleplan("path", table_file)
+    assert done.returncode == 0
+    assert "outcome      target" in done.stdout
+
+
+def test_a_path_that_fails_says_no(table_file: Path) -> None:
+    done = needleplan("path", table_file, "--start", "19,10,0,1")
+    assert done.returncode == 1
+    assert "the path does not reach the target: collision" in done.stderr
+
+
+def test_evaluate(table: npl.PolicyTable, table_file: Path) -> None:
+    done = needleplan("evaluate", table_file, "--start", "0,30,-10,1", "--runs", "500", "--seed", "7", "--json")
+    answer = json.loads(done.stdout)
+    found = table.rollout((0, 30, math.radians(-10), 1), 500, 7)
+    assert (answer["success"], answer["predicted_success"]) == (found.success, found.predicted_success)
+    assert answer["confidence_interval"] == pytest.approx(found.interval)
+    assert sum(answer["outcomes"].values()) == 500
+    greedy = needleplan("evaluate", table_file, "--runs", "500", "--greedy")
+    assert greedy.returncode == 0
+    assert "of 500 runs, 95 % interval" in greedy.stdout
+    assert "predicted" in greedy.stdout
+
+
+def test_no_success_at_all_says_no(table_file: Path) -> None:
+    done = needleplan("evaluate", table_file, "--start", "19.9,10,0,1", "--runs", "10")
+    assert done.returncode == 1
+    assert "no run reached the target" in done.stderr
+
+
+def test_entry(table: npl.PolicyTable, table_file: Path) -> None:
+    answer = json.loads(needleplan("entry", table_file, "--edge", "top", "--at", "30", "--json").stdout)
+    best = table.best_entry("top", x_mm=30)
+    assert (answer["x_mm"], answer["y_mm"], answer["bevel"]) == (30, 40, best.pose.bevel)
+    assert answer["heading_deg"] == pytest.approx(math.degrees(best.pose.heading_rad))
+    assert answer["success"] == pytest.approx(best.success)
+    assert "best entry" in needleplan("entry", table_file).stdout
+
+
+def test_info(table: npl.PolicyTable, table_file: Path) -> None:
+    done = needleplan("info", table_file)
+    assert done.returncode == 0
+    assert "checksums verified" in done.stdout
+    assert table.digest in done.stdout
+    answer = json.loads(needleplan("info", table_file, "--json").stdout)
+    assert answer["verified"] is True
+    assert answer["states"] == table.stats.states
+    assert needleplan("info", table_file, "--scenario").stdout == table.scenario.to_toml()
+
+
+def test_a_wrong_checksum(table_file: Path, tmp_path: Path) -> None:
+    data = bytearray(table_file.read_bytes())
+    data[len(data) // 2] ^= 1
+    path = tmp_path / "altered.h5"
+    path.write_bytes(data)
+    done = needleplan("info", path, "--json")
+    assert done.returncode == 1
+    assert json.loads(done.stdout)["verified"] is False
+    assert "has been altered since it was written" in done.stderr
+    for command in ("path", "evaluate", "entry"):
+        refused(needleplan(command, path), "altered.h5: has been altered since it was written")
+
+
+def test_files_that_are_no_tables(table_file: Path, tmp_path: Path) -> None:
+    short = tmp_path / "short.h5"
+    short.write_bytes(table_file.read_bytes()[:10_000])
+    refused(needleplan("info", short), "short.h5: is truncated: 9,488 of")
+    refused(needleplan("entry", __file__), "is not a policy table")
+    refused(needleplan("info", tmp_path / "missing.h5"), "cannot be read: No such file or directory")
+
+
+@pytest.mark.parametrize("start", ["0,25", "a,b,c", "0,25,0,1,2", "nan,25,0", "0,25,0,3", "0,99,0", "1e9,2,0,1", ""])
+def test_starts_that_are_no_poses(table_file: Path, start: str) -> None:
+    refused(needleplan("path", table_file, f"--start={start}"), "needleplan: ")
+
+
+def test_numbers_that_cannot_be(table_file: Path) -> None:
+    refused(needleplan("evaluate", table_file, "--runs", "0"), "runs = 0: must be a whole number from 1")
+    refused(needleplan("evaluate", table_file, "--seed", "-1"), "seed = -1: must be a whole number")
+    refused(needleplan("evaluate", table_file, "--runs", "many"), "invalid int value")
+    refused(needleplan("entry", table_file, "--at", "99"), "needleplan: ")

@@ -1,0 +1,102 @@
+"""From a scenario to a table."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import needleplan as npl
+from needleplan.errors import ScenarioError
+from needleplan.planning import Status, memory
+from needleplan.scenario import Grid, Method, Obstacle, Scenario, Transition
+
+
+def test_a_table_is_what_the_house_promises(small: Scenario, table: npl.PolicyTable) -> None:
+    assert table.values.shape == table.policy.shape == table.success.shape == small.shape == (61, 41, 36, 2)
+    assert (table.values.dtype, table.policy.dtype, table.success.dtype) == (np.float32, np.uint8, np.float32)
+    assert set(np.unique(table.policy)) == {0, 1}
+    assert table.success.min() >= 0
+    assert table.success.max() <= 1
+    stats = table.stats
+    assert stats.status is Status.CONVERGED
+    assert stats.states == small.states
+    assert stats.residual <= small.solver.tolerance
+    assert stats.backups >= stats.sweeps > 0
+    assert stats.seconds >= stats.seconds_solving > 0
+    assert sorted(stats.order) == sorted(set(stats.order))
+
+
+def test_the_lattice_has_the_shape_that_the_scenario_says(small: Scenario, table: npl.PolicyTable) -> None:
+    assert table.lattice.shape == small.shape
+    assert table.lattice.step_mm == pytest.approx(small.step_mm)
+
+
+def test_arrays_cannot_be_changed(table: npl.PolicyTable) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        table.values[0] = 0
+
+
+@pytest.mark.parametrize("method", Method)
+@pytest.mark.parametrize("transition", Transition)
+def test_every_method_gives_the_same_values(small: Scenario, method: Method, transition: Transition) -> None:
+    scene = replace(small, grid=Grid((2, 2), transition), objective=replace(small.objective, discount=0.95))
+    values = [
+        npl.plan(replace(scene, solver=replace(small.solver, method=each, tolerance=1e-3))).values
+        for each in (method, Method.VALUE_ITERATION)
+    ]
+    assert values[0] == pytest.approx(values[1], abs=2e-3, rel=1e-5)
+
+
+def test_the_order_of_obstacles_changes_nothing(small: Scenario) -> None:
+    more = (*small.obstacles, Obstacle([(5, 30), (10, 30), (8, 35)]), Obstacle([(35, 5), (40, 5), (38, 9)]))
+    forward, backward = (npl.plan(replace(small, obstacles=order)) for order in (more, more[::-1]))
+    np.testing.assert_array_equal(forward.values, backward.values)
+    np.testing.assert_array_equal(forward.policy, backward.policy)
+
+
+def test_a_limit_of_sweeps_is_told(small: Scenario) -> None:
+    table = npl.plan(replace(small, solver=replace(small.solver, max_sweeps=1)))
+    assert table.stats.status is Status.ITERATION_LIMIT
+    assert table.stats.residual > small.solver.tolerance
+
+
+def test_progress_is_called_and_may_stop_the_solve(small: Scenario) -> None:
+    calls: list[tuple[float, float, float]] = []
+    npl.plan(
+        replace(small, solver=replace(small.solver, method=Method.VALUE_ITERATION)), lambda *call: calls.append(call)
+    )
+    assert calls
+    assert all(sweeps >= 0 and residual >= 0 and threshold > 0 for sweeps, residual, threshold in calls)
+
+    def stop(*_: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        npl.plan(small, stop)
+
+
+def test_an_unreachable_target_ends_with_no_success() -> None:
+    scenario = Scenario.read("unreachable")
+    table = npl.plan(replace(scenario, grid=replace(scenario.grid, spacing_mm=(2, 2))))
+    assert table.stats.status is Status.CONVERGED
+    assert table.best_entry().success == 0
+
+
+@pytest.mark.parametrize(("spacing", "amount"), [(1e-4, "GB"), (1e-6, "TB"), (1e-9, "TB")])
+def test_a_grid_too_large_says_how_much_it_needs(small: Scenario, spacing: float, amount: str) -> None:
+    scenario = replace(small, grid=Grid((spacing, 1)))
+    with pytest.raises(ScenarioError) as caught:
+        npl.plan(scenario)
+    assert f"the grid has {scenario.states:,} states and needs about" in str(caught.value)
+    assert amount in str(caught.value)
+
+
+def test_memory_is_compared_with_what_is_available(small: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    needed = small.states * memory.BYTES_PER_STATE
+    monkeypatch.setattr(memory, "available_bytes", lambda: needed)
+    memory.require_memory(small)
+    monkeypatch.setattr(memory, "available_bytes", lambda: needed - 1)
+    with pytest.raises(ScenarioError, match=r"needs about 7\.2 MB of memory; 7\.2 MB are available"):
+        memory.require_memory(small)

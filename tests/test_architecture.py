@@ -1,0 +1,98 @@
+"""The rules of the house that a machine can check."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import needleplan
+
+ROOT = Path(__file__).parent.parent
+SOURCES = sorted(
+    file for folder in ("python", "tests", "benches", "rust") for kind in ("*.py", "*.rs", "*.pyi")
+    for file in (ROOT / folder).rglob(kind) if "target" not in file.parts
+)  # fmt: skip
+MODULES = [
+    name for _, name, _ in pkgutil.walk_packages(needleplan.__path__, "needleplan.")
+    if not name.endswith(("_ppvi", "__main__"))
+]  # fmt: skip
+
+
+def test_imports_point_one_way() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "from importlinter.cli import lint_imports_command as lint; lint(['--no-cache'])"],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 broken" in done.stdout
+
+
+def test_every_module_has_its_layer() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    layers = {part.strip(" ()") for layer in contracts[0]["layers"] for part in layer.split("|")}
+    assert {name.split(".")[1] for name in MODULES} <= layers
+
+
+def test_only_planning_names_the_compiled_module() -> None:
+    naming = {
+        file.relative_to(ROOT / "python" / "needleplan").parts[0]
+        for file in (ROOT / "python").rglob("*.py")
+        if "_ppvi" in file.read_text()
+    }
+    assert naming == {"planning"}
+
+
+@pytest.mark.parametrize("file", SOURCES, ids=lambda file: str(file.relative_to(ROOT)))
+def test_no_file_is_long(file: Path) -> None:
+    assert len(file.read_text().splitlines()) <= 400
+    assert file.stem not in ("utils", "helpers", "manager", "handler", "common", "misc")
+
+
+def visible(module: ModuleType) -> set[str]:
+    """Names that a module defines itself and does not hide."""
+    own = {
+        name for name, value in vars(module).items()
+        if not name.startswith("_") and not isinstance(value, ModuleType)
+        and getattr(value, "__module__", module.__name__).startswith(module.__name__)
+    }  # fmt: skip
+    return own - {"annotations", "TYPE_CHECKING"}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_all_is_what_a_module_offers(name: str) -> None:
+    module = importlib.import_module(name)
+    if not hasattr(module, "__path__"):
+        functions_and_classes = {each for each in visible(module) if hasattr(getattr(module, each), "__module__")}
+        assert functions_and_classes <= set(getattr(module, "__all__", functions_and_classes))
+    offered = getattr(module, "__all__", [])
+    assert sorted(offered) == list(offered) or set(offered) == {*offered}
+    assert all(hasattr(module, each) for each in offered)
+    assert (module.__doc__ or "").strip()
+
+
+def test_the_package_shows_what_it_offers() -> None:
+    assert dir(needleplan) == sorted(needleplan.__all__)
+    assert all(getattr(needleplan, name) is not None for name in needleplan.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'plam'"):
+        needleplan.plam  # noqa: B018
+
+
+@pytest.mark.parametrize("command", [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["mypy"]])
+def test_tools_are_content(command: list[str]) -> None:
+    done = subprocess.run([sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_stub_is_the_compiled_module() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy.stubtest", "needleplan._ppvi"],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
