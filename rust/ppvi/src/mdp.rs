@@ -31,11 +31,13 @@ pub trait Mdp: Sync {
     /// Calls `visit(successor, probability)` for every successor, always in the same order.
     fn for_each_successor(&self, state: usize, action: usize, visit: impl FnMut(usize, f64));
 
-    /// `stage_cost + discount * E V(s')`.
+    /// `stage_cost + discount * E V(s')`; a successor of probability zero does not count, even if its value is infinite.
     fn q_value(&self, state: usize, action: usize, values: &[f64]) -> f64 {
         let mut expectation = 0.0;
         self.for_each_successor(state, action, |next, probability| {
-            expectation += probability * values[next];
+            if probability > 0.0 {
+                expectation += probability * values[next];
+            }
         });
         self.stage_cost(state, action) + self.discount() * expectation
     }

@@ -1,0 +1,114 @@
+//! The Bellman operator, the exact residual and the arithmetic of infinite values.
+//!
+//! Values may be infinite where the execution cannot be made to end ([`crate::proper_states`]). There V = TV holds
+//! trivially, so a change from infinity to infinity counts as none.
+
+use rayon::prelude::*;
+
+use crate::mdp::Mdp;
+use crate::proper::proper_states;
+use crate::solution::{Report, Solution};
+use crate::termination::{Certificate, Status};
+
+const CHUNK: usize = 4096;
+
+/// |new - old|, and 0 between equal infinities.
+#[inline]
+pub fn change(new: f64, old: f64) -> f64 {
+    if new == old { 0.0 } else { (new - old).abs() }
+}
+
+/// Exact facts about a value function V.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Check {
+    /// max |TV - V|.
+    pub residual: f64,
+    /// Largest finite |V|.
+    pub max_value: f64,
+}
+
+impl Check {
+    fn join(self, other: Check) -> Check {
+        Check { residual: self.residual.max(other.residual), max_value: self.max_value.max(other.max_value) }
+    }
+}
+
+/// Writes TV to `next` and the greedy policy to `policy`; returns the facts about V, not about TV. Runs on the current
+/// rayon pool; maxima do not depend on the order in which they are formed, so neither does the result.
+pub fn bellman_operator(mdp: &impl Mdp, values: &[f64], next: &mut [f64], policy: &mut [u32]) -> Check {
+    let chunks = next.par_chunks_mut(CHUNK).zip(policy.par_chunks_mut(CHUNK)).enumerate();
+    chunks
+        .map(|(chunk, (next, policy))| check_chunk(mdp, values, chunk * CHUNK, policy, |i, v| next[i] = v))
+        .reduce(|| Check { residual: 0.0, max_value: 0.0 }, Check::join)
+}
+
+/// The greedy policy with respect to `values`, and the exact facts about them.
+pub fn greedy(mdp: &impl Mdp, values: &[f64], policy: &mut [u32]) -> Check {
+    let chunks = policy.par_chunks_mut(CHUNK).enumerate();
+    chunks
+        .map(|(chunk, policy)| check_chunk(mdp, values, chunk * CHUNK, policy, |_, _| ()))
+        .reduce(|| Check { residual: 0.0, max_value: 0.0 }, Check::join)
+}
+
+fn check_chunk(
+    mdp: &impl Mdp,
+    values: &[f64],
+    begin: usize,
+    policy: &mut [u32],
+    mut store: impl FnMut(usize, f64),
+) -> Check {
+    let mut check = Check { residual: 0.0, max_value: 0.0 };
+    for (index, best) in policy.iter_mut().enumerate() {
+        let old = values[begin + index];
+        let (new, action) = mdp.backup(begin + index, values);
+        *best = action as u32;
+        store(index, new);
+        check.residual = check.residual.max(change(new, old));
+        if old.is_finite() {
+            check.max_value = check.max_value.max(old.abs());
+        }
+    }
+    check
+}
+
+/// V0: 0, the absorbing values, and infinity where no policy ends the execution (looked for with discount 1 only).
+pub fn initial_values(mdp: &impl Mdp) -> Vec<f64> {
+    let mut values: Vec<f64> =
+        (0..mdp.states()).map(|state| if mdp.actions(state) == 0 { mdp.absorbing_value(state) } else { 0.0 }).collect();
+    if mdp.discount() == 1.0 {
+        for (value, proper) in values.iter_mut().zip(proper_states(mdp)) {
+            if !proper {
+                *value = f64::INFINITY;
+            }
+        }
+    }
+    values
+}
+
+/// What decides the threshold of a problem.
+pub fn certificate(mdp: &impl Mdp) -> Certificate {
+    let discount = mdp.discount();
+    Certificate { discount, least_stage_cost: if discount < 1.0 { 0.0 } else { mdp.least_stage_cost() } }
+}
+
+/// The solution that `values` make, with the bound that `check` proves and all counts at zero.
+pub(crate) fn solution(
+    values: Vec<f64>,
+    policy: Vec<u32>,
+    status: Status,
+    check: Check,
+    certificate: &Certificate,
+) -> Solution {
+    let report = Report {
+        status,
+        residual: check.residual,
+        error_bound: certificate.error_bound(check.residual, check.max_value),
+        backups: 0,
+        partitions: 1,
+        partitions_processed: 0,
+        order: Vec::new(),
+        seconds_solving: 0.0,
+        seconds_priorities: 0.0,
+    };
+    Solution { values, policy, report }
+}

@@ -1,0 +1,119 @@
+//! Partitions of the state set.
+//!
+//! A partition assigns a label to every state; the members of a label are kept in index order. Any labels will do: the
+//! solvers are correct for all of them, and only their speed depends on the choice. Blocks of neighbouring states are
+//! good, since most of the probability then stays inside.
+
+use crate::error::{Error, Result, parameter};
+
+/// Labels `[states]` and, for every label, its members in index order.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Partition {
+    labels: Vec<u32>,
+    offsets: Vec<usize>,
+    members: Vec<u32>,
+}
+
+impl Partition {
+    /// Partitions `0..partitions` from one label a state. A partition may be empty.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] names the first state whose label is not below `partitions`.
+    pub fn from_labels(labels: Vec<u32>, partitions: usize) -> Result<Self> {
+        if u32::try_from(labels.len()).is_err() || u32::try_from(partitions).is_err() {
+            return Err(parameter("labels", labels.len().max(partitions), "must number less than 2^32"));
+        }
+        if let Some(state) = labels.iter().position(|&label| label as usize >= partitions) {
+            let found = format!("{} at state {state}", labels[state]);
+            return Err(parameter("labels", found, "must be less than the number of partitions"));
+        }
+        let (offsets, members) = group(&labels, 0..labels.len() as u32, partitions);
+        Ok(Partition { labels, offsets, members })
+    }
+
+    /// One partition that holds every state.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for 2^32 states or more.
+    pub fn whole(states: usize) -> Result<Self> {
+        Self::from_labels(vec![0; states], 1)
+    }
+
+    /// A regular grid of `[px, py]` partitions laid over `[nx, ny]` grid points, as in the thesis. `place` tells the
+    /// grid point of a state; all states of a point (headings, bevels) share a partition. The label is `a * py + b` for
+    /// the partition in column `a` and row `b`, and columns differ in width by at most one point.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] if there are more partitions than points along an axis, none, or if `place` leaves the grid.
+    pub fn grid(
+        states: usize,
+        points: [usize; 2],
+        partitions: [usize; 2],
+        place: impl Fn(usize) -> [usize; 2],
+    ) -> Result<Self> {
+        if partitions[0] == 0 || partitions[1] == 0 || partitions[0] > points[0] || partitions[1] > points[1] {
+            let found = format!("{partitions:?} over {points:?} points");
+            return Err(parameter(
+                "partitions",
+                found,
+                "must be between 1 and the number of grid points along each axis",
+            ));
+        }
+        let mut labels = Vec::with_capacity(states);
+        for state in 0..states {
+            let [i, j] = place(state);
+            if i >= points[0] || j >= points[1] {
+                return Err(parameter("place", format!("[{i}, {j}] for state {state}"), "must lie on the grid"));
+            }
+            let (column, row) = (i * partitions[0] / points[0], j * partitions[1] / points[1]);
+            labels.push((column * partitions[1] + row) as u32);
+        }
+        Self::from_labels(labels, partitions[0] * partitions[1])
+    }
+
+    /// Number of states.
+    pub fn states(&self) -> usize {
+        self.labels.len()
+    }
+
+    /// Number of partitions, empty ones included.
+    pub fn count(&self) -> usize {
+        self.offsets.len() - 1
+    }
+
+    /// The label of every state.
+    pub fn labels(&self) -> &[u32] {
+        &self.labels
+    }
+
+    /// Members of a partition in index order.
+    pub fn members(&self, partition: usize) -> &[u32] {
+        &self.members[self.offsets[partition]..self.offsets[partition + 1]]
+    }
+
+    /// Checks that this partition belongs to a problem of `states` states.
+    pub(crate) fn check_states(&self, states: usize) -> Result<()> {
+        if self.states() == states {
+            return Ok(());
+        }
+        Err(Error::Length { name: "labels", expected: states, found: self.states() })
+    }
+}
+
+/// Stable counting sort of `values` by their keys, which are below `groups`: offsets `[groups + 1]`, sorted values.
+pub(crate) fn group(keys: &[u32], values: impl Iterator<Item = u32>, groups: usize) -> (Vec<usize>, Vec<u32>) {
+    let mut offsets = vec![0; groups + 1];
+    for &key in keys {
+        offsets[key as usize + 1] += 1;
+    }
+    for index in 0..groups {
+        offsets[index + 1] += offsets[index];
+    }
+    let mut next = offsets.clone();
+    let mut sorted = vec![0; keys.len()];
+    for (&key, value) in keys.iter().zip(values) {
+        sorted[next[key as usize]] = value;
+        next[key as usize] += 1;
+    }
+    (offsets, sorted)
+}

@@ -1,0 +1,236 @@
+//! Explicit sparse problems.
+//!
+//! Three levels of compressed rows: state `s` owns the rows `action_offsets[s]..action_offsets[s + 1]`, one for each of
+//! its actions in order; row `r` owns the entries `row_offsets[r]..row_offsets[r + 1]` of `successors` and
+//! `probabilities`, and costs `stage_costs[r]`. A state without rows is absorbing and has value 0.
+//!
+//! Everything is validated once, in the constructor, and borrowed or owned as the caller likes; nothing is copied.
+
+use std::borrow::Cow;
+
+use rayon::prelude::*;
+
+use crate::error::{Error, Result, parameter};
+use crate::mdp::Mdp;
+
+/// How far the probabilities of a row may sum from one.
+pub const ROW_SUM_TOLERANCE: f64 = 1e-9;
+
+/// Largest admissible |stage cost|; below it no sum of costs that a solver can form overflows.
+pub const LARGEST_STAGE_COST: f64 = 1e100;
+
+/// A Markov decision process in compressed sparse rows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TabularMdp<'a> {
+    action_offsets: Cow<'a, [usize]>,
+    row_offsets: Cow<'a, [usize]>,
+    successors: Cow<'a, [u32]>,
+    probabilities: Cow<'a, [f64]>,
+    stage_costs: Cow<'a, [f64]>,
+    discount: f64,
+}
+
+/// The arrays of a [`TabularMdp`], borrowed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Parts<'a> {
+    /// Rows of state s: `action_offsets[s] .. action_offsets[s + 1]`.
+    pub action_offsets: &'a [usize],
+    /// Entries of row r: `row_offsets[r] .. row_offsets[r + 1]`.
+    pub row_offsets: &'a [usize],
+    /// Successor of each entry.
+    pub successors: &'a [u32],
+    /// Probability of each entry.
+    pub probabilities: &'a [f64],
+    /// Stage cost of each row.
+    pub stage_costs: &'a [f64],
+}
+
+impl<'a> TabularMdp<'a> {
+    /// Takes and validates `action_offsets [n + 1]`, `row_offsets [rows + 1]`, `successors [entries]`,
+    /// `probabilities [entries]`, `stage_costs [rows]` (slices or vectors) and the discount in (0, 1].
+    ///
+    /// # Errors
+    /// [`Error::Length`] and [`Error::Parameter`] for the arrays as a whole; [`Error::Row`] names the first state, and
+    /// its first action, that breaks a rule: offsets must rise and stay in range, successors must be states,
+    /// probabilities lie in [0, 1] and sum to one within 1e-9, costs be finite and at most 1e100 in size, and not
+    /// negative if the discount is 1.
+    pub fn new(
+        action_offsets: impl Into<Cow<'a, [usize]>>,
+        row_offsets: impl Into<Cow<'a, [usize]>>,
+        successors: impl Into<Cow<'a, [u32]>>,
+        probabilities: impl Into<Cow<'a, [f64]>>,
+        stage_costs: impl Into<Cow<'a, [f64]>>,
+        discount: f64,
+    ) -> Result<Self> {
+        let mdp = TabularMdp {
+            action_offsets: action_offsets.into(),
+            row_offsets: row_offsets.into(),
+            successors: successors.into(),
+            probabilities: probabilities.into(),
+            stage_costs: stage_costs.into(),
+            discount,
+        };
+        mdp.check_arrays()?;
+        match (0..mdp.states()).into_par_iter().with_min_len(4096).find_map_first(|state| mdp.check_state(state).err())
+        {
+            Some(error) => Err(error),
+            None => Ok(mdp),
+        }
+    }
+
+    /// Expands any problem into an explicit one. If some row sums to less than one, an absorbing state is added at the
+    /// end that takes the rest.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] if an absorbing state has a value other than 0, and the errors of [`TabularMdp::new`].
+    pub fn from_mdp(mdp: &impl Mdp) -> Result<TabularMdp<'static>> {
+        let states = mdp.states();
+        let (mut action_offsets, mut row_offsets) = (vec![0], vec![0]);
+        let (mut successors, mut probabilities, mut stage_costs) = (Vec::new(), Vec::new(), Vec::new());
+        let mut has_end = false;
+        for state in 0..states {
+            if mdp.actions(state) == 0 && mdp.absorbing_value(state) != 0.0 {
+                let found = format!("{} at state {state}", mdp.absorbing_value(state));
+                return Err(parameter("absorbing_value", found, "must be 0 in a tabular problem"));
+            }
+            for action in 0..mdp.actions(state) {
+                let mut total = 0.0;
+                mdp.for_each_successor(state, action, |next, probability| {
+                    successors.push(next as u32);
+                    probabilities.push(probability);
+                    total += probability;
+                });
+                if total < 1.0 - ROW_SUM_TOLERANCE {
+                    successors.push(states as u32);
+                    probabilities.push(1.0 - total);
+                    has_end = true;
+                }
+                stage_costs.push(mdp.stage_cost(state, action));
+                row_offsets.push(successors.len());
+            }
+            action_offsets.push(stage_costs.len());
+        }
+        if has_end {
+            action_offsets.push(stage_costs.len());
+        }
+        TabularMdp::new(action_offsets, row_offsets, successors, probabilities, stage_costs, mdp.discount())
+    }
+
+    /// The arrays it is made of.
+    pub fn parts(&self) -> Parts<'_> {
+        Parts {
+            action_offsets: &self.action_offsets,
+            row_offsets: &self.row_offsets,
+            successors: &self.successors,
+            probabilities: &self.probabilities,
+            stage_costs: &self.stage_costs,
+        }
+    }
+
+    /// Rows of a state, one for each action.
+    #[inline]
+    pub fn rows(&self, state: usize) -> std::ops::Range<usize> {
+        self.action_offsets[state]..self.action_offsets[state + 1]
+    }
+
+    /// Successors, probabilities and stage cost of a row.
+    #[inline]
+    pub fn row(&self, row: usize) -> (&[u32], &[f64], f64) {
+        let entries = self.row_offsets[row]..self.row_offsets[row + 1];
+        (&self.successors[entries.clone()], &self.probabilities[entries], self.stage_costs[row])
+    }
+
+    fn check_arrays(&self) -> Result<()> {
+        if !(self.discount > 0.0 && self.discount <= 1.0) {
+            return Err(parameter("discount", self.discount, "must be in (0, 1]"));
+        }
+        let rows = check_offsets("action_offsets", &self.action_offsets)?;
+        if u32::try_from(self.action_offsets.len()).is_err() {
+            return Err(parameter("states", self.action_offsets.len() - 1, "must number less than 2^32"));
+        }
+        check_length("row_offsets", rows.saturating_add(1), self.row_offsets.len())?;
+        check_length("stage_costs", rows, self.stage_costs.len())?;
+        let entries = check_offsets("row_offsets", &self.row_offsets)?;
+        check_length("successors", entries, self.successors.len())?;
+        check_length("probabilities", entries, self.probabilities.len())
+    }
+
+    /// The rules for one state; the ends of the offset arrays are known to be right.
+    fn check_state(&self, state: usize) -> Result<()> {
+        let (begin, end) = (self.action_offsets[state], self.action_offsets[state + 1]);
+        let wrong = |action: usize, what, value: f64| Err(Error::Row { state, action, what, value });
+        if begin > end || end > self.stage_costs.len() {
+            return wrong(0, "action_offsets must not fall, nor pass the number of rows", end as f64);
+        }
+        for row in begin..end {
+            let action = row - begin;
+            let (first, last) = (self.row_offsets[row], self.row_offsets[row + 1]);
+            if first > last || last > self.successors.len() {
+                return wrong(action, "row_offsets must not fall, nor pass the number of entries", last as f64);
+            }
+            let (successors, probabilities, cost) = self.row(row);
+            if let Some(&next) = successors.iter().find(|&&next| next as usize >= self.states()) {
+                return wrong(action, "a successor must be less than the number of states", f64::from(next));
+            }
+            if let Some(&p) = probabilities.iter().find(|p| !(0.0..=1.0).contains(*p)) {
+                return wrong(action, "a probability must be in [0, 1]", p);
+            }
+            let sum: f64 = probabilities.iter().sum();
+            if (sum - 1.0).abs() > ROW_SUM_TOLERANCE {
+                return wrong(action, "the probabilities must sum to one", sum);
+            }
+            if !(-LARGEST_STAGE_COST..=LARGEST_STAGE_COST).contains(&cost) {
+                return wrong(action, "the stage cost must be finite and at most 1e100 in size", cost);
+            }
+            if self.discount == 1.0 && cost < 0.0 {
+                return wrong(action, "the stage cost must not be negative if the discount is 1", cost);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Checks that offsets begin with 0; returns the last.
+fn check_offsets(name: &'static str, offsets: &[usize]) -> Result<usize> {
+    match (offsets.first(), offsets.last()) {
+        (Some(0), Some(&last)) => Ok(last),
+        (Some(&first), _) => Err(parameter(name, first, "must begin with 0")),
+        _ => Err(Error::Length { name, expected: 1, found: 0 }),
+    }
+}
+
+fn check_length(name: &'static str, expected: usize, found: usize) -> Result<()> {
+    if expected == found { Ok(()) } else { Err(Error::Length { name, expected, found }) }
+}
+
+impl Mdp for TabularMdp<'_> {
+    fn states(&self) -> usize {
+        self.action_offsets.len() - 1
+    }
+
+    fn discount(&self) -> f64 {
+        self.discount
+    }
+
+    #[inline]
+    fn actions(&self, state: usize) -> usize {
+        self.rows(state).len()
+    }
+
+    #[inline]
+    fn stage_cost(&self, state: usize, action: usize) -> f64 {
+        self.stage_costs[self.rows(state).start + action]
+    }
+
+    #[inline]
+    fn for_each_successor(&self, state: usize, action: usize, mut visit: impl FnMut(usize, f64)) {
+        let (successors, probabilities, _) = self.row(self.rows(state).start + action);
+        for (&next, &probability) in successors.iter().zip(probabilities) {
+            visit(next as usize, probability);
+        }
+    }
+
+    fn least_stage_cost(&self) -> f64 {
+        self.stage_costs.iter().copied().fold(f64::INFINITY, f64::min)
+    }
+}

@@ -1,0 +1,41 @@
+//! Plain value iteration: the reference for every other solver.
+//!
+//! V(k+1) = T V(k) for all states at once (Jacobi), from V(0) = 0. The sweep that computes T V(k) also yields the exact
+//! residual of V(k), so that the values returned are those whose residual has been measured.
+
+use crate::bellman::{bellman_operator, certificate, initial_values, solution};
+use crate::error::Result;
+use crate::mdp::Mdp;
+use crate::solution::Solution;
+use crate::termination::{Observer, Progress, Status, StopRule, Watch};
+
+/// Solves a problem by sweeps over all states, in parallel on the current rayon pool; the values are the same bit for
+/// bit for any number of threads.
+///
+/// # Errors
+/// Only for an invalid `rule`. Reaching a limit is a status, not an error.
+pub fn value_iteration(mdp: &impl Mdp, rule: StopRule, observer: Option<Observer>) -> Result<Solution> {
+    rule.validate()?;
+    let mut watch = Watch::start(rule, observer);
+    let certificate = certificate(mdp);
+    let mut values = initial_values(mdp);
+    let mut next = values.clone();
+    let mut policy = vec![0; mdp.states()];
+    let mut sweeps = 0;
+    loop {
+        let check = bellman_operator(mdp, &values, &mut next, &mut policy);
+        sweeps += 1;
+        let threshold = certificate.threshold(rule.tolerance, check.max_value);
+        let converged = (check.residual < threshold).then_some(Status::Converged);
+        let progress = Progress { sweeps: sweeps as f64, residual: check.residual, threshold };
+        if let Some(status) = converged.or_else(|| watch.check(&progress)) {
+            let mut solution = solution(values, policy, status, check, &certificate);
+            solution.report.backups = sweeps * mdp.states() as u64;
+            solution.report.partitions_processed = sweeps;
+            solution.report.order = vec![0];
+            solution.report.seconds_solving = watch.seconds();
+            return Ok(solution);
+        }
+        std::mem::swap(&mut values, &mut next);
+    }
+}
