@@ -7,6 +7,7 @@ pub mod error;
 pub mod lattice;
 pub mod lookup;
 pub mod mdp;
+mod memory;
 pub mod partition;
 pub mod prioritized;
 pub mod priority;

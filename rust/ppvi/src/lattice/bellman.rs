@@ -6,12 +6,15 @@ use rayon::prelude::*;
 use crate::lattice::field::{Field, column_to_table};
 use crate::lattice::real::Real;
 use crate::lattice::{LatticeMdp, Shape, outcome};
+use crate::memory::filled;
 
 /// What one Bellman backup of every state says.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Greedy {
     /// Greedy action, in table layout: 0 insert, 1 rotate then insert.
     pub policy: Vec<u8>,
+    /// The values in single precision, in table layout.
+    pub values: Vec<f32>,
     /// max |TV - V|.
     pub residual: f64,
 }
@@ -19,15 +22,23 @@ pub(crate) struct Greedy {
 /// Backs up every state once without storing the result.
 pub(crate) fn greedy<T: Real>(lattice: &LatticeMdp, field: &Field<T>) -> Greedy {
     let column = lattice.shape.ny * lattice.shape.headings * 2;
-    let mut policy = vec![0u8; lattice.shape.states()];
-    let residuals = policy.par_chunks_mut(column).enumerate();
-    let residual = residuals.map(|(i, policy)| greedy_column(lattice, field, i, policy)).reduce(|| 0.0, f64::max);
-    Greedy { policy, residual }
+    let mut policy = filled(0u8, lattice.shape.states());
+    let mut values = filled(0f32, lattice.shape.states());
+    let columns = policy.par_chunks_mut(column).zip(values.par_chunks_mut(column)).enumerate();
+    let residuals = columns.map(|(i, (policy, values))| greedy_column(lattice, field, i, policy, values));
+    let residual = residuals.reduce(|| 0.0, f64::max);
+    Greedy { policy, values, residual }
 }
 
 /// One grid column.
 #[multiversion(targets("x86_64+avx+avx2"))]
-fn greedy_column<T: Real>(lattice: &LatticeMdp, field: &Field<T>, i: usize, policy: &mut [u8]) -> f64 {
+fn greedy_column<T: Real>(
+    lattice: &LatticeMdp,
+    field: &Field<T>,
+    i: usize,
+    policy: &mut [u8],
+    values: &mut [f32],
+) -> f64 {
     let Shape { nx, ny, headings } = lattice.shape;
     let mut actions = vec![0u8; policy.len()];
     let (mut minus, mut plus, mut errors) = (vec![0f64; ny], vec![0f64; ny], vec![0f64; ny]);
@@ -37,12 +48,14 @@ fn greedy_column<T: Real>(lattice: &LatticeMdp, field: &Field<T>, i: usize, poli
         for bevel in 0..2 {
             let (insert, turn) = if bevel == 0 { (&minus, &plus) } else { (&plus, &minus) };
             let codes = &lattice.outcomes[((k * 2 + bevel) * nx + i) * ny..][..ny];
-            let values = &field.values[((i * headings + k) * 2 + bevel) * ny..][..ny];
+            let row = &field.values[((i * headings + k) * 2 + bevel) * ny..][..ny];
             let actions = &mut actions[(k * 2 + bevel) * ny..][..ny];
-            choose_row(actions, &mut errors, insert, turn, codes, values, lattice.setup.costs.rotation);
+            choose_row(actions, &mut errors, insert, turn, codes, row, lattice.setup.costs.rotation);
         }
     }
     column_to_table(lattice.shape, &actions, policy, |action| action);
+    let column = &field.values[i * policy.len()..][..policy.len()];
+    column_to_table(lattice.shape, column, values, |value| value.widen() as f32);
     errors.iter().fold(0.0, |max, error| f64::max(max, *error))
 }
 

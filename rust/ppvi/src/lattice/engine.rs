@@ -10,7 +10,7 @@ use crate::lattice::sector::{Arc, Direction, Sector};
 use crate::lattice::{LatticeMdp, Transition};
 
 /// The state of an iteration; with a policy its passes evaluate that, without they take the better action.
-pub(crate) struct Engine<T> {
+pub(crate) struct Engine<T: Copy> {
     sectors: Vec<Sector<T>>,
     halos: Vec<Halo<T>>,
     noise: Vec<T>,
@@ -31,9 +31,7 @@ impl<T: Real> Engine<T> {
         let halos = sectors.iter().map(|sector| Halo::new(sector, reach, numbers.outside())).collect();
         let noise = lattice.setup.noise.iter().map(|p| T::of(*p)).collect();
         let interpolated = lattice.setup.transition == Transition::Interpolated;
-        let mut engine = Engine { sectors, halos, noise, numbers, headings, interpolated };
-        engine.refresh();
-        engine
+        Engine { sectors, halos, noise, numbers, headings, interpolated }
     }
 
     /// Number of sectors.

@@ -4,17 +4,18 @@ use rayon::prelude::*;
 
 use crate::lattice::plane::{Plane, copy};
 use crate::lattice::{Shape, real::Real};
+use crate::memory::{Array, filled};
 
 /// `[i][heading][bevel][j]`, j contiguous. Tables, the public layout, are `[i][j][heading][bevel]`.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Field<T> {
+#[derive(Debug)]
+pub(crate) struct Field<T: Copy> {
     pub shape: Shape,
-    pub values: Vec<T>,
+    pub values: Array<T>,
 }
 
 impl<T: Copy + Default + Send + Sync> Field<T> {
     pub(crate) fn new(shape: Shape) -> Self {
-        Field { shape, values: vec![T::default(); shape.states()] }
+        Field { shape, values: Array::filled(T::default(), shape.states()) }
     }
 
     /// From a table.
@@ -31,7 +32,7 @@ impl<T: Copy + Default + Send + Sync> Field<T> {
     }
 }
 
-impl<T> Field<T> {
+impl<T: Copy> Field<T> {
     /// Where one heading and bevel stand, as a plane of rows i.
     pub(crate) fn plane(&self, k: usize, bevel: usize) -> Plane {
         let Shape { ny, headings, .. } = self.shape;
@@ -47,7 +48,7 @@ impl<T> Field<T> {
 impl<T: Real> Field<T> {
     /// As a table in single precision.
     pub(crate) fn table(&self) -> Vec<f32> {
-        let mut table = vec![0f32; self.values.len()];
+        let mut table = filled(0f32, self.values.len());
         let size = self.shape.ny * self.shape.headings * 2;
         table.par_chunks_mut(size).zip(self.values.par_chunks(size)).for_each(|(table, column)| {
             column_to_table(self.shape, column, table, |value| value.widen() as f32);

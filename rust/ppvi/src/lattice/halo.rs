@@ -6,20 +6,21 @@
 use crate::lattice::plane::{Plane, copy};
 use crate::lattice::real::Real;
 use crate::lattice::sector::Sector;
+use crate::memory::Array;
 
 /// Headings `first - reach .. first` and `first + count .. first + count + reach`, laid out as in the sector.
-pub(crate) struct Halo<T> {
+pub(crate) struct Halo<T: Copy> {
     reach: usize,
     lanes: usize,
     /// `[u][2 * reach][bevel][lanes]`.
-    values: Vec<T>,
+    values: Array<T>,
 }
 
 impl<T: Real> Halo<T> {
     /// An empty halo for noise with `reach` = taps on one side, plus one for the arc itself.
     pub(crate) fn new(sector: &Sector<T>, reach: usize, padding: T) -> Self {
         let lanes = sector.lanes;
-        Halo { reach, lanes, values: vec![padding; sector.extent[0] * 2 * reach * 2 * lanes] }
+        Halo { reach, lanes, values: Array::filled(padding, sector.extent[0] * 2 * reach * 2 * lanes) }
     }
 
     #[inline(always)]

@@ -30,6 +30,7 @@ use rayon::prelude::*;
 use crate::bicycle::Bicycle;
 use crate::error::{Error, Result, parameter};
 use crate::mdp::Mdp;
+use crate::memory::filled;
 use crate::partition::Partition;
 use crate::workspace::{ColumnScan, Event, Workspace, grid_points};
 
@@ -265,7 +266,7 @@ impl LatticeMdp {
         for (i, column) in points.chunks_exact_mut(ny).enumerate() {
             scan.mark(i as f64 * spacing[0], 0.0, spacing[1], column);
         }
-        let mut outcomes = vec![0u8; headings * 2 * nx * ny];
+        let mut outcomes = filled(0u8, headings * 2 * nx * ny);
         outcomes.par_chunks_mut(nx * ny).enumerate().for_each_init(
             || ColumnScan::new(workspace),
             |scan, (row, plane)| {

@@ -12,6 +12,7 @@ use crate::lattice::kernel::{GOES_ON, LANES, Numbers, back_up_row, blend_row, co
 use crate::lattice::plane::{Plane, copy};
 use crate::lattice::real::Real;
 use crate::lattice::{LatticeMdp, Shape, Shift, outcome};
+use crate::memory::Array;
 
 /// The grid direction in which the headings of a sector move the most, in cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,7 +63,7 @@ impl Arc {
 }
 
 /// Values of the headings of a sector and what their sweeps need.
-pub(crate) struct Sector<T> {
+pub(crate) struct Sector<T: Copy> {
     pub arc: Arc,
     /// Extent along u and v.
     pub extent: [usize; 2],
@@ -71,13 +72,13 @@ pub(crate) struct Sector<T> {
     /// Padding of the convolved values on each side of u and of v.
     pad: [usize; 2],
     /// `[u][count][bevel][lanes]`.
-    pub values: Vec<T>,
+    pub values: Array<T>,
     /// Convolved values W, `[pad + u + pad][count + 2][bevel][pad + lanes + pad]`: one heading more on each side.
-    convolved: Vec<T>,
+    convolved: Array<T>,
     /// `[u][count][bevel][lanes]`: Q-value of the step that arrives with the bevel if it ends, else [`GOES_ON`].
-    ended: Vec<T>,
+    ended: Array<T>,
     /// `[u][count][bevel][lanes]`: whether the policy turns the needle; empty without a policy.
-    turns: Vec<u8>,
+    turns: Array<u8>,
     /// `[count][bevel]`, along (u, v).
     shifts: Vec<[Shift; 2]>,
 }
@@ -108,19 +109,30 @@ impl<T: Real> Sector<T> {
             extent,
             lanes,
             pad,
-            values: vec![start; size],
-            convolved: vec![numbers.outside(); padded],
-            ended: vec![numbers.outside(); size],
-            turns: vec![0; if policy.is_some() { size } else { 0 }],
+            values: Array::filled(start, size),
+            convolved: Array::filled(numbers.outside(), padded),
+            ended: Array::filled(numbers.outside(), size),
+            turns: Array::filled(0, if policy.is_some() { size } else { 0 }),
             shifts,
         };
         sector.load_outcomes(lattice, numbers);
+        sector.fill_convolved(start);
         if let Some(policy) = policy {
             let mut turns = std::mem::take(&mut sector.turns);
             sector.import(policy, &mut turns, |action| action);
             sector.turns = turns;
         }
         sector
+    }
+
+    /// W of constant values; the padding keeps what is outside.
+    fn fill_convolved(&mut self, start: T) {
+        let width = self.lanes + 2 * self.pad[1];
+        let column = (self.arc.count + 2) * 2 * width;
+        let inside = self.pad[0] * column..(self.pad[0] + self.extent[0]) * column;
+        for row in self.convolved[inside].chunks_exact_mut(width) {
+            row[self.pad[1]..][..self.extent[1]].fill(start);
+        }
     }
 
     /// Where heading `q` of the sector stands in its arrays, as a plane of rows u.
@@ -186,24 +198,16 @@ impl<T: Real> Sector<T> {
 
     #[inline(always)]
     fn convolve_column(&mut self, u: usize, halo: &Halo<T>, noise: &[T]) {
-        let (reach, count) = (noise.len(), self.arc.count);
+        let count = self.arc.count;
         let width = self.lanes + 2 * self.pad[1];
         let column = &mut self.convolved[(u + self.pad[0]) * (count + 2) * 2 * width..][..(count + 2) * 2 * width];
         let values = &self.values[u * count * 2 * self.lanes..][..count * 2 * self.lanes];
+        let rows = ColumnRows { halo, values, u, count, reach: noise.len(), lanes: self.lanes };
         for (r, pair) in column.chunks_exact_mut(2 * width).enumerate() {
             for (bevel, row) in pair.chunks_exact_mut(width).enumerate() {
                 let out = &mut row[self.pad[1]..][..self.lanes];
-                convolve_row(out, noise, |tap| {
-                    // Row r of W is centred on heading r - 1 of the sector; taps reach noise.len() - 1 to each side.
-                    let heading = r + tap;
-                    if heading < reach {
-                        halo.row(u, heading, bevel)
-                    } else if heading >= reach + count {
-                        halo.row(u, heading - count, bevel)
-                    } else {
-                        &values[((heading - reach) * 2 + bevel) * self.lanes..][..self.lanes]
-                    }
-                });
+                // Row r of W is centred on heading r - 1 of the sector; taps reach noise.len() - 1 to each side.
+                convolve_row(out, noise, |tap| rows.row(r + tap, bevel));
             }
         }
     }
@@ -246,6 +250,30 @@ impl<T: Real> Sector<T> {
         let weights = [(1.0 - fu) * (1.0 - fv), (1.0 - fu) * fv, fu * (1.0 - fv), fu * fv];
         blend_row(buffer, a, b, c, d, weights.map(T::of));
         buffer
+    }
+}
+
+/// The rows of one column, those of the halo included.
+struct ColumnRows<'a, T: Copy> {
+    halo: &'a Halo<T>,
+    values: &'a [T],
+    u: usize,
+    count: usize,
+    reach: usize,
+    lanes: usize,
+}
+
+impl<'a, T: Real> ColumnRows<'a, T> {
+    /// Heading `index - reach` of the sector.
+    #[inline(always)]
+    fn row(&self, index: usize, bevel: usize) -> &'a [T] {
+        if index < self.reach {
+            self.halo.row(self.u, index, bevel)
+        } else if index >= self.reach + self.count {
+            self.halo.row(self.u, index - self.count, bevel)
+        } else {
+            &self.values[((index - self.reach) * 2 + bevel) * self.lanes..][..self.lanes]
+        }
     }
 }
 

@@ -84,7 +84,6 @@ struct Run<'a, 'o> {
 struct Final {
     status: Status,
     greedy: Greedy,
-    values: Vec<f32>,
     max_value: f64,
 }
 
@@ -131,14 +130,13 @@ impl Run<'_, '_> {
                 None => None,
             };
             if let Some(status) = status {
-                let values = field.table();
-                return (End::Done(Final { status, greedy, values, max_value }), field);
+                return (End::Done(Final { status, greedy, max_value }), field);
             }
         }
     }
 
     fn conclude(self, end: End, started: Instant) -> LatticeSolution {
-        let End::Done(Final { status, greedy, values, max_value }) = end else {
+        let End::Done(Final { status, greedy, max_value }) = end else {
             unreachable!("double precision does not end as exhausted");
         };
         // The values returned are rounded to single precision.
@@ -154,6 +152,6 @@ impl Run<'_, '_> {
             seconds_solving: started.elapsed().as_secs_f64(),
             seconds_priorities: 0.0,
         };
-        LatticeSolution { values, policy: greedy.policy, report }
+        LatticeSolution { values: greedy.values, policy: greedy.policy, report }
     }
 }
