@@ -1,0 +1,59 @@
+# `make plan` and `make test` are the two commands of the README; both install what they need into .venv first.
+
+VENV ?= .venv
+OUT ?= out
+BIN := $(VENV)/bin
+SOURCES := pyproject.toml Cargo.toml Cargo.lock rust/ppvi/Cargo.toml $(shell find rust -name '*.rs')
+
+# Rust is in the virtual environment where scripts/install had to fetch it.
+ifneq ($(wildcard $(VENV)/rust),)
+export RUSTUP_HOME := $(abspath $(VENV))/rust/rustup
+export CARGO_HOME := $(abspath $(VENV))/rust/cargo
+endif
+export PATH := $(abspath $(VENV))/bin:$(abspath $(VENV))/rust/cargo/bin:$(PATH)
+export PYO3_PYTHON := $(abspath $(VENV))/bin/python
+
+.PHONY: plan test rust python guard install install-test clean
+
+plan: install
+	mkdir -p $(OUT)
+	$(BIN)/needleplan plan four_obstacles -o $(OUT)/four_obstacles.h5 --figure $(OUT)/four_obstacles.png
+
+test: install-test
+	$(MAKE) rust
+	$(MAKE) python
+	$(MAKE) guard
+
+rust:
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets --all-features --locked -- -D warnings
+	cargo test --workspace --locked
+
+python:
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
+	$(BIN)/python -m pytest
+
+# Instruction counts of the solver's hot paths, by valgrind. CI sets CI=true and must have it.
+guard:
+	@if [ ! -x benches/guard ]; then echo "guard: benches/guard is not there"; \
+	elif command -v valgrind >/dev/null; then benches/guard; \
+	elif [ "$$CI" = true ]; then echo "guard: valgrind is missing" >&2; exit 1; \
+	else echo "guard: skipped, valgrind is missing"; fi
+
+install: $(VENV)/installed
+install-test: $(VENV)/installed-test
+
+$(VENV)/installed: $(SOURCES) scripts/install
+	scripts/install $(VENV)
+	touch $@
+
+$(VENV)/installed-test: $(SOURCES) scripts/install
+	scripts/install --test $(VENV)
+	touch $(VENV)/installed $@
+
+clean:
+	rm -rf $(VENV) $(OUT) target
