@@ -1,0 +1,139 @@
+//! The structured solver against the general ones, on the same problems: each is the other's oracle.
+
+use ppvi::bicycle::Bicycle;
+use ppvi::lattice::evaluation::{self, Evaluation};
+use ppvi::lattice::sweep::{self, LatticeSolution};
+use ppvi::lattice::{Costs, LatticeMdp, Setup, Transition};
+use ppvi::workspace::{Polygon, Workspace};
+use ppvi::{Mdp, PrioritizedOptions, Priority, Status, StopRule, prioritized, value_iteration};
+use proptest::prelude::*;
+
+/// Small workspaces with two obstacles, any needle, any noise, both transitions, discounted or not.
+fn setups() -> impl Strategy<Value = Setup> {
+    let geometry = (6.0..14.0f64, 5.0..10.0f64, 0.6..1.5f64, 0.6..1.5f64, 4.0..30.0f64, 4usize..24);
+    let noise = prop_oneof![
+        Just(vec![1.0]),
+        Just(vec![0.5, 0.25]),
+        Just(vec![0.466, 0.24, 0.027]),
+        Just(vec![0.3, 0.2, 0.1, 0.05])
+    ];
+    let costs =
+        prop_oneof![Just((40.0, 200.0, 100.0, 0.95)), Just((4.0, 1000.0, 700.0, 1.0)), Just((0.0, 50.0, 80.0, 0.8))];
+    (geometry, noise, costs, 1usize..5, any::<bool>(), 0.0..1.0f64).prop_map(
+        |(geometry, noise, costs, arc_samples, interpolated, at)| {
+            let (width, height, dx, dy, radius, headings) = geometry;
+            let (rotation, collision, exit, discount) = costs;
+            let triangle = |x: f64, y: f64| Polygon::new(vec![[x, y], [x + 2.0, y + 0.3], [x + 0.7, y + 1.9]]).unwrap();
+            let obstacles =
+                vec![triangle(0.3 * width, 0.1 + at * 0.5 * height), triangle(0.55 * width, (1.0 - at) * 0.6 * height)];
+            let needle = Bicycle::new(radius, headings).unwrap();
+            Setup {
+                workspace: Workspace::new([width, height], obstacles, [0.85 * width, 0.5 * height], 1.1).unwrap(),
+                needle,
+                spacing: [dx, dy],
+                noise,
+                arc_samples,
+                transition: if interpolated { Transition::Interpolated } else { Transition::Nearest },
+                costs: Costs { step: needle.step_length(), rotation, collision, exit, discount },
+            }
+        },
+    )
+}
+
+fn rule(tolerance: f64) -> StopRule {
+    let mut rule = StopRule::new(tolerance).unwrap();
+    // A step that rounds to no movement never ends; that is a status, not a failure of this test.
+    rule.max_sweeps = 3000;
+    rule
+}
+
+fn on_threads<R: Send>(threads: usize, work: impl FnOnce() -> R + Send) -> R {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
+}
+
+/// Follows the policy for many sweeps of the definition.
+fn evaluate_plainly(lattice: &LatticeMdp, policy: &[u8]) -> Vec<f64> {
+    let codes = lattice.outcome_table();
+    let at_target = |code: &u8| f64::from(u8::from(*code == ppvi::lattice::outcome::AT_TARGET));
+    let mut success: Vec<f64> = codes.iter().map(at_target).collect();
+    for _ in 0..4000 {
+        let next: Vec<f64> = (0..lattice.states())
+            .map(|state| {
+                if lattice.actions(state) == 0 {
+                    return success[state];
+                }
+                let action = usize::from(policy[state]);
+                let arriving = state ^ action;
+                let mut sum = f64::from(u8::from(codes[arriving] == ppvi::lattice::outcome::TARGET));
+                lattice.for_each_successor(state, action, |next, p| sum += p * success[next]);
+                sum
+            })
+            .collect();
+        let change = next.iter().zip(&success).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        success = next;
+        if change < 1e-12 {
+            break;
+        }
+    }
+    success
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
+
+    #[test]
+    fn all_solvers_give_the_same_values(setup in setups(), px in 1usize..4, py in 1usize..4) {
+        let lattice = LatticeMdp::new(setup).unwrap();
+        let swept = sweep::solve(&lattice, rule(1e-3), None).unwrap();
+        let reference = value_iteration(&lattice, rule(1e-6), None).unwrap();
+        prop_assume!(swept.report.status == Status::Converged && reference.report.status == Status::Converged);
+        let largest = reference.values.iter().copied().fold(0.0, f64::max);
+        let bound = swept.report.error_bound + reference.report.error_bound + 1e-9 * largest;
+        for (state, (a, b)) in swept.values.iter().zip(&reference.values).enumerate() {
+            prop_assert!((f64::from(*a) - b).abs() <= bound, "state {}: {} against {}, bound {}", state, a, b, bound);
+        }
+        let partition = lattice.partition([px, py]).unwrap();
+        for priority in [Priority::H1, Priority::H2, Priority::Bound] {
+            let options = PrioritizedOptions { priority, ..PrioritizedOptions::default() };
+            let blocks = prioritized(&lattice, &partition, options, rule(1e-3), None).unwrap();
+            prop_assert_eq!(blocks.report.status, Status::Converged);
+            let bound = blocks.report.error_bound + reference.report.error_bound + 1e-9 * largest;
+            for (a, b) in blocks.values.iter().zip(&reference.values) {
+                prop_assert!((a - b).abs() <= bound);
+            }
+        }
+        // Where the better action is better by more than both errors, it is the one in the table.
+        for state in (0..lattice.states()).filter(|s| lattice.actions(*s) == 2) {
+            let gap = lattice.q_value(state, 0, &reference.values) - lattice.q_value(state, 1, &reference.values);
+            if gap.abs() > 2.0 * bound {
+                prop_assert_eq!(swept.policy[state], u8::from(gap > 0.0));
+            }
+        }
+    }
+
+    #[test]
+    fn any_number_of_threads_gives_the_same_bits(setup in setups()) {
+        let lattice = LatticeMdp::new(setup).unwrap();
+        let solve = || {
+            let solution: LatticeSolution = sweep::solve(&lattice, rule(1e-2), None).unwrap();
+            let success: Evaluation = evaluation::success(&lattice, &solution.policy).unwrap();
+            (solution.values, solution.policy, solution.report.residual.to_bits(), success.values)
+        };
+        let one = on_threads(1, solve);
+        for threads in [2, 3, 5] {
+            prop_assert!(one == on_threads(threads, solve));
+        }
+    }
+
+    #[test]
+    fn success_is_that_of_the_plain_chain(setup in setups()) {
+        let lattice = LatticeMdp::new(setup).unwrap();
+        let solution = sweep::solve(&lattice, rule(1e-2), None).unwrap();
+        let success = evaluation::success(&lattice, &solution.policy).unwrap();
+        prop_assume!(success.converged);
+        let plain = evaluate_plainly(&lattice, &solution.policy);
+        for (a, b) in success.values.iter().zip(&plain) {
+            prop_assert!((f64::from(*a) - b).abs() < 1e-4, "{} against {}", a, b);
+        }
+    }
+}
