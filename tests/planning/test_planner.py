@@ -94,9 +94,9 @@ def test_a_grid_too_large_says_how_much_it_needs(small: Scenario, spacing: float
 
 
 def test_memory_is_compared_with_what_is_available(small: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
-    needed = small.states * memory.BYTES_PER_STATE
+    needed = small.states * memory.BYTES_PER_STATE[small.solver.method]
     monkeypatch.setattr(memory, "available_bytes", lambda: needed)
     memory.require_memory(small)
     monkeypatch.setattr(memory, "available_bytes", lambda: needed - 1)
-    with pytest.raises(ScenarioError, match=r"needs about 7\.2 MB of memory; 7\.2 MB are available"):
+    with pytest.raises(ScenarioError, match=r"needs about 6\.48 MB of memory; 6\.48 MB are available"):
         memory.require_memory(small)

@@ -61,7 +61,7 @@ def test_the_order_of_a_table_without_partitions_is_refused(table: npl.PolicyTab
 def test_a_flat_workspace_is_stretched_and_says_so() -> None:
     figure, axes = figures.sheet(Scenario.read("phantom").workspace, 2)
     figures.draw_scene(axes[0], Scenario.read("phantom"))
-    assert "stretched" in axes[0].get_ylabel()
+    assert "y stretched 3.6 times" in axes[0].get_xlabel()
     assert axes[0].get_position().y0 > axes[1].get_position().y0
     assert len(figure.axes) == 2
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from needleplan import _ppvi
 from needleplan.errors import ScenarioError
-from needleplan.planning.memory import require_memory
 from needleplan.scenario import Scenario, Transition
 
 __all__ = ["lattice_of"]
 
 
 def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
-    """Build the lattice: geometry tested, events of all arcs known. Raises ScenarioError where it is too large."""
-    require_memory(scenario)
+    """Build the lattice: geometry tested, events of all arcs known. Raises ScenarioError."""
     objective = scenario.objective
     try:
         return _ppvi.Lattice(

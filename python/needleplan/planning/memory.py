@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from needleplan.errors import Mistake, ScenarioError
-from needleplan.scenario import Scenario
+from needleplan.scenario import Method, Scenario
 
 __all__ = ["BYTES_PER_STATE", "available_bytes", "require_memory"]
 
-BYTES_PER_STATE = 40
-"""Peak of planning: values, policy and success, the solver's copies of them, events and costs of the arcs."""
+BYTES_PER_STATE = {Method.SWEEP: 36, Method.PPVI: 180, Method.VALUE_ITERATION: 180}
+"""Peak of planning, measured: the table (9), the solver's copies, what the arcs lead to; the sweeps work in single
+precision on the lattice, the other methods in double precision on any Markov decision process."""
 
 _MOST_STATES = 2**31 - 1
 
@@ -18,7 +19,7 @@ _MOST_STATES = 2**31 - 1
 def require_memory(scenario: Scenario) -> None:
     """Raise ScenarioError where planning would need more memory than there is."""
     states = scenario.states
-    needed, available = states * BYTES_PER_STATE, available_bytes()
+    needed, available = states * BYTES_PER_STATE[scenario.solver.method], available_bytes()
     if states <= _MOST_STATES and (available is None or needed <= available):
         return
     reason = (
@@ -26,6 +27,7 @@ def require_memory(scenario: Scenario) -> None:
         + (f"; {_readable(available)} are available" if available is not None else "")
         + (f"; at most {_MOST_STATES:,} states can be numbered" if states > _MOST_STATES else "")
         + "; take a coarser spacing, fewer headings or a smaller workspace"
+        + ("" if scenario.solver.method is Method.SWEEP else ', or solver.method = "sweep"')
     )
     raise ScenarioError(Mistake("grid.spacing_mm", str(list(scenario.grid.spacing_mm)), reason))
 

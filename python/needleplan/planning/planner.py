@@ -6,6 +6,7 @@ from time import perf_counter
 
 from needleplan.errors import ScenarioError
 from needleplan.planning.lattice import lattice_of
+from needleplan.planning.memory import require_memory
 from needleplan.planning.stats import Progress, Stats, Status
 from needleplan.planning.table import PolicyTable
 from needleplan.scenario import Scenario
@@ -20,6 +21,7 @@ def plan(scenario: Scenario, progress: Progress | None = None) -> PolicyTable:
     an exception that it raises stops the solve and comes out here, as does Ctrl-C. A solve that ends before it has
     converged returns its table; `table.stats.status` says so. Raises ScenarioError where the grid is too large.
     """
+    require_memory(scenario)
     began = perf_counter()
     solver = scenario.solver
     lattice = lattice_of(scenario)

@@ -65,13 +65,9 @@ def sheet(workspace: Workspace, panels: int) -> tuple[Figure, list[Axes]]:
 def axes_in_mm(axes: Axes, workspace: Workspace) -> None:
     """Label the axes in mm, with equal scales; a very flat workspace is stretched in y, and its label says so."""
     stretch = workspace.width_mm / workspace.height_mm / _FLATTEST
-    if stretch > 1:
-        axes.set_aspect(stretch)
-        axes.set_ylabel(f"y (mm), stretched {stretch:.2g} times")
-    else:
-        axes.set_aspect("equal")
-        axes.set_ylabel("y (mm)")
-    axes.set_xlabel("x (mm)")
+    axes.set_aspect(max(stretch, 1))
+    axes.set_xlabel(f"x (mm); y stretched {stretch:.2g} times" if stretch > 1 else "x (mm)")
+    axes.set_ylabel("y (mm)")
     axes.set_xlim(0, workspace.width_mm)
     axes.set_ylim(0, workspace.height_mm)
 
