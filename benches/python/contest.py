@@ -1,0 +1,139 @@
+"""What a contestant of `compare_peers.py` is, and how it is measured: in a process of its own, with a time limit.
+
+`python contest.py NAME FOLDER` is that process: it reads the problem from FOLDER, builds what the contestant takes,
+solves it a few times and prints a line of JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from problem import Problem
+
+_MARK = "RESULT "
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a solver found. `values` returns them in the order of the states (the end may be missing), off the clock."""
+
+    values: Callable[[], NDArray[np.floating[Any]]]
+    facts: dict[str, float] = field(default_factory=dict)
+
+
+Solve = Callable[[], Answer]
+Prepare = Callable[[Problem], Solve]
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A solver that takes part.
+
+    `prepare` returns the solver, ready to run; its time is the time to build, with `module` imported already.
+    `warm_up` runs are not counted (compilation, first touch of memory).
+    """
+
+    name: str
+    label: str
+    prepare: Prepare
+    module: str = "needleplan.planning"
+    repeats: int = 1
+    warm_up: int = 0
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Result:
+    """Times in seconds, the error in units of cost, the peak memory of the process; `failure` where there are none."""
+
+    name: str
+    label: str
+    failure: str = ""
+    build: float = 0.0
+    solves: list[float] = field(default_factory=list)
+    error: float = float("nan")
+    peak_gb: float = 0.0
+    facts: dict[str, float] = field(default_factory=dict)
+    note: str = ""
+
+    @property
+    def median(self) -> float:
+        """The median of the times of a solve."""
+        return median(self.solves) if self.solves else float("nan")
+
+    @property
+    def least(self) -> float:
+        """The shortest time of a solve."""
+        return min(self.solves, default=float("nan"))
+
+    def renamed(self, name: str) -> Result:
+        """Return the same figures under another name."""
+        return replace(self, name=name)
+
+
+def compete(contestant: Contestant, folder: Path) -> Result:
+    """Measure a contestant in this process."""
+    problem = Problem.read(folder)
+    import_module(contestant.module)
+    began = perf_counter()
+    solve = contestant.prepare(problem)
+    build = perf_counter() - began
+    for _ in range(contestant.warm_up):
+        answer = solve()
+    solves = []
+    for _ in range(contestant.repeats):
+        began = perf_counter()
+        answer = solve()
+        solves.append(perf_counter() - began)
+    values = np.asarray(answer.values(), dtype=np.float64).ravel()
+    error = float(np.abs(values - np.load(folder / "reference.npy")[: len(values)]).max())
+    peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
+    named = {"name": contestant.name, "label": contestant.label, "note": contestant.note}
+    return Result(**named, build=build, solves=solves, error=error, peak_gb=peak_gb, facts=answer.facts)
+
+
+def measure(contestant: Contestant, folder: Path, time_limit_s: float) -> Result:
+    """Measure a contestant in a process of its own; a failure of any kind is a result as well."""
+    command = [sys.executable, str(Path(__file__).resolve()), contestant.name, str(folder)]
+    named = {"name": contestant.name, "label": contestant.label, "note": contestant.note}
+    with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
+        try:
+            done = subprocess.run(command, stdout=output, stderr=errors, timeout=time_limit_s, check=False)
+        except subprocess.TimeoutExpired:
+            return Result(**named, failure=f"not done after {time_limit_s:.0f} s")
+        output.seek(0)
+        for line in output:
+            if line.startswith(_MARK):
+                return Result(**json.loads(line.removeprefix(_MARK)))
+        errors.seek(0)
+        said = [line.strip() for line in errors if line.strip()]
+    return Result(**named, failure=said[-1][:200] if said else f"ended with exit code {done.returncode}")
+
+
+def main() -> None:
+    """Be the process of one contestant."""
+    from contestants import CONTESTANTS
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("name", choices=sorted(CONTESTANTS))
+    parser.add_argument("folder", type=Path)
+    options = parser.parse_args()
+    print(_MARK + json.dumps(asdict(compete(CONTESTANTS[options.name], options.folder))), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""Which machine, which versions, which commit: what a figure needs beside it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("needleplan", "numpy", "numba", "quantecon", "mdpsolver", "pymdptoolbox", "stormpy")
+
+
+def description() -> dict[str, object]:
+    """Describe the machine and the software of this run."""
+    return {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "commit": commit(),
+        "processor": processor(),
+        "threads": os.cpu_count(),
+        "load_before": round(os.getloadavg()[0], 2),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "rustc": said("rustc", "--version"),
+        "packages": {name: version for name in PACKAGES if (version := _version(name))},
+    }
+
+
+def commit() -> str:
+    """Return the commit, with a plus where the tree differs from it."""
+    dirty = "+" if said("git", "status", "--porcelain", "--untracked-files=no") else ""
+    return (said("git", "rev-parse", "--short=10", "HEAD") or "unknown") + dirty
+
+
+def processor() -> str:
+    """Return the name of the processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else "unknown"
+
+
+def said(*command: str) -> str:
+    """Return what a command of the repository prints, or nothing."""
+    try:
+        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return ""
