@@ -112,6 +112,21 @@ proptest! {
     }
 
     #[test]
+    fn a_backup_is_the_better_q_value(setup in setups(), values in prop::collection::vec(0.0..100.0f64, 97)) {
+        let lattice = LatticeMdp::new(setup).unwrap();
+        let values: Vec<f64> = values.into_iter().cycle().take(lattice.states()).collect();
+        for state in 0..lattice.states() {
+            let (value, action) = lattice.backup(state, &values);
+            if lattice.actions(state) == 0 {
+                prop_assert_eq!(value, lattice.absorbing_value(state));
+                continue;
+            }
+            let q = [0, 1].map(|action| lattice.q_value(state, action, &values));
+            prop_assert!((value - q[action]).abs() < 1e-9 && value <= q[1 - action] + 1e-9);
+        }
+    }
+
+    #[test]
     fn any_number_of_threads_gives_the_same_bits(setup in setups()) {
         let lattice = LatticeMdp::new(setup).unwrap();
         let solve = || {

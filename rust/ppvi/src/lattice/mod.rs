@@ -12,9 +12,10 @@
 //!
 //! so with W(k', b') = sum over m of noise[|m|] V(k' + m, b') the Q-values are shifted reads of W, and
 //! V(b) = min(Q(b), rotation + Q(1 - b)). `sector` and `sweep` turn that into code; this file is the definition, and it
-//! is an [`Mdp`] like any other, with the states numbered as in the table: `((i * ny + j) * headings + k) * 2 + b`.
+//! is an [`Mdp`](crate::Mdp) like any other, with the states numbered as in the table: `((i * ny + j) * headings + k) * 2 + b`.
 
 pub(crate) mod bellman;
+mod definition;
 pub(crate) mod engine;
 pub mod evaluation;
 pub(crate) mod field;
@@ -29,7 +30,6 @@ use rayon::prelude::*;
 
 use crate::bicycle::Bicycle;
 use crate::error::{Error, Result, parameter};
-use crate::mdp::Mdp;
 use crate::memory::filled;
 use crate::partition::Partition;
 use crate::workspace::{ColumnScan, Event, Workspace, grid_points};
@@ -305,28 +305,6 @@ impl LatticeMdp {
             }
         }
     }
-
-    /// `(i, j, k, b)` of a state number.
-    fn coordinates(&self, state: usize) -> (usize, usize, usize, usize) {
-        let Shape { ny, headings, .. } = self.shape;
-        let (b, k) = (state % 2, state / 2 % headings);
-        (state / 2 / headings / ny, state / 2 / headings % ny, k, b)
-    }
-
-    /// Calls `visit(None or Some((i, j)), weight)` for the grid points a displaced position is split into.
-    fn for_each_corner(&self, from: (usize, usize), shift: Shift, mut visit: impl FnMut(Option<(usize, usize)>, f64)) {
-        let Shape { nx, ny, .. } = self.shape;
-        for (u, wu) in [(0, 1.0 - shift.fraction[0]), (1, shift.fraction[0])] {
-            for (v, wv) in [(0, 1.0 - shift.fraction[1]), (1, shift.fraction[1])] {
-                if wu * wv > 0.0 {
-                    let i = from.0 as i64 + i64::from(shift.cell[0]) + u;
-                    let j = from.1 as i64 + i64::from(shift.cell[1]) + v;
-                    let on_grid = (0..nx as i64).contains(&i) && (0..ny as i64).contains(&j);
-                    visit(on_grid.then_some((i as usize, j as usize)), wu * wv);
-                }
-            }
-        }
-    }
 }
 
 fn validate_noise(noise: &[f64]) -> Result<()> {
@@ -341,67 +319,4 @@ fn validate_noise(noise: &[f64]) -> Result<()> {
         return Err(parameter("tip_noise", sum, "P(0) + 2 P(1) + 2 P(2) + ... must be one"));
     }
     Ok(())
-}
-
-impl Mdp for LatticeMdp {
-    fn states(&self) -> usize {
-        self.shape.states()
-    }
-
-    fn discount(&self) -> f64 {
-        self.setup.costs.discount
-    }
-
-    fn actions(&self, state: usize) -> usize {
-        let (i, j, k, b) = self.coordinates(state);
-        if self.outcome(i, j, k, b) >= outcome::AT_OBSTACLE { 0 } else { 2 }
-    }
-
-    fn absorbing_value(&self, state: usize) -> f64 {
-        let (i, j, k, b) = self.coordinates(state);
-        self.value_at(self.outcome(i, j, k, b))
-    }
-
-    fn stage_cost(&self, state: usize, action: usize) -> f64 {
-        let (i, j, k, b) = self.coordinates(state);
-        let costs = &self.setup.costs;
-        let arriving = b ^ action;
-        let mut cost = costs.step + if action == 1 { costs.rotation } else { 0.0 };
-        match self.outcome(i, j, k, arriving) {
-            outcome::COLLISION => cost += costs.collision,
-            outcome::EXIT => cost += costs.exit,
-            outcome::CONTINUES => self.for_each_corner((i, j), self.stencil[k][arriving], |corner, weight| {
-                if corner.is_none() {
-                    cost += costs.discount * weight * self.value_outside();
-                }
-            }),
-            _ => {}
-        }
-        cost
-    }
-
-    fn for_each_successor(&self, state: usize, action: usize, mut visit: impl FnMut(usize, f64)) {
-        let (i, j, k, b) = self.coordinates(state);
-        let Shape { ny, headings, .. } = self.shape;
-        let arriving = b ^ action;
-        if self.outcome(i, j, k, arriving) != outcome::CONTINUES {
-            return;
-        }
-        let turned = k as i64 + if arriving == 1 { 1 } else { -1 };
-        let reach = self.setup.noise.len() as i64 - 1;
-        self.for_each_corner((i, j), self.stencil[k][arriving], |corner, weight| {
-            let Some((i, j)) = corner else { return };
-            for m in -reach..=reach {
-                let heading = (turned + m).rem_euclid(headings as i64) as usize;
-                let probability = weight * self.setup.noise[m.unsigned_abs() as usize];
-                if probability > 0.0 {
-                    visit(((i * ny + j) * headings + heading) * 2 + arriving, probability);
-                }
-            }
-        });
-    }
-
-    fn least_stage_cost(&self) -> f64 {
-        self.setup.costs.step
-    }
 }

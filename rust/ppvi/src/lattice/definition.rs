@@ -1,0 +1,140 @@
+//! The lattice as an MDP like any other: the definition of what the sweeps compute.
+
+use crate::lattice::{LatticeMdp, Shape, Shift, outcome};
+use crate::mdp::Mdp;
+
+impl LatticeMdp {
+    /// `(i, j, k, b)` of a state number.
+    fn coordinates(&self, state: usize) -> (usize, usize, usize, usize) {
+        let Shape { ny, headings, .. } = self.shape;
+        let (b, k) = (state % 2, state / 2 % headings);
+        (state / 2 / headings / ny, state / 2 / headings % ny, k, b)
+    }
+
+    /// Calls `visit(None or Some((i, j)), weight)` for the grid points a displaced position is split into.
+    fn for_each_corner(&self, from: (usize, usize), shift: Shift, mut visit: impl FnMut(Option<(usize, usize)>, f64)) {
+        let Shape { nx, ny, .. } = self.shape;
+        for (u, wu) in [(0, 1.0 - shift.fraction[0]), (1, shift.fraction[0])] {
+            for (v, wv) in [(0, 1.0 - shift.fraction[1]), (1, shift.fraction[1])] {
+                if wu * wv > 0.0 {
+                    let i = from.0 as i64 + i64::from(shift.cell[0]) + u;
+                    let j = from.1 as i64 + i64::from(shift.cell[1]) + v;
+                    let on_grid = (0..nx as i64).contains(&i) && (0..ny as i64).contains(&j);
+                    visit(on_grid.then_some((i as usize, j as usize)), wu * wv);
+                }
+            }
+        }
+    }
+
+    /// Q-value of the step that arrives with a bevel, without the cost of turning.
+    #[inline]
+    fn q_arriving(&self, (i, j, k): (usize, usize, usize), arriving: usize, values: &[f64]) -> f64 {
+        let costs = &self.setup.costs;
+        match self.outcome(i, j, k, arriving) {
+            outcome::TARGET => return costs.step,
+            outcome::COLLISION => return costs.step + costs.collision,
+            outcome::EXIT => return costs.step + costs.exit,
+            _ => {}
+        }
+        let Shape { ny, headings, .. } = self.shape;
+        let noise = &self.setup.noise;
+        let reach = noise.len() - 1;
+        let turned = (k + headings * noise.len() + 2 * arriving - 1) % headings;
+        let mut expectation = 0.0;
+        self.for_each_corner((i, j), self.stencil[k][arriving], |corner, weight| {
+            let Some((i, j)) = corner else {
+                expectation += weight * self.value_outside();
+                return;
+            };
+            let headings_here = &values[(i * ny + j) * headings * 2..][..headings * 2];
+            let mut mean = 0.0;
+            if turned >= reach && turned + reach < headings {
+                let taps = &headings_here[(turned - reach) * 2..][..4 * reach + 2];
+                for (tap, pair) in taps.chunks_exact(2).enumerate() {
+                    mean += noise[tap.abs_diff(reach)] * pair[arriving];
+                }
+            } else {
+                for tap in 0..2 * reach + 1 {
+                    let heading = (turned + headings * noise.len() + tap - reach) % headings;
+                    mean += noise[tap.abs_diff(reach)] * headings_here[heading * 2 + arriving];
+                }
+            }
+            expectation += weight * mean;
+        });
+        costs.step + costs.discount * expectation
+    }
+}
+
+impl Mdp for LatticeMdp {
+    fn states(&self) -> usize {
+        self.shape.states()
+    }
+
+    fn discount(&self) -> f64 {
+        self.setup.costs.discount
+    }
+
+    fn actions(&self, state: usize) -> usize {
+        let (i, j, k, b) = self.coordinates(state);
+        if self.outcome(i, j, k, b) >= outcome::AT_OBSTACLE { 0 } else { 2 }
+    }
+
+    fn absorbing_value(&self, state: usize) -> f64 {
+        let (i, j, k, b) = self.coordinates(state);
+        self.value_at(self.outcome(i, j, k, b))
+    }
+
+    fn stage_cost(&self, state: usize, action: usize) -> f64 {
+        let (i, j, k, b) = self.coordinates(state);
+        let costs = &self.setup.costs;
+        let arriving = b ^ action;
+        let mut cost = costs.step + if action == 1 { costs.rotation } else { 0.0 };
+        match self.outcome(i, j, k, arriving) {
+            outcome::COLLISION => cost += costs.collision,
+            outcome::EXIT => cost += costs.exit,
+            outcome::CONTINUES => self.for_each_corner((i, j), self.stencil[k][arriving], |corner, weight| {
+                if corner.is_none() {
+                    cost += costs.discount * weight * self.value_outside();
+                }
+            }),
+            _ => {}
+        }
+        cost
+    }
+
+    fn for_each_successor(&self, state: usize, action: usize, mut visit: impl FnMut(usize, f64)) {
+        let (i, j, k, b) = self.coordinates(state);
+        let Shape { ny, headings, .. } = self.shape;
+        let arriving = b ^ action;
+        if self.outcome(i, j, k, arriving) != outcome::CONTINUES {
+            return;
+        }
+        let turned = k as i64 + if arriving == 1 { 1 } else { -1 };
+        let reach = self.setup.noise.len() as i64 - 1;
+        self.for_each_corner((i, j), self.stencil[k][arriving], |corner, weight| {
+            let Some((i, j)) = corner else { return };
+            for m in -reach..=reach {
+                let heading = (turned + m).rem_euclid(headings as i64) as usize;
+                let probability = weight * self.setup.noise[m.unsigned_abs() as usize];
+                if probability > 0.0 {
+                    visit(((i * ny + j) * headings + heading) * 2 + arriving, probability);
+                }
+            }
+        });
+    }
+
+    fn backup(&self, state: usize, values: &[f64]) -> (f64, usize) {
+        let (i, j, k, b) = self.coordinates(state);
+        let code = self.outcome(i, j, k, b);
+        if code >= outcome::AT_OBSTACLE {
+            return (self.value_at(code), 0);
+        }
+        let insert = self.q_arriving((i, j, k), b, values);
+        let rotate = self.q_arriving((i, j, k), 1 - b, values) + self.setup.costs.rotation;
+        if rotate < insert { (rotate, 1) } else { (insert, 0) }
+    }
+
+    fn least_stage_cost(&self) -> f64 {
+        self.setup.costs.step
+    }
+}
