@@ -1,5 +1,7 @@
 """Scenarios as plain dicts, and where the sampled reference solutions are."""
 
+import copy
+import json
 import os
 from pathlib import Path
 from typing import Any
@@ -67,3 +69,22 @@ def four_obstacles(variant: str, transition: str = "nearest", collision: float |
         transition=transition,
         objective=objective,
     )
+
+
+def toml_text(scenario: dict[str, Any], **solver: Any) -> str:
+    """Write a case as a scenario file; `solver` becomes its table of that name."""
+    lines = ['schema = "needleplan.scenario/1"', 'title = "oracle case"']
+    for name, table in (*scenario.items(), ("solver", solver)):
+        for entry in table if isinstance(table, list) else [table]:
+            lines.append(f"[[{name}]]" if isinstance(table, list) else f"[{name}]")
+            lines += [f"{key} = {json.dumps(value)}" for key, value in entry.items()]
+    return "\n".join(lines) + "\n"
+
+
+def mirrored(scenario: dict[str, Any]) -> dict[str, Any]:
+    """Return the scenario reflected about y = height/2."""
+    result, height = copy.deepcopy(scenario), scenario["workspace"]["height_mm"]
+    result["target"]["center_mm"][1] = height - scenario["target"]["center_mm"][1]
+    for obstacle in result["obstacle"]:
+        obstacle["polygon_mm"] = [[x, height - y] for x, y in obstacle["polygon_mm"]]
+    return result

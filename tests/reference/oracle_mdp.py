@@ -56,7 +56,7 @@ class Mdp:
 
 @dataclass(frozen=True)
 class Solution:
-    """Axes [x, y, heading, bevel]. `gap` is |Q_insert - Q_rotate|; policy 0 and gap 0 at absorbing points."""
+    """Axes [x, y, heading, bevel]. `gap` is |Q_insert - Q_rotate|; 0 at absorbing points and where values are inf."""
 
     values: Floats
     policy: NDArray[np.uint8]
@@ -131,22 +131,46 @@ def success_of(mdp: Mdp, policy: NDArray[np.uint8], residual: float = 1e-10, max
     raise RuntimeError(f"success did not converge: {change}")
 
 
+def may_end(mdp: Mdp) -> NDArray[np.bool_]:
+    """States from which some policy ends with probability one; without discount all others cost infinitely much.
+
+    Nearest transitions have traps: steps shorter than half a cell never leave it. Largest set R such that from every
+    state of R an end can be reached by actions whose successors all lie in R.
+    """
+    allowed = np.ones(mdp.ending.shape, dtype=bool)
+    while True:
+        leaves = expectation(mdp, np.where(allowed, 0.0, 1.0), 0.0, np.zeros(4)) > 0.0
+        reached, grown = np.zeros_like(allowed), with_absorbing(mdp, np.zeros(allowed.shape), 1.0, 1.0) > 0.0
+        while np.any(grown != reached):
+            reached = grown
+            arc = ~leaves & (expectation(mdp, np.where(reached, 1.0, 0.0), 1.0, np.ones(4)) > 0.0)
+            grown = reached | arc | arc[..., ::-1]
+        if np.array_equal(reached, allowed):
+            return allowed
+        allowed = reached
+
+
 def solve(mdp: Mdp, residual: float = 1e-10, max_sweeps: int = 100_000) -> Solution:
     """Plain value iteration (Jacobi) from zero, until a sweep changes no value by more than `residual`."""
     problem = mdp.problem
     obstacle = problem.collision if problem.interpolated else 0.0
+    finite = may_end(mdp) if problem.discount == 1.0 else np.ones(mdp.ending.shape, dtype=bool)
+    leaves = expectation(mdp, np.where(finite, 0.0, 1.0), 0.0, np.zeros(4)) > 0.0
+    forbidden = np.stack([leaves, leaves[..., ::-1]], axis=-1)
     values = with_absorbing(mdp, np.zeros(mdp.ending.shape), obstacle, 0.0)
     change, sweeps = np.inf, 0
     while change > residual:
         if sweeps == max_sweeps:
             raise RuntimeError(f"value iteration did not converge: {change}")
-        q = action_values(mdp, values)
-        after = with_absorbing(mdp, q.min(axis=-1), obstacle, 0.0)
+        q = np.where(forbidden, np.inf, action_values(mdp, values))
+        after = with_absorbing(mdp, np.where(finite, q.min(axis=-1), 0.0), obstacle, 0.0)
         change, values, sweeps = float(np.max(np.abs(after - values))), after, sweeps + 1
     free = (mdp.kind == FREE)[:, :, None, None]
     policy = ((q[..., 1] < q[..., 0]) & free).astype(np.uint8)
-    gap = np.where(free, np.abs(q[..., 0] - q[..., 1]), 0.0)
-    return Solution(values, policy, gap, success_of(mdp, policy), q, change, sweeps)
+    gap = np.zeros(values.shape)
+    np.subtract(q[..., 1], q[..., 0], out=gap, where=free & finite)
+    values = np.where(finite, values, np.inf)
+    return Solution(values, policy, np.abs(gap), success_of(mdp, policy), q, change, sweeps)
 
 
 def explicit(mdp: Mdp) -> tuple[Ints, Floats, Floats]:

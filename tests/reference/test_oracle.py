@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import shapely
 from oracle_arc import COLLISION, FREE, GOES_ON, OBSTACLE, Problem, follow_arc, nearest_index, problem_from
-from oracle_cases import NPZ_NAME, VARIANTS, case, four_obstacles, npz_path
+from oracle_cases import NPZ_NAME, VARIANTS, case, four_obstacles, mirrored, npz_path
 from oracle_mdp import Mdp, Solution, build, explicit, solve
 from oracle_rollout import rollout
 
@@ -113,6 +113,16 @@ def test_a_corner_outside_the_grid_carries_the_exit_cost() -> None:
     assert solution.q[1, 0, 0, 1, 0] == pytest.approx(0.25 * STEP + 0.9 * (inner + 0.125 * 8.0))
 
 
+def test_steps_shorter_than_half_a_cell_never_end() -> None:
+    # Steps of 0.31 mm: a grid point stays where it is, except where its arc meets the target or leaves the square.
+    scenario = case((4.0, 4.0), target=(2.0, 2.0, 0.25), rho=0.5, headings=10)
+    _, solution = solved(scenario)
+    assert np.all(np.isinf(solution.values[1, 1]))
+    assert np.isfinite(solution.values[0, 0]).any()
+    _, discounted = solved(scenario | {"objective": scenario["objective"] | {"discount": 0.9}})
+    assert discounted.values[1, 1] == pytest.approx(0.1 * math.pi / (1.0 - 0.9))
+
+
 def second_reading(problem: Problem, i: int, j: int, k: int, b: int, values: Any) -> list[float]:
     """Q of one "nearest" state, one number at a time, written from the definition once more."""
     result = []
@@ -166,11 +176,7 @@ def test_explicit_arrays_describe_the_same_chain() -> None:
 @pytest.mark.parametrize("transition", ["nearest", "interpolated"])
 def test_mirrored_scenario_has_the_mirrored_table(transition: str) -> None:
     scenario = wiggly(transition)
-    mirrored = wiggly(transition)
-    mirrored["target"]["center_mm"][1] = 7.0 - scenario["target"]["center_mm"][1]
-    for obstacle in mirrored["obstacle"]:
-        obstacle["polygon_mm"] = [[x, 7.0 - y] for x, y in obstacle["polygon_mm"]]
-    (_, one), (_, other) = solved(scenario), solved(mirrored)
+    (_, one), (_, other) = solved(scenario), solved(mirrored(scenario))
     back = np.roll(other.values[:, ::-1, ::-1, ::-1], 1, axis=2)  # heading k -> -k mod 9, bevel -> -bevel
     np.testing.assert_allclose(one.values, back, atol=1e-8)
 
