@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -47,6 +48,20 @@ def test_every_method_gives_the_same_values(small: Scenario, method: Method, tra
         for each in (method, Method.VALUE_ITERATION)
     ]
     assert values[0] == pytest.approx(values[1], abs=2e-3, rel=1e-5)
+
+
+def test_only_partitions_without_free_points_are_left_out(small: Scenario) -> None:
+    columns, rows = 12, 8
+    solver = replace(small.solver, method=Method.PPVI, partitions=(columns, rows), tolerance=0.1)
+    table = npl.plan(replace(small, solver=solver, objective=replace(small.objective, discount=0.9)))
+    in_obstacle = table.lattice.outcomes()[:, :, 0, 0] == 4
+    left_out = set(range(columns * rows)) - set(table.stats.order)
+    assert left_out
+    for partition in left_out:
+        column, row = divmod(partition, rows)
+        x = slice(math.ceil(column * 61 / columns), (column + 1) * 61 // columns)
+        y = slice(math.ceil(row * 41 / rows), (row + 1) * 41 // rows)
+        assert in_obstacle[x, y].all()
 
 
 def test_the_order_of_obstacles_changes_nothing(small: Scenario) -> None:

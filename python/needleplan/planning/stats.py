@@ -27,7 +27,7 @@ class Stats:
 
     `sweeps` is `backups` in units of the number of states; `residual` is the largest Bellman residual max |TV - V| of
     the values; `error_bound` bounds max |V - V*|, infinite where the problem gives no bound. `partitions_processed`
-    counts every visit of a partition; `order` lists the partitions that were visited at all, iy * px + ix, in the order
+    counts every visit of a partition; `order` lists the partitions that were visited at all, ix * py + iy, in the order
     of their first visit (for the directional sweeps: their sectors). `seconds` is the time from scenario to table.
     """
 

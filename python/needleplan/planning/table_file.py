@@ -126,7 +126,7 @@ def _fill(file: h5py.File, table: PolicyTable) -> None:
         file.create_dataset(name, data=axis)
         file[name].attrs["units"] = unit
     file.create_dataset("order", data=table.stats.order, dtype="uint32")
-    file["order"].attrs["description"] = "partitions iy * px + ix in the order of their first processing"
+    file["order"].attrs["description"] = "partitions ix * py + iy in the order of their first processing"
 
 
 def _content(file: h5py.File) -> Content:

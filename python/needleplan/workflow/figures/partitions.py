@@ -36,7 +36,7 @@ def draw_partition_order(axes: Axes, table: PolicyTable) -> None:
     size = min(9.0, 110 / max(columns, rows))
     draw_scene(axes, scenario)
     for partition in range(columns * rows):
-        row, column = divmod(partition, columns)
+        column, row = divmod(partition, rows)
         place = places.get(partition)
         fill = "#e6e6e6" if place is None else shade(0.6 * (1 - place / (len(places) + 1)))
         corner = (column * width, row * height)
