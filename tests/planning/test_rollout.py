@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ import needleplan as npl
 from needleplan.errors import PoseError
 from needleplan.planning import Outcome
 from needleplan.planning.execution import wilson
+from needleplan.scenario import Grid, Scenario, Transition
 
 
 @pytest.mark.parametrize("greedy", [False, True])
@@ -30,6 +33,23 @@ def test_rollouts_add_up(table: npl.PolicyTable, greedy: bool) -> None:
 def test_prediction_is_near_what_happens(table: npl.PolicyTable) -> None:
     found = table.rollout(table.best_entry().pose, runs=5000)
     assert found.success == pytest.approx(found.predicted_success, abs=0.15)
+
+
+def test_expected_length_and_turns_are_near_what_happens(small: Scenario) -> None:
+    table = npl.plan(replace(small, grid=Grid((0.5, 0.5), Transition.INTERPOLATED)))
+    expected = table.expectations()
+    assert expected.length_mm.shape == expected.turns.shape == table.scenario.shape
+    for start in (table.best_entry().pose, table.best_entry("bottom").pose):
+        found = table.rollout(start, runs=5000)
+        index = (
+            round(start.x_mm / 0.5),
+            round(start.y_mm / 0.5),
+            round(start.heading_rad / (2 * np.pi / 36)) % 36,
+            (start.bevel + 1) // 2,
+        )
+        assert expected.length_mm[index] == pytest.approx(found.mean_length_mm, rel=0.1)
+        assert expected.turns[index] == pytest.approx(found.mean_turns, rel=0.25)
+    assert expected.length_mm[100, 50].max() == 0  # in the target
 
 
 def test_a_seed_gives_the_same_runs(table: npl.PolicyTable) -> None:

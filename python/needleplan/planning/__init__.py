@@ -5,7 +5,7 @@ from needleplan.planning.execution import Path, Rollouts
 from needleplan.planning.planner import plan
 from needleplan.planning.pose import Action, Outcome, Pose
 from needleplan.planning.stats import Progress, Stats, Status
-from needleplan.planning.table import Decision, Decisions, PolicyTable
+from needleplan.planning.table import Decision, Decisions, Expectations, PolicyTable
 
 __all__ = [
     "Action",
@@ -13,6 +13,7 @@ __all__ = [
     "Decisions",
     "Edge",
     "Entry",
+    "Expectations",
     "Outcome",
     "Path",
     "PolicyTable",

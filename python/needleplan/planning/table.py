@@ -22,7 +22,7 @@ from needleplan.scenario import Scenario
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Decision", "Decisions", "PolicyTable"]
+__all__ = ["Decision", "Decisions", "Expectations", "PolicyTable"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,16 @@ class Decisions(NamedTuple):
     action: NDArray[np.uint8]
     value: NDArray[np.float32]
     success: NDArray[np.float32]
+
+
+class Expectations(NamedTuple):
+    """What an execution from each state takes on average: float32 [nx, ny, headings, 2], inf where it need not end.
+
+    `length_mm` is the insertion length, `turns` the number of rotations; failures count with what they took.
+    """
+
+    length_mm: NDArray[np.float32]
+    turns: NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +108,11 @@ class PolicyTable:
             )
         except (ValueError, TypeError) as error:
             raise PoseError(str(error)) from None
+
+    def expectations(self) -> Expectations:
+        """Evaluate the expected length and number of turns of the policy, for all states; takes as long as a solve."""
+        found = self.lattice.expectations(self.policy, threads=self.scenario.solver.threads)
+        return Expectations(found["length_mm"], found["turns"])
 
     def start(self, pose: Sequence[float]) -> Pose:
         """Return a pose that the table holds; a missing bevel becomes the one of the lower cost. Raises PoseError."""
