@@ -127,6 +127,27 @@ proptest! {
     }
 
     #[test]
+    fn steps_that_round_to_nothing_have_infinite_values(setup in setups(), divide in 2.0..12.0f64) {
+        let mut setup = setup;
+        setup.transition = Transition::Nearest;
+        setup.costs = Costs { discount: 1.0, rotation: 4.0, ..setup.costs };
+        setup.needle = Bicycle::new(setup.needle.radius / divide, setup.needle.headings).unwrap();
+        setup.costs.step = setup.needle.step_length();
+        let lattice = LatticeMdp::new(setup).unwrap();
+        let swept = sweep::solve(&lattice, rule(1e-3), None).unwrap();
+        prop_assert_eq!(swept.report.status, Status::Converged, "{:?}", swept.report);
+        let proper = ppvi::proper_states(&lattice);
+        for (value, proper) in swept.values.iter().zip(&proper) {
+            prop_assert_eq!(value.is_finite(), *proper);
+        }
+        let reference = value_iteration(&lattice, rule(1e-6), None).unwrap();
+        let bound = swept.report.error_bound + reference.report.error_bound + 1e-6;
+        for (a, b) in swept.values.iter().zip(&reference.values) {
+            prop_assert!(f64::from(*a) == *b || (f64::from(*a) - b).abs() <= bound, "{} against {}", a, b);
+        }
+    }
+
+    #[test]
     fn any_number_of_threads_gives_the_same_bits(setup in setups()) {
         let lattice = LatticeMdp::new(setup).unwrap();
         let solve = || {

@@ -45,6 +45,12 @@ impl<T: Real> Engine<T> {
         self.refresh();
     }
 
+    /// Gives infinite values to the states marked in a field; they are left alone from then on.
+    pub(crate) fn exclude(&mut self, endless: &Field<u8>) {
+        self.sectors.par_iter_mut().for_each(|sector| sector.exclude(endless));
+        self.refresh();
+    }
+
     /// Pulls all halos and recomputes all convolved values.
     fn refresh(&mut self) {
         let Engine { sectors, halos, noise, headings, .. } = self;

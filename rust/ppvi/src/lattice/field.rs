@@ -56,10 +56,13 @@ impl<T: Real> Field<T> {
         table
     }
 
-    /// The largest value.
+    /// The largest finite value.
     pub(crate) fn max(&self) -> f64 {
-        let largest =
-            |part: &[T]| part.iter().fold(0.0, |max, value| if value.widen() > max { value.widen() } else { max });
+        let larger = |max: f64, value: &T| {
+            let value = value.widen();
+            if value > max && value < f64::INFINITY { value } else { max }
+        };
+        let largest = |part: &[T]| part.iter().fold(0.0, larger);
         self.values.par_chunks(1 << 14).map(largest).reduce(|| 0.0, f64::max)
     }
 }

@@ -157,6 +157,18 @@ impl<T: Real> Sector<T> {
         self.values = values;
     }
 
+    /// Gives infinite values to the marked states. Both bevels of a pose have the same two steps to choose from, so they
+    /// are marked together, and both their steps can be taken as ended with an infinite cost.
+    pub(crate) fn exclude(&mut self, endless: &Field<u8>) {
+        let mut marks = Array::filled(0u8, self.values.len());
+        self.import(endless, &mut marks, |mark| mark);
+        for ((value, ended), mark) in self.values.iter_mut().zip(self.ended.iter_mut()).zip(marks.iter()) {
+            if *mark != 0 {
+                (*value, *ended) = (T::of(f64::INFINITY), T::of(f64::INFINITY));
+            }
+        }
+    }
+
     /// Copies the values into a field.
     pub(crate) fn export(&self, field: &mut Field<T>) {
         let vertical = self.arc.direction.is_vertical();
@@ -187,6 +199,11 @@ impl<T: Real> Sector<T> {
         for row in self.values.chunks_exact_mut(self.lanes) {
             row[self.extent[1]..].fill(numbers.outside());
         }
+    }
+
+    /// Whether every step reads only columns further downstream, as it does unless the grid is coarse for the step.
+    fn is_downstream(&self) -> bool {
+        self.shifts.iter().flatten().all(|shift| shift.cell[0] > 0)
     }
 
     /// Recomputes all of W, after values were loaded.
@@ -287,6 +304,10 @@ fn sweep_columns<T: Real, const INTERPOLATED: bool, const POLICY: bool>(
     let mut change = vec![T::default(); sector.lanes];
     let mut buffers = [change.clone(), change.clone()];
     let pair = 2 * sector.lanes;
+    if !sector.is_downstream() {
+        // Columns not yet swept are read, too: they must not hold the halo of the pass before.
+        sector.convolve_all(halo, noise);
+    }
     for u in (0..sector.extent[0]).rev() {
         let column = u * sector.arc.count * pair;
         let mut values = std::mem::take(&mut sector.values);

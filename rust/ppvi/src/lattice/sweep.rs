@@ -25,8 +25,9 @@ use crate::lattice::engine::Engine;
 use crate::lattice::field::Field;
 use crate::lattice::kernel::Numbers;
 use crate::lattice::real::Real;
-use crate::lattice::{LatticeMdp, outcome};
+use crate::lattice::{LatticeMdp, Shift, outcome};
 use crate::mdp::Mdp;
+use crate::proper::proper_states;
 use crate::solution::Report;
 use crate::termination::{Certificate, Observer, Progress, Status, StopRule, Watch};
 
@@ -56,13 +57,25 @@ fn planning_numbers(lattice: &LatticeMdp) -> Numbers<f64> {
     Numbers { step: c.step, rotation: c.rotation, discount: c.discount, ended }
 }
 
+/// The states from which no policy surely ends, which have an infinite value without a discount: a step far shorter than
+/// the spacing may round to no movement at all. Every other lattice is finite, and needs no search.
+fn endless_states(lattice: &LatticeMdp) -> Option<Field<u8>> {
+    let stands_still = |shift: &Shift| shift.cell == [0, 0] && shift.fraction == [0.0, 0.0];
+    if lattice.discount() < 1.0 || !lattice.stencil.iter().flatten().any(stands_still) {
+        return None;
+    }
+    let endless: Vec<u8> = proper_states(lattice).into_iter().map(|proper| u8::from(!proper)).collect();
+    endless.contains(&1).then(|| Field::of_table(lattice.shape, &endless))
+}
+
 /// Solves the lattice by directional sweeps.
 pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>>) -> Result<LatticeSolution> {
     rule.validate()?;
     let started = Instant::now();
     let certificate = Certificate { discount: lattice.discount(), least_stage_cost: lattice.least_stage_cost() };
     let watch = Watch::start(rule, observer);
-    let mut run = Run { lattice, rule, certificate, watch, passes: 0, checks: 0, sectors: 0 };
+    let endless = endless_states(lattice);
+    let mut run = Run { lattice, rule, certificate, watch, passes: 0, checks: 0, sectors: 0, endless };
     let end = match run.iterate::<f32>(None) {
         (End::Exhausted, field) => run.iterate::<f64>(Some(&field)).0,
         (end, _) => end,
@@ -78,6 +91,7 @@ struct Run<'a, 'o> {
     passes: u64,
     checks: u64,
     sectors: usize,
+    endless: Option<Field<u8>>,
 }
 
 /// Everything about the values an iteration ended with.
@@ -98,6 +112,9 @@ impl Run<'_, '_> {
         let costs = &self.lattice.setup.costs;
         let start = costs.exit.min(costs.collision);
         let mut engine = Engine::<T>::new(self.lattice, &planning_numbers(self.lattice), start, None);
+        if let Some(endless) = &self.endless {
+            engine.exclude(endless);
+        }
         if let Some(field) = from {
             engine.load(field);
         }
