@@ -75,7 +75,7 @@ def test_mistakes_are_told_without_a_traceback(scenario_file: Path, tmp_path: Pa
     refused(done, "small.toml: 2 mistakes", "workspace.width_mm = nan", "target.radius_mm = -2", "in mm above 0")
     refused(needleplan("plan", "missing.toml"), "missing.toml: no such file")
     scenario_file.write_text(SMALL.replace("[solver]", "[grid]\nspacing_mm = [1e-7, 1e-7]\n[solver]"))
-    refused(needleplan("plan", scenario_file), "grid.spacing_mm = [1e-07, 1e-07]", "TB of memory")
+    refused(needleplan("plan", scenario_file), "small.toml: grid.spacing_mm = [1e-07, 1e-07]", "TB of memory")
     assert not (tmp_path / "table.h5").exists()
 
 

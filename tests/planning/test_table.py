@@ -125,8 +125,9 @@ def test_an_entry_can_be_pinned(table: npl.PolicyTable) -> None:
         table.best_entry(x_mm=3)
     with pytest.raises(PoseError, match=r'edge = "lift": must be one of .* did you mean "left"'):
         table.best_entry("lift")
-    with pytest.raises(PoseError):
-        table.best_entry(y_mm=99)
+    for place in (99, -1, math.nan, math.inf):
+        with pytest.raises(PoseError, match=rf"y_mm = {place}: must lie in the workspace, from 0 to 40 mm"):
+            table.best_entry(y_mm=place)
 
 
 def test_a_path_is_made_of_steps(table: npl.PolicyTable) -> None:

@@ -63,7 +63,7 @@ def scenarios(draw: st.DrawFn) -> Scenario:
         ),
         solver=Solver(
             method=draw(st.sampled_from(Method)),
-            partitions=(draw(st.integers(1, 5)), draw(st.integers(1, 5))),
+            partitions=draw(st.none() | st.tuples(st.integers(1, 5), st.integers(1, 5))),
             priority=draw(st.sampled_from(Priority)),
             tolerance=draw(st.floats(1e-9, 10)),
             max_sweeps=draw(st.none() | st.integers(1, 10**9)),

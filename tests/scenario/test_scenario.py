@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 
 from needleplan.errors import OutputError, ScenarioError
-from needleplan.scenario import Grid, Needle, Obstacle, Scenario, Target, Transition, Workspace, shipped
+from needleplan.scenario import Grid, Needle, Obstacle, Scenario, Solver, Target, Transition, Workspace, shipped
 from tests.scenario.scenes import scenarios
 
 SQUARE = [(10, 10), (20, 10), (20, 20), (10, 20)]
@@ -55,6 +55,12 @@ def test_numbers_of_the_thesis() -> None:
     assert scenario.x_mm[[0, -1]].tolist() == [0, 120]
     assert scenario.y_mm[[0, -1]].tolist() == [0, 80]
     assert scenario.headings_rad[15] == pytest.approx(math.pi / 2)
+
+
+def test_partitions_fit_the_grid() -> None:
+    assert plain().partitions == (12, 8)
+    assert replace(plain(), grid=Grid((20, 20), Transition.INTERPOLATED)).partitions == (7, 5)
+    assert replace(plain(), solver=Solver(partitions=(3, 2))).partitions == (3, 2)
 
 
 def test_defaults_are_those_of_the_house() -> None:

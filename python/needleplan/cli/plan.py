@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import ProgressLine, complain, note, percent, print_json, print_lines
 from needleplan.cli.options import add_edge, add_figure, add_json, entry_record
+from needleplan.errors import ScenarioError
 
 if TYPE_CHECKING:
     from needleplan.planning import Entry, PolicyTable
@@ -51,6 +52,8 @@ def run(options: argparse.Namespace) -> int:
     progress = ProgressLine()
     try:
         table = plan(scenario, progress)
+    except ScenarioError as error:
+        raise ScenarioError(error.mistakes, options.scenario) from None
     finally:
         progress.close()
     best = table.best_entry(options.edge)

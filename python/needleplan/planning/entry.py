@@ -68,15 +68,21 @@ def entries(table: PolicyTable, edge: str, x_mm: float | None, y_mm: float | Non
     side = Edge(edge)
     scenario = table.scenario
     across = side in (Edge.LEFT, Edge.RIGHT)
-    if (x_mm if across else y_mm) is not None:
-        name = "x_mm" if across else "y_mm"
-        raise PoseError(Mistake(name, str(x_mm if across else y_mm), f'must not be given for the edge "{edge}"'))
+    workspace = scenario.workspace
+    for name, place, size, fixed in (
+        ("x_mm", x_mm, workspace.width_mm, across),
+        ("y_mm", y_mm, workspace.height_mm, not across),
+    ):
+        if place is not None and fixed:
+            raise PoseError(Mistake(name, str(place), f'must not be given for the edge "{edge}"'))
+        if place is not None and not 0 <= place <= size:
+            raise PoseError(Mistake(name, str(place), f"must lie in the workspace, from 0 to {size:g} mm"))
     x = scenario.x_mm if x_mm is None else np.array([x_mm])
     y = scenario.y_mm if y_mm is None else np.array([y_mm])
     if across:
-        x = np.array([0.0 if side is Edge.LEFT else scenario.workspace.width_mm])
+        x = np.array([0.0 if side is Edge.LEFT else workspace.width_mm])
     else:
-        y = np.array([0.0 if side is Edge.BOTTOM else scenario.workspace.height_mm])
+        y = np.array([0.0 if side is Edge.BOTTOM else workspace.height_mm])
     turned = np.remainder(scenario.headings_rad - side.inward_rad + math.pi, 2 * math.pi) - math.pi
     headings = side.inward_rad + turned[np.abs(turned) < math.pi / 2 - 1e-9]
     grid = np.meshgrid(x, y, headings, np.array([-1.0, 1.0]), indexing="ij")

@@ -60,4 +60,4 @@ def _readable(size: float) -> str:
         if size < 1000:
             return f"{size:.3g} {unit}"
         size /= 1000
-    return f"{size:,.3g} TB" if size < 1e6 else f"{size:.1e} TB"
+    return f"{size:.3g} TB" if size < 1000 else f"{size:,.0f} TB"

@@ -28,7 +28,7 @@ def plan(scenario: Scenario, progress: Progress | None = None) -> PolicyTable:
     try:
         solved = lattice.solve(
             method=solver.method.value,
-            partitions=solver.partitions,
+            partitions=scenario.partitions,
             priority=solver.priority.value,
             tolerance=solver.tolerance,
             max_sweeps=solver.max_sweeps,

@@ -44,16 +44,14 @@ class Pose(NamedTuple):
     bevel: int
 
     @classmethod
-    def of(cls, entries: Sequence[float], default_bevel: int | None = None) -> Pose:
-        """Make a pose of three or four numbers; where the bevel is absent it is `default_bevel`. Raises PoseError."""
+    def of(cls, entries: Sequence[float]) -> Pose:
+        """Make a pose of four numbers. Raises PoseError."""
         rule = "a pose is x_mm, y_mm, heading_rad and bevel (-1 or +1)"
         shown = ", ".join(str(entry) for entry in entries)
         try:
             numbers = [float(entry) for entry in entries]
         except (TypeError, ValueError):
             raise PoseError(Mistake("pose", shown, rule)) from None
-        if len(numbers) == 3 and default_bevel is not None:
-            numbers.append(default_bevel)
         if len(numbers) != 4 or not all(math.isfinite(number) for number in numbers) or abs(numbers[3]) != 1:
             raise PoseError(Mistake("pose", shown, rule))
         return cls(numbers[0], numbers[1], numbers[2], int(numbers[3]))

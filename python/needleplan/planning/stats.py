@@ -18,6 +18,9 @@ class Status(StrEnum):
     CONVERGED = "converged"
     ITERATION_LIMIT = "iteration_limit"
     TIME_LIMIT = "time_limit"
+    PRECISION_LIMIT = "precision_limit"
+    """Rounding hides what is left of the residual: the tolerance asks for more than double precision."""
+
     INTERRUPTED = "interrupted"
 
 

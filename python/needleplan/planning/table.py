@@ -117,10 +117,15 @@ class PolicyTable:
     def start(self, pose: Sequence[float]) -> Pose:
         """Return a pose that the table holds; a missing bevel becomes the one of the lower cost. Raises PoseError."""
         if len(pose) == 3:
-            value = self.lookup_many([(*pose, -1), (*pose, 1)]).value
-            return Pose.of(pose, default_bevel=-1 if value[0] < value[1] else 1)
+            pair = self.start((*pose, -1)), self.start((*pose, 1))
+            return min(pair[::-1], key=lambda each: self.lookup(*each).value)
         found = Pose.of(pose)
-        self.lookup(*found)
+        try:
+            self.lookup(*found)
+        except PoseError:
+            workspace = self.scenario.workspace
+            rule = f"must lie in the workspace, [0, {workspace.width_mm:g}] x [0, {workspace.height_mm:g}] mm"
+            raise PoseError(Mistake("pose", str(found), rule)) from None
         return found
 
     def path(self, start: Sequence[float], *, greedy: bool = False, noise_seed: int | None = None) -> execution.Path:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from needleplan.errors import Mistake
-from needleplan.scenario.choices import Transition
+from needleplan.scenario.choices import Method, Transition
 from needleplan.scenario.parts import Grid, Motion, Objective, Obstacle, Solver, Target, Workspace
 from needleplan.scenario.polygon import contains
 from needleplan.scenario.rules import shown
@@ -79,6 +79,8 @@ def _target_on_grid(workspace: Workspace, grid: Grid, target: Target) -> Iterato
 
 def _partitions_hold_points(workspace: Workspace, grid: Grid, solver: Solver) -> Iterator[Mistake]:
     points = grid.points(workspace)
+    if solver.method is not Method.PPVI or not solver.partitions:
+        return
     if any(number > most for number, most in zip(solver.partitions, points, strict=True)):
         rule = f"must not exceed the grid, {points[0]} x {points[1]} points"
         yield Mistake("solver.partitions", shown(solver.partitions), rule)

@@ -141,13 +141,13 @@ class Objective(Part):
 class Solver(Part):
     """How the values are computed, and when they are good enough.
 
-    `partitions` is how many there are along x and y. `tolerance` is the lambda of the thesis: with a discount below one
-    the solve ends at a Bellman residual below (1 - discount) * tolerance, which bounds the error of the values by
-    `tolerance`. `threads` None means all cores.
+    `partitions` is how many there are along x and y for `Method.PPVI`; None means 12 x 8, or fewer on a smaller grid.
+    `tolerance` is the lambda of the thesis: with a discount below one the solve ends at a Bellman residual below
+    (1 - discount) * tolerance, which bounds the error of the values by `tolerance`. `threads` None means all cores.
     """
 
     method: Method = _ruled(Choice(Method), Method.SWEEP)
-    partitions: tuple[int, int] = _ruled(Pair(Integer(1, 65_536)), (12, 8))
+    partitions: tuple[int, int] | None = _ruled(Maybe(Pair(Integer(1, 65_536))), None)
     priority: Priority = _ruled(Choice(Priority), Priority.H2)
     tolerance: float = _ruled(Number(above=0, at_most=1e9), 0.01)
     max_sweeps: int | None = _ruled(Maybe(Integer(1, 1_000_000_000)), None)

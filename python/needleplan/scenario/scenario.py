@@ -96,6 +96,12 @@ class Scenario:
         return math.prod(self.shape)
 
     @property
+    def partitions(self) -> tuple[int, int]:
+        """Number of partitions along x and y: those of the solver, or 12 x 8 as far as the grid has points."""
+        nx, ny = self.grid.points(self.workspace)
+        return self.solver.partitions or (min(12, nx), min(8, ny))
+
+    @property
     def step_mm(self) -> float:
         """Length of one insertion step: 2 pi radius / headings."""
         return 2 * math.pi * self.needle.curvature_radius_mm / self.motion.headings

@@ -3,29 +3,76 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 
 from needleplan.errors import InputError, Mistake, OutputError
-from needleplan.workflow import reproduce_ch6
 from needleplan.workflow.comparison import Comparison
 
-__all__ = ["CHAPTERS", "reproduce"]
-
-Chapter = Callable[[Path | None, Callable[[str], None]], list[Comparison]]
-"""Runs a chapter: draws into a folder where there is one, says what it does, returns the comparisons."""
-
-CHAPTERS: dict[str, Chapter] = {"ch6": reproduce_ch6.run}
+__all__ = ["CHAPTERS", "Effort", "Request", "reproduce"]
 
 
-def reproduce(chapters: Sequence[str], figures: str | None, note: Callable[[str], None]) -> list[Comparison]:
-    """Run the chapters and return all comparisons. Raises InputError for an unknown chapter."""
-    for chapter in chapters:
-        if chapter not in CHAPTERS:
-            raise InputError(Mistake("CHAPTER", f'"{chapter}"', f"must be one of {', '.join(CHAPTERS)}"))
+class Effort(StrEnum):
+    """How much is computed."""
+
+    QUICK = "quick"
+    """Coarse grids and few executions: whether everything runs, in half a minute."""
+
+    DEFAULT = "default"
+    """What was published, at its size; minutes."""
+
+    FULL = "full"
+    """Finer grids besides; much longer."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a chapter is asked to do: where to draw (None: nowhere), how much, and whom to tell what it is doing."""
+
+    folder: Path | None
+    effort: Effort
+    note: Callable[[str], None]
+
+
+CHAPTERS = ("ch2", "ch3", "ch4", "ch5", "ch6", "diagnosis")
+"""The chapters of the thesis with published results; not all are available yet."""
+
+
+def _ch6(request: Request) -> list[Comparison]:
+    from needleplan.workflow.chapter6 import chapter
+
+    return chapter.run(request)
+
+
+_AVAILABLE: dict[str, Callable[[Request], list[Comparison]]] = {"ch6": _ch6}
+
+
+def reproduce(
+    chapters: Sequence[str], figures: str | None, effort: Effort, note: Callable[[str], None]
+) -> list[Comparison]:
+    """Run the chapters and return all comparisons; draw into the folder `figures` where one is given.
+
+    No chapters means all that are available. Raises InputError for a chapter that is not, OutputError for the folder.
+    """
+    mistakes = [
+        Mistake(
+            "CHAPTER", f'"{chapter}"', "is not yet available" if chapter in CHAPTERS else f"must be one of {_names()}"
+        )
+        for chapter in chapters
+        if chapter not in _AVAILABLE
+    ]
+    if mistakes:
+        raise InputError(mistakes)
     folder = Path(figures) if figures else None
     if folder:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"cannot be made: {error.strerror}", str(folder)) from error
-    return [comparison for chapter in chapters for comparison in CHAPTERS[chapter](folder, note)]
+    request = Request(folder, effort, note)
+    return [comparison for chapter in chapters or _AVAILABLE for comparison in _AVAILABLE[chapter](request)]
+
+
+def _names() -> str:
+    return ", ".join(CHAPTERS)

@@ -29,7 +29,7 @@ def draw_partition_order(axes: Axes, table: PolicyTable) -> None:
     if scenario.solver.method is not Method.PPVI:
         rule = 'must be "ppvi" for this figure; the other methods know no partitions'
         raise InputError(Mistake("solver.method", f'"{scenario.solver.method}"', rule))
-    columns, rows = scenario.solver.partitions
+    columns, rows = scenario.partitions
     width, height = scenario.workspace.width_mm / columns, scenario.workspace.height_mm / rows
     places = {partition: place for place, partition in enumerate(table.stats.order, start=1)}
     shade = colormaps["Blues"]
