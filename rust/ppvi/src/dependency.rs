@@ -131,6 +131,11 @@ impl StateDependents {
         StateDependents { offsets, states }
     }
 
+    /// Number of states.
+    pub fn states(&self) -> usize {
+        self.offsets.len() - 1
+    }
+
     /// SDS(s), ascending.
     pub fn sds(&self, state: usize) -> &[u32] {
         &self.states[self.offsets[state]..self.offsets[state + 1]]

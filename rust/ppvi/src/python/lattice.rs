@@ -1,113 +1,25 @@
-//! The binding: arrays in, arrays out. Everything it calls is an ordinary function of this crate.
-
-use std::ops::ControlFlow;
-use std::time::Duration;
+//! The lattice: from a scenario's numbers to tables and executions.
 
 use numpy::ndarray::Array4;
 use numpy::{
-    IntoPyArray, PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray4,
-    PyUntypedArrayMethods,
+    IntoPyArray, PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
 };
-use pyo3::exceptions::{PyMemoryError, PyValueError};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use super::{detached, report_dict, solve_with_progress, stop_rule};
 use crate::bicycle::Bicycle;
 use crate::lattice::evaluation::{self, Evaluation};
 use crate::lattice::sweep;
 use crate::lattice::{Costs, LatticeMdp, Setup, Shape, Transition};
-use crate::lookup::{Table, TableGrid};
-use crate::prioritized::{PrioritizedOptions, prioritized};
 use crate::rollout::{Execution, Executor};
-use crate::workspace::{Polygon, Workspace};
-use crate::{Error, Mdp, Observer, Partition, Progress, Report, Solution, StopRule, TabularMdp, value_iteration};
-
-impl From<Error> for PyErr {
-    fn from(error: Error) -> PyErr {
-        match error {
-            Error::TooLarge { .. } => PyMemoryError::new_err(error.to_string()),
-            _ => PyValueError::new_err(error.to_string()),
-        }
-    }
-}
-
-/// Runs `work` without the GIL, on `threads` threads (default: all).
-fn detached<R: Send>(py: Python<'_>, threads: Option<usize>, work: impl FnOnce() -> R + Send) -> PyResult<R> {
-    let Some(threads) = threads else {
-        return Ok(py.detach(work));
-    };
-    if threads == 0 || threads > 1024 {
-        return Err(PyValueError::new_err(format!("threads = {threads}: must be between 1 and 1024")));
-    }
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    let pool = pool.map_err(|error| PyValueError::new_err(format!("threads = {threads}: {error}")))?;
-    Ok(py.detach(|| pool.install(work)))
-}
-
-/// Calls back into Python between sweeps: signals first, then the caller's function; an exception stops the solve.
-fn solve_with_progress<R: Send>(
-    py: Python<'_>,
-    threads: Option<usize>,
-    progress: Option<Py<PyAny>>,
-    solve: impl FnOnce(Observer<'_>) -> crate::Result<R> + Send,
-) -> PyResult<R> {
-    let mut raised: Option<PyErr> = None;
-    let mut observe = |state: &Progress| {
-        let outcome = Python::attach(|py| {
-            py.check_signals()?;
-            if let Some(progress) = &progress {
-                progress.call1(py, (state.sweeps, state.residual, state.threshold))?;
-            }
-            Ok(())
-        });
-        match outcome {
-            Ok(()) => ControlFlow::Continue(()),
-            Err(error) => {
-                raised = Some(error);
-                ControlFlow::Break(())
-            }
-        }
-    };
-    let solution = detached(py, threads, || solve(&mut observe))?;
-    match raised {
-        Some(error) => Err(error),
-        None => Ok(solution?),
-    }
-}
-
-fn stop_rule(tolerance: f64, max_sweeps: Option<u64>, time_limit_s: Option<f64>) -> PyResult<StopRule> {
-    let mut rule = StopRule::new(tolerance)?;
-    if let Some(max_sweeps) = max_sweeps {
-        rule.max_sweeps = max_sweeps;
-    }
-    if let Some(seconds) = time_limit_s {
-        let limit = Duration::try_from_secs_f64(seconds);
-        rule.time_limit = Some(limit.map_err(|_| {
-            PyValueError::new_err(format!("time_limit_s = {seconds}: must be finite and not negative"))
-        })?);
-    }
-    rule.validate()?;
-    Ok(rule)
-}
-
-fn report_dict<'py>(py: Python<'py>, report: Report, states: usize) -> PyResult<Bound<'py, PyDict>> {
-    let dict = PyDict::new(py);
-    dict.set_item("status", report.status.name())?;
-    dict.set_item("residual", report.residual)?;
-    dict.set_item("error_bound", report.error_bound)?;
-    dict.set_item("backups", report.backups)?;
-    dict.set_item("sweeps", report.backups as f64 / states as f64)?;
-    dict.set_item("partitions", report.partitions)?;
-    dict.set_item("partitions_processed", report.partitions_processed)?;
-    dict.set_item("order", PyArray1::from_vec(py, report.order))?;
-    dict.set_item("seconds_solving", report.seconds_solving)?;
-    dict.set_item("seconds_priorities", report.seconds_priorities)?;
-    Ok(dict)
-}
+use crate::workspace::{Event, Polygon, Workspace};
+use crate::{Mdp, PrioritizedOptions, Report, Solution, TabularMdp, prioritized, value_iteration};
 
 /// The needle-steering MDP on a regular grid.
 #[pyclass(frozen, module = "needleplan._ppvi")]
-struct Lattice {
+pub(super) struct Lattice {
     lattice: LatticeMdp,
 }
 
@@ -216,7 +128,9 @@ impl Lattice {
                 })?)
             }
             other => {
-                return Err(PyValueError::new_err(format!("method = {other:?}: must be \"sweep\", \"ppvi\" or \"vi\"")));
+                return Err(PyValueError::new_err(format!(
+                    "method = {other:?}: must be \"sweep\", \"ppvi\" or \"vi\""
+                )));
             }
         };
         let dict = report_dict(py, report, lattice.states())?;
@@ -355,7 +269,7 @@ fn execution(greedy: bool) -> Execution {
 }
 
 /// Outcome codes of executions: those of events, and 4 for the limit on steps.
-fn ending(event: Option<crate::workspace::Event>) -> u8 {
+fn ending(event: Option<Event>) -> u8 {
     event.map_or(4, |event| event as u8)
 }
 
@@ -365,132 +279,4 @@ fn poses(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 4]>> {
     }
     let (rows, _) = array.as_slice()?.as_chunks::<4>();
     Ok(rows.to_vec())
-}
-
-/// Table entries of many poses.
-#[pyfunction]
-#[pyo3(signature = (values, policy, success, spacing_mm, poses, threads=None))]
-fn lookup_many<'py>(
-    py: Python<'py>,
-    values: PyReadonlyArray4<'py, f32>,
-    policy: PyReadonlyArray4<'py, u8>,
-    success: PyReadonlyArray4<'py, f32>,
-    spacing_mm: [f64; 2],
-    poses: PyReadonlyArray2<'py, f64>,
-    threads: Option<usize>,
-) -> PyResult<(Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>)> {
-    let &[nx, ny, headings, 2] = values.shape() else {
-        return Err(PyValueError::new_err(format!(
-            "values: expected shape [nx, ny, headings, 2], found {:?}",
-            values.shape()
-        )));
-    };
-    if poses.shape()[1] != 4 {
-        return Err(PyValueError::new_err(format!("poses: expected shape [n, 4], found {:?}", poses.shape())));
-    }
-    let grid = TableGrid::new(Shape { nx, ny, headings }, spacing_mm)?;
-    let table = Table { values: values.as_slice()?, policy: policy.as_slice()?, success: success.as_slice()? };
-    let (rows, _) = poses.as_slice()?.as_chunks::<4>();
-    let answers = detached(py, threads, || grid.look_up_many(rows, &table))??;
-    Ok((answers.actions.into_pyarray(py), answers.values.into_pyarray(py), answers.success.into_pyarray(py)))
-}
-
-/// Anybody's sparse MDP.
-#[pyclass(frozen, module = "needleplan._ppvi")]
-struct Tabular {
-    mdp: TabularMdp<'static>,
-}
-
-#[pymethods]
-impl Tabular {
-    #[new]
-    #[pyo3(signature = (*, action_offsets, row_offsets, successors, probabilities, stage_costs, discount))]
-    fn new(
-        py: Python<'_>,
-        action_offsets: PyReadonlyArray1<'_, i64>,
-        row_offsets: PyReadonlyArray1<'_, i64>,
-        successors: PyReadonlyArray1<'_, u32>,
-        probabilities: PyReadonlyArray1<'_, f64>,
-        stage_costs: PyReadonlyArray1<'_, f64>,
-        discount: f64,
-    ) -> PyResult<Self> {
-        let offsets = |name: &str, array: &PyReadonlyArray1<'_, i64>| {
-            let convert = |&offset: &i64| {
-                usize::try_from(offset).map_err(|_| PyValueError::new_err(format!("{name}: {offset} is negative")))
-            };
-            array.as_slice()?.iter().map(convert).collect::<PyResult<Vec<usize>>>()
-        };
-        let action_offsets = offsets("action_offsets", &action_offsets)?;
-        let row_offsets = offsets("row_offsets", &row_offsets)?;
-        let (successors, probabilities) = (successors.as_slice()?, probabilities.as_slice()?);
-        let stage_costs = stage_costs.as_slice()?;
-        let mdp = py.detach(|| {
-            TabularMdp::new(
-                action_offsets,
-                row_offsets,
-                successors.to_vec(),
-                probabilities.to_vec(),
-                stage_costs.to_vec(),
-                discount,
-            )
-        })?;
-        Ok(Tabular { mdp })
-    }
-
-    #[getter]
-    fn states(&self) -> usize {
-        self.mdp.states()
-    }
-
-    #[pyo3(signature = (*, method, labels=None, priority="bound", tolerance, max_sweeps=None, time_limit_s=None, threads=None, progress=None))]
-    #[allow(clippy::too_many_arguments)]
-    fn solve<'py>(
-        &self,
-        py: Python<'py>,
-        method: &str,
-        labels: Option<PyReadonlyArray1<'py, u32>>,
-        priority: &str,
-        tolerance: f64,
-        max_sweeps: Option<u64>,
-        time_limit_s: Option<f64>,
-        threads: Option<usize>,
-        progress: Option<Py<PyAny>>,
-    ) -> PyResult<Bound<'py, PyDict>> {
-        let rule = stop_rule(tolerance, max_sweeps, time_limit_s)?;
-        let mdp = &self.mdp;
-        let solution = match method {
-            "vi" => solve_with_progress(py, threads, progress, |observer| value_iteration(mdp, rule, Some(observer)))?,
-            "ppvi" => {
-                let partition = match labels {
-                    Some(labels) => partition_of(labels.as_slice()?)?,
-                    None => Partition::whole(mdp.states())?,
-                };
-                let options = PrioritizedOptions { priority: priority.parse()?, ..PrioritizedOptions::default() };
-                solve_with_progress(py, threads, progress, |observer| {
-                    prioritized(mdp, &partition, options, rule, Some(observer))
-                })?
-            }
-            other => {
-                return Err(PyValueError::new_err(format!("method = {other:?}: must be \"sweep\", \"ppvi\" or \"vi\"")));
-            }
-        };
-        let dict = report_dict(py, solution.report, mdp.states())?;
-        dict.set_item("values", solution.values.into_pyarray(py))?;
-        dict.set_item("policy", solution.policy.into_pyarray(py))?;
-        Ok(dict)
-    }
-}
-
-fn partition_of(labels: &[u32]) -> PyResult<Partition> {
-    let partitions = labels.iter().max().map_or(1, |label| *label as usize + 1);
-    Ok(Partition::from_labels(labels.to_vec(), partitions)?)
-}
-
-#[pymodule]
-fn _ppvi(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<Lattice>()?;
-    module.add_class::<Tabular>()?;
-    module.add_function(wrap_pyfunction!(lookup_many, module)?)?;
-    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
-    Ok(())
 }

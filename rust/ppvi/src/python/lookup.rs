@@ -1,0 +1,37 @@
+//! Look-ups in a table, which needs no lattice.
+
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::detached;
+use crate::lattice::Shape;
+use crate::lookup::{Table, TableGrid};
+
+/// Table entries of many poses.
+#[pyfunction]
+#[pyo3(signature = (values, policy, success, spacing_mm, poses, threads=None))]
+pub(super) fn lookup_many<'py>(
+    py: Python<'py>,
+    values: PyReadonlyArray4<'py, f32>,
+    policy: PyReadonlyArray4<'py, u8>,
+    success: PyReadonlyArray4<'py, f32>,
+    spacing_mm: [f64; 2],
+    poses: PyReadonlyArray2<'py, f64>,
+    threads: Option<usize>,
+) -> PyResult<(Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>)> {
+    let &[nx, ny, headings, 2] = values.shape() else {
+        return Err(PyValueError::new_err(format!(
+            "values: expected shape [nx, ny, headings, 2], found {:?}",
+            values.shape()
+        )));
+    };
+    if poses.shape()[1] != 4 {
+        return Err(PyValueError::new_err(format!("poses: expected shape [n, 4], found {:?}", poses.shape())));
+    }
+    let grid = TableGrid::new(Shape { nx, ny, headings }, spacing_mm)?;
+    let table = Table { values: values.as_slice()?, policy: policy.as_slice()?, success: success.as_slice()? };
+    let (rows, _) = poses.as_slice()?.as_chunks::<4>();
+    let answers = detached(py, threads, || grid.look_up_many(rows, &table))??;
+    Ok((answers.actions.into_pyarray(py), answers.values.into_pyarray(py), answers.success.into_pyarray(py)))
+}
