@@ -27,4 +27,8 @@ def run(request: Request) -> list[Comparison]:
     if request.effort is Effort.QUICK:
         thesis = replace(thesis, grid=replace(thesis.grid, spacing_mm=(2.0, 2.0)))
     solves = solve_all(thesis, request.note)
-    return [*comparisons, *tables(solves), *claims(solves)]
+    comparisons += [*tables(solves), *claims(solves)]
+    if request.effort is Effort.QUICK:
+        coarse = "a quick run on coarse grids: the numbers do not count"
+        comparisons = [replace(each, reason=f"{coarse}; {each.reason}".rstrip("; ")) for each in comparisons]
+    return comparisons

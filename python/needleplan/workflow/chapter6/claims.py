@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from needleplan.planning import PolicyTable
@@ -31,7 +33,7 @@ def claims(solves: Solves) -> list[Comparison]:
 def in_obstacles(table: PolicyTable) -> set[int]:
     """Return the partitions all of whose grid points are obstacle points."""
     nx, ny, *_ = table.values.shape
-    columns, rows = table.scenario.solver.partitions
+    columns, rows = table.scenario.partitions
     labels = np.add.outer(np.arange(nx) * columns // nx * rows, np.arange(ny) * rows // ny)
     obstacle_point = 4
     free = table.lattice.outcomes()[:, :, 0, 0] != obstacle_point
@@ -91,8 +93,8 @@ def _h2_beats_h1(solves: Solves) -> Comparison:
         _listed(published),
         _listed(ratios),
         all(ratio < 1 for ratio in ratios.values()),
-        "H2 ranks by the value, which does not fall to zero, and so revisits partitions of high cost first; even with the "
-        f"levels of our solver that costs backups; {_ONE_SCENE}",
+        "H2 ranks by the value, which does not fall to zero, and so revisits partitions of high cost first; even "
+        f"with the levels of our solver that costs backups; {_ONE_SCENE}",
     )
 
 
@@ -111,7 +113,7 @@ def _best_partitions(solves: Solves) -> Comparison:
 def _fewer_states(solves: Solves) -> Comparison:
     states = {p: processed_states(table) for (p, _), table in solves.partitioned.items()}
     counts = list(states.values())
-    falling = all(finer < coarser for coarser, finer in zip(counts, counts[1:], strict=False))
+    falling = all(finer < coarser for coarser, finer in pairwise(counts))
     return _said(
         "fewer states are processed with more partitions",
         "1,152,000 > 1,092,000 > 996,000",

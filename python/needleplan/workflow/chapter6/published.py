@@ -39,7 +39,7 @@ TABLE_6_2 = (
     Row62((24, 16), Priority.H1, 700.8, 1612.1, 2312.9),
     Row62((24, 16), Priority.H2, 522.4, 1663.8, 2186.2),
 )
-"""The total of (12, 8) with H1 is printed so, although its parts add up to 1805.6."""
+"""As printed, although the parts of (12, 8) add up to 1805.6 (H1) and 1364.5 (H2)."""
 
 TABLE_6_3 = {(6, 4): (24, 1_152_000), (12, 8): (91, 1_092_000), (24, 16): (332, 996_000)}
 """Table 6.3: partitions processed and processed states, by (nx, ny)."""
