@@ -29,8 +29,12 @@ rust:
 	cargo clippy --workspace --all-targets --all-features --locked -- -D warnings
 	cargo test --workspace --locked
 
-# tests/test_architecture.py runs ruff, mypy, import-linter and stubtest; test_readme.py and test_docs.py run the pages.
 python:
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
 	$(BIN)/python -m pytest
 
 # Instruction counts of the solver's hot paths, by valgrind. CI sets CI=true and must have it.
@@ -52,4 +56,4 @@ $(VENV)/installed-test: $(SOURCES) scripts/install
 	touch $(VENV)/installed $@
 
 clean:
-	rm -rf $(VENV) $(OUT) target
+	rm -rf .venv out target

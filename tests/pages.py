@@ -1,0 +1,100 @@
+"""Runs the code of a Markdown page, in the order in which it stands there.
+
+- `python` blocks run in one namespace for the page, `sh` blocks in bash, which stops at the first failure; both in one
+  folder that is empty at first. `.venv/bin/` stands for the interpreter that runs the tests.
+- A `text` block right after one of them is what it prints on standard output; `...` stands for anything.
+- A block of any kind with a file name, such as `toml mine.toml`, is written to that file.
+- Other blocks are not run, but for `toml` ones that begin with a schema, which must be scenarios.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import io
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import needleplan as npl
+
+ROOT = Path(__file__).parent.parent
+_BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: its language, its file name where it has one, its text and the line of the page."""
+
+    language: str
+    file: str
+    text: str
+    line: int
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    """Yield the fenced blocks of a page."""
+    content = page.read_text(encoding="utf-8")
+    for match in _BLOCK.finditer(content):
+        yield Block(match[1], match[2] or "", match[3], content.count("\n", 0, match.start()) + 2)
+
+
+def run(page: Path, folder: Path) -> None:
+    """Run all blocks of a page in `folder`, which must be the working folder."""
+    namespace: dict[str, Any] = {"__name__": page.stem}
+    printed: str | None = None
+    for block in blocks(page):
+        place = f"{page.name}:{block.line}"
+        if block.file:
+            (folder / block.file).write_text(block.text, encoding="utf-8")
+        if block.language == "text" and printed is not None:
+            agrees = doctest.OutputChecker().check_output(block.text, printed, doctest.ELLIPSIS)
+            assert agrees, f"{place} differs from what was printed:\n{printed}"
+            printed = None
+        elif block.language == "python":
+            printed = _run_python(block, place, namespace)
+        elif block.language == "sh":
+            printed = _run_shell(block, place)
+        else:
+            printed = None
+            if block.language == "toml" and block.text.startswith("schema"):
+                npl.Scenario.from_toml(block.text, place)
+
+
+def broken_links(page: Path) -> list[str]:
+    """Return the relative links of a page that lead nowhere."""
+    targets = [target.split("#")[0] for target in _LINK.findall(page.read_text(encoding="utf-8"))]
+    return [target for target in targets if target and ":" not in target and not (page.parent / target).exists()]
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of a shell in which `needleplan` is the one under test."""
+    return {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+
+
+def _run_python(block: Block, place: str, namespace: dict[str, Any]) -> str:
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
+        exec(compile("\n" * (block.line - 1) + block.text, place, "exec"), namespace)
+    return output.getvalue()
+
+
+def _run_shell(block: Block, place: str) -> str:
+    script = block.text.replace(".venv/bin/", "")
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", script],
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert done.returncode == 0, f"{place}: exit code {done.returncode}\n{done.stdout}{done.stderr}"
+    return done.stdout

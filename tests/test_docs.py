@@ -1,0 +1,52 @@
+"""The code of every page in docs is run, what it is said to print is compared, and every link leads somewhere."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import MISSING, Field, fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from needleplan import scenario
+from tests import pages
+
+PAGES = sorted((pages.ROOT / "docs").rglob("*.md"))
+OTHER_PAGES = [pages.ROOT / name for name in ("README.md", "CHANGELOG.md", "rust/ppvi/README.md")]
+PARTS = ("workspace", "obstacle", "target", "needle", "motion", "grid", "objective", "solver")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    pages.run(page, tmp_path)
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OTHER_PAGES], ids=lambda page: str(page.relative_to(pages.ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    assert not pages.broken_links(page)
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_the_scenario_reference_has_every_key_and_default(part: str) -> None:
+    text = (pages.ROOT / "docs/reference/scenario.md").read_text()
+    sections = re.split(r"^## ", text, flags=re.MULTILINE)
+    (section,) = [each for each in sections if each.startswith((f"[{part}]", f"[[{part}]]"))]
+    told: dict[str, str] = {}
+    for row in section.splitlines():
+        cells = [cell.strip() for cell in row.strip("|").split("|")]
+        for key in re.findall(r"`(\w+)`", cells[0]) if row.startswith("| `") else ():
+            told[key] = cells[3].strip("`")
+    assert told == {each.name: default(each) for each in fields(getattr(scenario, part.capitalize()))}
+
+
+def default(field: Field[Any]) -> str:
+    """Return the default of a key as the reference tells it."""
+    if field.default is MISSING:
+        return "required"
+    if field.default is None:
+        return "none"
+    if isinstance(field.default, tuple):
+        return str(list(field.default))
+    return f'"{field.default}"' if isinstance(field.default, str) else str(field.default)
