@@ -1,0 +1,43 @@
+//! How long is one look-up, and how many a second are a million of them?
+
+mod scene;
+
+use std::hint::black_box;
+
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use ppvi::Result;
+use ppvi::lattice::{Transition, sweep};
+use ppvi::lookup::{Pose, Table, TableGrid};
+use scene::Objective;
+
+fn look_up(criterion: &mut Criterion) -> Result<()> {
+    let lattice = scene::lattice(1.0, Transition::Nearest, Objective::Thesis)?;
+    let solution = sweep::solve(&lattice, scene::rule()?, None)?;
+    // Any numbers will do for the probabilities.
+    let table = Table { values: &solution.values, policy: &solution.policy, success: &solution.values };
+    let grid = TableGrid::new(lattice.shape(), [1.0; 2])?;
+    let poses = scene::poses(1 << 20);
+    let mut group = criterion.benchmark_group("lookup");
+    let mut next = poses.iter().cycle();
+    group.bench_function("one", |bencher| {
+        bencher.iter(|| {
+            let pose = next.next().expect("an endless cycle");
+            grid.index(Pose::of(black_box(*pose))).map(|index| (table.policy[index], table.values[index]))
+        });
+    });
+    group.sample_size(20).throughput(Throughput::Elements(poses.len() as u64));
+    for threads in [1, 2] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
+        group.bench_function(format!("many/{threads}"), |bencher| {
+            bencher.iter(|| pool.install(|| grid.look_up_many(&poses, &table)));
+        });
+    }
+    Ok(())
+}
+
+fn bench(criterion: &mut Criterion) {
+    look_up(criterion).expect("a valid scene");
+}
+
+criterion_group!(benches, bench);
+criterion_main!(benches);

@@ -1,0 +1,36 @@
+//! How long is a whole solve of 1,176,120 states: by the transition, by the objective, by the number of threads?
+
+mod scene;
+
+use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use ppvi::Result;
+use ppvi::lattice::{Transition, sweep};
+use scene::Objective;
+
+fn solves(criterion: &mut Criterion) -> Result<()> {
+    let transitions = [(Transition::Nearest, "nearest"), (Transition::Interpolated, "interpolated")];
+    let objectives = [(Objective::Thesis, "thesis"), (Objective::Success, "success")];
+    let mut group = criterion.benchmark_group("solve");
+    group.sample_size(20);
+    for (transition, kind) in transitions {
+        for (objective, name) in objectives {
+            let lattice = scene::lattice(1.0, transition, objective)?;
+            for threads in [1, 2] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
+                let id = BenchmarkId::new(format!("{kind}/{name}"), threads);
+                let rule = scene::rule()?;
+                group.bench_function(id, |bencher| {
+                    bencher.iter(|| pool.install(|| sweep::solve(&lattice, rule, None)));
+                });
+            }
+        }
+    }
+    Ok(())
+}
+
+fn bench(criterion: &mut Criterion) {
+    solves(criterion).expect("a valid scene");
+}
+
+criterion_group!(benches, bench);
+criterion_main!(benches);
