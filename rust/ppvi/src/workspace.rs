@@ -11,7 +11,8 @@ pub const CLOSED_MM: f64 = 1e-9;
 /// A simple polygon, convex or not; the first vertex is not repeated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Polygon {
-    vertices: Vec<[f64; 2]>,
+    /// Each vertex with the one after it.
+    edges: Vec<[[f64; 2]; 2]>,
     low: [f64; 2],
     high: [f64; 2],
 }
@@ -30,13 +31,9 @@ impl Polygon {
             |axis: usize, pick: fn(f64, f64) -> f64| vertices.iter().map(|p| p[axis]).reduce(pick).unwrap_or(0.0);
         let low = [fold(0, f64::min), fold(1, f64::min)];
         let high = [fold(0, f64::max), fold(1, f64::max)];
-        Ok(Polygon { vertices, low, high })
-    }
-
-    /// Edges as pairs of points.
-    fn edges(&self) -> impl Iterator<Item = ([f64; 2], [f64; 2])> + '_ {
-        let next = self.vertices.iter().cycle().skip(1);
-        self.vertices.iter().zip(next).map(|(&a, &b)| (a, b))
+        let next = vertices.iter().cycle().skip(1);
+        let edges = vertices.iter().zip(next).map(|(&a, &b)| [a, b]).collect();
+        Ok(Polygon { edges, low, high })
     }
 
     /// Appends the closed intervals in which the line "coordinate `axis` = `at`" meets the polygon.
@@ -47,12 +44,12 @@ impl Polygon {
         if at < self.low[axis] - CLOSED_MM || at > self.high[axis] + CLOSED_MM {
             return;
         }
-        let at_vertex = self.vertices.iter().any(|v| (v[axis] - at).abs() <= 2.0 * CLOSED_MM);
+        let at_vertex = self.edges.iter().any(|[v, _]| (v[axis] - at).abs() <= 2.0 * CLOSED_MM);
         let sides: &[f64] = if at_vertex { &[-CLOSED_MM, CLOSED_MM] } else { &[0.0] };
         for side in sides {
             let line = at + side;
             crossings.clear();
-            for (a, b) in self.edges() {
+            for [a, b] in &self.edges {
                 if (a[axis] <= line) != (b[axis] <= line) {
                     let t = (line - a[axis]) / (b[axis] - a[axis]);
                     crossings.push(a[1 - axis] + t * (b[1 - axis] - a[1 - axis]));
@@ -71,8 +68,8 @@ impl Polygon {
             return false;
         }
         let mut inside = false;
-        for (a, b) in self.edges() {
-            if distance_to_segment(point, a, b) <= CLOSED_MM {
+        for [a, b] in &self.edges {
+            if distance_to_segment(point, *a, *b) <= CLOSED_MM {
                 return true;
             }
             if (a[0] <= point[0]) != (b[0] <= point[0]) {
@@ -193,11 +190,10 @@ fn span(interval: [f64; 2], y0: f64, spacing: f64, count: usize) -> std::ops::Ra
     first..end.max(first)
 }
 
-fn fill(codes: &mut [u8], range: std::ops::Range<usize>, event: Event) {
+/// Marks the points of a range where nothing has happened yet.
+pub(crate) fn fill(codes: &mut [u8], range: std::ops::Range<usize>, event: Event) {
     for code in &mut codes[range] {
-        if *code == 0 {
-            *code = event as u8;
-        }
+        *code = if *code == 0 { event as u8 } else { *code };
     }
 }
 

@@ -23,9 +23,12 @@ impl<T: Real> Halo<T> {
         Halo { reach, lanes, values: Array::filled(padding, sector.extent[0] * 2 * reach * 2 * lanes) }
     }
 
+    /// The rows of some headings at column `u`, bevel after bevel.
     #[inline(always)]
-    pub(crate) fn row(&self, u: usize, index: usize, bevel: usize) -> &[T] {
-        &self.values[((u * 2 * self.reach + index) * 2 + bevel) * self.lanes..][..self.lanes]
+    pub(crate) fn rows(&self, u: usize, headings: std::ops::Range<usize>) -> impl Iterator<Item = &[T]> {
+        let column = u * 2 * self.reach;
+        let part = (column + headings.start) * 2 * self.lanes..(column + headings.end) * 2 * self.lanes;
+        self.values[part].chunks_exact(self.lanes)
     }
 
     /// Refreshes the halo of `sectors[of]` from the owners of its headings.

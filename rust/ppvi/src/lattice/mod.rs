@@ -32,7 +32,7 @@ use crate::bicycle::Bicycle;
 use crate::error::{Error, Result, parameter};
 use crate::memory::filled;
 use crate::partition::Partition;
-use crate::workspace::{ColumnScan, Event, Workspace, grid_points};
+use crate::workspace::{ColumnScan, Event, Workspace, fill, grid_points};
 
 /// Outcome codes of a step; [`Event`]s have the same numbers.
 pub mod outcome {
@@ -261,50 +261,66 @@ impl LatticeMdp {
     fn classify(&self) -> Vec<u8> {
         let Shape { nx, ny, headings } = self.shape;
         let Setup { workspace, needle, spacing, arc_samples, .. } = &self.setup;
-        let mut points = vec![0u8; nx * ny];
-        let mut scan = ColumnScan::new(workspace);
-        for (i, column) in points.chunks_exact_mut(ny).enumerate() {
-            scan.mark(i as f64 * spacing[0], 0.0, spacing[1], column);
-        }
+        let points = classify_points(self.shape, &self.setup);
+        let absorbing = points.iter().map(|code| match *code {
+            outcome::TARGET => outcome::AT_TARGET,
+            outcome::COLLISION => outcome::AT_OBSTACLE,
+            _ => 0,
+        });
+        let absorbing: Vec<u8> = absorbing.collect();
         let mut outcomes = filled(0u8, headings * 2 * nx * ny);
         outcomes.par_chunks_mut(nx * ny).enumerate().for_each_init(
             || ColumnScan::new(workspace),
             |scan, (row, plane)| {
                 let (k, bevel) = (row / 2, row % 2);
                 let sign = if bevel == 1 { 1.0 } else { -1.0 };
+                let fractions = (1..=*arc_samples).map(|sample| sample as f64 / *arc_samples as f64);
+                let arc: Vec<[f64; 2]> = fractions.map(|t| needle.displacement(needle.heading(k), sign, t)).collect();
                 for (i, column) in plane.chunks_exact_mut(ny).enumerate() {
-                    for sample in 1..=*arc_samples {
-                        let t = sample as f64 / *arc_samples as f64;
-                        let [dx, dy] = needle.displacement(needle.heading(k), sign, t);
-                        scan.mark(i as f64 * spacing[0] + dx, dy, spacing[1], column);
+                    for [dx, dy] in &arc {
+                        scan.mark(i as f64 * spacing[0] + dx, *dy, spacing[1], column);
                     }
-                    self.mark_landings(i, self.stencil[k][bevel], &points, column);
+                    if self.setup.transition == Transition::Nearest {
+                        self.mark_landings(i, self.stencil[k][bevel], &points, column);
+                    }
+                    for (code, absorbing) in column.iter_mut().zip(&absorbing[i * ny..]) {
+                        *code = if *absorbing != 0 { *absorbing } else { *code };
+                    }
                 }
             },
         );
         outcomes
     }
 
-    /// The end of the step: absorbing states, and for nearest transitions what the point landed on is.
+    /// For nearest transitions, what the point landed on does to steps that go on so far.
     fn mark_landings(&self, i: usize, shift: Shift, points: &[u8], column: &mut [u8]) {
         let Shape { nx, ny, .. } = self.shape;
-        for (j, code) in column.iter_mut().enumerate() {
-            match points[i * ny + j] {
-                p if p == Event::Collision as u8 => *code = outcome::AT_OBSTACLE,
-                p if p == Event::Target as u8 => *code = outcome::AT_TARGET,
-                _ if *code == outcome::CONTINUES && self.setup.transition == Transition::Nearest => {
-                    let to = (i as i64 + i64::from(shift.cell[0]), j as i64 + i64::from(shift.cell[1]));
-                    let on_grid = (0..nx as i64).contains(&to.0) && (0..ny as i64).contains(&to.1);
-                    *code = if on_grid { points[to.0 as usize * ny + to.1 as usize] } else { outcome::EXIT };
-                    // A grid point beyond the border (an extent that is no multiple of the spacing) is a state still.
-                    if on_grid && *code == outcome::EXIT {
-                        *code = outcome::CONTINUES;
-                    }
-                }
-                _ => {}
+        let to_i = i as i64 + i64::from(shift.cell[0]);
+        let move_j = i64::from(shift.cell[1]);
+        let on = (0..nx as i64).contains(&to_i);
+        let low = if on { (-move_j).clamp(0, ny as i64) as usize } else { ny };
+        let high = if on { (ny as i64 - move_j).clamp(low as i64, ny as i64) as usize } else { ny };
+        if low < high {
+            let landing = &points[to_i as usize * ny + (low as i64 + move_j) as usize..][..high - low];
+            for (code, landing) in column[low..high].iter_mut().zip(landing) {
+                *code = if *code == outcome::CONTINUES { *landing } else { *code };
             }
         }
+        fill(column, 0..low, Event::Exit);
+        fill(column, high..ny, Event::Exit);
     }
+}
+
+/// What the grid points are: 0, or the event there. A point beyond the border (where an extent is no multiple of the
+/// spacing) is a point still, so its exit does not count.
+fn classify_points(shape: Shape, setup: &Setup) -> Vec<u8> {
+    let mut points = vec![0u8; shape.nx * shape.ny];
+    let mut scan = ColumnScan::new(&setup.workspace);
+    for (i, column) in points.chunks_exact_mut(shape.ny).enumerate() {
+        scan.mark(i as f64 * setup.spacing[0], 0.0, setup.spacing[1], column);
+        column.iter_mut().for_each(|code| *code = if *code == outcome::EXIT { 0 } else { *code });
+    }
+    points
 }
 
 fn validate_noise(noise: &[f64]) -> Result<()> {

@@ -11,7 +11,7 @@ use crate::lattice::halo::Halo;
 use crate::lattice::kernel::{GOES_ON, LANES, Numbers, back_up_row, blend_row, convolve_row, follow_row};
 use crate::lattice::plane::{Plane, copy};
 use crate::lattice::real::Real;
-use crate::lattice::{LatticeMdp, Shape, Shift, outcome};
+use crate::lattice::{LatticeMdp, Shape, Shift};
 use crate::memory::Array;
 
 /// The grid direction in which the headings of a sector move the most, in cells.
@@ -84,7 +84,7 @@ pub(crate) struct Sector<T: Copy> {
 }
 
 impl<T: Real> Sector<T> {
-    /// A sector with values `start` everywhere but in absorbing states; a policy makes its sweeps follow it.
+    /// A sector with values `start` everywhere (the first sweep sets the absorbing states); a policy makes its sweeps follow it.
     pub(crate) fn new(
         lattice: &LatticeMdp,
         arc: Arc,
@@ -189,12 +189,6 @@ impl<T: Real> Sector<T> {
             let from = (plane, Plane { start: 0, stride: ny, reversed: false });
             let to = self.plane(q, bevel);
             copy(from, (&mut self.ended, to), [nx, ny], vertical, |code| by_code[code as usize]);
-            for (index, &code) in plane.iter().enumerate().filter(|(_, code)| **code >= outcome::AT_OBSTACLE) {
-                let (i, j) = (index / ny, index % ny);
-                let (along, v) = if vertical { (j, i) } else { (i, j) };
-                let u = if self.arc.direction.is_reversed() { self.extent[0] - 1 - along } else { along };
-                self.values[((u * self.arc.count + q) * 2 + bevel) * self.lanes + v] = numbers.ended[code as usize];
-            }
         }
         for row in self.values.chunks_exact_mut(self.lanes) {
             row[self.extent[1]..].fill(numbers.outside());
@@ -219,12 +213,14 @@ impl<T: Real> Sector<T> {
         let width = self.lanes + 2 * self.pad[1];
         let column = &mut self.convolved[(u + self.pad[0]) * (count + 2) * 2 * width..][..(count + 2) * 2 * width];
         let values = &self.values[u * count * 2 * self.lanes..][..count * 2 * self.lanes];
-        let rows = ColumnRows { halo, values, u, count, reach: noise.len(), lanes: self.lanes };
+        let own = values.chunks_exact(self.lanes);
+        let rows: Vec<&[T]> =
+            halo.rows(u, 0..noise.len()).chain(own).chain(halo.rows(u, noise.len()..2 * noise.len())).collect();
         for (r, pair) in column.chunks_exact_mut(2 * width).enumerate() {
             for (bevel, row) in pair.chunks_exact_mut(width).enumerate() {
                 let out = &mut row[self.pad[1]..][..self.lanes];
                 // Row r of W is centred on heading r - 1 of the sector; taps reach noise.len() - 1 to each side.
-                convolve_row(out, noise, |tap| rows.row(r + tap, bevel));
+                convolve_row(out, noise, |tap| rows[(r + tap) * 2 + bevel]);
             }
         }
     }
@@ -267,30 +263,6 @@ impl<T: Real> Sector<T> {
         let weights = [(1.0 - fu) * (1.0 - fv), (1.0 - fu) * fv, fu * (1.0 - fv), fu * fv];
         blend_row(buffer, a, b, c, d, weights.map(T::of));
         buffer
-    }
-}
-
-/// The rows of one column, those of the halo included.
-struct ColumnRows<'a, T: Copy> {
-    halo: &'a Halo<T>,
-    values: &'a [T],
-    u: usize,
-    count: usize,
-    reach: usize,
-    lanes: usize,
-}
-
-impl<'a, T: Real> ColumnRows<'a, T> {
-    /// Heading `index - reach` of the sector.
-    #[inline(always)]
-    fn row(&self, index: usize, bevel: usize) -> &'a [T] {
-        if index < self.reach {
-            self.halo.row(self.u, index, bevel)
-        } else if index >= self.reach + self.count {
-            self.halo.row(self.u, index - self.count, bevel)
-        } else {
-            &self.values[((index - self.reach) * 2 + bevel) * self.lanes..][..self.lanes]
-        }
     }
 }
 
