@@ -74,6 +74,16 @@ class _Sparse(TypedDict):
     stage_costs: NDArray[np.float64]
     discount: float
 
+class _Dependencies(TypedDict):
+    """The maps of Table 6.1 of the thesis in compressed rows."""
+
+    sds_offsets: NDArray[np.int64]
+    sds: NDArray[np.uint32]
+    pdp_offsets: NDArray[np.int64]
+    pdp: NDArray[np.uint32]
+    sdp_offsets: NDArray[np.int64]
+    sdp: NDArray[np.uint32]
+
 @final
 class Lattice:
     """The MDP of a bevel-tip needle on a grid."""
@@ -182,3 +192,4 @@ class Tabular:
         threads: int | None = None,
         progress: _Progress | None = None,
     ) -> _Solution: ...
+    def dependencies(self, labels: NDArray[np.uint32]) -> _Dependencies: ...

@@ -87,6 +87,17 @@ def test_partitions_of_ones_own() -> None:
     assert solution.values == pytest.approx(exact([STAY, GO], COSTS, 0.9), abs=1e-8)
 
 
+def test_the_maps_of_table_6_1() -> None:
+    maps = mdp.dependencies(mdp.TabularMdp([STAY, GO], COSTS, discount=0.9), labels=[0, 1, 1])
+    assert [sorted(states.tolist()) for states in maps.states] == [[0, 1], [0, 1], [0, 1, 2]]
+    assert [{other: states.tolist() for other, states in each.items()} for each in maps.partitions] == [
+        {0: [0], 1: [1]},
+        {0: [0], 1: [1, 2]},
+    ]
+    with pytest.raises(MdpError):
+        mdp.dependencies(mdp.TabularMdp([STAY, GO], COSTS, discount=0.9), labels=[0])
+
+
 @pytest.mark.parametrize(
     ("transitions", "costs", "discount"),
     [

@@ -26,7 +26,7 @@ from needleplan.scenario import Method, Priority
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Solution", "TabularMdp", "solve", "value_iteration"]
+__all__ = ["Dependencies", "Solution", "TabularMdp", "dependencies", "solve", "value_iteration"]
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def solve(
     try:
         solved = mdp.compiled.solve(
             method=Method(method).value,
-            labels=None if labels is None else np.ascontiguousarray(labels, dtype=np.uint32),
+            labels=None if labels is None else _one_a_state(labels, mdp.states),
             priority=Priority(priority).value,
             tolerance=tolerance,
             max_sweeps=max_sweeps,
@@ -179,6 +179,41 @@ def value_iteration(
 ) -> Solution:
     """Solve an MDP by plain value iteration, the readable reference. Arguments and errors as for `solve`."""
     return solve(mdp, method=Method.VALUE_ITERATION, tolerance=tolerance, max_sweeps=max_sweeps, progress=progress)
+
+
+@dataclass(frozen=True, eq=False)
+class Dependencies:
+    """Who depends on whom: Table 6.1 of the thesis.
+
+    `states` holds, for every state, the states with an action that can lead to it (SDS). `partitions` holds, for every
+    partition, the partitions that depend on it (PDP, itself among them where a step can stay inside), each with those
+    of its states that do (SDP of the one within the other).
+    """
+
+    states: tuple[NDArray[np.uint32], ...]
+    partitions: tuple[dict[int, NDArray[np.uint32]], ...]
+
+
+def dependencies(mdp: TabularMdp, labels: ArrayLike) -> Dependencies:
+    """Return the dependency maps of an MDP whose states `labels` [S] assigns to partitions. Raises MdpError."""
+    try:
+        maps = mdp.compiled.dependencies(_one_a_state(labels, mdp.states))
+    except (ValueError, TypeError, OverflowError) as error:
+        raise MdpError(str(error)) from error
+    pairs = np.split(maps["sdp"], maps["sdp_offsets"][1:-1])
+    spans = zip(maps["pdp_offsets"][:-1].tolist(), maps["pdp_offsets"][1:].tolist(), strict=True)
+    return Dependencies(
+        states=tuple(np.split(maps["sds"], maps["sds_offsets"][1:-1])),
+        partitions=tuple({int(maps["pdp"][pair]): pairs[pair] for pair in range(*span)} for span in spans),
+    )
+
+
+def _one_a_state(labels: ArrayLike, states: int) -> NDArray[np.uint32]:
+    """Return the labels as an array. Raises ValueError."""
+    array = np.ascontiguousarray(labels, dtype=np.uint32)
+    if array.shape != (states,):
+        raise ValueError(f"labels must have the shape ({states},), one a state, not {array.shape}")
+    return array
 
 
 def _compressed(matrix: Any) -> tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.float64]]:

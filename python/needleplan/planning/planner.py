@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from time import perf_counter
 
+import numpy as np
+
 from needleplan.errors import ScenarioError
 from needleplan.planning.lattice import lattice_of
 from needleplan.planning.memory import require_memory
@@ -37,6 +39,7 @@ def plan(scenario: Scenario, progress: Progress | None = None) -> PolicyTable:
             progress=progress,
         )
         success = lattice.success(policy=solved["policy"], threads=solver.threads)["success"]
+        np.minimum(success, 1, out=success)  # weights in single precision can sum to a little more than one
     except (ValueError, MemoryError) as error:
         raise ScenarioError(str(error)) from error
     stats = Stats(
