@@ -1,7 +1,7 @@
 //! How many instructions do the hot paths take? `benches/guard` runs each under callgrind and compares with its limits.
 //!
-//! `hot_paths NAME` prepares a path and then calls its function `hot_*`; only in these are instructions counted.
-//! Everything happens on the main thread, for counts belong to threads. Without a name, every path runs once.
+//! `hot_paths NAME` prepares a path and then calls its function `counted_*`; only in these are instructions counted.
+//! Everything happens on the main thread, for counts belong to threads. Without a name it lists them.
 
 mod scene;
 
@@ -34,50 +34,50 @@ const PATHS: [&str; 9] = [
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-fn hot_classify() -> Result<LatticeMdp> {
+fn counted_classify() -> Result<LatticeMdp> {
     scene::lattice(black_box(SPACING), Transition::Nearest, Thesis)
 }
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-fn hot_solve(lattice: &LatticeMdp, rule: StopRule) -> Result<sweep::LatticeSolution> {
+fn counted_solve(lattice: &LatticeMdp, rule: StopRule) -> Result<sweep::LatticeSolution> {
     sweep::solve(lattice, rule, None)
 }
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-fn hot_success(lattice: &LatticeMdp, policy: &[u8]) -> Result<evaluation::Evaluation> {
+fn counted_success(lattice: &LatticeMdp, policy: &[u8]) -> Result<evaluation::Evaluation> {
     evaluation::success(lattice, policy)
 }
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-fn hot_tabular_sweep(mdp: &TabularMdp, rule: StopRule) -> Result<ppvi::Solution> {
+fn counted_tabular_sweep(mdp: &TabularMdp, rule: StopRule) -> Result<ppvi::Solution> {
     tabular_sweep(mdp, rule, None)
 }
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-fn hot_value_iteration(mdp: &TabularMdp, rule: StopRule) -> Result<ppvi::Solution> {
+fn counted_value_iteration(mdp: &TabularMdp, rule: StopRule) -> Result<ppvi::Solution> {
     value_iteration(mdp, rule, None)
 }
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-fn hot_prioritized(mdp: &LatticeMdp, partition: &Partition, rule: StopRule) -> Result<ppvi::Solution> {
+fn counted_prioritized(mdp: &LatticeMdp, partition: &Partition, rule: StopRule) -> Result<ppvi::Solution> {
     let options = PrioritizedOptions { priority: Priority::H2, ..PrioritizedOptions::default() };
     prioritized(mdp, partition, options, rule, None)
 }
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-fn hot_look_up(grid: &TableGrid, poses: &[[f64; 4]], table: &Table) -> Result<Answers> {
+fn counted_look_up(grid: &TableGrid, poses: &[[f64; 4]], table: &Table) -> Result<Answers> {
     grid.look_up_many(poses, table)
 }
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-fn hot_roll_out(executor: &Executor, start: [f64; 4]) -> Result<Vec<Run>> {
+fn counted_roll_out(executor: &Executor, start: [f64; 4]) -> Result<Vec<Run>> {
     executor.rollout(&[start], 1000, 7, true, 500)
 }
 
@@ -87,14 +87,14 @@ fn run(name: &str) -> Result<()> {
     let thesis = |transition| scene::lattice(SPACING, transition, Thesis);
     let nearest = || thesis(Transition::Nearest);
     match name {
-        "classify" => drop(black_box(hot_classify()?)),
-        "solve_nearest" => drop(black_box(hot_solve(&nearest()?, rule)?)),
-        "solve_interpolated" => drop(black_box(hot_solve(&thesis(Transition::Interpolated)?, rule)?)),
-        "tabular_sweep" => drop(black_box(hot_tabular_sweep(&TabularMdp::from_mdp(&nearest()?)?, rule)?)),
-        "value_iteration" => drop(black_box(hot_value_iteration(&TabularMdp::from_mdp(&nearest()?)?, few(5))?)),
+        "classify" => drop(black_box(counted_classify()?)),
+        "solve_nearest" => drop(black_box(counted_solve(&nearest()?, rule)?)),
+        "solve_interpolated" => drop(black_box(counted_solve(&thesis(Transition::Interpolated)?, rule)?)),
+        "tabular_sweep" => drop(black_box(counted_tabular_sweep(&TabularMdp::from_mdp(&nearest()?)?, rule)?)),
+        "value_iteration" => drop(black_box(counted_value_iteration(&TabularMdp::from_mdp(&nearest()?)?, few(5))?)),
         "prioritized" => {
             let lattice = nearest()?;
-            drop(black_box(hot_prioritized(&lattice, &lattice.partition([6, 4])?, few(5))?));
+            drop(black_box(counted_prioritized(&lattice, &lattice.partition([6, 4])?, few(5))?));
         }
         _ => run_on_a_table(name)?,
     }
@@ -106,15 +106,15 @@ fn run_on_a_table(name: &str) -> Result<()> {
     let lattice = scene::lattice(SPACING, Transition::Interpolated, Success)?;
     let solved = sweep::solve(&lattice, scene::rule()?, None)?;
     match name {
-        "success" => drop(black_box(hot_success(&lattice, &solved.policy)?)),
+        "success" => drop(black_box(counted_success(&lattice, &solved.policy)?)),
         "look_up" => {
             let grid = TableGrid::new(lattice.shape(), [SPACING; 2])?;
             let table = Table { values: &solved.values, policy: &solved.policy, success: &solved.values };
-            drop(black_box(hot_look_up(&grid, &scene::poses(50_000), &table)?));
+            drop(black_box(counted_look_up(&grid, &scene::poses(50_000), &table)?));
         }
         "roll_out" => {
             let executor = Executor::new(&lattice, &solved.policy, &solved.values, Execution::Nearest, None)?;
-            drop(black_box(hot_roll_out(&executor, [0.0, 28.0, 0.314, -1.0])?));
+            drop(black_box(counted_roll_out(&executor, [0.0, 28.0, 0.314, -1.0])?));
         }
         _ => panic!("no path {name:?}; there are {PATHS:?}"),
     }
@@ -124,10 +124,11 @@ fn run_on_a_table(name: &str) -> Result<()> {
 fn main() -> Result<()> {
     let here = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread();
     here.build_global().expect("no pool has been asked for before");
-    // Cargo adds flags such as --bench.
-    let names: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with("--")).collect();
-    match names.is_empty() {
-        true => PATHS.iter().try_for_each(|name| run(name)),
-        false => names.iter().try_for_each(|name| run(name)),
+    match std::env::args().nth(1) {
+        Some(name) => run(&name),
+        None => {
+            println!("{}", PATHS.join("\n"));
+            Ok(())
+        }
     }
 }
