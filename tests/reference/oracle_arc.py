@@ -145,10 +145,8 @@ def bilinear_corners(problem: Problem, x: Floats, y: Floats) -> tuple[Ints, Floa
 
 
 def edge_distance(problem: Problem, x: Floats, y: Floats) -> Floats:
-    """Distance of each point to the nearest edge of anything: where it is tiny, rounding errors decide an event."""
+    """Distance to the nearest obstacle edge or the target circle: where it is tiny, rounding errors decide an event."""
     distance = np.abs(np.hypot(x - problem.target[0], y - problem.target[1]) - problem.target_radius)
-    for edge, coordinate in ((0.0, x), (problem.width, x), (0.0, y), (problem.height, y)):
-        distance = np.minimum(distance, np.abs(coordinate - edge))
     for polygon in problem.polygons:
         distance = np.minimum(distance, shapely.distance(polygon.exterior, shapely.points(x, y)))
     return distance
