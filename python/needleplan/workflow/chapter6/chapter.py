@@ -6,8 +6,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from needleplan.scenario import Scenario
+from needleplan.workflow.chapter6.believability import believability
 from needleplan.workflow.chapter6.claims import claims
 from needleplan.workflow.chapter6.problem import problem
+from needleplan.workflow.chapter6.prototype import prototype
 from needleplan.workflow.chapter6.solves import solve_all
 from needleplan.workflow.chapter6.tables import tables
 
@@ -28,7 +30,10 @@ def run(request: Request) -> list[Comparison]:
         thesis = replace(thesis, grid=replace(thesis.grid, spacing_mm=(2.0, 2.0)))
     solves = solve_all(thesis, request.note)
     comparisons += [*tables(solves), *claims(solves)]
+    believed, _ = believability(request)
+    runs = 1000 if request.effort is Effort.QUICK else 20_000
+    comparisons += [*believed, *prototype(request.note, request.effort is Effort.FULL, runs)]
     if request.effort is Effort.QUICK:
-        coarse = "a quick run on coarse grids: the numbers do not count"
+        coarse = "quick: coarse grids"
         comparisons = [replace(each, reason=f"{coarse}; {each.reason}".rstrip("; ")) for each in comparisons]
     return comparisons

@@ -32,7 +32,7 @@ def claims(solves: Solves) -> list[Comparison]:
 
 def in_obstacles(table: PolicyTable) -> set[int]:
     """Return the partitions all of whose grid points are obstacle points."""
-    nx, ny, *_ = table.values.shape
+    nx, ny, *_ = table.scenario.shape
     columns, rows = table.scenario.partitions
     labels = np.add.outer(np.arange(nx) * columns // nx * rows, np.arange(ny) * rows // ny)
     obstacle_point = 4
@@ -89,7 +89,7 @@ def _h2_beats_h1(solves: Solves) -> Comparison:
             row.total_s if row.priority is Priority.H1 else row.total_s / published[row.partitions]
         )
     return _said(
-        "H2 slightly outperforms H1, time of H2 / H1",
+        "H2 slightly outperforms H1, time of H2 over H1",
         _listed(published),
         _listed(ratios),
         all(ratio < 1 for ratio in ratios.values()),

@@ -44,10 +44,9 @@ def solve_all(thesis: Scenario, note: Callable[[str], None]) -> Solves:
 
 def processed_states(table: PolicyTable) -> int:
     """Return the number of states in the partitions that were processed at all (Table 6.3)."""
-    nx, ny, headings, bevels = table.values.shape
+    nx, ny, headings, bevels = table.scenario.shape
     columns, rows = table.scenario.partitions
     widths = np.bincount(np.arange(nx) * columns // nx, minlength=columns)
     heights = np.bincount(np.arange(ny) * rows // ny, minlength=rows)
     points = np.outer(widths, heights).ravel()
-    processed: int = points[list(table.stats.order)].sum().item()
-    return processed * headings * bevels
+    return int(points[list(table.stats.order)].sum()) * headings * bevels
