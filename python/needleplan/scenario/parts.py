@@ -116,7 +116,7 @@ class Grid(Part):
     def points(self, workspace: Workspace) -> tuple[int, int]:
         """Return the number of grid points along x and y: 0, dx, 2 dx ... round(width / dx) dx."""
         nx, ny = (
-            int(size / spacing + 0.5) + 1
+            round(size / spacing) + 1
             for size, spacing in zip((workspace.width_mm, workspace.height_mm), self.spacing_mm, strict=True)
         )
         return nx, ny

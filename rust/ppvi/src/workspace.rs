@@ -38,14 +38,14 @@ impl Polygon {
 
     /// Appends the closed intervals in which the line "coordinate `axis` = `at`" meets the polygon.
     ///
-    /// The section of a closed polygon is the union of its limits from both sides; where a vertex is within the
-    /// tolerance both are taken, elsewhere one is enough.
+    /// The section of a closed polygon is the union of its limits from both sides. Where a vertex is within the
+    /// tolerance both are taken, and the vertex itself, which a steep edge leaves between them.
     fn section(&self, axis: usize, at: f64, crossings: &mut Vec<f64>, intervals: &mut Vec<[f64; 2]>) {
         if at < self.low[axis] - CLOSED_MM || at > self.high[axis] + CLOSED_MM {
             return;
         }
         let at_vertex = self.edges.iter().any(|[v, _]| (v[axis] - at).abs() <= 2.0 * CLOSED_MM);
-        let sides: &[f64] = if at_vertex { &[-CLOSED_MM, CLOSED_MM] } else { &[0.0] };
+        let sides: &[f64] = if at_vertex { &[-CLOSED_MM, 0.0, CLOSED_MM] } else { &[0.0] };
         for side in sides {
             let line = at + side;
             crossings.clear();
@@ -57,6 +57,11 @@ impl Polygon {
             }
             crossings.sort_unstable_by(f64::total_cmp);
             intervals.extend(crossings.chunks_exact(2).map(|c| [c[0] - CLOSED_MM, c[1] + CLOSED_MM]));
+        }
+        if at_vertex {
+            let vertices = self.edges.iter().map(|[vertex, _]| vertex);
+            let here = vertices.filter(|vertex| (vertex[axis] - at).abs() <= CLOSED_MM);
+            intervals.extend(here.map(|vertex| [vertex[1 - axis] - CLOSED_MM, vertex[1 - axis] + CLOSED_MM]));
         }
     }
 
@@ -197,9 +202,9 @@ pub(crate) fn fill(codes: &mut [u8], range: std::ops::Range<usize>, event: Event
     }
 }
 
-/// Number of grid points along an extent: `round(extent / spacing) + 1`.
+/// Number of grid points along an extent: `round(extent / spacing) + 1`, ties to even as in Python.
 pub fn grid_points(extent: f64, spacing: f64) -> Result<usize> {
-    let count = (extent / spacing).round() + 1.0;
+    let count = (extent / spacing).round_ties_even() + 1.0;
     if count.is_finite() && count < f64::from(u32::MAX) {
         Ok(count as usize)
     } else {
@@ -231,6 +236,24 @@ mod tests {
             ([f64::NAN, 3.0], Some(Event::Exit)),
         ] {
             assert_eq!(w.event(point), event, "{point:?}");
+        }
+    }
+
+    #[test]
+    fn corners_on_the_grid_are_inside_however_sharp() {
+        for corners in [
+            [[2.0, 2.0], [4.0, 3.0], [3.0, 5.0]],
+            [[2.5, 4.25], [5.0, 4.5], [4.0, 2.0]],
+            [[0.75, 4.0], [0.5, 4.0], [0.0, 3.0]],
+        ] {
+            let w = Workspace::new([6.0, 6.0], vec![Polygon::new(corners.to_vec()).unwrap()], [5.5, 0.5], 0.2).unwrap();
+            let mut scan = ColumnScan::new(&w);
+            for corner in corners {
+                let mut codes = vec![0; 25];
+                scan.mark(corner[0], 0.0, 0.25, &mut codes);
+                assert_eq!(codes[(corner[1] * 4.0) as usize], Event::Collision as u8, "{corner:?}");
+                assert_eq!(w.event(corner), Some(Event::Collision));
+            }
         }
     }
 

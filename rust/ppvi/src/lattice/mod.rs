@@ -127,7 +127,7 @@ impl Shift {
         for axis in 0..2 {
             let cells = displacement[axis] / spacing[axis];
             let whole = match transition {
-                Transition::Nearest => cells.round(),
+                Transition::Nearest => nearest_cell(cells),
                 // A fraction that is zero but for rounding must not ask for the point one cell further.
                 Transition::Interpolated if (cells - cells.round()).abs() < 1e-9 => cells.round(),
                 Transition::Interpolated => cells.floor(),
@@ -144,6 +144,11 @@ impl Shift {
         }
         shift
     }
+}
+
+/// The nearest whole number; halves, to within rounding, away from zero, so that mirrored steps land on mirrored points.
+fn nearest_cell(cells: f64) -> f64 {
+    (cells.abs() + 0.5 + 1e-9).floor().copysign(cells)
 }
 
 /// What a lattice is made from.

@@ -258,7 +258,8 @@ impl Lattice {
 
 fn narrow(solution: Solution) -> (Vec<f32>, Vec<u8>, Report) {
     let Solution { values, policy, mut report } = solution;
-    let largest = values.iter().fold(0.0, |max, value| f64::max(max, *value));
+    let finite = values.iter().copied().filter(|value| value.is_finite());
+    let largest = finite.fold(0.0, f64::max);
     // The table is in single precision.
     report.error_bound += largest * f64::from(f32::EPSILON) / 2.0;
     (values.into_iter().map(|v| v as f32).collect(), policy.into_iter().map(|action| action as u8).collect(), report)
