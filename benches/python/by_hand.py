@@ -8,7 +8,7 @@ from contest import Answer, Prepare, Solve
 from problem import Problem
 
 
-@numba.njit  # type: ignore[untyped-decorator]
+@numba.njit
 def alternating(offsets, successors, probabilities, costs, discount, threshold, limit):  # type: ignore[no-untyped-def]
     """Gauss-Seidel, forwards and backwards in turn, until no value changes by `threshold`."""
     values, sweeps, change = np.zeros(len(costs) // 2), 0, np.inf
@@ -28,7 +28,7 @@ def alternating(offsets, successors, probabilities, costs, discount, threshold, 
     return values, sweeps
 
 
-@numba.njit(parallel=True)  # type: ignore[untyped-decorator]
+@numba.njit(parallel=True)
 def jacobi(offsets, successors, probabilities, costs, discount, threshold, limit):  # type: ignore[no-untyped-def]
     """Plain value iteration on all cores."""
     values, sweeps, change = np.zeros(len(costs) // 2), 0, np.inf

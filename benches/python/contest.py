@@ -102,26 +102,30 @@ def compete(contestant: Contestant, folder: Path) -> Result:
     values = np.asarray(answer.values(), dtype=np.float64).ravel()
     error = float(np.abs(values - np.load(folder / "reference.npy")[: len(values)]).max())
     peak_gb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
-    named = {"name": contestant.name, "label": contestant.label, "note": contestant.note}
-    return Result(**named, build=build, solves=solves, error=error, peak_gb=peak_gb, facts=answer.facts)
+    named = _named(contestant)
+    return replace(named, build=build, solves=solves, error=error, peak_gb=peak_gb, facts=answer.facts)
 
 
 def measure(contestant: Contestant, folder: Path, time_limit_s: float) -> Result:
     """Measure a contestant in a process of its own; a failure of any kind is a result as well."""
     command = [sys.executable, str(Path(__file__).resolve()), contestant.name, str(folder)]
-    named = {"name": contestant.name, "label": contestant.label, "note": contestant.note}
+    named = _named(contestant)
     with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
         try:
             done = subprocess.run(command, stdout=output, stderr=errors, timeout=time_limit_s, check=False)
         except subprocess.TimeoutExpired:
-            return Result(**named, failure=f"not done after {time_limit_s:.0f} s")
+            return replace(named, failure=f"not done after {time_limit_s:.0f} s")
         output.seek(0)
         for line in output:
             if line.startswith(_MARK):
                 return Result(**json.loads(line.removeprefix(_MARK)))
         errors.seek(0)
         said = [line.strip() for line in errors if line.strip()]
-    return Result(**named, failure=said[-1][:200] if said else f"ended with exit code {done.returncode}")
+    return replace(named, failure=said[-1][:200] if said else f"ended with exit code {done.returncode}")
+
+
+def _named(contestant: Contestant) -> Result:
+    return Result(contestant.name, contestant.label, note=contestant.note)
 
 
 def main() -> None:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 import numpy as np
 from contest import Answer, Prepare, Solve
 from problem import Problem
@@ -13,9 +17,8 @@ from needleplan.planning.mdp import solve as solve_tabular
 from needleplan.planning.table import PolicyTable
 
 
-def _facts(counts: object) -> dict[str, float]:
+def _facts(read: Callable[[str], Any]) -> dict[str, float]:
     names = ("sweeps", "partitions_processed", "residual", "error_bound", "seconds_solving", "seconds_priorities")
-    read = counts.get if isinstance(counts, dict) else lambda name: getattr(counts, name)
     facts = {name: float(read(name)) for name in names}
     if str(read("status")) != "converged":
         raise RuntimeError(f"ended with the status {read('status')}")
@@ -36,7 +39,7 @@ def lattice(
             solved = built.solve(
                 method=method, partitions=partitions, priority=priority, tolerance=tolerance, threads=threads
             )
-            return Answer(lambda: solved["values"], _facts(solved))
+            return Answer(lambda: solved["values"], _facts(solved.get))
 
         return solve
 
@@ -48,7 +51,7 @@ def whole_way(problem: Problem) -> Solve:
 
     def solve() -> Answer:
         table: PolicyTable = npl.plan(npl.Scenario.read(problem.folder / "scenario.toml"))
-        return Answer(lambda: table.values, _facts(table.stats))
+        return Answer(lambda: table.values, _facts(partial(getattr, table.stats)))
 
     return solve
 
@@ -61,7 +64,7 @@ def tabular(threads: int | None, method: str = "sweep") -> Prepare:
 
         def solve() -> Answer:
             solved = solve_tabular(mdp, method=method, tolerance=problem.tolerance, threads=threads)
-            return Answer(lambda: solved.values, _facts(solved.stats))
+            return Answer(lambda: solved.values, _facts(partial(getattr, solved.stats)))
 
         return solve
 
@@ -73,7 +76,7 @@ def tabular_from_arrays(problem: Problem) -> Solve:
 
     def solve() -> Answer:
         solved = solve_tabular(_tabular(problem), tolerance=problem.tolerance)
-        return Answer(lambda: solved.values, _facts(solved.stats))
+        return Answer(lambda: solved.values, _facts(partial(getattr, solved.stats)))
 
     return solve
 

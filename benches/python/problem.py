@@ -58,7 +58,8 @@ class Problem:
     def backup(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Apply the Bellman operator."""
         q: NDArray[np.float64] = self.costs + self.discount * (self.matrix @ values)
-        return q.reshape(-1, 2).min(axis=1)
+        better: NDArray[np.float64] = q.reshape(-1, 2).min(axis=1)
+        return better
 
     def write(self, folder: Path) -> None:
         """Write the arrays to a folder."""

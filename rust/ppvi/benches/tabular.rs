@@ -1,5 +1,5 @@
 //! How long does an explicit sparse problem take: to validate, to solve by directional sweeps, to solve by plain value
-//! iteration? 297,680 states (a spacing of 2 mm), on the threads of `RAYON_NUM_THREADS`.
+//! iteration? 300,120 states (a spacing of 2 mm), on the threads of `RAYON_NUM_THREADS`.
 
 mod scene;
 
