@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,24 @@ def test_the_scenario_reference_has_every_key_and_default(part: str) -> None:
         for key in re.findall(r"`(\w+)`", cells[0]) if row.startswith("| `") else ():
             told[key] = cells[3].strip("`")
     assert told == {each.name: default(each) for each in fields(getattr(scenario, part.capitalize()))}
+
+
+def test_the_command_line_reference_has_every_option() -> None:
+    text = (pages.ROOT / "docs/reference/cli.md").read_text()
+    sections = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL))
+    assert set(re.findall(r"^    (\w+)", shown("--help"), re.MULTILINE)) == set(sections)
+    for command, section in sections.items():
+        usage = shown(command, "--help")
+        options = set(re.findall(r"--[a-z-]+", usage)) - {"--help"}
+        assert options == set(re.findall(r"--[a-z-]+", section.split("`")[1])) | options & {"--output"}, command
+
+
+def shown(*arguments: str) -> str:
+    """Return what the program prints."""
+    environment = {**pages.environment(), "COLUMNS": "200"}
+    return subprocess.run(
+        ["needleplan", *arguments], env=environment, capture_output=True, text=True, check=True, timeout=60
+    ).stdout
 
 
 def default(field: Field[Any]) -> str:
