@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING
 from needleplan.scenario import Scenario
 from needleplan.workflow.chapter6.believability import believability
 from needleplan.workflow.chapter6.claims import claims
+from needleplan.workflow.chapter6.orders import orders
+from needleplan.workflow.chapter6.paths import paths
+from needleplan.workflow.chapter6.phantom import phantom
 from needleplan.workflow.chapter6.problem import problem
 from needleplan.workflow.chapter6.prototype import prototype
 from needleplan.workflow.chapter6.solves import solve_all
 from needleplan.workflow.chapter6.tables import tables
+from needleplan.workflow.reproduce import Effort
 
 if TYPE_CHECKING:
     from needleplan.workflow.comparison import Comparison
@@ -21,19 +25,23 @@ __all__ = ["run"]
 
 
 def run(request: Request) -> list[Comparison]:
-    """Reproduce the chapter."""
-    from needleplan.workflow.reproduce import Effort
-
+    """Reproduce the chapter; figures and predicted_realised.csv where there is a folder."""
+    quick, full = request.effort is Effort.QUICK, request.effort is Effort.FULL
     thesis = Scenario.read("four_obstacles_thesis")
     comparisons = problem(thesis)
-    if request.effort is Effort.QUICK:
+    if quick:
         thesis = replace(thesis, grid=replace(thesis.grid, spacing_mm=(2.0, 2.0)))
     solves = solve_all(thesis, request.note)
-    comparisons += [*tables(solves), *claims(solves)]
+    if request.folder:
+        orders(solves, request.folder)
     believed, _ = believability(request)
-    runs = 1000 if request.effort is Effort.QUICK else 20_000
-    comparisons += [*believed, *prototype(request.note, request.effort is Effort.FULL, runs)]
-    if request.effort is Effort.QUICK:
-        coarse = "quick: coarse grids"
-        comparisons = [replace(each, reason=f"{coarse}; {each.reason}".rstrip("; ")) for each in comparisons]
-    return comparisons
+    measured = [*tables(solves), *claims(solves), *believed]
+    if quick:
+        measured = [replace(each, reason=f"quick: coarse grids; {each.reason}".rstrip("; ")) for each in measured]
+    return [
+        *comparisons,
+        *measured,
+        *prototype(request.note, fine=full, runs=1000 if quick else 20_000),
+        *paths(request.folder, request.note),
+        *phantom(request.folder, request.note, fine=full),
+    ]

@@ -19,7 +19,7 @@ from needleplan.scenario import Scenario, Transition
 from needleplan.workflow.chapter6.entries import Execution, execute, planned
 from needleplan.workflow.comparison import Comparison, Verdict, measured
 
-__all__ = ["ENTRIES", "prototype"]
+__all__ = ["COARSE", "ENTRIES", "FINE", "Measured", "prototype"]
 
 ENTRIES = ((0, 40, 0), (0, 60, -18), (0, 45, 18), (0, 35, -18), (0, 50, 0))
 """x_mm, y_mm, heading_deg; the bevel of the lower cost."""

@@ -6,7 +6,17 @@ from dataclasses import dataclass
 
 from needleplan.scenario import Priority
 
-__all__ = ["FORMULA_STATES", "OTHER_MACHINE", "OTHER_SCENE", "STATES", "TABLE_6_2", "TABLE_6_3", "VALUE_ITERATION"]
+__all__ = [
+    "FORMULA_STATES",
+    "OTHER_MACHINE",
+    "OTHER_SCENE",
+    "STATES",
+    "TABLE_6_2",
+    "TABLE_6_3",
+    "VALUE_ITERATION",
+    "PlainValueIteration",
+    "Row62",
+]
 
 STATES = 1_176_120
 """Section 6.4: number of states."""

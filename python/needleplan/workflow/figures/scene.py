@@ -68,8 +68,10 @@ def draw_path(axes: Axes, path: Path, *, label: str = "") -> None:
             label=f"turns ({len(path.turns)})",
         )
     if path.outcome in _ENDS:
+        # An exit lies outside; its mark stands on the edge.
         axes.plot(
-            *path.poses[-1, :2],
+            min(max(path.poses[-1, 0], 0), axes.get_xlim()[1]),
+            min(max(path.poses[-1, 1], 0), axes.get_ylim()[1]),
             linestyle="none",
             marker=_ENDS[path.outcome],
             markersize=8,
