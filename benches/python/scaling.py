@@ -172,6 +172,8 @@ def _finish(axes: Any, label: str, points: list[Point], values: list[float]) -> 
     ends = np.array([points[least].states, max(each.states for each in points)], dtype=float)
     axes.plot(ends, 0.5 * values[least] * ends / ends[0], color="0.6", linewidth=1, label="proportional to the states")
     axes.set(xscale="log", yscale="log", xlabel="states", ylabel=label)
+    axes.xaxis.set_minor_formatter("")
+    axes.yaxis.set_minor_formatter("")
     axes.grid(which="major", color="0.9")
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8)

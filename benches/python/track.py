@@ -130,7 +130,8 @@ def _draw_relative(axes: Any, records: list[Record], part: str, names: dict[str,
                 relative = [value / runs[0][1] for _, value in runs]
                 last = f"{runs[-1][1]:,} instructions" if part == "instructions" else _seconds(runs[-1][1])
                 axes.plot([at for at, _ in runs], relative, "o-", color=f"C{number}", label=f"{title}: {last}")
-    axes.set(yscale="log", ylabel=label)
+    axes.set(ylabel=label)
+    axes.set_ylim(bottom=0)
     axes.grid(which="major", color="0.9")
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
