@@ -13,6 +13,7 @@ import numpy as np
 
 from needleplan.provenance import write_whole
 from needleplan.scenario import Scenario, Transition
+from needleplan.workflow.chapter6.believability_figure import draw_believability
 from needleplan.workflow.chapter6.entries import Execution, Study, choose_entries, execute, planned
 from needleplan.workflow.comparison import Comparison, Verdict
 from needleplan.workflow.reproduce import Effort
@@ -30,14 +31,15 @@ _MOST_POINTS, _MEAN_POINTS = 2.0, 1.0
 _FINE_ARC = 40
 
 
-def believability(request: Request) -> tuple[list[Comparison], list[Study]]:
-    """Run the study; write every entry to predicted_realised.csv where there is a folder."""
+def believability(request: Request) -> list[Comparison]:
+    """Run the study; where there is a folder, every entry goes to predicted_realised.csv and .png."""
     studies = [study for name in SCENARIOS for study in _of_scenario(name, request)]
     if request.folder:
         write_entries(request.folder / "predicted_realised.csv", studies)
+        draw_believability(studies, _RUNS[request.effort], request.folder / "predicted_realised.png")
     comparisons = [comparison for study in studies for comparison in summary(study)]
-    goal = [study for study in studies if _is_reference(study) and study.execution == Execution()]
-    return comparisons + [comparison for study in goal for comparison in _each_entry(study)], studies
+    goal = [study for study in studies if _has_goal(study)]
+    return comparisons + [comparison for study in goal for comparison in _each_entry(study)]
 
 
 def summary(study: Study) -> list[Comparison]:

@@ -34,7 +34,7 @@ def run(request: Request) -> list[Comparison]:
     solves = solve_all(thesis, request.note)
     if request.folder:
         orders(solves, request.folder)
-    believed, _ = believability(request)
+    believed = believability(request)
     measured = [*tables(solves), *claims(solves), *believed]
     if quick:
         measured = [replace(each, reason=f"quick: coarse grids; {each.reason}".rstrip("; ")) for each in measured]
