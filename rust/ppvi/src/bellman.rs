@@ -28,7 +28,8 @@ pub struct Check {
 }
 
 impl Check {
-    fn join(self, other: Check) -> Check {
+    /// The facts about two sets of states together.
+    pub fn join(self, other: Check) -> Check {
         Check { residual: self.residual.max(other.residual), max_value: self.max_value.max(other.max_value) }
     }
 }

@@ -40,6 +40,7 @@
 
 pub mod bellman;
 pub mod bicycle;
+mod block;
 pub mod dependency;
 pub mod error;
 pub mod lattice;
@@ -60,6 +61,7 @@ pub mod tabular;
 pub mod tabular_sweep;
 pub mod termination;
 pub mod value_iteration;
+mod waves;
 pub mod workspace;
 
 pub use dependency::{Dependencies, StateDependents};

@@ -1,26 +1,21 @@
 //! Rows that repeat, stored once.
 //!
-//! In a problem laid out on a grid the same thing happens in many places: the rows of two states differ by a shift of the
-//! indices and by nothing else. Written relative to the state, as (successor - state, probability), they are equal. A
-//! [`Block`] of consecutive states therefore keeps a dictionary of *patterns*, the whole set of actions of a state, and one
-//! pattern number for every state. The dictionary is exact: a pattern is shared after comparing every bit of it. Where
+//! In a problem laid out on a grid the same thing happens in many places: the actions of two states differ by a shift of
+//! the indices and by nothing else. Written relative to the state, as (successor - state, probability), they are equal.
+//! A [`Dictionary`] keeps every such *pattern* once, so that one number describes a state, and a sweep reads a few bytes a
+//! state instead of a hundred. It is exact: a pattern is shared only after every bit of it has been compared. Where
 //! nothing repeats it degenerates to a copy of the rows, and the search for repetitions is given up.
 //!
-//! Successors of probability zero and absorbing successors (value 0) contribute nothing and are left out, an action that
-//! may enter a state of infinite value gets an infinite cost. A backup by patterns otherwise adds the same products in
-//! the same order as [`TabularMdp`] does, so both give the same bits.
-//!
-//! *Direction.* Sweeping with rising index, a state whose successors all have lower indices finds them updated. Such
-//! states belong to the forward list of their block, those with higher successors only to the backward list, and mixed
-//! ones to both. A pair of sweeps, one each way, then visits little more than every state once, each of them at the right
-//! time. Where nothing but the costs decides, a state has its final value from the start and is in neither list.
+//! Absorbing successors (value 0) and those of probability zero contribute nothing and are left out of the rows that
+//! backups use; an action that may enter a state of infinite value gets an infinite cost. A backup then adds the same
+//! products in the same order as [`TabularMdp`] does, so both give the same bits.
 
 use std::collections::HashMap;
 use std::ops::Range;
 
 use crate::tabular::TabularMdp;
 
-/// What a state is to others.
+/// What a state is to those that read it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Class {
     /// Its value is sought.
@@ -31,11 +26,20 @@ pub(crate) enum Class {
     Endless,
 }
 
-/// One state of a forward or backward list.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Member {
-    pub state: u32,
-    pattern: u32,
+/// The problem, and the class of every state.
+#[derive(Clone, Copy)]
+pub(crate) struct Source<'s> {
+    pub mdp: &'s TabularMdp<'s>,
+    pub classes: &'s [Class],
+}
+
+impl Source<'_> {
+    /// The successor relative to the state, or a mark (no index reaches that far) if it is not active.
+    #[inline]
+    fn shift(&self, state: usize, next: u32) -> i32 {
+        let class = self.classes[next as usize];
+        if class == Class::Active { next.wrapping_sub(state as u32) as i32 } else { i32::MIN + class as i32 }
+    }
 }
 
 /// Values that a backup reads.
@@ -43,211 +47,176 @@ pub(crate) trait Values {
     fn get(&self, state: usize) -> f64;
 }
 
-/// Which states a list reads.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Reads {
-    /// Bit b: some member reads a state of block b.
-    pub blocks: u128,
-    /// Some member reads itself or a member that the list updates after it.
-    pub late: bool,
-}
-
-/// Consecutive states with their dictionary.
-#[derive(Debug, Default)]
-pub(crate) struct Block {
-    begin: usize,
-    /// Pattern of every state; [`FIXED`] for states that have no value to find.
-    patterns: Vec<u32>,
+/// Actions of many patterns in compressed rows, successors relative to the state.
+#[derive(Debug)]
+struct Rows {
     /// Rows of a pattern: `row_offsets[pattern]..row_offsets[pattern + 1]`.
-    row_offsets: Vec<u32>,
+    row_offsets: Vec<usize>,
     costs: Vec<f64>,
     /// Entries of a row: `entry_offsets[row]..entry_offsets[row + 1]`.
-    entry_offsets: Vec<u32>,
-    /// Successor minus state, modulo 2^32.
+    entry_offsets: Vec<usize>,
     shifts: Vec<i32>,
     probabilities: Vec<f64>,
-    /// First and last state with the pattern.
-    spans: Vec<(u32, u32)>,
-    /// The pattern that came after it last time: the first guess for the next state.
-    followers: Vec<u32>,
-    /// Members in rising and in falling order, and what they read.
-    pub lists: [Vec<Member>; 2],
-    pub reads: [Reads; 2],
 }
 
-const FIXED: u32 = u32::MAX;
-
-impl Block {
-    /// Compiles the states of a range; blocks hold `1 << shift` states each.
-    pub fn new(mdp: &TabularMdp, classes: &[Class], range: Range<usize>, shift: u32) -> Self {
-        let mut block = Block { begin: range.start, row_offsets: vec![0], entry_offsets: vec![0], ..Block::default() };
-        block.patterns.reserve(range.len());
-        let mut dictionary: HashMap<u64, u32> = HashMap::new();
-        let mut previous = 0;
-        for state in range.clone() {
-            if classes[state] != Class::Active {
-                block.patterns.push(FIXED);
-                continue;
-            }
-            let guess = block.followers.get(previous as usize).copied();
-            let pattern = match guess {
-                Some(guess) if block.matches(guess, mdp, classes, state) => guess,
-                _ => block.find_or_add(&mut dictionary, mdp, classes, state),
-            };
-            block.spans[pattern as usize].1 = state as u32;
-            block.patterns.push(pattern);
-            block.followers[previous as usize] = pattern;
-            previous = pattern;
-        }
-        block.make_lists(range.start >> shift, shift);
-        block
+impl Rows {
+    fn new() -> Self {
+        let (row_offsets, entry_offsets) = (vec![0], vec![0]);
+        Rows { row_offsets, costs: Vec::new(), entry_offsets, shifts: Vec::new(), probabilities: Vec::new() }
     }
 
-    pub fn count(&self) -> usize {
-        self.spans.len()
+    #[inline]
+    fn of(&self, pattern: u32) -> Range<usize> {
+        self.row_offsets[pattern as usize]..self.row_offsets[pattern as usize + 1]
     }
 
-    fn find_or_add(
-        &mut self,
-        dictionary: &mut HashMap<u64, u32>,
-        mdp: &TabularMdp,
-        classes: &[Class],
-        state: usize,
-    ) -> u32 {
-        // Four thousand states tell whether patterns repeat.
-        if self.patterns.len() >= 4096 && self.count() > self.patterns.len() / 2 {
-            return self.add(mdp, classes, state);
-        }
-        let hash = hash(mdp, classes, state);
-        match dictionary.get(&hash) {
-            Some(&pattern) if self.matches(pattern, mdp, classes, state) => pattern,
-            _ => {
-                let pattern = self.add(mdp, classes, state);
-                dictionary.insert(hash, pattern);
-                pattern
-            }
-        }
+    fn push_entry(&mut self, shift: i32, probability: f64) {
+        self.shifts.push(shift);
+        self.probabilities.push(probability);
     }
 
-    fn add(&mut self, mdp: &TabularMdp, classes: &[Class], state: usize) -> u32 {
-        for row in mdp.rows(state) {
-            let (successors, probabilities, cost) = mdp.row(row);
-            let mut cost = cost;
+    fn end_row(&mut self, cost: f64) {
+        self.costs.push(cost);
+        self.entry_offsets.push(self.shifts.len());
+    }
+
+    fn end_pattern(&mut self) {
+        self.row_offsets.push(self.costs.len());
+    }
+}
+
+/// Patterns, numbered as they were found.
+#[derive(Debug)]
+pub(crate) struct Dictionary {
+    /// What backups use.
+    rows: Rows,
+    /// What states are compared with: everything, inactive successors as marks.
+    raw: Rows,
+    by_hash: HashMap<u64, u32>,
+    /// The two patterns that came after a pattern last: the first guesses for the next state.
+    followers: Vec<[u32; 2]>,
+    previous: usize,
+    looked_up: usize,
+}
+
+/// After so many states it is clear whether patterns repeat.
+const TRIAL: usize = 4096;
+
+impl Dictionary {
+    pub fn new() -> Self {
+        let (rows, raw) = (Rows::new(), Rows::new());
+        Dictionary { rows, raw, by_hash: HashMap::new(), followers: Vec::new(), previous: 0, looked_up: 0 }
+    }
+
+    /// Number of patterns.
+    pub fn len(&self) -> usize {
+        self.rows.row_offsets.len() - 1
+    }
+
+    /// The number of the pattern of an active state; expects the states of a neighbourhood in order.
+    pub fn pattern(&mut self, source: Source, state: usize) -> u32 {
+        if self.looked_up >= TRIAL && self.len() > self.looked_up / 2 {
+            self.raw = Rows::new();
+            self.add(source, state);
+            return self.len() as u32 - 1;
+        }
+        self.looked_up += 1;
+        let guesses = self.followers.get(self.previous).copied().unwrap_or_default();
+        let guess = guesses.into_iter().find(|&guess| self.matches(guess, source, state));
+        let pattern = guess.unwrap_or_else(|| self.look_up(source, state));
+        if pattern != guesses[0] {
+            self.followers[self.previous] = [pattern, guesses[0]];
+        }
+        self.previous = pattern as usize;
+        pattern
+    }
+
+    fn look_up(&mut self, source: Source, state: usize) -> u32 {
+        let hash = hash(source, state);
+        if let Some(&pattern) = self.by_hash.get(&hash)
+            && self.matches(pattern, source, state)
+        {
+            return pattern;
+        }
+        let pattern = self.len() as u32;
+        self.add(source, state);
+        self.add_raw(source, state);
+        self.followers.push([0; 2]);
+        self.by_hash.insert(hash, pattern);
+        pattern
+    }
+
+    fn add(&mut self, source: Source, state: usize) {
+        for row in source.mdp.rows(state) {
+            let (successors, probabilities, mut cost) = source.mdp.row(row);
             for (&next, &probability) in successors.iter().zip(probabilities).filter(|entry| *entry.1 > 0.0) {
-                match classes[next as usize] {
-                    Class::Active => {
-                        self.shifts.push(next.wrapping_sub(state as u32) as i32);
-                        self.probabilities.push(probability);
-                    }
+                match source.classes[next as usize] {
+                    Class::Active => self.rows.push_entry(source.shift(state, next), probability),
                     Class::Endless => cost = f64::INFINITY,
                     Class::Absorbing => {}
                 }
             }
-            self.costs.push(cost);
-            self.entry_offsets.push(self.shifts.len() as u32);
+            self.rows.end_row(cost);
         }
-        self.row_offsets.push(self.costs.len() as u32);
-        self.spans.push((state as u32, state as u32));
-        self.followers.push(0);
-        self.count() as u32 - 1
+        self.rows.end_pattern();
+    }
+
+    fn add_raw(&mut self, source: Source, state: usize) {
+        for row in source.mdp.rows(state) {
+            let (successors, probabilities, cost) = source.mdp.row(row);
+            for (&next, &probability) in successors.iter().zip(probabilities) {
+                self.raw.push_entry(source.shift(state, next), probability);
+            }
+            self.raw.end_row(cost);
+        }
+        self.raw.end_pattern();
     }
 
     /// Whether `state` has exactly this pattern.
-    fn matches(&self, pattern: u32, mdp: &TabularMdp, classes: &[Class], state: usize) -> bool {
-        let rows = self.rows(pattern);
-        let own = mdp.rows(state);
-        rows.len() == own.len() && rows.zip(own).all(|(row, own)| self.row_matches(row, mdp.row(own), classes, state))
-    }
-
-    fn row_matches(
-        &self,
-        row: usize,
-        (successors, probabilities, cost): (&[u32], &[f64], f64),
-        classes: &[Class],
-        state: usize,
-    ) -> bool {
-        let mut entry = self.entry_offsets[row] as usize;
-        let end = self.entry_offsets[row + 1] as usize;
-        let mut own_cost = cost;
-        for (&next, &probability) in successors.iter().zip(probabilities) {
-            if probability == 0.0 {
-                continue;
-            }
-            match classes[next as usize] {
-                Class::Active => {
-                    if entry == end
-                        || self.shifts[entry] != next.wrapping_sub(state as u32) as i32
-                        || self.probabilities[entry] != probability
-                    {
-                        return false;
-                    }
-                    entry += 1;
-                }
-                Class::Endless => own_cost = f64::INFINITY,
-                Class::Absorbing => {}
-            }
+    fn matches(&self, pattern: u32, source: Source, state: usize) -> bool {
+        if pattern as usize >= self.len() {
+            return false;
         }
-        entry == end && self.costs[row] == own_cost
-    }
-
-    fn rows(&self, pattern: u32) -> Range<usize> {
-        self.row_offsets[pattern as usize] as usize..self.row_offsets[pattern as usize + 1] as usize
-    }
-
-    fn shifts(&self, pattern: u32) -> &[i32] {
-        let rows = self.rows(pattern);
-        &self.shifts[self.entry_offsets[rows.start] as usize..self.entry_offsets[rows.end] as usize]
-    }
-
-    /// Sorts the states into the lists and finds what the lists read.
-    fn make_lists(&mut self, own: usize, shift: u32) {
-        let mut directions = vec![[false; 2]; self.count()];
-        for (pattern, &(first, last)) in self.spans.iter().enumerate() {
-            let shifts = self.shifts(pattern as u32);
-            let (lower, higher) = (shifts.iter().any(|&d| d < 0), shifts.iter().any(|&d| d > 0));
-            let direction = if lower == higher { [!shifts.is_empty(); 2] } else { [lower, higher] };
-            directions[pattern] = direction;
-            let mut reads = [Reads::default(); 2];
-            for &d in shifts {
-                let (from, to) =
-                    ((i64::from(first) + i64::from(d)) >> shift, (i64::from(last) + i64::from(d)) >> shift);
-                for block in from..=to {
-                    reads[0].blocks |= 1 << block;
-                }
-                reads[0].late |= d >= 0 && from == own as i64;
-                reads[1].late |= d <= 0 && to == own as i64;
-            }
-            reads[1].blocks = reads[0].blocks;
-            for side in 0..2 {
-                if direction[side] {
-                    self.reads[side].blocks |= reads[side].blocks;
-                    self.reads[side].late |= reads[side].late;
-                }
-            }
+        let (known, own) = (self.raw.of(pattern), source.mdp.rows(state));
+        if known.len() != own.len() {
+            return false;
         }
-        let members = self.patterns.iter().enumerate().filter(|(_, pattern)| **pattern != FIXED);
-        for (index, &pattern) in members {
-            for side in 0..2 {
-                if directions[pattern as usize][side] {
-                    self.lists[side].push(Member { state: (self.begin + index) as u32, pattern });
-                }
-            }
+        let (successors, probabilities, costs, offsets) = source.mdp.consecutive_rows(own);
+        let known_offsets = &self.raw.entry_offsets[known.start..=known.end];
+        let ends = |offsets: &[usize], row: usize| offsets[row] - offsets[0];
+        if costs != &self.raw.costs[known.clone()]
+            || !(1..=costs.len()).all(|row| ends(offsets, row) == ends(known_offsets, row))
+        {
+            return false;
         }
-        self.lists[1].reverse();
+        let entries = known_offsets[0]..known_offsets[costs.len()];
+        let pairs = probabilities.iter().zip(&self.raw.probabilities[entries.clone()]);
+        if !pairs.fold(true, |same, (p, known)| same & (p == known)) {
+            return false;
+        }
+        let pairs = successors.iter().zip(&self.raw.shifts[entries]);
+        pairs.fold(true, |same, (&next, &known)| same & (source.shift(state, next) == known))
     }
 
-    /// The backup of a state and the first action that attains it.
+    /// Successors, of all actions of a pattern, relative to the state.
+    pub fn shifts(&self, pattern: u32) -> &[i32] {
+        let rows = self.rows.of(pattern);
+        &self.rows.shifts[self.rows.entry_offsets[rows.start]..self.rows.entry_offsets[rows.end]]
+    }
+
+    /// The backup of a state that has the pattern, and the first action that attains it.
     #[inline]
-    fn backup(&self, pattern: u32, state: u32, discount: f64, values: &impl Values) -> (f64, usize) {
-        let rows = self.rows(pattern);
+    pub fn backup(&self, pattern: u32, state: u32, discount: f64, values: &impl Values) -> (f64, usize) {
+        let rows = self.rows.of(pattern);
         let mut best = (f64::INFINITY, 0);
         for (action, row) in rows.enumerate() {
-            let entries = self.entry_offsets[row] as usize..self.entry_offsets[row + 1] as usize;
+            let entries = self.rows.entry_offsets[row]..self.rows.entry_offsets[row + 1];
+            let (shifts, probabilities) = (&self.rows.shifts[entries.clone()], &self.rows.probabilities[entries]);
             let mut expectation = 0.0;
-            for (&shift, &probability) in self.shifts[entries.clone()].iter().zip(&self.probabilities[entries]) {
-                expectation += probability * values.get(state.wrapping_add(shift as u32) as usize);
+            for (&shift, &probability) in shifts.iter().zip(probabilities) {
+                expectation += probability * values.get(state.wrapping_add_signed(shift) as usize);
             }
-            let q = self.costs[row] + discount * expectation;
+            let q = self.rows.costs[row] + discount * expectation;
             if q < best.0 {
                 best = (q, action);
             }
@@ -255,46 +224,20 @@ impl Block {
         best
     }
 
-    /// The backup of a member of a list.
-    #[inline]
-    pub fn backup_member(&self, member: Member, discount: f64, values: &impl Values) -> f64 {
-        self.backup(member.pattern, member.state, discount, values).0
-    }
-
-    /// Calls `visit(state, backup, action)` for all states that have a value to find, in index order.
-    pub fn each_backup(&self, discount: f64, values: &impl Values, mut visit: impl FnMut(usize, f64, usize)) {
-        for (index, &pattern) in self.patterns.iter().enumerate().filter(|(_, pattern)| **pattern != FIXED) {
-            let (value, action) = self.backup(pattern, (self.begin + index) as u32, discount, values);
-            visit(self.begin + index, value, action);
-        }
+    /// Releases what only the search for repetitions needs.
+    pub fn finish(&mut self) {
+        self.raw = Rows::new();
+        self.by_hash = HashMap::new();
+        self.followers = Vec::new();
     }
 }
 
-/// Mixes everything that tells patterns apart; equal patterns have equal hashes.
-fn hash(mdp: &TabularMdp, classes: &[Class], state: usize) -> u64 {
+/// Equal patterns have equal hashes.
+fn hash(source: Source, state: usize) -> u64 {
     let mut hash = 0u64;
     let mut mix = |word: u64| hash = (hash.rotate_left(23) ^ word).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    for row in mdp.rows(state) {
-        let (successors, probabilities, cost) = mdp.row(row);
-        mix(cost.to_bits());
-        for (&next, &probability) in successors.iter().zip(probabilities).filter(|entry| *entry.1 > 0.0) {
-            if classes[next as usize] == Class::Active {
-                mix(u64::from(next.wrapping_sub(state as u32)));
-                mix(probability.to_bits());
-            }
-        }
-    }
+    let (successors, probabilities, costs, _) = source.mdp.consecutive_rows(source.mdp.rows(state));
+    successors.iter().for_each(|&next| mix(source.shift(state, next) as u64));
+    probabilities.iter().chain(costs).for_each(|number| mix(number.to_bits()));
     hash
-}
-impl Block {
-    pub fn begin(&self) -> usize {
-        self.begin
-    }
-    pub fn constants(&self, discount: f64, values: &impl Values, mut visit: impl FnMut(usize, f64)) {
-        for (index, &pattern) in self.patterns.iter().enumerate().filter(|(_, pattern)| **pattern != FIXED) {
-            if self.shifts(pattern).is_empty() {
-                visit(self.begin + index, self.backup(pattern, (self.begin + index) as u32, discount, values).0);
-            }
-        }
-    }
 }

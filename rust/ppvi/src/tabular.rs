@@ -140,6 +140,14 @@ impl<'a> TabularMdp<'a> {
         (&self.successors[entries.clone()], &self.probabilities[entries], self.stage_costs[row])
     }
 
+    /// Successors, probabilities and costs of consecutive rows, and the offsets of the rows.
+    #[inline]
+    pub(crate) fn consecutive_rows(&self, rows: std::ops::Range<usize>) -> (&[u32], &[f64], &[f64], &[usize]) {
+        let offsets = &self.row_offsets[rows.start..=rows.end];
+        let entries = offsets[0]..offsets[rows.len()];
+        (&self.successors[entries.clone()], &self.probabilities[entries], &self.stage_costs[rows], offsets)
+    }
+
     fn check_arrays(&self) -> Result<()> {
         if !(self.discount > 0.0 && self.discount <= 1.0) {
             return Err(parameter("discount", self.discount, "must be in (0, 1]"));
@@ -175,7 +183,7 @@ impl<'a> TabularMdp<'a> {
             if let Some(&p) = probabilities.iter().find(|p| !(0.0..=1.0).contains(*p)) {
                 return wrong(action, "a probability must be in [0, 1]", p);
             }
-            let sum: f64 = probabilities.iter().sum();
+            let sum = probabilities.iter().fold(0.0, |sum, p| sum + p);
             if (sum - 1.0).abs() > ROW_SUM_TOLERANCE {
                 return wrong(action, "the probabilities must sum to one", sum);
             }

@@ -1,19 +1,36 @@
 //! The fast solver for explicit problems: directional sweeps over compressed blocks, in deterministic waves.
+//!
+//! 1. *Compile.* The states are cut into at most 128 blocks of consecutive indices. A block stores rows that repeat once
+//!    (`pattern.rs`) and sorts its states into a forward and a backward list (`block.rs`).
+//! 2. *Sweep.* A pass updates all lists in place, Gauss-Seidel fashion, wave after wave, skipping those whose
+//!    accumulated-change bound shows that their residual is below the threshold already (`waves.rs`).
+//! 3. *Check.* When all bounds are below the threshold, the exact residual is computed for all states.
+//!
+//! Nothing depends on the number of threads: not the blocks, not the waves, not what is skipped. The indices should be
+//! such that neighbours in the problem are near each other; with indices in random order the solver is still right, but
+//! no better than Gauss-Seidel on the plain rows.
+//!
+//! Values are stored in relaxed atomics, which cost nothing on common machines and need no `unsafe`: the waves keep one
+//! thread from reading what another one writes, but it is not memory safety that rests on them.
+
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
 
 use rayon::prelude::*;
 
 use crate::bellman::{Check, certificate, change, solution};
-use crate::error::Result;
+use crate::block::{Block, MOST_BLOCKS, SharedValues};
+use crate::error::{Error, Result};
 use crate::mdp::Mdp;
-use crate::pattern::{Block, Class, Values};
+use crate::pattern::{Class, Source, Values};
 use crate::proper::proper_states;
 use crate::solution::Solution;
 use crate::tabular::TabularMdp;
 use crate::termination::{Observer, Progress, Status, StopRule, Watch};
+use crate::waves::{Ledger, Task, waves};
 
-/// Values that several threads read and write; who may write what when is the business of the waves.
+/// Smaller blocks would be gone before another thread wakes up.
+const LEAST_LOG_SIZE: u32 = 12;
+
 struct Shared(Vec<AtomicU64>);
 
 impl Values for Shared {
@@ -23,174 +40,129 @@ impl Values for Shared {
     }
 }
 
-impl Shared {
+impl SharedValues for Shared {
     #[inline]
     fn set(&self, state: usize, value: f64) {
         self.0[state].store(value.to_bits(), Ordering::Relaxed);
     }
 }
 
-/// Solves.
+/// Solves an explicit problem on the current rayon pool; the result is the same, bit for bit, for any number of threads.
+///
+/// # Errors
+/// For an invalid rule, or 2^31 states and more. Reaching a limit is a status.
 pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer>) -> Result<Solution> {
     rule.validate()?;
+    let states = mdp.states();
+    if states >= i32::MAX as usize {
+        let rule = "successors are stored relative to the state, in 32 bits with a sign";
+        return Err(Error::TooLarge { states: states as u128, needed_bytes: 24 * states as u128, rule });
+    }
     let mut watch = Watch::start(rule, observer);
     let certificate = certificate(mdp);
-    let n = mdp.states();
-    let t = Instant::now();
-    let classes = classify(mdp);
-    let mut shift = 12;
-    while n >> shift >= 128 {
-        shift += 1;
-    }
-    if let Ok(s) = std::env::var("SHIFT") {
-        shift = s.parse().unwrap();
-    }
-    let blocks: Vec<Block> = (0..n.div_ceil(1 << shift))
-        .into_par_iter()
-        .map(|b| Block::new(mdp, &classes, b << shift..((b + 1) << shift).min(n), shift))
-        .collect();
-    eprintln!("compile {:?}", t.elapsed());
     let discount = mdp.discount();
-    let values = Shared(
-        classes
-            .iter()
-            .map(|c| AtomicU64::new(if *c == Class::Endless { f64::INFINITY } else { 0.0f64 }.to_bits()))
-            .collect(),
-    );
-    // constants
-    let mut policy = vec![0u32; n];
-    blocks.par_iter().for_each(|b| b.constants(discount, &values, |s, v| values.set(s, v)));
-    eprintln!("init {:?}", t.elapsed());
-    let m = blocks.len();
-    let mut tasks: Vec<(usize, usize)> = Vec::new();
-    if std::env::var("SEQ").is_ok() {
-        for b in 0..m {
-            tasks.push((b, 0));
-        }
-        for b in 0..m {
-            tasks.push((m - 1 - b, 1));
-        }
-    } else {
-        for b in 0..m {
-            tasks.push((b, 0));
-            tasks.push((m - 1 - b, 1));
-        }
-    }
-    let conflict = |u: (usize, usize), v: (usize, usize)| {
-        u.0 == v.0 || blocks[u.0].reads[u.1].blocks >> v.0 & 1 == 1 || blocks[v.0].reads[v.1].blocks >> u.0 & 1 == 1
-    };
-    let mut level = vec![0usize; tasks.len()];
-    for i in 0..tasks.len() {
-        for j in 0..i {
-            if conflict(tasks[i], tasks[j]) {
-                level[i] = level[i].max(level[j] + 1);
-            }
-        }
-    }
-    let waves = level.iter().max().map_or(0, |m| m + 1);
-    let mut wave_tasks: Vec<Vec<(usize, usize)>> = vec![vec![]; waves];
-    for (i, &l) in level.iter().enumerate() {
-        wave_tasks[l].push(tasks[i]);
-    }
-    eprintln!(
-        "blocks {m} waves {waves} list sizes {} {} patterns {}",
-        blocks.iter().map(|b| b.lists[0].len()).sum::<usize>(),
-        blocks.iter().map(|b| b.lists[1].len()).sum::<usize>(),
-        blocks.iter().map(|b| b.count()).sum::<usize>()
-    );
-    let mut total = vec![0.0f64; m];
-    let mut snap = vec![vec![0.0f64; m]; 2 * m];
-    let mut left = vec![f64::INFINITY; 2 * m];
-    let mut backups = 0u64;
-    let mut passes = 0;
-    let max_value = 0.0;
-    let threshold = certificate.threshold(rule.tolerance, max_value);
-    let bound = |u: (usize, usize), total: &[f64], snap: &[Vec<f64>], left: &[f64]| {
-        let mut worst = 0.0f64;
-        for c in 0..m {
-            if blocks[u.0].reads[u.1].blocks >> c & 1 == 1 {
-                worst = worst.max(total[c] - snap[u.0 * 2 + u.1][c]);
-            }
-        }
-        left[u.0 * 2 + u.1] + discount * worst
-    };
-    loop {
-        let mut largest = 0.0f64;
-        let mut done = 0;
-        for wave in &wave_tasks {
-            let todo: Vec<_> = wave.iter().copied().filter(|&u| bound(u, &total, &snap, &left) >= threshold).collect();
-            let run = |u: (usize, usize)| {
-                let block = &blocks[u.0];
-                let mut d = 0.0f64;
-                for &member in &block.lists[u.1] {
-                    let new = block.backup_member(member, discount, &values);
-                    d = d.max(change(new, values.get(member.state as usize)));
-                    values.set(member.state as usize, new);
-                }
-                d
-            };
-            let changes: Vec<f64> = if todo.len() > 1 {
-                todo.par_iter().map(|&u| run(u)).collect()
-            } else {
-                todo.iter().map(|&u| run(u)).collect()
-            };
-            for (&u, &d) in todo.iter().zip(&changes) {
-                done += 1;
-                backups += blocks[u.0].lists[u.1].len() as u64;
-                total[u.0] += d;
-                largest = largest.max(d);
-                left[u.0 * 2 + u.1] = if blocks[u.0].reads[u.1].late { discount * d } else { 0.0 };
-                snap[u.0 * 2 + u.1].copy_from_slice(&total);
-            }
-        }
-        passes += 1;
-        let worst = tasks.iter().map(|&u| bound(u, &total, &snap, &left)).fold(0.0, f64::max);
-        eprintln!(
-            "pass {passes} largest {largest:.2e} bound {worst:.2e} tasks {done} backups {:.2} t {:?}",
-            backups as f64 / n as f64,
-            t.elapsed()
-        );
-        if worst < threshold {
-            break;
-        }
-        if watch.check(&Progress { sweeps: backups as f64 / n as f64, residual: largest, threshold }).is_some() {
-            break;
-        }
-    }
-    let mut check = Check { residual: 0.0, max_value: 0.0 };
-    let checks: Vec<Check> = blocks
-        .par_iter()
-        .zip(policy.par_chunks_mut(1 << shift))
-        .map(|(b, policy)| {
-            let mut check = Check { residual: 0.0, max_value: 0.0 };
-            let p0 = b.begin();
-            b.each_backup(discount, &values, |s, v, a| {
-                policy[s - p0] = a as u32;
-                let old = values.get(s);
-                check.residual = check.residual.max(change(v, old));
-                check.max_value = check.max_value.max(old.abs());
-            });
-            check
-        })
+    let classes = classify(mdp);
+    let log_size = (LEAST_LOG_SIZE..).find(|&log| states.div_ceil(1 << log) <= MOST_BLOCKS).unwrap_or(LEAST_LOG_SIZE);
+    let source = Source { mdp, classes: &classes };
+    let blocks: Vec<Block> = (0..states.div_ceil(1 << log_size))
+        .into_par_iter()
+        .map(|number| Block::new(source, number, log_size))
         .collect();
-    for c in checks {
-        check.residual = check.residual.max(c.residual);
-        check.max_value = check.max_value.max(c.max_value);
-    }
-    backups += n as u64;
-    eprintln!("check {:?}", t.elapsed());
-    let values: Vec<f64> = values.0.into_iter().map(|v| f64::from_bits(v.into_inner())).collect();
-    let mut solution = solution(values, policy, Status::Converged, check, &certificate);
-    solution.report.backups = backups;
-    eprintln!("end {:?}", t.elapsed());
+    let values = initial_values(&classes);
+    let mut sweeps = Sweeps::new(&blocks, discount, states);
+    sweeps.backups = blocks.par_iter().map(|block| block.settle_constants(discount, &values)).sum();
+    let mut policy = vec![0; states];
+    let (status, check) = loop {
+        let threshold = match discount < 1.0 {
+            true => certificate.threshold(rule.tolerance, 0.0),
+            false => certificate.threshold(rule.tolerance, largest(&values)),
+        };
+        let stopped = match sweeps.is_settled(threshold) {
+            true => None,
+            false => {
+                let residual = sweeps.pass(&values, threshold);
+                let stopped = watch.check(&Progress { sweeps: sweeps.count(), residual, threshold });
+                if stopped.is_none() {
+                    continue;
+                }
+                stopped
+            }
+        };
+        let check = check(&blocks, discount, &values, &mut policy, log_size);
+        sweeps.backups += states as u64;
+        let threshold = certificate.threshold(rule.tolerance, check.max_value);
+        match stopped {
+            _ if check.residual < threshold => break (Status::Converged, check),
+            Some(status) => break (status, check),
+            // Rounding, or a threshold that fell: begin the book-keeping again.
+            None => sweeps.ledger = Ledger::new(&blocks, discount),
+        }
+    };
+    let values = values.0.into_iter().map(|value| f64::from_bits(value.into_inner())).collect();
+    let mut solution = solution(values, policy, status, check, &certificate);
+    solution.report.backups = sweeps.backups;
+    solution.report.partitions = blocks.len();
+    solution.report.partitions_processed = sweeps.updates;
+    solution.report.order = sweeps.order;
+    solution.report.seconds_solving = watch.seconds();
     Ok(solution)
 }
 
+/// The state of the passes, apart from the values.
+struct Sweeps<'b> {
+    blocks: &'b [Block],
+    waves: Vec<Vec<Task>>,
+    ledger: Ledger<'b>,
+    discount: f64,
+    states: usize,
+    backups: u64,
+    updates: u64,
+    order: Vec<u32>,
+}
+
+impl<'b> Sweeps<'b> {
+    fn new(blocks: &'b [Block], discount: f64, states: usize) -> Self {
+        let (waves, ledger) = (waves(blocks), Ledger::new(blocks, discount));
+        Sweeps { blocks, waves, ledger, discount, states, backups: 0, updates: 0, order: Vec::new() }
+    }
+
+    /// Whether the residuals of all lists are below the threshold.
+    fn is_settled(&self, threshold: f64) -> bool {
+        self.waves.iter().flatten().all(|&task| self.ledger.bound(task) < threshold)
+    }
+
+    /// Work done, in units of n backups.
+    fn count(&self) -> f64 {
+        self.backups as f64 / self.states.max(1) as f64
+    }
+
+    /// Updates every list whose residual may reach the threshold; returns the largest change.
+    fn pass(&mut self, values: &Shared, threshold: f64) -> f64 {
+        let mut largest = 0.0f64;
+        for wave in &self.waves {
+            let due: Vec<Task> = wave.iter().copied().filter(|&task| self.ledger.bound(task) >= threshold).collect();
+            let update = |task: &Task| self.blocks[task.block].update(task.side, self.discount, values);
+            let changes: Vec<f64> = match due.len() {
+                0 | 1 => due.iter().map(update).collect(),
+                _ => due.par_iter().map(update).collect(),
+            };
+            self.ledger.record(&due, &changes);
+            for task in &due {
+                self.backups += self.blocks[task.block].list_len(task.side) as u64;
+                self.updates += 1;
+                if !self.order.contains(&(task.block as u32)) {
+                    self.order.push(task.block as u32);
+                }
+            }
+            largest = changes.into_iter().fold(largest, f64::max);
+        }
+        largest
+    }
+}
+
 fn classify(mdp: &TabularMdp) -> Vec<Class> {
-    let mut classes: Vec<Class> = (0..mdp.states())
-        .into_par_iter()
-        .map(|s| if mdp.actions(s) == 0 { Class::Absorbing } else { Class::Active })
-        .collect();
+    let class = |state| if mdp.actions(state) == 0 { Class::Absorbing } else { Class::Active };
+    let mut classes: Vec<Class> = (0..mdp.states()).into_par_iter().with_min_len(4096).map(class).collect();
     if mdp.discount() == 1.0 {
         for (class, proper) in classes.iter_mut().zip(proper_states(mdp)) {
             if !proper {
@@ -199,4 +171,30 @@ fn classify(mdp: &TabularMdp) -> Vec<Class> {
         }
     }
     classes
+}
+
+fn initial_values(classes: &[Class]) -> Shared {
+    let value = |class: &Class| if *class == Class::Endless { f64::INFINITY } else { 0.0 };
+    Shared(classes.par_iter().with_min_len(4096).map(|class| AtomicU64::new(value(class).to_bits())).collect())
+}
+
+/// Largest finite |V|.
+fn largest(values: &Shared) -> f64 {
+    let sizes = (0..values.0.len()).into_par_iter().with_min_len(4096).map(|state| values.get(state).abs());
+    sizes.filter(|size| size.is_finite()).reduce(|| 0.0, f64::max)
+}
+
+/// The exact residual of all states, and the greedy policy.
+fn check(blocks: &[Block], discount: f64, values: &Shared, policy: &mut [u32], log_size: u32) -> Check {
+    let none = Check { residual: 0.0, max_value: 0.0 };
+    let checks = blocks.par_iter().zip(policy.par_chunks_mut(1 << log_size)).map(|(block, policy)| {
+        let mut check = none;
+        block.each_backup(discount, values, |state, backup, action| {
+            let value = values.get(state);
+            policy[state & ((1 << log_size) - 1)] = action as u32;
+            check = check.join(Check { residual: change(backup, value), max_value: value.abs() });
+        });
+        check
+    });
+    checks.reduce(|| none, Check::join)
 }

@@ -1,0 +1,148 @@
+//! Consecutive states, sorted by the direction in which their values should be found.
+//!
+//! Sweeping with rising index, a state whose successors all have lower indices finds every one of them updated: its
+//! backup is worth as much as it can be. The same holds with falling index for a state with higher successors only. So a
+//! block keeps two lists: members of the *forward* list have no higher successors, those of the *backward* list no lower
+//! ones, and mixed states (and those that loop to themselves) are in both. A sweep each way visits little more than
+//! every state once, each of them at the right time; in the needle problem this replaces the choice "headings that point
+//! left or right" and needs no knowledge of the geometry. A state whose successors are all absorbing has its final value
+//! after one backup and is in neither list.
+
+use std::ops::Range;
+
+use crate::pattern::{Class, Dictionary, Source, Values};
+
+/// Largest number of blocks: one bit each in [`List::reads`].
+pub(crate) const MOST_BLOCKS: usize = 128;
+
+/// States of a block that are updated together, in order.
+#[derive(Debug, Default)]
+pub(crate) struct List {
+    members: Vec<Member>,
+    /// Bit b: some member may read a state of block b.
+    pub reads: u128,
+    /// Some member may read itself or one that comes after it.
+    pub late: bool,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Member {
+    state: u32,
+    pattern: u32,
+}
+
+/// Values that may be written while others read them.
+pub(crate) trait SharedValues: Values {
+    fn set(&self, state: usize, value: f64);
+}
+
+/// A range of states, compiled.
+#[derive(Debug)]
+pub(crate) struct Block {
+    begin: usize,
+    /// Pattern of every state, or [`FIXED`].
+    patterns: Vec<u32>,
+    dictionary: Dictionary,
+    /// The forward and the backward list.
+    pub lists: [List; 2],
+}
+
+/// In place of a pattern: the state is not active.
+const FIXED: u32 = u32::MAX;
+
+impl Block {
+    /// Compiles the states of block number `number`; a block has `1 << log_size` states, the last one maybe fewer.
+    pub fn new(source: Source, number: usize, log_size: u32) -> Self {
+        let begin = number << log_size;
+        let states = begin..source.classes.len().min((number + 1) << log_size);
+        let mut dictionary = Dictionary::new();
+        let mut spans: Vec<Range<i64>> = Vec::new();
+        let mut patterns = Vec::with_capacity(states.len());
+        for state in states {
+            if source.classes[state] != Class::Active {
+                patterns.push(FIXED);
+                continue;
+            }
+            let pattern = dictionary.pattern(source, state);
+            match spans.get_mut(pattern as usize) {
+                Some(span) => span.end = state as i64,
+                None => spans.push(state as i64..state as i64),
+            }
+            patterns.push(pattern);
+        }
+        dictionary.finish();
+        let mut block = Block { begin, patterns, dictionary, lists: Default::default() };
+        let directions: Vec<[bool; 2]> =
+            spans.iter().enumerate().map(|(pattern, span)| block.read(pattern as u32, span, log_size)).collect();
+        block.fill_lists(&directions);
+        block
+    }
+
+    /// Decides in which lists a pattern is, and notes what they read if its first and last states are those of `span`.
+    fn read(&mut self, pattern: u32, span: &Range<i64>, log_size: u32) -> [bool; 2] {
+        let shifts = self.dictionary.shifts(pattern);
+        let (lower, higher) = (shifts.iter().any(|&d| d < 0), shifts.iter().any(|&d| d > 0));
+        let directions = if lower == higher { [!shifts.is_empty(); 2] } else { [lower, higher] };
+        let own = (self.begin >> log_size) as i64;
+        for &shift in shifts {
+            let first = (span.start + i64::from(shift)) >> log_size;
+            let last = (span.end + i64::from(shift)) >> log_size;
+            // The first state reads lowest, the last one highest, and the others in between.
+            let late = [shift >= 0 && first == own, shift <= 0 && last == own];
+            for (side, list) in self.lists.iter_mut().enumerate().filter(|(side, _)| directions[*side]) {
+                list.late |= late[side];
+                (first..=last).for_each(|block| list.reads |= 1 << block);
+            }
+        }
+        directions
+    }
+
+    fn fill_lists(&mut self, directions: &[[bool; 2]]) {
+        for (side, list) in self.lists.iter_mut().enumerate() {
+            let active = self.patterns.iter().enumerate().filter(|(_, pattern)| **pattern != FIXED);
+            let members = active.filter(|(_, pattern)| directions[**pattern as usize][side]);
+            let members = members.map(|(at, &pattern)| Member { state: (self.begin + at) as u32, pattern });
+            list.members = members.collect();
+        }
+        self.lists[1].members.reverse();
+    }
+
+    /// Number of states in a list.
+    pub fn list_len(&self, side: usize) -> usize {
+        self.lists[side].members.len()
+    }
+
+    /// Backs up a list in place, in order; returns the largest change.
+    pub fn update(&self, side: usize, discount: f64, values: &impl SharedValues) -> f64 {
+        let mut largest = 0.0f64;
+        for member in &self.lists[side].members {
+            let new = self.dictionary.backup(member.pattern, member.state, discount, values).0;
+            largest = largest.max((new - values.get(member.state as usize)).abs());
+            values.set(member.state as usize, new);
+        }
+        largest
+    }
+
+    /// Gives their final values to the states whose successors are all absorbing; returns their number.
+    pub fn settle_constants(&self, discount: f64, values: &impl SharedValues) -> u64 {
+        let mut count = 0;
+        for (state, pattern) in self.active().filter(|&(_, pattern)| self.dictionary.shifts(pattern).is_empty()) {
+            values.set(state, self.dictionary.backup(pattern, state as u32, discount, values).0);
+            count += 1;
+        }
+        count
+    }
+
+    /// Calls `visit(state, backup, action)` for every active state.
+    pub fn each_backup(&self, discount: f64, values: &impl Values, mut visit: impl FnMut(usize, f64, usize)) {
+        for (state, pattern) in self.active() {
+            let (value, action) = self.dictionary.backup(pattern, state as u32, discount, values);
+            visit(state, value, action);
+        }
+    }
+
+    fn active(&self) -> impl Iterator<Item = (usize, u32)> {
+        let states = self.patterns.iter().enumerate().map(|(at, &pattern)| (self.begin + at, pattern));
+        states.filter(|&(_, pattern)| pattern != FIXED)
+    }
+}
