@@ -5,7 +5,9 @@ use ppvi::lattice::evaluation::{self, Evaluation};
 use ppvi::lattice::sweep::{self, LatticeSolution};
 use ppvi::lattice::{Costs, LatticeMdp, Setup, Transition};
 use ppvi::workspace::{Polygon, Workspace};
-use ppvi::{Mdp, PrioritizedOptions, Priority, Status, StopRule, prioritized, value_iteration};
+use ppvi::{
+    Mdp, PrioritizedOptions, Priority, Status, StopRule, TabularMdp, prioritized, tabular_sweep, value_iteration,
+};
 use proptest::prelude::*;
 
 /// Small workspaces with two obstacles, any needle, any noise, both transitions, discounted or not.
@@ -108,6 +110,19 @@ proptest! {
             if gap.abs() > 2.0 * bound {
                 prop_assert_eq!(swept.policy[state], u8::from(gap > 0.0));
             }
+        }
+    }
+
+    #[test]
+    fn the_explicit_rows_are_the_same_problem(setup in setups()) {
+        let lattice = LatticeMdp::new(setup).unwrap();
+        let explicit = TabularMdp::from_mdp(&lattice).unwrap();
+        let swept = sweep::solve(&lattice, rule(1e-3), None).unwrap();
+        let tabular = tabular_sweep(&explicit, rule(1e-3), None).unwrap();
+        prop_assume!(swept.report.status == Status::Converged && tabular.report.status == Status::Converged);
+        let bound = swept.report.error_bound + tabular.report.error_bound + 1e-9;
+        for (a, b) in swept.values.iter().zip(&tabular.values) {
+            prop_assert!((f64::from(*a) - b).abs() <= bound, "{} against {}", a, b);
         }
     }
 
