@@ -21,7 +21,7 @@ from needleplan.workflow.reproduce import Effort
 if TYPE_CHECKING:
     from needleplan.workflow.reproduce import Request
 
-__all__ = ["believability", "summary", "write_entries"]
+__all__ = ["SCENARIOS", "believability", "summary", "write_entries"]
 
 SCENARIOS = ("four_obstacles", "narrow_passage", "prostate", "brain")
 _REFERENCE = (Transition.INTERPOLATED, 0.5)
