@@ -137,7 +137,7 @@ fn round(x: f64) -> f64 {
 #[inline]
 fn nearest(cells: f64, count: usize) -> Option<usize> {
     // NaN fails both comparisons.
-    (cells > -0.5 && cells < count as f64 - 0.5).then(|| (cells + 0.5) as usize)
+    (cells > -0.5 && cells < count as f64 - 0.5).then_some((cells + 0.5) as usize)
 }
 
 #[cfg(test)]

@@ -8,6 +8,9 @@ use super::detached;
 use crate::lattice::Shape;
 use crate::lookup::{Table, TableGrid};
 
+/// Actions, values, success probabilities.
+type Looked<'py> = (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
+
 /// Table entries of many poses.
 #[pyfunction]
 #[pyo3(signature = (values, policy, success, spacing_mm, poses, threads=None))]
@@ -19,7 +22,7 @@ pub(super) fn lookup_many<'py>(
     spacing_mm: [f64; 2],
     poses: PyReadonlyArray2<'py, f64>,
     threads: Option<usize>,
-) -> PyResult<(Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>)> {
+) -> PyResult<Looked<'py>> {
     let &[nx, ny, headings, 2] = values.shape() else {
         return Err(PyValueError::new_err(format!(
             "values: expected shape [nx, ny, headings, 2], found {:?}",
