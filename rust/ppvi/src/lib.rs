@@ -38,6 +38,7 @@
 //! Outcomes (converged, a limit reached, interrupted) are values: [`Status`]. Wrong input is an [`Error`] that names the
 //! place. Nothing here knows Python but the binding behind the feature `python`.
 
+mod active;
 pub mod bellman;
 pub mod bicycle;
 mod block;

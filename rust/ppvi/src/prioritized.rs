@@ -24,6 +24,7 @@
 
 use std::time::Instant;
 
+use crate::active::{ActiveStates, back_up_in_place};
 use crate::bellman::{certificate, change, greedy, initial_values, solution};
 use crate::dependency::Dependencies;
 use crate::error::{Result, parameter};
@@ -116,9 +117,7 @@ struct Run<'m, M> {
     level: f64,
     max_value: f64,
     values: Vec<f64>,
-    /// States of every partition that a backup can change: `active[active_offsets[p]..active_offsets[p + 1]]`.
-    active_offsets: Vec<usize>,
-    active: Vec<u32>,
+    active: ActiveStates,
     /// Values of a partition before it was processed.
     before: Vec<f64>,
     seen: Vec<bool>,
@@ -140,12 +139,7 @@ struct Processed {
 impl<'m, M: Mdp> Run<'m, M> {
     fn new(mdp: &'m M, partition: &Partition, options: PrioritizedOptions, tolerance: f64) -> Self {
         let (values, certificate) = (initial_values(mdp), certificate(mdp));
-        let (mut active_offsets, mut active) = (vec![0], Vec::with_capacity(mdp.states()));
-        for p in 0..partition.count() {
-            let changeable = |s: &u32| mdp.actions(*s as usize) > 0 && values[*s as usize].is_finite();
-            active.extend(partition.members(p).iter().copied().filter(changeable));
-            active_offsets.push(active.len());
-        }
+        let active = ActiveStates::new(mdp, partition, &values);
         Run {
             mdp,
             options,
@@ -155,7 +149,6 @@ impl<'m, M: Mdp> Run<'m, M> {
             level: f64::INFINITY,
             max_value: 0.0,
             values,
-            active_offsets,
             active,
             before: Vec::new(),
             seen: vec![false; partition.count()],
@@ -244,7 +237,7 @@ impl<'m, M: Mdp> Run<'m, M> {
 
     /// HP0 of a partition, or what it is to begin again with: the largest residual of its states.
     fn claim_of_partition(&mut self, p: usize) -> Claim {
-        let states = &self.active[self.active_offsets[p]..self.active_offsets[p + 1]];
+        let states = self.active.of(p);
         self.backups += states.len() as u64;
         let residual = |&s: &u32| h1(self.mdp.backup(s as usize, &self.values).0, self.values[s as usize]);
         let residual = states.iter().map(residual).fold(0.0, f64::max);
@@ -273,18 +266,14 @@ impl<'m, M: Mdp> Run<'m, M> {
 
     /// The inner loop: value iteration over the states of one partition.
     fn process(&mut self, p: usize, watch: &mut Watch) -> Processed {
-        let states = &self.active[self.active_offsets[p]..self.active_offsets[p + 1]];
+        let states = self.active.of(p);
         self.before.clear();
         self.before.extend(states.iter().map(|&s| self.values[s as usize]));
         let discount = self.mdp.discount();
         let inner_tolerance = self.options.inner_tolerance.unwrap_or(self.tolerance);
         let mut result = Processed { change: 0.0, left: f64::INFINITY, stopped: None };
         for sweep in 0..self.options.inner_sweeps {
-            let (least, most) = if sweep % 2 == 0 {
-                sweep_states(self.mdp, states.iter(), &mut self.values)
-            } else {
-                sweep_states(self.mdp, states.iter().rev(), &mut self.values)
-            };
+            let (least, most) = back_up_in_place(self.mdp, states, sweep % 2 == 1, &mut self.values);
             self.backups += states.len() as u64;
             let largest = most.max(-least);
             result.left = discount * largest;
@@ -308,17 +297,4 @@ impl<'m, M: Mdp> Run<'m, M> {
         self.lower_threshold(max_value);
         result
     }
-}
-
-/// Backs up `states` in place, in order; returns the least and the largest signed change.
-fn sweep_states<'s>(mdp: &impl Mdp, states: impl Iterator<Item = &'s u32>, values: &mut [f64]) -> (f64, f64) {
-    let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
-    for &state in states {
-        let new = mdp.backup(state as usize, values).0;
-        let change = new - values[state as usize];
-        values[state as usize] = new;
-        least = least.min(change);
-        most = most.max(change);
-    }
-    (least, most)
 }

@@ -55,8 +55,11 @@ pub fn random_rows() -> impl Strategy<Value = Rows> {
     })
 }
 
-fn normalized(raw: Vec<Vec<(f64, Vec<(u32, u32)>)>>) -> Rows {
-    let row = |(cost, entries): (f64, Vec<(u32, u32)>)| {
+/// Actions with whole-number weights in place of probabilities.
+type Weighted = (f64, Vec<(u32, u32)>);
+
+fn normalized(raw: Vec<Vec<Weighted>>) -> Rows {
+    let row = |(cost, entries): Weighted| {
         let total: u32 = entries.iter().map(|entry| entry.1).sum();
         let share = |weight: u32| if total == 0 { 0.0 } else { f64::from(weight) / f64::from(total) };
         let mut row: Vec<(u32, f64)> = entries.iter().map(|&(next, weight)| (next, share(weight))).collect();
