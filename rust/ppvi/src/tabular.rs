@@ -79,10 +79,10 @@ impl<'a> TabularMdp<'a> {
     }
 
     /// Expands any problem into an explicit one. If some row sums to less than one, an absorbing state is added at the
-    /// end that takes the rest.
+    /// end that takes the rest; an absorbing state with a value other than 0 leads there at that cost.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if an absorbing state has a value other than 0, and the errors of [`TabularMdp::new`].
+    /// The errors of [`TabularMdp::new`].
     pub fn from_mdp(mdp: &impl Mdp) -> Result<TabularMdp<'static>> {
         let states = mdp.states();
         let (mut action_offsets, mut row_offsets) = (vec![0], vec![0]);
@@ -90,8 +90,12 @@ impl<'a> TabularMdp<'a> {
         let mut has_end = false;
         for state in 0..states {
             if mdp.actions(state) == 0 && mdp.absorbing_value(state) != 0.0 {
-                let found = format!("{} at state {state}", mdp.absorbing_value(state));
-                return Err(parameter("absorbing_value", found, "must be 0 in a tabular problem"));
+                // What is fixed at a value ends at that cost.
+                successors.push(states as u32);
+                probabilities.push(1.0);
+                stage_costs.push(mdp.absorbing_value(state));
+                row_offsets.push(successors.len());
+                has_end = true;
             }
             for action in 0..mdp.actions(state) {
                 let mut total = 0.0;
