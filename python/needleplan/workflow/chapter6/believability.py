@@ -13,8 +13,8 @@ import numpy as np
 
 from needleplan.provenance import write_whole
 from needleplan.scenario import Scenario, Transition
-from needleplan.workflow.chapter6.believability_figure import draw_believability
 from needleplan.workflow.chapter6.entries import Execution, Study, choose_entries, execute, planned
+from needleplan.workflow.chapter6.scatter import draw_believability
 from needleplan.workflow.comparison import Comparison, Verdict
 from needleplan.workflow.reproduce import Effort
 
