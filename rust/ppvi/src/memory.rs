@@ -110,11 +110,12 @@ mod tests {
     #[test]
     fn arrays_hold_what_was_written() {
         for len in [0, 1, 1000, 3 << 20] {
-            let mut array = Array::filled(7u32, len);
-            assert!(array.len() == len && array.iter().all(|x| *x == 7));
+            let mut array = Array::filled(7f32, len);
+            assert!(array.len() == len && array.iter().all(|x| *x == 7.0));
+            assert!(Array::filled(0f64, len).iter().all(|x| *x == 0.0));
             if let Some(last) = array.last_mut() {
-                *last = 9;
-                assert_eq!(array[len - 1], 9);
+                *last = 9.0;
+                assert_eq!(array[len - 1], 9.0);
             }
             assert_eq!(filled(3u8, len), vec![3u8; len]);
         }

@@ -17,6 +17,8 @@ pub(crate) struct Engine<T: Copy> {
     numbers: Numbers<T>,
     headings: usize,
     interpolated: bool,
+    /// No pass was made and nothing loaded yet: sectors and halos hold the start.
+    fresh: bool,
 }
 
 impl<T: Real> Engine<T> {
@@ -28,10 +30,10 @@ impl<T: Real> Engine<T> {
             .map(|arc| Sector::new(lattice, arc, &numbers, T::of(start), policy))
             .collect();
         let reach = lattice.setup.noise.len();
-        let halos = sectors.iter().map(|sector| Halo::new(sector, reach, numbers.outside())).collect();
+        let halos = sectors.iter().map(|sector| Halo::new(sector, reach, T::of(start), numbers.outside())).collect();
         let noise = lattice.setup.noise.iter().map(|p| T::of(*p)).collect();
         let interpolated = lattice.setup.transition == Transition::Interpolated;
-        Engine { sectors, halos, noise, numbers, headings, interpolated }
+        Engine { sectors, halos, noise, numbers, headings, interpolated, fresh: true }
     }
 
     /// Number of sectors.
@@ -53,6 +55,7 @@ impl<T: Real> Engine<T> {
 
     /// Pulls all halos and recomputes all convolved values.
     fn refresh(&mut self) {
+        self.fresh = false;
         let Engine { sectors, halos, noise, headings, .. } = self;
         halos.par_iter_mut().enumerate().for_each(|(of, halo)| halo.pull(sectors, of, *headings));
         sectors.par_iter_mut().zip(halos).for_each(|(sector, halo)| sector.convolve_all(halo, noise));
@@ -62,16 +65,19 @@ impl<T: Real> Engine<T> {
     ///
     /// Two waves: right and left, then up and down. The sectors of a wave read only themselves and their halos.
     pub(crate) fn pass(&mut self) -> f64 {
-        let Engine { sectors, halos, noise, numbers, headings, interpolated } = self;
+        let Engine { sectors, halos, noise, numbers, headings, interpolated, fresh } = self;
         let mut change = 0f64;
         for vertical in [false, true] {
             let in_wave = |sector: &Sector<T>| sector.arc.direction.is_vertical() == vertical;
-            let wave = halos.par_iter_mut().enumerate().filter(|(of, _)| in_wave(&sectors[*of]));
-            wave.for_each(|(of, halo)| halo.pull(sectors, of, *headings));
+            if !*fresh || vertical {
+                let wave = halos.par_iter_mut().enumerate().filter(|(of, _)| in_wave(&sectors[*of]));
+                wave.for_each(|(of, halo)| halo.pull(sectors, of, *headings));
+            }
             let wave = sectors.par_iter_mut().zip(&*halos).filter(|(sector, _)| in_wave(sector));
             let changes = wave.map(|(sector, halo)| sector.sweep(halo, noise, numbers, *interpolated));
             change = change.max(changes.reduce(|| 0.0, f64::max));
         }
+        *fresh = false;
         change
     }
 

@@ -17,10 +17,14 @@ pub(crate) struct Halo<T: Copy> {
 }
 
 impl<T: Real> Halo<T> {
-    /// An empty halo for noise with `reach` = taps on one side, plus one for the arc itself.
-    pub(crate) fn new(sector: &Sector<T>, reach: usize, padding: T) -> Self {
+    /// A halo of `start` values, for noise with `reach` = taps on one side, plus one for the arc itself.
+    pub(crate) fn new(sector: &Sector<T>, reach: usize, start: T, padding: T) -> Self {
         let lanes = sector.lanes;
-        Halo { reach, lanes, values: Array::filled(padding, sector.extent[0] * 2 * reach * 2 * lanes) }
+        let mut values = Array::filled(start, sector.extent[0] * 2 * reach * 2 * lanes);
+        for row in values.chunks_exact_mut(lanes) {
+            row[sector.extent[1]..].fill(padding);
+        }
+        Halo { reach, lanes, values }
     }
 
     /// The rows of some headings at column `u`, bevel after bevel.

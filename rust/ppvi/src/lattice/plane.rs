@@ -1,6 +1,8 @@
 //! Copies of planes (one heading, one bevel, all grid points) between arrays of different layout, transposed where the
 //! one is stored by columns and the other by rows.
 
+use std::array::from_fn;
+
 const TILE: usize = 8;
 
 /// Where a plane stands in an array: element `(row, column)` at `start + row * stride + column`.
@@ -51,18 +53,12 @@ fn transpose<A: Copy + Default, B: Copy>(
 ) {
     let (whole_rows, whole_columns) = (rows / TILE * TILE, columns / TILE * TILE);
     for r in (0..whole_rows).step_by(TILE) {
+        let lines: [usize; TILE] = from_fn(|k| from_at.at(r + k, rows));
         for c in (0..whole_columns).step_by(TILE) {
-            let mut tile = [[A::default(); TILE]; TILE];
-            for (k, line) in tile.iter_mut().enumerate() {
-                let at = from_at.at(r + k, rows) + c;
-                line.copy_from_slice(&from[at..at + TILE]);
-            }
+            let tile: [&[A]; TILE] = lines.map(|line| &from[line + c..][..TILE]);
             for k in 0..TILE {
-                let at = to_at.at(c + k, columns) + r;
-                let out = &mut to[at..at + TILE];
-                for (out, line) in out.iter_mut().zip(&tile) {
-                    *out = convert(line[k]);
-                }
+                let column: [B; TILE] = from_fn(|line| convert(tile[line][k]));
+                to[to_at.at(c + k, columns) + r..][..TILE].copy_from_slice(&column);
             }
         }
     }

@@ -81,6 +81,8 @@ pub(crate) struct Sector<T: Copy> {
     turns: Array<u8>,
     /// `[count][bevel]`, along (u, v).
     shifts: Vec<[Shift; 2]>,
+    /// Whether every step reads only columns further downstream, as it does unless the grid is coarse for the step.
+    downstream: bool,
 }
 
 impl<T: Real> Sector<T> {
@@ -97,6 +99,7 @@ impl<T: Real> Sector<T> {
         let shifts: Vec<[Shift; 2]> = (0..arc.count)
             .map(|q| lattice.stencil[(arc.first + q) % headings].map(|shift| orient(shift, arc.direction)))
             .collect();
+        let downstream = shifts.iter().flatten().all(|shift| shift.cell[0] > 0);
         let reach = |axis: usize| {
             shifts.iter().flatten().map(|shift| shift.cell[axis].unsigned_abs() as usize + 1).max().unwrap_or(1)
         };
@@ -114,6 +117,7 @@ impl<T: Real> Sector<T> {
             ended: Array::filled(numbers.outside(), size),
             turns: Array::filled(0, if policy.is_some() { size } else { 0 }),
             shifts,
+            downstream,
         };
         sector.load_outcomes(lattice, numbers);
         sector.fill_convolved(start);
@@ -195,11 +199,6 @@ impl<T: Real> Sector<T> {
         }
     }
 
-    /// Whether every step reads only columns further downstream, as it does unless the grid is coarse for the step.
-    fn is_downstream(&self) -> bool {
-        self.shifts.iter().flatten().all(|shift| shift.cell[0] > 0)
-    }
-
     /// Recomputes all of W, after values were loaded.
     pub(crate) fn convolve_all(&mut self, halo: &Halo<T>, noise: &[T]) {
         for u in 0..self.extent[0] {
@@ -276,7 +275,7 @@ fn sweep_columns<T: Real, const INTERPOLATED: bool, const POLICY: bool>(
     let mut change = vec![T::default(); sector.lanes];
     let mut buffers = [change.clone(), change.clone()];
     let pair = 2 * sector.lanes;
-    if !sector.is_downstream() {
+    if !sector.downstream {
         // Columns not yet swept are read, too: they must not hold the halo of the pass before.
         sector.convolve_all(halo, noise);
     }
