@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -29,8 +30,9 @@ def make(*arguments: str) -> subprocess.CompletedProcess[str]:
     """Run make with the environment under test instead of .venv, which need not be there."""
     if not shutil.which("make"):
         pytest.skip("make is not there")
-    installed = [f"--old-file={sys.prefix}/{stamp}" for stamp in ("installed", "installed-test")]
-    command = ["make", "--no-print-directory", *installed, f"VENV={sys.prefix}", *arguments]
+    venv = os.path.relpath(sys.prefix, pages.ROOT)
+    installed = [f"--old-file={venv}/{stamp}" for stamp in ("installed", "installed-test")]
+    command = ["make", "--no-print-directory", *installed, f"VENV={venv}", *arguments]
     return subprocess.run(
         command,
         cwd=pages.ROOT,
