@@ -20,7 +20,7 @@ import numpy as np
 
 from needleplan import _ppvi
 from needleplan.errors import MdpError, Mistake
-from needleplan.planning.stats import Progress, Stats, Status
+from needleplan.planning.stats import Progress, Stats
 from needleplan.scenario import Method, Priority
 
 if TYPE_CHECKING:
@@ -157,20 +157,7 @@ def solve(
         )
     except (ValueError, TypeError, OverflowError, MemoryError) as error:
         raise MdpError(str(error)) from error
-    stats = Stats(
-        states=mdp.states,
-        partitions=solved["partitions"],
-        partitions_processed=solved["partitions_processed"],
-        backups=solved["backups"],
-        sweeps=solved["sweeps"],
-        residual=solved["residual"],
-        error_bound=solved["error_bound"],
-        status=Status(solved["status"]),
-        seconds=perf_counter() - began,
-        seconds_solving=solved["seconds_solving"],
-        seconds_priorities=solved["seconds_priorities"],
-        order=tuple(solved["order"].tolist()),
-    )
+    stats = Stats.of(solved, mdp.states, perf_counter() - began)
     return Solution(solved["values"], mdp.actions_of(solved["policy"]), stats)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from needleplan.errors import ScenarioError
 from needleplan.planning.lattice import lattice_of
 from needleplan.planning.memory import require_memory
-from needleplan.planning.stats import Progress, Stats, Status
+from needleplan.planning.stats import Progress, Stats
 from needleplan.planning.table import PolicyTable
 from needleplan.scenario import Scenario
 
@@ -42,20 +42,7 @@ def plan(scenario: Scenario, progress: Progress | None = None) -> PolicyTable:
         np.minimum(success, 1, out=success)  # weights in single precision can sum to a little more than one
     except (ValueError, MemoryError) as error:
         raise ScenarioError(str(error)) from error
-    stats = Stats(
-        states=scenario.states,
-        partitions=solved["partitions"],
-        partitions_processed=solved["partitions_processed"],
-        backups=solved["backups"],
-        sweeps=solved["sweeps"],
-        residual=solved["residual"],
-        error_bound=solved["error_bound"],
-        status=Status(solved["status"]),
-        seconds=perf_counter() - began,
-        seconds_solving=solved["seconds_solving"],
-        seconds_priorities=solved["seconds_priorities"],
-        order=tuple(solved["order"].tolist()),
-    )
+    stats = Stats.of(solved, scenario.states, perf_counter() - began)
     table = PolicyTable(solved["values"], solved["policy"], success, stats, scenario)
     vars(table)["lattice"] = lattice
     return table

@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from needleplan._ppvi import _Solution
 
 __all__ = ["Progress", "Stats", "Status"]
 
@@ -46,3 +50,21 @@ class Stats:
     seconds_solving: float
     seconds_priorities: float
     order: tuple[int, ...]
+
+    @classmethod
+    def of(cls, solved: _Solution, states: int, seconds: float) -> Stats:
+        """Make them of what the compiled solver reports."""
+        return cls(
+            states=states,
+            partitions=solved["partitions"],
+            partitions_processed=solved["partitions_processed"],
+            backups=solved["backups"],
+            sweeps=solved["sweeps"],
+            residual=solved["residual"],
+            error_bound=solved["error_bound"],
+            status=Status(solved["status"]),
+            seconds=seconds,
+            seconds_solving=solved["seconds_solving"],
+            seconds_priorities=solved["seconds_priorities"],
+            order=tuple(solved["order"].tolist()),
+        )
