@@ -28,7 +28,8 @@ pub(crate) struct List {
 #[derive(Debug, Clone, Copy)]
 struct Member {
     state: u32,
-    pattern: u32,
+    /// Where its pattern begins in the dictionary.
+    start: u32,
 }
 
 /// Values that may be written while others read them.
@@ -80,20 +81,24 @@ impl Block {
 
     /// Decides in which lists a pattern is, and notes what they read if its first and last states are those of `span`.
     fn read(&mut self, pattern: u32, span: &Range<i64>, log_size: u32) -> [bool; 2] {
-        let shifts = self.dictionary.shifts(pattern);
-        let (lower, higher) = (shifts.iter().any(|&d| d < 0), shifts.iter().any(|&d| d > 0));
-        let directions = if lower == higher { [!shifts.is_empty(); 2] } else { [lower, higher] };
+        let (mut lower, mut higher) = (false, false);
+        self.dictionary.each_shift(pattern, |shift| {
+            lower |= shift < 0;
+            higher |= shift > 0;
+        });
+        let directions = if lower == higher { [!self.dictionary.is_constant(pattern); 2] } else { [lower, higher] };
         let own = (self.begin >> log_size) as i64;
-        for &shift in shifts {
+        let lists = &mut self.lists;
+        self.dictionary.each_shift(pattern, |shift| {
             let first = (span.start + i64::from(shift)) >> log_size;
             let last = (span.end + i64::from(shift)) >> log_size;
             // The first state reads lowest, the last one highest, and the others in between.
             let late = [shift >= 0 && first == own, shift <= 0 && last == own];
-            for (side, list) in self.lists.iter_mut().enumerate().filter(|(side, _)| directions[*side]) {
+            for (side, list) in lists.iter_mut().enumerate().filter(|(side, _)| directions[*side]) {
                 list.late |= late[side];
                 (first..=last).for_each(|block| list.reads |= 1 << block);
             }
-        }
+        });
         directions
     }
 
@@ -101,8 +106,9 @@ impl Block {
         for (side, list) in self.lists.iter_mut().enumerate() {
             let active = self.patterns.iter().enumerate().filter(|(_, pattern)| **pattern != FIXED);
             let members = active.filter(|(_, pattern)| directions[**pattern as usize][side]);
-            let members = members.map(|(at, &pattern)| Member { state: (self.begin + at) as u32, pattern });
-            list.members = members.collect();
+            let member =
+                |(at, &pattern)| Member { state: (self.begin + at) as u32, start: self.dictionary.start(pattern) };
+            list.members = members.map(member).collect();
         }
         self.lists[1].members.reverse();
     }
@@ -116,7 +122,7 @@ impl Block {
     pub fn update(&self, side: usize, discount: f64, values: &impl SharedValues) -> f64 {
         let mut largest = 0.0f64;
         for member in &self.lists[side].members {
-            let new = self.dictionary.backup(member.pattern, member.state, discount, values).0;
+            let new = self.dictionary.backup(member.start, member.state, discount, values).0;
             largest = largest.max((new - values.get(member.state as usize)).abs());
             values.set(member.state as usize, new);
         }
@@ -126,8 +132,8 @@ impl Block {
     /// Gives their final values to the states whose successors are all absorbing; returns their number.
     pub fn settle_constants(&self, discount: f64, values: &impl SharedValues) -> u64 {
         let mut count = 0;
-        for (state, pattern) in self.active().filter(|&(_, pattern)| self.dictionary.shifts(pattern).is_empty()) {
-            values.set(state, self.dictionary.backup(pattern, state as u32, discount, values).0);
+        for (state, pattern) in self.active().filter(|&(_, pattern)| self.dictionary.is_constant(pattern)) {
+            values.set(state, self.dictionary.backup(self.dictionary.start(pattern), state as u32, discount, values).0);
             count += 1;
         }
         count
@@ -136,7 +142,8 @@ impl Block {
     /// Calls `visit(state, backup, action)` for every active state.
     pub fn each_backup(&self, discount: f64, values: &impl Values, mut visit: impl FnMut(usize, f64, usize)) {
         for (state, pattern) in self.active() {
-            let (value, action) = self.dictionary.backup(pattern, state as u32, discount, values);
+            let (value, action) =
+                self.dictionary.backup(self.dictionary.start(pattern), state as u32, discount, values);
             visit(state, value, action);
         }
     }

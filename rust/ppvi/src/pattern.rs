@@ -47,9 +47,9 @@ pub(crate) trait Values {
     fn get(&self, state: usize) -> f64;
 }
 
-/// Actions of many patterns in compressed rows, successors relative to the state.
+/// What states are compared with: whole patterns in compressed rows, inactive successors as marks.
 #[derive(Debug)]
-struct Rows {
+struct Known {
     /// Rows of a pattern: `row_offsets[pattern]..row_offsets[pattern + 1]`.
     row_offsets: Vec<usize>,
     costs: Vec<f64>,
@@ -59,39 +59,60 @@ struct Rows {
     probabilities: Vec<f64>,
 }
 
-impl Rows {
+impl Known {
     fn new() -> Self {
         let (row_offsets, entry_offsets) = (vec![0], vec![0]);
-        Rows { row_offsets, costs: Vec::new(), entry_offsets, shifts: Vec::new(), probabilities: Vec::new() }
+        Known { row_offsets, costs: Vec::new(), entry_offsets, shifts: Vec::new(), probabilities: Vec::new() }
     }
 
-    #[inline]
-    fn of(&self, pattern: u32) -> Range<usize> {
-        self.row_offsets[pattern as usize]..self.row_offsets[pattern as usize + 1]
-    }
-
-    fn push_entry(&mut self, shift: i32, probability: f64) {
-        self.shifts.push(shift);
-        self.probabilities.push(probability);
-    }
-
-    fn end_row(&mut self, cost: f64) {
-        self.costs.push(cost);
-        self.entry_offsets.push(self.shifts.len());
-    }
-
-    fn end_pattern(&mut self) {
+    fn add(&mut self, source: Source, state: usize) {
+        for row in source.mdp.rows(state) {
+            let (successors, probabilities, cost) = source.mdp.row(row);
+            self.shifts.extend(successors.iter().map(|&next| source.shift(state, next)));
+            self.probabilities.extend_from_slice(probabilities);
+            self.costs.push(cost);
+            self.entry_offsets.push(self.shifts.len());
+        }
         self.row_offsets.push(self.costs.len());
+    }
+
+    /// Whether `state` has exactly this pattern.
+    fn matches(&self, pattern: u32, source: Source, state: usize) -> bool {
+        let Some(&end) = self.row_offsets.get(pattern as usize + 1) else {
+            return false;
+        };
+        let (known, own) = (self.row_offsets[pattern as usize]..end, source.mdp.rows(state));
+        if known.len() != own.len() {
+            return false;
+        }
+        let (successors, probabilities, costs, offsets) = source.mdp.consecutive_rows(own);
+        let known_offsets = &self.entry_offsets[known.start..=known.end];
+        let ends = |offsets: &[usize], row: usize| offsets[row] - offsets[0];
+        if costs != &self.costs[known.clone()]
+            || !(1..=costs.len()).all(|row| ends(offsets, row) == ends(known_offsets, row))
+        {
+            return false;
+        }
+        let entries = known_offsets[0]..known_offsets[costs.len()];
+        let pairs = probabilities.iter().zip(&self.probabilities[entries.clone()]);
+        if !pairs.fold(true, |same, (p, known)| same & (p == known)) {
+            return false;
+        }
+        let pairs = successors.iter().zip(&self.shifts[entries]);
+        pairs.fold(true, |same, (&next, &known)| same & (source.shift(state, next) == known))
     }
 }
 
-/// Patterns, numbered as they were found.
+/// Patterns, numbered as they were found, packed for backups: two parallel arrays of cells. A row is a head cell, with
+/// the cost as its number and the count of entries as its shift (complemented, hence negative, in the last row of the
+/// pattern), followed by its entries. A backup reads both arrays from one place on, and needs no other index.
 #[derive(Debug)]
 pub(crate) struct Dictionary {
-    /// What backups use.
-    rows: Rows,
-    /// What states are compared with: everything, inactive successors as marks.
-    raw: Rows,
+    shifts: Vec<i32>,
+    numbers: Vec<f64>,
+    /// First cell of every pattern.
+    starts: Vec<u32>,
+    known: Known,
     by_hash: HashMap<u64, u32>,
     /// The two patterns that came after a pattern last: the first guesses for the next state.
     followers: Vec<[u32; 2]>,
@@ -104,25 +125,31 @@ const TRIAL: usize = 4096;
 
 impl Dictionary {
     pub fn new() -> Self {
-        let (rows, raw) = (Rows::new(), Rows::new());
-        Dictionary { rows, raw, by_hash: HashMap::new(), followers: Vec::new(), previous: 0, looked_up: 0 }
+        Dictionary {
+            shifts: Vec::new(),
+            numbers: Vec::new(),
+            starts: Vec::new(),
+            known: Known::new(),
+            by_hash: HashMap::new(),
+            followers: Vec::new(),
+            previous: 0,
+            looked_up: 0,
+        }
     }
 
-    /// Number of patterns.
-    pub fn len(&self) -> usize {
-        self.rows.row_offsets.len() - 1
+    /// First cell of a pattern.
+    pub fn start(&self, pattern: u32) -> u32 {
+        self.starts[pattern as usize]
     }
 
     /// The number of the pattern of an active state; expects the states of a neighbourhood in order.
     pub fn pattern(&mut self, source: Source, state: usize) -> u32 {
-        if self.looked_up >= TRIAL && self.len() > self.looked_up / 2 {
-            self.raw = Rows::new();
-            self.add(source, state);
-            return self.len() as u32 - 1;
+        if self.looked_up >= TRIAL && self.starts.len() > self.looked_up / 2 {
+            return self.add(source, state);
         }
         self.looked_up += 1;
         let guesses = self.followers.get(self.previous).copied().unwrap_or_default();
-        let guess = guesses.into_iter().find(|&guess| self.matches(guess, source, state));
+        let guess = guesses.into_iter().find(|&guess| self.known.matches(guess, source, state));
         let pattern = guess.unwrap_or_else(|| self.look_up(source, state));
         if pattern != guesses[0] {
             self.followers[self.previous] = [pattern, guesses[0]];
@@ -134,99 +161,95 @@ impl Dictionary {
     fn look_up(&mut self, source: Source, state: usize) -> u32 {
         let hash = hash(source, state);
         if let Some(&pattern) = self.by_hash.get(&hash)
-            && self.matches(pattern, source, state)
+            && self.known.matches(pattern, source, state)
         {
             return pattern;
         }
-        let pattern = self.len() as u32;
-        self.add(source, state);
-        self.add_raw(source, state);
+        let pattern = self.add(source, state);
+        self.known.add(source, state);
         self.followers.push([0; 2]);
         self.by_hash.insert(hash, pattern);
         pattern
     }
 
-    fn add(&mut self, source: Source, state: usize) {
+    fn add(&mut self, source: Source, state: usize) -> u32 {
+        self.starts.push(self.shifts.len() as u32);
+        let mut head = 0;
         for row in source.mdp.rows(state) {
-            let (successors, probabilities, mut cost) = source.mdp.row(row);
+            let (successors, probabilities, cost) = source.mdp.row(row);
+            head = self.shifts.len();
+            self.push(0, cost);
             for (&next, &probability) in successors.iter().zip(probabilities).filter(|entry| *entry.1 > 0.0) {
                 match source.classes[next as usize] {
-                    Class::Active => self.rows.push_entry(source.shift(state, next), probability),
-                    Class::Endless => cost = f64::INFINITY,
+                    Class::Active => self.push(source.shift(state, next), probability),
+                    Class::Endless => self.numbers[head] = f64::INFINITY,
                     Class::Absorbing => {}
                 }
             }
-            self.rows.end_row(cost);
+            self.shifts[head] = (self.shifts.len() - head - 1) as i32;
         }
-        self.rows.end_pattern();
+        self.shifts[head] = !self.shifts[head];
+        self.starts.len() as u32 - 1
     }
 
-    fn add_raw(&mut self, source: Source, state: usize) {
-        for row in source.mdp.rows(state) {
-            let (successors, probabilities, cost) = source.mdp.row(row);
-            for (&next, &probability) in successors.iter().zip(probabilities) {
-                self.raw.push_entry(source.shift(state, next), probability);
-            }
-            self.raw.end_row(cost);
-        }
-        self.raw.end_pattern();
+    fn push(&mut self, shift: i32, number: f64) {
+        self.shifts.push(shift);
+        self.numbers.push(number);
     }
 
-    /// Whether `state` has exactly this pattern.
-    fn matches(&self, pattern: u32, source: Source, state: usize) -> bool {
-        if pattern as usize >= self.len() {
-            return false;
+    /// Calls `visit` for the successors, of all actions of a pattern, relative to the state.
+    pub fn each_shift(&self, pattern: u32, mut visit: impl FnMut(i32)) {
+        let (mut cell, mut last) = (self.start(pattern) as usize, false);
+        while !last {
+            let entries;
+            (entries, last) = self.entries(cell);
+            self.shifts[entries.clone()].iter().for_each(|&shift| visit(shift));
+            cell = entries.end;
         }
-        let (known, own) = (self.raw.of(pattern), source.mdp.rows(state));
-        if known.len() != own.len() {
-            return false;
-        }
-        let (successors, probabilities, costs, offsets) = source.mdp.consecutive_rows(own);
-        let known_offsets = &self.raw.entry_offsets[known.start..=known.end];
-        let ends = |offsets: &[usize], row: usize| offsets[row] - offsets[0];
-        if costs != &self.raw.costs[known.clone()]
-            || !(1..=costs.len()).all(|row| ends(offsets, row) == ends(known_offsets, row))
-        {
-            return false;
-        }
-        let entries = known_offsets[0]..known_offsets[costs.len()];
-        let pairs = probabilities.iter().zip(&self.raw.probabilities[entries.clone()]);
-        if !pairs.fold(true, |same, (p, known)| same & (p == known)) {
-            return false;
-        }
-        let pairs = successors.iter().zip(&self.raw.shifts[entries]);
-        pairs.fold(true, |same, (&next, &known)| same & (source.shift(state, next) == known))
     }
 
-    /// Successors, of all actions of a pattern, relative to the state.
-    pub fn shifts(&self, pattern: u32) -> &[i32] {
-        let rows = self.rows.of(pattern);
-        &self.rows.shifts[self.rows.entry_offsets[rows.start]..self.rows.entry_offsets[rows.end]]
+    /// Whether the costs alone decide: every successor is absorbing.
+    pub fn is_constant(&self, pattern: u32) -> bool {
+        let mut constant = true;
+        self.each_shift(pattern, |_| constant = false);
+        constant
     }
 
-    /// The backup of a state that has the pattern, and the first action that attains it.
+    /// Cells of the entries of the row that begins at `cell`, and whether it is the last of its pattern.
     #[inline]
-    pub fn backup(&self, pattern: u32, state: u32, discount: f64, values: &impl Values) -> (f64, usize) {
-        let rows = self.rows.of(pattern);
+    fn entries(&self, cell: usize) -> (Range<usize>, bool) {
+        let head = self.shifts[cell];
+        let last = head < 0;
+        (cell + 1..cell + 1 + if last { !head } else { head } as usize, last)
+    }
+
+    /// The backup of a state whose pattern begins at `start`, and the first action that attains it.
+    #[inline]
+    pub fn backup(&self, start: u32, state: u32, discount: f64, values: &impl Values) -> (f64, usize) {
         let mut best = (f64::INFINITY, 0);
-        for (action, row) in rows.enumerate() {
-            let entries = self.rows.entry_offsets[row]..self.rows.entry_offsets[row + 1];
-            let (shifts, probabilities) = (&self.rows.shifts[entries.clone()], &self.rows.probabilities[entries]);
+        let (mut cell, mut action) = (start as usize, 0);
+        loop {
+            let (entries, last) = self.entries(cell);
+            let (shifts, probabilities) = (&self.shifts[entries.clone()], &self.numbers[entries.clone()]);
             let mut expectation = 0.0;
             for (&shift, &probability) in shifts.iter().zip(probabilities) {
                 expectation += probability * values.get(state.wrapping_add_signed(shift) as usize);
             }
-            let q = self.rows.costs[row] + discount * expectation;
+            let q = self.numbers[cell] + discount * expectation;
             if q < best.0 {
                 best = (q, action);
             }
+            if last {
+                return best;
+            }
+            cell = entries.end;
+            action += 1;
         }
-        best
     }
 
     /// Releases what only the search for repetitions needs.
     pub fn finish(&mut self) {
-        self.raw = Rows::new();
+        self.known = Known::new();
         self.by_hash = HashMap::new();
         self.followers = Vec::new();
     }

@@ -12,20 +12,25 @@
 //! (de Alfaro 1997, "prob1E"). *Why:* within such an X, taking in every state the action that put it into Y lowers the
 //! rank at which a state entered Y with a probability bounded below, and never leaves X; so rank zero is reached with
 //! probability one. Conversely the states that can end almost surely satisfy the equation, hence lie in the largest
-//! solution. It is found from above: start with every state, compute Y by a backward search, drop what is not in Y,
-//! repeat until nothing is dropped. Almost every problem needs one or two rounds of time O(entries) each.
+//! solution. It is found from above: start with every state, compute Y, drop what is not in Y, repeat until nothing is
+//! dropped. Almost every problem needs one or two rounds. Y is computed by sweeps forwards and backwards in turn, which
+//! need no memory and are few where neighbours have near indices; should they be many, the rest is done by a backward
+//! search in the reverse graph, in time O(entries).
 
 use crate::dependency::StateDependents;
 use crate::mdp::Mdp;
 use crate::tabular::ROW_SUM_TOLERANCE;
 
+/// Sweeps to try before the reverse graph is built.
+const SWEEPS: usize = 16;
+
 /// For every state, whether some policy ends the execution from there with probability one. A row that sums to less
-/// than one (by more than 1e-9) may end, too. Needs the reverse graph: 4 bytes for every (state, successor).
+/// than one (by more than 1e-9) may end, too.
 pub fn proper_states(mdp: &impl Mdp) -> Vec<bool> {
-    let dependents = StateDependents::new(mdp);
     let mut allowed = vec![true; mdp.states()];
+    let mut dependents = None;
     loop {
-        let reached = ending_states(mdp, &dependents, &allowed);
+        let reached = ending_states(mdp, &mut dependents, &allowed);
         if reached == allowed {
             return reached;
         }
@@ -34,21 +39,29 @@ pub fn proper_states(mdp: &impl Mdp) -> Vec<bool> {
 }
 
 /// The least Y for a given X.
-fn ending_states(mdp: &impl Mdp, dependents: &StateDependents, allowed: &[bool]) -> Vec<bool> {
-    let mut reached = vec![false; mdp.states()];
-    let mut frontier: Vec<u32> = Vec::new();
-    for state in 0..mdp.states() {
-        if allowed[state] && (mdp.actions(state) == 0 || may_enter(mdp, state, allowed, &reached)) {
-            reached[state] = true;
-            frontier.push(state as u32);
+fn ending_states(mdp: &impl Mdp, dependents: &mut Option<StateDependents>, allowed: &[bool]) -> Vec<bool> {
+    let mut reached: Vec<bool> = (0..mdp.states()).map(|state| allowed[state] && mdp.actions(state) == 0).collect();
+    let mut missing: Vec<u32> = (0..mdp.states()).filter(|&s| allowed[s] && !reached[s]).map(|s| s as u32).collect();
+    for _ in 0..SWEEPS {
+        let before = missing.len();
+        missing.retain(|&state| {
+            let enters = may_enter(mdp, state as usize, allowed, &reached);
+            reached[state as usize] = enters;
+            !enters
+        });
+        if missing.is_empty() || missing.len() == before {
+            return reached;
         }
+        missing.reverse();
     }
+    let dependents = dependents.get_or_insert_with(|| StateDependents::new(mdp));
+    let mut frontier: Vec<u32> = (0..mdp.states()).filter(|&state| reached[state]).map(|state| state as u32).collect();
     while let Some(next) = frontier.pop() {
         for &state in dependents.sds(next as usize) {
-            let state = state as usize;
-            if !reached[state] && allowed[state] && may_enter(mdp, state, allowed, &reached) {
-                reached[state] = true;
-                frontier.push(state as u32);
+            let at = state as usize;
+            if !reached[at] && allowed[at] && may_enter(mdp, at, allowed, &reached) {
+                reached[at] = true;
+                frontier.push(state);
             }
         }
     }

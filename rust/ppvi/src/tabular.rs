@@ -144,6 +144,11 @@ impl<'a> TabularMdp<'a> {
         (&self.successors[entries.clone()], &self.probabilities[entries], self.stage_costs[row])
     }
 
+    /// Number of rows and entries together.
+    pub(crate) fn cells(&self) -> usize {
+        self.successors.len() + self.stage_costs.len()
+    }
+
     /// Successors, probabilities and costs of consecutive rows, and the offsets of the rows.
     #[inline]
     pub(crate) fn consecutive_rows(&self, rows: std::ops::Range<usize>) -> (&[u32], &[f64], &[f64], &[usize]) {

@@ -50,14 +50,11 @@ impl SharedValues for Shared {
 /// Solves an explicit problem on the current rayon pool; the result is the same, bit for bit, for any number of threads.
 ///
 /// # Errors
-/// For an invalid rule, or 2^31 states and more. Reaching a limit is a status.
+/// For an invalid rule, or 2^31 states and 2^32 rows and entries or more. Reaching a limit is a status.
 pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer>) -> Result<Solution> {
     rule.validate()?;
     let states = mdp.states();
-    if states >= i32::MAX as usize {
-        let rule = "successors are stored relative to the state, in 32 bits with a sign";
-        return Err(Error::TooLarge { states: states as u128, needed_bytes: 24 * states as u128, rule });
-    }
+    check_size(mdp)?;
     let mut watch = Watch::start(rule, observer);
     let certificate = certificate(mdp);
     let discount = mdp.discount();
@@ -158,6 +155,16 @@ impl<'b> Sweeps<'b> {
         }
         largest
     }
+}
+
+/// Successors are stored relative to the state, and rows and entries counted, in 32 bits.
+fn check_size(mdp: &TabularMdp) -> Result<()> {
+    let (states, cells) = (mdp.states(), mdp.cells());
+    if states < i32::MAX as usize && cells < u32::MAX as usize {
+        return Ok(());
+    }
+    let rule = "directional sweeps take less than 2^31 states and 2^32 rows and entries";
+    Err(Error::TooLarge { states: states as u128, needed_bytes: 12 * cells as u128 + 24 * states as u128, rule })
 }
 
 fn classify(mdp: &TabularMdp) -> Vec<Class> {

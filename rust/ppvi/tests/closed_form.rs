@@ -108,6 +108,27 @@ fn what_cannot_end_costs_infinity() {
 }
 
 #[test]
+fn the_order_of_the_indices_does_not_matter() {
+    // A chain whose k-th link has index 1103 k mod 2003; from every tenth link a detour leads to a trap.
+    let (links, trap) = (2003, 2003);
+    let place = |k: u32| k * 1103 % links;
+    let mut rows: Rows = vec![vec![]; links as usize + 1];
+    for k in 1..links {
+        rows[place(k) as usize].push((1.0, vec![(place(k - 1), 1.0)]));
+        if k % 10 == 0 {
+            rows[place(k) as usize].push((0.5, vec![(place(k - 1), 0.5), (trap, 0.5)]));
+        }
+    }
+    rows[trap as usize].push((1.0, vec![(trap, 1.0)]));
+    let mut expected = vec![f64::INFINITY; links as usize + 1];
+    (0..links).for_each(|k| expected[place(k) as usize] = f64::from(k));
+    let mdp = tabular(&rows, 1.0).unwrap();
+    let proper: Vec<bool> = expected.iter().map(|value| value.is_finite()).collect();
+    assert_eq!(ppvi::proper_states(&mdp), proper);
+    assert_values(&mdp, 1.0, &expected);
+}
+
+#[test]
 fn an_unreachable_target_ends_the_solve() {
     let rows = grid_world(8, 8, |i, _| i == 3, 1.0);
     let mdp = tabular(&rows, 1.0).unwrap();
