@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -93,7 +94,8 @@ def test_unknown_commands_and_options_are_told() -> None:
 
 
 def test_a_reader_that_leaves_is_no_error(scenario_file: Path) -> None:
-    command = f"{sys.executable} -m needleplan plan {scenario_file} --json | true; echo ${{PIPESTATUS[0]}}"
+    plan = shlex.join([sys.executable, "-m", "needleplan", "plan", str(scenario_file), "--json"])
+    command = f"{plan} | true; echo ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout in ("141\n", "0\n")
     assert "Traceback" not in done.stderr
