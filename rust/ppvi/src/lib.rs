@@ -27,9 +27,9 @@
 //!
 //! | solver | takes | what it is |
 //! |---|---|---|
-//! | [`value_iteration`] | any [`Mdp`] | the readable reference: V <- TV |
-//! | [`prioritized`] | any [`Mdp`], any [`Partition`] | partitions in the order of a [`Priority`] (Wingate and Seppi 2005; the thesis, chapter 6) |
-//! | [`tabular_sweep`](mod@tabular_sweep) | [`TabularMdp`] | Gauss-Seidel in waves of independent blocks |
+//! | [`value_iteration()`] | any [`Mdp`] | the readable reference: V <- TV |
+//! | [`prioritized()`] | any [`Mdp`], any [`Partition`] | partitions in the order of a [`Priority`] (Wingate and Seppi 2005; the thesis, chapter 6) |
+//! | [`tabular_sweep()`] | [`TabularMdp`] | Gauss-Seidel in waves of independent blocks |
 //! | [`lattice::sweep`] | [`lattice::LatticeMdp`] | Gauss-Seidel against the direction of motion |
 //!
 //! The subtle part, why an accumulated change bounds a residual and why waves give the same bits on any number of

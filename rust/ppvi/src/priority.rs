@@ -40,7 +40,7 @@
 //! earlier tasks that read a state it writes or write a state it reads or writes. Tasks of a level then commute exactly:
 //! none sees what another one writes. So running level after level, the tasks of one level in parallel in any order,
 //! performs on every state the same floating-point operations with the same operands as the sequence itself, for any
-//! number of threads. (This is what [`crate::tabular_sweep`] does.)
+//! number of threads. (This is what [`crate::tabular_sweep()`] does.)
 
 use crate::dependency::Dependencies;
 use crate::error::{Error, parameter};

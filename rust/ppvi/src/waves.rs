@@ -52,7 +52,8 @@ pub(crate) fn waves(blocks: &[Block]) -> Vec<Vec<Task>> {
 /// For every block the largest change of each update is added up; a list remembers these totals as they were when it was
 /// updated. Its residual is at most what that update left plus discount * the largest growth, since then, of the total of
 /// a block that it reads. A list that reads none of its own members late leaves nothing; any other leaves at most
-/// discount * its own largest change.
+/// discount * its own largest change. (A mixed state may since have been updated by the other list of its block: then its
+/// residual was zero at that later moment, and the growth bounds all the more what has come after.)
 #[derive(Debug)]
 pub(crate) struct Ledger<'b> {
     blocks: &'b [Block],
