@@ -121,6 +121,8 @@ def test_an_interrupt_ends_it_cleanly(scenario_file: Path, tmp_path: Path) -> No
     process = subprocess.Popen(
         [sys.executable, "-m", "needleplan", "plan", str(scenario_file), "-o", str(tmp_path / "table.h5")],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        # A background job of a shell ignores interrupts, and so would its children.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     assert process.stderr is not None
     first_line = process.stderr.readline()
