@@ -7,6 +7,8 @@
         ├── ScenarioError       a scenario, or the file it came from
         ├── PoseError           a pose outside the table, or not a number
         ├── MdpError            arrays that do not describe a Markov decision process
+        ├── ModelError          parameters that a model of the mechanics cannot have
+        ├── DataError           measurements that cannot be used as they are
         ├── TableError          not a policy table of this version, or a truncated one
         │   └── ChecksumError   a policy table whose bytes have changed since it was written
         └── OutputError         a file that cannot be written
@@ -21,9 +23,11 @@ from dataclasses import dataclass
 
 __all__ = [
     "ChecksumError",
+    "DataError",
     "InputError",
     "MdpError",
     "Mistake",
+    "ModelError",
     "NeedleplanError",
     "OutputError",
     "PoseError",
@@ -88,6 +92,14 @@ class PoseError(InputError):
 
 class MdpError(InputError):
     """The arrays do not describe a Markov decision process."""
+
+
+class ModelError(InputError):
+    """A model of the mechanics cannot have these parameters, or the file that it came from is wrong."""
+
+
+class DataError(InputError):
+    """Measurements cannot be used as they are."""
 
 
 class TableError(InputError):

@@ -1,0 +1,91 @@
+"""How a needle moves along its axis: what drives every model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from needleplan.errors import DataError, Mistake
+from needleplan.signals.array import Array
+
+__all__ = ["Motion", "last_direction"]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion sampled at increasing times; all fields have the shape (samples,), or are scalars for one instant.
+
+    `direction` is the sign of the velocity, and at rest the last sign that was not zero: +1 in, -1 out (0 before the
+    first movement). `angle_rad` is the rotation of the base about the axis of the needle.
+    """
+
+    time_s: Array
+    depth_mm: Array
+    velocity_mm_s: Array
+    direction: Array
+    angle_rad: Array
+
+    @classmethod
+    def sampled(
+        cls, time_s: Array, depth_mm: Array, velocity_mm_s: Array | None = None, angle_rad: Array | None = None
+    ) -> Motion:
+        """Make a motion of samples, shape (samples,) each; a missing velocity is the central difference of the depth.
+
+        Raises DataError where shapes differ, a number is not finite, or times do not increase.
+        """
+        time = np.asarray(time_s, float)
+        depth = np.asarray(depth_mm, float)
+        if time.ndim != 1 or time.shape != depth.shape or time.size < 2:
+            rule = f"must be a row of at least two numbers, as long as time_s, {time.shape}"
+            raise DataError(Mistake("depth_mm", f"shape {depth.shape}", rule))
+        if velocity_mm_s is None:
+            if not (np.diff(time) > 0).all():
+                raise DataError(Mistake("time_s", "", "must increase from sample to sample"))
+            velocity = np.gradient(depth, time)
+        else:
+            velocity = np.asarray(velocity_mm_s, float)
+        angle = np.zeros_like(time) if angle_rad is None else np.asarray(angle_rad, float)
+        for name, values in (("time_s", time), ("depth_mm", depth), ("velocity_mm_s", velocity), ("angle_rad", angle)):
+            if values.shape != time.shape:
+                raise DataError(Mistake(name, f"shape {values.shape}", f"must be as long as time_s {time.shape}"))
+            if not np.isfinite(values).all():
+                first = int(np.flatnonzero(~np.isfinite(values))[0])
+                raise DataError(Mistake(f"{name}[{first}]", str(values[first]), "must be a finite number"))
+        if not (np.diff(time) > 0).all():
+            first = int(np.flatnonzero(np.diff(time) <= 0)[0]) + 1
+            raise DataError(Mistake(f"time_s[{first}]", str(time[first]), "must be greater than the time before it"))
+        return cls(time, depth, velocity, last_direction(velocity), angle)
+
+    def __len__(self) -> int:
+        return int(np.size(self.time_s))
+
+    def __getitem__(self, index: object) -> Motion:
+        """Return samples, or one instant."""
+        return Motion(*(getattr(self, each.name)[index] for each in fields(self)))
+
+    def between(self, fraction: float) -> Motion:
+        """Return the motion at `fraction` of each interval between samples, shape (samples - 1,).
+
+        Linear between samples; the direction is that of the velocity there, and at rest that of the sample before.
+        """
+        moved = {
+            name: values[:-1] + fraction * np.diff(values) for name, values in vars(self).items() if name != "direction"
+        }
+        sign = np.sign(moved["velocity_mm_s"])
+        return Motion(**moved, direction=np.where(sign == 0, self.direction[:-1], sign))
+
+    @property
+    def interval_s(self) -> Array:
+        """Times between samples, shape (samples - 1,)."""
+        return np.diff(self.time_s)
+
+
+def last_direction(velocity: Array) -> Array:
+    """Return the sign of each velocity, and where that is zero the last one that was not; shape as given."""
+    sign = np.sign(velocity)
+    moving = np.flatnonzero(sign)
+    if not moving.size:
+        return sign
+    last = np.searchsorted(moving, np.arange(sign.size), side="right") - 1
+    return np.where(last >= 0, sign[moving[np.maximum(last, 0)]], 0.0)
