@@ -1,0 +1,76 @@
+"""The force-depth model: LuGre friction with the inserted length l in the place of the velocity (eqs. 2.1 to 2.4).
+
+::
+
+    z' = l (beta - sigma0 z / g(l)),        g(l) = f1 + f2 exp(-alpha l)
+    f  = sigma0 z l + sign(l') l { sigma1 exp(-alpha l) (beta - sigma0 z / g(l)) + sigma2 }
+
+The print has lost where the dot of the velocity belongs. It belongs into the sign: with sign(l), which is always +1, or
+with "sign(l) l' {...}" the force of a retraction would not turn negative, against Figs. 2.7 and 2.9. The first term is
+read as sigma0 z l; with "sigma0 z" the statements of the text about sigma0 and sigma1 do not hold.
+
+At rest the sign is the last one that was not zero (`Motion.direction`). Relaxation is not in the model: z goes on while
+the needle dwells, since its input is l and not l'.
+
+Units with l in mm: beta 1/(mm s), f1, f2 and sigma1 N s, sigma0 and sigma2 N/mm, alpha 1/mm; z has none. The scale of
+z is free (`needleplan.models.force.gauge`), so that beta, f1, f2, sigma0 and sigma1 mean something only together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from needleplan.models.base import Channel, LinearStateModel
+from needleplan.models.parameter import parameter
+from needleplan.signals import Array, Motion
+
+__all__ = ["DepthForce"]
+
+
+@dataclass(frozen=True)
+class DepthForce(LinearStateModel):
+    """Axial force as a function of depth; abstract: the two models differ only in what is free.
+
+    A g(l) that is not positive somewhere makes z unstable there; it is no error, since identification may pass through
+    it, and `proper` says it.
+    """
+
+    channel: ClassVar[Channel] = Channel.FORCE
+
+    sigma0: float = parameter("N/mm", 1e-8, 1e2, "stiffness of the bristles: small, and the peak is high and sharp")
+    sigma1: float = parameter("N s", 1e-6, 1e4, "damping of the bristles: peak, and retraction near the entry")
+    sigma2: float = parameter("N/mm", 1e-8, 1e2, "force per depth that changes its sign with the direction")
+    f1: float = parameter("N s", 1e-7, 1e3, "g far from the surface")
+    f2: float = parameter("N s", -1e3, 1e3, "g at the surface less g far from it", typical=0.02)
+    alpha: float = parameter("1/mm", 1e-4, 1e1, "rate of decay with depth of what is special at the surface")
+    beta: float = parameter("1/(mm s)", 1e-7, 1e3, "rate of z per depth")
+
+    @property
+    def proper(self) -> bool:
+        """Whether g(l) > 0 for all l >= 0, without which the force grows without bound."""
+        return self.f1 > 0 and self.f1 + self.f2 > 0
+
+    def g(self, depth_mm: Array) -> Array:
+        """Return what z saturates at, in N s, of the shape of `depth_mm` (eq. 2.2)."""
+        return np.asarray(self.f1 + self.f2 * np.exp(-self.alpha * depth_mm))
+
+    def coefficients(self, motion: Motion) -> tuple[Array, Array]:
+        """Return l beta and l sigma0 / g(l)."""
+        depth = motion.depth_mm
+        return np.asarray(depth * self.beta), np.asarray(depth * self.sigma0 / self.g(depth))
+
+    def output(self, state: Array, motion: Motion) -> Array:
+        """Return the axial force (N), positive where it resists insertion."""
+        return self._force(state, motion.depth_mm, motion.direction)
+
+    def output_as_printed(self, state: Array, motion: Motion) -> Array:
+        """Return the force (N) with sign(l), as eq. 2.1 reads without the dot: a deep retraction would push."""
+        return self._force(state, motion.depth_mm, np.sign(motion.depth_mm))
+
+    def _force(self, state: Array, depth: Array, sign: Array) -> Array:
+        z = state[0]
+        damping = self.sigma1 * np.exp(-self.alpha * depth) * (self.beta - self.sigma0 * z / self.g(depth))
+        return np.asarray(self.sigma0 * z * depth + sign * depth * (damping + self.sigma2))
