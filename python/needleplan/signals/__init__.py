@@ -1,8 +1,33 @@
 """Signals: motions, records and filters; nothing here knows a needle or a tissue."""
 
-from needleplan.signals.array import Array
+from needleplan.signals.array import Array, ComplexArray
+from needleplan.signals.discrete import DiscreteFilter, FilterStream
 from needleplan.signals.motion import Motion
+from needleplan.signals.moving_average import AverageStream, MovingAverage
+from needleplan.signals.observer import FAST_ALPHA1, HighGainObserver, ObserverForm, ObserverStream, Projection
 from needleplan.signals.profiles import insertion_cycles, lspb
 from needleplan.signals.record import Record, Role
+from needleplan.signals.tracker import TrackerEstimate, TrackerFilter, TrackerModel, TrackerStream
 
-__all__ = ["Array", "Motion", "Record", "Role", "insertion_cycles", "lspb"]
+__all__ = [
+    "FAST_ALPHA1",
+    "Array",
+    "AverageStream",
+    "ComplexArray",
+    "DiscreteFilter",
+    "FilterStream",
+    "HighGainObserver",
+    "Motion",
+    "MovingAverage",
+    "ObserverForm",
+    "ObserverStream",
+    "Projection",
+    "Record",
+    "Role",
+    "TrackerEstimate",
+    "TrackerFilter",
+    "TrackerModel",
+    "TrackerStream",
+    "insertion_cycles",
+    "lspb",
+]
