@@ -1,0 +1,142 @@
+"""CSV: a header with the names of the columns, then one row a sample.
+
+UTF-8; separated by commas, semicolons or tabs, whichever the header uses; decimal points. An empty cell or `nan` is a
+missing number. Lines that begin with `#`, and empty lines, are remarks.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from needleplan.errors import DataError, Mistake
+from needleplan.recording.columns import NUMBERS, TEXTS, judge_names
+from needleplan.recording.table import Table
+from needleplan.signals import Record
+from needleplan.signals.record import UNITS
+
+__all__ = ["parse_csv", "to_csv"]
+
+_SEPARATORS = ",;\t"
+_MOST_MISTAKES = 10
+_PRECISION = ".17g"
+
+
+def parse_csv(content: bytes, source: str) -> Table:
+    """Return the rows of a CSV file. Raises DataError with the mistakes of the header, or of the first bad rows."""
+    text = _text(content, source)
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not lines:
+        raise DataError("is empty: it must begin with a header such as time_s,depth_mm,force_n", source)
+    separator = max(_SEPARATORS, key=lines[0][1].count)
+    # A quoted cell must not run over the end of its line: one stray quote would swallow the rest of the file.
+    rows = [(number, _cells(line, separator, number, source)) for number, line in lines]
+    header = rows[0][1]
+    unknown, mistakes = judge_names(header)
+    if mistakes:
+        raise DataError(mistakes, source)
+    if len(rows) == 1:
+        raise DataError("has a header but no rows", source)
+    numbers: dict[str, list[float]] = {name: [] for name in header if name in NUMBERS}
+    texts: dict[str, list[str]] = {name: [] for name in header if name in TEXTS}
+    for number, cells in rows[1:]:
+        mistakes += _read_row(number, header, cells, numbers, texts)
+        if len(mistakes) >= _MOST_MISTAKES:
+            break
+    if mistakes:
+        raise DataError(mistakes, source)
+    notes = (f"columns that nothing here needs were left out: {', '.join(unknown)}",) if unknown else ()
+    return Table(
+        {name: np.array(values) for name, values in numbers.items()},
+        {name: tuple(values) for name, values in texts.items()},
+        tuple(f"line {number}" for number, _ in rows[1:]),
+        notes,
+    )
+
+
+def to_csv(records: Sequence[Record]) -> str:
+    """Return the text of a CSV file that reads back as these records; numbers to the last bit, missing ones empty.
+
+    Raises DataError for names of trials or phases with a line break.
+    """
+    if any("\n" in text or "\r" in text for record in records for text in (record.trial, *record.phase)):
+        raise DataError("names of trials and phases must not have line breaks")
+    numbers = [name for name in UNITS if any(name in record.columns for record in records)]
+    phases = ["phase"] if any(record.phase for record in records) else []
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([*numbers, *phases, "trial", "role"])
+    for record in records:
+        for row in range(len(record)):
+            cells = [_cell(record.columns[name][row]) if name in record.columns else "" for name in numbers]
+            phase = [record.phase[row] if record.phase else ""] if phases else []
+            writer.writerow([*cells, *phase, record.trial, record.role])
+    return stream.getvalue()
+
+
+def _cell(number: float) -> str:
+    return "" if math.isnan(number) else format(number, _PRECISION)
+
+
+def _text(content: bytes, source: str) -> str:
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise DataError("is UTF-16: save it as UTF-8", source)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise DataError(Mistake(f"line {line}", "", f"is not UTF-8 (byte {error.start})"), source) from None
+    if "\0" in text:
+        raise DataError("holds null characters: it is not a CSV file", source)
+    return text
+
+
+def _cells(line: str, separator: str, number: int, source: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, strict=True))]
+    except (csv.Error, StopIteration) as error:
+        raise DataError(Mistake(f"line {number}", line[:100], f"cannot be read: {error}"), source) from None
+
+
+def _read_row(
+    number: int,
+    header: Sequence[str],
+    cells: Sequence[str],
+    numbers: dict[str, list[float]],
+    texts: dict[str, list[str]],
+) -> list[Mistake]:
+    if len(cells) != len(header):
+        rule = f"must have {len(header)} cells like the header, not {len(cells)}; decimal commas are not read"
+        return [Mistake(f"line {number}", "", rule)]
+    mistakes = []
+    for name, cell in zip(header, cells, strict=True):
+        if name in texts:
+            texts[name].append(cell)
+        elif name in numbers:
+            value = _number(cell)
+            if value is None:
+                mistakes.append(
+                    Mistake(f"{name} (line {number})", cell, f"must be a number in {UNITS[name]}, or empty")
+                )
+            else:
+                numbers[name].append(value)
+    return mistakes
+
+
+def _number(cell: str) -> float | None:
+    """Return a number, NaN for a missing one, None for anything else; infinite ones and 1_000 are something else."""
+    if not cell:
+        return math.nan
+    try:
+        value = float(cell)
+    except ValueError:
+        return None
+    return None if math.isinf(value) or "_" in cell else value
