@@ -1,0 +1,105 @@
+"""One step and one output of the force-depth model with their derivatives, for filters.
+
+Everything is a plain float: a filter asks for one sample at a time, and for that NumPy takes ten times as long. The
+parameters are a tuple in the order of `NAMES`; derivatives by the parameters are tuples in the same order.
+"""
+
+from __future__ import annotations
+
+from math import exp
+
+__all__ = ["NAMES", "Row", "Values", "exponential_step", "force", "kutta_step", "slope"]
+
+NAMES = ("sigma0", "sigma1", "sigma2", "f1", "f2", "alpha", "beta")
+
+Values = tuple[float, float, float, float, float, float, float]
+
+Row = tuple[float, float, Values]
+"""A number, its derivative by z, its derivatives by the parameters."""
+
+
+def slope(z: float, values: Values, depth_mm: float) -> Row:
+    """Return z' (1/s). Raises ZeroDivisionError where g is zero, OverflowError where exp(-alpha l) is none."""
+    sigma0, _, _, f1, f2, alpha, beta = values
+    fading = exp(-alpha * depth_mm)
+    g = f1 + f2 * fading
+    by_g = depth_mm * sigma0 * z / g**2
+    return (
+        depth_mm * (beta - sigma0 * z / g),
+        -depth_mm * sigma0 / g,
+        (-depth_mm * z / g, 0.0, 0.0, by_g, by_g * fading, -by_g * f2 * depth_mm * fading, depth_mm),
+    )
+
+
+def force(z: float, values: Values, depth_mm: float, direction: float) -> Row:
+    """Return the axial force (N). Raises as `slope`."""
+    sigma0, sigma1, sigma2, f1, f2, alpha, beta = values
+    fading = exp(-alpha * depth_mm)
+    g = f1 + f2 * fading
+    gap = beta - sigma0 * z / g
+    signed = direction * depth_mm
+    damped = signed * sigma1 * fading
+    by_g = damped * sigma0 * z / g**2
+    return (
+        sigma0 * z * depth_mm + damped * gap + signed * sigma2,
+        sigma0 * depth_mm - damped * sigma0 / g,
+        (
+            z * depth_mm - damped * z / g,
+            signed * fading * gap,
+            signed,
+            by_g,
+            by_g * fading,
+            -depth_mm * (damped * gap + by_g * f2 * fading),
+            damped,
+        ),
+    )
+
+
+def exponential_step(z: float, values: Values, depth_mm: float, step_s: float) -> Row:
+    """Return z after `step_s` at a depth held at `depth_mm`: exact for that, and bounded however long the step is."""
+    sigma0, _, _, f1, f2, alpha, beta = values
+    fading = exp(-alpha * depth_mm)
+    g = f1 + f2 * fading
+    rested = beta * g / sigma0
+    decay = step_s * depth_mm * sigma0 / g
+    kept = exp(-decay)
+    lost = 1 - kept
+    # z+ = rested (1 - kept) + z kept, with kept = exp(-decay)
+    by_decay = (rested - z) * kept
+    by_g = beta / sigma0 * lost - by_decay * decay / g
+    return (
+        rested * lost + z * kept,
+        kept,
+        (
+            -rested / sigma0 * lost + by_decay * decay / sigma0,
+            0.0,
+            0.0,
+            by_g,
+            by_g * fading,
+            -by_g * f2 * depth_mm * fading,
+            g / sigma0 * lost,
+        ),
+    )
+
+
+def kutta_step(z: float, values: Values, depths_mm: tuple[float, float, float], step_s: float) -> Row:
+    """Return z after a step of Kutta's third-order method, as in the thesis; depths at its begin, middle and end.
+
+    Raises as `slope`.
+    """
+    h = step_s
+    k1, k1z, k1p = slope(z, values, depths_mm[0])
+    k2, k2z, k2p = slope(z + h / 2 * k1, values, depths_mm[1])
+    d2 = 1 + h / 2 * k1z
+    d2p = [h / 2 * one for one in k1p]
+    k3, k3z, k3p = slope(z + h * (2 * k2 - k1), values, depths_mm[2])
+    d3 = 1 + h * (2 * k2z * d2 - k1z)
+    total2 = [two + k2z * inner for two, inner in zip(k2p, d2p, strict=True)]
+    d3p = [h * (2 * two - one) for two, one in zip(total2, k1p, strict=True)]
+    total3 = [three + k3z * inner for three, inner in zip(k3p, d3p, strict=True)]
+    by = [h / 6 * (one + 4 * two + three) for one, two, three in zip(k1p, total2, total3, strict=True)]
+    return (
+        z + h / 6 * (k1 + 4 * k2 + k3),
+        1 + h / 6 * (k1z + 4 * k2z * d2 + k3z * d3),
+        (by[0], by[1], by[2], by[3], by[4], by[5], by[6]),
+    )
