@@ -6,23 +6,47 @@ Units: mm, N, s, rad. See `needleplan.models.base` for what a model is.
 from needleplan.models.base import Channel, LinearStateModel, Model
 from needleplan.models.fit import Estimate, Fit, FitStatus, fit
 from needleplan.models.force import ForceModel1, ForceModel2
+from needleplan.models.friction import (
+    AveragedLuGre,
+    Beta,
+    ForceParts,
+    Karnopp,
+    LumpedLuGre,
+    OutputForm,
+    Profile,
+    QuasiStatic,
+    cutting_force,
+    distributed,
+    into_fresh_tissue,
+)
 from needleplan.models.parameter import Parameter, Scale, constant, parameter
 from needleplan.models.simulate import Trajectory, simulate
 
 __all__ = [
+    "AveragedLuGre",
+    "Beta",
     "Channel",
     "Estimate",
     "Fit",
     "FitStatus",
     "ForceModel1",
     "ForceModel2",
+    "ForceParts",
+    "Karnopp",
     "LinearStateModel",
+    "LumpedLuGre",
     "Model",
+    "OutputForm",
     "Parameter",
+    "Profile",
+    "QuasiStatic",
     "Scale",
     "Trajectory",
     "constant",
+    "cutting_force",
+    "distributed",
     "fit",
+    "into_fresh_tissue",
     "parameter",
     "simulate",
 ]

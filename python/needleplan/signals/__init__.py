@@ -7,6 +7,7 @@ from needleplan.signals.moving_average import AverageStream, MovingAverage
 from needleplan.signals.observer import FAST_ALPHA1, HighGainObserver, ObserverForm, ObserverStream, Projection
 from needleplan.signals.profiles import insertion_cycles, lspb
 from needleplan.signals.record import Record, Role
+from needleplan.signals.sinusoid import Start, cycles, sinusoid
 from needleplan.signals.tracker import TrackerEstimate, TrackerFilter, TrackerModel, TrackerStream
 
 __all__ = [
@@ -24,10 +25,13 @@ __all__ = [
     "Projection",
     "Record",
     "Role",
+    "Start",
     "TrackerEstimate",
     "TrackerFilter",
     "TrackerModel",
     "TrackerStream",
+    "cycles",
     "insertion_cycles",
     "lspb",
+    "sinusoid",
 ]
