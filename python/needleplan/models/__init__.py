@@ -4,6 +4,7 @@ Units: mm, N, s, rad. See `needleplan.models.base` for what a model is.
 """
 
 from needleplan.models.base import Channel, LinearStateModel, Model
+from needleplan.models.deflection import TipPath
 from needleplan.models.fit import Estimate, Fit, FitStatus, fit
 from needleplan.models.force import ForceModel1, ForceModel2
 from needleplan.models.friction import (
@@ -19,6 +20,7 @@ from needleplan.models.friction import (
     distributed,
     into_fresh_tissue,
 )
+from needleplan.models.needle import Needle
 from needleplan.models.parameter import Parameter, Scale, constant, parameter
 from needleplan.models.simulate import Trajectory, simulate
 
@@ -36,11 +38,13 @@ __all__ = [
     "LinearStateModel",
     "LumpedLuGre",
     "Model",
+    "Needle",
     "OutputForm",
     "Parameter",
     "Profile",
     "QuasiStatic",
     "Scale",
+    "TipPath",
     "Trajectory",
     "constant",
     "cutting_force",

@@ -1,0 +1,202 @@
+"""Hermite finite elements on the inserted part, with a node at the entry point and the outer beam exact.
+
+The weak form of the equation of `beam`, with v for the test functions and the parts of v N u'' integrated::
+
+    int EI v'' u'' - N v' u' + (b + c) v u' + kf v u  +  v (N - s) u'|_L  =  kf int v path + v P|_L + v' M|_L
+
+The elements of an insertion have one length h, at most `element_mm`: a fixed number of them would be far too small
+just after entry, where the condition (depth/h)^4 costs all digits. Unknowns are u and h u'. Insertions with the same
+number of elements are solved together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from needleplan.errors import Mistake, ModelError
+from needleplan.models.deflection.beam import Beam
+from needleplan.models.deflection.blocks import solve_blocks
+from needleplan.models.deflection.outer_beam import end_stiffness, outer_shape
+from needleplan.signals import Array
+
+__all__ = ["ElementShape", "hermite", "solve_elements", "solve_uniform"]
+
+_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+_POINTS, _WEIGHTS = (_POINTS + 1) / 2, _WEIGHTS / 2
+
+
+def hermite(at: Array, order: int = 0) -> Array:
+    """Return the four Hermite functions, or a derivative, at `at` in [0, 1] of an element, shape (4, ...)."""
+    x = np.asarray(at, float)
+    if order == 0:
+        rows = (1 - 3 * x**2 + 2 * x**3, x - 2 * x**2 + x**3, 3 * x**2 - 2 * x**3, x**3 - x**2)
+    elif order == 1:
+        rows = (6 * x**2 - 6 * x, 1 - 4 * x + 3 * x**2, 6 * x - 6 * x**2, 3 * x**2 - 2 * x)
+    else:
+        rows = (12 * x - 6, 6 * x - 4, 6 - 12 * x, 6 * x - 2)
+    return np.stack(rows)
+
+
+def _integral(left: Array, right: Array, weight: Array | float = 1.0) -> Array:
+    result: Array = np.einsum("ig,jg,g->ij", left, right, _WEIGHTS * weight)
+    return result
+
+
+_H0, _H1, _H2 = (hermite(_POINTS, order) for order in range(3))
+_BEND, _FOUNDATION, _ADVECT = _integral(_H2, _H2), _integral(_H0, _H0), _integral(_H0, _H1)
+_AXIAL, _AXIAL_RATE = _integral(_H1, _H1), _integral(_H1, _H1, _POINTS)
+_PATH = _integral(_H0, np.stack([1 - _POINTS, _POINTS]))
+
+
+@dataclass(frozen=True)
+class ElementShape:
+    """Bent needles with one number n of elements: `deflection_mm` and `slope_rad` at the nodes, (insertions, n + 1).
+
+    Nodes go from the entry point to the tip. `beam` is flat; `base_mm` and `base_slope_rad` are those of the base.
+    """
+
+    beam: Beam
+    deflection_mm: Array
+    slope_rad: Array
+    base_mm: float = 0.0
+    base_slope_rad: float = 0.0
+
+    @property
+    def tip_mm(self) -> Array:
+        """Deflection of the tip, shape (insertions,)."""
+        return self.deflection_mm[:, -1]
+
+    @property
+    def tip_slope_rad(self) -> Array:
+        """Slope of the tip, shape (insertions,)."""
+        return self.slope_rad[:, -1]
+
+    def at(self, behind_tip_mm: ArrayLike) -> Array:
+        """Return the deflection (mm) at a distance behind the tip, shape (insertions,), also of the outer beam."""
+        flat, n = self.beam, self.deflection_mm.shape[1] - 1
+        behind = np.broadcast_to(np.asarray(behind_tip_mm, float), flat.depth_mm.shape)
+        h = flat.depth_mm / n
+        place = np.clip((flat.depth_mm - behind) / h, 0, n)
+        element = np.minimum(place.astype(int), n - 1)
+        rows = np.arange(len(h))
+        values = np.stack([
+            self.deflection_mm[rows, element], h * self.slope_rad[rows, element],
+            self.deflection_mm[rows, element + 1], h * self.slope_rad[rows, element + 1],
+        ])  # fmt: skip
+        inside = (values * hermite(place - element)).sum(axis=0)
+        outer = flat.length_mm - flat.depth_mm
+        x = np.clip(flat.length_mm - behind, 0, outer)
+        outside, _ = outer_shape(
+            x, flat.bending_n_mm2, _entry_axial(flat), outer,
+            self.deflection_mm[:, 0] - self.base_mm - self.base_slope_rad * outer,
+            self.slope_rad[:, 0] - self.base_slope_rad,
+        )  # fmt: skip
+        carried = self.base_mm + self.base_slope_rad * x
+        result: Array = np.where(behind <= flat.depth_mm, inside, carried + outside)
+        return result
+
+
+def solve_elements(beam: Beam, behind_tip_mm: ArrayLike = 0.0, *, element_mm: float = 4.0) -> Array:
+    """Return the deflection (mm) at a distance behind the tip, shape of the coefficients.
+
+    Anchored to the straight line. Any depths together; elements of at most `element_mm`. Raises ModelError where that
+    is not positive.
+    """
+    if not element_mm > 0:
+        raise ModelError(Mistake("element_mm", f"{element_mm:g}", "must be positive"), "deflection")
+    flat = beam.flat()
+    behind = np.broadcast_to(np.asarray(behind_tip_mm, float), beam.shape).reshape(-1)
+    counts = np.ceil(flat.depth_mm / element_mm * (1 - 1e-12)).astype(int)
+    if (counts == counts[:1]).all():
+        return solve_uniform(flat, int(counts[0])).at(behind).reshape(beam.shape)
+    result = np.empty(flat.depth_mm.shape)
+    for count in np.unique(counts):
+        same = counts == count
+        result[same] = solve_uniform(flat.rows(same), int(count)).at(behind[same])
+    return result.reshape(beam.shape)
+
+
+def solve_uniform(
+    beam: Beam,
+    count: int,
+    path_mm: Array | None = None,
+    *,
+    anchoring: float = 0.0,
+    base_mm: float = 0.0,
+    base_slope_rad: float = 0.0,
+) -> ElementShape:
+    """Return the shapes of flat `beam` with `count` elements each.
+
+    `path_mm`, shape (insertions, count + 1), is where the tissue was cut, at the nodes and linear between them; None is
+    the straight line. `anchoring` is mu: the last entry of the path is not given, but mu times where the tip will be
+    (0: it is given). The base may be off the line and oblique. Where the load is at a point of buckling, the
+    deflection is infinite or NaN.
+    """
+    flat = beam.flat()
+    h = flat.depth_mm / count
+    stiffness = _element_matrices(flat, h, count)
+    diagonal = [[np.zeros((count + 1, h.size)) for _ in range(2)] for _ in range(2)]
+    lower = [[np.broadcast_to(stiffness[2 + p][q], (count, h.size)) for q in range(2)] for p in range(2)]
+    upper = [[np.array(np.broadcast_to(stiffness[p][2 + q], (count, h.size))) for q in range(2)] for p in range(2)]
+    for p in range(2):
+        for q in range(2):
+            diagonal[p][q][:-1] = stiffness[p][q]
+            diagonal[p][q][1:] += stiffness[2 + p][2 + q]
+    loads = [np.zeros((count + 1, h.size)) for _ in range(2)]
+    _add_outer(flat, h, diagonal, loads, base_mm, base_slope_rad)
+    diagonal[0][1][-1] += (flat.tip_axial_n - flat.tip_follow_n) / h
+    loads[0][-1] += flat.tip_push_n
+    loads[1][-1] += flat.tip_moment_n_mm / h
+    spring = flat.foundation_n_mm2 * h
+    if anchoring:  # the column of the tip's deflection, in the rows of the last element
+        for p in range(2):
+            upper[p][0][-1] -= anchoring * spring * _PATH[p, 1]
+            diagonal[p][0][-1] -= anchoring * spring * _PATH[2 + p, 1]
+    if path_mm is not None:
+        given = np.array(np.broadcast_to(path_mm, (h.size, count + 1)).T, float)
+        if anchoring:
+            given[-1] = 0.0
+        given *= spring
+        for p in range(2):
+            loads[p][:-1] += _PATH[p, 0] * given[:-1] + _PATH[p, 1] * given[1:]
+            loads[p][1:] += _PATH[2 + p, 0] * given[:-1] + _PATH[2 + p, 1] * given[1:]
+    deflection, turned = solve_blocks(diagonal, lower, upper, loads)
+    return ElementShape(flat, deflection.T, (turned / h).T, base_mm, base_slope_rad)
+
+
+def _element_matrices(flat: Beam, h: Array, count: int) -> list[list[Array]]:
+    """Return the 4 x 4 matrices of all elements, entry by entry, each of shape (1 or count, insertions)."""
+    bend, spring = flat.bending_n_mm2 / h**3, flat.foundation_n_mm2 * h
+    advect, rate = flat.slope_n_mm + flat.axial_rate_n_mm, flat.axial_rate_n_mm
+    loaded = np.any(flat.tip_axial_n) or np.any(rate)
+    left = (flat.tip_axial_n / h + rate * np.arange(count, 0, -1)[:, None]) if loaded else None
+
+    def entry(p: int, q: int) -> Array:
+        same = bend * _BEND[p, q] + spring * _FOUNDATION[p, q] + advect * _ADVECT[p, q] + rate * _AXIAL_RATE[p, q]
+        return np.atleast_2d(same) if left is None else same - left * _AXIAL[p, q]
+
+    return [[entry(p, q) for q in range(4)] for p in range(4)]
+
+
+def _add_outer(
+    flat: Beam, h: Array, diagonal: list[list[Array]], loads: list[Array], base_mm: float, base_slope_rad: float
+) -> None:
+    outer, axial = flat.length_mm - flat.depth_mm, _entry_axial(flat)
+    k_uu, k_ut, k_tt = end_stiffness(flat.bending_n_mm2, axial, outer)
+    diagonal[0][0][0] += k_uu
+    diagonal[0][1][0] += k_ut / h
+    diagonal[1][0][0] += k_ut / h
+    diagonal[1][1][0] += k_tt / h**2
+    if base_mm or base_slope_rad:
+        # A clamped base that is moved is the same as the end moved back from where the base would carry it; and the
+        # axial load acts along the base, so that a part of it is across the insertion.
+        end = base_mm + base_slope_rad * outer
+        loads[0][0] += k_uu * end + k_ut * base_slope_rad + axial * base_slope_rad
+        loads[1][0] += (k_ut * end + k_tt * base_slope_rad) / h
+
+
+def _entry_axial(flat: Beam) -> Array:
+    return flat.tip_axial_n + flat.axial_rate_n_mm * flat.depth_mm

@@ -1,0 +1,96 @@
+"""The path of the tip as a member of the family: simulate it along a motion, fit it to a record, filter with it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from needleplan.models.base import Channel, Model
+from needleplan.models.needle import Needle
+from needleplan.models.parameter import constant, parameter
+from needleplan.signals import Array, Motion
+
+__all__ = ["TipPath"]
+
+
+@dataclass(frozen=True)
+class TipPath(Model):
+    """Lateral position of the tip (or of a point behind it) by the law of `path_law`; state x1, x2 (N mm2, N mm).
+
+    With s the depth, m = 1 - mu, P = side Fc cos(a) cos(angle) (1 - (1 + s/e) exp(-s/e)) and e the length over which
+    the force comes up after the entry::
+
+        x1' = v x2,   x2' = v (P - 2 lam^2 m x1 - 2 lam m x2)
+        y = offset + slope s + (2 lam/kf) (P + mu (2 lam x2 + 2 lam^2 x1))
+
+    Half a turn of the base (`angle_rad` of the motion) is a flip of the bevel. On the way out y goes back the way it
+    came, as long as the base is not turned there.
+
+    One record says about one number, the curvature Fc cos(a)/(EI lam), beside offset and slope: these three are free.
+    kf, EI and mu change the same number and can be freed by name; without a flip in the record the fit will say that
+    they cannot be told apart. Sign: y > 0 towards the push of the bevel where side is +1 and the base at 0.
+    """
+
+    name: ClassVar[str] = "tip_path"
+    channel: ClassVar[Channel] = Channel.LATERAL
+
+    cutting_force: float = parameter("N", 1e-5, 10.0, "Fc, force on the bevel face, normal to it")
+    bending: float = parameter("N mm2", 1.0, 1e7, "EI of the needle", free=False)
+    stiffness: float = parameter("N/mm2", 1e-5, 10.0, "kf of the tissue, force per length and displacement", free=False)
+    bevel: float = constant("rad", 0.01, math.pi / 2, "angle between bevel face and axis")
+    slope: float = parameter("rad", -0.5, 0.5, "of the insertion against the record's axis", default=0.0, typical=0.01)
+    offset: float = parameter("mm", -100.0, 100.0, "lateral position of the entry", default=0.0, typical=0.1)
+    anchoring: float = constant("", 0.0, 1.0, "mu, the part of the tip's path that the tissue keeps", default=1.0)
+    entry: float = constant("mm", 0.01, 100.0, "e, over which the force comes up after the entry", default=5.0)
+    side: float = constant("", -1.0, 1.0, "to which the bevel pushes with the base at angle 0", default=1.0)
+    tracked: float = constant("mm", 0.0, 50.0, "distance of the tracked point behind the tip", default=0.0)
+
+    @classmethod
+    def of(cls, needle: Needle, stiffness_n_mm2: float, cutting_force_n: float) -> TipPath:
+        """Return the path of a needle in a tissue, with the defaults for everything else."""
+        return cls(cutting_force_n, needle.bending_stiffness_n_mm2, stiffness_n_mm2, needle.bevel_angle_rad)
+
+    @property
+    def decay_1_mm(self) -> float:
+        """Return lam = (kf/4EI)^(1/4), 1/mm."""
+        return math.sqrt(math.sqrt(self.stiffness / (4 * self.bending)))
+
+    @property
+    def curvature_1_mm(self) -> float:
+        """Curvature of the path well after the entry, signed by `side`: P/(EI lam)."""
+        return self.side * self.cutting_force * math.cos(self.bevel) / (self.bending * self.decay_1_mm)
+
+    def push_n(self, motion: Motion) -> Array:
+        """Return P, shape of the motion's fields."""
+        reach = np.maximum(motion.depth_mm, 0.0) / self.entry
+        risen = 1 - (1 + reach) * np.exp(-reach)
+        return np.asarray(self.side * self.cutting_force * math.cos(self.bevel) * np.cos(motion.angle_rad) * risen)
+
+    def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
+        """Return the state at the entry, shape (2,)."""
+        return np.zeros(2)
+
+    def derivative(self, state: Array, motion: Motion) -> Array:
+        """Return the rates of x1 and x2, shape (2, ...)."""
+        lam, lost = self.decay_1_mm, 1 - self.anchoring
+        force = self.push_n(motion) - 2 * lam**2 * lost * state[0] - 2 * lam * lost * state[1]
+        in_tissue = np.where(np.asarray(motion.depth_mm) >= 0, motion.velocity_mm_s, 0.0)
+        return np.stack([in_tissue * state[1], in_tissue * force])
+
+    def output(self, state: Array, motion: Motion) -> Array:
+        """Return y of the tracked point, mm, shape (...).
+
+        A point behind the tip is placed with the curvature of the moment, which is exact for a circle.
+        """
+        lam, unit, push = self.decay_1_mm, 2 * self.decay_1_mm / self.stiffness, self.push_n(motion)
+        depth = np.maximum(motion.depth_mm, 0.0)
+        tip = unit * (push + self.anchoring * (2 * lam * state[1] + 2 * lam**2 * state[0]))
+        if self.tracked:
+            curvature, behind = push / (self.bending * lam), np.minimum(self.tracked, depth)
+            direction = unit * self.anchoring * (2 * lam * push + 2 * lam**2 * state[1])
+            beside = np.exp(-lam * behind) * np.sin(lam * behind) / (2 * lam**2)
+            tip = tip - behind * direction + curvature * (behind**2 / 2 + beside)
+        return np.asarray(self.offset + self.slope * (depth - self.tracked) + tip)
