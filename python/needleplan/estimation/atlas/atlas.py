@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Self
 
 from needleplan.errors import Mistake, ModelError
-from needleplan.estimation.atlas.atlas_file import parse, text
 from needleplan.estimation.atlas.combination import Combination
+from needleplan.estimation.atlas.toml import parse, text
 from needleplan.models.force import PUBLISHED_FORCES
 from needleplan.provenance import write_whole
 
