@@ -3,7 +3,7 @@
 Units: mm, N, s, rad. See `needleplan.models.base` for what a model is.
 """
 
-from needleplan.models.base import Channel, LinearStateModel, Model
+from needleplan.models.base import Channel, LinearStateModel, Model, SelfIntegratingModel
 from needleplan.models.deflection import TipPath
 from needleplan.models.fit import Estimate, Fit, FitStatus, fit
 from needleplan.models.force import ForceModel1, ForceModel2
@@ -23,9 +23,11 @@ from needleplan.models.friction import (
 from needleplan.models.needle import Needle
 from needleplan.models.parameter import Parameter, Scale, constant, parameter
 from needleplan.models.simulate import Trajectory, simulate
+from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, tune_slow_observer
 
 __all__ = [
     "AveragedLuGre",
+    "AveragedOnTissue",
     "Beta",
     "Channel",
     "Estimate",
@@ -37,13 +39,16 @@ __all__ = [
     "Karnopp",
     "LinearStateModel",
     "LumpedLuGre",
+    "LumpedOnTissue",
     "Model",
+    "MovingTissue",
     "Needle",
     "OutputForm",
     "Parameter",
     "Profile",
     "QuasiStatic",
     "Scale",
+    "SelfIntegratingModel",
     "TipPath",
     "Trajectory",
     "constant",
@@ -53,4 +58,5 @@ __all__ = [
     "into_fresh_tissue",
     "parameter",
     "simulate",
+    "tune_slow_observer",
 ]

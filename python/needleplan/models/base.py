@@ -9,7 +9,8 @@ written once for all of them. A member whose state is a single number that enter
 
     z' = forcing(u) - rate(u) z
 
-says so (`LinearStateModel`), and is then integrated exactly for frozen coefficients, fast and for any step.
+says so (`LinearStateModel`), and is then integrated exactly for frozen coefficients, fast and for any step. A member
+that no general method integrates well, such as a stiff one, brings its own (`SelfIntegratingModel`).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from needleplan.errors import Mistake, ModelError
 from needleplan.models.parameter import Parameter, parameters_of
 from needleplan.signals import Array, Motion
 
-__all__ = ["Channel", "LinearStateModel", "Model"]
+__all__ = ["Channel", "LinearStateModel", "Model", "SelfIntegratingModel"]
 
 
 class Channel(StrEnum):
@@ -115,3 +116,12 @@ class LinearStateModel(Model):
         """Return z', shape (1, ...)."""
         forcing, rate = self.coefficients(motion)
         return np.asarray(forcing - rate * state)
+
+
+@dataclass(frozen=True)
+class SelfIntegratingModel(Model):
+    """A model that integrates its own equations; abstract. `derivative` says what they are."""
+
+    @abstractmethod
+    def integrate(self, motion: Motion, start: Array) -> Array:
+        """Return the states at the samples of the motion, shape (n, samples), from `start`, shape (n,)."""

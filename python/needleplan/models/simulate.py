@@ -8,6 +8,7 @@ Three ways, chosen by what the model is:
   z+ = exp(-B) z + A phi(B), where B = h (b1 + b2)/2, A = h (a1 + a2)/2 + sqrt(3)/12 h^2 (b1 a2 - b2 a1) and
   phi(B) = (1 - exp(-B))/B. It is exact for constant coefficients and stays stable however large b h is (Iserles et al.,
   Acta Numerica 9 (2000), section 5).
+- a member with a method of its own (`SelfIntegratingModel`): that one.
 - anything else: Kutta's method of third order, as in the thesis (chapter 2), with `substeps` steps a sample.
 
 Between samples a motion is linear.
@@ -22,7 +23,7 @@ from itertools import accumulate
 import numpy as np
 
 from needleplan.errors import Mistake, ModelError
-from needleplan.models.base import LinearStateModel, Model
+from needleplan.models.base import LinearStateModel, Model, SelfIntegratingModel
 from needleplan.signals import Array, Motion
 
 __all__ = ["Trajectory", "simulate"]
@@ -60,6 +61,8 @@ def simulate(model: Model, motion: Motion, state: Array | None = None, *, subste
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         if start.size == 0:
             states = np.zeros((0, len(motion)))
+        elif isinstance(model, SelfIntegratingModel):
+            states = model.integrate(motion, start)
         elif isinstance(model, LinearStateModel):
             states = _magnus(model, motion, float(start[0]))
         else:

@@ -2,6 +2,7 @@
 
 from needleplan.signals.array import Array, ComplexArray
 from needleplan.signals.discrete import DiscreteFilter, FilterStream
+from needleplan.signals.harmonic import Sine, dominant_frequency_hz, lag_rad, sine_at
 from needleplan.signals.motion import Motion
 from needleplan.signals.moving_average import AverageStream, MovingAverage
 from needleplan.signals.observer import FAST_ALPHA1, HighGainObserver, ObserverForm, ObserverStream, Projection
@@ -25,13 +26,17 @@ __all__ = [
     "Projection",
     "Record",
     "Role",
+    "Sine",
     "Start",
     "TrackerEstimate",
     "TrackerFilter",
     "TrackerModel",
     "TrackerStream",
     "cycles",
+    "dominant_frequency_hz",
     "insertion_cycles",
+    "lag_rad",
     "lspb",
+    "sine_at",
     "sinusoid",
 ]

@@ -1,0 +1,26 @@
+"""Tissue that gives way under friction: thesis, chapter 4, as a model instead of a slow observer.
+
+| here | what |
+|---|---|
+| `MovingTissue` | Kelvin-Voigt tissue under any friction with one linear state; abstract |
+| `LumpedOnTissue` | under Model II of chapter 3 |
+| `AveragedOnTissue` | under Models III-A and III-B |
+| `tune_slow_observer` | the thesis' way, without the person |
+"""
+
+from needleplan.models.tissue.coupling import MovingTissue, PointwiseLaw
+from needleplan.models.tissue.lugre import AveragedOnTissue, LuGreLaw, LumpedOnTissue
+from needleplan.models.tissue.slow_observer import SlowObserver, TuningStatus, tune_slow_observer
+from needleplan.models.tissue.stepping import FrictionLaw
+
+__all__ = [
+    "AveragedOnTissue",
+    "FrictionLaw",
+    "LuGreLaw",
+    "LumpedOnTissue",
+    "MovingTissue",
+    "PointwiseLaw",
+    "SlowObserver",
+    "TuningStatus",
+    "tune_slow_observer",
+]

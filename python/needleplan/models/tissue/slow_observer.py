@@ -1,0 +1,132 @@
+"""Tuning the slow observer of chapter 4 without a person: the gap of the loop at zero force.
+
+The thesis chooses alpha1 of the slow observer "by trial and error" until the friction-velocity loop is centred. Here:
+with the force F as late as the fast observer makes the velocity (both through the same low pass; otherwise alpha1 comes
+out 1 to 4 too large), the gap
+
+    G(alpha1) = median of v_s where F goes up through zero - median of v_s where it goes down
+
+is positive where the slow observer delays too little, and falls as it delays more. alpha1 is its last change of sign.
+
+What it is worth (docs/explanation/tissue-motion.md): it is within two degrees of the true lag where friction rises with
+the speed, and 8 to 12 degrees too late where it is nearly dry, since bristles that bend before they slide open the loop
+as well. With a stiff tissue their damping closes it, and there is nothing to compensate: the status says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import bisect
+
+from needleplan.errors import DataError, Mistake
+from needleplan.signals import FAST_ALPHA1, Array, HighGainObserver, Projection
+
+__all__ = ["SlowObserver", "TuningStatus", "tune_slow_observer"]
+
+_SLOWEST, _FASTEST = 1.5, 39.9
+"""Range of alpha1 (1/s); the fast observer has 40."""
+
+_TRIED = 40
+_UNEVEN = 0.02
+_PRECISION = 1e-6
+
+
+class TuningStatus(StrEnum):
+    """How a tuning ended."""
+
+    COMPENSATED = "compensated"
+
+    NO_COMPENSATION = "no_compensation"
+    """The gap does not change its sign: no slow observer closes the loop. Use the velocity of the fast one."""
+
+    TOO_FEW_CROSSINGS = "too_few_crossings"
+    """The force does not go up and down through zero at least once each."""
+
+
+@dataclass(frozen=True)
+class SlowObserver:
+    """The outcome of a tuning; `projection` is None unless the status is COMPENSATED.
+
+    `alphas` and `gaps_mm_s`, shape (40,), are the curve G(alpha1), the latter empty without crossings.
+    """
+
+    status: TuningStatus
+    projection: Projection | None
+    alphas: Array
+    gaps_mm_s: Array
+    upward: int
+    downward: int
+
+    @property
+    def alpha1(self) -> float | None:
+        """alpha1 of the slow observer, 1/s."""
+        return self.projection.slow.alpha1 if self.projection else None
+
+
+def tune_slow_observer(
+    time_s: Array, depth_mm: Array, force_n: Array, *, fast_alpha1: float = FAST_ALPHA1, skip_s: float = 1.0
+) -> SlowObserver:
+    """Choose the slow observer for a record, shape (samples,) each; the first `skip_s` seconds do not count.
+
+    Raises DataError where shapes differ, a number is not finite, or the times are not even (to 2 %).
+    """
+    time, depth, force = (np.asarray(each, float) for each in (time_s, depth_mm, force_n))
+    interval = _even_interval(time, depth, force)
+    fast = HighGainObserver.critically_damped(fast_alpha1, interval)
+    filtered = fast.normalised.apply(force)
+    crossing, share, rises = _crossings(filtered, int(np.searchsorted(time, time[0] + skip_s)))
+    alphas = np.geomspace(_SLOWEST, min(_FASTEST, 0.9975 * fast_alpha1), _TRIED)
+    upward = int(np.count_nonzero(rises))
+    downward = rises.size - upward
+    if not upward or not downward:
+        return SlowObserver(TuningStatus.TOO_FEW_CROSSINGS, None, alphas, np.zeros(0), upward, downward)
+
+    def gap(alpha1: float) -> float:
+        velocity = HighGainObserver.critically_damped(alpha1, interval).transfer.apply(depth)
+        at_zero = velocity[crossing] + share * (velocity[crossing + 1] - velocity[crossing])
+        return float(np.median(at_zero[rises]) - np.median(at_zero[np.logical_not(rises)]))
+
+    gaps = np.array([gap(each) for each in alphas.tolist()])
+    changes = np.flatnonzero((gaps[:-1] <= 0) & (gaps[1:] > 0))
+    if not changes.size:
+        return SlowObserver(TuningStatus.NO_COMPENSATION, None, alphas, gaps, upward, downward)
+    last = int(changes[-1])
+    alpha1 = float(bisect(gap, alphas[last], alphas[last + 1], xtol=_PRECISION))
+    projection = Projection(fast, HighGainObserver.critically_damped(alpha1, interval))
+    return SlowObserver(TuningStatus.COMPENSATED, projection, alphas, gaps, upward, downward)
+
+
+def _even_interval(time: Array, depth: Array, force: Array) -> float:
+    mistakes = [
+        Mistake(name, f"shape {values.shape}", f"must be as long as time_s, {time.shape}")
+        for name, values in (("depth_mm", depth), ("force_n", force))
+        if values.shape != time.shape
+    ]
+    if not mistakes and (time.ndim != 1 or time.size < 3):
+        mistakes = [Mistake("time_s", f"{time.size} samples", "must be at least three")]
+    mistakes += [
+        Mistake(name, "", "must be finite numbers")
+        for name, values in (("time_s", time), ("depth_mm", depth), ("force_n", force))
+        if not np.isfinite(values).all()
+    ]
+    if mistakes:
+        raise DataError(mistakes)
+    steps = np.diff(time)
+    interval = float(np.median(steps))
+    if not interval > 0 or np.abs(steps - interval).max() > _UNEVEN * interval:
+        first = int(np.argmax(np.abs(steps - interval))) + 1
+        rule = "must be even in time, as filters are: resample first"
+        raise DataError(Mistake(f"time_s[{first}]", f"{time[first]:g}", rule))
+    return interval
+
+
+def _crossings(force: Array, begin: int) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
+    """Return the sample before each zero of the force from `begin` on, how far behind it lies, and whether it rises."""
+    below = force < 0
+    before = np.flatnonzero(below[:-1] != below[1:])
+    before = before[before >= begin]
+    return before, force[before] / (force[before] - force[before + 1]), below[before]

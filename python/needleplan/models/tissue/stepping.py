@@ -1,0 +1,113 @@
+"""Steps of a needle through tissue that gives way: one scalar equation a sample, on plain numbers.
+
+From one sample to the next, a step h, with means of the coefficients at its two ends::
+
+    z+ = (z + A (1 + B/2)) / (1 + B + B^2/2),   A = h (forcing + forcing+)/2,   B = h (rate + rate+)/2
+    u+ = u + h (s + s+)/2
+    m (s+ - s)/h + c s+ + k u+ = F(z+, v+ - s+)
+
+The first line is exp(-B) z + A (1 - exp(-B))/B to second order, and stays stable however large B is. The last is solved
+for s+: by secants that start from the speeds before, and where those do not lead onto a stable root by a search for
+the first one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import brentq
+
+from needleplan.signals import Array, Motion
+
+__all__ = ["FrictionLaw", "first_root", "step_through"]
+
+_TOLERANCE_N = 1e-12
+_SECANTS = 12
+_FIRST_STEP_MM_S = 0.01
+_FARTHEST_MM_S = 1e5
+"""Tissue faster than that has left the model: its states become NaN."""
+
+
+class FrictionLaw(Protocol):
+    """A friction model on plain numbers, at the samples of one motion; `w_mm_s` is the velocity against the tissue."""
+
+    def coefficients(self, sample: int, w_mm_s: float) -> tuple[float, float]:
+        """Return forcing and rate of the bristle."""
+
+    def force(self, sample: int, w_mm_s: float, bending: float, bending_rate: float) -> float:
+        """Return the friction on the needle (N)."""
+
+
+def step_through(law: FrictionLaw, k: float, c: float, m: float, motion: Motion, start: Array) -> Array:
+    """Return bristle, tissue displacement and tissue velocity, shape (3, samples), from `start`, shape (3,).
+
+    NaN from where they grow without bound.
+    """
+    coefficients, friction = law.coefficients, law.force
+    times, needle = motion.time_s.tolist(), motion.velocity_mm_s.tolist()
+    bent, moved, speed = (float(each) for each in start)
+    forcing, rate = coefficients(0, needle[0] - speed)
+    rows = [(bent, moved, speed)]
+    sample, velocity, half, held, spring = 0, needle[0], 0.0, 0.0, c
+    new_bent = new_forcing = new_rate = 0.0
+
+    def balance(tried: float) -> float:
+        """Return what is left of the forces on the tissue where its speed at the end of the step is `tried`."""
+        nonlocal new_bent, new_forcing, new_rate
+        relative = velocity - tried
+        new_forcing, new_rate = coefficients(sample, relative)
+        decay = half * (rate + new_rate)
+        new_bent = (bent + half * (forcing + new_forcing) * (1 + decay / 2)) / (1 + decay + decay * decay / 2)
+        return held + spring * tried - friction(sample, relative, new_bent, new_forcing - new_rate * new_bent)
+
+    before, slope = speed, c + 1.0
+    for sample in range(1, len(times)):
+        step = times[sample] - times[sample - 1]
+        half, velocity = step / 2, needle[sample]
+        held = k * (moved + half * speed) - m / step * speed
+        spring = c + m / step + k * half
+        tried = 2 * speed - before
+        error = balance(tried)
+        for _ in range(_SECANTS):
+            if -_TOLERANCE_N < error < _TOLERANCE_N or not slope > 0:
+                break
+            last, tried = tried, tried - error / slope
+            last_error, error = error, balance(tried)
+            if tried == last:
+                error = 0.0
+                break
+            slope = (error - last_error) / (tried - last)
+        if not (slope > 0 and -_TOLERANCE_N < error < _TOLERANCE_N):
+            tried = first_root(balance, speed)
+            slope = c + 1.0
+            if tried != tried:
+                break
+            balance(tried)
+        before, moved, speed = speed, moved + half * (speed + tried), tried
+        bent, forcing, rate = new_bent, new_forcing, new_rate
+        rows.append((bent, moved, speed))
+    states = np.full((3, len(times)), np.nan)
+    states[:, : len(rows)] = np.array(rows).T
+    return states
+
+
+def first_root(balance: Callable[[float], float], speed: float) -> float:
+    """Return the speed at which the tissue comes to balance from `speed`; NaN where it never does.
+
+    `balance` is the force against the motion less the force for it: where it is positive the tissue slows down.
+    """
+    error = balance(speed)
+    if error == 0:
+        return speed
+    near, step = speed, -_FIRST_STEP_MM_S if error > 0 else _FIRST_STEP_MM_S
+    while abs(near - speed) < _FARTHEST_MM_S:
+        far = near + step
+        beyond = balance(far)
+        if beyond != beyond:
+            break
+        if (beyond > 0) != (error > 0):
+            return float(brentq(balance, near, far, xtol=1e-13, rtol=1e-14))
+        near, step = far, 1.2 * step
+    return float("nan")
