@@ -1,0 +1,66 @@
+"""Identification from periodic motion: which samples count, and where the search begins (thesis, section 3.4.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleplan.errors import DataError, Mistake
+from needleplan.signals import Record, cycles
+
+__all__ = ["first_guess", "steady"]
+
+_FAST, _SLOW = 0.9, 0.3
+_FAST_SHARE = 0.6
+"""Share of mu_c that friction is taken to have reached at the top speed."""
+
+_PRESLIDING = 0.01
+"""Share of the stroke over which bristles are taken to bend before they slide."""
+
+
+def steady(record: Record, skip_cycles: int = 1, phases: Sequence[str] = ()) -> NDArray[np.bool_]:
+    """Return which samples count, bool (samples,): those after the first cycles, and in one of the phases where given.
+
+    The first cycle holds what repetition wears away: the path is cut, bubbles leave, unknown bristles forget how they
+    stood. Raises DataError for a phase that the record does not have, and where nothing is left.
+    """
+    unknown = [each for each in phases if each not in record.phase]
+    if unknown:
+        rule = f"must be one of {', '.join(sorted(set(record.phase))) or 'none: the trial has no phases'}"
+        raise DataError([Mistake("phase", each, rule) for each in unknown], record.trial)
+    chosen = np.asarray(cycles(record.motion()) >= skip_cycles)
+    if phases:
+        chosen = chosen & np.isin(np.asarray(record.phase), list(phases))
+    if not chosen.any():
+        rule = f"leaves nothing: the trial has {cycles(record.motion()).max():.0f} full cycles"
+        raise DataError(Mistake("skip_cycles", str(skip_cycles), rule), record.trial)
+    return np.asarray(chosen)
+
+
+def first_guess(records: Sequence[Record]) -> dict[str, float]:
+    """Return values for all six parameters from which a fit finds its way, from forces at high and low speed.
+
+    They are of the right order for a normal force of 1 N; sigma2 and mu_c share what the speed adds. Raises DataError
+    for records without movement or without force.
+    """
+    speed = np.concatenate([np.abs(record.motion().velocity_mm_s) for record in records])
+    force = np.concatenate([np.abs(record["force_n"]) for record in records])
+    stroke = max(float(np.ptp(record["depth_mm"])) for record in records)
+    top = float(speed.max())
+    if not top or not stroke:
+        raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest identifies nothing"))
+    known = np.isfinite(force)
+    high = float(np.median(force[known & (speed >= _FAST * top)])) if known.any() else 0.0
+    low = float(np.median(force[known & (speed <= _SLOW * top)])) if known.any() else 0.0
+    if not high > 0:
+        raise DataError(Mistake("force_n", "", "is zero at full speed: there is no friction to identify"))
+    return {
+        "sigma0": high / (_PRESLIDING * stroke),
+        "sigma1": 5 * high / top,
+        "sigma2": 0.1 * high / top,
+        "mu_c": 0.9 * high / _FAST_SHARE,
+        "mu_s": max(0.3 * low, 0.05 * high),
+        "alpha": -float(np.log(1 - _FAST_SHARE)) / top,
+    }
