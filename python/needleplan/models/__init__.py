@@ -3,7 +3,8 @@
 Units: mm, N, s, rad. See `needleplan.models.base` for what a model is.
 """
 
-from needleplan.models.base import Channel, LinearStateModel, Model, SelfIntegratingModel
+from needleplan.models.base import Channel, LinearStateModel, Model, SelfIntegratingModel, SolvedModel
+from needleplan.models.bicycle import Bicycle, arc_step
 from needleplan.models.deflection import TipPath
 from needleplan.models.fit import Estimate, Fit, FitStatus, fit
 from needleplan.models.force import ForceModel1, ForceModel2
@@ -24,11 +25,13 @@ from needleplan.models.needle import Needle
 from needleplan.models.parameter import Parameter, Scale, constant, parameter
 from needleplan.models.simulate import Trajectory, simulate
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, tune_slow_observer
+from needleplan.models.torsion import Torsion
 
 __all__ = [
     "AveragedLuGre",
     "AveragedOnTissue",
     "Beta",
+    "Bicycle",
     "Channel",
     "Estimate",
     "Fit",
@@ -49,8 +52,11 @@ __all__ = [
     "QuasiStatic",
     "Scale",
     "SelfIntegratingModel",
+    "SolvedModel",
     "TipPath",
+    "Torsion",
     "Trajectory",
+    "arc_step",
     "constant",
     "cutting_force",
     "distributed",

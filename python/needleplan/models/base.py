@@ -11,6 +11,7 @@ written once for all of them. A member whose state is a single number that enter
 
 says so (`LinearStateModel`), and is then integrated exactly for frozen coefficients, fast and for any step. A member
 that no general method integrates well, such as a stiff one, brings its own (`SelfIntegratingModel`).
+whose equation is solved in closed form along a sampled motion gives the solution (`SolvedModel`).
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from needleplan.models.parameter import Parameter, parameters_of
 from needleplan.signals import Array, Motion
 
 __all__ = ["Channel", "LinearStateModel", "Model", "SelfIntegratingModel"]
+__all__ = ["Channel", "LinearStateModel", "Model", "SolvedModel"]
 
 
 class Channel(StrEnum):
@@ -125,3 +127,11 @@ class SelfIntegratingModel(Model):
     @abstractmethod
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the states at the samples of the motion, shape (n, samples), from `start`, shape (n,)."""
+
+
+class SolvedModel(Model):
+    """A model that knows its states along a whole motion; abstract. Its derivative must say the same."""
+
+    @abstractmethod
+    def states(self, motion: Motion, state: Array) -> Array:
+        """Return the states at the samples of `motion`, shape (n, samples), from `state` (n,) at the first."""

@@ -1,0 +1,287 @@
+"""The curvature of a needle's path from tracked points, with an interval that may be believed.
+
+The path is a chain of arcs that touch: from a pose of entry, curvature k_1 up to the first edge, k_2 up to the second
+and so on; one arc is the circle. The distances of the points are fitted, first by plain least squares, then once more
+with noise whose correlation is unknown (`needleplan.estimation.noise`), which gives the intervals. Curvature, not
+radius, is estimated: its errors are symmetric, and zero is an ordinary value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from scipy import stats
+from scipy.optimize import least_squares
+
+from needleplan.errors import DataError, Mistake
+from needleplan.estimation.circle import arc_distance, checked_points, fit_circle
+from needleplan.estimation.noise import Marginal, marginalise
+from needleplan.models import arc_step
+from needleplan.signals import Array
+
+__all__ = [
+    "Change",
+    "Curvature",
+    "Heterogeneity",
+    "PathForm",
+    "TrackerNoise",
+    "agreement",
+    "curvature",
+    "path_curvature",
+]
+
+
+class PathForm(StrEnum):
+    """What of the path is known beforehand."""
+
+    FREE = "free"
+    """Nothing: where it enters and in which direction is fitted too (3 parameters for one arc)."""
+
+    TANGENT = "tangent"
+    """It goes through `entry`; biased where that pose is wrong (1 parameter for one arc)."""
+
+
+class TrackerNoise(StrEnum):
+    """What is assumed of the noise of neighbouring points."""
+
+    CORRELATED = "correlated"
+    """It may be correlated along the path, nobody knows how far: as a tracker's is whose field is distorted."""
+
+    WHITE = "white"
+    """It is independent from point to point."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """Difference of the curvatures of two neighbouring segments, with its 95 % interval."""
+
+    value_per_mm: float
+    low_per_mm: float
+    high_per_mm: float
+    p_value: float
+    """Probability of a difference at least as large where there is none."""
+
+
+@dataclass(frozen=True)
+class Curvature:
+    """Curvature of a path or of a segment of it, 1/mm, positive to the left, with its 95 % interval.
+
+    `rms_mm` is the root mean square distance of the points from the path; `correlation_mm` over which distance their
+    errors seem to be correlated (0: not). `low_mm` to `high_mm` is the segment, in the unit of the positions given.
+    """
+
+    curvature_per_mm: float
+    sd_per_mm: float
+    low_per_mm: float
+    high_per_mm: float
+    rms_mm: float
+    correlation_mm: float
+    samples: int
+    low_mm: float
+    high_mm: float
+
+    @property
+    def radius_mm(self) -> float:
+        """Radius of the arc, positive; infinite for a straight one."""
+        return abs(1 / self.curvature_per_mm) if self.curvature_per_mm else float("inf")
+
+    @property
+    def bends(self) -> bool:
+        """Whether the interval excludes a straight path."""
+        return self.low_per_mm > 0 or self.high_per_mm < 0
+
+
+@dataclass(frozen=True)
+class Heterogeneity:
+    """Whether several paths have one curvature: Cochran's Q, and what is left of its variance between paths.
+
+    `mean` is the mean of random effects (DerSimonian and Laird, Controlled Clinical Trials 7 (1986) 177) with its 95 %
+    interval for the mean of all such paths (Student, with one degree of freedom less than there are paths).
+    """
+
+    q: float
+    p_value: float
+    between_sd_per_mm: float
+    mean_per_mm: float
+    low_per_mm: float
+    high_per_mm: float
+
+    @property
+    def agree(self) -> bool:
+        """Whether the paths may have one curvature, at 5 %."""
+        return self.p_value >= 0.05
+
+
+def curvature(
+    points_mm: Array,
+    *,
+    form: PathForm = PathForm.FREE,
+    entry: tuple[float, float, float] | None = None,
+    noise: TrackerNoise = TrackerNoise.CORRELATED,
+    correlation_mm: float | None = None,
+) -> Curvature:
+    """Return the curvature of a path from points (n, 2) in mm, in their order along it.
+
+    `entry` is (x_mm, y_mm, heading_rad), for the form TANGENT. `correlation_mm` is the correlation length of the
+    tracker where it is known. Raises DataError for points that cannot be used, or too few of them.
+    """
+    segments, _ = path_curvature(points_mm, form=form, entry=entry, noise=noise, correlation_mm=correlation_mm)
+    return segments[0]
+
+
+def path_curvature(
+    points_mm: Array,
+    edges_mm: Sequence[float] = (),
+    *,
+    position_mm: Array | None = None,
+    form: PathForm = PathForm.FREE,
+    entry: tuple[float, float, float] | None = None,
+    noise: TrackerNoise = TrackerNoise.CORRELATED,
+    correlation_mm: float | None = None,
+) -> tuple[tuple[Curvature, ...], tuple[Change, ...]]:
+    """Return the curvature of every segment of a path, and the changes from each to the next.
+
+    `edges_mm` are the positions, increasing, at which the curvature may change, in the scale of `position_mm` (n,): how
+    far along the path each point is, such as its depth; by default the distance along the fitted circle from the
+    first point. Other parameters and errors as for `curvature`.
+    """
+    points = checked_points(points_mm)
+    path = _Path(points, edges_mm, position_mm, form, entry)
+    found = least_squares(path.distance, path.start, x_scale=path.scale, jac="3-point", method="trf", xtol=1e-12)
+    jacobian = path.jacobian(found.x)
+    said = marginalise(
+        path.distance(found.x),
+        -jacobian,
+        path.position,
+        correlated=noise is TrackerNoise.CORRELATED,
+        correlation=correlation_mm,
+    )
+    estimate = found.x + said.mean
+    rms = float(np.sqrt(np.mean(path.distance(estimate) ** 2)))
+    first = found.x.size - path.segments
+    segments, changes = [], []
+    for number in range(path.segments):
+        segments.append(_segment(path, said, found.x, first, number, rms))
+        if number:
+            direction = np.zeros(found.x.size)
+            direction[first + number], direction[first + number - 1] = 1, -1
+            low, high = said.interval(direction)
+            base = float(direction @ found.x)
+            below = said.below(-base, direction)
+            changes.append(Change(float(direction @ estimate), base + low, base + high, 2 * min(below, 1 - below)))
+    return tuple(segments), tuple(changes)
+
+
+def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
+    """Return whether several paths have one curvature. Raises DataError for fewer than two."""
+    if len(paths) < 2:
+        raise DataError("one path cannot agree with itself: at least two are needed")
+    value = np.array([each.curvature_per_mm for each in paths])
+    variance = np.array([((each.high_per_mm - each.low_per_mm) / (2 * stats.norm.ppf(0.975))) ** 2 for each in paths])
+    weight = 1 / variance
+    common = float(weight @ value / weight.sum())
+    q = float(weight @ (value - common) ** 2)
+    degrees = len(paths) - 1
+    spare = float(weight.sum() - (weight**2).sum() / weight.sum())
+    between = max(0.0, (q - degrees) / spare)
+    weight = 1 / (variance + between)
+    mean = float(weight @ value / weight.sum())
+    # Hartung and Knapp: honest for few paths, and never narrower than what the intervals themselves say.
+    spread = max(1.0, float(weight @ (value - mean) ** 2) / degrees)
+    reach = float(stats.t.ppf(0.975, degrees) * np.sqrt(spread / weight.sum()))
+    p_value = float(stats.chi2.sf(q, degrees))
+    return Heterogeneity(q, p_value, float(np.sqrt(between)), mean, mean - reach, mean + reach)
+
+
+class _Path:
+    """A chain of touching arcs and its distances from points; unknown: shift and turn at entry, curvatures."""
+
+    def __init__(
+        self,
+        points: Array,
+        edges_mm: Sequence[float],
+        position_mm: Array | None,
+        form: PathForm,
+        entry: tuple[float, float, float] | None,
+    ) -> None:
+        circle = fit_circle(points)
+        self.points, self.free = points, form is PathForm.FREE
+        along = _along(points, circle.point_mm, circle.heading_rad, circle.curvature_per_mm)
+        self.position = along - along.min() if position_mm is None else np.asarray(position_mm, float)
+        if self.position.shape != (len(points),) or not np.isfinite(self.position).all():
+            raise DataError(Mistake("position_mm", "", f"must be {len(points)} finite numbers"))
+        self.begin, self.end = float(self.position.min()), float(self.position.max())
+        self.edges = np.array([self.begin, *edges_mm, self.end])
+        if (np.diff(self.edges) <= 0).any():
+            rule = f"must increase between {self.begin:.4g} and {self.end:.4g} mm, where the points are"
+            raise DataError(Mistake("edges_mm", ", ".join(f"{each:g}" for each in edges_mm), rule))
+        self.segments = len(self.edges) - 1
+        self.index = np.clip(np.searchsorted(self.edges, self.position, side="right") - 1, 0, self.segments - 1)
+        self._require_points()
+        if not self.free:
+            if entry is None:
+                raise DataError(Mistake("entry", "", "is needed where the path is tangent to it"))
+            self.pose = entry
+        else:
+            first = float(along.min())
+            pose = arc_step(*circle.point_mm, circle.heading_rad, circle.curvature_per_mm, first)
+            self.pose = (float(pose[0]), float(pose[1]), float(pose[2]))
+        extent = self.end - self.begin
+        bend = np.full(self.segments, circle.curvature_per_mm)
+        bends = np.full(self.segments, 1 / extent)
+        self.start = np.concatenate([[0.0, 0.0], bend]) if self.free else bend
+        self.scale = np.concatenate([[1.0, 1 / extent], bends / extent]) if self.free else bends / extent
+        self.steps = np.concatenate([[1e-3, 1e-4], bends * 1e-3]) if self.free else bends * 1e-3
+
+    def _require_points(self) -> None:
+        counts = np.bincount(self.index, minlength=self.segments)
+        for number in np.flatnonzero(counts < 5):
+            where = f"{self.edges[number]:.4g} to {self.edges[number + 1]:.4g} mm"
+            raise DataError(Mistake("edges_mm", where, f"holds {counts[number]} points; a segment needs at least 5"))
+
+    def distance(self, unknown: Array) -> Array:
+        """Return the signed distances of the points from the path, shape (n,)."""
+        x, y, heading = self.pose
+        if self.free:
+            x, y = x - unknown[0] * np.sin(heading), y + unknown[0] * np.cos(heading)
+            heading = heading + unknown[1]
+        distance = np.empty(len(self.points))
+        for number, bend in enumerate(unknown[-self.segments :]):
+            here = self.index == number
+            distance[here] = arc_distance(self.points[here], float(x), float(y), float(heading), float(bend))
+            x, y, heading = arc_step(x, y, heading, bend, self.edges[number + 1] - self.edges[number])
+        return distance
+
+    def jacobian(self, unknown: Array) -> Array:
+        """Return d(distance)/d(unknown) by central differences, shape (n, unknowns)."""
+        columns = []
+        for number, step in enumerate(self.steps):
+            shift = np.zeros(unknown.size)
+            shift[number] = step
+            columns.append((self.distance(unknown + shift) - self.distance(unknown - shift)) / (2 * step))
+        return np.column_stack(columns)
+
+
+def _segment(path: _Path, said: Marginal, base: Array, first: int, number: int, rms: float) -> Curvature:
+    direction = np.zeros(base.size)
+    direction[first + number] = 1
+    low, high = said.interval(direction)
+    centre = float(base[first + number])
+    sd = float(np.sqrt(said.covariance[first + number, first + number]))
+    return Curvature(
+        centre + float(said.mean[first + number]), sd, centre + low, centre + high, rms, said.correlation,
+        int((path.index == number).sum()), float(path.edges[number]), float(path.edges[number + 1]),
+    )  # fmt: skip
+
+
+def _along(points: Array, place: tuple[float, float], heading: float, bend: float) -> Array:
+    """Return how far along a circle from `place` the feet of points are, shape (n,)."""
+    away = points - np.array(place)
+    along = away @ np.array([np.cos(heading), np.sin(heading)])
+    across = away @ np.array([-np.sin(heading), np.cos(heading)])
+    if abs(bend) < 1e-12:
+        return np.asarray(along)
+    return np.asarray(np.arctan2(bend * along, 1 - bend * across) / bend)
