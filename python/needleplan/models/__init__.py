@@ -5,7 +5,7 @@ Units: mm, N, s, rad. See `needleplan.models.base` for what a model is.
 
 from needleplan.models.base import Channel, LinearStateModel, Model, SelfIntegratingModel, SolvedModel
 from needleplan.models.bicycle import Bicycle, arc_step
-from needleplan.models.deflection import TipPath
+from needleplan.models.deflection import InsertionForce, TipPath
 from needleplan.models.fit import Estimate, Fit, FitStatus, fit
 from needleplan.models.force import ForceModel1, ForceModel2
 from needleplan.models.friction import (
@@ -39,6 +39,7 @@ __all__ = [
     "ForceModel1",
     "ForceModel2",
     "ForceParts",
+    "InsertionForce",
     "Karnopp",
     "LinearStateModel",
     "LumpedLuGre",

@@ -38,6 +38,21 @@ def test_it_is_the_path_law() -> None:
     np.testing.assert_allclose(bent, MODEL.curvature_1_mm, rtol=1e-3)
 
 
+@pytest.mark.parametrize("kept", [1.0, 0.9])
+def test_its_own_integration_is_kutta_with_its_derivative(kept: float) -> None:
+    motion, model = insertion(40.0), MODEL.with_values(anchoring=kept)
+    start = np.array([30.0, 2.0])
+    own = model.integrate(motion, start)
+    stepped = [start]
+    for k, step in enumerate(motion.interval_s):
+        first, middle, last = motion[k], motion.between(0.5)[k], motion[k + 1]
+        k1 = model.derivative(stepped[-1], first)
+        k2 = model.derivative(stepped[-1] + step / 2 * k1, middle)
+        k3 = model.derivative(stepped[-1] + step * (2 * k2 - k1), last)
+        stepped.append(stepped[-1] + step / 6 * (k1 + 4 * k2 + k3))
+    np.testing.assert_allclose(own, np.array(stepped).T, rtol=1e-11)
+
+
 def test_the_coil_is_where_the_march_has_it() -> None:
     # A coil behind the tip of a long needle that has been deep in the tissue for a while.
     from dataclasses import replace

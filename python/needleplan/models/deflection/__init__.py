@@ -5,6 +5,7 @@ follows an insertion whose path the tissue remembers, `tip_path_mm` is that path
 member of the family of models. u > 0 is towards the push of the bevel, everywhere.
 """
 
+from needleplan.models.deflection.axial_force import InsertionForce
 from needleplan.models.deflection.beam import Beam, Tissue
 from needleplan.models.deflection.choices import AxialTerms, Foundation
 from needleplan.models.deflection.elements import ElementShape, solve_elements, solve_uniform
@@ -35,6 +36,7 @@ __all__ = [
     "ExactShape",
     "Foundation",
     "FreePath",
+    "InsertionForce",
     "TipPath",
     "Tissue",
     "circle_push_n",

@@ -1,0 +1,145 @@
+"""The curvature of one record, and of several together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from needleplan.errors import DataError, Mistake
+from needleplan.models import Estimate, Fit, Needle, TipPath, fit, simulate
+from needleplan.models.deflection import Tissue, march
+from needleplan.signals import Array, Motion, Record
+
+__all__ = ["PathFit", "beyond", "depth_factor", "mean_of", "path_fit"]
+
+_SHORTEST_MM = 10.0
+_FORCE_N = 0.05
+
+
+def beyond(record: Record, skip_mm: float) -> Array:
+    """Return which samples count, shape (samples,): on the way in, deeper than `skip_mm`, for the first time."""
+    motion = record.motion()
+    deepest = np.maximum.accumulate(motion.depth_mm)
+    return np.asarray((motion.velocity_mm_s > 0) & (motion.depth_mm >= deepest) & (motion.depth_mm > skip_mm))
+
+
+@dataclass(frozen=True)
+class PathFit:
+    """A record with its fit; `curvature` is signed, positive where the path bends to +y at the base's angle 0."""
+
+    record: Record
+    fit: Fit
+    curvature: Estimate
+    turned: bool
+    """Whether the base was turned within the record, so that kf was fitted too."""
+
+    counts: Array
+    """Which samples were fitted, shape (samples,)."""
+
+    @property
+    def model(self) -> TipPath:
+        """The fitted path."""
+        assert isinstance(self.fit.model, TipPath)
+        return self.fit.model
+
+
+def path_fit(record: Record, start: TipPath, skip_mm: float) -> PathFit:
+    """Fit curvature, slope and offset of one record, and kf where the base was turned.
+
+    Raises DataError where fewer than 10 mm or too few samples lie beyond `skip_mm`.
+    """
+    motion, measured = record.motion(), record["y_mm"]
+    counts = np.logical_and(beyond(record, skip_mm), np.isfinite(measured))
+    depth = motion.depth_mm[counts]
+    if depth.size < 5 or float(np.ptp(depth)) < _SHORTEST_MM:
+        seen = f"{float(np.ptp(depth)) if depth.size else 0.0:.3g} mm, {depth.size} samples on the way in"
+        rule = f"too short beyond {skip_mm:g} mm: at least {_SHORTEST_MM:g} mm are needed (depth in mm?)"
+        raise DataError(Mistake("depth_mm", seen, rule), record.trial)
+    unit = replace(start, cutting_force=0.01, side=1.0, slope=0.0, offset=0.0)
+    shape = simulate(unit, motion).output[counts]
+    size, slope, offset = np.linalg.lstsq(
+        np.column_stack([shape, depth - start.tracked, np.ones_like(depth)]), measured[counts], rcond=None
+    )[0]
+    begin = _within(replace(unit, side=1.0 if size >= 0 else -1.0), 0.01 * abs(size), slope, offset)
+    turned = bool(np.ptp(np.cos(motion.angle_rad[counts])) > 0.5)
+    free = ["cutting_force", "slope", "offset", *(["stiffness"] if turned else [])]
+    result = fit(begin, record, free=free, mask=lambda _: np.asarray(counts))
+    return PathFit(record, result, _curvature(result), turned, counts)
+
+
+def depth_factor(path: PathFit, needle: Needle, tissue: Tissue) -> tuple[float, float]:
+    """Return g of a record and its standard deviation: radius of the needle in its tissue over that of the path law.
+
+    The needle, with its length and all axial terms, is marched through the record's depths, and the law is fitted to
+    the result as to a record. How the force came up at the entry is not known: four ways, and the deviation is theirs.
+    """
+    counted = path.record["depth_mm"][path.counts]
+    depth = np.linspace(0.0, min(float(counted.max()), 0.95 * needle.length_mm), 81)
+    reach = depth / path.model.entry
+    rise = np.stack([
+        1 - (1 + reach) * np.exp(-reach), 1 - (1 + reach / 2) * np.exp(-reach / 2),
+        depth > 10.0, np.minimum(depth / 20, 1),
+    ])  # fmt: skip
+    speed = float(np.median(path.record.motion().velocity_mm_s[path.counts]))
+    inserted = march(
+        needle, tissue, _FORCE_N * rise, float(depth[1]), speed, behind_tip_mm=path.model.tracked
+    ).tracked_mm
+    law = replace(
+        path.model, cutting_force=_FORCE_N, stiffness=tissue.stiffness_n_mm2, bending=needle.bending_stiffness_n_mm2,
+        side=1.0, slope=0.0, offset=0.0, depth_factor=1.0,
+    )  # fmt: skip
+    shape = simulate(law, Motion.sampled(depth, depth)).output
+    used = depth >= counted.min()
+    columns = np.column_stack([shape, depth, np.ones_like(depth)])[used]
+    sizes = np.linalg.lstsq(columns, inserted.T[used], rcond=None)[0][0]
+    factors = 1 / sizes
+    return float(factors.mean()), float(factors.std(ddof=1))
+
+
+def mean_of(estimates: Sequence[Estimate]) -> tuple[Estimate, float, float | None]:
+    """Return the weighted mean with its 95 % interval, the chi-square of the scatter and its p-value (None for one).
+
+    Where the estimates scatter more than their deviations say, the interval is widened by Birge's ratio.
+    """
+    if len(estimates) == 1:
+        return estimates[0], 0.0, None
+    values, sd = np.array([each.value for each in estimates]), np.array([each.sd for each in estimates])
+    weights = 1 / sd**2
+    mean, freedom = float(weights @ values / weights.sum()), len(estimates) - 1
+    chi_square = float((weights * (values - mean) ** 2).sum())
+    spread = math.sqrt(max(chi_square / freedom, 1.0) / float(weights.sum()))
+    reach = spread * float(stats.t.ppf(0.975, freedom) if chi_square > freedom else stats.norm.ppf(0.975))
+    known = Estimate(mean, spread, mean - reach, mean + reach, estimates[0].unit, abs(mean) > reach)
+    return known, chi_square, float(stats.chi2.sf(chi_square, freedom))
+
+
+def _within(model: TipPath, cutting_force: float, slope: float, offset: float) -> TipPath:
+    inside: dict[str, float] = {}
+    limits = model.parameters()
+    values: dict[str, float] = {"cutting_force": cutting_force, "slope": slope, "offset": offset}
+    for name, value in values.items():
+        inside[name] = float(np.clip(value, limits[name].lower, limits[name].upper))
+    return model.with_values(**inside)
+
+
+def _curvature(result: Fit) -> Estimate:
+    """Return the signed curvature Fc cos a/(EI lam), where lam goes with kf^(1/4), with its interval."""
+    model = result.model
+    assert isinstance(model, TipPath)
+    force, value = result.estimates["cutting_force"], model.curvature_1_mm
+    where = {name: index for index, name in enumerate(result.free)}
+    part = np.zeros(len(where))
+    part[where["cutting_force"]] = 1.0
+    if "stiffness" in where:
+        part[where["stiffness"]] = -0.25
+    relative = math.sqrt(max(float(part @ result.covariance @ part), 0.0))
+    if "stiffness" in where:
+        low, high = value - 1.96 * relative * abs(value), value + 1.96 * relative * abs(value)
+    else:
+        ends = (value * force.low / force.value, value * force.high / force.value)
+        low, high = min(ends), max(ends)
+    return Estimate(value, relative * abs(value), low, high, "1/mm", relative < 1)
