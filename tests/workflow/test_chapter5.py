@@ -36,28 +36,37 @@ def test_table_5_1_holds_up_to_its_singularity() -> None:
 def test_arcs_of_the_printed_radii_do_not_have_the_printed_errors() -> None:
     tangent, shifted = zip(*(arcs_apart_mm(case) for case in CASES), strict=True)
     np.testing.assert_allclose(tangent, [0.390, 0.337, 0.245, 0.513], atol=1e-3)
-    assert [case.name for case, apart in zip(CASES, shifted, strict=True) if apart > case.max_error_mm] == ["B, 15 mm/s"]
+    assert [case.name for case, apart in zip(CASES, shifted, strict=True) if apart > case.max_error_mm] == [
+        "B, 15 mm/s"
+    ]
 
 
-@pytest.mark.parametrize(("reading", "behind", "rows_n"), [
-    (PRINTED, 9.3, ([0.014, 0.071, 0.158, 0.278], [0.026, 0.122, 0.271, 0.485])),
-    (MEMORY, 0.0, ([0.0069, 0.0254, 0.0394, 0.0492], [0.0118, 0.0342, 0.0497, 0.0611])),
+@pytest.mark.parametrize(("reading", "behind", "last_digit", "rows_n"), [
+    (PRINTED, 9.3, 1e-3, ([0.014, 0.071, 0.158, 0.278], [0.026, 0.122, 0.271, 0.485])),
+    (MEMORY, 0.0, 1e-4, ([0.0069, 0.0254, 0.0394, 0.0492], [0.0118, 0.0342, 0.0497, 0.0611])),
 ], ids=["printed", "memory"])  # fmt: skip
-def test_forces_that_the_radii_need(reading: object, behind: float, rows_n: tuple[list[float], list[float]]) -> None:
+def test_forces_that_the_radii_need(
+    reading: object, behind: float, last_digit: float, rows_n: tuple[list[float], list[float]]
+) -> None:
     for case, expected in zip((CASES[0], CASES[3]), rows_n, strict=True):
         depth, force = required_force_n(
-            reading, case.tissue, case.velocity_mm_s, case.estimated_mm, 2.0, behind_mm=behind  # type: ignore[arg-type]
+            reading,
+            case.tissue,
+            case.velocity_mm_s,
+            case.estimated_mm,
+            2.0,
+            behind_mm=behind,  # type: ignore[arg-type]
         )
-        np.testing.assert_allclose(np.interp([20, 40, 60, 80], depth, force), expected, rtol=0.02, atol=5e-5)
+        np.testing.assert_allclose(np.interp([20, 40, 60, 80], depth, force), expected, rtol=5e-3, atol=last_digit / 2)
 
 
 def test_all_cells_are_there_and_say_why(rows: tuple[dict[str, Comparison], Path]) -> None:
     found, folder = rows
     cells = [each for name, each in found.items() if name.startswith("ch5/Table 5.3/") and "mm/s/" in name]
     assert len(cells) == len(CASES) * len(CHANGES)
-    radii = [each for name, each in found.items() if name.endswith(" radius") and "Table 5.2" in name]
-    impossible = [*cells, *(each for each in radii if "needs" not in each.id)]
-    assert {each.verdict for each in impossible} == {Verdict.IMPOSSIBLE}
+    radii = [each for name, each in found.items() if name.endswith(("/estimated radius", "/measured radius"))]
+    assert len(radii) == 2 * len(CASES)
+    assert {each.verdict for each in [*cells, *radii]} == {Verdict.IMPOSSIBLE}
     assert all(each.reason for each in found.values() if each.verdict is not Verdict.REPRODUCED)
     assert {file.name for file in folder.iterdir()} == {"fig_5_1.png", "fig_5_2.png"}
 

@@ -27,8 +27,7 @@ from needleplan.errors import Mistake, ModelError
 from needleplan.models.parameter import Parameter, parameters_of
 from needleplan.signals import Array, Motion
 
-__all__ = ["Channel", "LinearStateModel", "Model", "SelfIntegratingModel"]
-__all__ = ["Channel", "LinearStateModel", "Model", "SolvedModel"]
+__all__ = ["Channel", "LinearStateModel", "Model", "SelfIntegratingModel", "SolvedModel"]
 
 
 class Channel(StrEnum):

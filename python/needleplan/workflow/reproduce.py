@@ -39,13 +39,19 @@ CHAPTERS = ("ch2", "ch3", "ch4", "ch5", "ch6", "diagnosis")
 """The chapters of the thesis with published results; not all are available yet."""
 
 
+def _ch5(request: Request) -> list[Comparison]:
+    from needleplan.workflow.chapter5 import chapter
+
+    return chapter.run(request)
+
+
 def _ch6(request: Request) -> list[Comparison]:
     from needleplan.workflow.chapter6 import chapter
 
     return chapter.run(request)
 
 
-_AVAILABLE: dict[str, Callable[[Request], list[Comparison]]] = {"ch6": _ch6}
+_AVAILABLE: dict[str, Callable[[Request], list[Comparison]]] = {"ch5": _ch5, "ch6": _ch6}
 
 
 def reproduce(
