@@ -3,7 +3,7 @@
 Units: mm, N, s, rad. See `needleplan.models.base` for what a model is.
 """
 
-from needleplan.models.base import Channel, LinearStateModel, Model, SelfIntegratingModel, SolvedModel
+from needleplan.models.base import Channel, LinearStateModel, Model, SelfIntegratingModel
 from needleplan.models.bicycle import Bicycle, arc_step
 from needleplan.models.deflection import InsertionForce, TipPath
 from needleplan.models.fit import Estimate, Fit, FitStatus, fit
@@ -21,49 +21,61 @@ from needleplan.models.friction import (
     distributed,
     into_fresh_tissue,
 )
+from needleplan.models.intervals import Intervals, bootstrap_intervals, profile_intervals
+from needleplan.models.model_file import ModelFile, Parent
 from needleplan.models.needle import Needle
 from needleplan.models.parameter import Parameter, Scale, constant, parameter
+from needleplan.models.registry import KINDS, kind_of
+from needleplan.models.residuals import Finding, residual_findings
 from needleplan.models.simulate import Trajectory, simulate
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, tune_slow_observer
 from needleplan.models.torsion import Torsion
 
 __all__ = [
+    "KINDS",
     "AveragedLuGre",
     "AveragedOnTissue",
     "Beta",
     "Bicycle",
     "Channel",
     "Estimate",
+    "Finding",
     "Fit",
     "FitStatus",
     "ForceModel1",
     "ForceModel2",
     "ForceParts",
     "InsertionForce",
+    "Intervals",
     "Karnopp",
     "LinearStateModel",
     "LumpedLuGre",
     "LumpedOnTissue",
     "Model",
+    "ModelFile",
     "MovingTissue",
     "Needle",
     "OutputForm",
     "Parameter",
+    "Parent",
     "Profile",
     "QuasiStatic",
     "Scale",
     "SelfIntegratingModel",
-    "SolvedModel",
     "TipPath",
     "Torsion",
     "Trajectory",
     "arc_step",
+    "bootstrap_intervals",
     "constant",
     "cutting_force",
     "distributed",
     "fit",
     "into_fresh_tissue",
+    "kind_of",
     "parameter",
+    "profile_intervals",
+    "residual_findings",
     "simulate",
     "tune_slow_observer",
 ]

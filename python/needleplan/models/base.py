@@ -10,8 +10,8 @@ written once for all of them. A member whose state is a single number that enter
     z' = forcing(u) - rate(u) z
 
 says so (`LinearStateModel`), and is then integrated exactly for frozen coefficients, fast and for any step. A member
-that no general method integrates well, such as a stiff one, brings its own (`SelfIntegratingModel`).
-whose equation is solved in closed form along a sampled motion gives the solution (`SolvedModel`).
+that no general method integrates well, such as a stiff one, or one that is solved in closed form, brings its own
+(`SelfIntegratingModel`).
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from needleplan.models.parameter import Parameter, parameters_of
 from needleplan.signals import Array, Motion
 
 __all__ = ["Channel", "LinearStateModel", "Model", "SelfIntegratingModel", "SolvedModel"]
+__all__ = ["Channel", "LinearStateModel", "Model", "SelfIntegratingModel"]
 
 
 class Channel(StrEnum):
@@ -126,11 +127,3 @@ class SelfIntegratingModel(Model):
     @abstractmethod
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the states at the samples of the motion, shape (n, samples), from `start`, shape (n,)."""
-
-
-class SolvedModel(Model):
-    """A model that knows its states along a whole motion; abstract. Its derivative must say the same."""
-
-    @abstractmethod
-    def states(self, motion: Motion, state: Array) -> Array:
-        """Return the states at the samples of `motion`, shape (n, samples), from `state` (n,) at the first."""

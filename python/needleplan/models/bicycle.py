@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from needleplan.models.base import Channel, SolvedModel
+from needleplan.models.base import Channel, SelfIntegratingModel
 from needleplan.models.parameter import parameter
 from needleplan.signals import Array, Motion
 
@@ -31,7 +31,7 @@ def arc_step(x_mm: Any, y_mm: Any, heading_rad: Any, curvature_per_mm: Any, leng
 
 
 @dataclass(frozen=True)
-class Bicycle(SolvedModel):
+class Bicycle(SelfIntegratingModel):
     """Lateral position y (mm) of a tip that enters at depth zero and follows arcs; state (y, heading).
 
     The depth is the length of the path in the tissue; above depth zero nothing bends or drifts. Where the needle is
@@ -57,14 +57,14 @@ class Bicycle(SolvedModel):
         speed = np.where(motion.depth_mm > 0, motion.velocity_mm_s, 0.0)
         return np.array([speed * np.sin(state[1]), speed * self.curvature_per_mm * np.cos(motion.angle_rad)])
 
-    def states(self, motion: Motion, state: Array) -> Array:
+    def integrate(self, motion: Motion, start: Array) -> Array:
         """Return y and heading at every sample, shape (2, samples): an exact arc from each to the next."""
         steps = np.diff(np.maximum(motion.depth_mm, 0.0))
         bend = self.curvature_per_mm * np.cos((motion.angle_rad[1:] + motion.angle_rad[:-1]) / 2)
-        heading = state[1] + np.concatenate([[0.0], np.cumsum(bend * steps)])
+        heading = start[1] + np.concatenate([[0.0], np.cumsum(bend * steps)])
         half = bend * steps / 2
         sideways = steps * np.sinc(half / np.pi) * np.sin(heading[:-1] + half)
-        return np.array([state[0] + np.concatenate([[0.0], np.cumsum(sideways)]), heading])
+        return np.array([start[0] + np.concatenate([[0.0], np.cumsum(sideways)]), heading])
 
     def output(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
         """Return the lateral position, mm."""

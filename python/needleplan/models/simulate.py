@@ -3,7 +3,6 @@
 Four ways, chosen by what the model is:
 
 - no state: the output is evaluated, and that is all;
-- a solution in closed form (`SolvedModel`): that;
 - one state that obeys z' = a(t) - b(t) z (`LinearStateModel`): the Magnus integrator of fourth order for that scalar
   equation. With a1, b1 and a2, b2 at the two Gauss points of a step h,
   z+ = exp(-B) z + A phi(B), where B = h (b1 + b2)/2, A = h (a1 + a2)/2 + sqrt(3)/12 h^2 (b1 a2 - b2 a1) and
@@ -24,7 +23,7 @@ from itertools import accumulate
 import numpy as np
 
 from needleplan.errors import Mistake, ModelError
-from needleplan.models.base import LinearStateModel, Model, SelfIntegratingModel, SolvedModel
+from needleplan.models.base import LinearStateModel, Model, SelfIntegratingModel
 from needleplan.signals import Array, Motion
 
 __all__ = ["Trajectory", "simulate"]
@@ -64,8 +63,6 @@ def simulate(model: Model, motion: Motion, state: Array | None = None, *, subste
             states = np.zeros((0, len(motion)))
         elif isinstance(model, SelfIntegratingModel):
             states = model.integrate(motion, start)
-        elif isinstance(model, SolvedModel):
-            states = model.states(motion, start)
         elif isinstance(model, LinearStateModel):
             states = _magnus(model, motion, float(start[0]))
         else:

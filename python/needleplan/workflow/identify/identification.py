@@ -6,22 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from needleplan.models import Estimate, Model
+from needleplan.models import Estimate, Finding, Model
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["Finding", "Identification"]
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One test of what the model leaves unexplained: its statistic, its p-value (None where it has none), in words."""
-
-    name: str
-    statistic: float
-    p_value: float | None
-    says: str
 
 
 @dataclass(frozen=True)
