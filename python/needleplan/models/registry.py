@@ -11,18 +11,23 @@ from needleplan.errors import Mistake, ModelError
 from needleplan.models.base import Model
 from needleplan.models.bicycle import Bicycle
 from needleplan.models.deflection import TipPath
+from needleplan.models.deflection.axial_force import InsertionForce
 from needleplan.models.force import ForceModel1, ForceModel2
 from needleplan.models.friction import AveragedLuGre, Karnopp, LumpedLuGre, QuasiStatic
+from needleplan.models.tissue.lugre import AveragedOnTissue, LumpedOnTissue
 
 __all__ = ["KINDS", "MEMBERS", "kind_of"]
 
 MEMBERS: tuple[type[Model], ...] = (
     AveragedLuGre,
+    AveragedOnTissue,
     Bicycle,
     ForceModel1,
     ForceModel2,
+    InsertionForce,
     Karnopp,
     LumpedLuGre,
+    LumpedOnTissue,
     QuasiStatic,
     TipPath,
 )
