@@ -27,7 +27,6 @@ from needleplan.errors import Mistake, ModelError
 from needleplan.models.parameter import Parameter, parameters_of
 from needleplan.signals import Array, Motion
 
-__all__ = ["Channel", "LinearStateModel", "Model", "SelfIntegratingModel", "SolvedModel"]
 __all__ = ["Channel", "LinearStateModel", "Model", "SelfIntegratingModel"]
 
 

@@ -1,0 +1,147 @@
+"""`needleplan identify`: models of the mechanics from recorded data."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import complain, note, print_json
+from needleplan.cli.options import add_figure, add_json
+from needleplan.errors import InputError, Mistake
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from needleplan.models import ModelFile
+    from needleplan.signals import Record
+    from needleplan.workflow.identify import Identification
+
+__all__ = ["KINDS", "add_to", "run"]
+
+KINDS = ("force", "friction", "tissue-motion", "deflection", "curvature")
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "identify",
+        help="identify a model of the mechanics from recorded data",
+        description="Identify a model from trials in CSV or HDF5 files: parameters with 95 % intervals, tests of what "
+        "is left, remarks about what the data cannot tell. Exit code 1: nothing could be identified.",
+    )
+    parser.add_argument("kind", choices=KINDS, help="what to identify")
+    parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
+    parser.add_argument("-o", "--output", metavar="MODEL.toml", help="write the model")
+    parser.add_argument(
+        "--accept-units",
+        action="store_true",
+        help="use numbers of a size that no needle has, such as depths in metres",
+    )
+    add_figure(parser, "data, model and what is left")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    from needleplan.provenance import require_writable
+    from needleplan.recording import read_records
+
+    for output in (options.output, options.figure):
+        if output:
+            require_writable(output)
+    records = read_records(options.data, accept_units=options.accept_units)
+    note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
+    found: Identification = _identifier(options.kind).identify(records)
+    file = _model_file(found, records, options.kind)
+    if file and options.output:
+        file.write(options.output)
+        note(f"wrote {options.output}")
+    if options.figure:
+        from matplotlib.figure import Figure
+
+        from needleplan.workflow.figures import save
+
+        figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+        found.draw(figure)
+        save(figure, options.figure)
+        note(f"drew {options.figure}")
+    if options.json:
+        print_json(_record(found, records, file, options))
+    else:
+        for line in _lines(found):
+            print(line)
+    return 0 if found.ok else complain("nothing could be identified from these data; the remarks say why")
+
+
+def _identifier(kind: str) -> Any:
+    """Return the module that identifies a kind. Raises InputError where there is none."""
+    name = f"needleplan.workflow.identify.{kind.replace('-', '_')}"
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name != name:
+            raise
+        raise InputError(Mistake("KIND", kind, "is not yet available")) from None
+
+
+def _model_file(found: Identification, records: Sequence[Record], kind: str) -> ModelFile | None:
+    from needleplan.models import ModelFile, Parent
+
+    if found.model is None:
+        return None
+    parents = tuple(Parent(record.trial, record.digest) for record in records)
+    names = found.model.parameters()
+    estimates = {name: each for name, each in found.estimates.items() if name in names}
+    return ModelFile(found.model, estimates, parents, found.remarks, f"{kind} identified from {len(records)} trials")
+
+
+def _lines(found: Identification) -> Iterator[str]:
+    kind = found.model.name if found.model else "no model"
+    yield f"{found.kind}: {kind}"
+    if found.estimates:
+        width = max(map(len, found.estimates))
+        yield f"  {'parameter':<{width}}  {'value':>10}  {'95 % interval':^24}  unit"
+        for name, each in found.estimates.items():
+            interval = f"{_number(each.low):>10} to {_number(each.high):<10}" if each.identified else "not identified"
+            yield f"  {name:<{width}}  {_number(each.value):>10}  {interval:^24}  {each.unit}".rstrip()
+    if found.scores:
+        width = max(len(name) for name, _, _ in found.scores)
+        yield "scores"
+        yield from (f"  {name:<{width}}  {_number(value):>10}  {unit}".rstrip() for name, value, unit in found.scores)
+    if found.findings:
+        width = max(len(each.name) for each in found.findings)
+        yield "what is left"
+        for test in found.findings:
+            p_value = "" if test.p_value is None else f"p {test.p_value:.2g}"
+            yield f"  {test.name:<{width}}  {p_value:<10}  {test.says}"
+    if found.remarks:
+        yield "remarks"
+        yield from (f"  {remark}" for remark in found.remarks)
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}"
+
+
+def _record(
+    found: Identification, records: Sequence[Record], file: ModelFile | None, options: argparse.Namespace
+) -> dict[str, Any]:
+    return {
+        "kind": found.kind,
+        "model": found.model.name if found.model else None,
+        "parameters": found.model.values() if found.model else {},
+        "estimates": {name: asdict(each) for name, each in found.estimates.items()},
+        "scores": [{"name": name, "value": value, "unit": unit} for name, value, unit in found.scores],
+        "findings": [asdict(each) for each in found.findings],
+        "remarks": found.remarks,
+        "trials": [
+            {"trial": each.trial, "role": each.role, "samples": len(each), "digest": each.digest} for each in records
+        ],
+        "digest": file.digest if file else None,
+        "output": options.output if file else None,
+        "figure": options.figure,
+    }

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from needleplan.errors import DataError
+from needleplan.models import arc_step
+from needleplan.signals import Array, Record, Role
+from needleplan.workflow.identify import curvature
+from tests.estimation.arcs import arc, white
+
+
+def trial(name: str, points: Array, **columns: Array) -> Record:
+    time = np.arange(len(points)) / 40
+    return Record({"time_s": time, "x_mm": points[:, 0], "y_mm": points[:, 1], **columns}, name)
+
+
+def test_insertions_that_differ_are_said_to_differ() -> None:
+    random = np.random.default_rng(1)
+    same = [trial(str(number), arc(1 / 300) + white(random)) for number in range(3)]
+    found = curvature.identify(same)
+    assert found.ok
+    assert found.estimates["curvature_per_mm"].identified
+    assert found.findings[0].p_value is not None
+    assert found.findings[0].p_value > 0.05
+    other = trial("other", arc(1 / 200) + white(random))
+    apart = curvature.identify([*same, other])
+    assert apart.findings[0].p_value is not None
+    assert apart.findings[0].p_value < 1e-6
+    assert any("the next one may lie outside" in each for each in apart.remarks)
+
+
+def test_a_change_with_depth_is_found() -> None:
+    random = np.random.default_rng(2)
+    pose = arc_step(0.0, 0.0, 0.0, 1 / 100, 40.0)
+    x, y, _ = arc_step(*pose, 1 / 400, np.linspace(0.2, 40, 160))
+    points = np.concatenate([arc(1 / 100, 160, 40.0), np.column_stack([x, y])]) + white(random)
+    (change,) = curvature.identify([trial("kink", points)]).findings
+    assert change.p_value is not None
+    assert change.p_value < 1e-3
+    assert change.statistic == pytest.approx(1 / 400 - 1 / 100, rel=0.2)
+
+
+def test_what_does_not_count_is_counted() -> None:
+    random = np.random.default_rng(3)
+    there = arc(1 / 300) + white(random)
+    back = np.concatenate([there, there[::-4]])
+    depth = np.concatenate([np.linspace(0, 80, 320), np.linspace(79, 0, 80)])
+    quiet = Record({"time_s": np.arange(9.0), "y_mm": np.zeros(9)}, "quiet", Role.NOISE)
+    found = curvature.identify([trial("a", back, depth_mm=depth), quiet], skip_mm=10.0)
+    assert any("drawn back, do not count" in each for each in found.remarks)
+    assert any("samples above 10 mm do not count" in each for each in found.remarks)
+    assert "1 trials of noise were left out" in found.remarks
+    assert found.estimates["curvature_per_mm"].value == pytest.approx(1 / 300, rel=0.1)
+
+
+def test_a_straight_path_is_said_to_be_possible() -> None:
+    found = curvature.identify([trial("a", arc(0.0) + white(np.random.default_rng(4)))], segments=1)
+    assert not found.estimates["curvature_per_mm"].identified
+    assert any("a straight path is possible" in each for each in found.remarks)
+
+
+def test_records_that_cannot_be_used() -> None:
+    with pytest.raises(DataError, match="y_mm: is missing"):
+        curvature.identify([Record({"time_s": np.arange(30.0), "depth_mm": np.arange(30.0)}, "a")])
+    with pytest.raises(DataError, match="there is no trial"):
+        curvature.identify([])
+    with pytest.raises(DataError, match="short: .*too short"):
+        curvature.identify([trial("short", arc(points=5))])
