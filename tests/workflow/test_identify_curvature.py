@@ -65,5 +65,5 @@ def test_records_that_cannot_be_used() -> None:
         curvature.identify([Record({"time_s": np.arange(30.0), "depth_mm": np.arange(30.0)}, "a")])
     with pytest.raises(DataError, match="there is no trial"):
         curvature.identify([])
-    with pytest.raises(DataError, match="short: .*too short"):
+    with pytest.raises(DataError, match=r"short: .*too short"):
         curvature.identify([trial("short", arc(points=5))])
