@@ -15,8 +15,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import least_squares
 
@@ -100,7 +102,7 @@ def fit(
     free: Sequence[str] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     smooth: Callable[[Array], Array] | None = None,
-    mask: Callable[[Record], Array] | None = None,
+    mask: Callable[[Record], NDArray[Any]] | None = None,
     starts: int = 1,
     spread: float = 1.0,
     seed: int = 0,
@@ -154,7 +156,7 @@ class _Problem:
         free: tuple[str, ...],
         bounds: Mapping[str, tuple[float, float]],
         smooth: Callable[[Array], Array] | None,
-        mask: Callable[[Record], Array] | None,
+        mask: Callable[[Record], NDArray[Any]] | None,
     ) -> None:
         if not records:
             raise DataError(Mistake("data", "", "there is no record"))

@@ -18,7 +18,7 @@ _MOVING = 0.05
 
 
 class Start(StrEnum):
-    """Where a sine begins. Both begin at rest: a sine that begins at full speed gives bristles a blow (1.5 N)."""
+    """Where a sine begins. Both begin at rest: a sine that begins at full speed gives bristles a blow (3 to 4 N)."""
 
     END = "end"
     """At an end of the stroke, where the velocity is zero: offset -+ amplitude cos."""

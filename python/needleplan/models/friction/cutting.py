@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.friction.shaft import Friction
@@ -42,7 +43,7 @@ def cutting_force(record: Record, friction: Friction, mass_kg: float) -> ForcePa
     return ForceParts(rubbed, inertia, measured - rubbed - inertia)
 
 
-def into_fresh_tissue(motion: Motion, margin_mm: float = 0.0) -> Array:
+def into_fresh_tissue(motion: Motion, margin_mm: float = 0.0) -> NDArray[np.bool_]:
     """Return where the tip is deeper than ever before, less `margin_mm`, and moving in: where it cuts; bool (samples,).
 
     The first sample counts as reached before.

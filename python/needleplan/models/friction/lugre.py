@@ -43,7 +43,8 @@ class OutputForm(StrEnum):
 
     Wrong twice. The integral of -sigma1 v dz/dzeta is sigma1 beta v Fn z and not -sigma1 z' Fn: as printed, the damping
     of the bristles cancels and a one-signed force -sigma1 beta v z is left (53 to 222 mN at full speed). And f (L - w)
-    is Fn for L >= 2w only, negative for L < w. Tables 3.4 and 3.5 cannot have been made with it.
+    is Fn for L >= 2w only, negative for L < w. Tables 3.4 and 3.5 cannot have been made with it: a fit drives sigma1 to
+    zero.
     """
 
 
