@@ -27,6 +27,10 @@ class JointFilter:
     After a change of direction `settle` samples are not used, as the sensor's average still holds samples from before,
     and neither are samples at rest after a movement; with `settle` 0 all are used. A value that is no number moves the
     filter on without correcting it. Both are counted (`counts`).
+
+    Two safeguards for starts that are far off: no coordinate moves by more than `limit` in one sample (R is raised for
+    a sample that would), and none leaves its first start by more than `reach`. Without them a coordinate may run off
+    to where the output no longer depends on it, and never comes back.
     """
 
     def __init__(
@@ -39,6 +43,8 @@ class JointFilter:
         walk: float = 1e-8,
         state_sd: float = 0.0,
         settle: int = 0,
+        reach: float = math.inf,
+        limit: float = math.inf,
     ) -> None:
         """Start with the parameters of `model`. Raises DataError for numbers that are no variances."""
         for name, value in (("variance", variance), ("sd", np.min(sd)), ("walk", walk), ("state_sd", state_sd)):
@@ -46,6 +52,8 @@ class JointFilter:
                 raise DataError(Mistake(name, f"{value}", "must be positive" if name == "variance" else "must be >= 0"))
         self._joint = joint
         self._settle = settle
+        self._reach, self._limit = reach, limit
+        self._anchor: Array | None = None
         self._walk = walk
         self._variance = variance
         self._state_sd = state_sd
@@ -130,6 +138,8 @@ class JointFilter:
         assert self._start is not None
         x = self._joint.initial(self._start, now)
         n = self._joint.states
+        if self._anchor is None:
+            self._anchor = x[n:]
         covariance = np.zeros((x.size, x.size))
         covariance[:n, :n] = np.eye(n) * self._state_sd**2
         covariance[n:, n:] = np.diag(self._sd**2) if self._kept is None else self._kept
@@ -147,10 +157,22 @@ class JointFilter:
             else Use.USED
         )  # fmt: skip
         if use is Use.USED:
-            kalman.correct(value, expected, change)
+            self._update(kalman, value, expected, change)
         self.counts[use] += 1
         sd = np.sqrt(np.maximum(np.diagonal(kalman.P), 0.0))
         return Step(use, expected, value - expected, math.sqrt(max(spread, 0.0)), kalman.x, sd)
+
+    def _update(self, kalman: Extended, value: float, expected: float, change: Array) -> None:
+        n = self._joint.states
+        variance = self._variance
+        if self._limit < math.inf:
+            cross = kalman.P @ change
+            moved = float(np.abs(cross[n:] * (value - expected)).max())
+            variance = max(variance, moved / self._limit - float(change @ cross))
+        kalman.R[0, 0] = variance
+        kalman.correct(value, expected, change)
+        if self._reach < math.inf and self._anchor is not None:
+            kalman.x[n:] = np.clip(kalman.x[n:], self._anchor - self._reach, self._anchor + self._reach)
 
     def _instant(self, sample: Sample) -> Motion:
         last = self._last

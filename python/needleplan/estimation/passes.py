@@ -34,7 +34,8 @@ class Recipe:
     `variances` is R of each pass, in the square of the channel's unit. A start may be wrong by `factor`: the standard
     deviation of a coordinate is ln(factor) at first, and `spreads` is the share of it that each pass begins with.
     `walk` is the variance that a coordinate gains in a sample. `settle` is the number of samples that are masked after
-    a reversal, besides one before it; 0 masks none. The defaults are those for forces in N.
+    a reversal, besides one before it; 0 masks none. No coordinate moves by more than `limit` in a sample, nor away from
+    its start by more than `reach` times ln(factor). The defaults are those for forces in N.
     """
 
     variances: tuple[float, ...] = (1e-2, 1e-2, 1e-2, 1e-3, 1e-4)
@@ -42,6 +43,8 @@ class Recipe:
     factor: float = 6.0
     walk: float = 1e-8
     settle: int = 5
+    reach: float = 1.5
+    limit: float = 0.1
 
     def __post_init__(self) -> None:
         if len(self.variances) != len(self.spreads) or not self.variances:
@@ -100,8 +103,9 @@ def identify_by_passes(
     rmse, mae = [], []
     last: list[list[Step]] = []
     filtered = JointFilter(
-        joint, model, variance=recipe.variances[0], sd=sd * recipe.spreads[0], walk=recipe.walk, settle=recipe.settle
-    )
+        joint, model, variance=recipe.variances[0], sd=sd * recipe.spreads[0], walk=recipe.walk, settle=recipe.settle,
+        reach=sd * recipe.reach, limit=recipe.limit,
+    )  # fmt: skip
     for number, (variance, spread) in enumerate(zip(recipe.variances, recipe.spreads, strict=True)):
         if number:
             filtered.restart(variance=variance, sd=sd * spread)
