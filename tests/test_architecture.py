@@ -60,7 +60,7 @@ def visible(module: ModuleType) -> set[str]:
     own = {
         name for name, value in vars(module).items()
         if not name.startswith("_") and not isinstance(value, ModuleType)
-        and getattr(value, "__module__", module.__name__).startswith(module.__name__)
+        and f"{getattr(value, '__module__', module.__name__)}.".startswith(f"{module.__name__}.")
     }  # fmt: skip
     return own - {"annotations", "TYPE_CHECKING"}
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from itertools import product
 
 import numpy as np
@@ -127,7 +128,7 @@ def test_any_model_can_be_filtered() -> None:
     noise = 0.02 * np.random.default_rng(0).standard_normal(len(motion))
     record = as_record(motion, simulate(truth, motion).output + noise)
     start = Lag(0.6, 0.15, 0.0)
-    recipe = Recipe(variances=(4e-4,), spreads=(1.0,), factor=3.0, settle=0)
+    recipe = Recipe(variances=(4e-4,), spreads=(1.0,), factor=3.0, settle=0, reach=math.inf, limit=math.inf)
     run = identify_by_passes(NumericJoint(start), start, [record], recipe)
     found = run.model.values()
     batch = fit(start, record).model.values()
@@ -152,10 +153,14 @@ def test_a_lost_filter_says_so() -> None:
     record = recorded(MODEL, depth=20.0)
     force = record["force_n"].copy()
     force[200] = 1e300
-    run = identify_by_passes(JOINT, MODEL, [record.with_column("force_n", force)], smooth=AVERAGE)
+    wild = record.with_column("force_n", force)
+    run = identify_by_passes(JOINT, MODEL, [wild], Recipe(limit=math.inf, reach=math.inf), smooth=AVERAGE)
     assert run.status is FilterStatus.DIVERGED
     assert not run.ok
     assert run.model == MODEL
+    safe = identify_by_passes(JOINT, MODEL, [wild])
+    assert safe.ok
+    assert mean_absolute_error(safe.model, [record], smooth=AVERAGE) < 5e-3
 
 
 def test_bad_samples_are_refused_and_change_nothing() -> None:

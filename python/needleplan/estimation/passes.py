@@ -119,7 +119,8 @@ def identify_by_passes(
         if filtered.diverged:
             break
         innovations = np.array([each.innovation for steps in last for each in steps if each.use is Use.USED])
-        rmse.append(float(np.sqrt(np.mean(innovations**2))) if innovations.size else math.nan)
+        with np.errstate(over="ignore"):
+            rmse.append(float(np.sqrt(np.mean(innovations**2))) if innovations.size else math.nan)
         mae.append(mean_absolute_error(filtered.model, records, smooth=smooth))
     lost = filtered.diverged
     tracks = tuple(track_of(joint, record, steps) for record, steps in zip(records, last, strict=False))

@@ -23,11 +23,10 @@ def mean_absolute_error(model: Model, records: Sequence[Record], *, smooth: Movi
 
     Infinite where the simulation grows without bound, NaN where nothing was measured.
     """
-    errors = np.concatenate(
-        [np.abs(record[model.channel] - replay(model, record, smooth=smooth)) for record in records]
-    )
     measured = np.concatenate([np.isfinite(record[model.channel]) for record in records])
     if not measured.any():
         return float("nan")
-    error = float(np.mean(errors[measured]))
+    with np.errstate(over="ignore", invalid="ignore"):
+        errors = [np.abs(record[model.channel] - replay(model, record, smooth=smooth)) for record in records]
+        error = float(np.mean(np.concatenate(errors)[measured]))
     return error if np.isfinite(error) else float("inf")

@@ -203,7 +203,8 @@ class _Problem:
     def simulated(self, coordinates: Array) -> list[Array]:
         model = self.model_at(coordinates)
         outputs = [simulate(model, motion).output for motion in self.motions]
-        return outputs if self.smooth is None else [self.smooth(output) for output in outputs]
+        with np.errstate(over="ignore", invalid="ignore"):  # what grew without bound goes on to `residual`
+            return outputs if self.smooth is None else [self.smooth(output) for output in outputs]
 
     def residual(self, coordinates: Array) -> Array:
         parts = [
