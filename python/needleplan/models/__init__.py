@@ -28,7 +28,7 @@ from needleplan.models.parameter import Parameter, Scale, constant, parameter
 from needleplan.models.registry import KINDS, kind_of
 from needleplan.models.residuals import Finding, residual_findings
 from needleplan.models.simulate import Trajectory, simulate
-from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, tune_slow_observer
+from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, fit_on_tissue, tune_slow_observer
 from needleplan.models.torsion import Torsion
 
 __all__ = [
@@ -71,6 +71,7 @@ __all__ = [
     "cutting_force",
     "distributed",
     "fit",
+    "fit_on_tissue",
     "into_fresh_tissue",
     "kind_of",
     "parameter",

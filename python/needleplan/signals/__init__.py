@@ -10,6 +10,7 @@ from needleplan.signals.profiles import insertion_cycles, lspb
 from needleplan.signals.record import Record, Role
 from needleplan.signals.sinusoid import Start, cycles, sinusoid
 from needleplan.signals.tracker import TrackerEstimate, TrackerFilter, TrackerModel, TrackerStream
+from needleplan.signals.velocity import VelocityMethod, VelocityRecord, velocity_without_delay
 
 __all__ = [
     "FAST_ALPHA1",
@@ -32,6 +33,8 @@ __all__ = [
     "TrackerFilter",
     "TrackerModel",
     "TrackerStream",
+    "VelocityMethod",
+    "VelocityRecord",
     "cycles",
     "dominant_frequency_hz",
     "insertion_cycles",
@@ -39,4 +42,5 @@ __all__ = [
     "lspb",
     "sine_at",
     "sinusoid",
+    "velocity_without_delay",
 ]

@@ -5,10 +5,12 @@
 | `MovingTissue` | Kelvin-Voigt tissue under any friction with one linear state; abstract |
 | `LumpedOnTissue` | under Model II of chapter 3 |
 | `AveragedOnTissue` | under Models III-A and III-B |
+| `fit_on_tissue` | stiffness and damping together with the friction |
 | `tune_slow_observer` | the thesis' way, without the person |
 """
 
 from needleplan.models.tissue.coupling import MovingTissue, PointwiseLaw
+from needleplan.models.tissue.joint_fit import fit_on_tissue, lag_with_sd, tissue_lag_rad, tissue_start
 from needleplan.models.tissue.lugre import AveragedOnTissue, LuGreLaw, LumpedOnTissue
 from needleplan.models.tissue.slow_observer import SlowObserver, TuningStatus, tune_slow_observer
 from needleplan.models.tissue.stepping import FrictionLaw
@@ -22,5 +24,9 @@ __all__ = [
     "PointwiseLaw",
     "SlowObserver",
     "TuningStatus",
+    "fit_on_tissue",
+    "lag_with_sd",
+    "tissue_lag_rad",
+    "tissue_start",
     "tune_slow_observer",
 ]

@@ -51,7 +51,8 @@ class TuningStatus(StrEnum):
 class SlowObserver:
     """The outcome of a tuning; `projection` is None unless the status is COMPENSATED.
 
-    `alphas` and `gaps_mm_s`, shape (40,), are the curve G(alpha1), the latter empty without crossings.
+    `alphas` and `gaps_mm_s`, shape (40,), are the curve G(alpha1), the latter empty without crossings; `gap_sd_mm_s` is
+    the standard deviation of the gap at the root, from how far the crossings scatter (infinite with one each).
     """
 
     status: TuningStatus
@@ -60,11 +61,28 @@ class SlowObserver:
     gaps_mm_s: Array
     upward: int
     downward: int
+    gap_sd_mm_s: float = np.inf
 
     @property
     def alpha1(self) -> float | None:
         """alpha1 of the slow observer, 1/s."""
         return self.projection.slow.alpha1 if self.projection else None
+
+    def lag_sd_rad(self, frequency_hz: float) -> float:
+        """Return the standard deviation of the lag at a frequency, from the scatter of the crossings; to first order.
+
+        It says how well the crossings agree, and nothing of how far friction misleads all of them alike.
+        """
+        if self.projection is None or self.alpha1 is None:
+            return np.inf
+        near = int(np.clip(np.searchsorted(self.alphas, self.alpha1), 1, self.alphas.size - 1))
+        fast, interval = self.projection.fast.alpha1, self.projection.fast.interval_s
+        ends = [
+            Projection.critically_damped(each, interval, fast) for each in self.alphas[near - 1 : near + 1].tolist()
+        ]
+        lags = [float(each.lag_rad(frequency_hz)) for each in ends]
+        change = float(self.gaps_mm_s[near] - self.gaps_mm_s[near - 1])
+        return self.gap_sd_mm_s * abs((lags[1] - lags[0]) / change) if change else np.inf
 
 
 def tune_slow_observer(
@@ -85,10 +103,14 @@ def tune_slow_observer(
     if not upward or not downward:
         return SlowObserver(TuningStatus.TOO_FEW_CROSSINGS, None, alphas, np.zeros(0), upward, downward)
 
-    def gap(alpha1: float) -> float:
+    def at_zero(alpha1: float) -> tuple[Array, Array]:
         velocity = HighGainObserver.critically_damped(alpha1, interval).transfer.apply(depth)
-        at_zero = velocity[crossing] + share * (velocity[crossing + 1] - velocity[crossing])
-        return float(np.median(at_zero[rises]) - np.median(at_zero[np.logical_not(rises)]))
+        crossed = velocity[crossing] + share * (velocity[crossing + 1] - velocity[crossing])
+        return crossed[rises], crossed[np.logical_not(rises)]
+
+    def gap(alpha1: float) -> float:
+        up, down = at_zero(alpha1)
+        return float(np.median(up) - np.median(down))
 
     gaps = np.array([gap(each) for each in alphas.tolist()])
     changes = np.flatnonzero((gaps[:-1] <= 0) & (gaps[1:] > 0))
@@ -97,7 +119,9 @@ def tune_slow_observer(
     last = int(changes[-1])
     alpha1 = float(bisect(gap, alphas[last], alphas[last + 1], xtol=_PRECISION))
     projection = Projection(fast, HighGainObserver.critically_damped(alpha1, interval))
-    return SlowObserver(TuningStatus.COMPENSATED, projection, alphas, gaps, upward, downward)
+    sides = [np.var(each, ddof=1) / each.size if each.size > 1 else np.inf for each in at_zero(alpha1)]
+    gap_sd = float(np.sqrt(sum(sides)))
+    return SlowObserver(TuningStatus.COMPENSATED, projection, alphas, gaps, upward, downward, gap_sd)
 
 
 def _even_interval(time: Array, depth: Array, force: Array) -> float:

@@ -62,13 +62,14 @@ def step_through(law: FrictionLaw, k: float, c: float, m: float, motion: Motion,
         new_bent = (bent + half * (forcing + new_forcing) * (1 + decay / 2)) / (1 + decay + decay * decay / 2)
         return held + spring * tried - friction(sample, relative, new_bent, new_forcing - new_rate * new_bent)
 
-    before, slope = speed, c + 1.0
+    before = earlier = speed
+    slope = c + 1.0
     for sample in range(1, len(times)):
         step = times[sample] - times[sample - 1]
         half, velocity = step / 2, needle[sample]
         held = k * (moved + half * speed) - m / step * speed
         spring = c + m / step + k * half
-        tried = 2 * speed - before
+        tried = 3 * (speed - before) + earlier
         error = balance(tried)
         for _ in range(_SECANTS):
             if -_TOLERANCE_N < error < _TOLERANCE_N or not slope > 0:
@@ -85,7 +86,7 @@ def step_through(law: FrictionLaw, k: float, c: float, m: float, motion: Motion,
             if tried != tried:
                 break
             balance(tried)
-        before, moved, speed = speed, moved + half * (speed + tried), tried
+        earlier, before, moved, speed = before, speed, moved + half * (speed + tried), tried
         bent, forcing, rate = new_bent, new_forcing, new_rate
         rows.append((bent, moved, speed))
     states = np.full((3, len(times)), np.nan)
