@@ -2,7 +2,7 @@
 
 Few systems go to LAPACK as one band matrix, one after another. Many are eliminated block by block, each operation on a
 row of all systems: an order of magnitude fewer instructions than pivoting, and no pivots are needed where the beam is
-short of buckling. The rows are cut so that what is worked on stays in the cache.
+short of buckling.
 """
 
 from __future__ import annotations

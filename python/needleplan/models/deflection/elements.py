@@ -4,7 +4,7 @@ The weak form of the equation of `beam`, with v for the test functions and the p
 
     int EI v'' u'' - N v' u' + (b + c) v u' + kf v u  +  v (N - s) u'|_L  =  kf int v path + v P|_L + v' M|_L
 
-The elements of an insertion have one length h, at most `element_mm`: a fixed number of them would be far too small
+The elements of an insertion have one length h, at most a given one: a fixed number of them would be far too small
 just after entry, where the condition (depth/h)^4 costs all digits. Unknowns are u and h u'. Insertions with the same
 number of elements are solved together.
 """
@@ -23,6 +23,9 @@ from needleplan.models.deflection.outer_beam import end_stiffness, outer_shape
 from needleplan.signals import Array
 
 __all__ = ["ElementShape", "hermite", "solve_elements", "solve_uniform"]
+
+_AT_ONCE = 4096
+"""Insertions solved together: more gain nothing, and their matrices take memory."""
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _POINTS, _WEIGHTS = (_POINTS + 1) / 2, _WEIGHTS / 2
@@ -99,23 +102,24 @@ class ElementShape:
         return result
 
 
-def solve_elements(beam: Beam, behind_tip_mm: ArrayLike = 0.0, *, element_mm: float = 4.0) -> Array:
+def solve_elements(beam: Beam, behind_tip_mm: ArrayLike = 0.0, *, element_mm: float | None = None) -> Array:
     """Return the deflection (mm) at a distance behind the tip, shape of the coefficients.
 
-    Anchored to the straight line. Any depths together; elements of at most `element_mm`. Raises ModelError where that
-    is not positive.
+    Anchored to the straight line. Any depths together; elements of at most `element_mm`, by default a fifth of 1/lam,
+    which leaves a relative error below 1e-5. Raises ModelError where that is not positive.
     """
-    if not element_mm > 0:
+    if element_mm is not None and not element_mm > 0:
         raise ModelError(Mistake("element_mm", f"{element_mm:g}", "must be positive"), "deflection")
     flat = beam.flat()
     behind = np.broadcast_to(np.asarray(behind_tip_mm, float), beam.shape).reshape(-1)
-    counts = np.ceil(flat.depth_mm / element_mm * (1 - 1e-12)).astype(int)
-    if (counts == counts[:1]).all():
-        return solve_uniform(flat, int(counts[0])).at(behind).reshape(beam.shape)
+    longest = np.sqrt(np.sqrt(4 * flat.bending_n_mm2 / flat.foundation_n_mm2)) / 5 if element_mm is None else element_mm
+    counts = np.ceil(flat.depth_mm / longest * (1 - 1e-12)).astype(int)
     result = np.empty(flat.depth_mm.shape)
     for count in np.unique(counts):
-        same = counts == count
-        result[same] = solve_uniform(flat.rows(same), int(count)).at(behind[same])
+        (same,) = np.nonzero(counts == count)
+        for first in range(0, same.size, _AT_ONCE):
+            rows = same[first : first + _AT_ONCE]
+            result[rows] = solve_uniform(flat.rows(rows), int(count)).at(behind[rows])
     return result.reshape(beam.shape)
 
 
@@ -140,7 +144,7 @@ def solve_uniform(
     stiffness = _element_matrices(flat, h, count)
     diagonal = [[np.zeros((count + 1, h.size)) for _ in range(2)] for _ in range(2)]
     lower = [[np.broadcast_to(stiffness[2 + p][q], (count, h.size)) for q in range(2)] for p in range(2)]
-    upper = [[np.array(np.broadcast_to(stiffness[p][2 + q], (count, h.size))) for q in range(2)] for p in range(2)]
+    upper = [[np.broadcast_to(stiffness[p][2 + q], (count, h.size)) for q in range(2)] for p in range(2)]
     for p in range(2):
         for q in range(2):
             diagonal[p][q][:-1] = stiffness[p][q]
@@ -153,6 +157,7 @@ def solve_uniform(
     spring = flat.foundation_n_mm2 * h
     if anchoring:  # the column of the tip's deflection, in the rows of the last element
         for p in range(2):
+            upper[p][0] = upper[p][0].copy()
             upper[p][0][-1] -= anchoring * spring * _PATH[p, 1]
             diagonal[p][0][-1] -= anchoring * spring * _PATH[2 + p, 1]
     if path_mm is not None:
