@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection.choices import AxialTerms
@@ -134,7 +134,7 @@ class Beam:
         """Return all coefficients as rows of one length."""
         return Beam(*(np.broadcast_to(each, self.shape).reshape(-1) for each in vars(self).values()))
 
-    def rows(self, chosen: Array) -> Beam:
+    def rows(self, chosen: NDArray[np.intp]) -> Beam:
         """Return some rows of flat coefficients."""
         return Beam(*(each[chosen] for each in vars(self).values()))
 

@@ -183,7 +183,7 @@ def _element_matrices(flat: Beam, h: Array, count: int) -> list[list[Array]]:
         same = bend * _BEND[p, q] + spring * _FOUNDATION[p, q] + advect * _ADVECT[p, q] + rate * _AXIAL_RATE[p, q]
         if left is None:
             return np.atleast_2d(same)
-        stiffness = left * -_AXIAL[p, q]
+        stiffness: Array = left * -_AXIAL[p, q]
         stiffness += same  # in place: fresh memory for thousands of insertions costs more than the sum
         return stiffness
 
