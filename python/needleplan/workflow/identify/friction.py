@@ -11,7 +11,9 @@ import numpy as np
 
 from needleplan.errors import DataError, Mistake
 from needleplan.models import Fit, fit
+from needleplan.models.friction import Friction
 from needleplan.models.friction.periodic import steady
+from needleplan.models.residuals import residual_findings
 from needleplan.signals import Record, Role, cycles
 from needleplan.workflow.identify.identification import Finding, Identification
 from needleplan.workflow.identify.shaft_figure import draw_friction
@@ -65,10 +67,10 @@ def identify(
             before = last = mask
         scores = fit_all(chosen, train, before, train, last)
         final = fit(scores[0].fit.model, train, free=scores[0].candidate.free, mask=mask)
-    remarks += _limits(scores, final)
+    remarks += [_patch(train, final, thickness_mm), *_limits(scores, final)]
     return Identification(
         "friction", final.model if final.ok else None, dict(final.estimates),
-        tuple(_scores(scores, final)), tuple(_findings(scores)), tuple(remarks),
+        tuple(_scores(scores, final)), (*_findings(scores), *residual_findings(final, train)), tuple(remarks),
         partial(_draw, train=train, scores=scores, mask=mask),
     )  # fmt: skip
 
@@ -80,6 +82,16 @@ def _skipped(train: Sequence[Record], skip_cycles: int, remarks: list[str]) -> i
         return skip_cycles
     remarks.append(f"the shortest trial has {fewest + 1} cycles: {fewest} instead of {skip_cycles} are skipped")
     return fewest
+
+
+def _patch(train: Sequence[Record], final: Fit, thickness_mm: float) -> str:
+    """Return what was taken for the patch: the numbers depend on it."""
+    assert isinstance(final.model, Friction)
+    lengths = np.concatenate([final.model.inserted_mm(record.motion()) for record in train])
+    return (
+        f"the tissue was taken as {thickness_mm:g} mm thick, with a normal force of 1 N there; inserted were "
+        f"{lengths.min():.0f} to {lengths.max():.0f} mm"
+    )
 
 
 def _scores(scores: Sequence[Score], final: Fit) -> list[tuple[str, float, str]]:

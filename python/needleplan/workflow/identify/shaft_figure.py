@@ -27,7 +27,7 @@ def draw_friction(
     record, shown = records[0], _one_a_kind(scores)
     counts = mask(record)
     motion = record.motion()
-    loops, left = figure.subplots(1, 2, gridspec_kw={"width_ratios": (3, 2)})
+    loops, left = figure.subplots(2, 1, gridspec_kw={"height_ratios": (3, 2)})
     loops.plot(motion.velocity_mm_s[counts], record["force_n"][counts], ".", color=GREY, markersize=1, alpha=0.5)
     for score, colour in zip(shown, _COLOURS, strict=False):
         force = simulate(score.fit.model, motion).output
