@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from needleplan.scenario import Scenario
 from needleplan.workflow.chapter5 import chapter
 from needleplan.workflow.chapter5.published import CASES, CHANGES, SENSITIVITY
 from needleplan.workflow.chapter5.runs import MEMORY, PRINTED, required_force_n
@@ -26,6 +27,11 @@ def test_percentages_of_the_radii_are_the_printed_ones() -> None:
     np.testing.assert_allclose([case.error_percent for case in CASES], [14.15, 13.58, 8.70, 18.72], atol=0.01)
     assert CASES[1].error_percent - SENSITIVITY[0][1] == pytest.approx(4.98, abs=0.01)
     assert CASES[1].error_percent - SENSITIVITY[3][1] == pytest.approx(4.73, abs=0.01)
+
+
+def test_sixteen_heading_steps_of_the_phantom() -> None:
+    headings = Scenario.read("phantom").motion.headings
+    assert -16 * 360 / headings == pytest.approx(-3.2, rel=1e-12)
 
 
 def test_table_5_1_holds_up_to_its_singularity() -> None:

@@ -48,8 +48,9 @@ def test_tip_and_coil_at_80_mm(terms: AxialTerms) -> None:
 @pytest.mark.parametrize("depth", [1.0, 10.0, 40.0, 80.0, 150.0])
 def test_exponentials_agree_with_collocation(terms: AxialTerms, tissue: Tissue, depth: float) -> None:
     made = beam(tissue, depth, 0.1, 15.0, terms)
+    digits = 1e-10 if depth >= 10 else 5e-9  # just after entry the four functions are nearly dependent
     for behind in (0.0, COIL_MM, 120.0):
-        assert float(solve_exact(made).at(behind)) == pytest.approx(collocation(made, behind), rel=1e-8, abs=1e-10)
+        assert float(solve_exact(made).at(behind)) == pytest.approx(collocation(made, behind), rel=digits, abs=1e-13)
 
 
 @pytest.mark.parametrize("depth", [1.0, 10.0, 80.0, 150.0])

@@ -18,7 +18,7 @@ from needleplan.workflow.chapter5.runs import (
     required_force_n,
     tip_force_n,
 )
-from needleplan.workflow.chapter5.table52 import missing_force_n
+from needleplan.workflow.chapter5.table52 import mean_offset_n, memory_path
 from needleplan.workflow.figures.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, save, title
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def figure_5_2(folder: Path, step_mm: float) -> None:
     """Draw the deflection of the coil over depth in the four cases."""
     from matplotlib.figure import Figure
 
-    offset = float(np.mean([missing_force_n(case, step_mm) for case in CASES if case.greatest_n]))
+    offset = mean_offset_n(step_mm)
     figure = Figure(figsize=(9.0, 6.6), layout="constrained")
     grid = figure.subplots(2, 2, sharex=True, sharey=True)
     for axes, case, letter in zip(grid.flat, CASES, "abcd", strict=True):
@@ -81,15 +81,13 @@ def _draw_case(axes: Axes, case: Case, offset_n: float, step_mm: float) -> None:
     axes.plot(depth, arcs["estimated"], "--", color=BLACK, label="arc of the published estimated radius")
     # The greatest axial force was published at 15 mm/s; at 10 mm/s the same force on the bevel is assumed.
     known = next(each for each in CASES if each.greatest_n and each.tissue == case.tissue)
-    ends = [tip_force_n(known.greatest_n or 0, known.tissue, known.velocity_mm_s, each) for each in (0.0, offset_n)]
+    end = tip_force_n(known.greatest_n or 0.0, known.tissue, known.velocity_mm_s, 0.0)
     courses = (Course.QUADRATIC, Course.LINEAR, Course.SATURATING)
-    forces = np.stack([ends[0] * course.of(depth) for course in courses])
+    forces = np.stack([end * course.of(depth) for course in courses])
     _, printed = coil_path(PRINTED, case.tissue, case.velocity_mm_s, forces, step_mm)
     axes.fill_between(depth, printed.min(axis=0), printed.max(axis=0), color=ORANGE, alpha=0.25, linewidth=0)
     axes.plot(depth, printed[0], color=ORANGE, label="as printed, F0 = 0, quadratic force; band: linear, saturating")
-    _, needed = required_force_n(MEMORY, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm)
-    force = np.concatenate([[0.0], needed]) / needed[-1] * ends[1]
-    _, path = coil_path(MEMORY, case.tissue, case.velocity_mm_s, force, step_mm)
+    _, path = memory_path(case, offset_n, step_mm)
     axes.plot(depth, path, color=BLUE, label=f"memory, all axial terms, F0 = {offset_n:.3f} N for all")
     axes.set_xlim(0, END_MM)
     axes.set_ylim(bottom=0)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from needleplan.signals import Array
 from needleplan.workflow.chapter5.published import CASES, END_MM, NEEDLE, NO_FORCE, Case
 from needleplan.workflow.chapter5.runs import (
     MEMORY,
@@ -19,7 +20,7 @@ from needleplan.workflow.chapter5.runs import (
 )
 from needleplan.workflow.comparison import Comparison, Verdict
 
-__all__ = ["arcs_apart_mm", "missing_force_n", "table52"]
+__all__ = ["arcs_apart_mm", "mean_offset_n", "memory_path", "missing_force_n", "table52"]
 
 _SECTION = "ch5/Table 5.2"
 _TRACKER_MM, _RATE_HZ = 0.1, 40.0
@@ -32,6 +33,7 @@ def table52(step_mm: float) -> list[Comparison]:
         *(_percentage(case, printed) for case, printed in zip(CASES, (None, None, 8.7, 18.72), strict=True)),
         *(each for case in CASES for each in _errors(case)),
         *_axial_balance(step_mm),
+        *_with_one_offset(step_mm),
         *_velocity(),
     ]
 
@@ -99,6 +101,36 @@ def _errors(case: Case) -> list[Comparison]:
             f"{_SECTION}/{case.name}/mean error", case.mean_error_mm, None, "mm", Verdict.IMPOSSIBLE,
             "the measured curve was not published as numbers",
         ),
+    ]  # fmt: skip
+
+
+def memory_path(case: Case, offset_n: float, step_mm: float) -> tuple[Array, Array]:
+    """Return depth and path of the coil with memory, for the force that an offset leaves of the axial force.
+
+    Its course is that which makes a circle from the entry. The greatest axial force is known at 15 mm/s; the same force
+    on the bevel is assumed at 10 mm/s.
+    """
+    known = next(each for each in CASES if each.greatest_n and each.tissue == case.tissue)
+    end = tip_force_n(known.greatest_n or 0.0, known.tissue, known.velocity_mm_s, offset_n)
+    _, needed = required_force_n(MEMORY, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm)
+    force = np.concatenate([[0.0], needed]) / needed[-1] * end
+    return coil_path(MEMORY, case.tissue, case.velocity_mm_s, force, step_mm)
+
+
+def mean_offset_n(step_mm: float) -> float:
+    """Return the mean of what the cases with a known axial force leave over."""
+    return float(np.mean([missing_force_n(case, step_mm) for case in CASES if case.greatest_n]))
+
+
+def _with_one_offset(step_mm: float) -> list[Comparison]:
+    offset = mean_offset_n(step_mm)
+    why = f"F0 = {offset:.3f} N for all, the mean of what the radii at 15 mm/s leave over: no prediction"
+    return [
+        Comparison(
+            f"{_SECTION}/{case.name}/radius by the memory model", case.estimated_mm,
+            round(radius_mm(*memory_path(case, offset, step_mm))), "mm", Verdict.OURS, why,
+        )
+        for case in CASES
     ]  # fmt: skip
 
 
