@@ -1,5 +1,6 @@
 """Estimation: filters that follow a model through data, curvature from tracked points, calibration of sensors."""
 
+from needleplan.estimation.calibration import Pivot, Registration, calibrate_axis, calibrate_pivot, register
 from needleplan.estimation.circle import Circle, CircleMethod, fit_circle
 from needleplan.estimation.curvature import (
     Change,
@@ -15,8 +16,10 @@ from needleplan.estimation.joint import Joint, NumericJoint
 from needleplan.estimation.joint_filter import JointFilter
 from needleplan.estimation.joint_force import JointForce
 from needleplan.estimation.passes import FilterRun, FilterStatus, Recipe, identify_by_passes
+from needleplan.estimation.punctures import Drop, force_drops
 from needleplan.estimation.replay import mean_absolute_error, replay
 from needleplan.estimation.sample import Sample, Step, Use
+from needleplan.estimation.tip_noise import NoiseStatus, TipNoise, headings_at, tip_noise
 from needleplan.estimation.track import Track, feed, track_of
 
 __all__ = [
@@ -24,27 +27,38 @@ __all__ = [
     "Circle",
     "CircleMethod",
     "Curvature",
+    "Drop",
     "FilterRun",
     "FilterStatus",
     "Heterogeneity",
     "Joint",
     "JointFilter",
     "JointForce",
+    "NoiseStatus",
     "NumericJoint",
     "PathForm",
+    "Pivot",
     "Recipe",
+    "Registration",
     "Sample",
     "Step",
+    "TipNoise",
     "Track",
     "TrackerNoise",
     "Use",
     "agreement",
+    "calibrate_axis",
+    "calibrate_pivot",
     "curvature",
     "feed",
     "fit_circle",
+    "force_drops",
+    "headings_at",
     "identify_by_passes",
     "mean_absolute_error",
     "path_curvature",
+    "register",
     "replay",
+    "tip_noise",
     "track_of",
 ]

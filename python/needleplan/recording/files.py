@@ -16,7 +16,7 @@ from needleplan.recording.plausible import questionable_units
 from needleplan.recording.trials import records_of
 from needleplan.signals import Record
 
-__all__ = ["parse_records", "read_records", "write_records"]
+__all__ = ["PathLike", "parse_records", "read_records", "write_records"]
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_NAMES = (".h5", ".hdf5")

@@ -1,0 +1,77 @@
+"""Step-wise insertions into wax phantoms and tissue, tracked electromagnetically, 100 mm deep."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from needleplan.errors import DataError
+from needleplan.estimation import agreement
+from needleplan.recording import read_stepwise_insertion
+from needleplan.signals import Record
+from needleplan.workflow.identify import Identification, curvature
+from tests.real.shared import require
+
+FOLDER = require("real_insertions")
+TISSUES = ("phantomA", "phantomB", "phantomC", "exvivo")
+SKIP_MM = 5.0
+"""The first step into the tissue is not part of the path."""
+
+
+def trials(tissue: str) -> list[Record]:
+    return [read_stepwise_insertion(path) for path in sorted(FOLDER.glob(f"{tissue}_openloop_*.csv"))]
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, Identification]:
+    return {tissue: curvature.identify(trials(tissue), skip_mm=SKIP_MM) for tissue in TISSUES}
+
+
+def test_every_file_is_read_and_what_was_left_out_is_said() -> None:
+    paths = sorted(FOLDER.glob("*.csv"))
+    records = [read_stepwise_insertion(path) for path in paths]
+    assert len(records) == 13
+    for path, record in zip(paths, records, strict=True):
+        rows = len(path.read_text().splitlines()) - 1
+        left_out = sum(int(note.split()[0]) for note in record.notes)
+        assert len(record) + left_out == rows
+        assert 99 < record["depth_mm"].max() < 103
+        assert 0.4 < np.median(np.diff(record["time_s"])) < 0.6
+
+
+def test_repeated_insertions_agree(found: dict[str, Identification]) -> None:
+    for each in found.values():
+        assert each.findings[0].name == "agreement of trials"
+        assert each.findings[0].p_value is not None
+        assert each.findings[0].p_value > 0.05
+
+
+def test_curvature_by_tissue(found: dict[str, Identification]) -> None:
+    bends = {tissue: each.estimates["curvature_per_mm"] for tissue, each in found.items()}
+    assert bends["phantomA"].low < 0 < bends["phantomA"].high
+    for tissue, low_mm, high_mm in (("phantomB", 2000, 5000), ("phantomC", 2000, 5000), ("exvivo", 1000, 2500)):
+        assert bends[tissue].identified
+        assert low_mm < 1 / bends[tissue].value < high_mm
+
+
+def test_the_paths_are_no_arcs(found: dict[str, Identification]) -> None:
+    """Nearly all paths are straighter in their second half: the curvature fades with depth."""
+    changes = [each for tissue in TISSUES for each in found[tissue].findings if each.name.startswith("change")]
+    assert len(changes) == 12
+    assert all(each.statistic < 0 for each in changes)
+    assert sum(each.p_value is not None and each.p_value < 0.05 for each in changes) >= 6
+
+
+def test_the_other_plane_is_nearly_straight() -> None:
+    for tissue in ("phantomA", "phantomC"):
+        across = [
+            curvature.insertion_of(each, plane="xz", skip_mm=SKIP_MM, segments=1).whole for each in trials(tissue)
+        ]
+        both = agreement(across)
+        assert both.agree
+        assert both.low_per_mm < 0 < both.high_per_mm
+
+
+def test_other_files_are_refused() -> None:
+    with pytest.raises(DataError, match="not a file of step-wise insertions"):
+        read_stepwise_insertion(require("liver_force", "depth_force.csv"))

@@ -1,0 +1,55 @@
+"""Axial force in bovine liver and heart, 3 mm/s, digitised from a figure (Okamura, Simone, O'Leary 2004)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from needleplan.estimation import force_drops
+from needleplan.models import ForceModel1, fit, residual_findings
+from needleplan.recording import read_depth_force
+from needleplan.signals import Record
+from tests.real.shared import require
+
+FILE = require("liver_force", "depth_force.csv")
+BEFORE_MM = 18.5
+START = ForceModel1(sigma0=1e-3, sigma1=1e-2, sigma2=1e-3, f1=1e-2, f2=-5e-3, alpha=0.05, beta=1.0)
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    return read_depth_force(FILE, 3.0)
+
+
+def test_what_was_put_in_order_is_counted(record: Record) -> None:
+    assert len(record) == 312
+    assert [int(note.split()[0]) for note in record.notes] == [20, 59]
+    assert record["depth_mm"][-1] == pytest.approx(48, abs=0.1)
+
+
+def test_capsules_are_found(record: Record) -> None:
+    drops = force_drops(record, least_n=0.5)
+    places = [drop.peak_mm for drop in drops]
+    for place in (19.1, 29.9, 32.7, 36.8):
+        assert np.abs(np.array(places) - place).min() < 0.3
+    assert max(drop.drop_n for drop in drops) > 1.0
+
+
+def test_the_force_model_holds_up_to_the_first_puncture(record: Record) -> None:
+    """It follows the loading within the noise of digitising; insertion alone identifies hardly a parameter of it."""
+    before = record.select(record["depth_mm"] < BEFORE_MM)
+    found = fit(START, before, starts=8, spread=2.0)
+    assert found.rmse < 0.04
+    assert before["force_n"].max() > 30 * found.rmse
+    assert sum(not each.identified for each in found.estimates.values()) >= 3
+
+
+def test_what_is_left_over_the_whole_depth_are_the_punctures(record: Record) -> None:
+    found = fit(START, record, starts=8, spread=2.0)
+    assert found.rmse > 0.2
+    whiteness = residual_findings(found, [record])[0]
+    assert whiteness.p_value is not None
+    assert whiteness.p_value < 1e-50
+    (left,) = found.residuals
+    falls = force_drops(record.with_column("force_n", left), least_n=0.5)
+    assert any(abs(drop.peak_mm - 36.8) < 0.3 for drop in falls)
