@@ -39,6 +39,12 @@ CHAPTERS = ("ch2", "ch3", "ch4", "ch5", "ch6", "diagnosis")
 """The chapters of the thesis with published results; not all are available yet."""
 
 
+def _ch2(request: Request) -> list[Comparison]:
+    from needleplan.workflow.chapter2 import chapter
+
+    return chapter.run(request)
+
+
 def _ch3(request: Request) -> list[Comparison]:
     from needleplan.workflow.chapter3 import chapter
 
@@ -57,7 +63,7 @@ def _ch6(request: Request) -> list[Comparison]:
     return chapter.run(request)
 
 
-_AVAILABLE: dict[str, Callable[[Request], list[Comparison]]] = {"ch3": _ch3, "ch5": _ch5, "ch6": _ch6}
+_AVAILABLE: dict[str, Callable[[Request], list[Comparison]]] = {"ch2": _ch2, "ch3": _ch3, "ch5": _ch5, "ch6": _ch6}
 
 
 def reproduce(
