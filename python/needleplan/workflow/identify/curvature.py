@@ -211,7 +211,7 @@ def _draw(figure: Figure, found: Sequence[Insertion], plane: str) -> None:
     title(bends, "Curvature with 95 % interval")
     bends.axvline(0, color=GREY, linewidth=0.8)
     bends.set_yticks(range(len(found)), [each.name or "trial" for each in found], fontsize=7)
-    bends.invert_yaxis()
+    bends.set_ylim(len(found) - 0.5, -0.5)
     bends.set_xlabel("curvature (1/mm)")
 
 
