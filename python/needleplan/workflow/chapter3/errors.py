@@ -106,7 +106,7 @@ def printed_output(fits: Sequence[CaseFits]) -> list[Comparison]:
             f"ch3/Eq. 3.19/sigma1 of III-B fitted with the printed output, case {each.case}",
             MODEL_III_B[each.case]["sigma1"].mean, found.estimates["sigma1"].value, "s/mm", Verdict.NOT_REPRODUCED,
             "as printed, the damping of the bristles cancels and leaves a one-sided force, which a fit drives to zero: "
-            f"the tables were made with (3.11); error {ours.total:.1f} mN with (3.19), "
+            f"the printed sigma1 speaks for (3.11); error {ours.total:.1f} mN with (3.19), "
             f"{each.errors('III-B').total:.1f} mN with (3.11), {each.errors('I').total:.1f} mN for the static model",
         ))  # fmt: skip
     return rows

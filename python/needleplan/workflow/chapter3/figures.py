@@ -45,7 +45,7 @@ def draw_profiles(file: Path) -> None:
         each.set_xlabel("distance from the entry (mm)")
         each.legend(frameon=False, fontsize=8, loc="upper right")
         each.set_ylim(0, 1.1)
-        each.set_xlim(-0.4, max(lengths) + 4)
+        each.set_xlim(-0.4, 1.6 * max(lengths))
     axes[0].set_ylabel("fn/f")
     title(axes[0], "(a) right trapezoid, Model III-A")
     title(axes[1], "(b) isosceles trapezoid, Model III-B")
