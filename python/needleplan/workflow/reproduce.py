@@ -51,6 +51,12 @@ def _ch3(request: Request) -> list[Comparison]:
     return chapter.run(request)
 
 
+def _ch4(request: Request) -> list[Comparison]:
+    from needleplan.workflow.chapter4 import chapter
+
+    return chapter.run(request)
+
+
 def _ch5(request: Request) -> list[Comparison]:
     from needleplan.workflow.chapter5 import chapter
 
@@ -63,7 +69,13 @@ def _ch6(request: Request) -> list[Comparison]:
     return chapter.run(request)
 
 
-_AVAILABLE: dict[str, Callable[[Request], list[Comparison]]] = {"ch2": _ch2, "ch3": _ch3, "ch5": _ch5, "ch6": _ch6}
+_AVAILABLE: dict[str, Callable[[Request], list[Comparison]]] = {
+    "ch2": _ch2,
+    "ch3": _ch3,
+    "ch4": _ch4,
+    "ch5": _ch5,
+    "ch6": _ch6,
+}
 
 
 def reproduce(
