@@ -196,9 +196,9 @@ def test_a_step_of_the_march_is_the_equation_with_its_path() -> None:
     from needleplan.models.deflection import Beam
 
     last = Beam.of(NEEDLE, SOFT, 60.0, 0.05, 15.0)
+    twin = collocation(last, lambda x: np.interp(x, depth, inserted.tip_mm))
     for behind, own in ((0.0, inserted.tip_mm[-1]), (COIL_MM, inserted.tracked_mm[-1])):
-        twin = collocation(last, behind, lambda x: np.interp(x, depth, inserted.tip_mm))
-        assert own == pytest.approx(twin, rel=1e-6)
+        assert own == pytest.approx(twin(behind), rel=1e-6)
 
 
 def test_many_insertions_march_together() -> None:

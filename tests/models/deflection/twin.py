@@ -11,8 +11,8 @@ from needleplan.models.deflection import Beam
 from needleplan.signals import Array
 
 
-def collocation(beam: Beam, behind_mm: float, path: Callable[[Array], Array] | None = None) -> float:
-    """Return the deflection at a distance behind the tip; `path` is a function of the place in the tissue."""
+def collocation(beam: Beam, path: Callable[[Array], Array] | None = None) -> Callable[[float], float]:
+    """Return the deflection by distance behind the tip; `path` is a function of the place in the tissue."""
     made = {name: float(value) for name, value in vars(beam).items()}
     inside, bending = made["depth_mm"], made["bending_n_mm2"]
     outside = made["length_mm"] - inside
@@ -34,6 +34,10 @@ def collocation(beam: Beam, behind_mm: float, path: Callable[[Array], Array] | N
     grid = np.linspace(0, 1, 41)
     solution = solve_bvp(rates, ends, grid, np.zeros((8, grid.size)), tol=1e-10, max_nodes=100_000)
     assert solution.success, solution.message
-    if behind_mm <= inside:
-        return float(solution.sol((inside - behind_mm) / inside)[4])
-    return float(solution.sol((made["length_mm"] - behind_mm) / outside)[0])
+
+    def at(behind_mm: float) -> float:
+        if behind_mm <= inside:
+            return float(solution.sol((inside - behind_mm) / inside)[4])
+        return float(solution.sol((made["length_mm"] - behind_mm) / outside)[0])
+
+    return at
