@@ -12,6 +12,7 @@ from needleplan.estimation import FilterRun, JointForce, identify_by_passes, mea
 from needleplan.estimation.force_start import has_retraction, starting_force
 from needleplan.models import Fit, fit
 from needleplan.models.force import DepthForce
+from needleplan.models.residuals import residual_findings
 from needleplan.signals import Array, MovingAverage, Record, Role
 from needleplan.workflow.identify.force_figure import draw_force
 from needleplan.workflow.identify.identification import Finding, Identification
@@ -56,8 +57,9 @@ def identify(
     remarks += _limits(found, model, train)
     return Identification(
         "force", model if found.ok and model.proper else None, dict(found.estimates),
-        tuple(_scores(found, run, train, holdout, sensor)), tuple(_findings(found, run, train, noise, sensor)),
-        tuple(remarks), partial(draw_force, model=model, records=[*train, *holdout], sensor=sensor),
+        tuple(_scores(found, run, train, holdout, sensor)),
+        (*_findings(found, run, train, noise, sensor), *residual_findings(found, train)), tuple(remarks),
+        partial(draw_force, model=model, records=[*train, *holdout], sensor=sensor),
     )  # fmt: skip
 
 
