@@ -8,7 +8,7 @@ import pytest
 from needleplan.errors import DataError
 from needleplan.estimation.force_start import starting_force
 from needleplan.models import simulate
-from needleplan.models.force import PUBLISHED_FORCES, ForceModel1, with_gauge
+from needleplan.models.force import PUBLISHED_FORCES, ForceModel1, ForceModel2, with_gauge
 from needleplan.signals import Record, Role
 from needleplan.workflow.identify import force
 from tests.estimation.insertions import AVERAGE, MODEL, recorded
@@ -91,3 +91,15 @@ def test_the_figure_is_drawn() -> None:
     figure = Figure()
     force.identify([RECORD], starts=1, filtered=False).draw(figure)
     assert [axes.get_ylabel() for axes in figure.axes] == ["force (N)", "left over (mN)"]
+
+
+def test_a_rise_without_a_peak_ends_at_the_edge_and_says_so() -> None:
+    depth = np.linspace(0, 50, 1000)
+    bent = Record({
+        "time_s": depth / 3, "depth_mm": depth, "force_n": 4e-4 * depth**2.2 + 0.01 * np.sin(depth),
+    })  # fmt: skip
+    found = force.identify([bent], average=1, starts=1, filtered=False)
+    assert isinstance(found.model, ForceModel1 | ForceModel2)
+    assert found.model.proper
+    assert {name: value for name, value, _ in found.scores}["MAE of the open loop"] < 0.1
+    assert any("not identified" in each for each in found.remarks)

@@ -34,8 +34,8 @@ __all__ = ["DepthForce"]
 class DepthForce(LinearStateModel):
     """Axial force as a function of depth; abstract: the two models differ only in what is free.
 
-    A g(l) that is not positive somewhere makes z unstable there; it is no error, since identification may pass through
-    it, and `proper` says it.
+    A g(l) that is not positive somewhere makes z unstable there; it is no error, since identification may try it, and
+    `proper` says it.
     """
 
     channel: ClassVar[Channel] = Channel.FORCE
@@ -54,8 +54,12 @@ class DepthForce(LinearStateModel):
         return self.f1 > 0 and self.f1 + self.f2 > 0
 
     def g(self, depth_mm: Array) -> Array:
-        """Return what z saturates at, in N s, of the shape of `depth_mm` (eq. 2.2)."""
-        return np.asarray(self.f1 + self.f2 * np.exp(-self.alpha * depth_mm))
+        """Return what z saturates at, in N s, of the shape of `depth_mm` (eq. 2.2); NaN where it is not positive.
+
+        z would grow without bound there, and so the simulation says: it ends in NaN, and no fit accepts it.
+        """
+        g = np.asarray(self.f1 + self.f2 * np.exp(-self.alpha * depth_mm))
+        return np.where(g > 0, g, np.nan)
 
     def coefficients(self, motion: Motion) -> tuple[Array, Array]:
         """Return l beta and l sigma0 / g(l)."""

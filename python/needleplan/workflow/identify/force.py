@@ -11,7 +11,7 @@ from needleplan.errors import DataError, Mistake
 from needleplan.estimation import FilterRun, JointForce, identify_by_passes, mean_absolute_error
 from needleplan.estimation.force_start import has_retraction, starting_force
 from needleplan.models import Fit, fit
-from needleplan.models.force import DepthForce
+from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
 from needleplan.models.residuals import residual_findings
 from needleplan.signals import Array, MovingAverage, Record, Role
 from needleplan.workflow.identify.force_figure import draw_force
@@ -20,6 +20,8 @@ from needleplan.workflow.identify.identification import Finding, Identification
 __all__ = ["fit_force", "identify", "settled"]
 
 _LEAST_DEPTH_MM = 5.0
+_EDGE = 1.01
+"""How far f1 stays from -f2: g at the surface is at least a hundredth of what it is deep down."""
 
 
 def identify(
@@ -64,13 +66,25 @@ def identify(
 
 
 def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage, starts: int = 4) -> Fit:
-    """Return the least-squares fit with the sensor's average, from `begin` and further starts around it."""
-    bounds = {"f1": (max(1.001 * -begin.f2, begin.parameters()["f1"].lower), begin.parameters()["f1"].upper)}
-    fixed = not begin.parameters()["f2"].free
-    return fit(
-        begin, train, smooth=sensor.apply, mask=partial(settled, samples=sensor.samples), starts=starts, spread=0.7,
-        bounds=bounds if fixed else None,
-    )  # fmt: skip
+    """Return the least-squares fit with the sensor's average, from `begin` and further starts around it.
+
+    Where Model I wants g to vanish at the surface, its fit has no edge to stop at that is a range of one parameter. It
+    is done again with f2 in the place of beta as the fixed scale of z: then f1 > -f2 is such a range, and the fit ends
+    on it and says so. The result is a Model II, with alpha among what was fitted.
+    """
+    mask = partial(settled, samples=sensor.samples)
+
+    def fitted(model: DepthForce, free: tuple[str, ...] | None) -> Fit:
+        known = model.parameters()["f1"]
+        bounds = {"f1": (max(-_EDGE * model.f2, known.lower), known.upper)} if isinstance(model, ForceModel2) else None
+        return fit(model, train, free=free, bounds=bounds, smooth=sensor.apply, mask=mask, starts=starts, spread=0.7)
+
+    found = fitted(begin, None)
+    model = found.model
+    if isinstance(model, ForceModel1) and model.f1 + model.f2 < (_EDGE - 1) * model.f1:
+        inside = {**model.values(), "f1": max(model.f1, -1.1 * model.f2)}
+        return fitted(ForceModel2(**inside), ("sigma0", "sigma1", "sigma2", "f1", "alpha", "beta"))
+    return found
 
 
 def settled(record: Record, samples: int) -> Array:
@@ -148,8 +162,11 @@ def _limits(found: Fit, model: DepthForce, train: list[Record]) -> list[str]:
         )
     if not found.ok:
         remarks.append(f"the fit ended with: {found.status}")
-    if not model.proper:
-        remarks.append("g is not positive near the surface: there is no model of this form")
+    if model.f1 + model.f2 < 1.02 * (_EDGE - 1) * model.f1:
+        remarks.append(
+            "g vanishes at the surface as far as it may: the record has no peak of the shape of this model; what is "
+            "fitted is the rise of the force alone"
+        )
     fixed = "beta" if "beta" not in found.free else "f2"
     remarks.append(
         f"{fixed} = {getattr(model, fixed):g} is not measured: it fixes the scale of z, and so of beta, "
