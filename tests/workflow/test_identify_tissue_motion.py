@@ -94,6 +94,13 @@ def test_dry_friction_misleads_the_observer_and_that_is_said() -> None:
     assert any("second amplitude" in each for each in found.remarks)
 
 
+def test_one_zero_each_way_is_no_test() -> None:
+    found = identify([recorded(DRY).select(slice(0, 900))], starts=1)
+    (agreement,) = [each for each in found.findings if "slow observer" in each.name]
+    assert agreement.p_value is None
+    assert "cannot be tested" in agreement.says
+
+
 def test_the_deviation_of_the_lag_is_that_of_repeated_fits() -> None:
     records = [recorded(TRUTH, seed=seed) for seed in range(8)]
     motion = sinusoid(offset_mm=126, amplitude_mm=40, frequency_hz=0.1, cycles=2.5, rate_hz=50)

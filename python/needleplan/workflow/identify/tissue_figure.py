@@ -28,14 +28,14 @@ def draw_tissue_motion(
     shown = motion.time_s - motion.time_s[0] >= _SKIPPED_S
     relative = motion.velocity_mm_s - done.states[2]
     panels = [
-        ("velocity of the needle (mm/s)", "measured and fitted", motion.velocity_mm_s, simulated, force),
-        ("velocity against the tissue (mm/s)", "fitted tissue taken off", relative, simulated, force),
+        ("velocity: needle (mm/s)", "measured and fitted", motion.velocity_mm_s, simulated, force),
+        ("against tissue (mm/s)", "less the fitted tissue", relative, simulated, force),
     ]
     if projection is not None:
         slow = projection.slow.observe(motion.depth_mm)
         late = projection.fast.normalised
-        heading = f"slow observer, alpha1 = {projection.slow.alpha1:.1f}"
-        panels.append(("velocity of the slow observer (mm/s)", heading, slow, late.apply(simulated), late.apply(force)))
+        heading = f"alpha1 = {projection.slow.alpha1:.1f}"
+        panels.append(("slow observer (mm/s)", heading, slow, late.apply(simulated), late.apply(force)))
     axes = np.atleast_1d(figure.subplots(1, len(panels), sharey=True))
     for each, (label, heading, velocity, fitted, measured) in zip(axes, panels, strict=True):
         each.axhline(0, color=GREY, linewidth=0.6)

@@ -177,6 +177,10 @@ def _agreement(tuned: SlowObserver, excitation: Excitation, lag: float, lag_sd: 
         return Finding(name, float("nan"), None, f"{words[tuned.status]}; {fitted}")
     observed = float(tuned.projection.lag_rad(excitation.frequency_hz))
     sd = float(np.hypot(lag_sd, tuned.lag_sd_rad(excitation.frequency_hz)))
+    if not np.isfinite(sd):
+        untested = "too few zeros of the force, or tissue that is not identified: whether they agree cannot be tested"
+        says = f"the observer lags by {np.degrees(observed):.2f} deg, {fitted}; {untested}"
+        return Finding(name, float("nan"), None, says)
     score = (observed - lag) / sd if sd > 0 else float("inf")
     p_value = float(2 * stats.norm.sf(abs(score)))
     apart = "they disagree: to the observer dry friction is a delay too, and damping of the bristles an advance"
