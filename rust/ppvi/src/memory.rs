@@ -2,11 +2,13 @@
 //!
 //! A solve of a few milliseconds would spend more time on the first touch of its memory, page by page, than on
 //! arithmetic. Where the system offers transparent huge pages on request (Linux, `madvise`), these arrays ask for them;
-//! elsewhere they are ordinary memory.
+//! elsewhere they are ordinary memory. Freed arrays are kept for the next solve.
 
 use std::alloc::{Layout, alloc, dealloc, handle_alloc_error};
+use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
 use std::ptr::NonNull;
+use std::sync::Mutex;
 
 const HUGE_PAGE: usize = 2 << 20;
 
@@ -25,60 +27,121 @@ fn advise(start: *mut u8, bytes: usize) {
 fn advise(_start: *mut u8, _bytes: usize) {}
 
 /// `vec![value; len]` that asks for huge pages; for arrays that leave the crate.
+///
+/// Zeros are left to the system, which gives cleared memory anyway.
 pub(crate) fn filled<T: Copy>(value: T, len: usize) -> Vec<T> {
-    let mut vec: Vec<T> = Vec::with_capacity(len);
+    let mut vec = vec![value; len];
     advise(vec.as_mut_ptr().cast(), len * size_of::<T>());
-    vec.resize(len, value);
     vec
 }
 
+/// Memory of dropped arrays is kept for the next ones up to this many bytes in all: a solver that is called again, as
+/// in a loop that plans again, does not wait for the system to clear pages for it.
+const KEPT_BYTES: usize = 64 << 20;
+
+/// Memory of dropped arrays.
+static KEPT: Mutex<Vec<Block>> = Mutex::new(Vec::new());
+
+/// A piece of allocated memory.
+struct Block {
+    start: NonNull<u8>,
+    layout: Layout,
+}
+
+// SAFETY: a block is memory that nobody uses.
+unsafe impl Send for Block {}
+
+impl Block {
+    /// Memory for `bytes`: kept one that is not much larger, or new one; and whether it is new, and so not initialised.
+    fn take(bytes: usize) -> (Self, bool) {
+        let align = if bytes >= HUGE_PAGE { HUGE_PAGE } else { 64 };
+        let Ok(layout) = Layout::from_size_align(bytes, align) else { handle_alloc_error(Layout::new::<u8>()) };
+        if let Ok(mut kept) = KEPT.lock() {
+            let fits = |block: &Block| (bytes..=bytes + bytes / 4).contains(&block.layout.size());
+            let best = (0..kept.len()).filter(|at| fits(&kept[*at])).min_by_key(|at| kept[*at].layout.size());
+            if let Some(at) = best {
+                return (kept.swap_remove(at), false);
+            }
+        }
+        // SAFETY: the layout is not empty.
+        let Some(start) = NonNull::new(unsafe { alloc(layout) }) else { handle_alloc_error(layout) };
+        advise(start.as_ptr(), bytes);
+        (Block { start, layout }, true)
+    }
+
+    /// Keeps the memory, or gives it back to the system.
+    fn leave(self) {
+        if let Ok(mut kept) = KEPT.lock() {
+            let bytes: usize = kept.iter().map(|block| block.layout.size()).sum();
+            if bytes + self.layout.size() <= KEPT_BYTES {
+                kept.push(self);
+                return;
+            }
+        }
+        // SAFETY: allocated in `take` with this layout, and nobody uses it.
+        unsafe { dealloc(self.start.as_ptr(), self.layout) };
+    }
+}
+
 /// A fixed-size array, aligned to huge pages if it is that large.
-#[derive(Debug)]
 pub(crate) struct Array<T: Copy> {
-    start: NonNull<T>,
+    /// None where the array is empty.
+    block: Option<Block>,
     len: usize,
+    element: PhantomData<T>,
+}
+
+/// Plain numbers.
+///
+/// # Safety
+///
+/// Every pattern of bits is a value of the type.
+pub(crate) unsafe trait Plain: Copy + Default {}
+// SAFETY: every pattern of bits is a number.
+unsafe impl Plain for u8 {}
+// SAFETY: every pattern of bits is a number, or not a number.
+unsafe impl Plain for f32 {}
+// SAFETY: as above.
+unsafe impl Plain for f64 {}
+
+impl<T: Plain> Array<T> {
+    /// An array of any numbers, for one who will write them all.
+    pub(crate) fn any(len: usize) -> Self {
+        Self::make(len, T::default(), false)
+    }
 }
 
 impl<T: Copy> Array<T> {
     pub(crate) fn filled(value: T, len: usize) -> Self {
-        let layout = Self::layout(len);
+        Self::make(len, value, true)
+    }
+
+    /// Only new memory needs `value` where it is not to be `filled` with it.
+    fn make(len: usize, value: T, filled: bool) -> Self {
+        let Ok(layout) = Layout::array::<T>(len) else { handle_alloc_error(Layout::new::<T>()) };
         if layout.size() == 0 {
-            return Array { start: NonNull::dangling(), len };
+            return Array { block: None, len, element: PhantomData };
         }
-        // SAFETY: the layout is not empty.
-        let Some(start) = NonNull::new(unsafe { alloc(layout) }.cast::<T>()) else {
-            handle_alloc_error(layout);
-        };
-        advise(start.as_ptr().cast(), layout.size());
-        for index in 0..len {
-            // SAFETY: index < len, and the allocation holds len elements.
-            unsafe { start.add(index).write(value) };
+        let (block, new) = Block::take(layout.size());
+        if filled || new {
+            let start = block.start.cast::<T>();
+            for index in 0..len {
+                // SAFETY: index < len, and the block holds len elements.
+                unsafe { start.add(index).write(value) };
+            }
         }
-        Array { start, len }
+        Array { block: Some(block), len, element: PhantomData }
     }
 
-    fn layout(len: usize) -> Layout {
-        let align = if len.saturating_mul(size_of::<T>()) >= HUGE_PAGE { HUGE_PAGE } else { 64 };
-        match Layout::array::<T>(len).and_then(|layout| layout.align_to(align)) {
-            Ok(layout) => layout,
-            Err(_) => handle_alloc_error(Layout::new::<T>()),
-        }
-    }
-}
-
-impl<T: Copy> Default for Array<T> {
-    fn default() -> Self {
-        Array { start: NonNull::dangling(), len: 0 }
+    fn start(&self) -> NonNull<T> {
+        self.block.as_ref().map_or(NonNull::dangling(), |block| block.start.cast())
     }
 }
 
 impl<T: Copy> Drop for Array<T> {
     fn drop(&mut self) {
-        let layout = Self::layout(self.len);
-        if layout.size() > 0 {
-            // SAFETY: allocated in `filled` with the same layout; elements are Copy and need no drop.
-            unsafe { dealloc(self.start.as_ptr().cast(), layout) };
-        }
+        // Elements are Copy and need no drop.
+        self.block.take().into_iter().for_each(Block::leave);
     }
 }
 
@@ -87,14 +150,14 @@ impl<T: Copy> Deref for Array<T> {
 
     fn deref(&self) -> &[T] {
         // SAFETY: start points to len initialised elements, owned by self.
-        unsafe { std::slice::from_raw_parts(self.start.as_ptr(), self.len) }
+        unsafe { std::slice::from_raw_parts(self.start().as_ptr(), self.len) }
     }
 }
 
 impl<T: Copy> DerefMut for Array<T> {
     fn deref_mut(&mut self) -> &mut [T] {
         // SAFETY: as above, and self is borrowed mutably.
-        unsafe { std::slice::from_raw_parts_mut(self.start.as_ptr(), self.len) }
+        unsafe { std::slice::from_raw_parts_mut(self.start().as_ptr(), self.len) }
     }
 }
 
@@ -119,6 +182,6 @@ mod tests {
             }
             assert_eq!(filled(3u8, len), vec![3u8; len]);
         }
-        assert!(Array::<f64>::default().is_empty());
+        assert!(Array::filled(1f64, 0).is_empty());
     }
 }

@@ -94,6 +94,11 @@ proptest! {
         for (state, (a, b)) in swept.values.iter().zip(&reference.values).enumerate() {
             prop_assert!((f64::from(*a) - b).abs() <= bound, "state {}: {} against {}, bound {}", state, a, b, bound);
         }
+        // The reported residual is a bound on the exact one, but for the rounding of the values to single precision.
+        let values: Vec<f64> = swept.values.iter().copied().map(f64::from).collect();
+        let residual = (0..values.len()).map(|s| (lattice.backup(s, &values).0 - values[s]).abs()).fold(0.0, f64::max);
+        let rounded = largest * f64::from(f32::EPSILON);
+        prop_assert!(residual <= swept.report.residual + rounded, "{} > {}", residual, swept.report.residual);
         let partition = lattice.partition([px, py]).unwrap();
         for priority in [Priority::H1, Priority::H2, Priority::Bound] {
             let options = PrioritizedOptions { priority, ..PrioritizedOptions::default() };

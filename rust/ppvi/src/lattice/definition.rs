@@ -5,7 +5,7 @@ use crate::mdp::Mdp;
 
 impl LatticeMdp {
     /// `(i, j, k, b)` of a state number.
-    fn coordinates(&self, state: usize) -> (usize, usize, usize, usize) {
+    pub(crate) fn coordinates(&self, state: usize) -> (usize, usize, usize, usize) {
         let Shape { ny, headings, .. } = self.shape;
         let (b, k) = (state % 2, state / 2 % headings);
         (state / 2 / headings / ny, state / 2 / headings % ny, k, b)

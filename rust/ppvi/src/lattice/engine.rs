@@ -2,38 +2,64 @@
 
 use rayon::prelude::*;
 
+use crate::lattice::backup;
+use crate::lattice::direction::Arc;
+use crate::lattice::endings::Endings;
 use crate::lattice::field::Field;
 use crate::lattice::halo::Halo;
 use crate::lattice::kernel::Numbers;
 use crate::lattice::real::Real;
-use crate::lattice::sector::{Arc, Direction, Sector};
-use crate::lattice::{LatticeMdp, Transition};
+use crate::lattice::sector::{Sector, Task};
+use crate::lattice::store::{Block, Store};
+use crate::lattice::{LANES, LatticeMdp, Shape};
+use crate::memory::filled;
 
 /// The state of an iteration; with a policy its passes evaluate that, without they take the better action.
-pub(crate) struct Engine<T: Copy> {
+pub(crate) struct Engine<'a, T: Copy> {
+    lattice: &'a LatticeMdp,
+    endings: &'a Endings,
     sectors: Vec<Sector<T>>,
     halos: Vec<Halo<T>>,
     noise: Vec<T>,
     numbers: Numbers<T>,
-    headings: usize,
-    interpolated: bool,
-    /// No pass was made and nothing loaded yet: sectors and halos hold the start.
-    fresh: bool,
+    /// How much the reads of each sector changed during its last sweep.
+    changes: Vec<f64>,
 }
 
-impl<T: Real> Engine<T> {
-    pub(crate) fn new(lattice: &LatticeMdp, numbers: &Numbers<f64>, start: f64, policy: Option<&Field<u8>>) -> Self {
+/// Values and actions in table layout.
+pub(crate) struct Tables {
+    pub values: Vec<f32>,
+    /// Empty for a given policy.
+    pub policy: Vec<u8>,
+    /// The largest finite value.
+    pub largest: f64,
+    /// Bound on the residual, but for rounding.
+    pub seen: f64,
+}
+
+impl<'a, T: Real> Engine<'a, T> {
+    /// `endings` are those of the lattice, or others of the same shape.
+    pub(crate) fn new(
+        lattice: &'a LatticeMdp,
+        endings: &'a Endings,
+        numbers: &Numbers<f64>,
+        start: f64,
+        policy: Option<&Field<u8>>,
+    ) -> Self {
         let numbers = numbers.cast::<T>();
-        let headings = lattice.shape.headings;
-        let sectors: Vec<Sector<T>> = arcs(lattice)
+        let noise: Vec<T> = lattice.setup.noise.iter().map(|p| T::of(*p)).collect();
+        let task = Task { lattice, noise: &noise, numbers: &numbers };
+        let start = T::of(start);
+        let (sectors, halos) = Arc::all(&lattice.directions)
             .into_par_iter()
-            .map(|arc| Sector::new(lattice, arc, &numbers, T::of(start), policy))
-            .collect();
-        let reach = lattice.setup.noise.len();
-        let halos = sectors.iter().map(|sector| Halo::new(sector, reach, T::of(start), numbers.outside())).collect();
-        let noise = lattice.setup.noise.iter().map(|p| T::of(*p)).collect();
-        let interpolated = lattice.setup.transition == Transition::Interpolated;
-        Engine { sectors, halos, noise, numbers, headings, interpolated, fresh: true }
+            .map(|arc| {
+                let sector = Sector::new(task, arc, start, policy);
+                let halo = Halo::new(&sector, noise.len(), start, numbers.outside());
+                (sector, halo)
+            })
+            .unzip();
+        let changes = vec![0.0; 4];
+        Engine { lattice, endings, sectors, halos, noise, numbers, changes }
     }
 
     /// Number of sectors.
@@ -41,63 +67,85 @@ impl<T: Real> Engine<T> {
         self.sectors.len()
     }
 
-    /// Replaces all values.
-    pub(crate) fn load<S: Real>(&mut self, field: &Field<S>) {
-        self.sectors.par_iter_mut().for_each(|sector| sector.load(field));
-        self.refresh();
+    /// Takes over the state of an engine of another precision.
+    pub(crate) fn load<S: Real>(&mut self, other: &Engine<'_, S>) {
+        self.sectors.par_iter_mut().zip(&other.sectors).for_each(|(sector, other)| sector.load(other));
+        let (sectors, headings) = (&self.sectors, self.lattice.shape.headings);
+        self.halos.par_iter_mut().enumerate().for_each(|(of, halo)| halo.pull(sectors, of, headings));
     }
 
-    /// Gives infinite values to the states marked in a field; they are left alone from then on.
-    pub(crate) fn exclude(&mut self, endless: &Field<u8>) {
-        self.sectors.par_iter_mut().for_each(|sector| sector.exclude(endless));
-        self.refresh();
-    }
-
-    /// Pulls all halos and recomputes all convolved values.
-    fn refresh(&mut self) {
-        self.fresh = false;
-        let Engine { sectors, halos, noise, headings, .. } = self;
-        halos.par_iter_mut().enumerate().for_each(|(of, halo)| halo.pull(sectors, of, *headings));
-        sectors.par_iter_mut().zip(halos).for_each(|(sector, halo)| sector.convolve_all(halo, noise));
-    }
-
-    /// Backs up every state once; returns the largest change.
+    /// Backs up every state of a wave once, and returns a bound on the Bellman residual of all values, but for rounding.
     ///
-    /// Two waves: right and left, then up and down. The sectors of a wave read only themselves and their halos.
-    pub(crate) fn pass(&mut self) -> f64 {
-        let Engine { sectors, halos, noise, numbers, headings, interpolated, fresh } = self;
-        let mut change = 0f64;
-        for vertical in [false, true] {
-            let in_wave = |sector: &Sector<T>| sector.arc.direction.is_vertical() == vertical;
-            if !*fresh || vertical {
-                let wave = halos.par_iter_mut().enumerate().filter(|(of, _)| in_wave(&sectors[*of]));
-                wave.for_each(|(of, halo)| halo.pull(sectors, of, *headings));
-            }
-            let wave = sectors.par_iter_mut().zip(&*halos).filter(|(sector, _)| in_wave(sector));
-            let changes = wave.map(|(sector, halo)| sector.sweep(halo, noise, numbers, *interpolated));
-            change = change.max(changes.reduce(|| 0.0, f64::max));
-        }
-        *fresh = false;
-        change
+    /// There are two waves: right and left (`vertical` is false), up and down. The sectors of a wave read only themselves and
+    /// their halos. A value is the exact backup of what it has read; its residual is at most the discount times what that
+    /// has changed since: the halos (the *seam*, seen as they are pulled again), and W of sectors in which steps read columns
+    /// that are swept later. Seams are not looked at closely where they are far from `threshold`.
+    pub(crate) fn wave(&mut self, vertical: bool, threshold: f64) -> f64 {
+        let Engine { lattice, endings, sectors, halos, noise, numbers, changes } = self;
+        let task = Task { lattice, noise, numbers };
+        let in_wave = |sector: &Sector<T>| sector.arc.direction.is_vertical() == vertical;
+        let wave = sectors.par_iter_mut().zip(&*halos).zip(*endings).zip(&mut *changes);
+        wave.filter(|(((sector, _), _), _)| in_wave(sector)).for_each(|(((sector, halo), endings), change)| {
+            *change = backup::sweep(sector, task, endings, halo, None);
+        });
+        // The other wave has old halos now; so has this one, where halos reach beyond the other.
+        let short = sectors.iter().any(|sector| sector.arc.count < noise.len());
+        self.seams(|sector| short || !in_wave(sector), threshold)
     }
 
-    /// All values.
-    pub(crate) fn field(&self, lattice: &LatticeMdp) -> Field<T> {
-        let mut field = Field::new(lattice.shape);
-        self.sectors.iter().for_each(|sector| sector.export(&mut field));
-        field
+    /// Both waves.
+    pub(crate) fn pass(&mut self, threshold: f64) -> f64 {
+        self.wave(false, threshold);
+        self.wave(true, threshold)
     }
-}
 
-/// The headings of each direction: they are consecutive on the circle. Directions without a heading are left out.
-fn arcs(lattice: &LatticeMdp) -> Vec<Arc> {
-    let needle = &lattice.setup.needle;
-    let n = needle.headings;
-    let directions: Vec<Direction> = (0..n).map(|k| Direction::of(needle.heading(k), lattice.setup.spacing)).collect();
-    let arc = |direction: Direction| {
-        let count = directions.iter().filter(|d| **d == direction).count();
-        let begins = |k: &usize| directions[*k] == direction && directions[(k + n - 1) % n] != direction;
-        (count > 0).then(|| Arc { direction, first: (0..n).find(begins).unwrap_or(0), count })
-    };
-    Direction::ALL.into_iter().filter_map(arc).collect()
+    /// About the largest finite value.
+    pub(crate) fn max(&self) -> f64 {
+        self.sectors.iter().map(Sector::max).fold(0.0, f64::max)
+    }
+
+    /// Backs up every state once more, and returns values, better actions, and the bound of [`Engine::wave`] on their
+    /// residual.
+    ///
+    /// Each sector is swept with the halos that it has. For the wave that was swept last they are those of its last sweep,
+    /// so that nothing changes; the other wave has new ones, and so the last wave sees another seam.
+    pub(crate) fn tables(&mut self, threshold: f64) -> Tables {
+        let Engine { lattice, endings, sectors, halos, noise, numbers, changes } = self;
+        let task = Task { lattice, noise, numbers };
+        let swept = sectors.par_iter_mut().zip(&*halos).zip(*endings).zip(&mut *changes);
+        let stores: Vec<Store<T>> = swept
+            .map(|(((sector, halo), endings), change)| {
+                let mut store = Store::new(sector);
+                *change = backup::sweep(sector, task, endings, halo, Some(&mut store));
+                store
+            })
+            .collect();
+        let seen = self.seams(|_| true, threshold);
+        let Shape { nx, ny, headings } = self.lattice.shape;
+        let states = self.lattice.shape.states();
+        let (mut values, mut policy) = (filled(0f32, states), filled(0u8, states));
+        // A few blocks a thread.
+        let columns = nx.div_ceil(2 * rayon::current_num_threads()).next_multiple_of(LANES);
+        let block = columns * ny * headings * 2;
+        let blocks = values.par_chunks_mut(block).zip(policy.par_chunks_mut(block)).enumerate();
+        let largest = blocks.map(|(number, (values, actions))| {
+            let mut block = Block { first: number * columns, values, actions };
+            let copied = self.sectors.iter().zip(&stores);
+            copied.map(|(sector, store)| store.copy_to(sector, self.lattice.shape, &mut block)).fold(0.0, f64::max)
+        });
+        let largest = largest.reduce(|| 0.0, f64::max);
+        Tables { values, policy, largest, seen }
+    }
+
+    /// Pulls the halos of some sectors; returns the bound of [`Engine::wave`].
+    fn seams(&mut self, stale: impl Fn(&Sector<T>) -> bool + Sync, threshold: f64) -> f64 {
+        let Engine { lattice, sectors, halos, noise, numbers, changes, .. } = self;
+        let stale = halos.par_iter_mut().enumerate().filter(|(of, _)| stale(&sectors[*of]));
+        let seam = stale.map(|(of, halo)| {
+            halo.pull(sectors, of, lattice.shape.headings);
+            halo.seam(sectors[of].arc.count, noise, threshold)
+        });
+        let seam = seam.reduce(|| 0.0, f64::max);
+        changes.iter().fold(seam, |max, change| f64::max(max, *change)) * numbers.discount.widen()
+    }
 }

@@ -4,11 +4,10 @@
 //! start: the iterates grow towards the smallest solution, which is the right one even where the policy never ends.
 
 use crate::error::{Error, Result};
-use crate::lattice::LatticeMdp;
 use crate::lattice::engine::Engine;
 use crate::lattice::field::Field;
 use crate::lattice::kernel::Numbers;
-use crate::lattice::outcome;
+use crate::lattice::{LatticeMdp, outcome};
 
 /// Limit on the passes of an evaluation.
 const MAX_PASSES: u64 = 2000;
@@ -21,7 +20,7 @@ const RELATIVE_CHANGE: f64 = 1e-6;
 pub struct Evaluation {
     /// The number.
     pub values: Vec<f32>,
-    /// Largest change in the last pass.
+    /// Residual of the last pass: how far the number of a state may be from what its successors say.
     pub change: f64,
     /// Whether that was small enough before the limit on passes.
     pub converged: bool,
@@ -29,7 +28,7 @@ pub struct Evaluation {
 
 /// Probability that the policy (table layout) reaches the target.
 pub fn success(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
-    let mut ended = [0.0; 7];
+    let mut ended = [0.0; outcome::CODES];
     ended[outcome::TARGET as usize] = 1.0;
     ended[outcome::AT_TARGET as usize] = 1.0;
     evaluate(lattice, policy, &Numbers { step: 0.0, rotation: 0.0, discount: 1.0, ended })
@@ -37,20 +36,20 @@ pub fn success(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
 
 /// Probability that the execution ends at all.
 pub fn termination(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
-    evaluate(lattice, policy, &Numbers { step: 0.0, rotation: 0.0, discount: 1.0, ended: [1.0; 7] })
+    evaluate(lattice, policy, &Numbers { step: 0.0, rotation: 0.0, discount: 1.0, ended: [1.0; outcome::CODES] })
 }
 
 /// Expected inserted length until the execution ends, mm; meaningful where [`termination`] is one.
 pub fn length(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
     let step = lattice.setup.needle.step_length();
-    let mut ended = [0.0; 7];
+    let mut ended = [0.0; outcome::CODES];
     ended[1..4].fill(step);
     evaluate(lattice, policy, &Numbers { step, rotation: 0.0, discount: 1.0, ended })
 }
 
 /// Expected number of turns until the execution ends; meaningful where [`termination`] is one.
 pub fn turns(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
-    evaluate(lattice, policy, &Numbers { step: 0.0, rotation: 1.0, discount: 1.0, ended: [0.0; 7] })
+    evaluate(lattice, policy, &Numbers { step: 0.0, rotation: 1.0, discount: 1.0, ended: [0.0; outcome::CODES] })
 }
 
 /// Expected length and number of turns, in table layout.
@@ -86,18 +85,19 @@ fn evaluate(lattice: &LatticeMdp, policy: &[u8], numbers: &Numbers<f64>) -> Resu
         return Err(Error::Length { name: "policy", expected: states, found: policy.len() });
     }
     let policy = Field::of_table(lattice.shape, policy);
-    let mut engine = Engine::<f32>::new(lattice, numbers, 0.0, Some(&policy));
+    let mut engine = Engine::<f32>::new(lattice, &lattice.endings, numbers, 0.0, Some(&policy));
     let largest = numbers.ended.iter().fold(numbers.rotation, |max, value| max.max(*value));
     let mut change = f64::INFINITY;
     let mut converged = false;
+    let mut scale = largest;
     for pass in 1..=MAX_PASSES {
-        change = engine.pass();
+        change = engine.pass(RELATIVE_CHANGE * scale);
         // Probabilities are at most one; lengths and turns have no bound known beforehand.
-        let scale = if pass % 8 == 0 { engine.field(lattice).max().max(largest) } else { largest };
+        scale = if pass % 8 == 0 { engine.max().max(largest) } else { largest };
         converged = change <= RELATIVE_CHANGE * scale;
         if converged {
             break;
         }
     }
-    Ok(Evaluation { values: engine.field(lattice).table(), change, converged })
+    Ok(Evaluation { values: engine.tables(0.0).values, change, converged })
 }

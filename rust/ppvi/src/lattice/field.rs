@@ -2,12 +2,11 @@
 
 use rayon::prelude::*;
 
+use crate::lattice::Shape;
 use crate::lattice::plane::{Plane, copy};
-use crate::lattice::{Shape, real::Real};
-use crate::memory::{Array, filled};
+use crate::memory::Array;
 
 /// `[i][heading][bevel][j]`, j contiguous. Tables, the public layout, are `[i][j][heading][bevel]`.
-#[derive(Debug)]
 pub(crate) struct Field<T: Copy> {
     pub shape: Shape,
     pub values: Array<T>,
@@ -42,39 +41,5 @@ impl<T: Copy> Field<T> {
     /// Grid points along x and y.
     pub(crate) fn extent(&self) -> [usize; 2] {
         [self.shape.nx, self.shape.ny]
-    }
-}
-
-impl<T: Real> Field<T> {
-    /// As a table in single precision.
-    pub(crate) fn table(&self) -> Vec<f32> {
-        let mut table = filled(0f32, self.values.len());
-        let size = self.shape.ny * self.shape.headings * 2;
-        table.par_chunks_mut(size).zip(self.values.par_chunks(size)).for_each(|(table, column)| {
-            column_to_table(self.shape, column, table, |value| value.widen() as f32);
-        });
-        table
-    }
-
-    /// The largest finite value.
-    pub(crate) fn max(&self) -> f64 {
-        let larger = |max: f64, value: &T| {
-            let value = value.widen();
-            if value > max && value < f64::INFINITY { value } else { max }
-        };
-        let largest = |part: &[T]| part.iter().fold(0.0, larger);
-        self.values.par_chunks(1 << 14).map(largest).reduce(|| 0.0, f64::max)
-    }
-}
-
-/// One grid column from `[heading][bevel][j]` to `[j][heading][bevel]`. A column fits the cache, so the plain loop is the
-/// fast one.
-#[inline(always)]
-pub(crate) fn column_to_table<A: Copy, B>(shape: Shape, column: &[A], table: &mut [B], convert: impl Fn(A) -> B) {
-    let planes = shape.headings * 2;
-    for (plane, row) in column.chunks_exact(shape.ny).enumerate() {
-        for (entries, value) in table.chunks_exact_mut(planes).zip(row) {
-            entries[plane] = convert(*value);
-        }
     }
 }

@@ -14,6 +14,8 @@ pub(crate) struct Halo<T: Copy> {
     lanes: usize,
     /// `[u][2 * reach][bevel][lanes]`.
     values: Array<T>,
+    /// What was there before the last pull.
+    before: Array<T>,
 }
 
 impl<T: Real> Halo<T> {
@@ -21,10 +23,13 @@ impl<T: Real> Halo<T> {
     pub(crate) fn new(sector: &Sector<T>, reach: usize, start: T, padding: T) -> Self {
         let lanes = sector.lanes;
         let mut values = Array::filled(start, sector.extent[0] * 2 * reach * 2 * lanes);
-        for row in values.chunks_exact_mut(lanes) {
-            row[sector.extent[1]..].fill(padding);
+        let mut before = Array::filled(start, values.len());
+        for array in [&mut values, &mut before] {
+            for row in array.chunks_exact_mut(lanes) {
+                row[sector.extent[1]..].fill(padding);
+            }
         }
-        Halo { reach, lanes, values }
+        Halo { reach, lanes, values, before }
     }
 
     /// The rows of some headings at column `u`, bevel after bevel.
@@ -37,6 +42,7 @@ impl<T: Real> Halo<T> {
 
     /// Refreshes the halo of `sectors[of]` from the owners of its headings.
     pub(crate) fn pull(&mut self, sectors: &[Sector<T>], of: usize, headings: usize) {
+        std::mem::swap(&mut self.values, &mut self.before);
         let target = &sectors[of];
         let reversed = target.arc.direction.is_reversed();
         for index in 0..2 * self.reach {
@@ -51,10 +57,59 @@ impl<T: Real> Halo<T> {
                 for bevel in 0..2 {
                     let stride = 2 * self.reach * 2 * self.lanes;
                     let to = Plane { start: (index * 2 + bevel) * self.lanes, stride, reversed };
-                    let from = (&source.values[..], source.plane(q, bevel));
-                    copy(from, (&mut self.values, to), source.extent, transposed, |value| value);
+                    let Some(edge) = source.edge(q, bevel) else { unreachable!("halos reach no further than edges") };
+                    copy((&source.edges, edge), (&mut self.values, to), source.extent, transposed, |value| value);
                 }
             }
         }
     }
+
+    /// How much the last pull changes what a sector with `count` headings reads of W, at most; roughly, where that is far
+    /// above `threshold`.
+    pub(crate) fn seam(&self, count: usize, noise: &[T], threshold: f64) -> f64 {
+        let offset = |index: usize| if index < self.reach { index } else { index + count } as i64 - self.reach as i64;
+        // Steps that arrive with bevel -1 read headings -1 .. count - 1, those with bevel +1 the headings 1 .. count + 1.
+        let centres = [0, 1].map(|bevel: usize| (2 * bevel as i64 - 1)..(count as i64 + 2 * bevel as i64 - 1));
+        let mut rows = Vec::new();
+        for (bevel, centres) in centres.into_iter().enumerate() {
+            for centre in centres {
+                let weight = |index: usize| noise.get((offset(index) - centre).unsigned_abs() as usize);
+                let taps: Vec<(usize, T)> =
+                    (0..2 * self.reach).filter_map(|index| Some((index * 2 + bevel, *weight(index)?))).collect();
+                if !taps.is_empty() {
+                    rows.push(taps);
+                }
+            }
+        }
+        let planes = 4 * self.reach;
+        let sample = self.values.len() / planes / self.lanes / 2 * planes * self.lanes;
+        let column = sample..sample + planes * self.lanes;
+        let rough = largest_change(&self.values[column.clone()], &self.before[column], planes, self.lanes, &rows);
+        if rough > threshold { rough } else { largest_change(&self.values, &self.before, planes, self.lanes, &rows) }
+    }
+}
+
+/// The largest change, over `rows`, of sums of weighted rows in `[u][planes][lanes]` arrays.
+#[multiversion::multiversion(targets("x86_64+avx+avx2"))]
+fn largest_change<T: Real>(new: &[T], old: &[T], planes: usize, lanes: usize, rows: &[Vec<(usize, T)>]) -> f64 {
+    let mut largest = vec![T::default(); lanes];
+    let mut changes = vec![T::default(); planes * lanes];
+    let mut sum = vec![T::default(); lanes];
+    for (new, old) in new.chunks_exact(changes.len()).zip(old.chunks_exact(changes.len())) {
+        for ((change, new), old) in changes.iter_mut().zip(new).zip(old) {
+            *change = *new - *old;
+        }
+        for taps in rows {
+            sum.fill(T::default());
+            for (plane, weight) in taps {
+                let row = &changes[plane * lanes..][..lanes];
+                sum.iter_mut().zip(row).for_each(|(sum, change)| *sum = *sum + *weight * *change);
+            }
+            for (largest, sum) in largest.iter_mut().zip(&sum) {
+                let change = sum.magnitude();
+                *largest = if change > *largest { change } else { *largest };
+            }
+        }
+    }
+    largest.iter().fold(0.0, |max, change| f64::max(max, change.widen()))
 }

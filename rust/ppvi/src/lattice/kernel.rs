@@ -3,13 +3,8 @@
 //! Written so that the compiler turns them into vector code. Rows are separate arguments, not fields: so the compiler
 //! knows that they do not overlap. There are no fused multiply-adds: so every processor gives the same bits.
 
+use crate::lattice::outcome;
 use crate::lattice::real::Real;
-
-/// Rows are padded to a multiple of this many grid points.
-pub(crate) const LANES: usize = 16;
-
-/// In a row of ended steps: the step goes on. Every cost of a step that ends is zero or more.
-pub(crate) const GOES_ON: f64 = -1.0;
 
 /// The numbers a backup needs.
 #[derive(Debug, Clone, Copy)]
@@ -20,13 +15,13 @@ pub(crate) struct Numbers<T> {
     pub rotation: T,
     /// Discount factor.
     pub discount: T,
-    /// Q-value by outcome code 1..=5; what a read of a place outside the grid gives is at 6.
-    pub ended: [T; 7],
+    /// Q-value by outcome code; the first is not used.
+    pub ended: [T; outcome::CODES],
 }
 
 impl<T: Real> Numbers<T> {
     pub(crate) fn outside(&self) -> T {
-        self.ended[6]
+        self.ended[outcome::OUTSIDE as usize]
     }
 
     pub(crate) fn cast<S: Real>(&self) -> Numbers<S> {
@@ -40,83 +35,72 @@ impl<T: Real> Numbers<T> {
     }
 }
 
-/// Backs up one row of states for both bevels in place, taking the better action.
-///
-/// `to_*` are E V(s') of the steps that arrive with either bevel, `ended_*` their Q-values where they end.
-#[allow(clippy::too_many_arguments)]
+/// Q-values of a row of steps that go on; `to` is E V(s').
 #[inline(always)]
-pub(crate) fn back_up_row<T: Real>(
-    minus: &mut [T],
-    plus: &mut [T],
-    change: &mut [T],
-    ended_minus: &[T],
-    ended_plus: &[T],
-    to_minus: &[T],
-    to_plus: &[T],
-    numbers: &Numbers<T>,
-) {
-    let n = change.len();
-    let (minus, plus, ended_minus, ended_plus) = (&mut minus[..n], &mut plus[..n], &ended_minus[..n], &ended_plus[..n]);
-    let (to_minus, to_plus) = (&to_minus[..n], &to_plus[..n]);
-    let Numbers { step, rotation, discount, .. } = *numbers;
-    let zero = T::default();
-    for v in 0..n {
-        let (a, b) = (ended_minus[v], ended_plus[v]);
-        let q_minus = if a < zero { step + discount * to_minus[v] } else { a };
-        let q_plus = if b < zero { step + discount * to_plus[v] } else { b };
-        let (turn_to_plus, turn_to_minus) = (q_plus + rotation, q_minus + rotation);
-        let new_minus = if turn_to_plus < q_minus { turn_to_plus } else { q_minus };
-        let new_plus = if turn_to_minus < q_plus { turn_to_minus } else { q_plus };
-        let (a, b) = ((new_minus - minus[v]).magnitude(), (new_plus - plus[v]).magnitude());
-        let larger = if a > b { a } else { b };
-        change[v] = if larger > change[v] { larger } else { change[v] };
-        minus[v] = new_minus;
-        plus[v] = new_plus;
+pub(crate) fn go_on_row<T: Real>(q: &mut [T], to: &[T], step: T, discount: T) {
+    let to = &to[..q.len()];
+    for v in 0..q.len() {
+        q[v] = step + discount * to[v];
     }
 }
 
-/// The same for a given policy; `turns_*` says in which states the needle is turned.
-#[allow(clippy::too_many_arguments)]
+/// Values of a row of states for both bevels by the better action; with `NOTE` the action is noted.
+#[inline(always)]
+pub(crate) fn better_row<T: Real, const NOTE: bool>(
+    [minus, plus]: [&mut [T]; 2],
+    [act_minus, act_plus]: [&mut [u8]; 2],
+    [q_minus, q_plus]: [&[T]; 2],
+    rotation: T,
+) {
+    let n = minus.len();
+    let (plus, q_minus, q_plus) = (&mut plus[..n], &q_minus[..n], &q_plus[..n]);
+    let noted = if NOTE { n } else { 0 };
+    let (act_minus, act_plus) = (&mut act_minus[..noted], &mut act_plus[..noted]);
+    for v in 0..n {
+        let (turn_to_plus, turn_to_minus) = (q_plus[v] + rotation, q_minus[v] + rotation);
+        minus[v] = if turn_to_plus < q_minus[v] { turn_to_plus } else { q_minus[v] };
+        plus[v] = if turn_to_minus < q_plus[v] { turn_to_minus } else { q_plus[v] };
+        if NOTE {
+            act_minus[v] = u8::from(turn_to_plus < q_minus[v]);
+            act_plus[v] = u8::from(turn_to_minus < q_plus[v]);
+        }
+    }
+}
+
+/// Values of a row of states by a given policy, which says in which of them the needle is turned.
 #[inline(always)]
 pub(crate) fn follow_row<T: Real>(
-    minus: &mut [T],
-    plus: &mut [T],
-    change: &mut [T],
-    ended_minus: &[T],
-    ended_plus: &[T],
-    to_minus: &[T],
-    to_plus: &[T],
-    turns_minus: &[u8],
-    turns_plus: &[u8],
-    numbers: &Numbers<T>,
+    [minus, plus]: [&mut [T]; 2],
+    [turns_minus, turns_plus]: [&[u8]; 2],
+    [q_minus, q_plus]: [&[T]; 2],
+    rotation: T,
 ) {
-    let n = change.len();
-    let (minus, plus, ended_minus, ended_plus) = (&mut minus[..n], &mut plus[..n], &ended_minus[..n], &ended_plus[..n]);
-    let (to_minus, to_plus, turns_minus, turns_plus) =
-        (&to_minus[..n], &to_plus[..n], &turns_minus[..n], &turns_plus[..n]);
-    let Numbers { step, rotation, discount, .. } = *numbers;
-    let zero = T::default();
+    let n = minus.len();
+    let (plus, q_minus, q_plus) = (&mut plus[..n], &q_minus[..n], &q_plus[..n]);
+    let (turns_minus, turns_plus) = (&turns_minus[..n], &turns_plus[..n]);
     for v in 0..n {
-        let (a, b) = (ended_minus[v], ended_plus[v]);
-        let q_minus = if a < zero { step + discount * to_minus[v] } else { a };
-        let q_plus = if b < zero { step + discount * to_plus[v] } else { b };
-        let new_minus = if turns_minus[v] != 0 { q_plus + rotation } else { q_minus };
-        let new_plus = if turns_plus[v] != 0 { q_minus + rotation } else { q_plus };
-        let (a, b) = ((new_minus - minus[v]).magnitude(), (new_plus - plus[v]).magnitude());
-        let larger = if a > b { a } else { b };
-        change[v] = if larger > change[v] { larger } else { change[v] };
-        minus[v] = new_minus;
-        plus[v] = new_plus;
+        minus[v] = if turns_minus[v] != 0 { q_plus[v] + rotation } else { q_minus[v] };
+        plus[v] = if turns_plus[v] != 0 { q_minus[v] + rotation } else { q_plus[v] };
     }
 }
 
-/// The bilinear mean over the four grid points around a displaced position.
+/// Q-values of a row of steps that go on to the bilinear mean of the four grid points around a displaced position.
 #[inline(always)]
-pub(crate) fn blend_row<T: Real>(out: &mut [T], a: &[T], b: &[T], c: &[T], d: &[T], weights: [T; 4]) {
-    let n = out.len();
+pub(crate) fn blend_row<T: Real>(q: &mut [T], [a, b, c, d]: [&[T]; 4], weights: [T; 4], step: T, discount: T) {
+    let n = q.len();
     let (a, b, c, d) = (&a[..n], &b[..n], &c[..n], &d[..n]);
     for v in 0..n {
-        out[v] = (weights[0] * a[v] + weights[1] * b[v]) + (weights[2] * c[v] + weights[3] * d[v]);
+        let mean = (weights[0] * a[v] + weights[1] * b[v]) + (weights[2] * c[v] + weights[3] * d[v]);
+        q[v] = step + discount * mean;
+    }
+}
+
+/// `largest[v]` grows to `row[v]`.
+#[inline(always)]
+pub(crate) fn larger_row<T: Real>(largest: &mut [T], row: &[T]) {
+    let row = &row[..largest.len()];
+    for v in 0..row.len() {
+        largest[v] = if row[v] > largest[v] { row[v] } else { largest[v] };
     }
 }
 

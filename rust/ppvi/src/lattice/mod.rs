@@ -14,8 +14,10 @@
 //! V(b) = min(Q(b), rotation + Q(1 - b)). `sector` and `sweep` turn that into code; this file is the definition, and it
 //! is an [`Mdp`](crate::Mdp) like any other, with the states numbered as in the table: `((i * ny + j) * headings + k) * 2 + b`.
 
-pub(crate) mod bellman;
+pub(crate) mod backup;
 mod definition;
+pub(crate) mod direction;
+pub(crate) mod endings;
 pub(crate) mod engine;
 pub mod evaluation;
 pub(crate) mod field;
@@ -24,12 +26,16 @@ pub(crate) mod kernel;
 pub(crate) mod plane;
 pub(crate) mod real;
 pub(crate) mod sector;
+pub(crate) mod store;
 pub mod sweep;
 
 use rayon::prelude::*;
 
 use crate::bicycle::Bicycle;
 use crate::error::{Error, Result, parameter};
+use crate::lattice::direction::Direction;
+use crate::lattice::endings::{Endings, endings};
+use crate::lattice::plane::{Plane, copy};
 use crate::memory::filled;
 use crate::partition::Partition;
 use crate::workspace::{ColumnScan, Event, Workspace, fill, grid_points};
@@ -48,7 +54,15 @@ pub mod outcome {
     pub const AT_OBSTACLE: u8 = 4;
     /// The state itself is a target point (absorbing).
     pub const AT_TARGET: u8 = 5;
+    /// Padding of rows: not a state.
+    pub(crate) const OUTSIDE: u8 = 6;
+    /// No policy surely ends from here: found by the solver, not by the geometry.
+    pub(crate) const ENDLESS: u8 = 7;
+    pub(crate) const CODES: usize = 8;
 }
+
+/// Rows of grid points are padded to a multiple of this many, so that vector code has no remainders.
+pub(crate) const LANES: usize = 16;
 
 /// Numbers of grid points and headings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -177,8 +191,13 @@ pub struct LatticeMdp {
     pub(crate) shape: Shape,
     /// `[heading][arriving bevel]`.
     pub(crate) stencil: Vec<[Shift; 2]>,
-    /// `[heading][arriving bevel][i][j]`.
+    /// In which direction each heading moves.
+    pub(crate) directions: Vec<Direction>,
+    /// `[heading][arriving bevel]` planes of `[i][j]`, or of `[j][i]` for headings that move vertically, since they are
+    /// swept in that order.
     pub(crate) outcomes: Vec<u8>,
+    /// The same as runs.
+    pub(crate) endings: Endings,
 }
 
 impl LatticeMdp {
@@ -212,8 +231,11 @@ impl LatticeMdp {
                 })
             })
             .collect();
-        let mut lattice = LatticeMdp { setup, shape, stencil, outcomes: Vec::new() };
+        let heading = |k| Direction::of(setup.needle.heading(k), setup.spacing);
+        let directions = (0..shape.headings).map(heading).collect();
+        let mut lattice = LatticeMdp { setup, shape, stencil, directions, outcomes: Vec::new(), endings: Vec::new() };
         lattice.outcomes = lattice.classify();
+        lattice.endings = endings(&lattice, &lattice.outcomes);
         Ok(lattice)
     }
 
@@ -243,7 +265,25 @@ impl LatticeMdp {
 
     /// Outcome code of the step from `(i, j, k)` that arrives with bevel index `bevel`.
     pub fn outcome(&self, i: usize, j: usize, k: usize, bevel: usize) -> u8 {
-        self.outcomes[((k * 2 + bevel) * self.shape.nx + i) * self.shape.ny + j]
+        self.outcomes[self.outcome_place(i, j, k, bevel)]
+    }
+
+    /// Where the outcome of a step stands.
+    #[inline]
+    pub(crate) fn outcome_place(&self, i: usize, j: usize, k: usize, bevel: usize) -> usize {
+        let Shape { nx, ny, .. } = self.shape;
+        let vertical = self.directions[k].is_vertical();
+        self.outcome_plane(k, bevel) + if vertical { j * nx + i } else { i * ny + j }
+    }
+
+    /// Where the outcomes of a heading and an arriving bevel begin.
+    #[inline]
+    pub(crate) fn outcome_plane(&self, k: usize, bevel: usize) -> usize {
+        (k * 2 + bevel) * self.shape.nx * self.shape.ny
+    }
+
+    pub(crate) fn is_interpolated(&self) -> bool {
+        self.setup.transition == Transition::Interpolated
     }
 
     /// Value of an absorbing state: zero, but with interpolation an obstacle point carries the collision's cost, since
@@ -275,12 +315,13 @@ impl LatticeMdp {
         let absorbing: Vec<u8> = absorbing.collect();
         let mut outcomes = filled(0u8, headings * 2 * nx * ny);
         outcomes.par_chunks_mut(nx * ny).enumerate().for_each_init(
-            || ColumnScan::new(workspace),
-            |scan, (row, plane)| {
+            || (ColumnScan::new(workspace), vec![0u8; nx * ny]),
+            |(scan, plane), (row, to)| {
                 let (k, bevel) = (row / 2, row % 2);
                 let sign = if bevel == 1 { 1.0 } else { -1.0 };
                 let fractions = (1..=*arc_samples).map(|sample| sample as f64 / *arc_samples as f64);
                 let arc: Vec<[f64; 2]> = fractions.map(|t| needle.displacement(needle.heading(k), sign, t)).collect();
+                plane.fill(outcome::CONTINUES);
                 for (i, column) in plane.chunks_exact_mut(ny).enumerate() {
                     for [dx, dy] in &arc {
                         scan.mark(i as f64 * spacing[0] + dx, *dy, spacing[1], column);
@@ -292,6 +333,10 @@ impl LatticeMdp {
                         *code = if *absorbing != 0 { *absorbing } else { *code };
                     }
                 }
+                let vertical = self.directions[k].is_vertical();
+                let from = Plane { start: 0, stride: ny, reversed: false };
+                let into = Plane { start: 0, stride: if vertical { nx } else { ny }, reversed: false };
+                copy((plane, from), (to, into), [nx, ny], vertical, |code| code);
             },
         );
         outcomes

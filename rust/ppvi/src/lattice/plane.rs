@@ -1,9 +1,9 @@
 //! Copies of planes (one heading, one bevel, all grid points) between arrays of different layout, transposed where the
 //! one is stored by columns and the other by rows.
 
-use std::array::from_fn;
-
-const TILE: usize = 8;
+/// Size of a tile.
+const ROWS: usize = 8;
+const COLUMNS: usize = 4;
 
 /// Where a plane stands in an array: element `(row, column)` at `start + row * stride + column`.
 #[derive(Debug, Clone, Copy)]
@@ -23,7 +23,7 @@ impl Plane {
 
 /// Copies `rows` x `columns` elements; with `transposed`, row r of `from` becomes column r of `to`.
 #[inline(always)]
-pub(crate) fn copy<A: Copy + Default, B: Copy>(
+pub(crate) fn copy<A: Copy, B: Copy>(
     (from, from_at): (&[A], Plane),
     (to, to_at): (&mut [B], Plane),
     [rows, columns]: [usize; 2],
@@ -43,7 +43,7 @@ pub(crate) fn copy<A: Copy + Default, B: Copy>(
 
 /// `to[(c, r)] = convert(from[(r, c)])`, in tiles that fit the registers.
 #[inline(always)]
-fn transpose<A: Copy + Default, B: Copy>(
+fn transpose<A: Copy, B: Copy>(
     from: &[A],
     from_at: Plane,
     to: &mut [B],
@@ -51,23 +51,38 @@ fn transpose<A: Copy + Default, B: Copy>(
     [rows, columns]: [usize; 2],
     convert: impl Fn(A) -> B,
 ) {
-    let (whole_rows, whole_columns) = (rows / TILE * TILE, columns / TILE * TILE);
-    for r in (0..whole_rows).step_by(TILE) {
-        let lines: [usize; TILE] = from_fn(|k| from_at.at(r + k, rows));
-        for c in (0..whole_columns).step_by(TILE) {
-            let tile: [&[A]; TILE] = lines.map(|line| &from[line + c..][..TILE]);
-            for k in 0..TILE {
-                let column: [B; TILE] = from_fn(|line| convert(tile[line][k]));
-                to[to_at.at(c + k, columns) + r..][..TILE].copy_from_slice(&column);
+    let whole_rows = rows / ROWS * ROWS;
+    let to_step = to_at.at(1, 2).wrapping_sub(to_at.at(0, 2));
+    for r in (0..whole_rows).step_by(ROWS) {
+        // Arrays of known length, and every element by its name: the compiler makes shuffles of that.
+        let line = |k: usize| from[from_at.at(r + k, rows)..][..columns].as_chunks::<COLUMNS>().0;
+        let (l0, l1, l2, l3) = (line(0), line(1), line(2), line(3));
+        let (l4, l5, l6, l7) = (line(4), line(5), line(6), line(7));
+        let mut start = to_at.at(0, columns) + r;
+        for c in 0..columns / COLUMNS {
+            let (a, b, c, d, e, f, g, h) = (l0[c], l1[c], l2[c], l3[c], l4[c], l5[c], l6[c], l7[c]);
+            for k in 0..COLUMNS {
+                let column = [
+                    convert(a[k]),
+                    convert(b[k]),
+                    convert(c[k]),
+                    convert(d[k]),
+                    convert(e[k]),
+                    convert(f[k]),
+                    convert(g[k]),
+                    convert(h[k]),
+                ];
+                to[start..start + ROWS].copy_from_slice(&column);
+                start = start.wrapping_add(to_step);
             }
         }
     }
-    let mut rest = |r: usize, c: usize| to[to_at.at(c, columns) + r] = convert(from[from_at.at(r, rows) + c]);
-    for c in whole_columns..columns {
-        (0..rows).for_each(|r| rest(r, c));
-    }
-    for c in 0..whole_columns {
-        (whole_rows..rows).for_each(|r| rest(r, c));
+    for r in 0..rows {
+        let first = if r < whole_rows { columns / COLUMNS * COLUMNS } else { 0 };
+        let row = &from[from_at.at(r, rows)..][..columns];
+        for (c, value) in row.iter().enumerate().skip(first) {
+            to[to_at.at(c, columns) + r] = convert(*value);
+        }
     }
 }
 

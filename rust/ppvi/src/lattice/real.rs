@@ -2,9 +2,11 @@
 
 use std::ops::{Add, Mul, Sub};
 
+use crate::memory::Plain;
+
 /// Single or double precision.
 pub(crate) trait Real:
-    Copy + Send + Sync + PartialOrd + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Default + 'static
+    Plain + Send + Sync + PartialOrd + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + 'static
 {
     /// Distance from 1 to the next number.
     const EPSILON: f64;

@@ -10,19 +10,18 @@
 //!
 //! *Start.* V = the cheaper of the two failures, since that is what most of a hard workspace is worth.
 //!
-//! *Stop.* A value read during a pass differs from the value after it by at most the largest change d of that pass, so
-//! the residual after it is at most discount * d; it is far less, as most reads are of values already final. When d comes
-//! close to the threshold the exact residual is computed, in double precision, together with the greedy policy.
+//! *Stop.* A value is the exact backup of what it has read, so its residual is at most the discount times the change of
+//! that since: within a sector there is none (steps lead downstream), and at the seams between sectors it is seen when the
+//! halos are pulled again. So a pass knows a bound on the residual of its values for next to nothing, and no pass is spent
+//! on proving what the others have done. To it comes the rounding of a backup.
 //!
-//! *Precision.* Single precision until the change is as small as that can show, double precision from there on if the
-//! tolerance asks for it.
+//! *Precision.* Single precision, and double precision from where rounding hides what the tolerance asks for.
 
 use std::time::Instant;
 
 use crate::error::Result;
-use crate::lattice::bellman::{Greedy, greedy};
-use crate::lattice::engine::Engine;
-use crate::lattice::field::Field;
+use crate::lattice::endings::{Endings, endings};
+use crate::lattice::engine::{Engine, Tables};
 use crate::lattice::kernel::Numbers;
 use crate::lattice::real::Real;
 use crate::lattice::{LatticeMdp, Shift, outcome};
@@ -31,12 +30,8 @@ use crate::proper::proper_states;
 use crate::solution::Report;
 use crate::termination::{Certificate, Observer, Progress, Status, StopRule, Watch};
 
-/// The exact residual is computed when the change is below this many thresholds: on the problems of the benches the
-/// residual is 5 to 25 times smaller than the change.
-const CHECK_BELOW: f64 = 20.0;
-
-/// A precision is exhausted when the change is this many units in the last place of the largest value.
-const NOISE_ULPS: f64 = 32.0;
+/// A precision is exhausted when the residual is this many times what rounding alone may make.
+const EXHAUSTED: f64 = 4.0;
 
 /// Table of a lattice, as `[i][j][heading][bevel]`.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,19 +48,33 @@ pub struct LatticeSolution {
 fn planning_numbers(lattice: &LatticeMdp) -> Numbers<f64> {
     let c = &lattice.setup.costs;
     let at_obstacle = lattice.value_at(outcome::AT_OBSTACLE);
-    let ended = [0.0, c.step, c.step + c.collision, c.step + c.exit, at_obstacle, 0.0, lattice.value_outside()];
+    let (collision, exit) = (c.step + c.collision, c.step + c.exit);
+    let ended = [0.0, c.step, collision, exit, at_obstacle, 0.0, lattice.value_outside(), f64::INFINITY];
     Numbers { step: c.step, rotation: c.rotation, discount: c.discount, ended }
 }
 
-/// The states from which no policy surely ends, which have an infinite value without a discount: a step far shorter than
-/// the spacing may round to no movement at all. Every other lattice is finite, and needs no search.
-fn endless_states(lattice: &LatticeMdp) -> Option<Field<u8>> {
+/// The endings with the states marked from which no policy surely ends, which have an infinite value without a
+/// discount: a step far shorter than the spacing may round to no movement at all. Every other lattice is finite, and needs
+/// no search. Both bevels of a pose have the same two steps to choose from, so both are endless, and so are both steps.
+fn with_endless_states(lattice: &LatticeMdp) -> Option<Endings> {
     let stands_still = |shift: &Shift| shift.cell == [0, 0] && shift.fraction == [0.0, 0.0];
     if lattice.discount() < 1.0 || !lattice.stencil.iter().flatten().any(stands_still) {
         return None;
     }
-    let endless: Vec<u8> = proper_states(lattice).into_iter().map(|proper| u8::from(!proper)).collect();
-    endless.contains(&1).then(|| Field::of_table(lattice.shape, &endless))
+    let proper = proper_states(lattice);
+    let mut outcomes = lattice.outcomes.clone();
+    for (state, _) in proper.iter().enumerate().filter(|(_, proper)| !**proper) {
+        let (i, j, k, b) = lattice.coordinates(state);
+        outcomes[lattice.outcome_place(i, j, k, b)] = outcome::ENDLESS;
+    }
+    Some(endings(lattice, &outcomes))
+}
+
+/// A bound on the rounding of one backup of values up to `largest`: of the convolution, the blend of four, discount, cost and
+/// turning, each half a unit in the last place.
+fn rounding<T: Real>(lattice: &LatticeMdp, largest: f64) -> f64 {
+    let operations = 2 * lattice.setup.noise.len() + if lattice.is_interpolated() { 4 } else { 0 } + 3;
+    operations as f64 * largest * T::EPSILON / 2.0
 }
 
 /// Solves the lattice by directional sweeps.
@@ -74,13 +83,32 @@ pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>
     let started = Instant::now();
     let certificate = Certificate { discount: lattice.discount(), least_stage_cost: lattice.least_stage_cost() };
     let watch = Watch::start(rule, observer);
-    let endless = endless_states(lattice);
-    let mut run = Run { lattice, rule, certificate, watch, passes: 0, checks: 0, sectors: 0, endless };
-    let end = match run.iterate::<f32>(None) {
-        (End::Exhausted, field) => run.iterate::<f64>(Some(&field)).0,
-        (end, _) => end,
+    let endless = with_endless_states(lattice);
+    let endings = endless.as_ref().unwrap_or(&lattice.endings);
+    let costs = &lattice.setup.costs;
+    let (start, numbers) = (costs.exit.min(costs.collision), planning_numbers(lattice));
+    let mut run = Run {
+        lattice,
+        rule,
+        certificate,
+        watch,
+        waves: 0,
+        tables: 0,
+        largest: costs.exit.max(costs.collision) + costs.step,
     };
-    Ok(run.conclude(end, started))
+    let mut single = Engine::<f32>::new(lattice, endings, &numbers, start, None);
+    let sectors = single.sectors();
+    let end = match run.iterate(&mut single) {
+        Some(end) => end,
+        None => {
+            let mut double = Engine::<f64>::new(lattice, endings, &numbers, start, None);
+            double.load(&single);
+            drop(single);
+            let Some(end) = run.iterate(&mut double) else { unreachable!("double precision has no successor") };
+            end
+        }
+    };
+    Ok(run.conclude(end, sectors, started))
 }
 
 struct Run<'a, 'o> {
@@ -88,87 +116,83 @@ struct Run<'a, 'o> {
     rule: StopRule,
     certificate: Certificate,
     watch: Watch<'o>,
-    passes: u64,
-    checks: u64,
-    sectors: usize,
-    endless: Option<Field<u8>>,
+    waves: u64,
+    /// How often tables were made, each time with another pass.
+    tables: u64,
+    /// About the largest value.
+    largest: f64,
 }
 
-/// Everything about the values an iteration ended with.
-struct Final {
+/// What an iteration ended with.
+struct End {
     status: Status,
-    greedy: Greedy,
-    max_value: f64,
-}
-
-enum End {
-    Done(Final),
-    /// The precision cannot show a smaller residual.
-    Exhausted,
+    residual: f64,
+    tables: Tables,
 }
 
 impl Run<'_, '_> {
-    fn iterate<T: Real>(&mut self, from: Option<&Field<f32>>) -> (End, Field<T>) {
-        let costs = &self.lattice.setup.costs;
-        let start = costs.exit.min(costs.collision);
-        let mut engine = Engine::<T>::new(self.lattice, &planning_numbers(self.lattice), start, None);
-        if let Some(endless) = &self.endless {
-            engine.exclude(endless);
-        }
-        if let Some(field) = from {
-            engine.load(field);
-        }
-        self.sectors = engine.sectors();
-        let mut max_value = costs.exit.max(costs.collision) + costs.step;
+    /// Makes passes until the residual is small enough, a limit is reached, or the precision exhausted: then None, if there
+    /// is a better one.
+    fn iterate<T: Real>(&mut self, engine: &mut Engine<'_, T>) -> Option<End> {
+        let first = self.waves;
         loop {
-            let change = engine.pass();
-            self.passes += 1;
-            let threshold = self.certificate.threshold(self.rule.tolerance, max_value);
-            let progress = Progress { sweeps: (self.passes + self.checks) as f64, residual: change, threshold };
-            let stopped = self.watch.check(&progress);
-            let noise = NOISE_ULPS * T::EPSILON * max_value;
-            if stopped.is_none() && change > (CHECK_BELOW * threshold).max(noise) {
+            let threshold = self.certificate.threshold(self.rule.tolerance, self.largest);
+            let rounding = rounding::<T>(self.lattice, self.largest);
+            let seen = engine.wave(self.waves % 2 == 1, threshold.max(EXHAUSTED * rounding));
+            self.waves += 1;
+            if self.waves == first + 1 {
+                // Half of the states have not been looked at in this precision.
                 continue;
             }
-            let field = engine.field(self.lattice);
-            max_value = field.max();
-            let threshold = self.certificate.threshold(self.rule.tolerance, max_value);
-            let exhausted = change <= noise && T::EPSILON > f64::EPSILON;
-            if stopped.is_none() && exhausted && CHECK_BELOW * threshold < noise {
-                return (End::Exhausted, field);
+            let residual = seen + rounding;
+            let stopped = self.watch.check(&Progress { sweeps: self.sweeps(), residual, threshold });
+            let exhausted = seen <= EXHAUSTED * rounding;
+            if stopped.is_none() && residual >= threshold {
+                match exhausted {
+                    false => continue,
+                    true if T::EPSILON > f64::EPSILON => return None,
+                    true => {}
+                }
             }
-            let greedy = greedy(self.lattice, &field);
-            self.checks += 1;
+            let tables = engine.tables(threshold);
+            self.tables += 1;
+            let largest = tables.largest;
+            let threshold = self.certificate.threshold(self.rule.tolerance, largest);
+            let rounding = self::rounding::<T>(self.lattice, largest);
+            let residual = tables.seen + rounding;
+            let exhausted = tables.seen <= EXHAUSTED * rounding;
+            self.largest = largest;
             let status = match stopped {
-                _ if greedy.residual < threshold => Some(Status::Converged),
-                Some(status) => Some(status),
-                None if exhausted => return (End::Exhausted, field),
-                None if change <= noise => Some(Status::PrecisionLimit),
-                None => None,
+                _ if residual < threshold => Status::Converged,
+                Some(status) => status,
+                None if !exhausted => continue,
+                None if T::EPSILON > f64::EPSILON => return None,
+                None => Status::PrecisionLimit,
             };
-            if let Some(status) = status {
-                return (End::Done(Final { status, greedy, max_value }), field);
-            }
+            return Some(End { status, residual, tables });
         }
     }
 
-    fn conclude(self, end: End, started: Instant) -> LatticeSolution {
-        let End::Done(Final { status, greedy, max_value }) = end else {
-            unreachable!("double precision does not end as exhausted");
-        };
+    /// Backups so far, in units of n.
+    fn sweeps(&self) -> f64 {
+        self.waves as f64 / 2.0 + self.tables as f64
+    }
+
+    fn conclude(self, end: End, sectors: usize, started: Instant) -> LatticeSolution {
+        let End { status, residual, tables } = end;
         // The values returned are rounded to single precision.
-        let rounding = max_value * f64::from(f32::EPSILON) / 2.0;
+        let rounding = tables.largest * f64::from(f32::EPSILON) / 2.0;
         let report = Report {
             status,
-            residual: greedy.residual,
-            error_bound: self.certificate.error_bound(greedy.residual, max_value) + rounding,
-            backups: (self.passes + self.checks) * self.lattice.states() as u64,
-            partitions: self.sectors,
-            partitions_processed: self.sectors as u64 * self.passes,
-            order: (0..self.sectors as u32).collect(),
+            residual,
+            error_bound: self.certificate.error_bound(residual, tables.largest) + rounding,
+            backups: (self.sweeps() * self.lattice.states() as f64) as u64,
+            partitions: sectors,
+            partitions_processed: (sectors as f64 * self.sweeps()) as u64,
+            order: (0..sectors as u32).collect(),
             seconds_solving: started.elapsed().as_secs_f64(),
             seconds_priorities: 0.0,
         };
-        LatticeSolution { values: greedy.values, policy: greedy.policy, report }
+        LatticeSolution { values: tables.values, policy: tables.policy, report }
     }
 }

@@ -1,0 +1,90 @@
+//! The four directions in which headings move over the grid, and the headings of each.
+
+use crate::lattice::{Shape, Shift};
+
+/// The grid direction in which a heading moves the most, in cells.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Direction {
+    Right,
+    Up,
+    Left,
+    Down,
+}
+
+impl Direction {
+    pub(crate) const ALL: [Direction; 4] = [Direction::Right, Direction::Up, Direction::Left, Direction::Down];
+
+    /// The direction of a heading, measured in cells.
+    pub(crate) fn of(heading: f64, spacing: [f64; 2]) -> Self {
+        let (sin, cos) = heading.sin_cos();
+        let (x, y) = (cos / spacing[0], sin / spacing[1]);
+        match (x.abs() >= y.abs(), x > 0.0, y > 0.0) {
+            (true, true, _) => Direction::Right,
+            (true, false, _) => Direction::Left,
+            (false, _, true) => Direction::Up,
+            (false, _, false) => Direction::Down,
+        }
+    }
+
+    pub(crate) fn is_vertical(self) -> bool {
+        matches!(self, Direction::Up | Direction::Down)
+    }
+
+    pub(crate) fn is_reversed(self) -> bool {
+        matches!(self, Direction::Left | Direction::Down)
+    }
+
+    /// A displacement along (u, v), where u points in this direction.
+    pub(crate) fn orient(self, shift: Shift) -> Shift {
+        let Shift { mut cell, mut fraction } = shift;
+        if self.is_vertical() {
+            cell.swap(0, 1);
+            fraction.swap(0, 1);
+        }
+        if self.is_reversed() {
+            // -(cell + fraction) = -(cell + 1) + (1 - fraction).
+            cell[0] = -cell[0];
+            if fraction[0] > 0.0 {
+                cell[0] -= 1;
+                fraction[0] = 1.0 - fraction[0];
+            }
+        }
+        Shift { cell, fraction }
+    }
+}
+
+/// Which headings a sector has: `first .. first + count`, modulo the number of headings.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Arc {
+    pub direction: Direction,
+    pub first: usize,
+    pub count: usize,
+}
+
+impl Arc {
+    /// The headings of each direction: they are consecutive on the circle. Directions without a heading are left out.
+    pub(crate) fn all(directions: &[Direction]) -> Vec<Arc> {
+        let n = directions.len();
+        let arc = |direction: Direction| {
+            let count = directions.iter().filter(|d| **d == direction).count();
+            let begins = |k: &usize| directions[*k] == direction && directions[(k + n - 1) % n] != direction;
+            (count > 0).then(|| Arc { direction, first: (0..n).find(begins).unwrap_or(0), count })
+        };
+        Direction::ALL.into_iter().filter_map(arc).collect()
+    }
+
+    /// Grid points along u and along v.
+    pub(crate) fn extent(self, shape: Shape) -> [usize; 2] {
+        if self.direction.is_vertical() { [shape.ny, shape.nx] } else { [shape.nx, shape.ny] }
+    }
+
+    /// The heading index of heading `q` of the sector.
+    pub(crate) fn heading(self, q: usize, headings: usize) -> usize {
+        (self.first + q) % headings
+    }
+
+    /// All (heading of the sector, bevel).
+    pub(crate) fn planes(self) -> impl Iterator<Item = (usize, usize)> {
+        (0..self.count * 2).map(|plane| (plane / 2, plane % 2))
+    }
+}
