@@ -61,6 +61,7 @@ pub mod solution;
 pub mod tabular;
 pub mod tabular_sweep;
 pub mod termination;
+pub mod tissues;
 pub mod value_iteration;
 mod waves;
 pub mod workspace;

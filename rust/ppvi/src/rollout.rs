@@ -9,8 +9,9 @@ use rand::rand_core::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 
+use crate::bicycle::Bicycle;
 use crate::error::{Error, Result, parameter};
-use crate::lattice::{LatticeMdp, Shape, outcome};
+use crate::lattice::{LatticeMdp, Setup, Shape, outcome};
 use crate::lookup::{Pose, TableGrid};
 use crate::workspace::Event;
 
@@ -145,8 +146,9 @@ impl<'a> Executor<'a> {
             let bevel = if action == 1 { -pose.bevel } else { pose.bevel };
             let (event, mut next) = self.step(pose, bevel);
             run.turns += u32::from(action);
-            run.length += self.lattice.setup.needle.step_length();
-            run.cost += weight * (costs.step + f64::from(action) * costs.rotation + failure_cost(self.lattice, event));
+            run.length += self.needle_at(pose).step_length();
+            run.cost += weight
+                * (self.step_cost(pose) + f64::from(action) * costs.rotation + failure_cost(self.lattice, event));
             weight *= costs.discount;
             if let Some(random) = random.as_mut() {
                 let steps = heading_noise(&self.lattice.setup.noise, random);
@@ -159,9 +161,24 @@ impl<'a> Executor<'a> {
         run
     }
 
+    /// The needle as it bends where the tip is.
+    fn needle_at(&self, pose: Pose) -> Bicycle {
+        let Setup { needle, tissues, .. } = &self.lattice.setup;
+        tissues.needle_at(*needle, [pose.x, pose.y])
+    }
+
+    /// Cost of a step that starts at a pose.
+    fn step_cost(&self, pose: Pose) -> f64 {
+        let Setup { needle, costs, .. } = &self.lattice.setup;
+        costs.step * (self.needle_at(pose).radius / needle.radius)
+    }
+
     /// Moves along the arc that `bevel` gives: the first event, and the pose it happens at or the pose at the end.
     fn step(&self, from: Pose, bevel: f64) -> (Option<Event>, Pose) {
         let needle = &self.lattice.setup.needle;
+        if !self.lattice.setup.tissues.is_uniform() {
+            return self.step_through_tissues(from, bevel);
+        }
         let mut pose = Pose { bevel, ..from };
         for sample in 1..=self.arc_samples {
             let t = sample as f64 / self.arc_samples as f64;
@@ -172,6 +189,24 @@ impl<'a> Executor<'a> {
                 heading: from.heading + bevel * t * needle.heading_step(),
                 bevel,
             };
+            if let Some(event) = self.lattice.setup.workspace.event([pose.x, pose.y]) {
+                return (Some(event), pose);
+            }
+        }
+        (None, pose)
+    }
+
+    /// The same where the needle bends differently from place to place: the length is that of the place where the step
+    /// starts, and each of the equally long pieces of the arc bends as at its start.
+    fn step_through_tissues(&self, from: Pose, bevel: f64) -> (Option<Event>, Pose) {
+        let piece = self.needle_at(from).step_length() / self.arc_samples as f64;
+        let mut pose = Pose { bevel, ..from };
+        for _ in 0..self.arc_samples {
+            let needle = self.needle_at(pose);
+            let t = piece / needle.step_length();
+            let [dx, dy] = needle.displacement(pose.heading, bevel, t);
+            let heading = pose.heading + bevel * t * needle.heading_step();
+            pose = Pose { x: pose.x + dx, y: pose.y + dy, heading, bevel };
             if let Some(event) = self.lattice.setup.workspace.event([pose.x, pose.y]) {
                 return (Some(event), pose);
             }
@@ -191,7 +226,7 @@ impl<'a> Executor<'a> {
         let costs = &self.lattice.setup.costs;
         let (event, end) = self.step(pose, bevel);
         if event.is_some() {
-            return costs.step + failure_cost(self.lattice, event);
+            return self.step_cost(pose) + failure_cost(self.lattice, event);
         }
         let Shape { nx, ny, headings } = self.lattice.shape;
         let spacing = self.lattice.setup.spacing;
@@ -225,7 +260,7 @@ impl<'a> Executor<'a> {
                 }
             }
         }
-        costs.step + costs.discount * expectation
+        self.step_cost(pose) + costs.discount * expectation
     }
 }
 

@@ -4,6 +4,7 @@ use ppvi::bicycle::Bicycle;
 use ppvi::lattice::evaluation::{self, Evaluation};
 use ppvi::lattice::sweep::{self, LatticeSolution};
 use ppvi::lattice::{Costs, LatticeMdp, Setup, Transition};
+use ppvi::tissues::Tissues;
 use ppvi::workspace::{Polygon, Workspace};
 use ppvi::{
     Mdp, PrioritizedOptions, Priority, Status, StopRule, TabularMdp, prioritized, tabular_sweep, value_iteration,
@@ -21,14 +22,22 @@ fn setups() -> impl Strategy<Value = Setup> {
     ];
     let costs =
         prop_oneof![Just((40.0, 200.0, 100.0, 0.95)), Just((4.0, 1000.0, 700.0, 1.0)), Just((0.0, 50.0, 80.0, 0.8))];
-    (geometry, noise, costs, 1usize..5, any::<bool>(), 0.0..1.0f64).prop_map(
-        |(geometry, noise, costs, arc_samples, interpolated, at)| {
+    (geometry, noise, costs, 1usize..5, any::<bool>(), 0.0..1.0f64, 0usize..3).prop_map(
+        |(geometry, noise, costs, arc_samples, interpolated, at, tissues)| {
             let (width, height, dx, dy, radius, headings) = geometry;
             let (rotation, collision, exit, discount) = costs;
             let triangle = |x: f64, y: f64| Polygon::new(vec![[x, y], [x + 2.0, y + 0.3], [x + 0.7, y + 1.9]]).unwrap();
             let obstacles =
                 vec![triangle(0.3 * width, 0.1 + at * 0.5 * height), triangle(0.55 * width, (1.0 - at) * 0.6 * height)];
             let needle = Bicycle::new(radius, headings).unwrap();
+            // None, a layer, or a layer and a region over it.
+            let layers = vec![(0.4 * width, 0.7 * radius)];
+            let region = (triangle(0.2 * width, 0.3 * height), 1.4 * radius);
+            let tissues = match tissues {
+                0 => Tissues::default(),
+                1 => Tissues::new(layers, vec![]).unwrap(),
+                _ => Tissues::new(layers, vec![region]).unwrap(),
+            };
             Setup {
                 workspace: Workspace::new([width, height], obstacles, [0.85 * width, 0.5 * height], 1.1).unwrap(),
                 needle,
@@ -37,6 +46,7 @@ fn setups() -> impl Strategy<Value = Setup> {
                 arc_samples,
                 transition: if interpolated { Transition::Interpolated } else { Transition::Nearest },
                 costs: Costs { step: needle.step_length(), rotation, collision, exit, discount },
+                tissues,
             }
         },
     )

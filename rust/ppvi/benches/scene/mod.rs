@@ -4,6 +4,7 @@
 
 use ppvi::bicycle::Bicycle;
 use ppvi::lattice::{Costs, LatticeMdp, Setup, Transition};
+use ppvi::tissues::Tissues;
 use ppvi::workspace::{Polygon, Workspace};
 use ppvi::{Result, StopRule};
 
@@ -40,6 +41,7 @@ pub fn lattice(spacing: f64, transition: Transition, objective: Objective) -> Re
         arc_samples: 4,
         transition,
         costs,
+        tissues: Tissues::default(),
     })
 }
 

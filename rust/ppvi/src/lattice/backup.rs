@@ -2,7 +2,7 @@
 
 use multiversion::multiversion;
 
-use crate::lattice::endings::Column;
+use crate::lattice::endings::{Column, Piece};
 use crate::lattice::halo::Halo;
 use crate::lattice::kernel::{Numbers, better_row, blend_row, convolve_row, follow_row, go_on_row};
 use crate::lattice::real::Real;
@@ -96,24 +96,28 @@ fn q_row<T: Real, const INTERPOLATED: bool>(
     (u, q, bevel): (usize, usize, usize),
     out: &mut [T],
 ) {
-    let Numbers { step, discount, ended, .. } = *task.numbers;
-    let shift = &sector.shifts[q][bevel];
+    let Numbers { discount, steps, .. } = task.numbers;
     let turned = if bevel == 1 { q + 2 } else { q };
-    let read = |[du, dv]: [i64; 2]| {
-        let to_u = (u as i64 + sector.pad[0] as i64 + i64::from(shift.cell[0]) + du) as usize;
-        let to_v = (sector.pad[1] as i64 + i64::from(shift.cell[1]) + dv) as usize;
-        &sector.convolved[sector.column(to_u) + (turned * 2 + bevel) * sector.width() + to_v..][..sector.lanes]
-    };
-    if INTERPOLATED {
-        let [fu, fv] = shift.fraction;
-        let weights = [(1.0 - fu) * (1.0 - fv), (1.0 - fu) * fv, fu * (1.0 - fv), fu * fv];
-        let [a, b, c, d] = [[0, 0], [0, 1], [1, 0], [1, 1]].map(read);
-        blend_row(out, [a, b, c, d], weights.map(T::of), step, discount);
-    } else {
-        go_on_row(out, read([0, 0]), step, discount);
+    for &Piece { first, end, region } in &endings.pieces {
+        let shift = &sector.shifts[region * sector.arc.count + q][bevel];
+        let read = |[du, dv]: [i64; 2]| {
+            let to_u = (u as i64 + sector.pad[0] as i64 + i64::from(shift.cell[0]) + du) as usize;
+            let to_v = ((sector.pad[1] + first) as i64 + i64::from(shift.cell[1]) + dv) as usize;
+            &sector.convolved[sector.column(to_u) + (turned * 2 + bevel) * sector.width() + to_v..][..end - first]
+        };
+        let (out, cost) = (&mut out[first..end], steps[region].cost);
+        if INTERPOLATED {
+            let [fu, fv] = shift.fraction;
+            let weights = [(1.0 - fu) * (1.0 - fv), (1.0 - fu) * fv, fu * (1.0 - fv), fu * fv];
+            let [a, b, c, d] = [[0, 0], [0, 1], [1, 0], [1, 1]].map(read);
+            blend_row(out, [a, b, c, d], weights.map(T::of), cost, *discount);
+        } else {
+            go_on_row(out, read([0, 0]), cost, *discount);
+        }
     }
     for run in endings.row(q, bevel) {
-        out[run.first as usize..run.end as usize].fill(ended[run.code as usize]);
+        let ended = &steps[usize::from(run.region)].ended;
+        out[run.first as usize..run.end as usize].fill(ended[usize::from(run.code)]);
     }
 }
 

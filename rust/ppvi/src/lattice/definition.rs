@@ -1,6 +1,6 @@
 //! The lattice as an MDP like any other: the definition of what the sweeps compute.
 
-use crate::lattice::{LatticeMdp, Shape, Shift, outcome};
+use crate::lattice::{LatticeMdp, Region, Shape, Shift, outcome};
 use crate::mdp::Mdp;
 
 impl LatticeMdp {
@@ -30,10 +30,11 @@ impl LatticeMdp {
     #[inline]
     fn q_arriving(&self, (i, j, k): (usize, usize, usize), arriving: usize, values: &[f64]) -> f64 {
         let costs = &self.setup.costs;
+        let Region { step, stencil, .. } = self.region(i, j);
         match self.outcome(i, j, k, arriving) {
-            outcome::TARGET => return costs.step,
-            outcome::COLLISION => return costs.step + costs.collision,
-            outcome::EXIT => return costs.step + costs.exit,
+            outcome::TARGET => return *step,
+            outcome::COLLISION => return step + costs.collision,
+            outcome::EXIT => return step + costs.exit,
             _ => {}
         }
         let Shape { ny, headings, .. } = self.shape;
@@ -41,7 +42,7 @@ impl LatticeMdp {
         let reach = noise.len() - 1;
         let turned = (k + headings * noise.len() + 2 * arriving - 1) % headings;
         let mut expectation = 0.0;
-        self.for_each_corner((i, j), self.stencil[k][arriving], |corner, weight| {
+        self.for_each_corner((i, j), stencil[k][arriving], |corner, weight| {
             let Some((i, j)) = corner else {
                 expectation += weight * self.value_outside();
                 return;
@@ -61,7 +62,7 @@ impl LatticeMdp {
             }
             expectation += weight * mean;
         });
-        costs.step + costs.discount * expectation
+        step + costs.discount * expectation
     }
 }
 
@@ -88,11 +89,12 @@ impl Mdp for LatticeMdp {
         let (i, j, k, b) = self.coordinates(state);
         let costs = &self.setup.costs;
         let arriving = b ^ action;
-        let mut cost = costs.step + if action == 1 { costs.rotation } else { 0.0 };
+        let region = self.region(i, j);
+        let mut cost = region.step + if action == 1 { costs.rotation } else { 0.0 };
         match self.outcome(i, j, k, arriving) {
             outcome::COLLISION => cost += costs.collision,
             outcome::EXIT => cost += costs.exit,
-            outcome::CONTINUES => self.for_each_corner((i, j), self.stencil[k][arriving], |corner, weight| {
+            outcome::CONTINUES => self.for_each_corner((i, j), region.stencil[k][arriving], |corner, weight| {
                 if corner.is_none() {
                     cost += costs.discount * weight * self.value_outside();
                 }
@@ -111,7 +113,7 @@ impl Mdp for LatticeMdp {
         }
         let turned = k as i64 + if arriving == 1 { 1 } else { -1 };
         let reach = self.setup.noise.len() as i64 - 1;
-        self.for_each_corner((i, j), self.stencil[k][arriving], |corner, weight| {
+        self.for_each_corner((i, j), self.region(i, j).stencil[k][arriving], |corner, weight| {
             let Some((i, j)) = corner else { return };
             for m in -reach..=reach {
                 let heading = (turned + m).rem_euclid(headings as i64) as usize;
@@ -135,6 +137,6 @@ impl Mdp for LatticeMdp {
     }
 
     fn least_stage_cost(&self) -> f64 {
-        self.setup.costs.step
+        self.regions.iter().fold(f64::INFINITY, |least, region| least.min(region.step))
     }
 }

@@ -6,8 +6,8 @@
 use crate::error::{Error, Result};
 use crate::lattice::engine::Engine;
 use crate::lattice::field::Field;
-use crate::lattice::kernel::Numbers;
-use crate::lattice::{LatticeMdp, outcome};
+use crate::lattice::kernel::{Numbers, Step};
+use crate::lattice::{LatticeMdp, Region, outcome};
 
 /// Limit on the passes of an evaluation.
 const MAX_PASSES: u64 = 2000;
@@ -31,25 +31,27 @@ pub fn success(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
     let mut ended = [0.0; outcome::CODES];
     ended[outcome::TARGET as usize] = 1.0;
     ended[outcome::AT_TARGET as usize] = 1.0;
-    evaluate(lattice, policy, &Numbers { step: 0.0, rotation: 0.0, discount: 1.0, ended })
+    evaluate(lattice, policy, 0.0, |_| Step { cost: 0.0, ended })
 }
 
 /// Probability that the execution ends at all.
 pub fn termination(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
-    evaluate(lattice, policy, &Numbers { step: 0.0, rotation: 0.0, discount: 1.0, ended: [1.0; outcome::CODES] })
+    evaluate(lattice, policy, 0.0, |_| Step { cost: 0.0, ended: [1.0; outcome::CODES] })
 }
 
 /// Expected inserted length until the execution ends, mm; meaningful where [`termination`] is one.
 pub fn length(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
-    let step = lattice.setup.needle.step_length();
-    let mut ended = [0.0; outcome::CODES];
-    ended[1..4].fill(step);
-    evaluate(lattice, policy, &Numbers { step, rotation: 0.0, discount: 1.0, ended })
+    evaluate(lattice, policy, 0.0, |region| {
+        let cost = region.needle.step_length();
+        let mut ended = [0.0; outcome::CODES];
+        ended[1..4].fill(cost);
+        Step { cost, ended }
+    })
 }
 
 /// Expected number of turns until the execution ends; meaningful where [`termination`] is one.
 pub fn turns(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
-    evaluate(lattice, policy, &Numbers { step: 0.0, rotation: 1.0, discount: 1.0, ended: [0.0; outcome::CODES] })
+    evaluate(lattice, policy, 1.0, |_| Step { cost: 0.0, ended: [0.0; outcome::CODES] })
 }
 
 /// Expected length and number of turns, in table layout.
@@ -79,14 +81,21 @@ pub fn expectations(lattice: &LatticeMdp, policy: &[u8]) -> Result<Expectations>
     Ok(Expectations { length: length.values, turns: turns.values, converged })
 }
 
-fn evaluate(lattice: &LatticeMdp, policy: &[u8], numbers: &Numbers<f64>) -> Result<Evaluation> {
+fn evaluate(
+    lattice: &LatticeMdp,
+    policy: &[u8],
+    rotation: f64,
+    step: impl Fn(&Region) -> Step<f64>,
+) -> Result<Evaluation> {
+    let numbers = &Numbers { rotation, discount: 1.0, steps: lattice.regions.iter().map(step).collect() };
     let states = lattice.shape.states();
     if policy.len() != states {
         return Err(Error::Length { name: "policy", expected: states, found: policy.len() });
     }
     let policy = Field::of_table(lattice.shape, policy);
     let mut engine = Engine::<f32>::new(lattice, &lattice.endings, numbers, 0.0, Some(&policy));
-    let largest = numbers.ended.iter().fold(numbers.rotation, |max, value| max.max(*value));
+    let ended = numbers.steps.iter().flat_map(|step| step.ended);
+    let largest = ended.fold(numbers.rotation, f64::max);
     let mut change = f64::INFINITY;
     let mut converged = false;
     let mut scale = largest;

@@ -7,30 +7,36 @@ use crate::lattice::outcome;
 use crate::lattice::real::Real;
 
 /// The numbers a backup needs.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(crate) struct Numbers<T> {
-    /// Cost of a step that goes on.
-    pub step: T,
     /// Cost of turning.
     pub rotation: T,
     /// Discount factor.
     pub discount: T,
+    /// By region; there is at least one.
+    pub steps: Vec<Step<T>>,
+}
+
+/// The numbers of a step in a region.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Step<T> {
+    /// Cost of a step that goes on.
+    pub cost: T,
     /// Q-value by outcome code; the first is not used.
     pub ended: [T; outcome::CODES],
 }
 
 impl<T: Real> Numbers<T> {
     pub(crate) fn outside(&self) -> T {
-        self.ended[outcome::OUTSIDE as usize]
+        self.steps[0].ended[outcome::OUTSIDE as usize]
     }
 
     pub(crate) fn cast<S: Real>(&self) -> Numbers<S> {
         let cast = |value: T| S::of(value.widen());
         Numbers {
-            step: cast(self.step),
             rotation: cast(self.rotation),
             discount: cast(self.discount),
-            ended: self.ended.map(cast),
+            steps: self.steps.iter().map(|step| Step { cost: cast(step.cost), ended: step.ended.map(cast) }).collect(),
         }
     }
 }

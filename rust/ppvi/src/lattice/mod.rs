@@ -38,6 +38,7 @@ use crate::lattice::endings::{Endings, endings};
 use crate::lattice::plane::{Plane, copy};
 use crate::memory::filled;
 use crate::partition::Partition;
+use crate::tissues::Tissues;
 use crate::workspace::{ColumnScan, Event, Workspace, fill, grid_points};
 
 /// Outcome codes of a step; [`Event`]s have the same numbers.
@@ -180,8 +181,10 @@ pub struct Setup {
     pub arc_samples: usize,
     /// Nearest or interpolated.
     pub transition: Transition,
-    /// Costs and discount.
+    /// Costs and discount; the cost of a step is that of the needle's own radius.
     pub costs: Costs,
+    /// Where the needle bends how much.
+    pub tissues: Tissues,
 }
 
 /// The lattice MDP; see the module for the mathematics.
@@ -189,8 +192,10 @@ pub struct Setup {
 pub struct LatticeMdp {
     pub(crate) setup: Setup,
     pub(crate) shape: Shape,
-    /// `[heading][arriving bevel]`.
-    pub(crate) stencil: Vec<[Shift; 2]>,
+    /// The radii of curvature that occur at grid points.
+    pub(crate) regions: Vec<Region>,
+    /// Region by grid point, `[i][j]`; empty where there is only one.
+    pub(crate) region_of: Vec<u8>,
     /// In which direction each heading moves.
     pub(crate) directions: Vec<Direction>,
     /// `[heading][arriving bevel]` planes of `[i][j]`, or of `[j][i]` for headings that move vertically, since they are
@@ -223,17 +228,11 @@ impl LatticeMdp {
             let rule = "more than 2^40 states; use a coarser grid or fewer headings";
             return Err(Error::TooLarge { states, needed_bytes: states * 16, rule });
         }
-        let stencil = (0..shape.headings)
-            .map(|k| {
-                [-1.0, 1.0].map(|bevel| {
-                    let displacement = setup.needle.displacement(setup.needle.heading(k), bevel, 1.0);
-                    Shift::new(displacement, setup.spacing, setup.transition, [shape.nx, shape.ny])
-                })
-            })
-            .collect();
+        let (regions, region_of) = regions(&setup, shape)?;
         let heading = |k| Direction::of(setup.needle.heading(k), setup.spacing);
         let directions = (0..shape.headings).map(heading).collect();
-        let mut lattice = LatticeMdp { setup, shape, stencil, directions, outcomes: Vec::new(), endings: Vec::new() };
+        let mut lattice =
+            LatticeMdp { setup, shape, regions, region_of, directions, outcomes: Vec::new(), endings: Vec::new() };
         lattice.outcomes = lattice.classify();
         lattice.endings = endings(&lattice, &lattice.outcomes);
         Ok(lattice)
@@ -276,6 +275,12 @@ impl LatticeMdp {
         self.outcome_plane(k, bevel) + if vertical { j * nx + i } else { i * ny + j }
     }
 
+    /// How the needle bends at a grid point.
+    #[inline]
+    pub(crate) fn region(&self, i: usize, j: usize) -> &Region {
+        &self.regions[self.region_of.get(i * self.shape.ny + j).map_or(0, |region| usize::from(*region))]
+    }
+
     /// Where the outcomes of a heading and an arriving bevel begin.
     #[inline]
     pub(crate) fn outcome_plane(&self, k: usize, bevel: usize) -> usize {
@@ -305,7 +310,6 @@ impl LatticeMdp {
 
     fn classify(&self) -> Vec<u8> {
         let Shape { nx, ny, headings } = self.shape;
-        let Setup { workspace, needle, spacing, arc_samples, .. } = &self.setup;
         let points = classify_points(self.shape, &self.setup);
         let absorbing = points.iter().map(|code| match *code {
             outcome::TARGET => outcome::AT_TARGET,
@@ -315,21 +319,25 @@ impl LatticeMdp {
         let absorbing: Vec<u8> = absorbing.collect();
         let mut outcomes = filled(0u8, headings * 2 * nx * ny);
         outcomes.par_chunks_mut(nx * ny).enumerate().for_each_init(
-            || (ColumnScan::new(workspace), vec![0u8; nx * ny]),
-            |(scan, plane), (row, to)| {
+            || (ColumnScan::new(&self.setup.workspace), vec![0u8; nx * ny], vec![0u8; ny]),
+            |(scan, plane, column), (row, to)| {
                 let (k, bevel) = (row / 2, row % 2);
-                let sign = if bevel == 1 { 1.0 } else { -1.0 };
-                let fractions = (1..=*arc_samples).map(|sample| sample as f64 / *arc_samples as f64);
-                let arc: Vec<[f64; 2]> = fractions.map(|t| needle.displacement(needle.heading(k), sign, t)).collect();
-                plane.fill(outcome::CONTINUES);
-                for (i, column) in plane.chunks_exact_mut(ny).enumerate() {
-                    for [dx, dy] in &arc {
-                        scan.mark(i as f64 * spacing[0] + dx, *dy, spacing[1], column);
+                for (i, codes) in plane.chunks_exact_mut(ny).enumerate() {
+                    if self.region_of.is_empty() {
+                        self.mark_column(scan, &self.regions[0], (i, k, bevel), &points, codes);
+                    } else {
+                        let here = &self.region_of[i * ny..][..ny];
+                        for (number, region) in self.regions.iter().enumerate() {
+                            if !here.contains(&(number as u8)) {
+                                continue;
+                            }
+                            self.mark_column(scan, region, (i, k, bevel), &points, column);
+                            let pairs = codes.iter_mut().zip(&*column).zip(here);
+                            let mine = pairs.filter(|(_, region)| usize::from(**region) == number);
+                            mine.for_each(|((code, marked), _)| *code = *marked);
+                        }
                     }
-                    if self.setup.transition == Transition::Nearest {
-                        self.mark_landings(i, self.stencil[k][bevel], &points, column);
-                    }
-                    for (code, absorbing) in column.iter_mut().zip(&absorbing[i * ny..]) {
+                    for (code, absorbing) in codes.iter_mut().zip(&absorbing[i * ny..]) {
                         *code = if *absorbing != 0 { *absorbing } else { *code };
                     }
                 }
@@ -340,6 +348,28 @@ impl LatticeMdp {
             },
         );
         outcomes
+    }
+
+    /// The outcomes of the steps from grid column `i`, as if it were all of one region.
+    fn mark_column(
+        &self,
+        scan: &mut ColumnScan<'_>,
+        region: &Region,
+        (i, k, bevel): (usize, usize, usize),
+        points: &[u8],
+        codes: &mut [u8],
+    ) {
+        let Setup { spacing, arc_samples, transition, .. } = &self.setup;
+        let sign = if bevel == 1 { 1.0 } else { -1.0 };
+        codes.fill(outcome::CONTINUES);
+        for sample in 1..=*arc_samples {
+            let t = sample as f64 / *arc_samples as f64;
+            let [dx, dy] = region.needle.displacement(region.needle.heading(k), sign, t);
+            scan.mark(i as f64 * spacing[0] + dx, dy, spacing[1], codes);
+        }
+        if *transition == Transition::Nearest {
+            self.mark_landings(i, region.stencil[k][bevel], points, codes);
+        }
     }
 
     /// For nearest transitions, what the point landed on does to steps that go on so far.
@@ -359,6 +389,50 @@ impl LatticeMdp {
         fill(column, 0..low, Event::Exit);
         fill(column, high..ny, Event::Exit);
     }
+}
+
+/// Grid points at which the needle bends with one radius.
+#[derive(Debug, Clone)]
+pub(crate) struct Region {
+    pub needle: Bicycle,
+    /// Cost of a step.
+    pub step: f64,
+    /// `[heading][arriving bevel]`.
+    pub stencil: Vec<[Shift; 2]>,
+}
+
+impl Region {
+    fn new(needle: Bicycle, setup: &Setup, shape: Shape) -> Self {
+        let shift = |k: usize, bevel: f64| {
+            let displacement = needle.displacement(needle.heading(k), bevel, 1.0);
+            Shift::new(displacement, setup.spacing, setup.transition, [shape.nx, shape.ny])
+        };
+        let stencil = (0..shape.headings).map(|k| [-1.0, 1.0].map(|bevel| shift(k, bevel))).collect();
+        Region { needle, step: setup.costs.step * (needle.radius / setup.needle.radius), stencil }
+    }
+}
+
+/// The regions, and which of them each grid point is in; nothing for a single one.
+fn regions(setup: &Setup, shape: Shape) -> Result<(Vec<Region>, Vec<u8>)> {
+    if setup.tissues.is_uniform() {
+        return Ok((vec![Region::new(setup.needle, setup, shape)], Vec::new()));
+    }
+    let mut regions: Vec<Region> = Vec::new();
+    let mut region_of = Vec::with_capacity(shape.nx * shape.ny);
+    for (i, j) in (0..shape.nx).flat_map(|i| (0..shape.ny).map(move |j| (i, j))) {
+        let place = [i as f64 * setup.spacing[0], j as f64 * setup.spacing[1]];
+        let needle = setup.tissues.needle_at(setup.needle, place);
+        let known = regions.iter().position(|region| region.needle.radius == needle.radius);
+        let number = known.unwrap_or_else(|| {
+            regions.push(Region::new(needle, setup, shape));
+            regions.len() - 1
+        });
+        if number > usize::from(u8::MAX) {
+            return Err(parameter("curvature_radius_mm", "more than 256 radii", "must be at most 256 different ones"));
+        }
+        region_of.push(number as u8);
+    }
+    Ok((regions, region_of))
 }
 
 /// What the grid points are: 0, or the event there. A point beyond the border (where an extent is no multiple of the

@@ -14,7 +14,7 @@ use crate::lattice::field::Field;
 use crate::lattice::kernel::Numbers;
 use crate::lattice::plane::{Plane, copy};
 use crate::lattice::real::Real;
-use crate::lattice::{LANES, LatticeMdp, Shift};
+use crate::lattice::{LANES, LatticeMdp, Region, Shift};
 use crate::memory::Array;
 
 /// W of the last columns, the values at the ends, and the steps of the headings of a sector.
@@ -35,7 +35,7 @@ pub(crate) struct Sector<T: Copy> {
     slots: usize,
     /// `[u][count][bevel][lanes]`: whether the policy turns the needle; empty without a policy.
     pub turns: Array<u8>,
-    /// `[count][bevel]`, along (u, v).
+    /// `[region][count][bevel]`, along (u, v).
     pub shifts: Vec<[Shift; 2]>,
     /// Whether every step reads only columns further downstream, as it does unless the grid is coarse for the step.
     pub downstream: bool,
@@ -55,9 +55,11 @@ impl<T: Real> Sector<T> {
         let Task { lattice, noise, numbers } = task;
         let headings = lattice.shape.headings;
         let extent = arc.extent(lattice.shape);
-        let shifts: Vec<[Shift; 2]> = (0..arc.count)
-            .map(|q| lattice.stencil[arc.heading(q, headings)].map(|shift| arc.direction.orient(shift)))
-            .collect();
+        let oriented = |region: &Region, q: usize| {
+            region.stencil[arc.heading(q, headings)].map(|shift| arc.direction.orient(shift))
+        };
+        let by_heading = |region| (0..arc.count).map(move |q| oriented(region, q));
+        let shifts: Vec<[Shift; 2]> = lattice.regions.iter().flat_map(by_heading).collect();
         let downstream = shifts.iter().flatten().all(|shift| shift.cell[0] > 0);
         let reach = |axis: usize| {
             shifts.iter().flatten().map(|shift| shift.cell[axis].unsigned_abs() as usize + 1).max().unwrap_or(1)

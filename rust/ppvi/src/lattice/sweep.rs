@@ -22,9 +22,9 @@ use std::time::Instant;
 use crate::error::Result;
 use crate::lattice::endings::{Endings, endings};
 use crate::lattice::engine::{Engine, Tables};
-use crate::lattice::kernel::Numbers;
+use crate::lattice::kernel::{Numbers, Step};
 use crate::lattice::real::Real;
-use crate::lattice::{LatticeMdp, Shift, outcome};
+use crate::lattice::{LatticeMdp, Region, Shift, outcome};
 use crate::mdp::Mdp;
 use crate::proper::proper_states;
 use crate::solution::Report;
@@ -46,11 +46,14 @@ pub struct LatticeSolution {
 
 /// The numbers of the planning problem itself.
 fn planning_numbers(lattice: &LatticeMdp) -> Numbers<f64> {
-    let c = &lattice.setup.costs;
+    let costs = &lattice.setup.costs;
     let at_obstacle = lattice.value_at(outcome::AT_OBSTACLE);
-    let (collision, exit) = (c.step + c.collision, c.step + c.exit);
-    let ended = [0.0, c.step, collision, exit, at_obstacle, 0.0, lattice.value_outside(), f64::INFINITY];
-    Numbers { step: c.step, rotation: c.rotation, discount: c.discount, ended }
+    let step = |region: &Region| {
+        let (cost, outside) = (region.step, lattice.value_outside());
+        let (collision, exit) = (cost + costs.collision, cost + costs.exit);
+        Step { cost, ended: [0.0, cost, collision, exit, at_obstacle, 0.0, outside, f64::INFINITY] }
+    };
+    Numbers { rotation: costs.rotation, discount: costs.discount, steps: lattice.regions.iter().map(step).collect() }
 }
 
 /// The endings with the states marked from which no policy surely ends, which have an infinite value without a
@@ -58,7 +61,9 @@ fn planning_numbers(lattice: &LatticeMdp) -> Numbers<f64> {
 /// no search. Both bevels of a pose have the same two steps to choose from, so both are endless, and so are both steps.
 fn with_endless_states(lattice: &LatticeMdp) -> Option<Endings> {
     let stands_still = |shift: &Shift| shift.cell == [0, 0] && shift.fraction == [0.0, 0.0];
-    if lattice.discount() < 1.0 || !lattice.stencil.iter().flatten().any(stands_still) {
+    if lattice.discount() < 1.0
+        || !lattice.regions.iter().flat_map(|region| &region.stencil).flatten().any(stands_still)
+    {
         return None;
     }
     let proper = proper_states(lattice);

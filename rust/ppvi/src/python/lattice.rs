@@ -14,6 +14,7 @@ use crate::lattice::evaluation::{self, Evaluation};
 use crate::lattice::sweep;
 use crate::lattice::{Costs, LatticeMdp, Setup, Shape, Transition};
 use crate::rollout::{Execution, Executor};
+use crate::tissues::Tissues;
 use crate::workspace::{Event, Polygon, Workspace};
 use crate::{Mdp, PrioritizedOptions, Report, Solution, TabularMdp, prioritized, value_iteration};
 
@@ -55,7 +56,8 @@ impl Lattice {
 impl Lattice {
     #[new]
     #[pyo3(signature = (*, width_mm, height_mm, spacing_mm, polygons, target_center_mm, target_radius_mm, curvature_radius_mm,
-        headings, tip_noise, arc_samples, interpolated, insertion_per_mm, rotation, collision, exit, discount))]
+        headings, tip_noise, arc_samples, interpolated, insertion_per_mm, rotation, collision, exit, discount,
+        layers=Vec::new(), tissues=Vec::new()))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -75,13 +77,18 @@ impl Lattice {
         collision: f64,
         exit: f64,
         discount: f64,
+        layers: Vec<(f64, f64)>,
+        tissues: Vec<(Vec<[f64; 2]>, f64)>,
     ) -> PyResult<Self> {
         let obstacles = polygons.into_iter().map(Polygon::new).collect::<crate::Result<_>>()?;
         let workspace = Workspace::new([width_mm, height_mm], obstacles, target_center_mm, target_radius_mm)?;
         let needle = Bicycle::new(curvature_radius_mm, headings)?;
         let costs = Costs { step: insertion_per_mm * needle.step_length(), rotation, collision, exit, discount };
         let transition = if interpolated { Transition::Interpolated } else { Transition::Nearest };
-        let setup = Setup { workspace, needle, spacing: spacing_mm, noise: tip_noise, arc_samples, transition, costs };
+        let region = |(polygon, radius)| Ok((Polygon::new(polygon)?, radius));
+        let tissues = Tissues::new(layers, tissues.into_iter().map(region).collect::<crate::Result<_>>()?)?;
+        let setup =
+            Setup { workspace, needle, spacing: spacing_mm, noise: tip_noise, arc_samples, transition, costs, tissues };
         Ok(Lattice { lattice: py.detach(|| LatticeMdp::new(setup))? })
     }
 

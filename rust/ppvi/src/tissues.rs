@@ -1,0 +1,67 @@
+//! Where the needle bends how much: layers by depth, and regions.
+
+use crate::bicycle::Bicycle;
+use crate::error::{Result, parameter};
+use crate::workspace::Polygon;
+
+/// The radius of curvature by place; without layers and regions it is the needle's everywhere.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Tissues {
+    /// (from x, mm; radius, mm), by increasing x.
+    layers: Vec<(f64, f64)>,
+    /// (region, radius, mm); of overlapping ones the last counts.
+    regions: Vec<(Polygon, f64)>,
+}
+
+impl Tissues {
+    /// Layers hold from their x on, regions inside and on their polygon, over the layers.
+    pub fn new(layers: Vec<(f64, f64)>, regions: Vec<(Polygon, f64)>) -> Result<Self> {
+        if layers.iter().any(|(from, _)| !from.is_finite()) || !layers.is_sorted_by(|a, b| a.0 < b.0) {
+            return Err(parameter("layers", format!("{layers:?}"), "must begin at increasing finite depths"));
+        }
+        let radii = layers.iter().map(|layer| layer.1).chain(regions.iter().map(|region| region.1));
+        if let Some(radius) = radii.into_iter().find(|radius| !(*radius > 0.0 && radius.is_finite())) {
+            return Err(parameter("curvature_radius_mm", radius, "must be positive and finite"));
+        }
+        Ok(Tissues { layers, regions })
+    }
+
+    /// Whether the needle bends the same everywhere.
+    pub fn is_uniform(&self) -> bool {
+        self.layers.is_empty() && self.regions.is_empty()
+    }
+
+    /// The needle as it bends at a place, mm.
+    pub fn needle_at(&self, needle: Bicycle, place: [f64; 2]) -> Bicycle {
+        let region = self.regions.iter().rev().find(|(polygon, _)| polygon.contains(place)).map(|region| region.1);
+        let layer = || self.layers.iter().rev().find(|(from, _)| *from <= place[0]).map(|layer| layer.1);
+        Bicycle { radius: region.or_else(layer).unwrap_or(needle.radius), ..needle }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_region_counts_before_layers_before_the_needle() {
+        let square =
+            |low: f64, high: f64| Polygon::new(vec![[low, low], [high, low], [high, high], [low, high]]).unwrap();
+        let tissues =
+            Tissues::new(vec![(10.0, 50.0), (20.0, 60.0)], vec![(square(5.0, 15.0), 70.0), (square(12.0, 30.0), 80.0)])
+                .unwrap();
+        let needle = Bicycle::new(40.0, 60).unwrap();
+        let radius = |x, y| tissues.needle_at(needle, [x, y]).radius;
+        assert_eq!(
+            [radius(0.0, 0.0), radius(10.0, 0.0), radius(19.9, 0.0), radius(25.0, 0.0)],
+            [40.0, 50.0, 50.0, 60.0]
+        );
+        assert_eq!(
+            [radius(6.0, 6.0), radius(13.0, 13.0), radius(30.0, 30.0), radius(15.0, 5.0)],
+            [70.0, 80.0, 80.0, 70.0]
+        );
+        assert!(Tissues::default().is_uniform() && !tissues.is_uniform());
+        assert!(Tissues::new(vec![(5.0, 1.0), (5.0, 2.0)], vec![]).is_err());
+        assert!(Tissues::new(vec![(5.0, f64::NAN)], vec![]).is_err());
+    }
+}
