@@ -15,6 +15,7 @@
 //! is an [`Mdp`](crate::Mdp) like any other, with the states numbered as in the table: `((i * ny + j) * headings + k) * 2 + b`.
 
 pub(crate) mod backup;
+mod classification;
 mod definition;
 pub(crate) mod direction;
 pub(crate) mod endings;
@@ -25,21 +26,20 @@ pub(crate) mod halo;
 pub(crate) mod kernel;
 pub(crate) mod plane;
 pub(crate) mod real;
+pub(crate) mod region;
 pub(crate) mod sector;
 pub(crate) mod store;
 pub mod sweep;
-
-use rayon::prelude::*;
 
 use crate::bicycle::Bicycle;
 use crate::error::{Error, Result, parameter};
 use crate::lattice::direction::Direction;
 use crate::lattice::endings::{Endings, endings};
-use crate::lattice::plane::{Plane, copy};
-use crate::memory::filled;
+pub use crate::lattice::region::Shift;
+use crate::lattice::region::{Region, regions};
 use crate::partition::Partition;
 use crate::tissues::Tissues;
-use crate::workspace::{ColumnScan, Event, Workspace, fill, grid_points};
+use crate::workspace::{Workspace, grid_points};
 
 /// Outcome codes of a step; [`Event`]s have the same numbers.
 pub mod outcome {
@@ -125,45 +125,6 @@ pub enum Transition {
     Nearest,
     /// To the four grid points around it, with bilinear weights: unbiased.
     Interpolated,
-}
-
-/// A displacement in grid cells: whole cells, and the fraction of a cell beyond them (zero for nearest transitions).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Shift {
-    /// Whole cells along x and y.
-    pub cell: [i32; 2],
-    /// Fractions in [0, 1).
-    pub fraction: [f64; 2],
-}
-
-impl Shift {
-    fn new(displacement: [f64; 2], spacing: [f64; 2], transition: Transition, points: [usize; 2]) -> Self {
-        let mut shift = Shift { cell: [0; 2], fraction: [0.0; 2] };
-        for axis in 0..2 {
-            let cells = displacement[axis] / spacing[axis];
-            let whole = match transition {
-                Transition::Nearest => nearest_cell(cells),
-                // A fraction that is zero but for rounding must not ask for the point one cell further.
-                Transition::Interpolated if (cells - cells.round()).abs() < 1e-9 => cells.round(),
-                Transition::Interpolated => cells.floor(),
-            };
-            // Anything beyond the grid is as far as anything else there.
-            let beyond = points[axis] as f64 + 1.0;
-            shift.cell[axis] = whole.clamp(-beyond, beyond) as i32;
-            if transition == Transition::Interpolated {
-                shift.fraction[axis] = (cells - whole).max(0.0);
-                if shift.fraction[axis] < 1e-9 {
-                    shift.fraction[axis] = 0.0;
-                }
-            }
-        }
-        shift
-    }
-}
-
-/// The nearest whole number; halves, to within rounding, away from zero, so that mirrored steps land on mirrored points.
-fn nearest_cell(cells: f64) -> f64 {
-    (cells.abs() + 0.5 + 1e-9).floor().copysign(cells)
 }
 
 /// What a lattice is made from.
@@ -307,144 +268,6 @@ impl LatticeMdp {
             Transition::Nearest => 0.0,
         }
     }
-
-    fn classify(&self) -> Vec<u8> {
-        let Shape { nx, ny, headings } = self.shape;
-        let points = classify_points(self.shape, &self.setup);
-        let absorbing = points.iter().map(|code| match *code {
-            outcome::TARGET => outcome::AT_TARGET,
-            outcome::COLLISION => outcome::AT_OBSTACLE,
-            _ => 0,
-        });
-        let absorbing: Vec<u8> = absorbing.collect();
-        let mut outcomes = filled(0u8, headings * 2 * nx * ny);
-        outcomes.par_chunks_mut(nx * ny).enumerate().for_each_init(
-            || (ColumnScan::new(&self.setup.workspace), vec![0u8; nx * ny], vec![0u8; ny]),
-            |(scan, plane, column), (row, to)| {
-                let (k, bevel) = (row / 2, row % 2);
-                for (i, codes) in plane.chunks_exact_mut(ny).enumerate() {
-                    if self.region_of.is_empty() {
-                        self.mark_column(scan, &self.regions[0], (i, k, bevel), &points, codes);
-                    } else {
-                        let here = &self.region_of[i * ny..][..ny];
-                        for (number, region) in self.regions.iter().enumerate() {
-                            if !here.contains(&(number as u8)) {
-                                continue;
-                            }
-                            self.mark_column(scan, region, (i, k, bevel), &points, column);
-                            let pairs = codes.iter_mut().zip(&*column).zip(here);
-                            let mine = pairs.filter(|(_, region)| usize::from(**region) == number);
-                            mine.for_each(|((code, marked), _)| *code = *marked);
-                        }
-                    }
-                    for (code, absorbing) in codes.iter_mut().zip(&absorbing[i * ny..]) {
-                        *code = if *absorbing != 0 { *absorbing } else { *code };
-                    }
-                }
-                let vertical = self.directions[k].is_vertical();
-                let from = Plane { start: 0, stride: ny, reversed: false };
-                let into = Plane { start: 0, stride: if vertical { nx } else { ny }, reversed: false };
-                copy((plane, from), (to, into), [nx, ny], vertical, |code| code);
-            },
-        );
-        outcomes
-    }
-
-    /// The outcomes of the steps from grid column `i`, as if it were all of one region.
-    fn mark_column(
-        &self,
-        scan: &mut ColumnScan<'_>,
-        region: &Region,
-        (i, k, bevel): (usize, usize, usize),
-        points: &[u8],
-        codes: &mut [u8],
-    ) {
-        let Setup { spacing, arc_samples, transition, .. } = &self.setup;
-        let sign = if bevel == 1 { 1.0 } else { -1.0 };
-        codes.fill(outcome::CONTINUES);
-        for sample in 1..=*arc_samples {
-            let t = sample as f64 / *arc_samples as f64;
-            let [dx, dy] = region.needle.displacement(region.needle.heading(k), sign, t);
-            scan.mark(i as f64 * spacing[0] + dx, dy, spacing[1], codes);
-        }
-        if *transition == Transition::Nearest {
-            self.mark_landings(i, region.stencil[k][bevel], points, codes);
-        }
-    }
-
-    /// For nearest transitions, what the point landed on does to steps that go on so far.
-    fn mark_landings(&self, i: usize, shift: Shift, points: &[u8], column: &mut [u8]) {
-        let Shape { nx, ny, .. } = self.shape;
-        let to_i = i as i64 + i64::from(shift.cell[0]);
-        let move_j = i64::from(shift.cell[1]);
-        let on = (0..nx as i64).contains(&to_i);
-        let low = if on { (-move_j).clamp(0, ny as i64) as usize } else { ny };
-        let high = if on { (ny as i64 - move_j).clamp(low as i64, ny as i64) as usize } else { ny };
-        if low < high {
-            let landing = &points[to_i as usize * ny + (low as i64 + move_j) as usize..][..high - low];
-            for (code, landing) in column[low..high].iter_mut().zip(landing) {
-                *code = if *code == outcome::CONTINUES { *landing } else { *code };
-            }
-        }
-        fill(column, 0..low, Event::Exit);
-        fill(column, high..ny, Event::Exit);
-    }
-}
-
-/// Grid points at which the needle bends with one radius.
-#[derive(Debug, Clone)]
-pub(crate) struct Region {
-    pub needle: Bicycle,
-    /// Cost of a step.
-    pub step: f64,
-    /// `[heading][arriving bevel]`.
-    pub stencil: Vec<[Shift; 2]>,
-}
-
-impl Region {
-    fn new(needle: Bicycle, setup: &Setup, shape: Shape) -> Self {
-        let shift = |k: usize, bevel: f64| {
-            let displacement = needle.displacement(needle.heading(k), bevel, 1.0);
-            Shift::new(displacement, setup.spacing, setup.transition, [shape.nx, shape.ny])
-        };
-        let stencil = (0..shape.headings).map(|k| [-1.0, 1.0].map(|bevel| shift(k, bevel))).collect();
-        Region { needle, step: setup.costs.step * (needle.radius / setup.needle.radius), stencil }
-    }
-}
-
-/// The regions, and which of them each grid point is in; nothing for a single one.
-fn regions(setup: &Setup, shape: Shape) -> Result<(Vec<Region>, Vec<u8>)> {
-    if setup.tissues.is_uniform() {
-        return Ok((vec![Region::new(setup.needle, setup, shape)], Vec::new()));
-    }
-    let mut regions: Vec<Region> = Vec::new();
-    let mut region_of = Vec::with_capacity(shape.nx * shape.ny);
-    for (i, j) in (0..shape.nx).flat_map(|i| (0..shape.ny).map(move |j| (i, j))) {
-        let place = [i as f64 * setup.spacing[0], j as f64 * setup.spacing[1]];
-        let needle = setup.tissues.needle_at(setup.needle, place);
-        let known = regions.iter().position(|region| region.needle.radius == needle.radius);
-        let number = known.unwrap_or_else(|| {
-            regions.push(Region::new(needle, setup, shape));
-            regions.len() - 1
-        });
-        if number > usize::from(u8::MAX) {
-            return Err(parameter("curvature_radius_mm", "more than 256 radii", "must be at most 256 different ones"));
-        }
-        region_of.push(number as u8);
-    }
-    Ok((regions, region_of))
-}
-
-/// What the grid points are: 0, or the event there. A point beyond the border (where an extent is no multiple of the
-/// spacing) is a point still, so its exit does not count.
-fn classify_points(shape: Shape, setup: &Setup) -> Vec<u8> {
-    let mut points = vec![0u8; shape.nx * shape.ny];
-    let mut scan = ColumnScan::new(&setup.workspace);
-    for (i, column) in points.chunks_exact_mut(shape.ny).enumerate() {
-        scan.mark(i as f64 * setup.spacing[0], 0.0, setup.spacing[1], column);
-        column.iter_mut().for_each(|code| *code = if *code == outcome::EXIT { 0 } else { *code });
-    }
-    points
 }
 
 fn validate_noise(noise: &[f64]) -> Result<()> {
