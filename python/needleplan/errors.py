@@ -3,6 +3,8 @@
 ::
 
     NeedleplanError
+    ├── DeviceFault             a device cannot be used: says which, and why
+    │   └── LinkClosed          the way to it is gone
     └── InputError              what was supplied is wrong: names the source, the key, the value and the rule
         ├── ScenarioError       a scenario, or the file it came from
         ├── PoseError           a pose outside the table, or not a number
@@ -24,7 +26,9 @@ from dataclasses import dataclass
 __all__ = [
     "ChecksumError",
     "DataError",
+    "DeviceFault",
     "InputError",
+    "LinkClosed",
     "MdpError",
     "Mistake",
     "ModelError",
@@ -58,6 +62,14 @@ class Mistake:
 
 class NeedleplanError(Exception):
     """Root of all exceptions that needleplan raises on purpose."""
+
+
+class DeviceFault(NeedleplanError):
+    """A device cannot be used; the message says which and why."""
+
+
+class LinkClosed(DeviceFault):
+    """The way to a device is gone."""
 
 
 class InputError(NeedleplanError):
