@@ -18,8 +18,8 @@
 //!
 //! * [`TabularMdp`]: explicit sparse rows, validated; anybody's problem.
 //! * [`lattice::LatticeMdp`]: a needle in a plane. Positions on a grid, headings on a circle, two bevel sides; a step
-//!   moves by a stencil that depends on heading and bevel only, and noise is a convolution along the headings. Nothing
-//!   but a byte a state is stored, and a backup is a few vector operations.
+//!   moves by a stencil that depends on heading, bevel and the curvature of the region only, and noise is a convolution
+//!   along the headings. Nothing but a byte a state is stored, and a backup is a few vector operations.
 //!
 //! Both are an [`Mdp`], so each is the other's oracle: [`TabularMdp::from_mdp`] expands a lattice.
 //!

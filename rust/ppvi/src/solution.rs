@@ -7,7 +7,7 @@ use crate::termination::Status;
 pub struct Report {
     /// How the solve ended.
     pub status: Status,
-    /// max |TV - V| of the values returned, computed exactly (not the last change).
+    /// max |TV - V| of the values returned: computed exactly, by `lattice::sweep` a bound on it (never the last change).
     pub residual: f64,
     /// Proven bound on max |V - V*|; infinite where the problem gives none.
     pub error_bound: f64,

@@ -2,10 +2,10 @@
 //!
 //! A state is `(i, j, k, b)`: grid column, grid row, heading index, bevel (0: -1, 1: +1). Action 0 inserts, action 1
 //! turns the needle by 180 degrees and then inserts, so the step always *arrives* with a bevel b' = b xor action.
-//! What the step does depends on (k, b') alone, not on the action:
+//! What the step does depends on (k, b') and the region of equal curvature, not on the action:
 //!
 //! ```text
-//! position   moves by stencil[k][b'], the same for every grid point        (a displacement stencil)
+//! position   moves by stencil[k][b'], the same all over a region           (a displacement stencil)
 //! heading    k + (b' ? +1 : -1) + m with probability noise[|m|]            (a circular convolution)
 //! outcome    continues, or ends at target, obstacle or border              (2-3 bits, from `workspace`)
 //! ```

@@ -6,7 +6,8 @@
 //! waves of a pass, and the sectors of a wave run side by side. Between waves each sector takes a copy of the few
 //! headings beyond its ends (`halo`). Nothing else is shared, so the result does not depend on the number of threads.
 //!
-//! A pass is n backups, and about five passes are enough where Jacobi sweeps need eighty; see the benches.
+//! A pass is n backups, and about five passes are enough where Jacobi sweeps need eighty, and one more that writes the
+//! tables; see the benches.
 //!
 //! *Start.* V = the cheaper of the two failures, since that is what most of a hard workspace is worth.
 //!
