@@ -33,9 +33,10 @@ class Stats:
     """Counts, proofs and times of a solve.
 
     `sweeps` is `backups` in units of the number of states; `residual` is the largest Bellman residual max |TV - V| of
-    the values (a bound on it for the directional sweeps); `error_bound` bounds max |V - V*|, infinite where the problem gives no bound. `partitions_processed`
-    counts every visit of a partition; `order` lists the partitions that were visited at all, ix * py + iy, in the order
-    of their first visit (for the directional sweeps: their sectors). `seconds` is the time from scenario to table.
+    the values (a bound on it for the directional sweeps); `error_bound` bounds max |V - V*|, infinite where the problem
+    gives no bound. `partitions_processed` counts every visit of a partition; `order` lists the partitions that were
+    visited at all, ix * py + iy, in the order of their first visit (for the directional sweeps: their sectors).
+    `seconds` is the time from scenario to table.
     """
 
     states: int
