@@ -86,7 +86,10 @@ class _Dependencies(TypedDict):
 
 @final
 class Lattice:
-    """The MDP of a bevel-tip needle on a grid."""
+    """The MDP of a bevel-tip needle on a grid.
+
+    `layers` are (from_mm, curvature_radius_mm), `tissues` (polygon, curvature_radius_mm): where another radius holds.
+    """
 
     def __new__(
         cls,
@@ -107,6 +110,8 @@ class Lattice:
         collision: float,
         exit: float,
         discount: float,
+        layers: Sequence[tuple[float, float]] = ...,
+        tissues: Sequence[tuple[Sequence[tuple[float, float]], float]] = ...,
     ) -> Lattice: ...
     @property
     def shape(self) -> tuple[int, int, int, int]: ...

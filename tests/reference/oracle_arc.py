@@ -3,6 +3,9 @@
 Tests are closed, and coordinates are computed in floating point, so every test has the same tolerance
 `TOLERANCE_MM`: a point that lies on an edge in exact arithmetic counts as on it. An end point exactly halfway
 between two grid points goes up (`nearest_index`); the definition does not say.
+
+The radius of an arc is that of the place where it starts: of the last tissue polygon that holds the point, else of the
+last layer with from_mm <= x, else of the needle. Its length is that radius times alpha.
 """
 
 from dataclasses import dataclass
@@ -43,6 +46,8 @@ class Problem:
     collision: float
     exit: float
     discount: float
+    layers: tuple[tuple[float, float], ...] = ()  # from x, radius
+    tissues: tuple[tuple[shapely.Polygon, float], ...] = ()  # region, radius
 
     @property
     def nx(self) -> int:
@@ -55,10 +60,6 @@ class Problem:
     @property
     def alpha(self) -> float:
         return 2.0 * np.pi / self.headings
-
-    @property
-    def step_mm(self) -> float:
-        return self.rho * self.alpha
 
 
 def problem_from(scenario: dict[str, Any]) -> Problem:
@@ -88,15 +89,38 @@ def problem_from(scenario: dict[str, Any]) -> Problem:
         collision=float(objective["collision"]),
         exit=float(objective["exit"]),
         discount=float(objective["discount"]),
+        layers=tuple((each["from_mm"], each["curvature_radius_mm"]) for each in scenario["needle"].get("layer", [])),
+        tissues=tuple(
+            (shapely.Polygon(each["polygon_mm"]), each["curvature_radius_mm"]) for each in scenario.get("tissue", [])
+        ),
     )
+
+
+def radius_at(problem: Problem, x: Floats, y: Floats) -> Floats:
+    """The radius of an arc that starts at (x, y)."""
+    radius = np.full(x.shape, problem.rho)
+    for from_mm, rho in problem.layers:
+        radius = np.where(x >= from_mm - TOLERANCE_MM, rho, radius)
+    for polygon, rho in problem.tissues:
+        radius = np.where(shapely.dwithin(polygon, shapely.points(x, y), TOLERANCE_MM), rho, radius)
+    return radius
 
 
 def arc_point(problem: Problem, x: Floats, y: Floats, theta: Floats, bevel: Ints, t: float) -> tuple[Floats, Floats]:
     """The point at the fraction t of the arc that starts at (x, y, theta)."""
-    turned = theta + bevel * problem.alpha * t
+    x_end, y_end, _ = turned_by(radius_at(problem, x, y), problem.alpha * t, x, y, theta, bevel)
+    return x_end, y_end
+
+
+def turned_by(
+    rho: Floats, angle: Floats | float, x: Floats, y: Floats, theta: Floats, bevel: Ints
+) -> tuple[Floats, Floats, Floats]:
+    """The pose after an arc of one radius that turns the heading by `angle`."""
+    turned = theta + bevel * angle
     return (
-        x + problem.rho * bevel * (np.sin(turned) - np.sin(theta)),
-        y - problem.rho * bevel * (np.cos(turned) - np.cos(theta)),
+        x + rho * bevel * (np.sin(turned) - np.sin(theta)),
+        y - rho * bevel * (np.cos(turned) - np.cos(theta)),
+        turned,
     )
 
 
@@ -125,6 +149,23 @@ def follow_arc(problem: Problem, x: Floats, y: Floats, theta: Floats, bevel: Int
         here = point_event(problem, x_end, y_end)
         event = np.where(event == GOES_ON, here, event)
     return event, x_end, y_end
+
+
+def follow_pieces(
+    problem: Problem, x: Floats, y: Floats, theta: Floats, bevel: Ints
+) -> tuple[Kinds, Floats, Floats, Floats]:
+    """The first event along a step of the continuous needle, and the pose at its end.
+
+    The step is as long as the radius where it starts says; it consists of pieces of one length, as many as there are
+    samples, and each has the radius of the place where it starts.
+    """
+    event = np.full(x.shape, GOES_ON, dtype=np.int8)
+    piece = radius_at(problem, x, y) * problem.alpha / problem.samples
+    for _ in range(problem.samples):
+        rho = radius_at(problem, x, y)
+        x, y, theta = turned_by(rho, piece / rho, x, y, theta, bevel)
+        event = np.where(event == GOES_ON, point_event(problem, x, y), event)
+    return event, x, y, theta
 
 
 def nearest_index(coordinate: Floats, spacing: float) -> Ints:

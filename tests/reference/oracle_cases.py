@@ -38,14 +38,18 @@ def case(
     spacing: tuple[float, float] = (1.0, 1.0),
     transition: str = "nearest",
     objective: tuple[float, float, float, float, float] = (1.0, 4.0, 10000.0, 10000.0, 1.0),
+    layers: tuple[tuple[float, float], ...] = (),  # from x, radius
+    tissues: tuple[tuple[list[list[float]], float], ...] = (),
 ) -> dict[str, Any]:
     """Return what tomllib would; `objective` is insertion per mm, rotation, collision, exit, discount."""
     names = ("insertion_per_mm", "rotation", "collision", "exit", "discount")
+    layer = [{"from_mm": start, "curvature_radius_mm": radius} for start, radius in layers]
     return {
         "workspace": {"width_mm": size[0], "height_mm": size[1]},
         "obstacle": [{"name": f"obstacle {n}", "polygon_mm": polygon} for n, polygon in enumerate(obstacles)],
         "target": {"center_mm": list(target[:2]), "radius_mm": target[2]},
-        "needle": {"curvature_radius_mm": rho},
+        "needle": {"curvature_radius_mm": rho, "layer": layer},
+        "tissue": [{"polygon_mm": polygon, "curvature_radius_mm": radius} for polygon, radius in tissues],
         "motion": {"headings": headings, "tip_noise": list(noise), "arc_samples": samples},
         "grid": {"spacing_mm": list(spacing), "transition": transition},
         "objective": dict(zip(names, objective, strict=True)),
@@ -77,7 +81,9 @@ def toml_text(scenario: dict[str, Any], **solver: Any) -> str:
     for name, table in (*scenario.items(), ("solver", solver)):
         for entry in table if isinstance(table, list) else [table]:
             lines.append(f"[[{name}]]" if isinstance(table, list) else f"[{name}]")
-            lines += [f"{key} = {json.dumps(value)}" for key, value in entry.items()]
+            lines += [f"{key} = {json.dumps(value)}" for key, value in entry.items() if key != "layer"]
+            for layer in entry.get("layer", []):
+                lines += ["[[needle.layer]]", *(f"{key} = {json.dumps(value)}" for key, value in layer.items())]
     return "\n".join(lines) + "\n"
 
 
@@ -85,6 +91,6 @@ def mirrored(scenario: dict[str, Any]) -> dict[str, Any]:
     """Return the scenario reflected about y = height/2."""
     result, height = copy.deepcopy(scenario), scenario["workspace"]["height_mm"]
     result["target"]["center_mm"][1] = height - scenario["target"]["center_mm"][1]
-    for obstacle in result["obstacle"]:
-        obstacle["polygon_mm"] = [[x, height - y] for x, y in obstacle["polygon_mm"]]
+    for region in (*result["obstacle"], *result["tissue"]):
+        region["polygon_mm"] = [[x, height - y] for x, y in region["polygon_mm"]]
     return result

@@ -4,7 +4,8 @@ It shares no code with the package. It exists to be read beside the definition a
 
 * Grid points x = i*dx, y = j*dy, headings theta_k = k*alpha with alpha = 2*pi/headings, bevel b in {-1, +1}.
 * Action 0 inserts (b' = b), action 1 rotates and inserts (b' = -b). A step is an arc of length rho*alpha:
-  x' = x + rho*b'*(sin(theta + b'*alpha) - sin(theta)),  y' = y - rho*b'*(cos(theta + b'*alpha) - cos(theta)).
+  x' = x + rho*b'*(sin(theta + b'*alpha) - sin(theta)),  y' = y - rho*b'*(cos(theta + b'*alpha) - cos(theta)),
+  with the rho of the grid point (`radius_at`).
 * The points of the arc at t = 1/S, ..., 1 are tested in order: outside the closed workspace, inside or on a polygon,
   within the target radius. The first event ends the execution.
 * "nearest": otherwise the tip lands on the nearest grid point; an obstacle point is a collision, a target point the
@@ -36,6 +37,7 @@ from oracle_arc import (
     follow_arc,
     nearest_index,
     point_event,
+    radius_at,
 )
 
 
@@ -52,6 +54,7 @@ class Mdp:
     corner: Ints
     weight: Floats
     tie_mm: float  # smallest distance of an end point from the halfway line between two grid points
+    insertion: Floats  # cost of the length of a step, by the grid point where it starts; axes [x, y, 1, 1]
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,9 @@ def build(problem: Problem) -> Mdp:
     tie = np.minimum(
         np.abs(x_end / problem.dx % 1.0 - 0.5) * problem.dx, np.abs(y_end / problem.dy % 1.0 - 0.5) * problem.dy
     )
-    return Mdp(problem, kind, ending, corner, weight, float(tie[goes_on].min(initial=np.inf)))
+    radius = radius_at(problem, *np.broadcast_arrays(x1[:, None], y1[None, :]))
+    insertion = (problem.insertion * problem.alpha * radius)[:, :, None, None]
+    return Mdp(problem, kind, ending, corner, weight, float(tie[goes_on].min(initial=np.inf)), insertion)
 
 
 def expectation(mdp: Mdp, table: Floats, outside: float, at_ending: Floats) -> Floats:
@@ -115,7 +120,7 @@ def action_values(mdp: Mdp, values: Floats) -> Floats:
     failure = np.array([0.0, problem.exit, problem.collision, 0.0])[mdp.ending]
     outside = problem.exit if problem.interpolated else 0.0
     onward = problem.discount * expectation(mdp, values, outside, np.zeros(4))
-    insert = problem.insertion * problem.step_mm + failure + onward
+    insert = mdp.insertion + failure + onward
     return np.stack([insert, insert[..., ::-1] + problem.rotation], axis=-1)
 
 
@@ -188,7 +193,7 @@ def explicit(mdp: Mdp) -> tuple[Ints, Floats, Floats]:
     for action in (0, 1):
         new = bevel if action == 0 else 1 - bevel
         ending, cell, over = mdp.ending[:, :, k, new], mdp.corner[:, :, k, new, 0], failure[:, :, k, new]
-        cost[..., action] = np.where(free, problem.insertion * problem.step_mm + action * problem.rotation + over, 0.0)
+        cost[..., action] = np.where(free, mdp.insertion + action * problem.rotation + over, 0.0)
         for tap, m in enumerate(problem.noise):
             heading = (k + np.array(BEVELS)[new] + m) % problem.headings
             state = (cell * problem.headings + heading) * 2 + new

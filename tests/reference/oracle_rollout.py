@@ -5,8 +5,10 @@ The true pose (x, y, theta) is continuous; only the decision uses the table. One
 1. Decide. "look-up": the policy of the nearest grid state. "greedy": one-step look-ahead from the true pose; the
    value after each action's true arc is read bilinearly in x and y at the nearest heading, corners as in the
    interpolated MDP (obstacle: collision cost, target: 0, outside the grid: exit cost), expectation over the noise.
-2. Follow the true arc and test its points at t = 1/S, ..., 1. The first event ends the run; nothing else does: a tip
-   whose nearest grid point is an obstacle or target point, but which is not there itself, goes on.
+2. Follow the true arc and test its points at t = 1/S, ..., 1. Where the radius changes from place to place the arc is
+   as long as the radius at its start says, and each of its S equally long pieces has the radius of its own start. The
+   first event ends the run; nothing else does: a tip whose nearest grid point is an obstacle or target point, but
+   which is not there itself, goes on.
 3. Otherwise turn by m*alpha with the probabilities of the tip noise.
 
 A decision is also needed where the nearest grid point is absorbing, and its policy there is not defined: insert.
@@ -27,8 +29,9 @@ from oracle_arc import (
     Ints,
     Problem,
     bilinear_corners,
-    follow_arc,
+    follow_pieces,
     nearest_index,
+    radius_at,
 )
 from oracle_mdp import Mdp
 
@@ -41,6 +44,7 @@ class Runs:
     cost: Floats
     steps: Ints
     turns: Ints
+    length: Floats
 
     @property
     def success(self) -> float:
@@ -72,17 +76,21 @@ def greedy_q(problem: Problem, cells: Floats, x: Floats, y: Floats, theta: Float
     q = np.empty((len(x), 2))
     for action in (0, 1):
         new = bevel if action == 0 else -bevel
-        ending, x_end, y_end = follow_arc(problem, x, y, theta, new)
+        ending, x_end, y_end, turned = follow_pieces(problem, x, y, theta, new)
         corner, weight = bilinear_corners(problem, x_end, y_end)
         onward = np.zeros(len(x))
         for m, p in problem.noise.items():
-            k = nearest_heading(problem, theta + (new + m) * problem.alpha)
+            k = nearest_heading(problem, turned + m * problem.alpha)
             at_corners = cells[corner, k[:, None], ((new + 1) // 2)[:, None]]
             onward += p * np.sum(weight * at_corners, axis=1)
         failure = np.array([0.0, problem.exit, problem.collision, 0.0])[ending]
-        q[:, action] = problem.insertion * problem.step_mm + action * problem.rotation + failure
+        q[:, action] = problem.insertion * step_mm(problem, x, y) + action * problem.rotation + failure
         q[:, action] += np.where(ending == GOES_ON, problem.discount * onward, 0.0)
     return q
+
+
+def step_mm(problem: Problem, x: Floats, y: Floats) -> Floats:
+    return radius_at(problem, x, y) * problem.alpha
 
 
 def rollout(
@@ -102,7 +110,9 @@ def rollout(
     cells = None if greedy_values is None else corner_values(mdp, greedy_values)
     x, y, theta = (np.full(runs, float(value)) for value in start[:3])
     bevel = np.full(runs, start[3], dtype=np.int64)
-    result = Runs(np.full(runs, GOES_ON), np.zeros(runs), np.zeros(runs, np.int64), np.zeros(runs, np.int64))
+    result = Runs(
+        np.full(runs, GOES_ON), np.zeros(runs), np.zeros(runs, np.int64), np.zeros(runs, np.int64), np.zeros(runs)
+    )
     jumps, chances = np.array(list(problem.noise)), np.array(list(problem.noise.values()))
     weight = 1.0
     for _ in range(max_steps):
@@ -115,13 +125,14 @@ def rollout(
         else:
             action = np.argmin(greedy_q(problem, cells, x[on], y[on], theta[on], bevel[on]), axis=1)
         bevel[on] *= 1 - 2 * action
-        ending, x[on], y[on] = follow_arc(problem, x[on], y[on], theta[on], bevel[on])
-        noise = random.choice(jumps, size=len(on), p=chances / chances.sum())
-        theta[on] += (bevel[on] + noise) * problem.alpha
+        length = step_mm(problem, x[on], y[on])
+        ending, x[on], y[on], theta[on] = follow_pieces(problem, x[on], y[on], theta[on], bevel[on])
+        theta[on] += random.choice(jumps, size=len(on), p=chances / chances.sum()) * problem.alpha
         result.ending[on] = ending
         result.steps[on] += 1
         result.turns[on] += action
-        result.cost[on] += weight * (problem.insertion * problem.step_mm + action * problem.rotation)
+        result.length[on] += length
+        result.cost[on] += weight * (problem.insertion * length + action * problem.rotation)
         result.cost[on] += weight * ((ending == EXIT) * problem.exit + (ending == COLLISION) * problem.collision)
         weight *= problem.discount
     return result

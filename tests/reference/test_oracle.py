@@ -11,7 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from oracle_arc import COLLISION, FREE, GOES_ON, OBSTACLE, Problem, follow_arc, nearest_index, problem_from
+from oracle_arc import (
+    COLLISION,
+    FREE,
+    GOES_ON,
+    OBSTACLE,
+    Problem,
+    follow_arc,
+    follow_pieces,
+    nearest_index,
+    problem_from,
+)
 from oracle_cases import NPZ_NAME, VARIANTS, case, four_obstacles, mirrored, npz_path
 from oracle_mdp import Mdp, Solution, build, explicit, solve
 from oracle_rollout import rollout
@@ -61,6 +71,33 @@ def test_two_quarter_circles_by_hand(samples: int, discount: float) -> None:
     assert solution.success[0, 0, 0].tolist() == [1.0, 1.0]
     assert solution.success[0, 0, 3].tolist() == [0.0, 0.0]
     assert solution.values[0, 2].max() == solution.values[2, 2].max() == 0.0  # absorbing
+
+
+def test_the_radius_of_the_place_where_a_step_starts_by_hand() -> None:
+    # (0,0,0 deg) --left, radius 1--> (1,1,90 deg) --turn, right, radius 2--> (3,3). The layer begins at x = 1, and is
+    # overruled by the first tissue, which a later one overrules; the borders of both belong to them.
+    regions = (([[1, 1], [2, 1], [2, 2]], 3.0), ([[0.5, 1], [1, 1], [1, 2], [0.5, 2]], 2.0))
+    for layers, tissues in ((((1.0, 2.0),), ()), (((0.5, 7.0),), regions), (((1.0, 2.0), (2.0, 5.0)), ())):
+        _, solution = solved(
+            case((4.0, 4.0), target=(3.0, 3.0, 0.1), rho=1.0, headings=4, samples=3, layers=layers, tissues=tissues)
+        )
+        assert solution.values[1, 1, 1, 0] == pytest.approx(2 * STEP)
+        if tissues:  # from the left edge, before the layer
+            assert solution.values[0, 0, 0, 1] == pytest.approx(STEP + 4.0 + 2 * STEP)
+        assert solution.policy[1, 1, 1].tolist() == [0, 1]
+
+
+def test_an_execution_bends_as_the_tissue_under_it_by_hand() -> None:
+    # Radius 2 up to x = 1, then 4. A quarter turn of radius 2, in 3 pieces of 30 degrees each: the first ends at
+    # x = 1, so that the others turn by 15 degrees only.
+    scenario = case((9.0, 9.0), target=(8.0, 8.0, 0.1), rho=2.0, headings=4, samples=3, layers=((1.0, 4.0),))
+    here = [np.array([value]) for value in (0.0, 0.0, 0.0)]
+    ending, x, y, theta = follow_pieces(problem_from(scenario), *here, np.array([1]))
+    turned = np.radians([30, 45, 60])
+    assert ending[0] == GOES_ON
+    assert theta[0] == pytest.approx(turned[-1])
+    assert x[0] == pytest.approx(2 * np.sin(turned[0]) + 4 * (np.sin(turned[-1]) - np.sin(turned[0])))
+    assert y[0] == pytest.approx(2 * (1 - np.cos(turned[0])) - 4 * (np.cos(turned[-1]) - np.cos(turned[0])))
 
 
 def test_noise_moves_the_heading_after_the_arc_by_hand() -> None:

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from needleplan.scenario import (
     Grid,
+    Layer,
     Method,
     Motion,
     Needle,
@@ -17,6 +18,7 @@ from needleplan.scenario import (
     Scenario,
     Solver,
     Target,
+    Tissue,
     Transition,
     Workspace,
 )
@@ -41,6 +43,13 @@ def obstacles(draw: st.DrawFn, width: float, height: float) -> Obstacle:
 
 
 @st.composite
+def layers(draw: st.DrawFn, width: float) -> tuple[Layer, ...]:
+    """Layers that begin within the width."""
+    starts = sorted(draw(st.lists(st.floats(0, 1), max_size=3, unique=True)))
+    return tuple(Layer(start, draw(_LENGTHS)) for start in sorted({start * width for start in starts}))
+
+
+@st.composite
 def scenarios(draw: st.DrawFn) -> Scenario:
     """Any valid scenario."""
     width, height = draw(_LENGTHS), draw(_LENGTHS)
@@ -51,7 +60,11 @@ def scenarios(draw: st.DrawFn) -> Scenario:
         workspace=Workspace(width, height),
         obstacles=tuple(draw(st.lists(obstacles(width, height), max_size=3))),
         target=Target((draw(st.floats(0.6, 1)) * width, draw(st.floats(0, 1)) * height), math.hypot(*spacing)),
-        needle=Needle(draw(_LENGTHS)),
+        needle=Needle(draw(_LENGTHS), draw(layers(width))),
+        tissues=tuple(
+            Tissue(each.polygon_mm, draw(_LENGTHS), each.name)
+            for each in draw(st.lists(obstacles(width, height), max_size=2))
+        ),
         motion=Motion(draw(st.integers(9, 100)), (1 - 2 * math.fsum(tail), *tail), draw(st.integers(1, 9))),
         grid=Grid(spacing, draw(st.sampled_from(Transition))),
         objective=Objective(

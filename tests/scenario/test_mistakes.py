@@ -27,6 +27,16 @@ center_mm = [100.0, 50.0]
 radius_mm = 2.0
 [needle]
 curvature_radius_mm = 40.0
+[[needle.layer]]
+from_mm = 30.0
+curvature_radius_mm = 45
+[[needle.layer]]
+from_mm = 60
+curvature_radius_mm = 50
+[[tissue]]
+name = "tumour"
+polygon_mm = [[80, 20], [110, 20], [110, 70]]
+curvature_radius_mm = 80
 [motion]
 headings = 60
 tip_noise = [0.466, 0.24, 0.027]
@@ -73,6 +83,36 @@ CASES = [
     ("radius_mm = 2.0\n[n", "radius_mm = 0.0\n[n", "target.radius_mm = 0.0: must be"),
     ("[100.0, 50.0]\nradius_mm = 2.0", "[100.5, 50.5]\nradius_mm = 0.5", "must be at least 0.707107, the distance"),
     ("= 40.0", "= -40.0", "needle.curvature_radius_mm = -40.0: must be"),
+    (
+        "from_mm = 60",
+        "from_mm = 30",
+        "needle.layer = [{...}, {...}]: from_mm must increase from layer to layer",
+    ),
+    ("from_mm = 60", "from_mm = 20", "from_mm must increase from layer to layer; 20 comes after 30"),
+    ("from_mm = 60", "from_mm = 121", "needle.layer 2.from_mm = 121.0: must lie in the workspace, from 0 to 120"),
+    ("from_mm = 60", "from_mm = -1", "needle.layer 2.from_mm = -1: must be a finite number in mm at least 0"),
+    ("from_mm = 60", "", "needle.layer 2.from_mm: is missing"),
+    ("from_mm = 60", "fromm_mm = 60", 'needle.layer 2.fromm_mm: unknown key; did you mean "from_mm"?'),
+    ("_mm = 45", "_mm = 0", "needle.layer 1.curvature_radius_mm = 0: must be a finite number in mm above 0"),
+    (
+        "[[needle.layer]]",
+        "[[needle.layers]]",
+        "must be layers; in a file each stands below its own [[needle.layer]]",
+    ),
+    (
+        "[[needle.layer]]\nfrom_mm = 60\ncurvature_radius_mm = 50",
+        "[[needl]]",
+        'needl: unknown key; did you mean "needle"',
+    ),
+    ("[[tissue]]", "[tissue]", "tissue = {...}: must be tables, each below its own [[tissue]]"),
+    ("[[tissue]]", "[[tisue]]", 'tisue: unknown key; did you mean "tissue"?'),
+    (
+        "curvature_radius_mm = 80",
+        "curvature_radius_mm = nan",
+        'tissue 1 ("tumour").curvature_radius_mm = nan: must be a finite number in mm',
+    ),
+    ("[110, 20], [110, 70]", "[110, 20]", 'tissue 1 ("tumour").polygon_mm = [[80, 20], [110, 20]]: must have at least'),
+    ("[110, 20], [110, 70]", "[90, 30], [90, 10], [80, 30]", "must not cross or touch its own boundary"),
     ("headings = 60", "headings = 60.0", "motion.headings = 60.0: must be a whole number from 4 to 100000"),
     ("headings = 60", "headings = 3", "motion.headings = 3: must be a whole number"),
     ("headings = 60", "headings = 4", "motion.headings = 4: must be more than 4, so that the tip noise stays"),

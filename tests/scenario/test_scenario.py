@@ -96,7 +96,7 @@ def test_shipped_scenarios_read_by_name_and_by_path(name: str) -> None:
 
 def test_shipped_scenarios_are_all_there() -> None:
     assert {"four_obstacles", "four_obstacles_thesis", "phantom", "narrow_passage"} < set(shipped())
-    assert {"unreachable", "prostate", "brain"} < set(shipped())
+    assert {"unreachable", "prostate", "brain", "layered"} < set(shipped())
 
 
 def test_a_file_beats_a_shipped_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

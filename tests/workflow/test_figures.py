@@ -66,6 +66,22 @@ def test_a_flat_workspace_is_stretched_and_says_so() -> None:
     assert len(figure.axes) == 2
 
 
+def test_layers_and_tissues_are_tinted_and_labelled() -> None:
+    scenario = Scenario.read("layered")
+    _, axes = figures.sheet(scenario.workspace, 2)
+    figures.draw_scene(axes[0], scenario)
+    figures.draw_scene(axes[1], scenario, on_colour=True)
+    texts = [text.get_text() for text in axes[0].texts]
+    assert texts == ["R 75 mm", "R 55 mm", "R 45 mm", "tumour, R 35 mm"]
+    spans, regions = axes[0].patches[3:6], axes[0].patches[6:7]
+    assert [(patch.get_x(), patch.get_width()) for patch in spans] == [(0, 24), (24, 38), (62, 48)]  # type: ignore[attr-defined]
+    shades = [sum(patch.get_facecolor()[:3]) for patch in (*spans, *regions)]  # type: ignore[misc]
+    assert shades == sorted(shades, reverse=True)  # the smaller the radius, the darker
+    assert not axes[1].texts
+    assert len(axes[1].lines) == 3
+    assert axes[0].get_xlim() == axes[1].get_xlim() == (0, 110)
+
+
 @pytest.mark.parametrize(("name", "start"), [("a.png", b"\x89PNG"), ("a.pdf", b"%PDF"), ("a.svg", b"<?xml")])
 def test_files(table: npl.PolicyTable, tmp_path: Path, name: str, start: bytes) -> None:
     figures.save(figures.path_figure(table, table.path((0, 25, 0))), tmp_path / name)

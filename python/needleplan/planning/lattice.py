@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from needleplan import _ppvi
 from needleplan.errors import ScenarioError
 from needleplan.scenario import Scenario, Transition
@@ -30,6 +32,17 @@ def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
             collision=objective.collision,
             exit=objective.exit,
             discount=objective.discount,
+            **_elsewhere(scenario),
         )
     except (ValueError, MemoryError) as error:
         raise ScenarioError(str(error)) from error
+
+
+def _elsewhere(scenario: Scenario) -> dict[str, Any]:
+    """Return where another radius holds than that of the needle, as keywords of the lattice."""
+    if scenario.uniform:
+        return {}
+    return {
+        "layers": [(layer.from_mm, layer.curvature_radius_mm) for layer in scenario.needle.layers],
+        "tissues": [(tissue.polygon_mm, tissue.curvature_radius_mm) for tissue in scenario.tissues],
+    }

@@ -11,11 +11,23 @@ from typing import Any
 
 from needleplan.errors import Mistake
 from needleplan.scenario.choices import Method, Transition
-from needleplan.scenario.parts import Grid, Motion, Objective, Obstacle, Solver, Target, Workspace
+from needleplan.scenario.parts import (
+    Grid,
+    Motion,
+    Needle,
+    Objective,
+    Obstacle,
+    Solver,
+    Target,
+    Tissue,
+    Workspace,
+)
 from needleplan.scenario.polygon import contains
 from needleplan.scenario.rules import shown
 
 __all__ = ["disagreements"]
+
+_MOST_RADII = 200
 
 
 def disagreements(parts: Mapping[str, Any]) -> list[Mistake]:
@@ -26,6 +38,9 @@ def disagreements(parts: Mapping[str, Any]) -> list[Mistake]:
         mistakes += _target_in_workspace(workspace, target)
     if target:
         mistakes += _target_clear_of_obstacles(target, parts.get("obstacles", ()))
+    if workspace and parts.get("needle"):
+        mistakes += _layers_in_workspace(workspace, parts["needle"])
+    mistakes += _few_radii(parts.get("needle"), parts.get("tissues", ()))
     if workspace and grid:
         mistakes += _spacing_in_workspace(workspace, grid)
     if workspace and grid and target and not mistakes:
@@ -52,6 +67,23 @@ def _target_clear_of_obstacles(target: Target, obstacles: tuple[Obstacle | None,
             name = f' ("{obstacle.name}")' if obstacle.name else ""
             rule = f"must not lie in or on an obstacle; it does in obstacle {number}{name}"
             yield Mistake("target.center_mm", shown(target.center_mm), rule)
+
+
+def _layers_in_workspace(workspace: Workspace, needle: Needle) -> Iterator[Mistake]:
+    for number, layer in enumerate(needle.layers, start=1):
+        if layer.from_mm > workspace.width_mm:
+            rule = f"must lie in the workspace, from 0 to {workspace.width_mm:g}"
+            yield Mistake(f"needle.layer {number}.from_mm", shown(layer.from_mm), rule)
+
+
+def _few_radii(needle: Needle | None, tissues: tuple[Tissue | None, ...]) -> Iterator[Mistake]:
+    """Every radius has displacements of its own, headings times bevels of them, in the solver."""
+    radii = {tissue.curvature_radius_mm for tissue in tissues if tissue}
+    if needle:
+        radii |= {needle.curvature_radius_mm, *(layer.curvature_radius_mm for layer in needle.layers)}
+    if len(radii) > _MOST_RADII:
+        rule = f"must take at most {_MOST_RADII} different values in needle, layers and tissues, not {len(radii)}"
+        yield Mistake("curvature_radius_mm", "", rule)
 
 
 def _spacing_in_workspace(workspace: Workspace, grid: Grid) -> Iterator[Mistake]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
+from itertools import pairwise
 from typing import Any
 
 from needleplan.errors import Mistake, ScenarioError
@@ -23,12 +24,14 @@ from needleplan.scenario.rules import (
     Refused,
     Rule,
     Text,
+    sequence,
     shown,
     suggestion,
 )
 
 __all__ = [
     "Grid",
+    "Layer",
     "Motion",
     "Needle",
     "Objective",
@@ -36,6 +39,7 @@ __all__ = [
     "Part",
     "Solver",
     "Target",
+    "Tissue",
     "Workspace",
     "checked",
 ]
@@ -45,9 +49,9 @@ _COORDINATE = Number("mm", at_least=-1e6, at_most=1e6)
 _COST = Number(at_least=0, at_most=1e9)
 
 
-def _ruled(rule: Rule, default: object = MISSING) -> Any:
-    """Declare a field that `rule` reads."""
-    return field(default=default, metadata={"rule": rule})
+def _ruled(rule: Rule, default: object = MISSING, key: str = "") -> Any:
+    """Declare a field that `rule` reads; `key` is its name in a file where that differs."""
+    return field(default=default, metadata={"rule": rule, "key": key})
 
 
 @dataclass(frozen=True)
@@ -87,10 +91,45 @@ class Target(Part):
 
 
 @dataclass(frozen=True)
+class Layer(Part):
+    """Tissue from the depth x = from_mm on, up to the next layer, with a radius of its own."""
+
+    from_mm: float = _ruled(Number("mm", at_least=0, at_most=1e6))
+    curvature_radius_mm: float = _ruled(_LENGTH)
+
+
+@dataclass(frozen=True)
+class _Layers:
+    """Layers, each deeper than the one before."""
+
+    def read(self, value: object) -> tuple[Layer, ...]:
+        """Return the layers as a tuple. Raises Refused."""
+        layers = sequence(value)
+        if layers is None or not all(isinstance(layer, Layer) for layer in layers):
+            raise Refused("must be layers; in a file each stands below its own [[needle.layer]]")
+        found = [layer for layer in layers if isinstance(layer, Layer)]
+        for before, after in pairwise(found):
+            if after.from_mm <= before.from_mm:
+                rule = "from_mm must increase from layer to layer"
+                raise Refused(f"{rule}; {after.from_mm:g} comes after {before.from_mm:g}")
+        return tuple(found)
+
+
+@dataclass(frozen=True)
 class Needle(Part):
-    """The needle in its tissue: the radius of the arc that its bevel makes it follow."""
+    """The needle in its tissue: the radius of the arc that its bevel makes it follow, up to the first of the layers."""
 
     curvature_radius_mm: float = _ruled(_LENGTH)
+    layers: tuple[Layer, ...] = _ruled(_Layers(), (), key="layer")
+
+
+@dataclass(frozen=True)
+class Tissue(Part):
+    """A region with a radius of its own: a simple polygon, its boundary included; it may reach beyond the workspace."""
+
+    polygon_mm: Points = _ruled(Simple(_COORDINATE))
+    curvature_radius_mm: float = _ruled(_LENGTH)
+    name: str = _ruled(Text(), "")
 
 
 @dataclass(frozen=True)
@@ -170,7 +209,8 @@ def checked(part: type[Part], raw: Mapping[str, object], key: str) -> tuple[dict
             try:
                 values[name] = each.metadata["rule"].read(raw[name])
             except Refused as refused:
-                mistakes.append(Mistake(f"{key}.{name}", shown(raw[name]), str(refused)))
+                place = f"{key}.{each.metadata['key'] or name}"
+                mistakes.append(Mistake(place, shown(raw[name]), str(refused)))
         elif each.default is MISSING:
             mistakes.append(Mistake(f"{key}.{name}", "", "is missing"))
     return values, mistakes

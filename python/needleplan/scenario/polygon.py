@@ -5,10 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from needleplan.scenario.rules import Number, Pair, Refused, sequence
 
-__all__ = ["Points", "Simple", "contains"]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+__all__ = ["TOLERANCE_MM", "Points", "Simple", "contains", "covered"]
+
+TOLERANCE_MM = 1e-9
+"""A point this close to a boundary, by rounding of coordinates, is on it."""
 
 Points = tuple[tuple[float, float], ...]
 
@@ -49,6 +57,18 @@ def contains(polygon_mm: Sequence[tuple[float, float]], point_mm: tuple[float, f
     from shapely import Point, Polygon
 
     return bool(Polygon(polygon_mm).intersects(Point(point_mm)))
+
+
+def covered(
+    polygon_mm: Sequence[tuple[float, float]], x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Return which points are inside the polygon or on its boundary; arrays of one shape."""
+    import shapely
+
+    polygon = shapely.Polygon(polygon_mm)
+    shapely.prepare(polygon)
+    found: NDArray[np.bool_] = shapely.dwithin(polygon, shapely.points(x_mm, y_mm), TOLERANCE_MM)
+    return found
 
 
 def _flaw(corners: list[tuple[float, float]]) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from difflib import get_close_matches
 from enum import StrEnum
 from typing import Protocol
@@ -166,7 +166,7 @@ def shown(value: object, depth: int = 3) -> str:
     entries = sequence(value)
     if entries is not None:
         return f"[{', '.join(shown(entry, depth - 1) for entry in entries) if depth else '...'}]"
-    return "{...}" if isinstance(value, dict) else str(value)
+    return "{...}" if isinstance(value, dict) or is_dataclass(value) else str(value)
 
 
 def suggestion(value: object, names: Iterable[str]) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -12,13 +13,26 @@ from needleplan.errors import Mistake, ScenarioError
 from needleplan.provenance import digest, write_whole
 from needleplan.scenario import toml
 from needleplan.scenario.agreement import disagreements
-from needleplan.scenario.parts import Grid, Motion, Needle, Objective, Obstacle, Solver, Target, Workspace
-from needleplan.scenario.rules import Refused, Text
+from needleplan.scenario.identified import Bend
+from needleplan.scenario.parts import (
+    Grid,
+    Layer,
+    Motion,
+    Needle,
+    Objective,
+    Obstacle,
+    Solver,
+    Target,
+    Tissue,
+    Workspace,
+)
+from needleplan.scenario.polygon import TOLERANCE_MM, covered
+from needleplan.scenario.rules import Refused, Text, suggestion
 from needleplan.scenario.shipped import text_of
 
 if TYPE_CHECKING:
     import numpy as np
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["Scenario"]
 
@@ -27,6 +41,8 @@ __all__ = ["Scenario"]
 class Scenario:
     """Anatomy, target, needle, tip noise, grid, objective and solver.
 
+    The radius of an arc is that of the place where the step starts, `radius_mm`: of the last of the `tissues` that
+    holds it, boundary included, else of the last layer of the needle that begins at or before it, else of the needle.
     Plane: x along the insertion, y lateral, both in mm; headings in rad from +x, counter-clockwise.
     Raises ScenarioError where the parts contradict each other, with all the contradictions.
     """
@@ -40,9 +56,11 @@ class Scenario:
     objective: Objective = Objective()
     solver: Solver = Solver()
     title: str = ""
+    tissues: tuple[Tissue, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "obstacles", tuple(self.obstacles))
+        object.__setattr__(self, "tissues", tuple(self.tissues))
         mistakes = disagreements(vars(self))
         try:
             Text().read(self.title)
@@ -103,8 +121,63 @@ class Scenario:
 
     @property
     def step_mm(self) -> float:
-        """Length of one insertion step: 2 pi radius / headings."""
+        """Length of one insertion step where neither layers nor tissues are: 2 pi radius / headings."""
         return 2 * math.pi * self.needle.curvature_radius_mm / self.motion.headings
+
+    @property
+    def uniform(self) -> bool:
+        """Whether there is one radius everywhere: neither layers nor tissues."""
+        return not (self.needle.layers or self.tissues)
+
+    def radius_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> NDArray[np.float64]:
+        """Return the radius of an arc that starts at a place; x and y broadcast, the result has the shape of both."""
+        import numpy as np
+
+        x, y = np.broadcast_arrays(np.asarray(x_mm, np.float64), np.asarray(y_mm, np.float64))
+        radius = np.full(x.shape, self.needle.curvature_radius_mm)
+        for layer in self.needle.layers:
+            radius[x >= layer.from_mm - TOLERANCE_MM] = layer.curvature_radius_mm
+        for tissue in self.tissues:
+            radius[covered(tissue.polygon_mm, x, y)] = tissue.curvature_radius_mm
+        return radius
+
+    def with_curvature(
+        self, curvature_per_mm: float | Sequence[Bend], *, entry_mm: float = 0.0, tissue: str = ""
+    ) -> Scenario:
+        """Return the scenario with an identified curvature.
+
+        A number, 1/mm, of either sign, is that of the whole path and replaces the layers. A sequence, as from
+        `needleplan.estimation.path_curvature`, becomes the layers: each begins at x = entry_mm + its `low_mm`, the
+        first one at the entry. The radii of `tissues` stay, unless `tissue` names some: then a number is theirs, and
+        all else stays. Raises ScenarioError for a straight path, an unknown name, or layers that cannot be.
+        """
+        if tissue:
+            return self._with_tissue(curvature_per_mm, tissue)
+        if not isinstance(curvature_per_mm, Sequence):
+            return replace(self, needle=Needle(_radius_mm(curvature_per_mm)))
+        if not curvature_per_mm:
+            raise ScenarioError(Mistake("curvature_per_mm", "[]", "must be a number or at least one piece of a path"))
+        first, *others = curvature_per_mm
+        layers = tuple(Layer(entry_mm + each.low_mm, _radius_mm(each.curvature_per_mm)) for each in others)
+        return replace(self, needle=Needle(_radius_mm(first.curvature_per_mm), layers))
+
+    def with_tip_noise(self, probabilities: Sequence[float]) -> Scenario:
+        """Return the scenario with identified P(0), P(+-1) ..., as from `needleplan.estimation.tip_noise`.
+
+        They are per step: identify them with the headings and the radius of this very scenario. Raises ScenarioError.
+        """
+        return replace(self, motion=replace(self.motion, tip_noise=tuple(probabilities)))
+
+    def _with_tissue(self, curvature_per_mm: float | Sequence[Bend], name: str) -> Scenario:
+        if isinstance(curvature_per_mm, Sequence):
+            raise ScenarioError(Mistake("curvature_per_mm", "", f'must be one number for the tissue "{name}"'))
+        names = [each.name for each in self.tissues]
+        if name not in names:
+            rule = "there is no [[tissue]] of that name" + suggestion(name, filter(None, names))
+            raise ScenarioError(Mistake("tissue", f'"{name}"', rule))
+        radius = _radius_mm(curvature_per_mm)
+        changed = (replace(each, curvature_radius_mm=radius) if each.name == name else each for each in self.tissues)
+        return replace(self, tissues=tuple(changed))
 
     @property
     def x_mm(self) -> NDArray[np.float64]:
@@ -126,3 +199,10 @@ class Scenario:
         import numpy as np
 
         return np.arange(self.motion.headings, dtype=np.float64) * (2 * math.pi / self.motion.headings)
+
+
+def _radius_mm(curvature_per_mm: float) -> float:
+    if not curvature_per_mm or not math.isfinite(curvature_per_mm):
+        rule = "must be a finite number other than 0: a plan needs a needle that bends"
+        raise ScenarioError(Mistake("curvature_per_mm", f"{curvature_per_mm:g}", rule))
+    return abs(1 / curvature_per_mm)

@@ -11,6 +11,7 @@ from typing import Any
 from needleplan.errors import Mistake
 from needleplan.scenario.parts import (
     Grid,
+    Layer,
     Motion,
     Needle,
     Objective,
@@ -18,6 +19,7 @@ from needleplan.scenario.parts import (
     Part,
     Solver,
     Target,
+    Tissue,
     Workspace,
     checked,
 )
@@ -36,7 +38,9 @@ _TABLES: dict[str, type[Part]] = {
     "objective": Objective,
     "solver": Solver,
 }
-_KEYS = ("schema", "title", "obstacle", *_TABLES)
+_LISTS: dict[str, tuple[str, type[Part]]] = {"obstacle": ("obstacles", Obstacle), "tissue": ("tissues", Tissue)}
+_KEYS = ("schema", "title", *_LISTS, *_TABLES)
+_ORDER = ("workspace", "obstacle", "target", "needle", "tissue", "motion", "grid", "objective", "solver")
 
 
 def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
@@ -54,24 +58,39 @@ def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
     except Refused as refused:
         mistakes.append(Mistake("title", shown(document["title"]), str(refused)))
     for name, part in _TABLES.items():
-        made, found = _part(part, document.get(name, {}), name)
-        mistakes += found
-        if made:
+        raw, found = _unnested(document.get(name, {})) if name == "needle" else (document.get(name, {}), [])
+        made, more = _part(part, raw, name)
+        mistakes += found + more
+        if made and not found:
             parts[name] = made
-    parts["obstacles"], found = _obstacles(document.get("obstacle", []))
-    return parts, mistakes + found
+    for name, (plural, part) in _LISTS.items():
+        parts[plural], found = _list(part, document.get(name, []), name)
+        mistakes += found
+    return parts, mistakes
 
 
 def text(parts: Mapping[str, Any]) -> str:
     """Return the text of a scenario file; `parts` are named as the fields of a scenario."""
     lines = [f'schema = "{SCHEMA}"', f"title = {_value(parts['title'])}"]
-    for name in ("workspace", "obstacle", *(name for name in _TABLES if name != "workspace")):
-        if name == "obstacle":
-            for obstacle in parts["obstacles"]:
-                lines += ["", "[[obstacle]]", *_entries(obstacle)]
+    for name in _ORDER:
+        if name in _LISTS:
+            for each in parts[_LISTS[name][0]]:
+                lines += ["", f"[[{name}]]", *_entries(each)]
         else:
             lines += ["", f"[{name}]", *_entries(parts[name])]
+        if name == "needle":
+            for layer in parts[name].layers:
+                lines += ["", "[[needle.layer]]", *_entries(layer)]
     return "\n".join(lines) + "\n"
+
+
+def _unnested(raw: object) -> tuple[object, list[Mistake]]:
+    """Return the table of the needle with its layers as parts."""
+    if not isinstance(raw, dict) or "layer" not in raw:
+        return raw, []
+    layers, mistakes = _list(Layer, raw["layer"], "needle.layer")
+    rest = {key: value for key, value in raw.items() if key != "layer"}
+    return rest | {"layers": [layer for layer in layers if layer]}, mistakes
 
 
 def _part(part: type[Part], raw: object, key: str) -> tuple[Part | None, list[Mistake]]:
@@ -81,24 +100,25 @@ def _part(part: type[Part], raw: object, key: str) -> tuple[Part | None, list[Mi
     return (None if mistakes else part(**values)), mistakes
 
 
-def _obstacles(raw: object) -> tuple[tuple[Part | None, ...], list[Mistake]]:
+def _list(part: type[Part], raw: object, key: str) -> tuple[tuple[Part | None, ...], list[Mistake]]:
+    """Return the parts of a list of tables, None for those with mistakes, and the mistakes."""
     if not isinstance(raw, list):
-        return (), [Mistake("obstacle", shown(raw), "must be tables, each below its own [[obstacle]]")]
-    obstacles: list[Part | None] = []
+        return (), [Mistake(key, shown(raw), f"must be tables, each below its own [[{key}]]")]
+    parts: list[Part | None] = []
     mistakes: list[Mistake] = []
     for number, each in enumerate(raw, start=1):
         name = each.get("name") if isinstance(each, dict) else None
         title = f' ("{name}")' if isinstance(name, str) and name else ""
-        obstacle, found = _part(Obstacle, each, f"obstacle {number}{title}")
-        obstacles.append(obstacle)
+        made, found = _part(part, each, f"{key} {number}{title}")
+        parts.append(made)
         mistakes += found
-    return tuple(obstacles), mistakes
+    return tuple(parts), mistakes
 
 
 def _entries(part: Part) -> Iterator[str]:
     for each in fields(part):
         value = getattr(part, each.name)
-        if value is not None:
+        if value is not None and not each.metadata["key"]:
             yield f"{each.name} = {_value(value)}"
 
 

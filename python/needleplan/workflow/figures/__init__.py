@@ -7,6 +7,7 @@ from needleplan.workflow.figures.partitions import draw_partition_order
 from needleplan.workflow.figures.scene import draw_noisy, draw_path, draw_scene
 from needleplan.workflow.figures.sheets import order_figure, path_figure, plan_figure
 from needleplan.workflow.figures.success_map import draw_success_map
+from needleplan.workflow.figures.tissues import draw_tissues
 
 __all__ = [
     "caption",
@@ -17,6 +18,7 @@ __all__ = [
     "draw_path",
     "draw_scene",
     "draw_success_map",
+    "draw_tissues",
     "order_figure",
     "path_figure",
     "plan_figure",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from needleplan.planning import Outcome, Path
 from needleplan.workflow.figures.canvas import BLACK, BLUE, GREEN, GREY, SKY, VERMILLION, axes_in_mm
+from needleplan.workflow.figures.tissues import draw_tissues
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,7 +20,7 @@ _ENDS = {Outcome.COLLISION: "X", Outcome.EXIT: "X", Outcome.STEP_LIMIT: "P"}
 
 
 def draw_scene(axes: Axes, scenario: Scenario, *, on_colour: bool = False) -> None:
-    """Draw the workspace, obstacles in grey and the target as a ring; `on_colour` outlines them over a map."""
+    """Draw the workspace, tissues tinted, obstacles in grey and the target as a ring; `on_colour`: over a map."""
     from matplotlib.patches import Circle, Polygon
 
     axes_in_mm(axes, scenario.workspace)
@@ -33,6 +34,7 @@ def draw_scene(axes: Axes, scenario: Scenario, *, on_colour: bool = False) -> No
                 zorder=3,
             )
         )
+    draw_tissues(axes, scenario, on_colour=on_colour)
     target = scenario.target
     axes.add_patch(
         Circle(target.center_mm, target.radius_mm, facecolor="none", edgecolor=VERMILLION, linewidth=1.8, zorder=6)
