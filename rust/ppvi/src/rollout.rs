@@ -146,9 +146,10 @@ impl<'a> Executor<'a> {
             let bevel = if action == 1 { -pose.bevel } else { pose.bevel };
             let (event, mut next) = self.step(pose, bevel);
             run.turns += u32::from(action);
-            run.length += self.needle_at(pose).step_length();
+            let needle = self.needle_at(pose);
+            run.length += needle.step_length();
             run.cost += weight
-                * (self.step_cost(pose) + f64::from(action) * costs.rotation + failure_cost(self.lattice, event));
+                * (self.step_cost(needle) + f64::from(action) * costs.rotation + failure_cost(self.lattice, event));
             weight *= costs.discount;
             if let Some(random) = random.as_mut() {
                 let steps = heading_noise(&self.lattice.setup.noise, random);
@@ -167,10 +168,10 @@ impl<'a> Executor<'a> {
         tissues.needle_at(*needle, [pose.x, pose.y])
     }
 
-    /// Cost of a step that starts at a pose.
-    fn step_cost(&self, pose: Pose) -> f64 {
+    /// Cost of a step of a needle that bends like this.
+    fn step_cost(&self, here: Bicycle) -> f64 {
         let Setup { needle, costs, .. } = &self.lattice.setup;
-        costs.step * (self.needle_at(pose).radius / needle.radius)
+        if here.radius == needle.radius { costs.step } else { costs.step * (here.radius / needle.radius) }
     }
 
     /// Moves along the arc that `bevel` gives: the first event, and the pose it happens at or the pose at the end.
@@ -226,7 +227,7 @@ impl<'a> Executor<'a> {
         let costs = &self.lattice.setup.costs;
         let (event, end) = self.step(pose, bevel);
         if event.is_some() {
-            return self.step_cost(pose) + failure_cost(self.lattice, event);
+            return self.step_cost(self.needle_at(pose)) + failure_cost(self.lattice, event);
         }
         let Shape { nx, ny, headings } = self.lattice.shape;
         let spacing = self.lattice.setup.spacing;
@@ -260,7 +261,7 @@ impl<'a> Executor<'a> {
                 }
             }
         }
-        self.step_cost(pose) + costs.discount * expectation
+        self.step_cost(self.needle_at(pose)) + costs.discount * expectation
     }
 }
 

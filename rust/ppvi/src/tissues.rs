@@ -32,7 +32,11 @@ impl Tissues {
     }
 
     /// The needle as it bends at a place, mm.
+    #[inline]
     pub fn needle_at(&self, needle: Bicycle, place: [f64; 2]) -> Bicycle {
+        if self.is_uniform() {
+            return needle;
+        }
         let region = self.regions.iter().rev().find(|(polygon, _)| polygon.contains(place)).map(|region| region.1);
         let layer = || self.layers.iter().rev().find(|(from, _)| *from <= place[0]).map(|layer| layer.1);
         Bicycle { radius: region.or_else(layer).unwrap_or(needle.radius), ..needle }

@@ -148,6 +148,10 @@ fn store_column<T: Real>(
     let mut change = T::default();
     for (r, pair) in sector.convolved[start..start + size].chunks_exact_mut(2 * width).enumerate() {
         for (bevel, row) in pair.chunks_exact_mut(width).enumerate() {
+            // Steps that arrive with bevel -1 read rows 0 .. count, those with bevel +1 rows 2 .. count + 2.
+            if !(2 * bevel..count + 2 * bevel).contains(&r) {
+                continue;
+            }
             let out = &mut row[pad..][..lanes];
             // Row r of W is centred on heading r - 1 of the sector; taps reach noise.len() - 1 to each side.
             let tap = |tap: usize| rows[(r + tap) * 2 + bevel];

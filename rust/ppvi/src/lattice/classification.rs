@@ -61,13 +61,10 @@ impl LatticeMdp {
         points: &[u8],
         codes: &mut [u8],
     ) {
-        let Setup { spacing, arc_samples, transition, .. } = &self.setup;
-        let sign = if bevel == 1 { 1.0 } else { -1.0 };
+        let Setup { spacing, transition, .. } = &self.setup;
         codes.fill(outcome::CONTINUES);
-        for sample in 1..=*arc_samples {
-            let t = sample as f64 / *arc_samples as f64;
-            let [dx, dy] = region.needle.displacement(region.needle.heading(k), sign, t);
-            scan.mark(i as f64 * spacing[0] + dx, dy, spacing[1], codes);
+        for [dx, dy] in &region.arcs[k][bevel] {
+            scan.mark(i as f64 * spacing[0] + dx, *dy, spacing[1], codes);
         }
         if *transition == Transition::Nearest {
             self.mark_landings(i, region.stencil[k][bevel], points, codes);

@@ -54,7 +54,8 @@ impl<T: Real> Halo<T> {
                     continue;
                 }
                 let transposed = target.arc.direction.is_vertical() != source.arc.direction.is_vertical();
-                for bevel in 0..2 {
+                let reach = self.reach;
+                for bevel in (0..2).filter(|bevel| is_read(reach, index, *bevel)) {
                     let stride = 2 * self.reach * 2 * self.lanes;
                     let to = Plane { start: (index * 2 + bevel) * self.lanes, stride, reversed };
                     let Some(edge) = source.edge(q, bevel) else { unreachable!("halos reach no further than edges") };
@@ -87,6 +88,13 @@ impl<T: Real> Halo<T> {
         let rough = largest_change(&self.values[column.clone()], &self.before[column], planes, self.lanes, &rows);
         if rough > threshold { rough } else { largest_change(&self.values, &self.before, planes, self.lanes, &rows) }
     }
+}
+
+/// Whether W of a sector has a use for a heading of its halo with a bevel: steps turn the heading by one to the side of their
+/// bevel, so that they reach two headings less far beyond the other end.
+fn is_read(reach: usize, index: usize, bevel: usize) -> bool {
+    let (below, distance) = if index < reach { (true, reach - index) } else { (false, index - reach + 1) };
+    below == (bevel == 0) || distance + 2 <= reach
 }
 
 /// The largest change, over `rows`, of sums of weighted rows in `[u][planes][lanes]` arrays.

@@ -51,6 +51,8 @@ pub(crate) struct Region {
     pub step: f64,
     /// `[heading][arriving bevel]`.
     pub stencil: Vec<[Shift; 2]>,
+    /// Displacements of the points of each arc that are tested, mm.
+    pub arcs: Vec<[Vec<[f64; 2]>; 2]>,
 }
 
 impl Region {
@@ -60,7 +62,12 @@ impl Region {
             Shift::new(displacement, setup.spacing, setup.transition, [shape.nx, shape.ny])
         };
         let stencil = (0..shape.headings).map(|k| [-1.0, 1.0].map(|bevel| shift(k, bevel))).collect();
-        Region { needle, step: setup.costs.step * (needle.radius / setup.needle.radius), stencil }
+        let sample = |k: usize, bevel: f64, sample: usize| {
+            needle.displacement(needle.heading(k), bevel, sample as f64 / setup.arc_samples as f64)
+        };
+        let arc = |k: usize, bevel: f64| (1..=setup.arc_samples).map(|number| sample(k, bevel, number)).collect();
+        let arcs = (0..shape.headings).map(|k| [-1.0, 1.0].map(|bevel| arc(k, bevel))).collect();
+        Region { needle, arcs, step: setup.costs.step * (needle.radius / setup.needle.radius), stencil }
     }
 }
 
