@@ -7,6 +7,7 @@
     │   └── LinkClosed          the way to it is gone
     └── InputError              what was supplied is wrong: names the source, the key, the value and the rule
         ├── ScenarioError       a scenario, or the file it came from
+        ├── ExperimentError     a simulated experiment, or the file it came from
         ├── PoseError           a pose outside the table, or not a number
         ├── MdpError            arrays that do not describe a Markov decision process
         ├── ModelError          parameters that a model of the mechanics cannot have
@@ -27,6 +28,7 @@ __all__ = [
     "ChecksumError",
     "DataError",
     "DeviceFault",
+    "ExperimentError",
     "InputError",
     "LinkClosed",
     "MdpError",
@@ -96,6 +98,10 @@ class InputError(NeedleplanError):
 
 class ScenarioError(InputError):
     """A scenario, or the file that it came from, is wrong."""
+
+
+class ExperimentError(InputError):
+    """A simulated experiment, or the file that it came from, is wrong."""
 
 
 class PoseError(InputError):

@@ -28,6 +28,7 @@ from needleplan.models.parameter import Parameter, Scale, constant, parameter
 from needleplan.models.registry import KINDS, kind_of
 from needleplan.models.residuals import Finding, residual_findings
 from needleplan.models.simulate import Trajectory, simulate
+from needleplan.models.spatial import TipFrame
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, fit_on_tissue, tune_slow_observer
 from needleplan.models.torsion import Torsion
 
@@ -62,6 +63,7 @@ __all__ = [
     "QuasiStatic",
     "Scale",
     "SelfIntegratingModel",
+    "TipFrame",
     "TipPath",
     "Torsion",
     "Trajectory",

@@ -22,7 +22,12 @@ import numpy as np
 from needleplan.errors import Mistake, ModelError
 from needleplan.signals import Array
 
-__all__ = ["Torsion"]
+__all__ = ["Torsion", "dragged"]
+
+
+def dragged(tip_rad: float, base_rad: float, lag_rad: float) -> float:
+    """Return where the tip goes from `tip_rad` when the base is at `base_rad`: a play of half-width `lag_rad`."""
+    return min(max(tip_rad, base_rad - lag_rad), base_rad + lag_rad)
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,7 @@ class Torsion:
         lag = self.lag_rad(outside_mm, inserted_mm)
         base = np.asarray(base_rad, float)
         first = float(base[0]) if start_rad is None else start_rad
-        behind = accumulate(base.tolist(), lambda tip, angle: min(max(tip, angle - lag), angle + lag), initial=first)
+        behind = accumulate(base.tolist(), lambda tip, angle: dragged(tip, angle, lag), initial=first)
         return np.array(list(behind)[1:])
 
     def compensated_rad(self, start_rad: float, target_rad: float, outside_mm: float, inserted_mm: float) -> Array:

@@ -13,7 +13,7 @@ the first one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Protocol
 
 import numpy as np
@@ -21,7 +21,7 @@ from scipy.optimize import brentq
 
 from needleplan.signals import Array, Motion
 
-__all__ = ["FrictionLaw", "first_root", "step_through"]
+__all__ = ["FrictionLaw", "first_root", "step_through", "stepping"]
 
 _TOLERANCE_N = 1e-12
 _SECANTS = 12
@@ -45,28 +45,51 @@ def step_through(law: FrictionLaw, k: float, c: float, m: float, motion: Motion,
 
     NaN from where they grow without bound.
     """
-    coefficients, friction = law.coefficients, law.force
     times, needle = motion.time_s.tolist(), motion.velocity_mm_s.tolist()
     bent, moved, speed = (float(each) for each in start)
-    forcing, rate = coefficients(0, needle[0] - speed)
+    steps = stepping(law, k, c, m, needle[0], (bent, moved, speed))
+    next(steps)
     rows = [(bent, moved, speed)]
-    sample, velocity, half, held, spring = 0, needle[0], 0.0, 0.0, c
+    for sample in range(1, len(times)):
+        row = steps.send((sample, times[sample] - times[sample - 1], needle[sample]))
+        if row[2] != row[2]:
+            break
+        rows.append(row[:3])
+    states = np.full((3, len(times)), np.nan)
+    states[:, : len(rows)] = np.array(rows).T
+    return states
+
+
+def stepping(
+    law: FrictionLaw, k: float, c: float, m: float, velocity: float, start: tuple[float, float, float]
+) -> Generator[tuple[float, float, float, float], tuple[int, float, float], None]:
+    """Take steps as they come: for motions that are not known beforehand.
+
+    Send the sample, by which `law` knows where the needle is, the length of the step (s) and the velocity of the needle
+    at its end; get bristle, displacement and velocity of the tissue, and the force on the needle (N). NaN once they
+    have grown without bound. `velocity` is that of the needle in the state `start`, at the sample 0.
+    """
+    coefficients, friction = law.coefficients, law.force
+    bent, moved, speed = start
+    forcing, rate = coefficients(0, velocity - speed)
+    sample, half, held, spring, force = 0, 0.0, 0.0, c, 0.0
     new_bent = new_forcing = new_rate = 0.0
 
     def balance(tried: float) -> float:
         """Return what is left of the forces on the tissue where its speed at the end of the step is `tried`."""
-        nonlocal new_bent, new_forcing, new_rate
+        nonlocal new_bent, new_forcing, new_rate, force
         relative = velocity - tried
         new_forcing, new_rate = coefficients(sample, relative)
         decay = half * (rate + new_rate)
         new_bent = (bent + half * (forcing + new_forcing) * (1 + decay / 2)) / (1 + decay + decay * decay / 2)
-        return held + spring * tried - friction(sample, relative, new_bent, new_forcing - new_rate * new_bent)
+        force = friction(sample, relative, new_bent, new_forcing - new_rate * new_bent)
+        return held + spring * tried - force
 
     before = earlier = speed
     slope = c + 1.0
-    for sample in range(1, len(times)):
-        step = times[sample] - times[sample - 1]
-        half, velocity = step / 2, needle[sample]
+    while True:
+        sample, step, velocity = yield bent, moved, speed, force
+        half = step / 2
         held = k * (moved + half * speed) - m / step * speed
         spring = c + m / step + k * half
         tried = 3 * (speed - before) + earlier
@@ -83,15 +106,9 @@ def step_through(law: FrictionLaw, k: float, c: float, m: float, motion: Motion,
         if not (slope > 0 and -_TOLERANCE_N < error < _TOLERANCE_N):
             tried = first_root(balance, speed)
             slope = c + 1.0
-            if tried != tried:
-                break
             balance(tried)
         earlier, before, moved, speed = before, speed, moved + half * (speed + tried), tried
         bent, forcing, rate = new_bent, new_forcing, new_rate
-        rows.append((bent, moved, speed))
-    states = np.full((3, len(times)), np.nan)
-    states[:, : len(rows)] = np.array(rows).T
-    return states
 
 
 def first_root(balance: Callable[[float], float], speed: float) -> float:
