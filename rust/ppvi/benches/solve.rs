@@ -1,4 +1,5 @@
-//! How long is a whole solve of 1,176,120 states: by the transition, by the objective, by the number of threads?
+//! How long is a whole solve of 1,176,120 states: by the transition, by the objective, by the number of threads? What do
+//! layers cost, in which the needle bends differently?
 
 mod scene;
 
@@ -28,8 +29,25 @@ fn solves(criterion: &mut Criterion) -> Result<()> {
     Ok(())
 }
 
+fn layers(criterion: &mut Criterion) -> Result<()> {
+    let mut group = criterion.benchmark_group("layers");
+    group.sample_size(20);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a small pool");
+    for (transition, kind) in [(Transition::Nearest, "nearest"), (Transition::Interpolated, "interpolated")] {
+        for count in [0, 4, 12, 30] {
+            let lattice = scene::layered(1.0, transition, Objective::Thesis, count)?;
+            let rule = scene::rule()?;
+            group.bench_function(BenchmarkId::new(kind, count), |bencher| {
+                bencher.iter(|| pool.install(|| sweep::solve(&lattice, rule, None)));
+            });
+        }
+    }
+    Ok(())
+}
+
 fn bench(criterion: &mut Criterion) {
     solves(criterion).expect("a valid scene");
+    layers(criterion).expect("a valid scene");
 }
 
 criterion_group!(benches, bench);

@@ -26,6 +26,12 @@ pub enum Objective {
 
 /// The workspace, solved for one of the objectives; obstacles are tested at four points of an arc.
 pub fn lattice(spacing: f64, transition: Transition, objective: Objective) -> Result<LatticeMdp> {
+    layered(spacing, transition, objective, 0)
+}
+
+/// The same, with a needle that bends differently in each of some layers of equal depth.
+pub fn layered(spacing: f64, transition: Transition, objective: Objective, layers: usize) -> Result<LatticeMdp> {
+    let depths = (0..layers).map(|layer| (120.0 * layer as f64 / layers as f64, 40.0 + layer as f64)).collect();
     let obstacles = OBSTACLES.iter().map(|points| Polygon::new(points.to_vec())).collect::<Result<_>>()?;
     let needle = Bicycle::new(40.0, 60)?;
     let step = needle.step_length();
@@ -41,7 +47,7 @@ pub fn lattice(spacing: f64, transition: Transition, objective: Objective) -> Re
         arc_samples: 4,
         transition,
         costs,
-        tissues: Tissues::default(),
+        tissues: Tissues::new(depths, Vec::new())?,
     })
 }
 
