@@ -56,7 +56,7 @@ def test_the_filter_is_that_of_the_textbook() -> None:
     np.testing.assert_allclose(filtered.covariance, covariance, rtol=1e-4, atol=1e-9)
 
 
-@pytest.mark.parametrize(("number", "corner", "factor"), [(0, 0, 6.0), (1, 5, 6.0), (2, 31, 3.0)])
+@pytest.mark.parametrize(("number", "corner", "factor"), [(0, 0, 6.0), (2, 31, 3.0)])
 def test_starts_that_are_far_off_end_at_the_noise(number: int, corner: int, factor: float) -> None:
     chosen = PUBLISHED_FORCES[number]
     record = recorded(chosen.model, chosen.velocity_mm_s, seed=corner)
@@ -68,7 +68,7 @@ def test_starts_that_are_far_off_end_at_the_noise(number: int, corner: int, fact
     assert mean_absolute_error(run.model, [truth], smooth=AVERAGE) < 10e-3
     assert run.innovation_rmse[-1] < 5e-3
     assert run.replay_mae[-1] < run.replay_mae[0] + 1e-3
-    assert len(run.replay_mae) == 5
+    assert len(run.replay_mae) == len(Recipe().variances)
 
 
 def test_tracks_hold_the_truth_within_three_sigma() -> None:
@@ -138,10 +138,9 @@ def test_any_model_can_be_filtered() -> None:
 
 
 def test_records_one_after_the_other() -> None:
-    record = recorded(MODEL, depth=40.0)
-    run = identify_by_passes(
-        JOINT, moved(MODEL, {"sigma2": 2.0}), [record, recorded(MODEL, depth=30.0, seed=1)], smooth=AVERAGE
-    )
+    records = [recorded(MODEL, depth=40.0), recorded(MODEL, depth=30.0, seed=1)]
+    short = Recipe(variances=(1e-2, 1e-4), spreads=(0.67, 0.33))
+    run = identify_by_passes(JOINT, moved(MODEL, {"sigma2": 2.0}), records, short, smooth=AVERAGE)
     assert len(run.tracks) == 2
     assert run.replay_mae[-1] < 3e-3
     first, second = run.tracks

@@ -38,8 +38,8 @@ class Recipe:
     its start by more than `reach` times ln(factor). The defaults are those for forces in N.
     """
 
-    variances: tuple[float, ...] = (1e-2, 1e-2, 1e-2, 1e-3, 1e-4)
-    spreads: tuple[float, ...] = (1.0, 0.67, 0.33, 0.17, 0.1)
+    variances: tuple[float, ...] = (1e-2, 1e-2, 1e-2, 1e-2, 1e-2, 1e-3, 1e-4)
+    spreads: tuple[float, ...] = (1.0, 0.67, 0.67, 0.33, 0.33, 0.17, 0.1)
     factor: float = 6.0
     walk: float = 1e-8
     settle: int = 5

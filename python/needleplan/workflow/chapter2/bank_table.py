@@ -164,7 +164,7 @@ def _open_loop(runs: Sequence[BankRun], record: Record, model: ForceModel2) -> C
     good = sum(each < 20e-3 for each in errors)
     return Comparison(
         "ch2/section 2.5.2/final parameters of the bank predict, open loop below 20 mN", "yes",
-        f"{good} of {len(errors)}; five passes of one joint filter in logarithms: {1e3 * robust.replay_mae[-1]:.1f} mN",
+        f"{good} of {len(errors)}; passes of one joint filter in logarithms: {1e3 * robust.replay_mae[-1]:.1f} mN",
         "",
         Verdict.REPRODUCED if good > len(errors) / 2 else Verdict.NOT_REPRODUCED,
         "one pass of the bank follows the force with parameters that mean little; the thesis iterates, it does not say "

@@ -50,7 +50,7 @@ def robust_starts(count: int) -> list[Comparison]:
             good += run.ok and mean_absolute_error(run.model, [record], smooth=SENSOR) < 10e-3
     total = count * len(PUBLISHED_FORCES)
     return [Comparison(
-        "ch2/section 2.5.2/joint filter in five passes, starts wrong by six that end below 10 mN", None,
+        "ch2/section 2.5.2/joint filter in passes, starts wrong by six that end below 10 mN", None,
         f"{good} of {total}", "", Verdict.OURS, "data from Model II with the sensor's noise; benches/python/"
         "force_filter.py takes all corners",
     )]  # fmt: skip

@@ -78,7 +78,7 @@ def _phases(runs: dict[str, BankRun], record: Record, path: Path, *, inward: boo
     rows = record.motion().direction == (1 if inward else -1)
     for panel, (name, run) in zip(axes.flat, runs.items(), strict=True):
         shown = np.flatnonzero(rows[: len(run.track.predicted)])
-        panel.plot(record["depth_mm"][rows], record["force_n"][rows], color=GREY, linewidth=1.6, label="measured")
+        panel.plot(record["depth_mm"][rows], record["force_n"][rows], color=GREY, linewidth=1.6, label="generated")
         panel.plot(run.track.depth_mm[shown], run.track.predicted[shown], color=BLUE, linewidth=0.9, label="predicted")
         seen = record["force_n"][rows][5:]
         panel.set_ylim(seen.min() - 0.3 * np.ptp(seen), seen.max() + 0.3 * np.ptp(seen))
