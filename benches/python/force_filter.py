@@ -1,6 +1,6 @@
 """Run the joint filter of the axial force from starts that are far off, and time a sample.
 
-python benches/python/force_filter.py --factors 6 3 --json benches/results/force_filter.json > benches/results/force_filter.md
+python benches/python/force_filter.py --factors 6 3 --json force_filter.json > force_filter.md
 python benches/python/force_filter.py --sets 1 --every 8       # to see that it runs
 """
 
