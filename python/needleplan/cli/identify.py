@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json
+from needleplan.cli.needle import part_lines, part_record
 from needleplan.cli.options import add_figure, add_json
 from needleplan.errors import InputError, Mistake
 
@@ -16,8 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from needleplan.models import ModelFile
+    from needleplan.scenario import Scenario
     from needleplan.signals import Record
     from needleplan.workflow.identify import Identification
+    from needleplan.workflow.identify.scenario_part import ScenarioPart
 
 __all__ = ["KINDS", "add_to", "run"]
 
@@ -36,6 +39,16 @@ def add_to(commands: Any) -> None:
     parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
     parser.add_argument("-o", "--output", metavar="MODEL.toml", help="write the model")
     parser.add_argument(
+        "--for",
+        dest="scenario",
+        metavar="SCENARIO.toml",
+        help="curvature only: print the tables [needle] and [motion] of this scenario, or a shipped one, as identified",
+    )
+    parser.add_argument(
+        "--layers", type=int, default=1, metavar="N", help="with --for: a radius for each of N depths (1)"
+    )
+    parser.add_argument("--scenario-out", metavar="FILE.toml", help="with --for: write the scenario with these tables")
+    parser.add_argument(
         "--accept-units",
         action="store_true",
         help="use numbers of a size that no needle has, such as depths in metres",
@@ -50,9 +63,10 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.provenance import require_writable
     from needleplan.recording import read_records
 
-    for output in (options.output, options.figure):
+    for output in (options.output, options.figure, options.scenario_out):
         if output:
             require_writable(output)
+    scenario = _scenario(options)
     records = read_records(options.data, accept_units=options.accept_units)
     note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
     found: Identification = _identifier(options.kind).identify(records)
@@ -69,12 +83,36 @@ def run(options: argparse.Namespace) -> int:
         found.draw(figure)
         save(figure, options.figure)
         note(f"drew {options.figure}")
+    part = _part(scenario, records, options) if scenario and found.ok else None
     if options.json:
-        print_json(_record(found, records, file, options))
+        print_json(_record(found, records, file, options) | part_record(part, options.scenario_out))
     else:
-        for line in _lines(found):
+        for line in (*_lines(found), *part_lines(part)):
             print(line)
     return 0 if found.ok else complain("nothing could be identified from these data; the remarks say why")
+
+
+def _scenario(options: argparse.Namespace) -> Scenario | None:
+    """Return the scenario that takes what is identified. Raises InputError where that makes no sense."""
+    from needleplan.scenario import Scenario
+
+    if options.scenario is None:
+        if options.scenario_out or options.layers != 1:
+            raise InputError(Mistake("--for", "", "is missing: --layers and --scenario-out need a scenario"))
+        return None
+    if options.kind != "curvature":
+        raise InputError(Mistake("--for", options.kind, "must be curvature: nothing else goes into a scenario"))
+    return Scenario.read(options.scenario)
+
+
+def _part(scenario: Scenario, records: Sequence[Record], options: argparse.Namespace) -> ScenarioPart:
+    from needleplan.workflow.identify.scenario_part import scenario_part
+
+    part = scenario_part(records, scenario, layers=options.layers)
+    if options.scenario_out:
+        part.scenario.write(options.scenario_out)
+        note(f"wrote {options.scenario_out}")
+    return part
 
 
 def _identifier(kind: str) -> Any:

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import ProgressLine, complain, note, percent, print_json, print_lines
+from needleplan.cli.needle import add_identified, with_identified
 from needleplan.cli.options import add_edge, add_figure, add_json, entry_record
 from needleplan.errors import ScenarioError
 
@@ -31,6 +32,7 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("scenario", metavar="SCENARIO.toml", help="a scenario file, or the name of a shipped scenario")
     parser.add_argument("-o", "--output", metavar="TABLE.h5", help="write the table")
+    add_identified(parser)
     add_edge(parser)
     add_figure(parser, "the path from the best entry and the success map")
     add_json(parser)
@@ -42,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.provenance import require_writable
     from needleplan.scenario import Scenario
 
-    scenario = Scenario.read(options.scenario)
+    scenario, identified = with_identified(Scenario.read(options.scenario), options)
     for output in (options.output, options.figure):
         if output:
             require_writable(output)
@@ -64,9 +66,10 @@ def run(options: argparse.Namespace) -> int:
         _draw(table, best, options.figure)
         note(f"drew {options.figure}")
     if options.json:
-        print_json(_record(table, best, options))
+        print_json(_record(table, best, options) | {"identified": [each.record() for each in identified]})
     else:
-        print_lines(scenario.title or options.scenario, _lines(table, best, options))
+        lines = {each.place: str(each.found) for each in identified} | _lines(table, best, options)
+        print_lines(scenario.title or options.scenario, lines)
     if table.stats.status is not Status.CONVERGED:
         return complain(f"not converged: {table.stats.status.replace('_', ' ')}, residual {table.stats.residual:.3g}")
     if best.success < UNREACHABLE_SUCCESS:
