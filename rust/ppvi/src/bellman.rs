@@ -72,10 +72,11 @@ fn check_chunk(
     check
 }
 
-/// V0: 0, the absorbing values, and infinity where no policy ends the execution (looked for with discount 1 only).
+/// V0: the start value, the absorbing values, and infinity where no policy ends the execution (looked for with discount 1 only).
 pub fn initial_values(mdp: &impl Mdp) -> Vec<f64> {
-    let mut values: Vec<f64> =
-        (0..mdp.states()).map(|state| if mdp.actions(state) == 0 { mdp.absorbing_value(state) } else { 0.0 }).collect();
+    let start = mdp.start_value();
+    let value = |state| if mdp.actions(state) == 0 { mdp.absorbing_value(state) } else { start };
+    let mut values: Vec<f64> = (0..mdp.states()).map(value).collect();
     if mdp.discount() == 1.0 {
         for (value, proper) in values.iter_mut().zip(proper_states(mdp)) {
             if !proper {

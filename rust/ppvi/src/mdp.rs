@@ -57,6 +57,12 @@ pub trait Mdp: Sync {
         best
     }
 
+    /// V0 of the states in which something can be done. Without a discount values creep up from zero by a stage cost a
+    /// sweep; a guess of their size saves that.
+    fn start_value(&self) -> f64 {
+        0.0
+    }
+
     /// The smallest stage cost of the problem: what the error bound of an undiscounted problem rests on.
     fn least_stage_cost(&self) -> f64 {
         let costs = (0..self.states())
