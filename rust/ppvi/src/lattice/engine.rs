@@ -22,8 +22,17 @@ pub(crate) struct Engine<'a, T: Copy> {
     halos: Vec<Halo<T>>,
     noise: Vec<T>,
     numbers: Numbers<T>,
-    /// How much the reads of each sector changed during its last sweep.
-    changes: Vec<f64>,
+    /// By sector.
+    changes: Vec<Change>,
+}
+
+/// How much that what a sector has read has changed.
+#[derive(Clone, Copy, Default)]
+struct Change {
+    /// During its last sweep.
+    during: f64,
+    /// Since then, at the seams.
+    since: f64,
 }
 
 /// Values and actions in table layout.
@@ -58,7 +67,7 @@ impl<'a, T: Real> Engine<'a, T> {
                 (sector, halo)
             })
             .unzip();
-        let changes = vec![0.0; 4];
+        let changes = vec![Change::default(); 4];
         Engine { lattice, endings, sectors, halos, noise, numbers, changes }
     }
 
@@ -86,7 +95,7 @@ impl<'a, T: Real> Engine<'a, T> {
         let in_wave = |sector: &Sector<T>| sector.arc.direction.is_vertical() == vertical;
         let wave = sectors.par_iter_mut().zip(&*halos).zip(*endings).zip(&mut *changes);
         wave.filter(|(((sector, _), _), _)| in_wave(sector)).for_each(|(((sector, halo), endings), change)| {
-            *change = backup::sweep(sector, task, endings, halo, None);
+            *change = Change { during: backup::sweep(sector, task, endings, halo, None), since: 0.0 };
         });
         // The other wave has old halos now; so has this one, where halos reach beyond the other.
         let short = sectors.iter().any(|sector| sector.arc.count < noise.len());
@@ -116,7 +125,8 @@ impl<'a, T: Real> Engine<'a, T> {
         let stores: Vec<Store<T>> = swept
             .map(|(((sector, halo), endings), change)| {
                 let mut store = Store::new(sector);
-                *change = backup::sweep(sector, task, endings, halo, Some(&mut store));
+                let during = backup::sweep(sector, task, endings, halo, Some(&mut store));
+                *change = Change { during, since: 0.0 };
                 store
             })
             .collect();
@@ -140,12 +150,11 @@ impl<'a, T: Real> Engine<'a, T> {
     /// Pulls the halos of some sectors; returns the bound of [`Engine::wave`].
     fn seams(&mut self, stale: impl Fn(&Sector<T>) -> bool + Sync, threshold: f64) -> f64 {
         let Engine { lattice, sectors, halos, noise, numbers, changes, .. } = self;
-        let stale = halos.par_iter_mut().enumerate().filter(|(of, _)| stale(&sectors[*of]));
-        let seam = stale.map(|(of, halo)| {
+        let stale = halos.par_iter_mut().zip(&mut *changes).enumerate().filter(|(of, _)| stale(&sectors[*of]));
+        stale.for_each(|(of, (halo, change))| {
             halo.pull(sectors, of, lattice.shape.headings);
-            halo.seam(sectors[of].arc.count, noise, threshold)
+            change.since += halo.seam(sectors[of].arc.count, noise, threshold);
         });
-        let seam = seam.reduce(|| 0.0, f64::max);
-        changes.iter().fold(seam, |max, change| f64::max(max, *change)) * numbers.discount.widen()
+        changes.iter().fold(0.0, |max, change| f64::max(max, change.during + change.since)) * numbers.discount.widen()
     }
 }
