@@ -13,7 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle_arc import follow_pieces, problem_from, radius_at
-from oracle_cases import mirrored
+from oracle_cases import case, mirrored
+from oracle_mdp import build, solve
 from oracle_rollout import rollout
 
 import needleplan as npl
@@ -76,6 +77,26 @@ def test_executions_go_as_the_oracles(scenario: dict[str, Any], seed: int) -> No
     means = ((ours.cost, theirs.mean_cost), (ours.length, theirs.mean_length_mm), (ours.turns, theirs.mean_turns))
     for mine, its in means:
         assert its == pytest.approx(mine.mean(), rel=1e-6, abs=5 * mine.std() * math.sqrt(2 / runs))
+
+
+@pytest.mark.parametrize("transition", Transition)
+def test_a_grid_line_on_the_edge_of_a_layer_is_in_it_whatever_rounding_says(transition: Transition) -> None:
+    assert 3 * 0.7 < 2.1
+    scenario = case(
+        (7.0, 5.6),
+        target=(5.63, 2.81, 0.71),
+        rho=3.000377,
+        headings=12,
+        noise=(0.6, 0.2),
+        samples=2,
+        spacing=(0.7, 0.7),
+        transition=transition.value,
+        objective=(1.0, 4.0, 100.0, 80.0, 1.0),
+        layers=((2.1, 1.5003),),
+    )
+    mdp = build(uniform.problem_of(scenario))
+    assert uniform.clearance(mdp) > uniform.MARGIN_MM
+    uniform.assert_agrees(uniform.planned(scenario), mdp, solve(mdp, 1e-9))
 
 
 @given(scenario=layered())

@@ -7,6 +7,7 @@ from typing import Any
 from needleplan import _ppvi
 from needleplan.errors import ScenarioError
 from needleplan.scenario import Scenario, Transition
+from needleplan.scenario.polygon import TOLERANCE_MM
 
 __all__ = ["lattice_of"]
 
@@ -43,6 +44,7 @@ def _elsewhere(scenario: Scenario) -> dict[str, Any]:
     if scenario.uniform:
         return {}
     return {
-        "layers": [(layer.from_mm, layer.curvature_radius_mm) for layer in scenario.needle.layers],
+        # A grid line that rounding puts just before the edge of a layer is in it.
+        "layers": [(layer.from_mm - TOLERANCE_MM, layer.curvature_radius_mm) for layer in scenario.needle.layers],
         "tissues": [(tissue.polygon_mm, tissue.curvature_radius_mm) for tissue in scenario.tissues],
     }
