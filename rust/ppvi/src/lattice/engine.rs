@@ -24,6 +24,8 @@ pub(crate) struct Engine<'a, T: Copy> {
     numbers: Numbers<T>,
     /// By sector.
     changes: Vec<Change>,
+    /// By sector: the values that its last sweep kept.
+    stores: Vec<Option<Store<T>>>,
 }
 
 /// How much that what a sector has read has changed.
@@ -44,6 +46,8 @@ pub(crate) struct Tables {
     pub largest: f64,
     /// Bound on the residual, but for rounding.
     pub seen: f64,
+    /// Whether every state was backed up once more for them.
+    pub again: bool,
 }
 
 impl<'a, T: Real> Engine<'a, T> {
@@ -59,7 +63,7 @@ impl<'a, T: Real> Engine<'a, T> {
         let noise: Vec<T> = lattice.setup.noise.iter().map(|p| T::of(*p)).collect();
         let task = Task { lattice, noise: &noise, numbers: &numbers };
         let start = T::of(start);
-        let (sectors, halos) = Arc::all(&lattice.directions)
+        let (sectors, halos): (Vec<_>, Vec<_>) = Arc::all(&lattice.directions)
             .into_par_iter()
             .map(|arc| {
                 let sector = Sector::new(task, arc, start, policy);
@@ -67,8 +71,9 @@ impl<'a, T: Real> Engine<'a, T> {
                 (sector, halo)
             })
             .unzip();
-        let changes = vec![Change::default(); 4];
-        Engine { lattice, endings, sectors, halos, noise, numbers, changes }
+        let changes = sectors.iter().map(|_| Change::default()).collect();
+        let stores = sectors.iter().map(|_| None).collect();
+        Engine { lattice, endings, sectors, halos, noise, numbers, changes, stores }
     }
 
     /// Number of sectors.
@@ -88,24 +93,49 @@ impl<'a, T: Real> Engine<'a, T> {
     /// There are two waves: right and left (`vertical` is false), up and down. The sectors of a wave read only themselves and
     /// their halos. A value is the exact backup of what it has read; its residual is at most the discount times what that
     /// has changed since: the halos (the *seam*, seen as they are pulled again), and W of sectors in which steps read columns
-    /// that are swept later. Seams are not looked at closely where they are far from `threshold`.
-    pub(crate) fn wave(&mut self, vertical: bool, threshold: f64) -> f64 {
-        let Engine { lattice, endings, sectors, halos, noise, numbers, changes } = self;
-        let task = Task { lattice, noise, numbers };
-        let in_wave = |sector: &Sector<T>| sector.arc.direction.is_vertical() == vertical;
-        let wave = sectors.par_iter_mut().zip(&*halos).zip(*endings).zip(&mut *changes);
-        wave.filter(|(((sector, _), _), _)| in_wave(sector)).for_each(|(((sector, halo), endings), change)| {
-            *change = Change { during: backup::sweep(sector, task, endings, halo, None), since: 0.0 };
-        });
+    /// that are swept later. Seams are not looked at closely where they are far from `threshold`. With `keep` the values are
+    /// written for the tables.
+    pub(crate) fn wave(&mut self, vertical: bool, threshold: f64, keep: bool) -> f64 {
+        self.sweep(|sector| sector.arc.direction.is_vertical() == vertical, keep);
         // The other wave has old halos now; so has this one, where halos reach beyond the other.
-        let short = sectors.iter().any(|sector| sector.arc.count < noise.len());
-        self.seams(|sector| short || !in_wave(sector), threshold)
+        let reach = self.noise.len();
+        let short = self.sectors.iter().any(|sector| sector.arc.count < reach);
+        self.pull(|sector| short || sector.arc.direction.is_vertical() != vertical, threshold)
     }
 
     /// Both waves.
     pub(crate) fn pass(&mut self, threshold: f64) -> f64 {
-        self.wave(false, threshold);
-        self.wave(true, threshold)
+        self.wave(false, threshold, false);
+        self.wave(true, threshold, false)
+    }
+
+    /// Sweeps some sectors, side by side.
+    fn sweep(&mut self, chosen: impl Fn(&Sector<T>) -> bool + Sync, keep: bool) {
+        let Engine { lattice, endings, sectors, halos, noise, numbers, changes, stores } = self;
+        let task = Task { lattice, noise, numbers };
+        let all = sectors.par_iter_mut().zip(&*halos).zip(*endings).zip(&mut *changes).zip(&mut *stores);
+        let chosen = all.filter(|((((sector, _), _), _), _)| chosen(sector));
+        chosen.for_each(|((((sector, halo), endings), change), store)| {
+            *store = keep.then(|| Store::new(sector));
+            *change = Change { during: backup::sweep(sector, task, endings, halo, store.as_mut()), since: 0.0 };
+        });
+    }
+
+    /// Pulls the halos of some sectors; returns the bound of [`Engine::wave`].
+    fn pull(&mut self, stale: impl Fn(&Sector<T>) -> bool + Sync, threshold: f64) -> f64 {
+        let Engine { lattice, sectors, halos, noise, changes, .. } = self;
+        let stale = halos.par_iter_mut().zip(&mut *changes).enumerate().filter(|(of, _)| stale(&sectors[*of]));
+        stale.for_each(|(of, (halo, change))| {
+            halo.pull(sectors, of, lattice.shape.headings);
+            change.since += halo.seam(sectors[of].arc.count, noise, threshold);
+        });
+        self.bound()
+    }
+
+    /// The bound of [`Engine::wave`].
+    fn bound(&self) -> f64 {
+        let largest = self.changes.iter().fold(0.0, |max, change| f64::max(max, change.during + change.since));
+        largest * self.numbers.discount.widen()
     }
 
     /// About the largest finite value.
@@ -113,24 +143,18 @@ impl<'a, T: Real> Engine<'a, T> {
         self.sectors.iter().map(Sector::max).fold(0.0, f64::max)
     }
 
-    /// Backs up every state once more, and returns values, better actions, and the bound of [`Engine::wave`] on their
-    /// residual.
+    /// Returns values, better actions, and the bound of [`Engine::wave`] on their residual.
     ///
-    /// Each sector is swept with the halos that it has. For the wave that was swept last they are those of its last sweep,
-    /// so that nothing changes; the other wave has new ones, and so the last wave sees another seam.
+    /// Where the last sweep of a sector did not keep its values, every state is backed up once more, each sector with the
+    /// halos that it has. For the wave that was swept last they are those of its last sweep, so that nothing changes; the
+    /// other wave has new ones, and so the last wave sees another seam.
     pub(crate) fn tables(&mut self, threshold: f64) -> Tables {
-        let Engine { lattice, endings, sectors, halos, noise, numbers, changes } = self;
-        let task = Task { lattice, noise, numbers };
-        let swept = sectors.par_iter_mut().zip(&*halos).zip(*endings).zip(&mut *changes);
-        let stores: Vec<Store<T>> = swept
-            .map(|(((sector, halo), endings), change)| {
-                let mut store = Store::new(sector);
-                let during = backup::sweep(sector, task, endings, halo, Some(&mut store));
-                *change = Change { during, since: 0.0 };
-                store
-            })
-            .collect();
-        let seen = self.seams(|_| true, threshold);
+        let again = self.stores.iter().any(Option::is_none);
+        if again {
+            self.sweep(|_| true, true);
+            self.pull(|_| true, threshold);
+        }
+        let seen = self.bound();
         let Shape { nx, ny, headings } = self.lattice.shape;
         let states = self.lattice.shape.states();
         let (mut values, mut policy) = (filled(0f32, states), filled(0u8, states));
@@ -140,21 +164,11 @@ impl<'a, T: Real> Engine<'a, T> {
         let blocks = values.par_chunks_mut(block).zip(policy.par_chunks_mut(block)).enumerate();
         let largest = blocks.map(|(number, (values, actions))| {
             let mut block = Block { first: number * columns, values, actions };
-            let copied = self.sectors.iter().zip(&stores);
+            let stores = self.stores.iter().flatten();
+            let copied = self.sectors.iter().zip(stores);
             copied.map(|(sector, store)| store.copy_to(sector, self.lattice.shape, &mut block)).fold(0.0, f64::max)
         });
         let largest = largest.reduce(|| 0.0, f64::max);
-        Tables { values, policy, largest, seen }
-    }
-
-    /// Pulls the halos of some sectors; returns the bound of [`Engine::wave`].
-    fn seams(&mut self, stale: impl Fn(&Sector<T>) -> bool + Sync, threshold: f64) -> f64 {
-        let Engine { lattice, sectors, halos, noise, numbers, changes, .. } = self;
-        let stale = halos.par_iter_mut().zip(&mut *changes).enumerate().filter(|(of, _)| stale(&sectors[*of]));
-        stale.for_each(|(of, (halo, change))| {
-            halo.pull(sectors, of, lattice.shape.headings);
-            change.since += halo.seam(sectors[of].arc.count, noise, threshold);
-        });
-        changes.iter().fold(0.0, |max, change| f64::max(max, change.during + change.since)) * numbers.discount.widen()
+        Tables { values, policy, largest, seen, again }
     }
 }

@@ -31,6 +31,10 @@ use crate::proper::proper_states;
 use crate::solution::Report;
 use crate::termination::{Certificate, Observer, Progress, Status, StopRule, Watch};
 
+/// Values are kept for the tables once the residual was below this many thresholds: a sweep divides it by five to ten, and
+/// two sweeps have to be kept.
+const KEEP_BELOW: f64 = 20.0;
+
 /// A precision is exhausted when the residual is this many times what rounding alone may make.
 const EXHAUSTED: f64 = 4.0;
 
@@ -123,7 +127,7 @@ struct Run<'a, 'o> {
     certificate: Certificate,
     watch: Watch<'o>,
     waves: u64,
-    /// How often tables were made, each time with another pass.
+    /// How often tables took another pass.
     tables: u64,
     /// About the largest value.
     largest: f64,
@@ -141,10 +145,13 @@ impl Run<'_, '_> {
     /// is a better one.
     fn iterate<T: Real>(&mut self, engine: &mut Engine<'_, T>) -> Option<End> {
         let first = self.waves;
+        let mut last = f64::INFINITY;
         loop {
             let threshold = self.certificate.threshold(self.rule.tolerance, self.largest);
             let rounding = rounding::<T>(self.lattice, self.largest);
-            let seen = engine.wave(self.waves % 2 == 1, threshold.max(EXHAUSTED * rounding));
+            let keep = last < KEEP_BELOW * threshold.max(rounding);
+            let seen = engine.wave(self.waves % 2 == 1, threshold.max(EXHAUSTED * rounding), keep);
+            last = seen;
             self.waves += 1;
             if self.waves == first + 1 {
                 // Half of the states have not been looked at in this precision.
@@ -161,7 +168,7 @@ impl Run<'_, '_> {
                 }
             }
             let tables = engine.tables(threshold);
-            self.tables += 1;
+            self.tables += u64::from(tables.again);
             let largest = tables.largest;
             let threshold = self.certificate.threshold(self.rule.tolerance, largest);
             let rounding = self::rounding::<T>(self.lattice, largest);
