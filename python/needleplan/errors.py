@@ -4,8 +4,11 @@
 
     NeedleplanError
     ├── DeviceFault             a device cannot be used: says which, and why
-    │   └── LinkClosed          the way to it is gone
+    │   ├── LinkClosed          the way to it is gone
+    │   └── ProtocolError       it sent bytes that its protocol does not know
     └── InputError              what was supplied is wrong: names the source, the key, the value and the rule
+        ├── AddressError        the address of a device
+        ├── ConfigurationError  what a device says of itself (units, ports) cannot be used
         ├── ScenarioError       a scenario, or the file it came from
         ├── ExperimentError     a simulated experiment, or the file it came from
         ├── PoseError           a pose outside the table, or not a number
@@ -25,7 +28,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 __all__ = [
+    "AddressError",
     "ChecksumError",
+    "ConfigurationError",
     "DataError",
     "DeviceFault",
     "ExperimentError",
@@ -37,6 +42,7 @@ __all__ = [
     "NeedleplanError",
     "OutputError",
     "PoseError",
+    "ProtocolError",
     "ScenarioError",
     "TableError",
 ]
@@ -74,6 +80,10 @@ class LinkClosed(DeviceFault):
     """The way to a device is gone."""
 
 
+class ProtocolError(DeviceFault):
+    """A device sent bytes that its protocol does not know: cut short, damaged, or another device's."""
+
+
 class InputError(NeedleplanError):
     """What was supplied is wrong.
 
@@ -94,6 +104,14 @@ class InputError(NeedleplanError):
         if len(self.mistakes) == 1:
             return f"{prefix}{self.mistakes[0]}"
         return "\n".join([f"{prefix}{len(self.mistakes)} mistakes", *(f"  {each}" for each in self.mistakes)])
+
+
+class AddressError(InputError):
+    """The address of a device is wrong."""
+
+
+class ConfigurationError(InputError):
+    """What a device says of itself cannot be used: units that are not known, a tool that is not there."""
 
 
 class ScenarioError(InputError):

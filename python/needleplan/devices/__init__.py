@@ -1,5 +1,6 @@
 """Devices: stages, force sensors and trackers behind three small interfaces, and the links and protocols under them."""
 
+from needleplan.devices.address import Address
 from needleplan.devices.base import (
     Device,
     ForceSample,
@@ -13,8 +14,12 @@ from needleplan.devices.base import (
 )
 from needleplan.devices.clock import Clock, Deadline, SystemClock, VirtualClock
 from needleplan.devices.link import Link, MemoryLink, memory_pair
+from needleplan.devices.network import TcpLink, UdpLink
+from needleplan.devices.opening import open_link
+from needleplan.devices.serial_port import SerialLink
 
 __all__ = [
+    "Address",
     "Clock",
     "Deadline",
     "Device",
@@ -24,11 +29,15 @@ __all__ = [
     "Link",
     "MemoryLink",
     "PoseSample",
+    "SerialLink",
     "Stage",
     "StageSample",
     "Stamp",
     "SystemClock",
+    "TcpLink",
     "Tracker",
+    "UdpLink",
     "VirtualClock",
     "memory_pair",
+    "open_link",
 ]

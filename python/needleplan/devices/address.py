@@ -1,0 +1,91 @@
+"""Addresses of devices: `udp://host:port`, `tcp://host:port`, `serial:///dev/ttyUSB0?baud=9600`.
+
+What follows the question mark are options, as in `udp://192.168.1.1:49152?slot=2`; an option that nobody knows is a
+mistake, with a suggestion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import TypeVar
+from urllib.parse import parse_qsl, urlsplit
+
+from needleplan.errors import AddressError, Mistake
+
+__all__ = ["Address"]
+
+_LAST_PORT = 65_535
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Address:
+    """The parts of an address. `path` is that of a serial port, `host` and `port` those of a network device."""
+
+    scheme: str
+    host: str = ""
+    port: int | None = None
+    path: str = ""
+    options: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, text: str) -> Address:
+        """Return the parts of `text`. Raises AddressError with what is wrong and what would be right."""
+        try:
+            parts = urlsplit(text.strip())
+            port = parts.port
+            pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
+        except ValueError as error:
+            raise AddressError(Mistake("address", text, f"is not an address: {error}")) from error
+        if not parts.scheme or "://" not in text:
+            rule = "must begin with the kind of link, as in udp://192.168.1.1:49152 or serial:///dev/ttyUSB0"
+            raise AddressError(Mistake("address", text, rule))
+        if parts.fragment or parts.username is not None:
+            raise AddressError(Mistake("address", text, "has neither a user nor a part after #"))
+        options = dict(pairs)
+        if len(options) < len(pairs):
+            raise AddressError(Mistake("address", text, "names an option twice"))
+        return cls(parts.scheme, parts.hostname or "", port, parts.path, options)
+
+    def network(self, default_port: int | None = None) -> tuple[str, int]:
+        """Return host and port. Raises AddressError where one is missing."""
+        port = default_port if self.port is None else self.port
+        if not self.host:
+            raise AddressError(Mistake("address", str(self), f"must name a host: {self.scheme}://host:port"))
+        if port is None or not 0 < port <= _LAST_PORT:
+            raise AddressError(
+                Mistake("address", str(self), f"must name a port from 1 to 65535: {self.scheme}://host:port")
+            )
+        if self.path not in ("", "/"):
+            raise AddressError(Mistake("address", str(self), "has no path after the port"))
+        return self.host, port
+
+    def option(self, name: str, read: Callable[[str], _T], default: _T) -> _T:
+        """Return an option as `read` understands it. Raises AddressError."""
+        if name not in self.options:
+            return default
+        try:
+            return read(self.options[name])
+        except (ValueError, KeyError) as error:
+            rule = f"is not what the option {name} takes"
+            raise AddressError(Mistake(name, self.options[name], rule), str(self)) from error
+
+    def only(self, known: Collection[str]) -> None:
+        """Raise AddressError, with a suggestion, where an option is not among `known`."""
+        mistakes = []
+        for name in self.options:
+            if name not in known:
+                close = get_close_matches(name, known, n=1)
+                hint = f'; did you mean "{close[0]}"?' if close else ""
+                rule = f"must be one of {', '.join(sorted(known))}{hint}" if known else "no option is known here"
+                mistakes.append(Mistake("option", name, rule))
+        if mistakes:
+            raise AddressError(mistakes, str(self))
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        port = "" if self.port is None else f":{self.port}"
+        options = "&".join(f"{name}={value}" for name, value in self.options.items())
+        return f"{self.scheme}://{host}{port}{self.path}{'?' if options else ''}{options}"
