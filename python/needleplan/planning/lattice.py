@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from needleplan import _ppvi
 from needleplan.errors import ScenarioError
 from needleplan.scenario import Scenario, Transition
-from needleplan.scenario.polygon import TOLERANCE_MM
 
 __all__ = ["lattice_of"]
 
@@ -33,18 +30,8 @@ def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
             collision=objective.collision,
             exit=objective.exit,
             discount=objective.discount,
-            **_elsewhere(scenario),
+            layers=[(layer.from_mm, layer.curvature_radius_mm) for layer in scenario.needle.layers],
+            tissues=[(tissue.polygon_mm, tissue.curvature_radius_mm) for tissue in scenario.tissues],
         )
     except (ValueError, MemoryError) as error:
         raise ScenarioError(str(error)) from error
-
-
-def _elsewhere(scenario: Scenario) -> dict[str, Any]:
-    """Return where another radius holds than that of the needle, as keywords of the lattice."""
-    if scenario.uniform:
-        return {}
-    return {
-        # A grid line that rounding puts just before the edge of a layer is in it.
-        "layers": [(layer.from_mm - TOLERANCE_MM, layer.curvature_radius_mm) for layer in scenario.needle.layers],
-        "tissues": [(tissue.polygon_mm, tissue.curvature_radius_mm) for tissue in scenario.tissues],
-    }

@@ -9,7 +9,7 @@ from needleplan.scenario import Method, Scenario
 
 __all__ = ["BYTES_PER_STATE", "available_bytes", "require_memory"]
 
-BYTES_PER_STATE = {Method.SWEEP: 32, Method.PPVI: 180, Method.VALUE_ITERATION: 180}
+BYTES_PER_STATE = {Method.SWEEP: 36, Method.PPVI: 180, Method.VALUE_ITERATION: 180}
 """Peak of planning, measured: the table (9), the solver's copies, what the arcs lead to; the sweeps work in single
 precision on the lattice, the other methods in double precision on any Markov decision process."""
 

@@ -2,7 +2,7 @@
 
 use crate::bicycle::Bicycle;
 use crate::error::{Result, parameter};
-use crate::workspace::Polygon;
+use crate::workspace::{CLOSED_MM, Polygon};
 
 /// The radius of curvature by place; without layers and regions it is the needle's everywhere.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -14,7 +14,7 @@ pub struct Tissues {
 }
 
 impl Tissues {
-    /// Layers hold from their x on, regions inside and on their polygon, over the layers.
+    /// Layers hold from their x on (to within [`CLOSED_MM`]), regions inside and on their polygon, over the layers.
     pub fn new(layers: Vec<(f64, f64)>, regions: Vec<(Polygon, f64)>) -> Result<Self> {
         if layers.iter().any(|(from, _)| !from.is_finite()) || !layers.is_sorted_by(|a, b| a.0 < b.0) {
             return Err(parameter("layers", format!("{layers:?}"), "must begin at increasing finite depths"));
@@ -38,7 +38,7 @@ impl Tissues {
             return needle;
         }
         let region = self.regions.iter().rev().find(|(polygon, _)| polygon.contains(place)).map(|region| region.1);
-        let layer = || self.layers.iter().rev().find(|(from, _)| *from <= place[0]).map(|layer| layer.1);
+        let layer = || self.layers.iter().rev().find(|(from, _)| *from <= place[0] + CLOSED_MM).map(|layer| layer.1);
         Bicycle { radius: region.or_else(layer).unwrap_or(needle.radius), ..needle }
     }
 }
