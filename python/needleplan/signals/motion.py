@@ -42,7 +42,7 @@ class Motion:
         if velocity_mm_s is None:
             if not (np.diff(time) > 0).all():
                 raise DataError(Mistake("time_s", "", "must increase from sample to sample"))
-            velocity = np.gradient(depth, time)
+            velocity = _central_difference(time, depth)
         else:
             velocity = np.asarray(velocity_mm_s, float)
         angle = np.zeros_like(time) if angle_rad is None else np.asarray(angle_rad, float)
@@ -79,6 +79,17 @@ class Motion:
     def interval_s(self) -> Array:
         """Times between samples, shape (samples - 1,)."""
         return np.diff(self.time_s)
+
+
+def _central_difference(time: Array, depth: Array) -> Array:
+    """Return the second-order difference of uneven samples, shape (samples,): exactly zero where the depth rests.
+
+    That of numpy leaves a rounding error there, whose sign would pass for a direction.
+    """
+    step = np.diff(time)
+    slope = np.diff(depth) / step
+    middle = (step[1:] * slope[:-1] + step[:-1] * slope[1:]) / (step[1:] + step[:-1])
+    return np.concatenate([slope[:1], middle, slope[-1:]])
 
 
 def last_direction(velocity: Array) -> Array:
