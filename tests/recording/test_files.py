@@ -75,9 +75,9 @@ def test_datasets_in_the_root_are_columns() -> None:
 
 
 def test_files_with_the_same_names_stay_apart(tmp_path: Path) -> None:
-    for folder in ("a", "b"):
+    for folder, samples in (("a", 30), ("b", 31)):
         (tmp_path / folder).mkdir()
-        write_records([trial("one", 30)], tmp_path / folder / "data.csv")
+        write_records([trial("one", samples)], tmp_path / folder / "data.csv")
     found = read_records([tmp_path / "a" / "data.csv", tmp_path / "b" / "data.csv"])
     assert found[0].trial == f"{tmp_path / 'a' / 'data.csv'}: one"
     assert len({each.trial for each in found}) == 2
@@ -217,3 +217,34 @@ def test_truncated_and_altered_files(data: st.DataObject) -> None:
         survives(content[: data.draw(st.integers(0, len(content)))])
         place = data.draw(st.integers(0, len(content) - 1))
         survives(content[:place] + data.draw(st.binary(min_size=1, max_size=4)) + content[place + 1 :])
+
+
+def test_one_measurement_given_twice_is_refused(tmp_path: Path) -> None:
+    """It would count as a repetition, and narrow every interval; another encoding of the same numbers is the same."""
+    (tmp_path / "a.csv").write_text(GOOD)
+    (tmp_path / "b.csv").write_text("\ufeff" + GOOD)
+    for files in (["a.csv", "a.csv"], ["a.csv", "b.csv"]):
+        with pytest.raises(DataError, match=r"holds the same numbers as .*a\.csv, trial a: one measurement must not"):
+            read_records([tmp_path / file for file in files])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (GOOD.split("\n", 1)[1], r"line 1 = 0\.0,0\.0,0\.1: holds numbers: a header with the names"),
+        (GOOD.replace(",", " "), "line 1 = time_s depth_mm force_n: is one cell: columns must be separated by commas"),
+        (GOOD.replace(",", ";").replace(".", ","), "write decimal points"),
+    ],
+)
+def test_a_file_that_only_a_person_can_read_says_what_to_change(text: str, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        parse_records(text.encode())
+
+
+def test_another_axis_of_a_sensor_is_left_out_and_a_slip_is_refused() -> None:
+    head, *rows = GOOD.strip().split("\n")
+    both = "\n".join([f"{head},force_x", *(f"{row},{number}" for number, row in enumerate(rows))])
+    (record,) = parse_records(both.encode())
+    assert record.notes == ("columns that nothing here needs were left out: force_x",)
+    with pytest.raises(DataError, match='did you mean "force_n"'):
+        parse_records(GOOD.replace("force_n", "force_x").encode())

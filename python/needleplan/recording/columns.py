@@ -7,7 +7,7 @@ factor.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 from needleplan.errors import Mistake
@@ -43,13 +43,14 @@ def judge_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]]:
     unknown: list[str] = []
     mistakes: list[Mistake] = []
     seen: set[str] = set()
+    names = tuple(names)
     for name in names:
         if name in seen:
             mistakes.append(Mistake(name, "", "stands there twice"))
         seen.add(name)
         if name in NUMBERS or name in TEXTS:
             continue
-        rule = _meant(name)
+        rule = _meant(name, names)
         if rule:
             mistakes.append(Mistake(name, "", rule))
         else:
@@ -59,8 +60,11 @@ def judge_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]]:
     return tuple(unknown), mistakes
 
 
-def _meant(name: str) -> str:
-    """Return the rule that a name breaks, or nothing where it means something else altogether."""
+def _meant(name: str, names: Sequence[str]) -> str:
+    """Return the rule that a name breaks, or nothing where it means something else altogether.
+
+    A name like that of a column that is there too, such as force_x beside force_n, is another quantity and no slip.
+    """
     lower = name.strip().lower().replace(" ", "_")
     if lower in NUMBERS or lower in TEXTS:
         return f'must be written "{lower}"'
@@ -71,4 +75,4 @@ def _meant(name: str) -> str:
         wanted = _BARE[lower]
         return f'must carry its unit, {UNITS[wanted]}: convert where necessary and rename it "{wanted}"'
     close = get_close_matches(lower, [*NUMBERS, *TEXTS], n=1, cutoff=0.8)
-    return f'is not a known column; did you mean "{close[0]}"?' if close else ""
+    return f'is not a known column; did you mean "{close[0]}"?' if close and close[0] not in names else ""

@@ -40,6 +40,7 @@ def parse_csv(content: bytes, source: str) -> Table:
     # A quoted cell must not run over the end of its line: one stray quote would swallow the rest of the file.
     rows = [(number, _cells(line, separator, number, source)) for number, line in lines]
     header = rows[0][1]
+    _require_names(header, lines[0], source)
     unknown, mistakes = judge_names(header)
     if mistakes:
         raise DataError(mistakes, source)
@@ -80,6 +81,18 @@ def to_csv(records: Sequence[Record]) -> str:
             phase = [record.phase[row] if record.phase else ""] if phases else []
             writer.writerow([*cells, *phase, record.trial, record.role])
     return stream.getvalue()
+
+
+def _require_names(header: Sequence[str], line: tuple[int, str], source: str) -> None:
+    """Raise DataError where the first line is no header at all, which the names of its columns would not explain."""
+    number, text = line
+    if all(_number(cell) is not None for cell in header):
+        rule = "holds numbers: a header with the names of the columns must stand above them, such as time_s,depth_mm"
+    elif len(header) == 1 and "time_s" in text.split():
+        rule = "is one cell: columns must be separated by commas, semicolons or tabs, not by spaces"
+    else:
+        return
+    raise DataError(Mistake(f"line {number}", text[:60], rule), source)
 
 
 def _cell(number: float) -> str:
@@ -123,9 +136,10 @@ def _read_row(
         elif name in numbers:
             value = _number(cell)
             if value is None:
-                mistakes.append(
-                    Mistake(f"{name} (line {number})", cell, f"must be a number in {UNITS[name]}, or empty")
-                )
+                rule = f"must be a number in {UNITS[name]}, or empty"
+                if "," in cell:
+                    rule += "; decimal commas are not read: write decimal points"
+                mistakes.append(Mistake(f"{name} (line {number})", cell, rule))
             else:
                 numbers[name].append(value)
     return mistakes

@@ -29,13 +29,14 @@ def read_records(paths: PathLike | Iterable[PathLike], *, accept_units: bool = F
 
     A trial is named by its column `trial`, or by its file; where two files use the same name, by file and name. Rows
     left out and other remarks are in `Record.notes`. Raises DataError: for files that cannot be read, missing times,
-    times that repeat or decrease, columns in other units, and, unless `accept_units`, numbers of a size that no needle
-    has.
+    times that repeat or decrease, columns in other units, the same measurement given twice, and, unless `accept_units`,
+    numbers of a size that no needle has.
     """
     files = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not files:
         raise DataError("no file of data was given")
     found = [(os.fspath(file), _read(file, accept_units)) for file in files]
+    _require_different(found)
     uses = Counter(name for _, records in found for name in {record.trial for record in records})
     return [
         record if uses[record.trial] == 1 else replace(record, trial=f"{file}: {record.trial}")
@@ -79,6 +80,19 @@ def write_records(records: Sequence[Record], path: PathLike) -> str:
     content = to_csv(records).encode() if ending == ".csv" else to_hdf5(records)
     write_whole(path, content)
     return digest(content)
+
+
+def _require_different(found: Sequence[tuple[str, Sequence[Record]]]) -> None:
+    """Raise DataError where one measurement is there twice: it would count as two, and narrow every interval."""
+    first: dict[str, str] = {}
+    for file, records in found:
+        for record in records:
+            content = digest(b"".join(name.encode() + record[name].tobytes() for name in sorted(record.columns)))
+            here = f"{file}, trial {record.trial}"
+            if content in first:
+                rule = f"holds the same numbers as {first[content]}: one measurement must not count twice"
+                raise DataError(Mistake("trial", record.trial, rule), file)
+            first[content] = here
 
 
 def _read(file: PathLike, accept_units: bool) -> list[Record]:
