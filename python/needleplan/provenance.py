@@ -6,11 +6,12 @@ import contextlib
 import hashlib
 import os
 import secrets
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from needleplan.errors import Mistake, OutputError
 
-__all__ = ["digest", "require_writable", "version", "write_whole"]
+__all__ = ["digest", "require_different", "require_writable", "version", "write_whole"]
 
 
 def digest(content: str | bytes | memoryview) -> str:
@@ -24,6 +25,23 @@ def version() -> str:
     from importlib import metadata
 
     return metadata.version("needleplan")
+
+
+def require_different(inputs: Iterable[str | os.PathLike[str]], outputs: Sequence[str | os.PathLike[str]]) -> None:
+    """Raise OutputError where an output would replace an input, or another output: measurements cannot be had again.
+
+    Devices and pipes may stand for several.
+    """
+    taken = {_place(path): f"replace {os.fspath(path)}, which is read" for path in inputs}
+    for path in outputs:
+        place = _place(path)
+        if place in taken and (place.is_file() or not place.exists()):
+            raise OutputError(Mistake("", "", f"cannot be written: it would {taken[place]}"), os.fspath(path))
+        taken[place] = "be written twice"
+
+
+def _place(path: str | os.PathLike[str]) -> Path:
+    return Path(os.path.realpath(path))
 
 
 def require_writable(path: str | os.PathLike[str]) -> None:

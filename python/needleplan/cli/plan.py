@@ -41,13 +41,14 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from needleplan.provenance import require_writable
+    from needleplan.provenance import require_different, require_writable
     from needleplan.scenario import Scenario
 
     scenario, identified = with_identified(Scenario.read(options.scenario), options)
-    for output in (options.output, options.figure):
-        if output:
-            require_writable(output)
+    outputs = [output for output in (options.output, options.figure) if output]
+    require_different([options.scenario, *(each.file for each in identified)], outputs)
+    for output in outputs:
+        require_writable(output)
     from needleplan.planning import Status, plan
 
     note(f"{scenario.title or options.scenario}: {scenario.states:,} states, method {scenario.solver.method}")
