@@ -57,6 +57,12 @@ def test_the_table_says_what_was_found(data: Path, capsys: pytest.CaptureFixture
         (["friction", "{data}"], "force_n: is missing, and is needed here"),
         (["curvature", "{metres}"], "in metres?"),
         (["curvature", "{data}", "-o", "no/such/folder.toml"], "no such folder"),
+        (["curvature", "{data}", "-o", "{data}"], "it would replace"),
+        (["curvature", "{data}", "-o", "same.png", "--figure", "./same.png"], "be written twice"),
+        (["curvature", "{data}", "--average", "3"], "--average: is for force and tissue-motion, not for curvature"),
+        (["deflection", "{data}", "--geometry", "1,0.5"], "must be 4 numbers"),
+        (["deflection", "{data}", "--geometry", "0.5,1,200,20"], "must be less than outer_diameter_mm"),
+        (["deflection", "{data}", "--stiffness", "nan"], "must be a finite number"),
     ],
 )
 def test_wrong_input_is_exit_code_2(
@@ -67,3 +73,19 @@ def test_wrong_input_is_exit_code_2(
     filled = [each.format(data=data, metres=metres) for each in arguments]
     assert main(["identify", *filled]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_data_are_not_overwritten(data: Path) -> None:
+    before = data.read_bytes()
+    main(["identify", "curvature", str(data), "--figure", str(data.parent / "." / data.name)])
+    assert data.read_bytes() == before
+
+
+def test_what_is_known_reaches_the_identification(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    known = ["--geometry", "1.27,0.9,200,20", "--stiffness", "0.01", "--skip", "10"]
+    assert main(["identify", "deflection", str(data), *known, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["parameters"]["stiffness"] == 0.01
+    assert said["parameters"]["bevel"] == pytest.approx(np.radians(20))
+    assert any("the first 10 mm" in each for each in said["remarks"])
+    assert not any("no needle given" in each for each in said["remarks"])

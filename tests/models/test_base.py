@@ -114,6 +114,10 @@ def test_what_the_data_cannot_tell_is_said() -> None:
 
 def test_records_that_identify_nothing_are_refused() -> None:
     rest = Record({"time_s": np.arange(50.0), "depth_mm": np.ones(50), "force_n": np.ones(50)})
+    time = np.arange(50.0)
+    dead = Record({"time_s": time, "depth_mm": 10 * time, "force_n": np.full(50, 0.3)})
+    with pytest.raises(DataError, match=r"force_n = 0\.3: is constant to the last bit"):
+        fit(Lag(1.0, 1.0), dead)
     with pytest.raises(DataError, match="at rest"):
         fit(Lag(1.0, 1.0), rest)
     with pytest.raises(DataError, match="too short"):

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json
+from needleplan.cli.identify_options import add_knowledge, knowledge
 from needleplan.cli.needle import part_lines, part_record
 from needleplan.cli.options import add_figure, add_json
 from needleplan.errors import InputError, Mistake
@@ -53,6 +54,7 @@ def add_to(commands: Any) -> None:
         action="store_true",
         help="use numbers of a size that no needle has, such as depths in metres",
     )
+    add_knowledge(parser)
     add_figure(parser, "data, model and what is left")
     add_json(parser)
     parser.set_defaults(run=run)
@@ -60,16 +62,18 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from needleplan.provenance import require_writable
+    from needleplan.provenance import require_different, require_writable
     from needleplan.recording import read_records
 
-    for output in (options.output, options.figure, options.scenario_out):
-        if output:
-            require_writable(output)
+    known = knowledge(options)
+    outputs = [output for output in (options.output, options.figure, options.scenario_out) if output]
+    require_different([*options.data, *([options.scenario] if options.scenario else [])], outputs)
+    for output in outputs:
+        require_writable(output)
     scenario = _scenario(options)
     records = read_records(options.data, accept_units=options.accept_units)
     note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
-    found: Identification = _identifier(options.kind).identify(records)
+    found: Identification = _identifier(options.kind).identify(records, **known)
     file = _model_file(found, records, options.kind)
     if file and options.output:
         file.write(options.output)

@@ -106,6 +106,9 @@ class Heterogeneity:
     p_value: float
     between_sd_per_mm: float
     mean_per_mm: float
+    sd_per_mm: float
+    """Standard deviation of the mean."""
+
     low_per_mm: float
     high_per_mm: float
 
@@ -191,9 +194,10 @@ def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
     mean = float(weight @ value / weight.sum())
     # Hartung and Knapp: honest for few paths, and never narrower than what the intervals themselves say.
     spread = max(1.0, float(weight @ (value - mean) ** 2) / degrees)
-    reach = float(stats.t.ppf(0.975, degrees) * np.sqrt(spread / weight.sum()))
+    sd = float(np.sqrt(spread / weight.sum()))
+    reach = float(stats.t.ppf(0.975, degrees)) * sd
     p_value = float(stats.chi2.sf(q, degrees))
-    return Heterogeneity(q, p_value, float(np.sqrt(between)), mean, mean - reach, mean + reach)
+    return Heterogeneity(q, p_value, float(np.sqrt(between)), mean, sd, mean - reach, mean + reach)
 
 
 class _Path:

@@ -182,6 +182,10 @@ class _Problem:
             raise DataError(Mistake(self.model.channel, f"{self.samples} samples", rule))
         if all(np.ptp(motion.depth_mm) == 0 and not motion.velocity_mm_s.any() for motion in self.motions):
             raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest identifies nothing"))
+        counted = [measured[mask] for measured, mask in zip(self.measured, self.masks, strict=True) if mask.any()]
+        if all(np.ptp(each) == 0 for each in counted):
+            rule = "is constant to the last bit: no sensor measures that, and nothing can be identified from it"
+            raise DataError(Mistake(self.model.channel, f"{counted[0][0]:g}", rule))
 
     def start(self) -> Array:
         values = [getattr(self.model, name) for name in self.free]

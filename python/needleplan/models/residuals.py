@@ -17,9 +17,10 @@ from scipy.linalg import solve_toeplitz
 
 from needleplan.errors import DataError, Mistake
 from needleplan.models.fit import Fit
-from needleplan.signals import Array, Record
+from needleplan.signals import Array, Motion, Record
+from needleplan.signals.record import UNITS
 
-__all__ = ["Finding", "ljung_box", "residual_findings"]
+__all__ = ["Finding", "findings_of", "ljung_box", "residual_findings"]
 
 _NAMES = (
     "whiteness",
@@ -55,13 +56,22 @@ def residual_findings(found: Fit, records: Sequence[Record]) -> tuple[Finding, .
         len(record) != left.size for record, left in zip(records, found.residuals, strict=True)
     ):
         raise DataError(Mistake("records", f"{len(records)}", "must be those that the fit was made from"))
-    good = [np.isfinite(left) for left in found.residuals]
-    left = [values[mask] for values, mask in zip(found.residuals, good, strict=True)]
-    unit = {"force_n": "N", "y_mm": "mm"}.get(found.model.channel, "")
+    unit = UNITS.get(found.model.channel, "")
+    return findings_of(found.residuals, [record.motion() for record in records], unit)
+
+
+def findings_of(residuals: Sequence[Array], motions: Sequence[Motion], unit: str) -> tuple[Finding, ...]:
+    """Return the tests of residuals, shape (samples,) for each motion, in `unit`, NaN where a sample does not count.
+
+    What `residual_findings` says of its tests holds here too.
+    """
+    good = [np.isfinite(values) for values in residuals]
+    left = [values[mask] for values, mask in zip(residuals, good, strict=True)]
+    motions = [motion[mask] for motion, mask in zip(motions, good, strict=True) if mask.any()]
+    left = [values for values in left if values.size]
     if sum(map(len, left)) < _FEWEST:
         says = f"not tested: fewer than {_FEWEST} samples"
         return tuple(Finding(name, float("nan"), None, says) for name in _NAMES)
-    motions = [record.motion()[mask] for record, mask in zip(records, good, strict=True)]
     filters = [_autoregression(each) for each in left]
     ones = [np.ones(each.size) for each in left]
     return (

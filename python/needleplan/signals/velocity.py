@@ -55,7 +55,9 @@ def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:
     """
     time, position = np.asarray(time_s, float), np.asarray(position_mm, float)
     if time.ndim != 1 or time.shape != position.shape or time.size < 15:
-        raise DataError(Mistake("depth_mm", f"shape {position.shape}", "must be as long as time_s, and at least 15"))
+        raise DataError(
+            Mistake("depth_mm", f"shape {position.shape}", "must be as long as time_s, and hold at least 15 samples")
+        )
     if not np.isfinite(position).all() or not np.isfinite(time).all() or not (np.diff(time) > 0).all():
         raise DataError(Mistake("depth_mm", "", "must be finite numbers at increasing times"))
     third = np.diff(position, 3)

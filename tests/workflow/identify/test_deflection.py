@@ -6,6 +6,7 @@ The records come from the march of a finite needle with all axial terms, not fro
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,3 +154,19 @@ def test_the_figure_is_drawn() -> None:
     found.draw(figure)
     assert len(figure.axes) == 3
     assert [axes.get_ylabel() for axes in figure.axes][-1] == "axial force (N)"
+
+
+def test_what_reading_said_and_what_was_not_used_is_remarked() -> None:
+    given = record()
+    noted = replace(given, notes=("3 rows were left out",))
+    quiet = record(seed=1, role=Role.NOISE)
+    found = identify([noted, quiet])
+    assert "trial 0: 3 rows were left out" in found.remarks
+    assert "trials of noise are not used here, 1 left out" in found.remarks
+    assert {"whiteness", "trend with depth", "normality"} <= {each.name for each in found.findings}
+
+
+def test_a_path_that_is_constant_to_the_last_bit_is_refused() -> None:
+    given = record()
+    with pytest.raises(DataError, match="y_mm = 0: is constant to the last bit"):
+        identify([given.with_column("y_mm", np.zeros(len(given)))])

@@ -64,6 +64,9 @@ def path_fit(record: Record, start: TipPath, skip_mm: float) -> PathFit:
     size, slope, offset = np.linalg.lstsq(
         np.column_stack([shape, depth - start.tracked, np.ones_like(depth)]), measured[counts], rcond=None
     )[0]
+    if not np.ptp(measured[counts]):
+        rule = "is constant to the last bit: no tracker measures that, and nothing can be identified from it"
+        raise DataError(Mistake("y_mm", f"{measured[counts][0]:g}", rule), record.trial)
     begin = _within(replace(unit, side=1.0 if size >= 0 else -1.0), 0.01 * abs(size), slope, offset)
     turned = bool(np.ptp(np.cos(motion.angle_rad[counts])) > 0.5)
     free = ["cutting_force", "slope", "offset", *(["stiffness"] if turned else [])]

@@ -8,13 +8,16 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import stats
 
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import Change, Curvature, Heterogeneity, TrackerNoise, agreement, path_curvature
 from needleplan.estimation.circle import fit_circle
 from needleplan.models import Bicycle, Estimate, Finding
-from needleplan.signals import Array, Record, Role
+from needleplan.models.residuals import findings_of
+from needleplan.signals import Array, Motion, Record
 from needleplan.workflow.identify.identification import Identification
+from needleplan.workflow.identify.trials import trials_by_role
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,6 +38,9 @@ class Insertion:
     whole: Curvature
     segments: tuple[Curvature, ...]
     changes: tuple[Change, ...]
+    motion: Motion
+    """How the needle moved, a sample a point."""
+
     remarks: tuple[str, ...]
 
 
@@ -50,24 +56,27 @@ def identify(
     """Fit circles to the tip positions of insertions without rotation.
 
     Columns: time_s, x_mm (along the insertion; depth_mm where it is missing) and y_mm, or z_mm with `plane` "xz". The
-    part from `skip_mm` to the greatest depth counts. Trials with the role noise are left out. `segments` equal parts
-    of the path have a curvature each, to see whether it changes. Raises DataError for records that cannot be used.
+    part from `skip_mm` to the greatest depth counts. Trials with the role holdout judge: whether their curvature is one
+    of those to expect; those of noise are left out. `segments` equal parts of the path have a curvature each, to see
+    whether it changes. Raises DataError for records that cannot be used.
     """
     if plane not in ("xy", "xz") or not 1 <= segments <= 10:
         raise DataError(Mistake("plane, segments", f"{plane}, {segments}", "must be xy or xz, and 1 to 10"))
-    used = [record for record in records if record.role is not Role.NOISE]
-    if not used:
-        raise DataError(Mistake("role", "", "there is no trial to identify from"))
+    trials = trials_by_role(records)
     options = {"segments": segments, "plane": plane, "skip_mm": skip_mm, "noise": noise}
-    found = [insertion_of(record, correlation_mm=correlation_mm, **options) for record in used]  # type: ignore[arg-type]
+    found, held = (
+        [insertion_of(record, correlation_mm=correlation_mm, **options) for record in some]  # type: ignore[arg-type]
+        for some in (trials.train, trials.holdout)
+    )
     together = agreement([each.whole for each in found]) if len(found) > 1 else None
     estimate = _estimate(found[0].whole, together)
-    remarks = [remark for each in found for remark in each.remarks]
-    remarks += [f"{len(records) - len(used)} trials of noise were left out"] * (len(records) > len(used))
+    remarks = [*trials.remarks, *(remark for each in (*found, *held) for remark in each.remarks)]
     remarks += _remarks(found, together, estimate)
+    left = findings_of([_distances(each) for each in found], [each.motion for each in found], "mm")
     return Identification(
-        "curvature", Bicycle(estimate.value), {"curvature_per_mm": estimate}, tuple(_scores(found, together)),
-        tuple(_findings(found, together)), tuple(remarks), partial(_draw, found=found, plane=plane),
+        "curvature", Bicycle(estimate.value), {"curvature_per_mm": estimate}, tuple(_scores([*found, *held], together)),
+        (*_findings(found, together), *(_judged(each, estimate, together) for each in held), *left), tuple(remarks),
+        partial(_draw, found=[*found, *held], plane=plane),
     )  # fmt: skip
 
 
@@ -81,7 +90,7 @@ def insertion_of(
     correlation_mm: float | None = None,
 ) -> Insertion:
     """Return the curvature of one trial. Raises DataError, with the name of the trial."""
-    points, remarks = _points(record, plane, skip_mm)
+    points, motion, remarks = _points(record, plane, skip_mm)
     options = {"noise": noise, "correlation_mm": correlation_mm}
     try:
         (whole,), _ = path_curvature(points, **options)  # type: ignore[arg-type]
@@ -95,18 +104,21 @@ def insertion_of(
     except DataError as error:
         raise DataError(error.mistakes, record.trial) from None
     prefix = f"{record.trial}: " if record.trial else ""
-    return Insertion(record.trial, points, whole, parts, changes, tuple(prefix + each for each in remarks))
+    return Insertion(record.trial, points, whole, parts, changes, motion, tuple(prefix + each for each in remarks))
 
 
-def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, list[str]]:
-    """Return the points on the way in that count, and what was left out."""
+def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, Motion, list[str]]:
+    """Return the points on the way in that count, how the needle moved there, and what was left out."""
     along = record["x_mm"] if "x_mm" in record.columns else record["depth_mm"]
     across = record["y_mm" if plane == "xy" else "z_mm"]
     depth = record.columns.get("depth_mm", along)
-    remarks = list(record.notes)
+    remarks: list[str] = []
     known = np.isfinite(along) & np.isfinite(across) & np.isfinite(depth)
     if not known.any():
-        raise DataError(Mistake("y_mm", "", "has no number beside one of x_mm or depth_mm"), record.trial)
+        raise DataError(Mistake(f"{plane[1]}_mm", "", "has no number beside one of x_mm or depth_mm"), record.trial)
+    if not np.ptp(across[known]):
+        rule = "is constant to the last bit: no tracker measures that, and nothing can be identified from it"
+        raise DataError(Mistake(f"{plane[1]}_mm", f"{across[known][0]:g}", rule), record.trial)
     deepest = int(np.argmax(np.where(known, depth, -np.inf)))
     way_in = np.arange(len(record)) <= deepest
     back = int((known & ~way_in & (depth < depth[deepest] - _BACK)).sum())
@@ -116,7 +128,10 @@ def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, list[str
     if shallow.any():
         remarks.append(f"{int(shallow.sum())} samples above {skip_mm:g} mm do not count")
     kept = known & (way_in | (depth >= depth[deepest] - _BACK)) & ~shallow
-    return np.column_stack([along[kept], across[kept]]), remarks
+    if kept.sum() < 2:
+        raise DataError(Mistake("skip_mm", f"{skip_mm:g}", "leaves no path on the way in"), record.trial)
+    motion = Motion.sampled(record["time_s"][kept], depth[kept])
+    return np.column_stack([along[kept], across[kept]]), motion, remarks
 
 
 def _estimate(first: Curvature, together: Heterogeneity | None) -> Estimate:
@@ -125,7 +140,7 @@ def _estimate(first: Curvature, together: Heterogeneity | None) -> Estimate:
             first.curvature_per_mm, first.sd_per_mm, first.low_per_mm, first.high_per_mm, "1/mm", first.bends
         )
     low, high = together.low_per_mm, together.high_per_mm
-    return Estimate(together.mean_per_mm, (high - low) / 4, low, high, "1/mm", low > 0 or high < 0)
+    return Estimate(together.mean_per_mm, together.sd_per_mm, low, high, "1/mm", low > 0 or high < 0)
 
 
 def _scores(found: Sequence[Insertion], together: Heterogeneity | None) -> list[tuple[str, float, str]]:
@@ -165,6 +180,22 @@ def _findings(found: Sequence[Insertion], together: Heterogeneity | None) -> lis
                 says = f"no change of the curvature at {place:.0f} mm was found"
             findings.append(Finding(f"change, {each.name}".rstrip(", "), change.value_per_mm, change.p_value, says))
     return findings
+
+
+def _distances(insertion: Insertion) -> Array:
+    """Return the signed distances of the points from their circle (mm), shape (n,)."""
+    return fit_circle(insertion.points_mm).distances(insertion.points_mm)
+
+
+def _judged(held: Insertion, estimate: Estimate, together: Heterogeneity | None) -> Finding:
+    """Return whether the curvature of a trial held out is one to expect: scatter, and errors of both, as they are."""
+    variance = held.whole.sd_per_mm**2 + estimate.sd**2 + (together.between_sd_per_mm**2 if together else 0.0)
+    score = (held.whole.curvature_per_mm - estimate.value) / float(np.sqrt(variance))
+    p_value = float(2 * stats.norm.sf(abs(score)))
+    says = (
+        "its curvature is one to expect" if p_value >= 0.05 else "its curvature is not one to expect after the others"
+    )
+    return Finding(f"held out, {held.name}".rstrip(", "), score, p_value, says)
 
 
 def _remarks(found: Sequence[Insertion], together: Heterogeneity | None, estimate: Estimate) -> list[str]:

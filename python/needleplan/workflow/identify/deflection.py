@@ -25,11 +25,13 @@ from scipy import stats
 from needleplan.errors import DataError
 from needleplan.models import Estimate, Fit, Needle, TipPath, fit
 from needleplan.models.deflection import AxialOffset, Tissue
-from needleplan.signals import Record, Role
+from needleplan.models.residuals import findings_of
+from needleplan.signals import Record
 from needleplan.workflow.identify.axial_offset import axial_estimates
 from needleplan.workflow.identify.bending_figure import draw
 from needleplan.workflow.identify.bent_path import PathFit, beyond, depth_factor, mean_of, path_fit
 from needleplan.workflow.identify.identification import Finding, Identification
+from needleplan.workflow.identify.trials import trials_by_role
 
 __all__ = ["NEEDLE", "TISSUE", "identify"]
 
@@ -55,10 +57,10 @@ def identify(
     where it was measured, with the same needle without a bevel; `tracked_mm` the distance of the tracked point behind
     the tip; the first `skip_mm` of depth do not count. Raises DataError where no record can be used.
     """
-    chosen = [each for each in records if each.role is Role.TRAIN]
+    trials = trials_by_role(records)
     own, gel = needle or NEEDLE, tissue or TISSUE
     start = replace(TipPath.of(own, gel.stiffness_n_mm2, 0.05), tracked=tracked_mm)
-    paths, remarks = _paths(chosen, start, skip_mm)
+    paths, remarks = _paths(trials.train, start, skip_mm)
     curvature, chi_square, p_value = mean_of([each.curvature for each in paths])
     estimates = {"curvature": curvature}
     findings = [_bends_evenly(paths)]
@@ -90,13 +92,15 @@ def identify(
         if "stiffness" in more and more["stiffness"].identified:
             value = more["stiffness"].value
             model = _model(paths, replace(start, stiffness=value, depth_factor=factor(value)[0]), curvature)
+    remarks = [*trials.remarks, *remarks]
     remarks += _what_it_rests_on(needle, tissue, bool(turned), bool(with_force), axial_offset, curvature)
     scores = (
         ("RMSE", math.sqrt(np.mean([each.fit.rmse**2 for each in paths])), "mm"),
-        *_held_out(records, model, skip_mm),
+        *_held_out(trials.holdout, model, skip_mm),
     )
+    left = findings_of([each.fit.residuals[0] for each in paths], [each.record.motion() for each in paths], "mm")
     figure = partial(draw, paths=paths, axial=axial, records=with_force, skip_mm=skip_mm)
-    return Identification("deflection", model, estimates, scores, tuple(findings), tuple(remarks), figure)
+    return Identification("deflection", model, estimates, scores, (*findings, *left), tuple(remarks), figure)
 
 
 def _paths(records: Sequence[Record], start: TipPath, skip_mm: float) -> tuple[list[PathFit], list[str]]:
@@ -106,8 +110,11 @@ def _paths(records: Sequence[Record], start: TipPath, skip_mm: float) -> tuple[l
             paths.append(path_fit(record, start, skip_mm))
         except DataError as error:
             mistakes.append((record.trial, error))
+    if len(records) == len(mistakes) == 1:
+        raise mistakes[0][1]
     if not paths:
-        raise DataError([each for _, error in mistakes for each in error.mistakes] or "there is no record to train on")
+        named = [replace(each, key=f"{trial}, {each.key}") for trial, error in mistakes for each in error.mistakes]
+        raise DataError(named)
     remarks = [f"left out, {trial or 'a record'}: {error.mistakes[0]}" for trial, error in mistakes]
     masked = sum(each.fit.masked for each in paths)
     total = sum(len(each.record) for each in paths)
@@ -160,14 +167,13 @@ def _bends_evenly(paths: Sequence[PathFit]) -> Finding:
 
 
 def _held_out(records: Sequence[Record], model: TipPath, skip_mm: float) -> list[tuple[str, float, str]]:
-    held = [each for each in records if each.role is Role.HOLDOUT]
     squares: list[float] = []
-    for record in held:
+    for record in records:
         own = fit(model, record, free=["slope", "offset"], mask=lambda each: beyond(each, skip_mm))
         squares += own.residuals[0][np.isfinite(own.residuals[0])].tolist()
     if not squares:
         return []
-    name = f"RMSE on {len(held)} held-out records, their own slope and offset"
+    name = f"RMSE on {len(records)} held-out records, their own slope and offset"
     return [(name, float(np.sqrt(np.mean(np.square(squares)))), "mm")]
 
 

@@ -13,9 +13,10 @@ from needleplan.estimation.force_start import has_retraction, starting_force
 from needleplan.models import Fit, fit
 from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
 from needleplan.models.residuals import residual_findings
-from needleplan.signals import Array, MovingAverage, Record, Role
+from needleplan.signals import Array, MovingAverage, Record
 from needleplan.workflow.identify.force_figure import draw_force
 from needleplan.workflow.identify.identification import Finding, Identification
+from needleplan.workflow.identify.trials import averaged, trials_by_role
 
 __all__ = ["fit_force", "identify", "settled"]
 
@@ -40,11 +41,8 @@ def identify(
     reversals do not count. `filtered` runs the joint filter from the same start beside the fit. Raises DataError for
     records that cannot be used.
     """
-    train = [record for record in records if record.role is Role.TRAIN]
-    holdout = [record for record in records if record.role is Role.HOLDOUT]
-    noise = [record for record in records if record.role is Role.NOISE]
-    if not train:
-        raise DataError(Mistake("role", "", "there is no trial to identify from"))
+    trials = trials_by_role(records, noise_is_used=True)
+    train, holdout, noise = trials.train, trials.holdout, trials.noise
     deepest = max(float(np.max(record["depth_mm"])) for record in train)
     if not deepest > _LEAST_DEPTH_MM:
         rule = f"goes to {deepest:g} mm; a force-depth model needs more than {_LEAST_DEPTH_MM:g} mm"
@@ -55,8 +53,7 @@ def identify(
     run = identify_by_passes(JointForce(begin), begin, train, smooth=sensor) if filtered and begin.proper else None
     model = found.model
     assert isinstance(model, DepthForce)
-    remarks = [f"{record.trial}: {note}".removeprefix(": ") for record in records for note in record.notes]
-    remarks += _limits(found, model, train)
+    remarks = [*trials.remarks, *_limits(found, model, train), averaged(average)]
     return Identification(
         "force", model if found.ok and model.proper else None, dict(found.estimates),
         tuple(_scores(found, run, train, holdout, sensor)),
@@ -98,7 +95,7 @@ def settled(record: Record, samples: int) -> Array:
 
 
 def _scores(
-    found: Fit, run: FilterRun | None, train: list[Record], holdout: list[Record], sensor: MovingAverage
+    found: Fit, run: FilterRun | None, train: Sequence[Record], holdout: Sequence[Record], sensor: MovingAverage
 ) -> list[tuple[str, float, str]]:
     rows: list[tuple[str, float, str]] = [
         ("RMSE of the fit", found.rmse, "N"),
@@ -116,7 +113,7 @@ def _scores(
 
 
 def _findings(
-    found: Fit, run: FilterRun | None, train: list[Record], noise: list[Record], sensor: MovingAverage
+    found: Fit, run: FilterRun | None, train: Sequence[Record], noise: Sequence[Record], sensor: MovingAverage
 ) -> list[Finding]:
     findings = []
     if run is not None:
@@ -141,7 +138,7 @@ def _findings(
     return findings
 
 
-def _halves(found: Fit, train: list[Record]) -> tuple[float, float]:
+def _halves(found: Fit, train: Sequence[Record]) -> tuple[float, float]:
     left = np.concatenate(found.residuals)
     depth = np.concatenate([record["depth_mm"] for record in train])
     good = np.isfinite(left)
@@ -149,7 +146,7 @@ def _halves(found: Fit, train: list[Record]) -> tuple[float, float]:
     return tuple(float(np.sqrt(np.mean(left[good & half] ** 2))) for half in (~deep, deep))  # type: ignore[return-value]
 
 
-def _limits(found: Fit, model: DepthForce, train: list[Record]) -> list[str]:
+def _limits(found: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]:
     remarks = [
         f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
         for name, each in found.estimates.items()

@@ -14,10 +14,11 @@ from needleplan.models import Fit, fit
 from needleplan.models.friction import Friction
 from needleplan.models.friction.periodic import steady
 from needleplan.models.residuals import residual_findings
-from needleplan.signals import Record, Role, cycles
+from needleplan.signals import Record, cycles
 from needleplan.workflow.identify.identification import Finding, Identification
 from needleplan.workflow.identify.shaft_figure import draw_friction
 from needleplan.workflow.identify.shaft_models import EXPONENTS, Mask, Score, candidates, fit_all, split
+from needleplan.workflow.identify.trials import trials_by_role
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,11 +48,8 @@ def identify(
     judge; without any, the last cycle does, and the chosen model is fitted once more to everything. `models` keeps
     only those of "Karnopp", "I", "II", "II, Fn(L)", "III-A", "III-B". Raises DataError for records that cannot be used.
     """
-    train = [record for record in records if record.role is Role.TRAIN]
-    holdout = [record for record in records if record.role is Role.HOLDOUT]
-    if not train:
-        raise DataError(Mistake("role", "", "there is no trial to identify from"))
-    remarks = [f"{record.trial}: {note}".removeprefix(": ") for record in records for note in record.notes]
+    trials = trials_by_role(records)
+    train, holdout, remarks = trials.train, trials.holdout, list(trials.remarks)
     mask: Mask = partial(steady, skip_cycles=_skipped(train, skip_cycles, remarks), phases=phases)
     chosen = candidates(train, exponents, models=models, thickness_mm=thickness_mm, reference_mm=thickness_mm)
     if not chosen:

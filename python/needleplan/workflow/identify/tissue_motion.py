@@ -17,7 +17,6 @@ from needleplan.signals import (
     Array,
     MovingAverage,
     Record,
-    Role,
     VelocityMethod,
     dominant_frequency_hz,
     lag_rad,
@@ -26,6 +25,7 @@ from needleplan.signals import (
 )
 from needleplan.workflow.identify.identification import Finding, Identification
 from needleplan.workflow.identify.tissue_figure import draw_tissue_motion
+from needleplan.workflow.identify.trials import averaged, trials_by_role
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,6 +34,9 @@ __all__ = ["Excitation", "identify"]
 
 _LATE_S = 0.01
 """Delay of a velocity column from which on it is said to be late."""
+
+_FEWEST = 15
+"""Samples that a velocity without delay needs."""
 
 _SAME = 1.25
 """Amplitudes or frequencies that differ by less than this factor count as one."""
@@ -67,16 +70,14 @@ def identify(
     the needle (mm), whose lag is then reported too. Trials with the role holdout judge. Raises DataError for records
     that cannot be used.
     """
-    remarks: list[str] = [f"{each.trial}: {note}".removeprefix(": ") for each in records for note in each.notes]
-    train = [_prepared(each, remarks) for each in records if each.role is Role.TRAIN]
-    holdout = [_prepared(each, remarks) for each in records if each.role is Role.HOLDOUT]
-    if not train:
-        raise DataError(Mistake("role", "", "there is no trial to identify from"))
+    trials = trials_by_role(records)
+    remarks = list(trials.remarks)
+    train, holdout = ([_prepared(each, remarks) for each in some] for some in (trials.train, trials.holdout))
     excitations = [Excitation.of(each) for each in train]
     largest = int(np.argmax([each.amplitude_mm * each.frequency_hz for each in excitations]))
     record, excitation = train[largest], excitations[largest]
 
-    tuned = tune_slow_observer(record["time_s"], record["depth_mm"], record["force_n"])
+    tuned = _tuned(record)
     found = fit_on_tissue(train, average=average, starts=starts)
     model = found.model
     assert isinstance(model, LumpedOnTissue)
@@ -98,11 +99,18 @@ def identify(
         _moves(found, rigid),
         *residual_findings(found, train),
     ]
-    remarks += _limits(found, tuned, excitations)
+    remarks += [*_limits(found, tuned, excitations), averaged(average)]
     return Identification(
         "tissue-motion", model if found.ok else None, dict(found.estimates), tuple(scores), tuple(findings),
         tuple(remarks), partial(_draw, record=record, model=model, tuned=tuned, average=average),
     )  # fmt: skip
+
+
+def _tuned(record: Record) -> SlowObserver:
+    try:
+        return tune_slow_observer(record["time_s"], record["depth_mm"], record["force_n"])
+    except DataError as error:
+        raise DataError(error.mistakes, record.trial) from None
 
 
 def _prepared(record: Record, remarks: list[str]) -> Record:
@@ -112,6 +120,9 @@ def _prepared(record: Record, remarks: list[str]) -> Record:
         raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest identifies nothing"), record.trial)
     if not np.isfinite(record["force_n"]).all():
         raise DataError(Mistake("force_n", "", "must be finite numbers: the tuning filters it"), record.trial)
+    if len(record) < _FEWEST:
+        rule = f"too short: at least {_FEWEST} are needed"
+        raise DataError(Mistake("depth_mm", f"{len(record)} samples", rule), record.trial)
     made = velocity_without_delay(time, depth)
     given = record.columns.get("velocity_mm_s")
     if given is not None and np.isfinite(given).all():

@@ -1,0 +1,100 @@
+"""What `needleplan identify` may be told about needle, tissue and sensors, and which kinds want to know it."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from needleplan.errors import InputError, Mistake
+
+__all__ = ["add_knowledge", "knowledge"]
+
+
+@dataclass(frozen=True)
+class _Option:
+    """An option: the keyword of `identify` that it becomes, the kinds that have it, and how argparse reads it."""
+
+    flag: str
+    keyword: str
+    kinds: tuple[str, ...]
+    help: str
+    reads: dict[str, Any]
+
+
+_OPTIONS = (
+    _Option("--average", "average", ("force", "tissue-motion"),
+            "samples that the force sensor averages, 1 for none (5, as the thesis' sensor)",
+            {"type": int, "metavar": "N"}),
+    _Option("--marker", "marker", ("tissue-motion",),
+            "column with the displacement of a sensor in the tissue", {"choices": ("x_mm", "y_mm", "z_mm")}),
+    _Option("--thickness", "thickness_mm", ("friction",),
+            "thickness of the tissue (76)", {"type": float, "metavar": "MM"}),
+    _Option("--skip-cycles", "skip_cycles", ("friction",),
+            "cycles at the begin that do not count (1)", {"type": int, "metavar": "N"}),
+    _Option("--plane", "plane", ("curvature",), "plane of bending (xy)", {"choices": ("xy", "xz")}),
+    _Option("--segments", "segments", ("curvature",),
+            "equal parts of the path with a curvature each (2)", {"type": int, "metavar": "N"}),
+    _Option("--skip", "skip_mm", ("curvature", "deflection"),
+            "depth up to which samples do not count (curvature 0, deflection 20)", {"type": float, "metavar": "MM"}),
+    _Option("--geometry", "needle", ("deflection",),
+            "outer and inner diameter and length in mm, bevel angle in degrees (the 22-gauge needle of the thesis)",
+            {"metavar": "OUTER,INNER,LENGTH,BEVEL"}),
+    _Option("--stiffness", "tissue", ("deflection",),
+            "stiffness kf in N/mm2 (that of the thesis' soft gel)", {"type": float, "metavar": "N_PER_MM2"}),
+    _Option("--axial-offset", "axial_offset", ("deflection",),
+            "axial force F0 without cutting, and its standard deviation, in N, where they were measured",
+            {"metavar": "N,SD"}),
+    _Option("--tracked", "tracked_mm", ("deflection",),
+            "how far behind the tip the tracked point is (0)", {"type": float, "metavar": "MM"}),
+)  # fmt: skip
+
+
+def add_knowledge(parser: argparse.ArgumentParser) -> None:
+    """Declare the options, each with the kinds that it is for."""
+    group = parser.add_argument_group("what is known already")
+    for each in _OPTIONS:
+        group.add_argument(each.flag, help=f"{', '.join(each.kinds)}: {each.help}", dest=each.keyword, **each.reads)
+
+
+def knowledge(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the keywords of `identify` for its kind. Raises InputError for an option of another kind."""
+    given = [each for each in _OPTIONS if getattr(options, each.keyword) is not None]
+    wrong = [
+        Mistake(each.flag, "", f"is for {' and '.join(each.kinds)}, not for {options.kind}")
+        for each in given
+        if options.kind not in each.kinds
+    ]
+    wrong += [
+        Mistake(each.flag, str(value), "must be a finite number")
+        for each in given
+        if isinstance(value := getattr(options, each.keyword), float) and not math.isfinite(value)
+    ]
+    if wrong:
+        raise InputError(wrong)
+    return {each.keyword: _value(each, getattr(options, each.keyword)) for each in given}
+
+
+def _value(option: _Option, given: Any) -> Any:
+    from needleplan.models import Needle
+    from needleplan.models.deflection import AxialOffset, Tissue
+
+    if option.keyword == "needle":
+        outer, inner, length, bevel = _numbers(option.flag, given, 4)
+        return Needle(outer, inner, length, math.radians(bevel))
+    if option.keyword == "tissue":
+        return Tissue(given)
+    if option.keyword == "axial_offset":
+        return AxialOffset(*_numbers(option.flag, given, 2))
+    return given
+
+
+def _numbers(flag: str, text: str, count: int) -> list[float]:
+    try:
+        found = [float(word) for word in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != count or not all(map(math.isfinite, found)):
+        raise InputError(Mistake(flag, text, f"must be {count} numbers with commas between them"))
+    return found
