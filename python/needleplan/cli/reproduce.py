@@ -87,7 +87,7 @@ def _row(row: Comparison, name: str, verdict: str) -> Iterator[str]:
     else:
         yield f"  {name}: {verdict}"
         yield f"      published  {row.published}"
-        yield f"      ours       {row.ours}"
+        yield f"      ours       {'-' if row.ours is None else row.ours}"
 
 
 def _spoken(row: Comparison) -> bool:

@@ -101,7 +101,7 @@ def predictors(case: int) -> dict[str, Friction]:
 def prediction(folder: Path | None, note: Callable[[str], None], rate_hz: float) -> list[Comparison]:
     """Compare Table 3.6, the same without hidden effects, and the cutting force; draw Fig. 3.6."""
     note("friction: prediction with the tip inside")
-    rows, drawn = [], []
+    rows, cutting, drawn = [], [], []
     for profile, printed in TABLE_3_6.items():
         for case in (1, 2):
             insertion = inside(case, profile, rate_hz=rate_hz)
@@ -110,14 +110,14 @@ def prediction(folder: Path | None, note: Callable[[str], None], rate_hz: float)
             ours = {label: insertion.error_mn(model) for label, model in models.items()}
             bare = {label: clean.error_mn(model) for label, model in models.items()}
             for label in models:
-                rows.append(_row(profile, case, label, printed, ours[label], bare[label]))
+                rows += _rows(profile, case, label, printed, ours[label], bare[label])
             better = max(ours["III-A"], ours["III-B"]) < min(ours["I"], ours["II"])
             rows.append(Comparison(
                 f"ch3/Table 3.6/{profile}, case {case}: both Models III better than I and II", "yes",
                 "yes" if better else "no", "", Verdict.REPRODUCED if better else Verdict.NOT_REPRODUCED,
                 "what helps is Fn(L): II with it is as good" if ours["II, Fn(L)"] < min(ours["I"], ours["II"]) else "",
             ))  # fmt: skip
-            rows.append(_cutting(insertion, models["III-B"]))
+            cutting.append(_cutting(insertion, models["III-B"]))
             if case == 2:
                 drawn.append(insertion)
     if folder:
@@ -127,19 +127,21 @@ def prediction(folder: Path | None, note: Callable[[str], None], rate_hz: float)
             [(each.profile, each.record, each.major) for each in drawn], shown,
             folder / "fig_3_6_prediction.png",
         )  # fmt: skip
-    return rows
+    return [*rows, *cutting]
 
 
-def _row(
+def _rows(
     profile: str, case: int, label: str, printed: dict[str, tuple[float, float]], ours: float, bare: float
-) -> Comparison:
+) -> list[Comparison]:
+    """Return a cell of the table, and the same without hidden effects."""
     identity = f"ch3/Table 3.6/{profile}, case {case}, {label}"
-    reason = f"{_HIDDEN}; {bare:.1f} mN without them; {_CASES}"
+    reason = f"{_HIDDEN}; {_CASES}"
+    plain = Comparison(f"{identity}, no hidden effects", None, bare, "mN", Verdict.OURS)
     if label not in printed:
-        return Comparison(identity, None, ours, "mN", Verdict.OURS, reason)
+        return [Comparison(identity, None, ours, "mN", Verdict.OURS, reason), plain]
     if label in ("I", "II"):
         reason = f"{_FROZEN}; {reason}"
-    return measured(identity, printed[label][case - 1], ours, "mN", reason)
+    return [measured(identity, printed[label][case - 1], ours, "mN", reason), plain]
 
 
 def _cutting(insertion: Insertion, friction: Friction) -> Comparison:
