@@ -17,12 +17,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from needleplan import mdp
+    from needleplan import mdp, models
     from needleplan.errors import InputError, NeedleplanError
     from needleplan.planning import PolicyTable, plan
     from needleplan.scenario import Scenario
 
-__all__ = ["InputError", "NeedleplanError", "PolicyTable", "Scenario", "mdp", "plan"]
+__all__ = ["InputError", "NeedleplanError", "PolicyTable", "Scenario", "mdp", "models", "plan"]
 
 _HOMES = {
     "InputError": "errors",
