@@ -4,7 +4,7 @@
   folder that is empty at first. `.venv/bin/` stands for the interpreter that runs the tests.
 - A `text` block right after one of them is what it prints on standard output; `...` stands for anything.
 - A block of any kind with a file name, such as `toml mine.toml`, is written to that file.
-- Other blocks are not run, but for `toml` ones that begin with a schema, which must be scenarios.
+- Other blocks are not run, but for `toml` ones that begin with a schema, which must be scenarios or experiments.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import needleplan as npl
+from needleplan.simulation import Experiment
+from needleplan.simulation.toml import SCHEMA
 
 ROOT = Path(__file__).parent.parent
 _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -64,7 +66,8 @@ def run(page: Path, folder: Path) -> None:
         else:
             printed = None
             if block.language == "toml" and block.text.startswith("schema"):
-                npl.Scenario.from_toml(block.text, place)
+                kind = Experiment if SCHEMA in block.text else npl.Scenario
+                kind.from_toml(block.text, place)
 
 
 def broken_links(page: Path) -> list[str]:

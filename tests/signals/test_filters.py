@@ -120,3 +120,12 @@ def test_bad_tracks_are_refused() -> None:
     stream.push(1.0, 0.0)
     with pytest.raises(DataError, match="greater than the time before"):
         stream.push(1.0, 0.0)
+
+
+def test_the_centred_average_is_the_mean_about_each_sample() -> None:
+    values = np.random.default_rng(0).normal(size=20)
+    means = [values[max(place - 2, 0) : place + 3].mean() for place in range(20)]
+    assert MovingAverage(5).centred(values) == pytest.approx(np.array(means))
+    assert MovingAverage(5).centred(values[:3]) == pytest.approx(np.full(3, values[:3].mean()))
+    with pytest.raises(ModelError, match="must be odd"):
+        MovingAverage(4).centred(values)

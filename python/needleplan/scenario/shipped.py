@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from needleplan.errors import Mistake, ScenarioError
+from needleplan.errors import InputError, Mistake, ScenarioError
 from needleplan.scenario.rules import suggestion
 
 __all__ = ["shipped", "text_of"]
@@ -18,22 +18,28 @@ def shipped() -> list[str]:
     return sorted(file.stem for file in _FOLDER.glob("*.toml"))
 
 
-def text_of(path: str | os.PathLike[str]) -> str:
+def text_of(
+    path: str | os.PathLike[str],
+    folder: Path = _FOLDER,
+    kind: str = "scenario",
+    error_kind: type[InputError] = ScenarioError,
+) -> str:
     """Return the text of a scenario file, or of a shipped scenario where there is no file of that name.
 
-    Raises ScenarioError where there is neither, or no UTF-8 text.
+    The same for files of another kind that are shipped in another folder. Raises ScenarioError, or the error that is
+    given, where there is neither, or no UTF-8 text.
     """
-    names = shipped()
+    names = sorted(file.stem for file in folder.glob("*.toml"))
     source = os.fspath(path)
     try:
         if source in names and not Path(path).exists():
-            return (_FOLDER / f"{source}.toml").read_text(encoding="utf-8")
+            return (folder / f"{source}.toml").read_text(encoding="utf-8")
         return Path(path).read_text(encoding="utf-8")
     except FileNotFoundError:
         guess = suggestion(source, names)
-        rule = f"no such file, and no shipped scenario of that name ({', '.join(names)}){guess}"
+        rule = f"no such file, and no shipped {kind} of that name ({', '.join(names)}){guess}"
     except UnicodeDecodeError as error:
         rule = f"is not TOML: not UTF-8 at byte {error.start}"
     except (OSError, ValueError) as error:
         rule = f"cannot be read: {getattr(error, 'strerror', None) or error}"
-    raise ScenarioError(Mistake("", "", rule), source)
+    raise error_kind(Mistake("", "", rule), source)

@@ -48,6 +48,22 @@ class MovingAverage:
         windows = np.lib.stride_tricks.sliding_window_view(padded, self.samples)
         return np.asarray(windows.sum(axis=1) / np.minimum(np.arange(values.size) + 1, self.samples))
 
+    def centred(self, values: Array) -> Array:
+        """Average a record without delay, shape (samples,): over as many samples before each as after it.
+
+        What `apply` gives with its delay taken out; at the ends the mean of those that there are. Raises DataError, and
+        ModelError where the number of samples is even.
+        """
+        if self.samples % 2 == 0:
+            raise ModelError(Mistake("samples", str(self.samples), "must be odd to have a middle"), "moving average")
+        half = self.samples // 2
+        delayed = self.apply(np.concatenate([np.asarray(values, float), np.zeros(half)]))
+        averages = delayed[half:]
+        count = len(averages)
+        for place in {*range(min(half, count)), *range(max(count - half, 0), count)}:
+            averages[place] = np.mean(values[max(place - half, 0) : place + half + 1])
+        return np.asarray(averages)
+
     def stream(self) -> AverageStream:
         """Return the average for samples that come one at a time."""
         return AverageStream(self.samples)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ from needleplan.models import Fit, fit
 from needleplan.models.friction import Friction
 from needleplan.models.friction.periodic import steady
 from needleplan.models.residuals import residual_findings
-from needleplan.signals import Record, cycles
+from needleplan.signals import Array, Record, cycles
 from needleplan.workflow.identify.identification import Finding, Identification
 from needleplan.workflow.identify.shaft_figure import draw_friction
 from needleplan.workflow.identify.shaft_models import EXPONENTS, Mask, Score, candidates, fit_all, split
@@ -40,13 +40,16 @@ def identify(
     phases: Sequence[str] = (),
     exponents: Sequence[float] = EXPONENTS,
     models: Sequence[str] = (),
+    smooth: Callable[[Array], Array] | None = None,
 ) -> Identification:
     """Fit the friction models to records of a needle that moves in tissue, and choose by Schwarz' criterion.
 
     Columns: time_s, depth_mm, force_n, and velocity_mm_s where measured. A needle that passes through tissue of
     `thickness_mm` has a constant patch. The first `skip_cycles` cycles do not count. Trials with the role holdout
     judge; without any, the last cycle does, and the chosen model is fitted once more to everything. `models` keeps
-    only those of "Karnopp", "I", "II", "II, Fn(L)", "III-A", "III-B". Raises DataError for records that cannot be used.
+    only those of "Karnopp", "I", "II", "II, Fn(L)", "III-A", "III-B". `smooth` is what the sensor did to the force,
+    such as `MovingAverage(5).centred`; without it reversals seem rounder than they are, and the bristles softer. Raises
+    DataError for records that cannot be used.
     """
     trials = trials_by_role(records)
     train, holdout, remarks = trials.train, trials.holdout, list(trials.remarks)
@@ -56,15 +59,15 @@ def identify(
         rule = "names no model: Karnopp, I, II, III-B, and where the length varies, II, Fn(L) and III-A"
         raise DataError(Mistake("models", ", ".join(models), rule))
     if holdout:
-        scores = fit_all(chosen, train, mask, holdout, partial(steady, skip_cycles=0))
+        scores = fit_all(chosen, train, mask, holdout, partial(steady, skip_cycles=0), smooth)
         final = scores[0].fit
     else:
         before, last = split(mask)
         if not all(before(record).any() for record in train):
             remarks.append("one cycle alone: it is fitted and scored, and nothing is held out")
             before = last = mask
-        scores = fit_all(chosen, train, before, train, last)
-        final = fit(scores[0].fit.model, train, free=scores[0].candidate.free, mask=mask)
+        scores = fit_all(chosen, train, before, train, last, smooth)
+        final = fit(scores[0].fit.model, train, free=scores[0].candidate.free, mask=mask, smooth=smooth)
     remarks += [_patch(train, final, thickness_mm), *_limits(scores, final)]
     return Identification(
         "friction", final.model if final.ok else None, dict(final.estimates),

@@ -85,14 +85,19 @@ def candidates(
 
 
 def fit_all(
-    chosen: Sequence[Candidate], train: Sequence[Record], mask: Mask, held_out: Sequence[Record], held_mask: Mask
+    chosen: Sequence[Candidate],
+    train: Sequence[Record],
+    mask: Mask,
+    held_out: Sequence[Record],
+    held_mask: Mask,
+    smooth: Callable[[Array], Array] | None = None,
 ) -> list[Score]:
-    """Fit every candidate to `train`, score it on `held_out`, best criterion first."""
-    fits = [fit(each.model, train, free=each.free, mask=mask) for each in chosen]
+    """Fit every candidate to `train`, score it on `held_out`, best criterion first; `smooth` is done to each output."""
+    fits = [fit(each.model, train, free=each.free, mask=mask, smooth=smooth) for each in chosen]
     best = min(fits, key=lambda each: each.rmse)
     count = effective_samples(best.residuals)
     scores = [
-        Score(each, found, rmse_n(found.model, held_out, held_mask), _bic(found, count))
+        Score(each, found, rmse_n(found.model, held_out, held_mask, smooth), _bic(found, count))
         for each, found in zip(chosen, fits, strict=True)
     ]
     return sorted(scores, key=lambda each: each.bic)
@@ -124,12 +129,13 @@ def effective_samples(residuals: Sequence[Array]) -> float:
     return max(worth, 2.0)
 
 
-def rmse_n(model: Any, records: Sequence[Record], mask: Mask) -> float:
+def rmse_n(model: Any, records: Sequence[Record], mask: Mask, smooth: Callable[[Array], Array] | None = None) -> float:
     """Return the RMSE (N) of a model over the masked samples of records; NaN without any."""
-    errors = [
-        (record["force_n"] - simulate(model, record.motion()).output)[mask(record) & np.isfinite(record["force_n"])]
-        for record in records
-    ]
+    errors = []
+    for record in records:
+        output = simulate(model, record.motion()).output
+        error = record["force_n"] - (smooth(output) if smooth else output)
+        errors.append(error[mask(record) & np.isfinite(error)])
     together = np.concatenate(errors) if errors else np.zeros(0)
     return float(np.sqrt(np.mean(together**2))) if together.size else math.nan
 

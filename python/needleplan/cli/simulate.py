@@ -1,0 +1,94 @@
+"""`needleplan simulate`: an experiment in the lab twin."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import note, print_json, print_lines
+from needleplan.cli.options import add_json
+from needleplan.errors import InputError, Mistake
+
+if TYPE_CHECKING:
+    from needleplan.simulation import Run
+
+__all__ = ["add_to", "run"]
+
+_ENDINGS = (".csv", ".h5", ".hdf5")
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "simulate",
+        help="run an experiment in the lab twin",
+        description="Run an experiment with a simulated robot, needle, tissue and sensors, faster than real time, and "
+        "write what the sensors say as records for `needleplan identify`.",
+    )
+    parser.add_argument("experiment", metavar="EXPERIMENT", help="an experiment file (.toml), or a shipped one by name")
+    parser.add_argument("-o", "--output", metavar="RUN", help="write the records (.csv or .h5)")
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the seed of the experiment")
+    parser.add_argument("--runs", type=int, default=1, metavar="N", help="trials, with consecutive seeds (1)")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    from needleplan.provenance import require_writable
+    from needleplan.recording import write_records
+    from needleplan.simulation import Experiment, run_experiment
+
+    _require(options)
+    experiment = Experiment.read(options.experiment)
+    if options.output:
+        require_writable(options.output)
+    first = experiment.seed if options.seed is None else options.seed
+    runs = [run_experiment(experiment, seed) for seed in range(first, first + options.runs)]
+    if options.output:
+        write_records([each.record() for each in runs], options.output)
+        note(f"wrote {options.output}")
+    if options.json:
+        print_json(
+            {"title": experiment.title, "digest": experiment.digest, "output": options.output,
+             "runs": [_summary(each) for each in runs]}
+        )  # fmt: skip
+    else:
+        for each in runs:
+            found = _summary(each)
+            x, y, z = found["tip_mm"]
+            lines = {
+                "simulated": f"{found['duration_s']:.4g} s, {found['samples']:,} samples, {len(each.phases)} moves",
+                "tip": f"x {x:.2f} mm, y {y:.2f} mm, z {z:.2f} mm",
+                "force": f"at most {found['largest_force_n']:.3g} N",
+                "tracker": f"{found['missing_frames']} of {len(each.poses)} frames missing",
+            }
+            print_lines(f"{experiment.title or options.experiment}, seed {each.seed}", lines)
+    return 0
+
+
+def _require(options: argparse.Namespace) -> None:
+    mistakes = []
+    if options.output and Path(options.output).suffix.lower() not in _ENDINGS:
+        mistakes.append(Mistake("--output", options.output, f"must end in {', '.join(_ENDINGS)}"))
+    if options.seed is not None and not 0 <= options.seed < 2**32:
+        mistakes.append(Mistake("--seed", f"{options.seed}", "must be a whole number from 0, below 2^32"))
+    if not 1 <= options.runs <= 10_000:
+        mistakes.append(Mistake("--runs", f"{options.runs}", "must be a whole number from 1 to 10000"))
+    if mistakes:
+        raise InputError(mistakes)
+
+
+def _summary(done: Run) -> dict[str, Any]:
+    from needleplan.devices import Health
+
+    forces = [abs(each.force_n[2]) for each in done.forces]
+    return {
+        "seed": done.seed,
+        "duration_s": done.stage[-1].stamp.device_time_s,
+        "samples": len(done.stage) + len(done.forces) + len(done.poses),
+        "tip_mm": list(done.tip.position_mm),
+        "largest_force_n": max(forces, default=0.0),
+        "missing_frames": sum(each.health is Health.MISSING for each in done.poses),
+    }

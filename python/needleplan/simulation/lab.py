@@ -1,0 +1,207 @@
+"""The lab twin: a plant, its sensors, and the three devices by which a program sees them.
+
+Time is simulated. It goes on when somebody advances or sleeps on the clock of the lab, or waits for a sample: `read`
+returns the oldest sample that nobody has read, and where there is none it lets the time pass until there is one, at
+most `timeout_s`. All devices see the same time. Who does not read loses: each device keeps the last two seconds, and
+says with the next sample how many were lost.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from typing import Generic, TypeVar
+
+from needleplan.devices import (
+    Device,
+    ForceSample,
+    ForceSensor,
+    PoseSample,
+    Stage,
+    StageSample,
+    Stamp,
+    Tracker,
+    VirtualClock,
+)
+from needleplan.errors import DeviceFault
+from needleplan.simulation.choices import FORCE_HZ, TRACKER_HZ
+from needleplan.simulation.plant import Plant
+from needleplan.simulation.sensors import ForceReading, TrackerReading
+from needleplan.simulation.setup import Setup
+
+__all__ = ["Lab", "SimulatedForceSensor", "SimulatedStage", "SimulatedTracker"]
+
+_KEPT_S = 2
+_NANO = 1_000_000_000
+
+_Sample = TypeVar("_Sample", StageSample, ForceSample, PoseSample)
+
+
+class Lab(Device):
+    """A plant with its sensors on a virtual clock; its devices are `stage`, `force_sensor` and `tracker`.
+
+    Samples are taken at multiples of their interval, the first one after the first interval, and carry the time at
+    which they were taken; transport takes no time.
+    """
+
+    def __init__(self, setup: Setup, seed: int = 0, clock: VirtualClock | None = None) -> None:
+        self.clock = clock or VirtualClock()
+        self.plant = Plant(setup, seed)
+        self._begin_ns = self.clock.now_ns()
+        self._coil_mm = setup.effects.coil_offset_mm
+        self.forces = ForceReading(setup.effects, seed)
+        self._poses = TrackerReading(setup.effects, seed)
+        self._tick_ns = _NANO / setup.robot.servo_hz
+        self._force_ticks = setup.robot.servo_hz // FORCE_HZ
+        self._tracker_ticks = setup.robot.servo_hz // TRACKER_HZ
+        self.stage = SimulatedStage(self)
+        self.force_sensor = SimulatedForceSensor(self)
+        self.tracker = SimulatedTracker(self)
+
+    def catch_up(self) -> None:
+        """Let the plant go on to the time of the clock."""
+        passed_ns = self.clock.now_ns() - self._begin_ns
+        plant = self.plant
+        while round((plant.ticks + 1) * self._tick_ns) <= passed_ns:
+            self._tick()
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass."""
+        self.clock.advance(seconds)
+        self.catch_up()
+
+    def wait(self, limit_ns: int) -> bool:
+        """Let the time of one tick pass, but none after `limit_ns` on the clock; whether there was a tick."""
+        due_ns = self._begin_ns + round((self.plant.ticks + 1) * self._tick_ns)
+        now_ns = self.clock.now_ns()
+        self.clock.advance((min(due_ns, limit_ns) - now_ns) / _NANO)
+        self.catch_up()
+        return due_ns <= limit_ns
+
+    def close(self) -> None:
+        """Close the three devices."""
+        for each in (self.stage, self.force_sensor, self.tracker):
+            each.close()
+
+    def _tick(self) -> None:
+        plant = self.plant
+        plant.step()
+        now_s = plant.now_s
+        now_ns = self._begin_ns + round(plant.ticks * self._tick_ns)
+        axis = plant.insertion
+        self.stage.put(
+            StageSample(
+                Stamp(now_ns, plant.ticks, device_time_s=now_s), axis.measured, axis.measured_velocity,
+                plant.roll.measured, plant.moving,
+            )
+        )  # fmt: skip
+        if plant.ticks % self._force_ticks == 0:
+            stamp = Stamp(now_ns, plant.ticks // self._force_ticks, device_time_s=now_s)
+            self.force_sensor.put(self.forces.sample(stamp, plant.force_n, plant.torque_n_mm, now_s))
+        if plant.ticks % self._tracker_ticks == 0:
+            stamp = Stamp(now_ns, plant.ticks // self._tracker_ticks, device_time_s=now_s)
+            self.tracker.put(self._poses.sample(stamp, plant.frame_behind(self._coil_mm)))
+
+
+class _Reader(Generic[_Sample]):
+    """Samples that nobody has read yet."""
+
+    def __init__(self, lab: Lab, rate_hz: float) -> None:
+        self._lab = lab
+        self._waiting: deque[_Sample] = deque(maxlen=max(int(_KEPT_S * rate_hz), 1))
+        self._lost = 0
+        self._open = True
+
+    def put(self, sample: _Sample) -> None:
+        """Take a sample from the lab."""
+        if not self._open:
+            return
+        self._lost += len(self._waiting) == self._waiting.maxlen
+        self._waiting.append(sample)
+
+    def read(self, timeout_s: float) -> _Sample | None:
+        """Return the oldest sample that was not read; let time pass until there is one, at most `timeout_s`.
+
+        Raises DeviceFault where the device is closed.
+        """
+        self.require_open()
+        lab = self._lab
+        lab.catch_up()
+        if not self._waiting:
+            limit_ns = lab.clock.now_ns() + round(timeout_s * _NANO)
+            while not self._waiting and lab.wait(limit_ns):
+                pass
+        if not self._waiting:
+            return None
+        sample = self._waiting.popleft()
+        if not self._lost:
+            return sample
+        lost, self._lost = self._lost, 0
+        stamp = sample.stamp
+        return replace(sample, stamp=replace(stamp, lost=lost))
+
+    def waiting(self) -> list[_Sample]:
+        """Return all samples that nobody has read, without letting time pass."""
+        found = list(self._waiting)
+        self._waiting.clear()
+        return found
+
+    def require_open(self) -> None:
+        """Raise DeviceFault where the device is closed."""
+        if not self._open:
+            raise DeviceFault(f"{type(self).__name__}: is closed")
+
+    def close(self) -> None:
+        """Give the device up."""
+        self._open = False
+        self._waiting.clear()
+
+
+class SimulatedStage(_Reader[StageSample], Stage):
+    """The two axes of the robot; samples at the rate of the servo."""
+
+    def __init__(self, lab: Lab) -> None:
+        super().__init__(lab, lab.plant.setup.robot.servo_hz)
+
+    def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
+        """Begin to move to a depth at a speed. Raises DeviceFault."""
+        self.require_open()
+        self._lab.catch_up()
+        self._lab.plant.insert(depth_mm, velocity_mm_s)
+
+    def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
+        """Begin to turn the base to a roll. Raises DeviceFault."""
+        self.require_open()
+        self._lab.catch_up()
+        self._lab.plant.rotate(roll_rad, velocity_rad_s)
+
+    def stop(self) -> None:
+        """Stop both axes, as fast as their profiles may."""
+        self._lab.catch_up()
+        self._lab.plant.stop()
+
+    def close(self) -> None:
+        """Stop, and give the stage up."""
+        if self._open:
+            self.stop()
+        super().close()
+
+
+class SimulatedForceSensor(_Reader[ForceSample], ForceSensor):
+    """The force sensor: z is along the needle, positive where it resists insertion."""
+
+    def __init__(self, lab: Lab) -> None:
+        super().__init__(lab, FORCE_HZ)
+
+    def bias(self) -> None:
+        """Take the present wrench as zero."""
+        self.require_open()
+        self._lab.catch_up()
+        self._lab.forces.bias()
+
+
+class SimulatedTracker(_Reader[PoseSample], Tracker):
+    """The tracker; the z axis of its coil is along the needle."""
+
+    def __init__(self, lab: Lab) -> None:
+        super().__init__(lab, TRACKER_HZ)

@@ -1,0 +1,169 @@
+"""The plant: robot, needle and tissue on simulated time, one tick of the servo at a time.
+
+It is not the planner's model. What the planner takes for granted (a known curvature, a tip that turns with its base, a
+tissue that stands still) holds only where the effects say so.
+"""
+
+from __future__ import annotations
+
+import math
+
+from needleplan.errors import DeviceFault
+from needleplan.models import TipFrame, Torsion
+from needleplan.models.torsion import dragged
+from needleplan.simulation.axis import Axis
+from needleplan.simulation.setup import Setup
+from needleplan.simulation.shaft_force import ShaftForce, TipForce
+from needleplan.simulation.streams import Stream, random_for
+from needleplan.simulation.tip_path import TipPath3D, WanderingHeading
+
+__all__ = ["Plant"]
+
+
+class Plant:
+    """Robot, needle and tissue; the same setup and seed give the same motion to the last bit.
+
+    Attributes are the truth, which no sensor tells: `force_n` at the base, `torque_n_mm`, `tip_roll_rad`.
+    """
+
+    def __init__(self, setup: Setup, seed: int = 0) -> None:
+        self.setup = setup
+        self.seed = seed
+        self.ticks = 0
+        robot, effects, entry = setup.robot, setup.effects, setup.entry
+        self.interval_s = 1 / robot.servo_hz
+        self.insertion = Axis(
+            entry.depth_mm, interval_s=self.interval_s, bandwidth_hz=robot.bandwidth_hz,
+            acceleration=robot.acceleration_mm_s2, resolution=effects.encoder_step_mm,
+        )  # fmt: skip
+        self.roll = Axis(
+            entry.roll_rad, interval_s=self.interval_s, bandwidth_hz=robot.bandwidth_hz,
+            acceleration=robot.acceleration_rad_s2, resolution=effects.encoder_step_rad,
+        )  # fmt: skip
+        scatter = random_for(seed, Stream.CURVATURE).standard_normal()
+        self.curvature_factor = 1 + effects.curvature_error + effects.curvature_scatter * scatter
+        self._layers = [(begin, bend * self.curvature_factor) for begin, bend in setup.curvatures()]
+        wander = WanderingHeading(effects.heading_noise_rad_sqrt_mm, random_for(seed, Stream.HEADING))
+        self._line = TipFrame.planar(entry.x_mm, entry.y_mm, entry.heading_rad)
+        self._path = TipPath3D(self._line, self._bend, wander)
+        self._shaft = ShaftForce(
+            setup.friction, robot.deepest_mm, effects.tissue_compliance_mm_n, effects.tissue_relaxation_s
+        )
+        self._tip = TipForce(setup.all_layers)
+        self._torsion = Torsion(setup.shaft.torsional_stiffness_n_mm2, effects.torsional_friction_n)
+        self._phase = 2 * math.pi * random_for(seed, Stream.RESPIRATION).random()
+        self._breath = self._breathing(0.0)
+        self.tip_roll_rad = entry.roll_rad
+        self.force_n = self.torque_n_mm = 0.0
+        self.path_mm = entry.depth_mm
+        self._entered = False
+
+    @property
+    def now_s(self) -> float:
+        """Simulated time since the start."""
+        return self.ticks * self.interval_s
+
+    def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
+        """Begin to move to a depth at a speed. Raises DeviceFault for what the drive does not accept."""
+        robot = self.setup.robot
+        _accept("depth", depth_mm, robot.shallowest_mm, robot.deepest_mm, "mm")
+        _accept_speed(velocity_mm_s, robot.top_velocity_mm_s, "mm/s")
+        self.insertion.go(depth_mm, velocity_mm_s, self.now_s)
+
+    def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
+        """Begin to turn the base to a roll. Raises DeviceFault for what the drive does not accept."""
+        _accept("roll", roll_rad, -1000, 1000, "rad")
+        _accept_speed(velocity_rad_s, self.setup.robot.top_velocity_rad_s, "rad/s")
+        self.roll.go(roll_rad, velocity_rad_s, self.now_s)
+
+    def stop(self) -> None:
+        """Begin to stop both axes."""
+        self.insertion.halt(self.now_s)
+        self.roll.halt(self.now_s)
+
+    @property
+    def moving(self) -> bool:
+        """Whether one of the axes has not come to the end of its profile."""
+        return self.insertion.moving(self.now_s) or self.roll.moving(self.now_s)
+
+    def step(self) -> None:
+        """Go on by one tick of the servo."""
+        effects, insertion, roll, interval = self.setup.effects, self.insertion, self.roll, self.interval_s
+        now = self.ticks * interval
+        insertion.step(now, -self.force_n * effects.reaction_mm_s2_n)
+        roll.step(now)
+        self.ticks += 1
+        breath = self._breathing(self.ticks * interval)
+        against = insertion.velocity - (breath[0] - self._breath[0]) / interval
+        self._breath = breath
+        shaft = self._shaft
+        shaft.step(interval, against, insertion.position - breath[0] - shaft.tissue_mm)
+        self.path_mm = length = insertion.position - breath[0] - shaft.tissue_mm
+        inserted = max(length, 0.0)
+        lag = self._lag(inserted)
+        self.tip_roll_rad = dragged(self.tip_roll_rad, roll.position, lag)
+        if lag:
+            held = self._torsion.torque_per_length_n * inserted
+            self.torque_n_mm = held * (roll.position - self.tip_roll_rad) / lag
+        else:
+            self.torque_n_mm = 0.0
+        if length > 0 and not self._entered:
+            # Whatever the tissue is shifted by now, this is the point of it that the needle goes through.
+            self._entered = True
+            n, shift = self._line.normal, -breath[1]
+            self._path.begin(self._line.moved((shift * n[0], shift * n[1], shift * n[2])))
+        if self._path.step(length, self.tip_roll_rad):
+            self._tip.turn_off(length)
+        self.force_n = shaft.force_n + self._tip.step(length)
+
+    def tip(self) -> TipFrame:
+        """Return where the tip is, in the frame of the lab: x along the insertion, y to the left, z up."""
+        return self.frame_behind(0.0)
+
+    def frame_behind(self, distance_mm: float) -> TipFrame:
+        """Return the frame of the needle at a distance behind the tip."""
+        frame = self._path.tip() if distance_mm == 0 else self._path.frame_at(self.path_mm - distance_mm)
+        along = self._breath[0] + self._shaft.tissue_mm
+        across = self._breath[1] if self._entered else 0.0
+        t, n = self._line.tangent, self._line.normal
+        return frame.moved((along * t[0] + across * n[0], along * t[1] + across * n[1], along * t[2] + across * n[2]))
+
+    @property
+    def breath_mm(self) -> tuple[float, float]:
+        """How far respiration has moved the tissue, and a target in it: along the entry and across it."""
+        return self._breath
+
+    @property
+    def tissue_mm(self) -> float:
+        """How far the needle drags the tissue along."""
+        return self._shaft.tissue_mm
+
+    def _bend(self, along_mm: float) -> float:
+        bend = self._layers[0][1]
+        for begin, curvature in self._layers[1:]:
+            if along_mm < begin:
+                break
+            bend = curvature
+        return bend
+
+    def _lag(self, inserted_mm: float) -> float:
+        if not self._torsion.torque_per_length_n:
+            return 0.0
+        return self._torsion.lag_rad(max(self.setup.shaft.length_mm - inserted_mm, 0.0), inserted_mm)
+
+    def _breathing(self, time_s: float) -> tuple[float, float]:
+        effects = self.setup.effects
+        if not (effects.respiration_along_mm or effects.respiration_across_mm):
+            return 0.0, 0.0
+        sine = math.sin(2 * math.pi * time_s / effects.respiration_period_s + self._phase)
+        return effects.respiration_along_mm * sine, effects.respiration_across_mm * sine
+
+
+def _accept(name: str, value: float, lowest: float, highest: float, unit: str) -> None:
+    if not lowest <= value <= highest:
+        raise DeviceFault(f"simulated stage: {name} of {value:g} {unit} is not from {lowest:g} to {highest:g} {unit}")
+
+
+def _accept_speed(value: float, highest: float, unit: str) -> None:
+    if not 0 < value <= highest:
+        raise DeviceFault(f"simulated stage: a speed of {value:g} {unit} is not above 0 and at most {highest:g} {unit}")

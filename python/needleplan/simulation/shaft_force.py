@@ -1,0 +1,144 @@
+"""Forces along the needle: friction of a model of chapter 3, tissue that gives way, cutting, membranes.
+
+The physics of the friction and of the tissue is that of `models`; here it is taken step by step, at depths that nobody
+knows beforehand. The friction looks up its normal force in a table by depth, 0.01 mm apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from needleplan.models.friction.lugre import LuGre
+from needleplan.models.tissue import LuGreLaw
+from needleplan.models.tissue.stepping import stepping
+from needleplan.signals import Motion
+from needleplan.simulation.parts import Layer
+
+__all__ = ["DepthLaw", "ShaftForce", "TipForce"]
+
+_SPACING_MM = 0.01
+_FORGETTING_PER_S = 1e3
+_MASS = 1e-6
+_CONTACT_MM = 0.1
+"""How far the tip presses tissue together before it cuts."""
+
+
+class DepthLaw:
+    """A friction model on plain numbers; the sample is the depth in steps of 0.01 mm, below 0 outside of the tissue."""
+
+    def __init__(self, friction: LuGre, deepest_mm: float) -> None:
+        depth = np.asarray((np.arange(max(math.ceil(deepest_mm / _SPACING_MM), 2)) + 0.5) * _SPACING_MM)
+        one = np.ones_like(depth)
+        inner = LuGreLaw(friction, Motion.sampled(depth, depth, one))
+        within, force_within = inner.coefficients, inner.force
+        last = depth.size - 1
+
+        def coefficients(sample: int, w_mm_s: float) -> tuple[float, float]:
+            if sample < 0:
+                return 0.0, _FORGETTING_PER_S
+            return within(min(sample, last), w_mm_s)
+
+        def force(sample: int, w_mm_s: float, bending: float, bending_rate: float) -> float:
+            return force_within(min(sample, last), w_mm_s, bending, bending_rate) if sample >= 0 else 0.0
+
+        self.coefficients = coefficients
+        self.force = force
+
+    @staticmethod
+    def sample(depth_mm: float) -> int:
+        """Return the number by which the law knows a depth."""
+        return int(depth_mm / _SPACING_MM) if depth_mm > 0 else -1
+
+
+class ShaftForce:
+    """Friction on the shaft (N, positive where it resists insertion), and how far it drags the tissue along (mm)."""
+
+    def __init__(self, friction: LuGre | None, deepest_mm: float, compliance_mm_n: float, relaxation_s: float) -> None:
+        self.force_n = 0.0
+        self.tissue_mm = 0.0
+        self._law = DepthLaw(friction, deepest_mm) if friction else None
+        self._bent = self._velocity = 0.0
+        self._sample = -1
+        self._steps = None
+        if self._law and compliance_mm_n:
+            stiffness = 1 / compliance_mm_n
+            # A law at rest outside of the tissue asks for nothing.
+            outside = (stiffness, stiffness * relaxation_s, _MASS, 0.0, (0.0, 0.0, 0.0))
+            self._steps = stepping(_From(self._law), *outside)
+            next(self._steps)
+
+    def step(self, interval_s: float, velocity_mm_s: float, depth_mm: float) -> None:
+        """Go on to a velocity against tissue that is not dragged, and a depth."""
+        if self._law is None:
+            return
+        sample = self._law.sample(depth_mm)
+        if self._steps:
+            self._bent, self.tissue_mm, _, self.force_n = self._steps.send((sample, interval_s, velocity_mm_s))
+            return
+        # The same step as on tissue that moves, with tissue that does not.
+        forcing, rate = self._law.coefficients(self._sample, self._velocity)
+        new_forcing, new_rate = self._law.coefficients(sample, velocity_mm_s)
+        decay = interval_s / 2 * (rate + new_rate)
+        pushed = self._bent + interval_s / 2 * (forcing + new_forcing) * (1 + decay / 2)
+        self._bent = pushed / (1 + decay + decay * decay / 2)
+        self.force_n = self._law.force(sample, velocity_mm_s, self._bent, new_forcing - new_rate * self._bent)
+        self._sample, self._velocity = sample, velocity_mm_s
+
+
+class _From:
+    """A law that begins outside of the tissue: `stepping` begins with the sample 0."""
+
+    def __init__(self, law: DepthLaw) -> None:
+        first = True
+
+        def coefficients(sample: int, w_mm_s: float) -> tuple[float, float]:
+            nonlocal first
+            if first:
+                first = False
+                return law.coefficients(-1, w_mm_s)
+            return law.coefficients(sample, w_mm_s)
+
+        self.coefficients = coefficients
+        self.force = law.force
+
+
+class TipForce:
+    """Force on the tip (N): cutting, and membranes before they are through.
+
+    The tip presses the tissue before it together by 0.1 mm and then cuts, so the force stays when the needle stands,
+    and is gone once it is drawn back by 0.1 mm; a membrane likewise, over its own stretch.
+    """
+
+    def __init__(self, layers: Sequence[Layer]) -> None:
+        self._layers = layers
+        self._front_mm = 0.0
+        self._through = [False] * len(layers)
+
+    @property
+    def front_mm(self) -> float:
+        """How deep the tissue is cut."""
+        return self._front_mm
+
+    def step(self, depth_mm: float) -> float:
+        """Go on to a depth and return the force."""
+        if depth_mm <= 0:
+            return 0.0
+        self._front_mm = max(self._front_mm, depth_mm - _CONTACT_MM)
+        pressed = min(max((depth_mm - self._front_mm) / _CONTACT_MM, 0.0), 1.0)
+        force = cutting = 0.0
+        for number, layer in enumerate(self._layers):
+            into = depth_mm - layer.from_mm
+            if into < 0:
+                break
+            cutting = layer.cutting_n
+            if layer.puncture_n and not self._through[number]:
+                self._through[number] = into >= layer.stretch_mm
+                force += 0.0 if self._through[number] else layer.puncture_n * into / layer.stretch_mm
+        return force + cutting * pressed
+
+    def turn_off(self, depth_mm: float) -> None:
+        """Cut anew from a depth on: the needle leaves its old channel."""
+        self._front_mm = min(self._front_mm, depth_mm)
