@@ -7,7 +7,7 @@ import pytest
 
 from needleplan.errors import DataError
 from needleplan.estimation.force_start import starting_force
-from needleplan.models import simulate
+from needleplan.models import FitStatus, simulate
 from needleplan.models.force import PUBLISHED_FORCES, ForceModel1, ForceModel2, with_gauge
 from needleplan.signals import Record, Role
 from needleplan.workflow.identify import force
@@ -103,3 +103,26 @@ def test_a_rise_without_a_peak_ends_at_the_edge_and_says_so() -> None:
     assert found.model.proper
     assert {name: value for name, value, _ in found.scores}["MAE of the open loop"] < 0.1
     assert any("not identified" in each for each in found.remarks)
+
+
+def test_a_puncture_is_named_and_the_peak_of_the_model_is_none() -> None:
+    depth = RECORD["depth_mm"]
+    membrane = np.where((RECORD.motion().direction > 0) & (depth > 30) & (depth < 34), 0.05 * (depth - 30), 0.0)
+    torn = replace(RECORD, trial="torn").with_column("force_n", RECORD["force_n"] + membrane)
+    found = force.identify([torn], starts=1, filtered=False)
+    (said,) = [each for each in found.remarks if "drops at once" in each]
+    assert said.startswith("torn: the force drops at once, by 0.2")
+    assert "at 34.0 mm" in said
+    for chosen in PUBLISHED_FORCES:
+        smooth = recorded(chosen.model, chosen.velocity_mm_s)
+        assert not force._punctures([smooth], AVERAGE.samples)
+
+
+def test_a_fit_that_crawls_along_a_valley_is_a_model_that_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = force.fit_force(starting_force([RECORD]), [RECORD], AVERAGE, starts=1)
+    monkeypatch.setattr(force, "fit_force", lambda *_: replace(whole, status=FitStatus.EVALUATION_LIMIT))
+    found = force.identify([RECORD], starts=1, filtered=False)
+    assert found.ok
+    assert any("one set of many" in each for each in found.remarks)
+    monkeypatch.setattr(force, "fit_force", lambda *_: replace(whole, status=FitStatus.DIVERGED))
+    assert not force.identify([RECORD], starts=1, filtered=False).ok

@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation import FilterRun, JointForce, identify_by_passes, mean_absolute_error
+from needleplan.estimation import FilterRun, JointForce, force_drops, identify_by_passes, mean_absolute_error
 from needleplan.estimation.force_start import has_retraction, starting_force
-from needleplan.models import Fit, fit
+from needleplan.models import Fit, FitStatus, fit
 from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
 from needleplan.models.residuals import residual_findings
 from needleplan.signals import Array, MovingAverage, Record
@@ -21,6 +21,12 @@ from needleplan.workflow.identify.trials import averaged, trials_by_role
 __all__ = ["fit_force", "identify", "settled"]
 
 _LEAST_DEPTH_MM = 5.0
+_DROP, _DROP_MM = 0.15, 2.0
+"""Share of the range of the force by which it drops, and within which depth, to be called a puncture.
+
+The peak that the model has of its own falls over 5 mm and more.
+"""
+
 _EDGE = 1.01
 """How far f1 stays from -f2: g at the surface is at least a hundredth of what it is deep down."""
 
@@ -53,13 +59,35 @@ def identify(
     run = identify_by_passes(JointForce(begin), begin, train, smooth=sensor) if filtered and begin.proper else None
     model = found.model
     assert isinstance(model, DepthForce)
-    remarks = [*trials.remarks, *_limits(found, model, train), averaged(average)]
+    remarks = [*trials.remarks, *_limits(found, model, train), *_punctures(train, sensor.samples), averaged(average)]
     return Identification(
-        "force", model if found.ok and model.proper else None, dict(found.estimates),
+        "force", model if found.status is not FitStatus.DIVERGED and model.proper else None, dict(found.estimates),
         tuple(_scores(found, run, train, holdout, sensor)),
         (*_findings(found, run, train, noise, sensor), *residual_findings(found, train)), tuple(remarks),
-        partial(draw_force, model=model, records=[*train, *holdout], sensor=sensor),
+        partial(
+            draw_force, model=model, records=[*train, *holdout], sensor=sensor,
+            counts=partial(settled, samples=sensor.samples),
+        ),
     )  # fmt: skip
+
+
+def _punctures(train: Sequence[Record], samples: int) -> list[str]:
+    """Return a sentence for every trial whose force drops faster than this model lets it."""
+    remarks = []
+    for record in train:
+        inward = record.select(np.asarray(np.logical_and(settled(record, samples), record.motion().direction > 0)))
+        force = inward["force_n"][np.isfinite(inward["force_n"])]
+        if not force.size or not np.ptp(force):
+            continue
+        drops = force_drops(inward, least_n=_DROP * float(np.ptp(force)), within_mm=_DROP_MM)
+        if drops:
+            where = ", ".join(f"{each.drop_n:.2g} N at {each.peak_mm:.1f} mm" for each in drops[:5])
+            more = f" and {len(drops) - 5} more" * (len(drops) > 5)
+            remarks.append(
+                f"{record.trial}: the force drops at once, by {where}{more}, as where a membrane gives way: this model "
+                "has no punctures, and its parameters suffer; identify from the depths without"
+            )
+    return remarks
 
 
 def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage, starts: int = 4) -> Fit:
@@ -158,7 +186,10 @@ def _limits(found: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]
             "retraction from this model"
         )
     if not found.ok:
-        remarks.append(f"the fit ended with: {found.status}")
+        remarks.append(
+            f"the fit ended with: {found.status}; where it crawls along a valley, the force is well fitted "
+            "and the parameters are one set of many"
+        )
     if model.f1 + model.f2 < 1.02 * (_EDGE - 1) * model.f1:
         remarks.append(
             "g vanishes at the surface as far as it may: the record has no peak of the shape of this model; what is "

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from needleplan.estimation import replay
 from needleplan.models.force import DepthForce
-from needleplan.signals import MovingAverage, Record, Role
+from needleplan.signals import Array, MovingAverage, Record, Role
 from needleplan.workflow.figures.canvas import BLUE, GREY, ORANGE, SKY, VERMILLION, title
 
 if TYPE_CHECKING:
@@ -16,8 +18,10 @@ if TYPE_CHECKING:
 __all__ = ["draw_force"]
 
 
-def draw_force(figure: Figure, *, model: DepthForce, records: Sequence[Record], sensor: MovingAverage) -> None:
-    """Draw the loop of every trial above its residuals."""
+def draw_force(figure: Figure, *, model: DepthForce, records: Sequence[Record], sensor: MovingAverage,
+    counts: Callable[[Record], Array],
+) -> None:  # fmt: skip
+    """Draw the loop of every trial above its residuals, of the samples that count."""
     figure.set_layout_engine("constrained")
     above, below = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.4, 1]})
     seen: set[str] = set()
@@ -30,7 +34,8 @@ def draw_force(figure: Figure, *, model: DepthForce, records: Sequence[Record], 
         ):
             above.plot(depth, values, color=colour, linewidth=1.0, label=None if label in seen else label)
             seen.add(label)
-        below.plot(depth, 1e3 * (measured - simulated), color=ORANGE if held else SKY, linewidth=0.7)
+        left = np.where(counts(record), 1e3 * (measured - simulated), np.nan)
+        below.plot(depth, left, color=ORANGE if held else SKY, linewidth=0.7)
     title(above, f"Axial force, {model.name}")
     above.set_ylabel("force (N)")
     above.legend(frameon=False, fontsize=8)

@@ -36,7 +36,7 @@ def draw_friction(
     loops.set_xlabel("velocity (mm/s)")
     loops.set_ylabel("axial force (N)")
     loops.legend(frameon=False, fontsize=8, loc="upper left")
-    title(loops, "friction and velocity")
+    title(loops, f"{record.trial}: friction and velocity".removeprefix(": "))
     best = scores[0]
     rest = 1e3 * (record["force_n"] - simulate(best.fit.model, motion).output)
     left.plot(motion.time_s, np.where(counts, rest, np.nan), color=_COLOURS[0], linewidth=0.5)

@@ -28,7 +28,13 @@ def draw_tissue_motion(
     shown = motion.time_s - motion.time_s[0] >= _SKIPPED_S
     relative = motion.velocity_mm_s - done.states[2]
     panels = [
-        ("velocity: needle (mm/s)", "measured and fitted", motion.velocity_mm_s, simulated, force),
+        (
+            "velocity: needle (mm/s)",
+            f"{record.trial}: measured and fitted".removeprefix(": "),
+            motion.velocity_mm_s,
+            simulated,
+            force,
+        ),
         ("against tissue (mm/s)", "less the fitted tissue", relative, simulated, force),
     ]
     if projection is not None:
