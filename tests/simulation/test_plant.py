@@ -14,6 +14,8 @@ from needleplan.models import Torsion, arc_step, simulate
 from needleplan.models.friction import Profile
 from needleplan.models.friction.published import model_ii
 from needleplan.models.tissue import LumpedOnTissue
+from needleplan.scenario import Layer as ScenarioLayer
+from needleplan.scenario import Needle, Scenario
 from needleplan.signals import Array, Motion, lspb
 from needleplan.simulation import Effects, Entry, Layer, Plant, Robot, Setup, Shaft, Tissue
 from needleplan.simulation.profile import Trapezoid
@@ -143,6 +145,15 @@ def test_layers_bend_cut_and_burst() -> None:
     assert force[peak + 5] == pytest.approx(0.5, abs=1e-9)
     # The heading is that of an arc to where x = 20 mm, and straight from there on.
     assert math.asin(plant.tip().tangent[1]) == pytest.approx(math.asin(20.0 * 0.01), abs=1e-3)
+
+
+def test_by_place_it_bends_as_the_scenario_says() -> None:
+    scenario = replace(Scenario.read("four_obstacles"), obstacles=(), needle=Needle(40.0, (ScenarioLayer(30.0, 80.0),)))
+    plant = inserted(Setup(1 / 40, scenario=scenario, entry=Entry(y_mm=10.0)), 50.0)
+    # 40 mm radius to x = 30 mm, then 80 mm.
+    turned = math.asin(30.0 / 40.0)
+    heading = turned + (plant.insertion.position - 40.0 * turned) / 80.0
+    assert math.atan2(*plant.tip().tangent[1::-1]) == pytest.approx(heading, abs=0.25 / 80)
 
 
 def test_drawn_back_it_returns_along_its_channel_and_a_turned_bevel_leaves_it() -> None:

@@ -12,6 +12,7 @@ from needleplan.errors import DeviceFault
 from needleplan.models import TipFrame, Torsion
 from needleplan.models.torsion import dragged
 from needleplan.simulation.axis import Axis
+from needleplan.simulation.places import PlannedCurvature
 from needleplan.simulation.setup import Setup
 from needleplan.simulation.shaft_force import ShaftForce, TipForce
 from needleplan.simulation.streams import Stream, random_for
@@ -42,7 +43,9 @@ class Plant:
         )  # fmt: skip
         scatter = random_for(seed, Stream.CURVATURE).standard_normal()
         self.curvature_factor = 1 + effects.curvature_error + effects.curvature_scatter * scatter
-        self._layers = [(begin, bend * self.curvature_factor) for begin, bend in setup.curvatures()]
+        self._layers = setup.curvatures()
+        by_place = setup.scenario is not None and any(bend is None for _, bend in self._layers)
+        self._places = PlannedCurvature(setup.scenario) if setup.scenario and by_place else None
         wander = WanderingHeading(effects.heading_noise_rad_sqrt_mm, random_for(seed, Stream.HEADING))
         self._line = TipFrame.planar(entry.x_mm, entry.y_mm, entry.heading_rad)
         self._path = TipPath3D(self._line, self._bend, wander)
@@ -138,13 +141,19 @@ class Plant:
         """How far the needle drags the tissue along."""
         return self._shaft.tissue_mm
 
-    def _bend(self, along_mm: float) -> float:
+    def _bend(self, tip: TipFrame) -> float:
+        x, y, _ = tip.position_mm
+        (x0, y0, _), (tx, ty, _) = self._path.start.position_mm, self._line.tangent
+        along = (x - x0) * tx + (y - y0) * ty
         bend = self._layers[0][1]
         for begin, curvature in self._layers[1:]:
-            if along_mm < begin:
+            if along < begin:
                 break
             bend = curvature
-        return bend
+        if bend is None:
+            assert self._places is not None
+            bend = self._places.at(x, y)
+        return bend * self.curvature_factor
 
     def _lag(self, inserted_mm: float) -> float:
         if not self._torsion.torque_per_length_n:

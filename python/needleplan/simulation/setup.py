@@ -8,6 +8,7 @@ from itertools import pairwise
 
 from needleplan.errors import ExperimentError, Mistake
 from needleplan.models.friction.lugre import LuGre
+from needleplan.scenario import Scenario
 from needleplan.simulation.choices import FORCE_HZ
 from needleplan.simulation.effects import Effects
 from needleplan.simulation.parts import Entry, Layer, Robot, Shaft, Tissue
@@ -19,7 +20,8 @@ __all__ = ["Setup", "disagreements"]
 class Setup:
     """Needle, tissue, robot and effects; the plan's curvature is `plan_curvature_per_mm`, positive to the left.
 
-    Where neither tissue nor layers give a curvature, the needle bends as in the plan. `friction` is Model II or III of
+    Where neither tissue nor layers give a curvature, the needle bends as in the plan, or with a `scenario` whose
+    curvature differs from place to place, as in that. `friction` is Model II or III of
     chapter 3, or None. Raises ExperimentError where the parts contradict each other.
     """
 
@@ -31,6 +33,7 @@ class Setup:
     robot: Robot = Robot()
     effects: Effects = Effects()
     friction: LuGre | None = None
+    scenario: Scenario | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
@@ -45,10 +48,11 @@ class Setup:
         first = Layer(0.0, tissue.curvature_per_mm, tissue.cutting_n, tissue.puncture_n, tissue.stretch_mm)
         return (first, *self.layers)
 
-    def curvatures(self) -> tuple[tuple[float, float], ...]:
-        """Return where each layer begins (mm) and the curvature in it (1/mm), before any effect."""
-        tissue = self.tissue.curvature_per_mm
-        usual = self.plan_curvature_per_mm if tissue is None else tissue
+    def curvatures(self) -> tuple[tuple[float, float | None], ...]:
+        """Return where each layer begins (mm) and the curvature in it (1/mm), before any effect; None: by place."""
+        usual = self.tissue.curvature_per_mm
+        if usual is None and (self.scenario is None or self.scenario.uniform):
+            usual = self.plan_curvature_per_mm
         return tuple(
             (each.from_mm, usual if each.curvature_per_mm is None else each.curvature_per_mm)
             for each in self.all_layers

@@ -50,10 +50,10 @@ class WanderingHeading:
 class TipPath3D:
     """The path of the tip in tissue that stands still, from the surface on.
 
-    `bend` says how strongly the bevel bends at a depth along the entry (1/mm).
+    `bend` says how strongly the bevel bends where the tip is (1/mm).
     """
 
-    def __init__(self, start: TipFrame, bend: Callable[[float], float], wander: WanderingHeading) -> None:
+    def __init__(self, start: TipFrame, bend: Callable[[TipFrame], float], wander: WanderingHeading) -> None:
         self._bend = bend
         self._wander = wander
         self._length_mm = 0.0
@@ -98,7 +98,7 @@ class TipPath3D:
 
     def _cut(self, length_mm: float, roll_rad: float) -> None:
         # A step ends where the curvature wanders, so that the path does not depend on the steps.
-        bend = self._bend(self._along(self._newest))
+        bend = self._bend(self._newest)
         across_n, across_b = bend * math.cos(roll_rad), bend * math.sin(roll_rad)
         while self._cut_mm < length_mm:
             wander_n, wander_b, until_mm = self._wander.at(self._cut_mm)
@@ -115,14 +115,6 @@ class TipPath3D:
                 self._frames.append(self._newest)
                 self._bends.append((n, b))
                 self._rolls.append(roll_rad)
-
-    def _along(self, frame: TipFrame) -> float:
-        return sum(
-            (here - there) * direction
-            for here, there, direction in zip(
-                frame.position_mm, self.start.position_mm, self.start.tangent, strict=True
-            )
-        )
 
     def _forget_beyond(self, length_mm: float) -> None:
         self._newest = self.frame_at(length_mm)

@@ -61,7 +61,9 @@ def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
         scenario = parts["scenario"]
         plan = 1 / scenario.needle.curvature_radius_mm if scenario else made["tissue"].curvature_per_mm
         parts["moves"] = tuple(moves)
-        parts["setup"] = Setup(plan, layers=tuple(each for each in layers if each), friction=friction, **made)
+        parts["setup"] = Setup(
+            plan, layers=tuple(each for each in layers if each), friction=friction, scenario=scenario, **made
+        )
     return parts, mistakes
 
 
