@@ -49,7 +49,7 @@ def test_three_points_on_a_line_have_no_curvature() -> None:
 
 def test_only_the_plain_fit_is_biased() -> None:
     random = np.random.default_rng(1)
-    trials = [arc() + white(random) for _ in range(800)]
+    trials = [arc() + white(random) for _ in range(200)]
     bends = {method: np.array([fit_circle(each, method).curvature_per_mm for each in trials]) for method in METHODS}
     formula = 1 / (1 + 720 * SIGMA_MM**2 * RADIUS_MM**2 / LENGTH_MM**4)
     assert np.mean([kasa(each) for each in trials]) / RADIUS_MM == pytest.approx(formula, abs=0.02)
