@@ -1,0 +1,136 @@
+"""`needleplan recording`: what is in a recording, recovering a cut one, exporting."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import complain, note, print_json, print_lines
+from needleplan.cli.options import add_json
+
+if TYPE_CHECKING:
+    from needleplan.recording.mcap import Recording
+
+__all__ = ["add_to", "run_export", "run_info", "run_recover"]
+
+FORMATS = ("hdf5", "csv", "parquet", "rosbag")
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command and its subcommands."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "recording",
+        help="show, recover and export recordings",
+        description="Show, recover and export recordings of a run (MCAP).",
+    )
+    subcommands = parser.add_subparsers(title="commands", metavar="{info,recover,export}", required=True)
+    info = subcommands.add_parser(
+        "info", help="show what is in a recording and verify its checksums",
+        description="Show what is in a recording and verify its checksums.",
+    )  # fmt: skip
+    info.add_argument("recording", metavar="RUN.mcap")
+    info.add_argument("--events", action="store_true", help="print the events, one a line")
+    add_json(info)
+    info.set_defaults(run=run_info)
+    recover = subcommands.add_parser(
+        "recover", help="make a recording of what a killed or damaged one still holds",
+        description="Write all that can be read of a recording, however it ended, and say what is missing. "
+        "Exit code 1: something is known to be missing.",
+    )  # fmt: skip
+    recover.add_argument("recording", metavar="RUN.mcap.partial")
+    recover.add_argument("-o", "--output", required=True, metavar="RUN.mcap", help="the recording to write")
+    add_json(recover)
+    recover.set_defaults(run=run_recover)
+    export = subcommands.add_parser(
+        "export", help="write a recording in another format",
+        description="Write a recording as HDF5 or CSV (what `identify` reads; HDF5 with all channels beside it), as a "
+        "folder of Parquet files, or as a ROS 2 bag.",
+    )  # fmt: skip
+    export.add_argument("recording", metavar="RUN.mcap")
+    export.add_argument("--to", required=True, choices=FORMATS)
+    export.add_argument("-o", "--output", required=True, metavar="PATH", help="file or folder to write")
+    export.set_defaults(run=run_export)
+
+
+def run_info(options: argparse.Namespace) -> int:
+    """Show a recording and return the exit code."""
+    from needleplan.recording.mcap import Recording
+
+    recording = Recording.read(options.recording)
+    if options.json:
+        print_json(_record(recording))
+        return 0
+    if options.events:
+        _print_events(recording)
+        return 0
+    recovery = recording.recovery
+    closed = (
+        "closed by its recorder" if recovery is None else f"recovered; {recovery.get('damaged_bytes')} damaged bytes"
+    )
+    print_lines(
+        recording.session.title or options.recording,
+        {
+            "made by": f"{recording.session.made_by}, checksums verified",
+            "ended": closed,
+            "duration": f"{recording.duration_s:.3f} s",
+            **recording.session.digests,
+            "files": ", ".join(recording.session.texts) or "none",
+            **{
+                topic: f"{count:,} messages, {recording.kinds[topic].name}" for topic, count in recording.counts.items()
+            },
+        },
+    )
+    return 0
+
+
+def run_recover(options: argparse.Namespace) -> int:
+    """Recover a recording and return the exit code."""
+    from needleplan.recording.mcap import recover
+
+    done = recover(options.recording, options.output)
+    if options.json:
+        print_json(asdict(done))
+    else:
+        print_lines(options.output, {topic: f"{count:,} messages" for topic, count in done.by_topic.items()})
+    if not done.complete:
+        note("the recorder did not close it: what it had not handed to the disk yet, some 20 ms, is not in it")
+    if done.missing or done.damaged_bytes:
+        lost = ", ".join(f"{count} of {topic}" for topic, count in done.missing.items()) or "nothing between others"
+        return complain(f"{done.damaged_bytes} bytes at {done.places} places are damaged; missing messages: {lost}")
+    return 0
+
+
+def run_export(options: argparse.Namespace) -> int:
+    """Export a recording and return the exit code."""
+    from needleplan.recording.mcap import Recording
+    from needleplan.recording.mcap.export import FORMATS as WRITERS
+
+    for remark in WRITERS[options.to](Recording.read(options.recording), options.output):
+        note(remark)
+    return 0
+
+
+def _record(recording: Recording) -> dict[str, Any]:
+    session = recording.session
+    return {
+        "recording": str(recording.path),
+        "title": session.title,
+        "made_by": session.made_by,
+        "digests": dict(session.digests),
+        "files": list(session.texts),
+        "start_ns": recording.start_ns,
+        "duration_s": recording.duration_s,
+        "recovery": None if recording.recovery is None else dict(recording.recovery),
+        "topics": {topic: {"messages": count, "kind": recording.kinds[topic].name}
+                   for topic, count in recording.counts.items()},
+    }  # fmt: skip
+
+
+def _print_events(recording: Recording) -> None:
+    from needleplan.recording.mcap import EVENT
+
+    topics = [topic for topic in recording.counts if recording.kinds[topic].name == EVENT.name]
+    for message in recording.messages(topics):
+        words = [str(message.values.get(name) or "") for name in ("name", "cause", "text")]
+        print(f"{(message.time_ns - recording.start_ns) * 1e-9:10.3f} s  " + "  ".join(word for word in words if word))
