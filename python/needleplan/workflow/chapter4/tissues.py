@@ -34,9 +34,7 @@ def tissue_rows(
         for amplitudes, (lag, sd, text) in zip(("40 mm", "40 and 10 mm"), told, strict=False):
             better = abs(lag - trial.lag_deg) <= abs(observed - trial.lag_deg)
             held = abs(lag - trial.lag_deg) <= 2 * sd
-            misses = (
-                "" if held else "; its interval misses the truth, for it counts noise and not the difference of models"
-            )
+            misses = "" if held else "; its interval, of the noise alone, misses the truth"
             rows.append(
                 Comparison(
                     f"ch4/ours/{phantom.name}, {amplitudes}", f"true lag {trial.lag_deg:.2f} deg",
