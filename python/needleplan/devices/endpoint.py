@@ -1,0 +1,156 @@
+"""The other end of a link: simulated devices behind TCP and pseudo-terminals, for clients that know nothing of them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import sys
+import termios
+import threading
+import tty
+from abc import ABC, abstractmethod
+from types import TracebackType
+from typing import Protocol, Self
+
+__all__ = ["Answering", "Endpoint", "PtyEndpoint", "TcpEndpoint"]
+
+_LONGEST = 65_536
+
+
+class Answering(Protocol):
+    """A device that answers bytes with bytes."""
+
+    def answer(self, data: bytes) -> bytes:
+        """Take bytes and return what the device sends for them."""
+
+
+class Endpoint(ABC):
+    """A device at a place where it can be reached; a context manager, abstract."""
+
+    def __init__(self, device: Answering) -> None:
+        self.device = device
+        self._stopping = threading.Event()
+        self._woken, self._wake = os.pipe()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    @property
+    @abstractmethod
+    def address(self) -> str:
+        """The address of this end, to be opened by a client."""
+
+    @abstractmethod
+    def say(self, data: bytes) -> None:
+        """Send bytes that nobody asked for."""
+
+    @abstractmethod
+    def _serve(self) -> None:
+        """Answer until `_stopping`."""
+
+    def _ready(self, descriptor: int) -> bool:
+        """Wait until there is something to read; false where the endpoint is stopping."""
+        readable, _, _ = select.select([descriptor, self._woken], [], [])
+        return self._woken not in readable
+
+    def close(self) -> None:
+        """Take the device away; a client finds its link closed. Closing twice is harmless."""
+        if self._stopping.is_set():
+            return
+        self._stopping.set()
+        os.write(self._wake, b"x")
+        self._thread.join()
+        os.close(self._wake)
+        os.close(self._woken)
+        self._release()
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Give the place back."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class TcpEndpoint(Endpoint):
+    """A device behind a TCP port; it serves one client after another."""
+
+    def __init__(self, device: Answering, host: str = "127.0.0.1", port: int = 0) -> None:
+        self._server = socket.create_server((host, port))
+        self.host, self.port = self._server.getsockname()[:2]
+        self._client: socket.socket | None = None
+        super().__init__(device)
+
+    @property
+    def address(self) -> str:
+        """`tcp://host:port`."""
+        return f"tcp://{self.host}:{self.port}"
+
+    def say(self, data: bytes) -> None:
+        """Send bytes to the client, if there is one."""
+        if self._client is not None:
+            with contextlib.suppress(OSError):
+                self._client.sendall(data)
+
+    def _serve(self) -> None:
+        while self._ready(self._server.fileno()):
+            self._client, _ = self._server.accept()
+            with self._client:
+                self._converse(self._client)
+            self._client = None
+
+    def _converse(self, client: socket.socket) -> None:
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with contextlib.suppress(OSError):
+            while self._ready(client.fileno()):
+                data = client.recv(_LONGEST)
+                if not data:
+                    return
+                client.sendall(self.device.answer(data))
+
+    def _release(self) -> None:
+        self._server.close()
+
+
+class PtyEndpoint(Endpoint):
+    """A device behind a pseudo-terminal. Where the device has a `baud` and the line another, nothing is understood."""
+
+    def __init__(self, device: Answering) -> None:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        self.path = os.ttyname(self._slave)
+        super().__init__(device)
+
+    @property
+    def address(self) -> str:
+        """`serial:///dev/pts/n`."""
+        return f"serial://{self.path}"
+
+    def say(self, data: bytes) -> None:
+        """Send bytes to whoever reads the line."""
+        with contextlib.suppress(OSError):
+            os.write(self._master, data)
+
+    def _serve(self) -> None:
+        with contextlib.suppress(OSError):
+            while self._ready(self._master):
+                data = os.read(self._master, _LONGEST)
+                if self._speeds_agree():
+                    self.say(self.device.answer(data))
+
+    def _speeds_agree(self) -> bool:
+        baud = getattr(self.device, "baud", None)
+        if baud is None or not sys.platform.startswith("linux"):
+            return True
+        # On Linux the attributes of the master are those of the line.
+        return bool(termios.tcgetattr(self._master)[4] == getattr(termios, f"B{baud}", None))
+
+    def _release(self) -> None:
+        os.close(self._slave)
+        os.close(self._master)
