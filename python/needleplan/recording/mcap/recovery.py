@@ -28,7 +28,10 @@ from needleplan.recording.mcap.session import Session
 
 __all__ = ["Recovery", "finish", "recover"]
 
-_LARGE_CHUNK = 2**20
+_LARGE_CHUNK = 2**17
+"""About a second of a run: what one damaged byte can cost a finished recording."""
+
+_SESSION = "/session"
 
 
 @dataclass(frozen=True)
@@ -94,9 +97,12 @@ def _mapped(path: PathLike) -> Iterator[Any]:
 
 def _rewrite(data: Any, source: str, target: Path, *, recovered: bool, expected: int | None = None) -> Recovery:
     known = Definitions()
-    for content in chunks(data, Damage()):
-        with contextlib.suppress(Exception):  # the checksum agrees, but somebody else may have made it
-            definitions_of(content, known)
+    for _ in range(2):  # where the first chunk is damaged, the session stands before the definition of its channel
+        for content in chunks(data, Damage()):
+            with contextlib.suppress(Exception):  # the checksum agrees, but somebody else may have made it
+                definitions_of(content, known)
+        if known.session is not None:
+            break
     if known.session is None:
         raise DataError("is not a recording of needleplan, or nothing of it can be read", source)
     session = Session.from_dict(known.session, source)
@@ -135,18 +141,24 @@ def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, re
     missing: Counter[int] = Counter()
     counts: Counter[int] = Counter()
     status: dict[str, Any] = {}
+    again: tuple[int, int, bytes] | None = None
     for content in chunks(data, damage):
         with contextlib.suppress(Exception):
             for number, sequence, time_ns, body in messages_of(content):
                 topic = known.channels[number].topic if number in numbers else ""
-                if not topic or (topic == "/session" and number in last):
+                if not topic:
                     continue
-                missing[number] += max(sequence - last.get(number, 0) - 1, 0) if topic != "/session" else 0
+                if topic == _SESSION:
+                    again = (numbers[number], time_ns, body)
+                else:
+                    missing[number] += max(sequence - last.get(number, 0) - 1, 0)
                 last[number] = max(sequence, last.get(number, 0))
                 if topic == "/recorder":
                     status = STATUS.decode(body)
                 writer.add_message(numbers[number], time_ns, body, time_ns, sequence)
                 counts[number] += 1
+    if again:  # in the first chunk and in the last, so that one damage leaves one of them
+        writer.add_message(again[0], again[1], again[2], again[1])
     done = _summed(known, counts, missing, status, damage)
     if recovered:
         writer.add_metadata("needleplan.recovery", {
@@ -176,8 +188,8 @@ def _summed(
     overflowed = {str(topic): int(count) for topic, count in stored.items()} if isinstance(stored, dict) else {}
     gaps = {topics[number]: count - overflowed.get(topics[number], 0) for number, count in missing.items()}
     return Recovery(
-        sum(count for number, count in counts.items() if topics[number] != "/session"),
-        {topics[number]: count for number, count in counts.items() if topics[number] != "/session"},
+        sum(count for number, count in counts.items() if topics[number] != _SESSION),
+        {topics[number]: count for number, count in counts.items() if topics[number] != _SESSION},
         damage.damaged_bytes,
         damage.places,
         {topic: count for topic, count in gaps.items() if count > 0},

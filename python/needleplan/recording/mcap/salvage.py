@@ -48,9 +48,10 @@ class Definitions:
 
 
 def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
-    """Yield the records of every chunk that agrees with its checksum; `data` is bytes or a memory map.
+    """Yield the records of every chunk that agrees with its checksum, and definitions outside of chunks.
 
-    Bytes that belong to nothing are counted in `damage`, and the next chunk is searched for.
+    `data` is bytes or a memory map. Bytes that belong to nothing are counted in `damage`, and the next chunk
+    is searched for.
     """
     size = len(data)
     at = len(MCAP0_MAGIC) if data[: len(MCAP0_MAGIC)] == MCAP0_MAGIC else 0
@@ -62,6 +63,8 @@ def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
             continue
         following = _skipped(data, at)
         if following:
+            if data[at] in (Opcode.SCHEMA, Opcode.CHANNEL):  # a finished recording repeats them at its end
+                yield bytes(data[at:following])
             at = following
             continue
         lost_from = at
