@@ -9,12 +9,14 @@ import pytest
 
 from needleplan.devices import Tracker
 from needleplan.devices.endpoint import Endpoint, PtyEndpoint, TcpEndpoint
-from needleplan.devices.ndi import NdiTracker
+from needleplan.devices.ndi import NdiTracker, PoseLimits
 from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed
 from tests.devices.contract_tracker import TrackerContract
 from tests.devices.ndi.bench import TIP, Bench, aurora
 
 HARDWARE = "NEEDLEPLAN_TEST_TRACKER"
+PATIENT = PoseLimits(late_s=5.0, silence_s=5.0, gap_s=1.0)
+"""For a machine with other things to do than to run a simulated tracker."""
 ENDPOINTS: dict[str, type[TcpEndpoint] | type[PtyEndpoint]] = {"tcp": TcpEndpoint, "pty": PtyEndpoint}
 
 
@@ -28,8 +30,10 @@ class TestOnTheWire(TrackerContract):
     @pytest.fixture(params=["tcp bx", "tcp tx", "pty bx", "pty tx"])
     def tracker(self, request: pytest.FixtureRequest) -> Iterator[Tracker]:
         kind, reply = request.param.split()
-        with ENDPOINTS[kind](aurora()) as end, NdiTracker.open(f"{end.address}?tool={TIP}&reply={reply}") as opened:
-            yield opened
+        with ENDPOINTS[kind](aurora()) as end:
+            address = f"{end.address}?tool={TIP}&reply={reply}"
+            with NdiTracker.open(address, limits=PATIENT) as opened:
+                yield opened
 
 
 @pytest.mark.skipif(
