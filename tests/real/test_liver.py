@@ -36,7 +36,7 @@ def test_capsules_are_found(record: Record) -> None:
 
 
 def test_the_force_model_roughly_holds_up_to_the_first_puncture(record: Record) -> None:
-    """It follows the loading to a tenth, at the edge of what it allows; insertion alone identifies hardly a parameter."""
+    """It follows the loading to a tenth, at the edge of its ranges; insertion alone identifies hardly a parameter."""
     before = record.select(record["depth_mm"] < BEFORE_MM)
     found = fit(START, before, starts=8, spread=2.0)
     assert found.status is FitStatus.AT_BOUND
