@@ -1,22 +1,38 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import pytest
 
-from needleplan.devices import VirtualClock
+from needleplan.devices import ForceSensor, Stage, Tracker, VirtualClock
 from needleplan.errors import ExperimentError
 from needleplan.simulation import Effects, Entry, Lab, Setup, open_lab
-from tests.devices.contract import DeviceContract, Devices
+from tests.devices.contract import ForceSensorContract, StageContract, TrackerContract
 
 
-class TestSimulatedDevices(DeviceContract):
-    @contextmanager
-    def devices(self) -> Iterator[Devices]:
-        effects = Effects(encoder_step_mm=0.001, force_noise_n=0.01, force_offset_n=0.5, tracker_noise_mm=0.1)
-        with Lab(Setup(1 / 40, effects=effects), seed=3) as lab:
-            yield Devices(lab.stage, lab.force_sensor, lab.tracker)
+@pytest.fixture
+def lab() -> Iterator[Lab]:
+    effects = Effects(encoder_step_mm=0.001, force_noise_n=0.01, force_offset_n=0.5, tracker_noise_mm=0.1)
+    with Lab(Setup(1 / 40, effects=effects), seed=3) as lab:
+        yield lab
+
+
+class TestStage(StageContract):
+    @pytest.fixture
+    def sensor(self, lab: Lab) -> Stage:
+        return lab.stage
+
+
+class TestForceSensor(ForceSensorContract):
+    @pytest.fixture
+    def sensor(self, lab: Lab) -> ForceSensor:
+        return lab.force_sensor
+
+
+class TestTracker(TrackerContract):
+    @pytest.fixture
+    def sensor(self, lab: Lab) -> Tracker:
+        return lab.tracker
 
 
 def test_waiting_for_a_sample_lets_time_pass_for_all() -> None:

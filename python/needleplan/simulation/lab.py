@@ -194,10 +194,18 @@ class SimulatedForceSensor(_Reader[ForceSample], ForceSensor):
         super().__init__(lab, FORCE_HZ)
 
     def bias(self) -> None:
-        """Take the present wrench as zero."""
+        """Take the present wrench as zero; let time pass until there is one.
+
+        Samples of before that nobody has read have another zero: they are dropped, and counted as lost.
+        """
         self.require_open()
-        self._lab.catch_up()
-        self._lab.forces.bias()
+        lab = self._lab
+        lab.catch_up()
+        limit_ns = lab.clock.now_ns() + _NANO
+        while not lab.forces.measured and lab.wait(limit_ns):
+            pass
+        lab.forces.bias()
+        self._lost += len(self.waiting())
 
 
 class SimulatedTracker(_Reader[PoseSample], Tracker):

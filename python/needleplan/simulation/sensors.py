@@ -25,10 +25,13 @@ class ForceReading:
         self._averages = [MovingAverage(AVERAGED).stream() for _ in range(4)]
         self._zero = (0.0, 0.0, 0.0, 0.0)
         self._last = self._zero
+        self.measured = False
+        """Whether there was a sample yet."""
 
     def sample(self, stamp: Stamp, force_n: float, torque_n_mm: float, time_s: float) -> ForceSample:
         """Return the sample for the true axial force and torque."""
         effects = self._effects
+        self.measured = True
         noise = [effects.force_noise_n * each for each in self._draws.next()]
         wrong = effects.force_offset_n + effects.force_drift_n_s * time_s
         raw = (noise[0], noise[1], (1 + effects.force_gain_error) * force_n + wrong + noise[2], torque_n_mm)

@@ -14,7 +14,7 @@ from needleplan.devices.ati import ForceLimits, NetFt, NetFtBox, NetFtServer
 from needleplan.devices.ati.rdt import RdtRecord, encode_records
 from needleplan.errors import AddressError, ConfigurationError, DeviceFault
 from tests.devices.ati.bench import Bench, Wrench
-from tests.devices.contract_force import ForceSensorContract
+from tests.devices.contract import ForceSensorContract
 
 HARDWARE = "NEEDLEPLAN_TEST_FORCE"
 PATIENT = ForceLimits(silence_s=2.0, start_s=2.0)

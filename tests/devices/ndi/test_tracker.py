@@ -11,7 +11,7 @@ from needleplan.devices import Tracker
 from needleplan.devices.endpoint import Endpoint, PtyEndpoint, TcpEndpoint
 from needleplan.devices.ndi import NdiTracker, PoseLimits
 from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed
-from tests.devices.contract_tracker import TrackerContract
+from tests.devices.contract import TrackerContract
 from tests.devices.ndi.bench import TIP, Bench, aurora
 
 HARDWARE = "NEEDLEPLAN_TEST_TRACKER"
@@ -22,13 +22,13 @@ ENDPOINTS: dict[str, type[TcpEndpoint] | type[PtyEndpoint]] = {"tcp": TcpEndpoin
 
 class TestInThisProcess(TrackerContract):
     @pytest.fixture(params=[False, True], ids=["bx", "tx"])
-    def tracker(self, request: pytest.FixtureRequest) -> Tracker:
+    def sensor(self, request: pytest.FixtureRequest) -> Tracker:
         return Bench(text=request.param).tracker()
 
 
 class TestOnTheWire(TrackerContract):
     @pytest.fixture(params=["tcp bx", "tcp tx", "pty bx", "pty tx"])
-    def tracker(self, request: pytest.FixtureRequest) -> Iterator[Tracker]:
+    def sensor(self, request: pytest.FixtureRequest) -> Iterator[Tracker]:
         kind, reply = request.param.split()
         with ENDPOINTS[kind](aurora()) as end:
             address = f"{end.address}?tool={TIP}&reply={reply}"
@@ -41,7 +41,7 @@ class TestOnTheWire(TrackerContract):
 )
 class TestOnHardware(TrackerContract):
     @pytest.fixture
-    def tracker(self) -> Iterator[Tracker]:
+    def sensor(self) -> Iterator[Tracker]:
         with NdiTracker.open(os.environ[HARDWARE]) as opened:
             yield opened
 
