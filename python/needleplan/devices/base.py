@@ -7,11 +7,11 @@ device reports as wrong comes back as the health of a sample; what makes it unus
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass, field
 from enum import StrEnum
-from types import TracebackType
-from typing import Self
+
+from needleplan.devices.closing import Closing
 
 __all__ = ["Device", "ForceSample", "ForceSensor", "Health", "PoseSample", "Stage", "StageSample", "Stamp", "Tracker"]
 
@@ -81,20 +81,12 @@ class StageSample:
     notes: tuple[str, ...] = field(default=())
 
 
-class Device(ABC):
+class Device(Closing):
     """Anything that is opened, used and closed; abstract."""
 
     @abstractmethod
     def close(self) -> None:
         """Give the device up; a stage stops first. Closing twice is harmless."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class Stage(Device):

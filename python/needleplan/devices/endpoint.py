@@ -10,9 +10,10 @@ import sys
 import termios
 import threading
 import tty
-from abc import ABC, abstractmethod
-from types import TracebackType
-from typing import Protocol, Self
+from abc import abstractmethod
+from typing import Protocol
+
+from needleplan.devices.closing import Closing
 
 __all__ = ["Answering", "Endpoint", "PtyEndpoint", "TcpEndpoint"]
 
@@ -26,7 +27,7 @@ class Answering(Protocol):
         """Take bytes and return what the device sends for them."""
 
 
-class Endpoint(ABC):
+class Endpoint(Closing):
     """A device at a place where it can be reached; a context manager, abstract."""
 
     def __init__(self, device: Answering) -> None:
@@ -68,14 +69,6 @@ class Endpoint(ABC):
     @abstractmethod
     def _release(self) -> None:
         """Give the place back."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class TcpEndpoint(Endpoint):

@@ -7,16 +7,15 @@ datagrams; stream links (TCP, serial) deliver bytes as they come. `memory_pair` 
 from __future__ import annotations
 
 import queue
-from abc import ABC, abstractmethod
-from types import TracebackType
-from typing import Self
+from abc import abstractmethod
 
+from needleplan.devices.closing import Closing
 from needleplan.errors import LinkClosed
 
 __all__ = ["Link", "MemoryLink", "memory_pair"]
 
 
-class Link(ABC):
+class Link(Closing):
     """A way to another device; abstract. May be used by one reader and one writer at the same time."""
 
     @abstractmethod
@@ -30,14 +29,6 @@ class Link(ABC):
     @abstractmethod
     def close(self) -> None:
         """Give the link up; closing twice is harmless."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 class MemoryLink(Link):
