@@ -40,7 +40,7 @@ struct Change {
 /// Values and actions in table layout.
 pub(crate) struct Tables {
     pub values: Vec<f32>,
-    /// Empty for a given policy.
+    /// Zeros for a given policy.
     pub policy: Vec<u8>,
     /// The largest finite value.
     pub largest: f64,
