@@ -27,7 +27,9 @@ def add_to(commands: Any) -> None:
         description="Print published tables beside ours, and draw the figures. A verdict that is no is "
         "an answer too: the exit code is 0.",
     )
-    parser.add_argument("chapters", nargs="*", metavar="CHAPTER", help="ch6 (others follow); all where none is given")
+    parser.add_argument(
+        "chapters", nargs="*", metavar="CHAPTER", help="ch2, ch3, ch4, ch5, ch6; all where none is given"
+    )
     parser.add_argument("-o", "--figures", metavar="FOLDER", help="draw the figures into this folder")
     parser.add_argument(
         "--json", action="store_true", help="print a list of {id, published, ours, unit, verdict, reason}"

@@ -13,19 +13,26 @@ BYTES_PER_STATE = {Method.SWEEP: 36, Method.PPVI: 180, Method.VALUE_ITERATION: 1
 """Peak of planning, measured: the table (9), the solver's copies, what the arcs lead to; the sweeps work in single
 precision on the lattice, the other methods in double precision on any Markov decision process."""
 
+BYTES_PER_FINER_STATE = 24
+"""Peak of an evaluation on a finer grid, measured: 17 to 21."""
+
 _MOST_STATES = 2**31 - 1
 
 
 def require_memory(scenario: Scenario) -> None:
     """Raise ScenarioError where planning would need more memory than there is."""
-    states = scenario.states
-    needed, available = states * BYTES_PER_STATE[scenario.solver.method], available_bytes()
-    if states <= _MOST_STATES and (available is None or needed <= available):
+    states, times = scenario.states, scenario.grid.success_refinement
+    finer = states * times**2 if times > 1 else 0
+    needed = states * BYTES_PER_STATE[scenario.solver.method] + finer * BYTES_PER_FINER_STATE
+    available = available_bytes()
+    if max(states, finer) <= _MOST_STATES and (available is None or needed <= available):
         return
     reason = (
-        f"the grid has {states:,} states and needs about {_readable(needed)} of memory"
+        f"the grid has {states:,} states"
+        + (f", {finer:,} with success_refinement = {times}," if finer else "")
+        + f" and needs about {_readable(needed)} of memory"
         + (f"; {_readable(available)} are available" if available is not None else "")
-        + (f"; at most {_MOST_STATES:,} states can be numbered" if states > _MOST_STATES else "")
+        + (f"; at most {_MOST_STATES:,} states can be numbered" if max(states, finer) > _MOST_STATES else "")
         + "; take a coarser spacing, fewer headings or a smaller workspace"
         + ("" if scenario.solver.method is Method.SWEEP else ', or solver.method = "sweep"')
     )

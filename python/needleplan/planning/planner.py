@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from time import perf_counter
 
-import numpy as np
-
 from needleplan.errors import ScenarioError
 from needleplan.planning.lattice import lattice_of
 from needleplan.planning.memory import require_memory
 from needleplan.planning.stats import Progress, Stats
+from needleplan.planning.success import success_of
 from needleplan.planning.table import PolicyTable
 from needleplan.scenario import Scenario
 
@@ -38,8 +37,7 @@ def plan(scenario: Scenario, progress: Progress | None = None) -> PolicyTable:
             threads=solver.threads,
             progress=progress,
         )
-        success = lattice.success(policy=solved["policy"], threads=solver.threads)["success"]
-        np.minimum(success, 1, out=success)  # weights in single precision can sum to a little more than one
+        success = success_of(scenario, lattice, solved["policy"])
     except (ValueError, MemoryError) as error:
         raise ScenarioError(str(error)) from error
     stats = Stats.of(solved, scenario.states, perf_counter() - began)

@@ -20,6 +20,7 @@ from needleplan.scenario.rules import (
     Maybe,
     Noise,
     Number,
+    Odd,
     Pair,
     Refused,
     Rule,
@@ -147,10 +148,15 @@ class Motion(Part):
 
 @dataclass(frozen=True)
 class Grid(Part):
-    """The grid of positions, and where the end of an arc lands on it."""
+    """The grid of positions, and where the end of an arc lands on it.
+
+    `success_refinement` k evaluates the success of the policy on a grid k times finer in x and in y. It is odd, so that
+    each of the finer cells belongs to one grid point, whose policy it follows.
+    """
 
     spacing_mm: tuple[float, float] = _ruled(Pair(_LENGTH), (1.0, 1.0))
     transition: Transition = _ruled(Choice(Transition), Transition.NEAREST)
+    success_refinement: int = _ruled(Odd(1, 9), 1)
 
     def points(self, workspace: Workspace) -> tuple[int, int]:
         """Return the number of grid points along x and y: 0, dx, 2 dx ... round(width / dx) dx."""

@@ -19,6 +19,7 @@ __all__ = [
     "Maybe",
     "Noise",
     "Number",
+    "Odd",
     "Pair",
     "Refused",
     "Rule",
@@ -81,6 +82,25 @@ class Integer:
         number = plain(value)
         if not isinstance(number, int) or not self.at_least <= number <= self.at_most:
             raise Refused(f"must be a whole number from {self.at_least} to {self.at_most}")
+        return number
+
+
+@dataclass(frozen=True)
+class Odd:
+    """An odd whole number in a range."""
+
+    at_least: int
+    at_most: int
+
+    def read(self, value: object) -> int:
+        """Return the number. Raises Refused."""
+        rule = f"must be an odd whole number from {self.at_least} to {self.at_most}"
+        try:
+            number = Integer(self.at_least, self.at_most).read(value)
+        except Refused:
+            raise Refused(rule) from None
+        if number % 2 == 0:
+            raise Refused(rule)
         return number
 
 

@@ -6,11 +6,13 @@ import csv
 import io
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needleplan.planning import PolicyTable
 from needleplan.provenance import write_whole
 from needleplan.scenario import Scenario, Transition
 from needleplan.workflow.chapter6.entries import Execution, Study, choose_entries, execute, planned
@@ -27,6 +29,7 @@ SCENARIOS = ("four_obstacles", "narrow_passage", "prostate", "brain")
 _REFERENCE = (Transition.INTERPOLATED, 0.5)
 _RUNS = {Effort.QUICK: 1000, Effort.DEFAULT: 20_000, Effort.FULL: 20_000}
 _SPACINGS_MM = {Effort.QUICK: (1.0,), Effort.DEFAULT: (1.0, 0.5), Effort.FULL: (1.0, 0.5, 0.25)}
+_REFINEMENT = 3
 _MOST_POINTS, _MEAN_POINTS = 2.0, 1.0
 _FINE_ARC = 40
 
@@ -67,14 +70,15 @@ def write_entries(path: Path, studies: list[Study]) -> None:
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(
-        ["scenario", "transition", "spacing_mm", "execution", "x_mm", "y_mm", "heading_deg", "bevel", "predicted",
-         "realised", "realised_low", "realised_high", "difference_points"]
+        ["scenario", "transition", "spacing_mm", "success_refinement", "execution", "x_mm", "y_mm", "heading_deg",
+         "bevel", "predicted", "realised", "realised_low", "realised_high", "difference_points"]
     )  # fmt: skip
     for study in studies:
+        grid = study.grid
         for k, (x, y, heading, bevel) in enumerate(study.entries.tolist()):
             low, high = study.interval[k]
             table.writerow(
-                [study.scenario, study.grid.transition, study.grid.spacing_mm[0], study.execution, x, y,
+                [study.scenario, grid.transition, grid.spacing_mm[0], grid.success_refinement, study.execution, x, y,
                  round(math.degrees(heading), 3), int(bevel), f"{study.predicted[k]:.4f}", f"{study.realised[k]:.4f}",
                  f"{low:.4f}", f"{high:.4f}", f"{study.points[k]:.2f}"]
             )  # fmt: skip
@@ -96,7 +100,16 @@ def _of_scenario(name: str, request: Request) -> Iterator[Study]:
             if is_reference and request.effort is Effort.FULL:
                 executions += [Execution(arc_samples=_FINE_ARC), Execution(greedy=True, arc_samples=_FINE_ARC)]
             for execution in executions:
-                yield execute(name, table, entries, execution, runs)
+                study = execute(name, table, entries, execution, runs)
+                yield study
+                if is_reference and execution == Execution():
+                    yield _predicted_finer(study, planned(scenario, *_REFERENCE, _REFINEMENT))
+
+
+def _predicted_finer(study: Study, table: PolicyTable) -> Study:
+    """Return `study` with the predictions of `table`, which has the same policy and knows better what it does."""
+    predicted = table.lookup_many(study.entries).success.astype(np.float64)
+    return replace(study, grid=table.scenario.grid, predicted=predicted)
 
 
 def _is_reference(study: Study) -> bool:
@@ -121,7 +134,9 @@ def _each_entry(study: Study) -> Iterator[Comparison]:
 
 
 def _grid(study: Study) -> str:
-    return f"{study.grid.transition} {study.grid.spacing_mm[0]:g} mm"
+    times = study.grid.success_refinement
+    finer = f", success on a grid {times} times finer" if times > 1 else ""
+    return f"{study.grid.transition} {study.grid.spacing_mm[0]:g} mm{finer}"
 
 
 def _pose(entry: np.ndarray) -> str:

@@ -58,9 +58,9 @@ class Study:
         return 100 * (self.predicted - self.realised)
 
 
-def planned(scenario: Scenario, transition: Transition, spacing_mm: float) -> PolicyTable:
-    """Plan `scenario` on a square grid of `spacing_mm`, by sweeps."""
-    grid = Grid((spacing_mm, spacing_mm), transition)
+def planned(scenario: Scenario, transition: Transition, spacing_mm: float, refinement: int = 1) -> PolicyTable:
+    """Plan `scenario` on a square grid of `spacing_mm`, by sweeps; success on one `refinement` times finer."""
+    grid = Grid((spacing_mm, spacing_mm), transition, refinement)
     return plan(replace(scenario, grid=grid, solver=replace(scenario.solver, method=Method.SWEEP, partitions=None)))
 
 

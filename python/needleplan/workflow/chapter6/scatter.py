@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_believability"]
 
+_FINER = "#CC79A7"
 _COLOURS = {
     (Transition.NEAREST, 1.0): ORANGE,
     (Transition.NEAREST, 0.5): VERMILLION,
@@ -54,7 +55,7 @@ def _draw(axes: Axes, studies: Sequence[Study]) -> None:
     axes.axhspan(-_GOAL, _GOAL, color=GREY, alpha=0.2, linewidth=0)
     axes.axhline(0, color=GREY, linewidth=0.8)
     for study in studies:
-        transition, spacing = study.grid.transition, study.grid.spacing_mm[0]
+        transition, spacing, times = study.grid.transition, study.grid.spacing_mm[0], study.grid.success_refinement
         low, high = study.interval.T
         axes.errorbar(
             100 * study.realised,
@@ -64,8 +65,8 @@ def _draw(axes: Axes, studies: Sequence[Study]) -> None:
             marker="o",
             markersize=3.2,
             linewidth=0.8,
-            color=_COLOURS.get((transition, spacing), BLACK),
-            label=f"{transition} {spacing:g} mm",
+            color=_COLOURS.get((transition, spacing), BLACK) if times == 1 else _FINER,
+            label=f"{transition} {spacing:g} mm" + (f", success {times} x finer" if times > 1 else ""),
         )
     axes.set_xlabel("realised success (%)")
     axes.set_xlim(0, 100)
