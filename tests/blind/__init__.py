@@ -1,0 +1,1 @@
+"""Recordings of needles by another hand and another formulation than the models: README.md beside this file."""

@@ -1,0 +1,40 @@
+"""What was hidden in a data set. It is written to another folder than the data, or not at all."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class HiddenEffect:
+    """rms is its contribution to the training data in the truth's unit, noise_multiple the same in noise RMS."""
+
+    name: str
+    parameters: dict[str, Any]
+    rms: float
+    noise_multiple: float
+
+
+@dataclass(frozen=True)
+class Truth:
+    channel: str
+    seed: int
+    heterogeneity: float
+    noise_rms: float
+    unit: str
+    effects: tuple[HiddenEffect, ...]
+
+    def write(self, folder: Path, data: Path) -> Path:
+        """truth.json in folder, which must lie outside of the folder of the data.
+
+        Raises ValueError otherwise: who diagnoses the data must not come across it.
+        """
+        if folder.resolve().is_relative_to(data.resolve()):
+            raise ValueError(f"{folder}: the truth would lie with the data in {data}")
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / "truth.json"
+        path.write_text(json.dumps(asdict(self), indent=1), encoding="utf-8")
+        return path
