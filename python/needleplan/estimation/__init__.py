@@ -1,6 +1,5 @@
 """Estimation: filters that follow a model through data, curvature from tracked points, calibration of sensors."""
 
-from needleplan.estimation.calibration import Pivot, Registration, calibrate_axis, calibrate_pivot, register
 from needleplan.estimation.circle import Circle, CircleMethod, fit_circle
 from needleplan.estimation.curvature import (
     Change,
@@ -17,8 +16,18 @@ from needleplan.estimation.joint_filter import JointFilter
 from needleplan.estimation.joint_force import JointForce
 from needleplan.estimation.passes import FilterRun, FilterStatus, Recipe, identify_by_passes
 from needleplan.estimation.punctures import Drop, force_drops
+from needleplan.estimation.registration import (
+    CoilPose,
+    Pivot,
+    Registration,
+    RigidMotion,
+    calibrate_axis,
+    calibrate_pivot,
+    register,
+)
 from needleplan.estimation.replay import mean_absolute_error, replay
 from needleplan.estimation.sample import Sample, Step, Use
+from needleplan.estimation.tip import PoseUse, TipEstimate, TipFilter, TipSettings, TipStatus
 from needleplan.estimation.tip_noise import NoiseStatus, TipNoise, headings_at, tip_noise
 from needleplan.estimation.track import Track, feed, track_of
 
@@ -26,6 +35,7 @@ __all__ = [
     "Change",
     "Circle",
     "CircleMethod",
+    "CoilPose",
     "Curvature",
     "Drop",
     "FilterRun",
@@ -38,11 +48,17 @@ __all__ = [
     "NumericJoint",
     "PathForm",
     "Pivot",
+    "PoseUse",
     "Recipe",
     "Registration",
+    "RigidMotion",
     "Sample",
     "Step",
+    "TipEstimate",
+    "TipFilter",
     "TipNoise",
+    "TipSettings",
+    "TipStatus",
     "Track",
     "TrackerNoise",
     "Use",

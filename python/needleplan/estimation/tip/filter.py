@@ -1,0 +1,288 @@
+"""The tip filter: an extended Kalman filter along the path of the needle.
+
+What is filtered is the path where the coil is: its place, direction and curvature. It moves with the inserted length,
+bends as the bevel looked when the tip cut that part of the path, and is corrected by what the tracker says of this very
+point. The tip is what follows from there to the end of the channel, along its arcs; nothing has been seen of that part,
+and its deviations grow accordingly. A pose that was measured some time before it arrived corrects the path where the
+coil was then. `docs/explanation/tip-estimation.md` has the equations.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable
+from typing import Self
+
+import numpy as np
+from filterpy.kalman import update as kalman_update
+from scipy.stats import chi2
+
+from needleplan.devices import Health, PoseSample, StageSample
+from needleplan.errors import DataError, Mistake
+from needleplan.estimation.registration import Registration
+from needleplan.estimation.tip.arc import ELEVATION, FACTOR, HEADING, ROLL, SIZE, WANDER, moved, tangent
+from needleplan.estimation.tip.channel import Channel, Piece
+from needleplan.estimation.tip.estimate import PoseUse, TipEstimate, TipStatus
+from needleplan.estimation.tip.settings import TipSettings
+from needleplan.scenario import Scenario
+from needleplan.signals import Array
+
+__all__ = ["TipFilter"]
+
+_NANO = 1_000_000_000
+_KEPT = 4096
+"""Stage samples that are kept for poses that come late: four seconds at 1 kHz."""
+
+_AHEAD_S = 0.05
+"""A pose that is newer than the stage is met by going on at the last speed, but no longer than this."""
+
+_SPACING_MM = 0.25
+_SAME_PLACE_MM = 0.05
+_LONGEST_MM = 1.0
+"""Where the curvature differs from place to place, it is looked up so often."""
+
+_SEEN = np.zeros((5, SIZE))
+_SEEN[(0, 1, 2), (0, 1, 2)] = _SEEN[(0, 1, 2), (7, 8, 9)] = _SEEN[3, HEADING] = _SEEN[4, ELEVATION] = 1.0
+
+
+class TipFilter:
+    """Estimates where the tip is, from samples that come one at a time.
+
+    `entry` is the pose on the surface of the tissue, where the depth of the stage is zero: x_mm, y_mm, heading_rad in
+    the plane of the plan. `planned_per_mm` is the curvature of the plan, a positive number or a function of x and y.
+    Give every stage sample to `predict` and every pose to `update`; `tip` is the estimate at the newest stage sample.
+    Raises DataError for an entry or a curvature that cannot be.
+    """
+
+    def __init__(
+        self,
+        registration: Registration,
+        entry: tuple[float, float, float],
+        planned_per_mm: float | Callable[[float, float], float],
+        settings: TipSettings | None = None,
+    ) -> None:
+        if len(entry) != 3 or not all(map(math.isfinite, entry)):
+            raise DataError(Mistake("entry", str(entry), "must be three finite numbers: x_mm, y_mm, heading_rad"))
+        if not callable(planned_per_mm) and not 0 < planned_per_mm < math.inf:
+            raise DataError(Mistake("planned_per_mm", f"{planned_per_mm}", "must be a number above 0, in 1/mm"))
+        self.registration = registration
+        self.settings = settings = settings or TipSettings()
+        self._entry = entry
+        self._planned = planned_per_mm
+        self._gate = float(chi2.isf(settings.gate, 5))
+        self._channel: Channel | None = None
+        self._stage: deque[tuple[int, float, float]] = deque(maxlen=_KEPT)
+        self._base_roll = 0.0
+        # The path where the coil is, and where it was: lengths, states, covariances.
+        self._at = 0.0
+        self._state, self._covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+        self._past: list[tuple[float, Array, Array]] = []
+        self._pose_ns: int | None = None
+        self._used_ns: int | None = None
+        self._doubt = 0
+        self._lost = False
+        self._cached: TipEstimate | None = None
+        self.nis = math.nan
+        """Squared innovation of the last pose over its covariance, chi-squared with 5 degrees of freedom."""
+        self.counts = dict.fromkeys(PoseUse, 0)
+
+    @classmethod
+    def for_scenario(
+        cls,
+        scenario: Scenario,
+        registration: Registration,
+        entry: tuple[float, float, float],
+        settings: TipSettings | None = None,
+    ) -> Self:
+        """Return a filter that expects the curvature of a scenario, which may differ from place to place."""
+        if scenario.uniform:
+            return cls(registration, entry, 1 / scenario.needle.curvature_radius_mm, settings)
+        return cls(registration, entry, lambda x_mm, y_mm: 1 / float(scenario.radius_mm(x_mm, y_mm)), settings)
+
+    def predict(self, sample: StageSample) -> None:
+        """Take a stage sample. One that is not good, not a number, or not newer than the last one, is passed over."""
+        now, depth, roll = sample.stamp.received_ns, sample.depth_mm, sample.roll_rad
+        if sample.health is not Health.GOOD or not math.isfinite(depth + roll + sample.velocity_mm_s):
+            return
+        if self._stage and now <= self._stage[-1][0]:
+            return
+        self._cached = None
+        self._stage.append((now, depth, sample.velocity_mm_s))
+        self._base_roll = roll
+        if self._channel is None:
+            self._channel = Channel(depth, roll)
+            self._begin(min(depth - self.registration.coil_offset_mm, 0.0))
+        elif self._channel.move(depth, roll) and depth < self._at:
+            # The path beyond is another one now, and nothing has been seen of it.
+            self._at, self._state, self._covariance = self._path_at(self._channel.cut_mm)
+            del self._past[bisect_right(self._past, self._at, key=lambda each: each[0]) :]
+
+    def update(self, sample: PoseSample) -> PoseUse:
+        """Take a pose, and return what became of it."""
+        use = self._take(sample)
+        self.counts[use] += 1
+        return use
+
+    @property
+    def tip(self) -> TipEstimate:
+        """The tip at the newest stage sample. Raises DataError before the first one."""
+        if self._cached is None:
+            self._cached = self._estimate()
+        return self._cached
+
+    def tip_state(self) -> tuple[Array, Array]:
+        """Return state and covariance of the tip, shape (10,) and (10, 10), as `needleplan.estimation.tip.arc` has it.
+
+        Raises DataError before the first stage sample.
+        """
+        if self._channel is None:
+            raise DataError("the tip filter has not had a stage sample yet")
+        _, state, covariance = self._path_at(self._channel.length_mm)
+        forward = tangent(state)
+        covariance = covariance.copy()
+        covariance[:3, :3] += self.registration.coil_offset_sd_mm**2 * np.outer(forward, forward)
+        return state, covariance
+
+    def _begin(self, at_mm: float) -> None:
+        settings = self.settings
+        x, y, heading = self._entry
+        self._state = np.array([x, y, 0, heading, 0, 1, 0, 0, 0, 0], float)
+        self._state[:3] += at_mm * tangent(self._state)
+        sd = np.array([settings.entry_sd_mm] * 3 + [settings.entry_sd_rad] * 2)
+        spread = np.array([*sd, settings.factor_sd, settings.roll_sd_rad, *[settings.wander_sd_mm] * 3])
+        self._covariance = np.diag(spread**2)
+        self._at = at_mm
+        self._past = [(at_mm, self._state, self._covariance)]
+
+    def _take(self, sample: PoseSample) -> PoseUse:
+        if self._channel is None:
+            return PoseUse.EARLY
+        if sample.health is Health.MISSING:
+            return PoseUse.MISSING
+        if sample.health is not Health.GOOD:
+            return PoseUse.SUSPECT
+        if not all(map(math.isfinite, (*sample.position_mm, *sample.quaternion))) or not any(sample.quaternion):
+            return PoseUse.MISSING
+        measured_ns = sample.stamp.received_ns - round(self.settings.latency_s * _NANO)
+        if self._pose_ns is not None and measured_ns <= self._pose_ns:
+            return PoseUse.STALE
+        self._forget_wander(measured_ns)
+        self._pose_ns = measured_ns
+        at = self._depth_at(measured_ns) - self.registration.coil_offset_mm
+        if at < self._at - _SAME_PLACE_MM:
+            return PoseUse.WITHDRAWN
+        self._cached = None
+        if at > self._at:
+            self._at, self._state, self._covariance = self._onwards(self._at, self._state, self._covariance, at)
+        used = self._correct(sample)
+        if self._at - self._past[-1][0] >= _SPACING_MM:
+            self._past.append((self._at, self._state, self._covariance))
+        elif len(self._past) > 1 or self._at == self._past[-1][0]:
+            self._past[-1] = (self._at, self._state, self._covariance)
+        if used:
+            self._used_ns = measured_ns
+        self._doubt = max(self._doubt - 1, 0) if used else min(self._doubt + 1, 2 * self.settings.lost_after)
+        self._lost = self._doubt > 0 if self._lost else self._doubt >= self.settings.lost_after
+        return PoseUse.USED if used else PoseUse.OUTLIER
+
+    def _correct(self, sample: PoseSample) -> bool:
+        settings = self.settings
+        position, direction = self.registration.place(sample.position_mm, sample.quaternion)
+        level = math.hypot(direction[0], direction[1])
+        seen = np.array([*position, math.atan2(direction[1], direction[0]), math.atan2(direction[2], level)])
+        expected = _SEEN @ self._state
+        left = seen - expected
+        left[3] = math.remainder(left[3], 2 * math.pi)
+        angle = settings.angle_sd_rad
+        # The heading of a direction that points steeply out of the plane is less certain.
+        across = angle / max(math.cos(float(self._state[ELEVATION])), 1e-3)
+        noise = np.diag(np.array([settings.position_sd_mm] * 3 + [across, angle]) ** 2)
+        spread = _SEEN @ self._covariance @ _SEEN.T + noise
+        self.nis = float(left @ np.linalg.solve(spread, left))
+        if not self.nis <= self._gate:
+            return False
+        state, covariance = kalman_update(self._state, self._covariance, expected + left, noise, _SEEN)
+        self._state, self._covariance = np.asarray(state, float), np.asarray(covariance + covariance.T) / 2
+        return True
+
+    def _forget_wander(self, measured_ns: int) -> None:
+        if self._pose_ns is None or not self.settings.wander_sd_mm:
+            return
+        keep = math.exp(-(measured_ns - self._pose_ns) / _NANO / self.settings.wander_s)
+        self._state, self._covariance = self._state.copy(), self._covariance.copy()
+        self._state[WANDER] *= keep
+        self._covariance[WANDER, :] *= keep
+        self._covariance[:, WANDER] *= keep
+        rows = range(SIZE)[WANDER]
+        self._covariance[rows, rows] += (1 - keep**2) * self.settings.wander_sd_mm**2
+
+    def _depth_at(self, time_ns: int) -> float:
+        """Return the depth of the stage at a time, between its samples; not before the first one."""
+        last_ns, last_mm, velocity = self._stage[-1]
+        if time_ns >= last_ns:
+            return last_mm + velocity * min((time_ns - last_ns) / _NANO, _AHEAD_S)
+        after_ns, after_mm = last_ns, last_mm
+        for before_ns, before_mm, _ in reversed(self._stage):
+            if before_ns <= time_ns:
+                share = (time_ns - before_ns) / max(after_ns - before_ns, 1)
+                return before_mm + share * (after_mm - before_mm)
+            after_ns, after_mm = before_ns, before_mm
+        return after_mm
+
+    def _path_at(self, length_mm: float) -> tuple[float, Array, Array]:
+        """Return the path at a length: beyond the coil as it follows, behind it as it was when the coil was there."""
+        at, state, covariance = self._at, self._state, self._covariance
+        if length_mm < at:
+            number = max(bisect_right(self._past, length_mm, key=lambda each: each[0]) - 1, 0)
+            at, state, covariance = self._past[number]
+        return self._onwards(at, state, covariance, length_mm)
+
+    def _onwards(self, at: float, state: Array, covariance: Array, until_mm: float) -> tuple[float, Array, Array]:
+        assert self._channel is not None
+        if until_mm < at:
+            # Before the first sample: straight back.
+            state = state.copy()
+            state[:3] += (until_mm - at) * tangent(state)
+            return until_mm, state, covariance
+        for piece in self._channel.pieces(at, until_mm):
+            for part in self._parts(piece):
+                x, y = float(state[0]), float(state[1])
+                planned = self._planned(x, y) if callable(self._planned) else self._planned
+                state, covariance = moved(state, covariance, part, planned, self.settings)
+        return until_mm, state, covariance
+
+    def _parts(self, piece: Piece) -> list[Piece]:
+        if not callable(self._planned) or piece.length_mm <= _LONGEST_MM or not piece.fresh:
+            return [piece]
+        count = math.ceil(piece.length_mm / _LONGEST_MM)
+        part = piece._replace(length_mm=piece.length_mm / count)
+        return [part, *[part._replace(turned_rad=0.0)] * (count - 1)]
+
+    def _estimate(self) -> TipEstimate:
+        state, covariance = self.tip_state()
+        assert self._channel is not None
+        settings = self.settings
+        pending = abs(self._base_roll - self._channel.last_roll_rad)
+        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+        x, y, z, heading, elevation, factor, offset = state[:7].tolist()
+        planned = self._planned(x, y) if callable(self._planned) else self._planned
+        now, depth, _ = self._stage[-1]
+        age = math.inf if self._used_ns is None else max(now - self._used_ns, 0) / _NANO
+        forward = tangent(state)
+        across = float(np.trace(covariance[:3, :3]) - forward @ covariance[:3, :3] @ forward)
+        if self._lost or across > 2 * settings.lost_sd_mm**2:
+            status = TipStatus.LOST
+        elif self._used_ns is None:
+            status = TipStatus.WAITING
+        else:
+            status = TipStatus.COASTING if age > settings.coasting_s else TipStatus.TRACKING
+        return TipEstimate(
+            time_ns=now, status=status, x_mm=x, y_mm=y, z_mm=z, heading_rad=math.remainder(heading, 2 * math.pi),
+            elevation_rad=elevation, roll_rad=self._base_roll + offset, curvature_per_mm=factor * planned,
+            curvature_factor=factor, x_sd_mm=sd[0], y_sd_mm=sd[1], z_sd_mm=sd[2], heading_sd_rad=sd[HEADING],
+            elevation_sd_rad=sd[ELEVATION],
+            roll_sd_rad=math.hypot(sd[ROLL], settings.roll_sd_sqrt_rad * math.sqrt(pending)),
+            curvature_sd_per_mm=sd[FACTOR] * planned, curvature_factor_sd=sd[FACTOR], depth_mm=depth, pose_age_s=age,
+        )  # fmt: skip
