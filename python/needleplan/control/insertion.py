@@ -1,0 +1,285 @@
+"""The intraoperative loop: from the estimated tip to the next action of the table, step by step, until it ends.
+
+A decision is made at the end of every step; where the needle does not have to stop, a moment before it, for the place
+where the step will end. To rotate it stops, looks again, and decides from where it stands. The last step ends where the
+arc is closest to the centre of the target.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import ExitStack
+
+from needleplan.control.estimate import ArcFilter, TipEstimate, TipEstimator
+from needleplan.control.listening import Event, EventName, Listener, Step
+from needleplan.control.needle import Needle, Stopped
+from needleplan.control.options import Options
+from needleplan.control.plan_frame import LabFrame, PlanFrame
+from needleplan.control.replanning import Replanner, ThreadReplanner, curvature_left, rescaled
+from needleplan.control.report import Ending, Report, Trace
+from needleplan.control.scene import Scene
+from needleplan.control.station import Station, feed_of
+from needleplan.devices import VirtualClock
+from needleplan.errors import DeviceFault, InputError, NeedleplanError
+from needleplan.models.bicycle import arc_step
+from needleplan.planning import Action, Decision, Path, PolicyTable, Pose
+
+__all__ = ["Insertion"]
+
+_NEARLY_MM = 0.05
+"""An arc whose closest point is nearer than that has been followed to its end."""
+
+_FIRST_FRAMES = 10
+
+
+class Insertion:
+    """One insertion with a policy table; `run` it once.
+
+    The devices stay open. `frame` takes the tracker to the plan, `estimator` is by default the filter of this package;
+    `replanner` makes new tables. Listeners hear of everything.
+    """
+
+    def __init__(
+        self, table: PolicyTable, station: Station, options: Options | None = None, *,
+        frame: PlanFrame | None = None, estimator: TipEstimator | None = None,
+        replanner: Replanner | None = None, listeners: Sequence[Listener] = (),
+    ) -> None:  # fmt: skip
+        self.table = table
+        self.options = options or Options()
+        self._station = station
+        self._scene = Scene(table.scenario)
+        self._trace = Trace(self.options.force_axis)
+        self._listeners = (self._trace, *listeners)
+        self._feed = feed_of(station)
+        self._needle = Needle(station, self._feed, frame or LabFrame(), self.options, self._listeners)
+        self._estimator = estimator
+        self._replanner = replanner or ThreadReplanner(wait=isinstance(station.clock, VirtualClock))
+        self._first_table = table
+        self._planned: Path | None = None
+        self._number = 0
+
+    def stop(self, cause: str) -> None:
+        """Let the run end as soon as possible with the needle where it is; from any thread, and for good."""
+        self._needle.stop_cause = self._needle.stop_cause or cause or "stopped"
+
+    def run(self) -> Report:
+        """Insert. Whatever happens, the needle stands afterwards, and the report says why."""
+        ending, cause = Ending.FAULT, "the program ended"
+        with ExitStack() as closing:
+            closing.callback(self._feed.close)
+            closing.callback(self._replanner.close)
+            try:
+                ending, cause = self._run()
+            except Stopped as stopped:
+                ending, cause = Ending.STOPPED, str(stopped)
+            except KeyboardInterrupt:
+                ending, cause = Ending.STOPPED, "interrupted by the operator"
+            except (DeviceFault, InputError) as fault:
+                ending, cause = Ending.FAULT, str(fault)
+            finally:
+                cause = self._halted(ending, cause)
+        return self._trace.report(ending, cause, self._first_table, self._planned, self._needle.path_mm)
+
+    def _halted(self, ending: Ending, cause: str) -> str:
+        if ending is Ending.FAULT:
+            self._tell(EventName.FAULT, "device", cause)
+        elif ending is Ending.STOPPED:
+            self._tell(EventName.STOP, "operator", cause)
+        try:
+            self._needle.halt()
+        except DeviceFault as fault:
+            cause += f"; and the stop could not be sent: {fault}"
+        self._tell(EventName.END, str(ending), cause)
+        return cause
+
+    def _run(self) -> tuple[Ending, str]:
+        self._begin()
+        while True:
+            ended = self._judged()
+            if ended is None:
+                ended = self._step()
+            if ended is not None:
+                return ended
+
+    def _begin(self) -> None:
+        """Zero the force, find out where the tip is, and turn the bevel to the better side."""
+        needle, options = self._needle, self.options
+        self._tell(EventName.BEGIN, "operator", f"table {self.table.digest}", self.table.digest)
+        needle.listen_until(lambda: needle.stage is not None, options.silence_s, "stage: the first sample")
+        self._station.force_sensor.bias()
+        self._tell(EventName.BIAS, "begin", "the force at rest is zero")
+        if self._estimator is None:
+            # Roughly in the middle of nowhere: the first frames tell where it is.
+            position = self._scene.scenario.target.center_mm
+            curvature = 1 / self._scene.radius_mm(0.0, 0.0)
+            self._estimator = ArcFilter(*position, 0.0, curvature, options.coil_offset_mm, path_mm=needle.path_mm)
+        needle.estimator = self._estimator
+        if needle.path_mm < -_NEARLY_MM:
+            needle.begin_insert(0.0)
+            needle.finish_insert()
+        needle.settle(_FIRST_FRAMES)
+        tip = self._estimator.estimate
+        x, y = self._scene.clamped(tip.x_mm, tip.y_mm)
+        start = self.table.start((x, y, tip.heading_rad))
+        self._planned = self.table.path(start)
+        if start.bevel != needle.bevel:
+            needle.rotate(0.0 if start.bevel > 0 else math.pi)
+        needle.goal_mm = needle.path_mm
+
+    def _judged(self) -> tuple[Ending, str] | None:
+        """Return how it has ended, by where the tip is now."""
+        assert self._estimator is not None
+        tip, scene, options = self._estimator.estimate, self._scene, self.options
+        place = f"the tip is at x {tip.x_mm:.2f} mm, y {tip.y_mm:.2f} mm"
+        if tip.position_sd_mm > options.plane_sd_limit_mm:
+            raise DeviceFault(f"tracker: the tip is known to {tip.position_sd_mm:.2g} mm only")
+        if scene.outside(tip.x_mm, tip.y_mm):
+            return Ending.OUTSIDE, f"{place}, outside of the workspace"
+        touched = scene.touches(tip.x_mm, tip.y_mm)
+        if touched:
+            return Ending.COLLISION, f"{place}, in {touched}"
+        if self._needle.path_mm >= options.longest_mm - _NEARLY_MM:
+            return Ending.TOO_LONG, f"the path has the length that is allowed, {options.longest_mm:g} mm"
+        return None
+
+    def _step(self) -> tuple[Ending, str] | None:
+        """Decide, and do it; return how it has ended if it has."""
+        needle = self._needle
+        self._take_table()
+        pose = self._pose_at_goal()
+        early = self._remaining_mm() > _NEARLY_MM
+        if self._at_target(pose) and not early:
+            distance = self._scene.target_distance_mm(pose.x_mm, pose.y_mm)
+            return Ending.TARGET, f"the tip is {distance:.2f} mm from the centre of the target"
+        inside = self._inside(pose)
+        decision = None if inside else self._decision(pose)
+        action = Action.INSERT if decision is None else decision.action
+        if early and (
+            action is Action.ROTATE or inside or (decision and decision.success < self.options.least_success)
+        ):
+            needle.finish_insert()
+            needle.settle(self.options.settling_frames)
+            return None
+        if decision is not None and decision.success < self.options.least_success:
+            return self._given_up(pose, decision)
+        if action is Action.ROTATE:
+            pose = pose._replace(bevel=-pose.bevel)
+        length, last = self._length_mm(pose)
+        self._record(pose, action, decision, length)
+        self._consider(pose)
+        if action is Action.ROTATE:
+            needle.rotate(0.0 if pose.bevel > 0 else math.pi)
+        needle.begin_insert(needle.goal_mm + length)
+        if last or self.options.stops:
+            needle.finish_insert()
+            needle.settle(self.options.settling_frames)
+        else:
+            needle.finish_insert(self.options.velocity_mm_s * self.options.lead_s)
+        return None
+
+    def _remaining_mm(self) -> float:
+        return self._needle.goal_mm - self._needle.path_mm
+
+    def _pose_at_goal(self) -> Pose:
+        """Return where the tip will be when the present insertion has come to its end."""
+        assert self._estimator is not None
+        tip, bevel = self._estimator.estimate, self._needle.bevel
+        left = self._remaining_mm()
+        x, y, heading = tip.x_mm, tip.y_mm, tip.heading_rad
+        if abs(left) > 1e-6:
+            x, y, heading = (float(each) for each in arc_step(x, y, heading, bevel * tip.curvature_per_mm, left))
+        return Pose(*self._scene.clamped(x, y), heading, bevel)
+
+    def _decision(self, pose: Pose) -> Decision:
+        return self.table.lookup(*pose)
+
+    def _inside(self, pose: Pose) -> bool:
+        distance = self._scene.target_distance_mm(pose.x_mm, pose.y_mm)
+        return distance <= self._scene.scenario.target.radius_mm
+
+    def _at_target(self, pose: Pose) -> bool:
+        """Whether the tip is in the target, and going on would not bring it nearer to its centre."""
+        return self._inside(pose) and self._closest(pose)[0] < 2 * _NEARLY_MM
+
+    def _closest(self, pose: Pose) -> tuple[float, float]:
+        assert self._estimator is not None
+        curvature = pose.bevel * self._estimator.estimate.curvature_per_mm
+        step = self._scene.step_mm(pose.x_mm, pose.y_mm)
+        return self._scene.closest(pose.x_mm, pose.y_mm, pose.heading_rad, curvature, step)
+
+    def _length_mm(self, pose: Pose) -> tuple[float, bool]:
+        """Return how far to insert, and whether that is where the needle is to end."""
+        step = self._scene.step_mm(pose.x_mm, pose.y_mm)
+        along, distance = self._closest(pose)
+        left = max(self.options.longest_mm - self._needle.goal_mm, 0.0)
+        if left < step:
+            return left, True
+        if _NEARLY_MM <= along < step and distance <= self._scene.scenario.target.radius_mm:
+            return along, True
+        return step, False
+
+    def _given_up(self, pose: Pose, decision: Decision) -> tuple[Ending, str]:
+        promise = f"the table promises {decision.success:.2%} from {pose}"
+        distance = self._scene.target_distance_mm(pose.x_mm, pose.y_mm)
+        near_mm = self._scene.scenario.target.radius_mm + 2 * self._scene.step_mm(pose.x_mm, pose.y_mm)
+        if distance <= near_mm and self._scene.behind(pose.x_mm, pose.y_mm, pose.heading_rad):
+            return Ending.MISSED, f"the target lies behind the tip, {distance:.2f} mm away; {promise}"
+        return Ending.UNREACHABLE, promise
+
+    def _record(self, pose: Pose, action: Action, decision: Decision | None, length_mm: float) -> None:
+        assert self._estimator is not None
+        needle, now_ns = self._needle, self._station.clock.now_ns()
+        before = pose._replace(bevel=-pose.bevel) if action is Action.ROTATE else pose
+        latency_s = (now_ns - needle.pose.stamp.received_ns) * 1e-9 if needle.pose else math.nan
+        value, success = (decision.value, decision.success) if decision else (0.0, 1.0)
+        step = Step(
+            self._number, now_ns, needle.goal_mm, before, self._state(before), action, value, success, length_mm,
+            self._estimator.estimate, self.table.digest, latency_s,
+        )  # fmt: skip
+        self._number += 1
+        for listener in self._listeners:
+            listener.step(step)
+
+    def _state(self, pose: Pose) -> tuple[int, int, int, int]:
+        """Return the indices of the state nearest to a pose."""
+        scenario = self.table.scenario
+        (dx, dy), headings = scenario.grid.spacing_mm, scenario.motion.headings
+        turn = round(pose.heading_rad / (2 * math.pi / headings)) % headings
+        return round(pose.x_mm / dx), round(pose.y_mm / dy), turn, (pose.bevel + 1) // 2
+
+    def _consider(self, pose: Pose) -> None:
+        """Plan again if the needle does not bend as planned."""
+        assert self._estimator is not None
+        if not self.options.replan or self._replanner.busy:
+            return
+        tip: TipEstimate = self._estimator.estimate
+        planned = 1 / self._scene.radius_mm(pose.x_mm, pose.y_mm)
+        cause = curvature_left(tip, planned, self.options)
+        if not cause:
+            return
+        try:
+            scenario = rescaled(self.table.scenario, tip.curvature_per_mm / planned)
+        except InputError as error:
+            self._tell(EventName.REPLAN_REFUSED, cause, str(error))
+            return
+        self._tell(EventName.REPLAN_ASKED, cause, "planning again with the estimated curvature")
+        self._replanner.ask(scenario)
+
+    def _take_table(self) -> None:
+        """Go on with the new table if there is one."""
+        try:
+            table = self._replanner.take(self._number)
+        except NeedleplanError as error:
+            self._tell(EventName.REPLAN_REFUSED, "planner", str(error))
+            return
+        if table is not None:
+            self.table, self._scene = table, Scene(table.scenario)
+            radius = table.scenario.needle.curvature_radius_mm
+            text = f"a table for a radius of {radius:.4g} mm, made in {table.stats.seconds:.3f} s"
+            self._tell(EventName.TABLE_SWAPPED, "replan", text, table.digest)
+
+    def _tell(self, name: EventName, cause: str, text: str, digest: str = "") -> None:
+        event = Event(self._station.clock.now_ns(), name, cause, text, self._number, digest)
+        for listener in self._listeners:
+            listener.event(event)

@@ -1,0 +1,162 @@
+"""What came of an insertion: how it ended and why, the path that was planned and the one that was taken."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from needleplan.control.estimate import TipEstimate
+from needleplan.control.listening import Event, EventName, Listener, Step
+from needleplan.control.station import Sample
+from needleplan.devices import ForceSample
+from needleplan.models.bicycle import arc_step
+from needleplan.planning import Action, Path, PolicyTable
+from needleplan.signals import Array
+
+__all__ = ["Ending", "Report", "Trace", "drawn", "path_distances_mm"]
+
+
+class Ending(StrEnum):
+    """How an insertion ended; in all cases the needle stands."""
+
+    TARGET = "target"
+    MISSED = "missed"
+    """The target was passed beside its rim, and lies behind the tip, less than two steps away."""
+
+    UNREACHABLE = "unreachable"
+    """From where the tip is, the table does not promise to reach the target."""
+
+    OUTSIDE = "outside"
+    """The tip is not in the workspace of the table."""
+
+    COLLISION = "collision"
+    TOO_LONG = "too_long"
+    STOPPED = "stopped"
+    """By the operator."""
+
+    FAULT = "fault"
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What came of an insertion; lengths in mm.
+
+    `planned_mm` [n, 2] is the path that the first table had from the start, `executed_mm` [m, 3] the estimated tip at
+    every frame of the tracker (x, y, out of the plane). `error_mm` is the distance of the last estimate from the centre
+    of the target, `beyond_rim_mm` how much of it is beyond its rim; `deviation_mm` the largest distance from the
+    planned path.
+    """
+
+    ending: Ending
+    cause: str
+    steps: tuple[Step, ...]
+    events: tuple[Event, ...]
+    planned_mm: Array
+    executed_mm: Array
+    tip: TipEstimate | None
+    error_mm: float
+    beyond_rim_mm: float
+    deviation_mm: float
+    out_of_plane_mm: float
+    inserted_mm: float
+    turns: int
+    replans: int
+    largest_force_n: float
+    duration_s: float
+    predicted_success: float
+    table_digest: str
+
+    def record(self) -> dict[str, Any]:
+        """Return the numbers for JSON, without the paths."""
+        tip = self.tip
+        return {
+            "ending": self.ending, "cause": self.cause, "error_mm": self.error_mm,
+            "beyond_rim_mm": self.beyond_rim_mm, "deviation_mm": self.deviation_mm,
+            "out_of_plane_mm": self.out_of_plane_mm, "inserted_mm": self.inserted_mm, "steps": len(self.steps),
+            "turns": self.turns, "replans": self.replans, "largest_force_n": self.largest_force_n,
+            "duration_s": self.duration_s, "predicted_success": self.predicted_success,
+            "tip": None if tip is None else vars(tip), "table": self.table_digest,
+            "slowest_decision_s": max((each.latency_s for each in self.steps), default=math.nan),
+        }  # fmt: skip
+
+
+class Trace(Listener):
+    """Gathers what the report needs."""
+
+    def __init__(self, force_axis: tuple[float, float, float]) -> None:
+        self.steps: list[Step] = []
+        self.events: list[Event] = []
+        self.tips: list[tuple[float, float, float]] = []
+        self.last: TipEstimate | None = None
+        self.largest_force_n = 0.0
+        self._axis = force_axis
+        self._span_ns: tuple[int, int] | None = None
+
+    def sample(self, sample: Sample) -> None:
+        """Keep the largest force and the time."""
+        now = sample.stamp.received_ns
+        self._span_ns = (self._span_ns[0] if self._span_ns else now, now)
+        if isinstance(sample, ForceSample):
+            along = sum(each * axis for each, axis in zip(sample.force_n, self._axis, strict=True))
+            self.largest_force_n = max(self.largest_force_n, abs(along))
+
+    def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
+        """Keep where the tip is."""
+        self.last = tip
+        self.tips.append((tip.x_mm, tip.y_mm, tip.out_of_plane_mm))
+
+    def step(self, step: Step) -> None:
+        """Keep a decision."""
+        self.steps.append(step)
+
+    def event(self, event: Event) -> None:
+        """Keep an event."""
+        self.events.append(event)
+
+    def report(
+        self, ending: Ending, cause: str, table: PolicyTable, planned: Path | None, inserted_mm: float
+    ) -> Report:
+        """Return what came of it."""
+        tip = self.last
+        target = table.scenario.target
+        error = math.nan if tip is None else math.dist((tip.x_mm, tip.y_mm), target.center_mm)
+        executed = np.array(self.tips, float).reshape(-1, 3)
+        line = np.empty((0, 2)) if planned is None else drawn(planned, table)
+        off = path_distances_mm(line, executed[:, :2])
+        begin, end = self._span_ns or (0, 0)
+        return Report(
+            ending, cause, tuple(self.steps), tuple(self.events), line, executed, tip, error,
+            max(error - target.radius_mm, 0.0), float(off.max(initial=0.0)),
+            float(np.abs(executed[:, 2]).max(initial=0.0)), inserted_mm,
+            sum(each.action is Action.ROTATE for each in self.steps),
+            sum(each.name is EventName.TABLE_SWAPPED for each in self.events), self.largest_force_n,
+            (end - begin) * 1e-9, self.steps[0].success if self.steps else math.nan, table.digest,
+        )  # fmt: skip
+
+
+def drawn(path: Path, table: PolicyTable) -> Array:
+    """Return points along the arcs of a noise-free execution, [n, 2], to its end."""
+    parts = [path.poses[:1, :2]]
+    for (x, y, heading, _), after in pairwise(path.poses):
+        bevel = after[3]
+        radius = float(table.scenario.radius_mm(x, y))
+        length = math.dist((x, y), after[:2])
+        length = 2 * radius * math.asin(min(length / (2 * radius), 1.0))
+        along = np.linspace(0, length, 9)[1:]
+        xs, ys, _ = arc_step(x, y, heading, bevel / radius, along)
+        parts.append(np.stack([xs, ys], axis=1))
+    return np.concatenate(parts)
+
+
+def path_distances_mm(line_mm: Array, points_mm: Array) -> Array:
+    """Return the distances of points [m, 2] from a polyline [n, 2]."""
+    if len(line_mm) < 2 or not len(points_mm):
+        return np.empty(0)
+    import shapely
+
+    return np.asarray(shapely.distance(shapely.LineString(line_mm), shapely.points(points_mm)))

@@ -1,0 +1,121 @@
+"""The three devices of a run and the clock that they share, and their samples in the order in which they arrive."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from abc import abstractmethod
+from collections import deque
+from dataclasses import dataclass
+
+from needleplan.devices import Clock, ForceSample, ForceSensor, PoseSample, Stage, StageSample, Tracker, VirtualClock
+from needleplan.devices.closing import Closing
+from needleplan.errors import DeviceFault
+
+__all__ = ["Feed", "Sample", "Station", "ThreadedFeed", "TurnFeed", "feed_of"]
+
+Sample = StageSample | ForceSample | PoseSample
+
+_AT_MOST_S = 0.1
+"""How long a reading thread may wait before it looks whether it is to end."""
+
+
+@dataclass(frozen=True)
+class Station:
+    """What an insertion works with: a stage, a force sensor, a tracker, and the clock of their stamps."""
+
+    stage: Stage
+    force_sensor: ForceSensor
+    tracker: Tracker
+    clock: Clock
+
+
+class Feed(Closing):
+    """Samples of all three devices, one after the other; abstract."""
+
+    @abstractmethod
+    def next(self, timeout_s: float) -> Sample | None:
+        """Return the next sample, or None after `timeout_s`. Raises DeviceFault of any of the devices."""
+
+
+class TurnFeed(Feed):
+    """Reads the devices in turn: for simulated time, where waiting for one lets the time of all pass.
+
+    The stage is the fastest: it is waited for, and the others are asked for what they have.
+    """
+
+    def __init__(self, station: Station) -> None:
+        self._station = station
+        self._waiting: deque[Sample] = deque()
+
+    def next(self, timeout_s: float) -> Sample | None:
+        """Return the next sample, or None after `timeout_s`. Raises DeviceFault of any of the devices."""
+        waiting = self._waiting
+        if not waiting:
+            station = self._station
+            first = station.stage.read(timeout_s)
+            found: list[Sample] = [first] if first is not None else []
+            for sensor in (station.force_sensor, station.tracker):
+                while (sample := sensor.read(0.0)) is not None:
+                    found.append(sample)
+            if len(found) > 1:
+                found.sort(key=_received)
+            waiting.extend(found)
+        return waiting.popleft() if waiting else None
+
+    def close(self) -> None:
+        """Forget what was not taken."""
+        self._waiting.clear()
+
+
+class ThreadedFeed(Feed):
+    """Reads every device in a thread of its own: for real time, where a slow tracker must not delay the others."""
+
+    def __init__(self, station: Station) -> None:
+        self._queue: queue.SimpleQueue[Sample | DeviceFault] = queue.SimpleQueue()
+        self._ending = threading.Event()
+        devices: tuple[Stage | ForceSensor | Tracker, ...] = (station.stage, station.force_sensor, station.tracker)
+        self._threads = [
+            threading.Thread(target=self._read, args=(device,), name=f"read {type(device).__name__}", daemon=True)
+            for device in devices
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def next(self, timeout_s: float) -> Sample | None:
+        """Return the next sample, or None after `timeout_s`. Raises DeviceFault of any of the devices."""
+        try:
+            found = self._queue.get(timeout=max(timeout_s, 0.0))
+        except queue.Empty:
+            return None
+        if isinstance(found, DeviceFault):
+            raise found
+        return found
+
+    def close(self) -> None:
+        """End the threads."""
+        self._ending.set()
+        for thread in self._threads:
+            thread.join()
+
+    def _read(self, device: Stage | ForceSensor | Tracker) -> None:
+        while not self._ending.is_set():
+            try:
+                sample = device.read(_AT_MOST_S)
+            except DeviceFault as fault:
+                self._queue.put(fault)
+                return
+            except Exception as error:  # a thread that dies in silence would look like a device that is silent
+                self._queue.put(DeviceFault(f"{type(device).__name__}: {error!r}"))
+                return
+            if sample is not None:
+                self._queue.put(sample)
+
+
+def feed_of(station: Station) -> Feed:
+    """Return the feed that fits the clock of a station."""
+    return TurnFeed(station) if isinstance(station.clock, VirtualClock) else ThreadedFeed(station)
+
+
+def _received(sample: Sample) -> int:
+    return sample.stamp.received_ns

@@ -1,0 +1,35 @@
+"""A small scenario that is planned in no time, and labs in which the needle bends as planned or otherwise."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from needleplan.control import Options, Station
+from needleplan.planning import PolicyTable, plan
+from needleplan.scenario import Grid, Motion, Needle, Obstacle, Scenario, Target, Workspace
+from needleplan.simulation import Effects, Entry, Lab, Setup
+
+FAST = Options(velocity_mm_s=20.0, velocity_rad_s=10.0)
+
+
+@cache
+def small_table() -> PolicyTable:
+    return plan(
+        Scenario(
+            Workspace(60.0, 40.0),
+            Target((50.0, 26.0), 1.5),
+            Needle(40.0),
+            obstacles=(Obstacle(((22.0, 14.0), (30.0, 14.0), (30.0, 24.0), (22.0, 24.0)), "vessel"),),
+            motion=Motion(headings=72),
+            grid=Grid((0.5, 0.5)),
+        )
+    )
+
+
+def a_lab(effects: Effects | None = None, seed: int = 0, *, entry: Entry | None = None) -> Lab:
+    x, y, heading, _ = small_table().best_entry().pose
+    return Lab(Setup(1 / 40, entry=entry or Entry(x, y, heading), effects=effects or Effects()), seed)
+
+
+def station_of(lab: Lab) -> Station:
+    return Station(lab.stage, lab.force_sensor, lab.tracker, lab.clock)

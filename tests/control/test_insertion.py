@@ -1,0 +1,127 @@
+"""The loop in the lab twin, on simulated time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from needleplan.control import Ending, EventName, Insertion, Listener, Step
+from needleplan.errors import InputError
+from needleplan.planning import Action, Outcome
+from needleplan.simulation import Effects, Entry
+from tests.control.scenes import FAST, a_lab, small_table, station_of
+
+NOISY = Effects(
+    tracker_noise_mm=0.1, tracker_angle_noise_rad=0.01, heading_noise_rad_sqrt_mm=0.003, coil_offset_mm=2.0,
+    encoder_step_mm=0.001, encoder_step_rad=0.0005, force_noise_n=0.02, tracker_dropout=0.01,
+)  # fmt: skip
+
+
+def test_a_perfect_needle_goes_where_the_plan_says() -> None:
+    table, lab = small_table(), a_lab()
+    report = Insertion(table, station_of(lab), FAST).run()
+    planned = table.path(table.best_entry().pose)
+    assert planned.outcome is Outcome.TARGET
+    assert report.ending is Ending.TARGET, report.cause
+    x, y, _ = lab.plant.tip().position_mm
+    assert math.dist((x, y), table.scenario.target.center_mm) == pytest.approx(report.error_mm, abs=0.05)
+    assert report.beyond_rim_mm == 0
+    assert report.replans == 0
+    assert report.inserted_mm == pytest.approx(planned.length_mm, abs=2 * table.scenario.step_mm)
+    assert report.predicted_success == pytest.approx(table.lookup(*planned.start).success)
+    assert not lab.plant.moving
+
+
+@pytest.mark.parametrize("stops", [False, True])
+def test_every_decision_is_that_of_the_table(stops: bool) -> None:
+    report = Insertion(small_table(), station_of(a_lab(NOISY, 3)), replace(FAST, stops=stops, coil_offset_mm=2.0)).run()
+    assert report.ending is Ending.TARGET, report.cause
+    scenario, table = small_table().scenario, small_table()
+    for step in report.steps[:-1]:
+        decision = table.lookup(*step.pose)
+        assert (step.action, step.value, step.success) == (decision.action, decision.value, decision.success)
+        assert decision.action == table.policy[step.state]
+        ix, iy, heading, bevel = step.state
+        assert abs(scenario.x_mm[ix] - step.pose.x_mm) <= 0.25 + 1e-9
+        assert abs(scenario.y_mm[iy] - step.pose.y_mm) <= 0.25 + 1e-9
+        turn = math.remainder(scenario.headings_rad[heading] - step.pose.heading_rad, 2 * math.pi)
+        assert abs(turn) <= math.pi / scenario.motion.headings + 1e-9
+        assert 2 * bevel - 1 == step.pose.bevel
+    turns = [step for step in report.steps if step.action is Action.ROTATE]
+    assert len(turns) == report.turns
+    assert [step.number for step in report.steps] == list(range(len(report.steps)))
+
+
+def test_the_same_samples_make_the_same_decisions() -> None:
+    options = replace(FAST, coil_offset_mm=2.0)
+    first, again = (Insertion(small_table(), station_of(a_lab(NOISY, 5)), options).run() for _ in range(2))
+    assert first.steps == again.steps
+    assert np.array_equal(first.executed_mm, again.executed_mm)
+
+
+def test_it_plans_again_where_the_needle_bends_more_than_planned() -> None:
+    lab = a_lab(replace(NOISY, curvature_error=0.25), 1)
+    report = Insertion(small_table(), station_of(lab), replace(FAST, coil_offset_mm=2.0)).run()
+    names = [event.name for event in report.events]
+    assert names.count(EventName.TABLE_SWAPPED) == report.replans >= 1
+    swapped = next(event for event in report.events if event.name is EventName.TABLE_SWAPPED)
+    asked = next(event for event in report.events if event.name is EventName.REPLAN_ASKED)
+    assert "standard deviations off" in asked.cause
+    assert {step.table_digest for step in report.steps if step.number < swapped.step} == {small_table().digest}
+    assert report.steps[swapped.step].table_digest == swapped.digest != small_table().digest
+    assert Insertion(small_table(), station_of(a_lab()), replace(FAST, replan=False)).run().replans == 0
+
+
+class Stopping(Listener):
+    def __init__(self, after: int) -> None:
+        self.after = after
+        self.insertion: Insertion | None = None
+
+    def step(self, step: Step) -> None:
+        if step.number == self.after and self.insertion:
+            self.insertion.stop("enough")
+
+
+def test_the_operator_stops_it_for_good() -> None:
+    lab, listener = a_lab(), Stopping(3)
+    listener.insertion = Insertion(small_table(), station_of(lab), FAST, listeners=[listener])
+    report = listener.insertion.run()
+    assert (report.ending, report.cause) == (Ending.STOPPED, "enough")
+    assert len(report.steps) == 4
+    lab.advance(1.0)
+    depth = lab.plant.insertion.position
+    lab.advance(1.0)
+    assert lab.plant.insertion.position == pytest.approx(depth, abs=1e-6)
+
+
+def test_a_start_outside_of_the_table_moves_nothing() -> None:
+    lab = a_lab(entry=Entry(-5.0, 20.0, 0.0))
+    report = Insertion(small_table(), station_of(lab), FAST).run()
+    assert report.ending is Ending.FAULT
+    assert "must lie in the workspace" in report.cause
+    assert lab.plant.insertion.position == 0
+    assert report.steps == ()
+
+
+def test_from_where_the_target_cannot_be_reached_it_does_not_begin() -> None:
+    lab = a_lab(entry=Entry(0.0, 39.0, 1.5))
+    report = Insertion(small_table(), station_of(lab), FAST).run()
+    assert report.ending is Ending.UNREACHABLE
+    assert lab.plant.insertion.position == 0
+
+
+def test_a_device_that_falls_silent_ends_it() -> None:
+    lab = a_lab()
+    lab.tracker.close()
+    report = Insertion(small_table(), station_of(lab), FAST).run()
+    assert report.ending is Ending.FAULT
+    assert "is closed" in report.cause
+    assert report.events[-1].name is EventName.END
+
+
+def test_options_name_all_their_mistakes() -> None:
+    with pytest.raises(InputError, match="2 mistakes"):
+        replace(FAST, velocity_mm_s=-1.0, least_success=2.0)
