@@ -5,6 +5,7 @@
     NeedleplanError
     ├── DeviceFault             a device cannot be used: says which, and why
     │   ├── LinkClosed          the way to it is gone
+    │   ├── MotionRefused       a command or an order was not carried out, with its causes
     │   └── ProtocolError       it sent bytes that its protocol does not know
     └── InputError              what was supplied is wrong: names the source, the key, the value and the rule
         ├── AddressError        the address of a device
@@ -12,6 +13,7 @@
         ├── ScenarioError       a scenario, or the file it came from
         ├── ExperimentError     a simulated experiment, or the file it came from
         ├── PoseError           a pose outside the table, or not a number
+        ├── SafetyError         limits of a run that are no limits
         ├── MdpError            arrays that do not describe a Markov decision process
         ├── ModelError          parameters that a model of the mechanics cannot have
         ├── DataError           measurements that cannot be used as they are
@@ -39,10 +41,12 @@ __all__ = [
     "MdpError",
     "Mistake",
     "ModelError",
+    "MotionRefused",
     "NeedleplanError",
     "OutputError",
     "PoseError",
     "ProtocolError",
+    "SafetyError",
     "ScenarioError",
     "TableError",
 ]
@@ -78,6 +82,17 @@ class DeviceFault(NeedleplanError):
 
 class LinkClosed(DeviceFault):
     """The way to a device is gone."""
+
+
+class MotionRefused(DeviceFault):
+    """A command or an order was not carried out, and nothing went to the stage; `causes` says why, by name."""
+
+    def __init__(self, what: str, causes: Sequence[str]) -> None:
+        self.what, self.causes = what, tuple(causes)
+        super().__init__(what, self.causes)
+
+    def __str__(self) -> str:
+        return f"{self.what}: refused: {', '.join(self.causes)}"
 
 
 class ProtocolError(DeviceFault):
@@ -124,6 +139,10 @@ class ExperimentError(InputError):
 
 class PoseError(InputError):
     """A pose lies outside the table or is not a number."""
+
+
+class SafetyError(InputError):
+    """Limits of a run are not limits, or the file that they came from is wrong."""
 
 
 class MdpError(InputError):

@@ -1,0 +1,139 @@
+"""What is known of the robot at a moment, and what is wrong with it: a pure judgement.
+
+An input counts as long as its last usable sample is young: one that is suspect is not used, but is no reason to stop
+before the age limit. Limits are different: a number beyond one is believed even where it is suspect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Generic, TypeVar
+
+from needleplan.control.safety.causes import Cause
+from needleplan.control.safety.limits import SafetyLimits
+from needleplan.devices import ForceSample, Health, PoseSample, StageSample
+
+__all__ = ["Inputs", "Seen", "judge"]
+
+_Sample = TypeVar("_Sample", ForceSample, PoseSample, StageSample)
+_NANO = 1e-9
+_FUTURE_S = 0.005
+"""A sample may be this far ahead of the clock: rounding, and two cores that disagree."""
+
+
+@dataclass(frozen=True)
+class Seen(Generic[_Sample]):
+    """The last sample of a device, the moment of the last usable one, and whether the device has given up."""
+
+    last: _Sample | None = None
+    usable_ns: int | None = None
+    failed: bool = False
+
+    def then(self, sample: _Sample, usable: bool) -> Seen[_Sample]:
+        """Return what is known after another sample; the same one again tells nothing, however it is dated."""
+        if self.last is not None and sample.stamp.sequence == self.last.stamp.sequence:
+            return self
+        if usable:
+            return Seen(sample, sample.stamp.received_ns)
+        return replace(self, last=sample)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the devices said last; `tip_mm` and `out_of_plane_mm` are what the loop makes of the last usable pose."""
+
+    force: Seen[ForceSample] = field(default_factory=Seen)
+    pose: Seen[PoseSample] = field(default_factory=Seen)
+    stage: Seen[StageSample] = field(default_factory=Seen)
+    tip_mm: tuple[float, float] | None = None
+    out_of_plane_mm: float = math.nan
+
+    def with_force(self, sample: ForceSample) -> Inputs:
+        """Return the inputs after a sample of the force."""
+        usable = sample.health is Health.GOOD and all(map(math.isfinite, sample.force_n))
+        return replace(self, force=self.force.then(sample, usable))
+
+    def with_pose(
+        self, sample: PoseSample, tip_mm: tuple[float, float] | None = None, out_of_plane_mm: float = math.nan
+    ) -> Inputs:
+        """Return the inputs after a pose, with the tip in the plane and its distance from the plane."""
+        usable = sample.health is Health.GOOD and all(map(math.isfinite, sample.position_mm))
+        pose = self.pose.then(sample, usable)
+        if pose is self.pose or not usable:
+            return replace(self, pose=pose)
+        return replace(self, pose=pose, tip_mm=tip_mm, out_of_plane_mm=out_of_plane_mm)
+
+    def with_stage(self, sample: StageSample) -> Inputs:
+        """Return the inputs after a sample of the stage."""
+        numbers = (sample.depth_mm, sample.velocity_mm_s, sample.roll_rad)
+        usable = sample.health is Health.GOOD and all(map(math.isfinite, numbers))
+        return replace(self, stage=self.stage.then(sample, usable))
+
+    def stage_known(self, limits: SafetyLimits, now_ns: int) -> StageSample | None:
+        """Return where the stage is, or None where that is not known now."""
+        stage = self.stage
+        young = not _older(stage.usable_ns, limits.stage_age_s, now_ns)
+        return stage.last if young and not stage.failed and _is_usable(stage) else None
+
+
+def judge(inputs: Inputs, limits: SafetyLimits, now_ns: int) -> frozenset[Cause]:
+    """Return every cause that the inputs give at a moment; none where all of them are fresh, valid and in limits."""
+    return frozenset(
+        (*_force(inputs.force, limits, now_ns), *_pose(inputs, limits, now_ns), *_stage(inputs.stage, limits, now_ns))
+    )
+
+
+def _force(force: Seen[ForceSample], limits: SafetyLimits, now_ns: int) -> Iterator[Cause]:
+    yield from _age(force, limits.force_age_s, now_ns, (Cause.FORCE_FAULT, Cause.FORCE_STALE, Cause.FORCE_SUSPECT))
+    if force.last is not None and math.hypot(*force.last.force_n) > limits.force_n:
+        yield Cause.FORCE_EXCEEDED
+
+
+def _pose(inputs: Inputs, limits: SafetyLimits, now_ns: int) -> Iterator[Cause]:
+    pose = inputs.pose
+    unseen = pose.last is not None and pose.last.health is Health.MISSING
+    unusable = Cause.POSE_UNSEEN if unseen else Cause.POSE_SUSPECT
+    yield from _age(pose, limits.pose_age_s, now_ns, (Cause.POSE_FAULT, Cause.POSE_STALE, unusable))
+    if pose.usable_ns is None:
+        return
+    distance_mm, tip_mm = inputs.out_of_plane_mm, inputs.tip_mm
+    if tip_mm is None or not all(map(math.isfinite, (*tip_mm, distance_mm))):
+        yield Cause.TIP_UNKNOWN
+        return
+    if abs(distance_mm) > limits.out_of_plane_mm:
+        yield Cause.OUT_OF_PLANE
+    for place, room in zip(tip_mm, (limits.workspace_x_mm, limits.workspace_y_mm), strict=True):
+        if room is not None and not room[0] <= place <= room[1]:
+            yield Cause.OUT_OF_WORKSPACE
+
+
+def _stage(stage: Seen[StageSample], limits: SafetyLimits, now_ns: int) -> Iterator[Cause]:
+    yield from _age(stage, limits.stage_age_s, now_ns, (Cause.STAGE_FAULT, Cause.STAGE_STALE, Cause.STAGE_SUSPECT))
+    if stage.last is None:
+        return
+    depth_mm, over_mm = stage.last.depth_mm, limits.following_mm
+    if depth_mm < limits.shallowest_mm - over_mm or depth_mm > limits.deepest_mm + over_mm:
+        yield Cause.DEPTH_EXCEEDED
+
+
+def _age(seen: Seen[_Sample], limit_s: float, now_ns: int, causes: tuple[Cause, Cause, Cause]) -> Iterator[Cause]:
+    """Yield what is wrong with the age of an input: one of given up, nothing comes, nothing usable comes."""
+    failed, stale, unusable = causes
+    if seen.last is not None and seen.last.stamp.received_ns - now_ns > _FUTURE_S / _NANO:
+        yield Cause.CLOCK_MISMATCH
+    if seen.failed:
+        yield failed
+    elif seen.last is None or _older(seen.last.stamp.received_ns, limit_s, now_ns):
+        yield stale
+    elif _older(seen.usable_ns, limit_s, now_ns):
+        yield unusable
+
+
+def _older(moment_ns: int | None, limit_s: float, now_ns: int) -> bool:
+    return moment_ns is None or (now_ns - moment_ns) * _NANO > limit_s
+
+
+def _is_usable(seen: Seen[_Sample]) -> bool:
+    return seen.last is not None and seen.last.stamp.received_ns == seen.usable_ns
