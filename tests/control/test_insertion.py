@@ -10,6 +10,7 @@ import pytest
 
 from needleplan.control import Ending, EventName, Insertion, Listener, Step
 from needleplan.errors import InputError
+from needleplan.estimation.registration import Registration
 from needleplan.planning import Action, Outcome
 from needleplan.simulation import Effects, Entry
 from tests.control.scenes import FAST, a_lab, small_table, station_of
@@ -18,6 +19,7 @@ NOISY = Effects(
     tracker_noise_mm=0.1, tracker_angle_noise_rad=0.01, heading_noise_rad_sqrt_mm=0.003, coil_offset_mm=2.0,
     encoder_step_mm=0.001, encoder_step_rad=0.0005, force_noise_n=0.02, tracker_dropout=0.01,
 )  # fmt: skip
+COIL = Registration(coil_offset_mm=2.0)
 
 
 def test_a_perfect_needle_goes_where_the_plan_says() -> None:
@@ -37,7 +39,7 @@ def test_a_perfect_needle_goes_where_the_plan_says() -> None:
 
 @pytest.mark.parametrize("stops", [False, True])
 def test_every_decision_is_that_of_the_table(stops: bool) -> None:
-    report = Insertion(small_table(), station_of(a_lab(NOISY, 3)), replace(FAST, stops=stops, coil_offset_mm=2.0)).run()
+    report = Insertion(small_table(), station_of(a_lab(NOISY, 3)), replace(FAST, stops=stops), registration=COIL).run()
     assert report.ending is Ending.TARGET, report.cause
     scenario, table = small_table().scenario, small_table()
     for step in report.steps[:-1]:
@@ -56,15 +58,16 @@ def test_every_decision_is_that_of_the_table(stops: bool) -> None:
 
 
 def test_the_same_samples_make_the_same_decisions() -> None:
-    options = replace(FAST, coil_offset_mm=2.0)
-    first, again = (Insertion(small_table(), station_of(a_lab(NOISY, 5)), options).run() for _ in range(2))
+    first, again = (
+        Insertion(small_table(), station_of(a_lab(NOISY, 5)), FAST, registration=COIL).run() for _ in range(2)
+    )
     assert first.steps == again.steps
     assert np.array_equal(first.executed_mm, again.executed_mm)
 
 
 def test_it_plans_again_where_the_needle_bends_more_than_planned() -> None:
     lab = a_lab(replace(NOISY, curvature_error=0.25), 1)
-    report = Insertion(small_table(), station_of(lab), replace(FAST, coil_offset_mm=2.0)).run()
+    report = Insertion(small_table(), station_of(lab), FAST, registration=COIL).run()
     names = [event.name for event in report.events]
     assert names.count(EventName.TABLE_SWAPPED) == report.replans >= 1
     swapped = next(event for event in report.events if event.name is EventName.TABLE_SWAPPED)

@@ -1,16 +1,13 @@
 """Control of a run: what drives the robot by a plan, and what keeps it from harm."""
 
-from needleplan.control.estimate import ArcFilter, TipEstimate, TipEstimator, Uncertainty
 from needleplan.control.insertion import Insertion
 from needleplan.control.listening import Command, CommandKind, Event, EventName, Listener, Step
 from needleplan.control.options import Options
-from needleplan.control.plan_frame import LabFrame, PlanFrame
 from needleplan.control.replanning import Replanner, ThreadReplanner
 from needleplan.control.report import Ending, Report
 from needleplan.control.station import Feed, Sample, Station, ThreadedFeed, TurnFeed
 
 __all__ = [
-    "ArcFilter",
     "Command",
     "CommandKind",
     "Ending",
@@ -18,10 +15,8 @@ __all__ = [
     "EventName",
     "Feed",
     "Insertion",
-    "LabFrame",
     "Listener",
     "Options",
-    "PlanFrame",
     "Replanner",
     "Report",
     "Sample",
@@ -29,8 +24,5 @@ __all__ = [
     "Step",
     "ThreadReplanner",
     "ThreadedFeed",
-    "TipEstimate",
-    "TipEstimator",
     "TurnFeed",
-    "Uncertainty",
 ]

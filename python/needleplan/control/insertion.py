@@ -11,17 +11,18 @@ import math
 from collections.abc import Sequence
 from contextlib import ExitStack
 
-from needleplan.control.estimate import ArcFilter, TipEstimate, TipEstimator
+from needleplan.control.entry import measured_entry
 from needleplan.control.listening import Event, EventName, Listener, Step
 from needleplan.control.needle import Needle, Stopped
 from needleplan.control.options import Options
-from needleplan.control.plan_frame import LabFrame, PlanFrame
 from needleplan.control.replanning import Replanner, ThreadReplanner, curvature_left, rescaled
 from needleplan.control.report import Ending, Report, Trace
 from needleplan.control.scene import Scene
 from needleplan.control.station import Station, feed_of
 from needleplan.devices import VirtualClock
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
+from needleplan.estimation.registration import Registration
+from needleplan.estimation.tip import TipFilter, TipSettings
 from needleplan.models.bicycle import arc_step
 from needleplan.planning import Action, Decision, Path, PolicyTable, Pose
 
@@ -36,14 +37,16 @@ _FIRST_FRAMES = 10
 class Insertion:
     """One insertion with a policy table; `run` it once.
 
-    The devices stay open. `frame` takes the tracker to the plan, `estimator` is by default the filter of this package;
+    The devices stay open. `registration` takes the tracker to the plan; without one its frame is that of the plan.
     `replanner` makes new tables. Listeners hear of everything.
     """
 
     def __init__(
         self, table: PolicyTable, station: Station, options: Options | None = None, *,
-        frame: PlanFrame | None = None, estimator: TipEstimator | None = None,
-        replanner: Replanner | None = None, listeners: Sequence[Listener] = (),
+        registration: Registration | None = None,
+        tip_settings: TipSettings | None = None,
+        replanner: Replanner | None = None,
+        listeners: Sequence[Listener] = (),
     ) -> None:  # fmt: skip
         self.table = table
         self.options = options or Options()
@@ -52,8 +55,9 @@ class Insertion:
         self._trace = Trace(self.options.force_axis)
         self._listeners = (self._trace, *listeners)
         self._feed = feed_of(station)
-        self._needle = Needle(station, self._feed, frame or LabFrame(), self.options, self._listeners)
-        self._estimator = estimator
+        self._needle = Needle(station, self._feed, self.options, self._listeners)
+        self.registration = registration or Registration()
+        self._tip_settings = tip_settings
         self._replanner = replanner or ThreadReplanner(wait=isinstance(station.clock, VirtualClock))
         self._first_table = table
         self._planned: Path | None = None
@@ -109,17 +113,13 @@ class Insertion:
         needle.listen_until(lambda: needle.stage is not None, options.silence_s, "stage: the first sample")
         self._station.force_sensor.bias()
         self._tell(EventName.BIAS, "begin", "the force at rest is zero")
-        if self._estimator is None:
-            # Roughly in the middle of nowhere: the first frames tell where it is.
-            position = self._scene.scenario.target.center_mm
-            curvature = 1 / self._scene.radius_mm(0.0, 0.0)
-            self._estimator = ArcFilter(*position, 0.0, curvature, options.coil_offset_mm, path_mm=needle.path_mm)
-        needle.estimator = self._estimator
         if needle.path_mm < -_NEARLY_MM:
             needle.begin_insert(0.0)
             needle.finish_insert()
+        entry = measured_entry(needle, self.registration, _FIRST_FRAMES)
+        needle.filter = TipFilter.for_scenario(self._scene.scenario, self.registration, entry, self._tip_settings)
         needle.settle(_FIRST_FRAMES)
-        tip = self._estimator.estimate
+        tip = needle.tip
         x, y = self._scene.clamped(tip.x_mm, tip.y_mm)
         start = self.table.start((x, y, tip.heading_rad))
         self._planned = self.table.path(start)
@@ -129,11 +129,8 @@ class Insertion:
 
     def _judged(self) -> tuple[Ending, str] | None:
         """Return how it has ended, by where the tip is now."""
-        assert self._estimator is not None
-        tip, scene, options = self._estimator.estimate, self._scene, self.options
+        tip, scene, options = self._needle.tip, self._scene, self.options
         place = f"the tip is at x {tip.x_mm:.2f} mm, y {tip.y_mm:.2f} mm"
-        if tip.position_sd_mm > options.plane_sd_limit_mm:
-            raise DeviceFault(f"tracker: the tip is known to {tip.position_sd_mm:.2g} mm only")
         if scene.outside(tip.x_mm, tip.y_mm):
             return Ending.OUTSIDE, f"{place}, outside of the workspace"
         touched = scene.touches(tip.x_mm, tip.y_mm)
@@ -183,8 +180,7 @@ class Insertion:
 
     def _pose_at_goal(self) -> Pose:
         """Return where the tip will be when the present insertion has come to its end."""
-        assert self._estimator is not None
-        tip, bevel = self._estimator.estimate, self._needle.bevel
+        tip, bevel = self._needle.tip, self._needle.bevel
         left = self._remaining_mm()
         x, y, heading = tip.x_mm, tip.y_mm, tip.heading_rad
         if abs(left) > 1e-6:
@@ -203,8 +199,7 @@ class Insertion:
         return self._inside(pose) and self._closest(pose)[0] < 2 * _NEARLY_MM
 
     def _closest(self, pose: Pose) -> tuple[float, float]:
-        assert self._estimator is not None
-        curvature = pose.bevel * self._estimator.estimate.curvature_per_mm
+        curvature = pose.bevel * self._needle.tip.curvature_per_mm
         step = self._scene.step_mm(pose.x_mm, pose.y_mm)
         return self._scene.closest(pose.x_mm, pose.y_mm, pose.heading_rad, curvature, step)
 
@@ -228,14 +223,13 @@ class Insertion:
         return Ending.UNREACHABLE, promise
 
     def _record(self, pose: Pose, action: Action, decision: Decision | None, length_mm: float) -> None:
-        assert self._estimator is not None
         needle, now_ns = self._needle, self._station.clock.now_ns()
         before = pose._replace(bevel=-pose.bevel) if action is Action.ROTATE else pose
         latency_s = (now_ns - needle.pose.stamp.received_ns) * 1e-9 if needle.pose else math.nan
         value, success = (decision.value, decision.success) if decision else (0.0, 1.0)
         step = Step(
             self._number, now_ns, needle.goal_mm, before, self._state(before), action, value, success, length_mm,
-            self._estimator.estimate, self.table.digest, latency_s,
+            self._needle.tip, self.table.digest, latency_s,
         )  # fmt: skip
         self._number += 1
         for listener in self._listeners:
@@ -250,10 +244,9 @@ class Insertion:
 
     def _consider(self, pose: Pose) -> None:
         """Plan again if the needle does not bend as planned."""
-        assert self._estimator is not None
         if not self.options.replan or self._replanner.busy:
             return
-        tip: TipEstimate = self._estimator.estimate
+        tip = self._needle.tip
         planned = 1 / self._scene.radius_mm(pose.x_mm, pose.y_mm)
         cause = curvature_left(tip, planned, self.options)
         if not cause:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from needleplan.control.estimate import TipEstimate
 from needleplan.control.station import Sample
+from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import Action, Pose
 
 __all__ = ["Command", "CommandKind", "Event", "EventName", "Listener", "Step"]

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
-from needleplan.control.estimate import TipEstimator
 from needleplan.control.listening import Command, CommandKind, Listener
 from needleplan.control.options import Options
-from needleplan.control.plan_frame import PlanFrame
 from needleplan.control.station import Feed, Station
 from needleplan.devices import ForceSample, Health, PoseSample, StageSample
 from needleplan.errors import DeviceFault
-from needleplan.models.torsion import dragged
+from needleplan.estimation.tip import PoseUse, TipEstimate, TipFilter, TipStatus
 
 __all__ = ["Needle", "Stopped"]
 
@@ -35,16 +34,13 @@ class Stopped(Exception):
 class Needle:
     """Reads the devices, keeps the last sample of each, follows the tip, and carries out moves."""
 
-    def __init__(
-        self, station: Station, feed: Feed, frame: PlanFrame, options: Options, listeners: Sequence[Listener]
-    ) -> None:
+    def __init__(self, station: Station, feed: Feed, options: Options, listeners: Sequence[Listener]) -> None:
         self.station = station
         self.options = options
         self.stage: StageSample | None = None
         self.force: ForceSample | None = None
         self.pose: PoseSample | None = None
-        self.tip_roll_rad = math.nan
-        self.estimator: TipEstimator | None = None
+        self.filter: TipFilter | None = None
         self.frames = 0
         """Good frames of the tracker so far."""
 
@@ -53,7 +49,6 @@ class Needle:
 
         self.stop_cause = ""
         self._feed = feed
-        self._frame = frame
         self._listeners = listeners
         self._silent_since_ns = station.clock.now_ns()
 
@@ -65,7 +60,21 @@ class Needle:
     @property
     def bevel(self) -> int:
         """Side to which the tip bends: +1 left, -1 right."""
-        return 1 if math.cos(self.tip_roll_rad) >= 0 else -1
+        return 1 if math.cos(self.roll_rad) >= 0 else -1
+
+    @property
+    def roll_rad(self) -> float:
+        """Roll of the base: 0 bends to the left."""
+        return self.stage.roll_rad - self.options.roll_left_rad if self.stage else math.nan
+
+    @property
+    def tip(self) -> TipEstimate:
+        """The tip. Raises DeviceFault where it is not known."""
+        assert self.filter is not None
+        tip = self.filter.tip
+        if tip.status is TipStatus.LOST:
+            raise DeviceFault("tracker: what it sees contradicts the path, or the tip is not known well enough")
+        return tip
 
     def listen(self) -> None:
         """Take one sample. Raises Stopped where the operator wants that, DeviceFault of the devices or of silence."""
@@ -136,7 +145,7 @@ class Needle:
         if lag > _ROLL_RAD / 10:
             assert options.torsion is not None
             outside, inside = self._lengths()
-            goals = options.torsion.compensated_rad(self.tip_roll_rad, roll_rad, outside, inside)[1:].tolist()
+            goals = options.torsion.compensated_rad(self.roll_rad, roll_rad, outside, inside)[1:].tolist()
         for goal in goals:
             self._turn(float(goal) + options.roll_left_rad)
 
@@ -162,22 +171,30 @@ class Needle:
         self.stage = sample
         if sample.health is not Health.GOOD:
             raise DeviceFault(f"stage: a sample is {sample.health}: {'; '.join(sample.notes) or 'no reason given'}")
-        roll = sample.roll_rad - self.options.roll_left_rad
-        self.tip_roll_rad = roll if math.isnan(self.tip_roll_rad) else dragged(self.tip_roll_rad, roll, self._lag_rad())
-        if self.estimator is not None:
-            self.estimator.moved(self.path_mm, self.tip_roll_rad)
+        if self.filter is not None:
+            self.filter.predict(self._from_entry(sample))
 
     def _take_pose(self, sample: PoseSample) -> None:
         self.pose = sample
         if sample.health is not Health.GOOD:
             return
-        self.frames += 1
-        if self.estimator is None:
+        if self.filter is None:
+            self.frames += 1
             return
-        self.estimator.seen(*self._frame.coil(sample))
-        tip = self.estimator.estimate
+        if self.filter.update(sample) in (PoseUse.USED, PoseUse.WITHDRAWN):
+            self.frames += 1
+        tip = self.filter.tip
         for listener in self._listeners:
             listener.tip(sample.stamp.received_ns, self.path_mm, tip)
+
+    def _from_entry(self, sample: StageSample) -> StageSample:
+        """Return the sample with its depth counted from the entry and its roll from the left."""
+        options = self.options
+        if not (options.entry_depth_mm or options.roll_left_rad):
+            return sample
+        return replace(
+            sample, depth_mm=sample.depth_mm - options.entry_depth_mm, roll_rad=sample.roll_rad - options.roll_left_rad
+        )
 
     def _lengths(self) -> tuple[float, float]:
         inside = max(self.path_mm, 0.0)

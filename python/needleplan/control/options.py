@@ -12,7 +12,6 @@ __all__ = ["Options"]
 
 _POSITIVE = (
     "velocity_mm_s", "velocity_rad_s", "longest_mm", "needle_length_mm", "silence_s", "replan_deviations",
-    "plane_sd_limit_mm",
 )  # fmt: skip
 
 
@@ -39,9 +38,6 @@ class Options:
     """Torsional lag to compensate; None: the tip is taken to turn with its base."""
 
     needle_length_mm: float = 200.0
-    coil_offset_mm: float = 0.0
-    """How far the coil of the tracker sits behind the tip."""
-
     stops: bool = False
     """Stop after every step; otherwise only to rotate."""
 
@@ -63,9 +59,6 @@ class Options:
     replan_share: float = 0.04
     """... if they differ by this share of the planned one as well: less does not change a policy noticeably."""
 
-    plane_sd_limit_mm: float = 5.0
-    """Standard deviation of the tip's position above which no decision is made."""
-
     silence_s: float = 1.0
     """Time without any sample after which the devices are taken to be dead."""
 
@@ -81,7 +74,7 @@ class Options:
             value = getattr(self, each.name)
             if each.name not in _POSITIVE and isinstance(value, float) and not math.isfinite(value):
                 mistakes.append(Mistake(each.name, f"{value:g}", "must be a finite number"))
-        for name in ("coil_offset_mm", "lead_s", "replan_share", "settling_frames"):
+        for name in ("lead_s", "replan_share", "settling_frames"):
             if getattr(self, name) < 0:
                 mistakes.append(Mistake(name, f"{getattr(self, name):g}", "must be at least 0"))
         if not 0 <= self.least_success <= 1:

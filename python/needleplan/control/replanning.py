@@ -12,10 +12,10 @@ from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
-from needleplan.control.estimate import TipEstimate
 from needleplan.control.options import Options
 from needleplan.devices.closing import Closing
 from needleplan.errors import NeedleplanError
+from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import PolicyTable, plan
 from needleplan.scenario import Scenario
 

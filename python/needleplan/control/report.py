@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.control.estimate import TipEstimate
 from needleplan.control.listening import Event, EventName, Listener, Step
 from needleplan.control.station import Sample
 from needleplan.devices import ForceSample
+from needleplan.estimation.tip import TipEstimate
 from needleplan.models.bicycle import arc_step
 from needleplan.planning import Action, Path, PolicyTable
 from needleplan.signals import Array
@@ -108,7 +108,7 @@ class Trace(Listener):
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
         """Keep where the tip is."""
         self.last = tip
-        self.tips.append((tip.x_mm, tip.y_mm, tip.out_of_plane_mm))
+        self.tips.append((tip.x_mm, tip.y_mm, tip.z_mm))
 
     def step(self, step: Step) -> None:
         """Keep a decision."""
