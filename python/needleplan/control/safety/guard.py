@@ -41,7 +41,9 @@ __all__ = ["GuardedStage", "Source"]
 
 _NANO = 1e-9
 _AGAIN_S = 0.02
-_PATIENCE_S = 0.005
+_PATIENCE_S = 0.02
+"""Nobody holds the guard for so long who is not hanging in a command to the stage."""
+
 _RUNNING = (OperatingState.ENABLED, OperatingState.PAUSED)
 _ENDS_RETRACTION = frozenset({Cause.WRONG_WAY, Cause.STAGE_JUMPED})
 _GUARDED: WeakSet[Stage] = WeakSet()
@@ -152,9 +154,9 @@ class GuardedStage(Stage):
         """Say that the loop is alive, and look at everything; once a turn of the loop."""
         with self._held() as now_ns:
             # A turn that came too late is judged before it is forgotten.
-            self._look(now_ns)
+            state = self._look(now_ns)
             self._ticked_ns = now_ns
-            return self._look(now_ns)
+            return self._look(now_ns) if Cause.LOOP_LATE in state.present else state
 
     def check(self) -> SafetyState:
         """Look at everything for somebody who is not the loop: the watchdog."""
@@ -302,6 +304,8 @@ class GuardedStage(Stage):
     def _follow(self, step: Step, now_ns: int, text: str) -> None:
         """Do what a step asks for, stop first, then tell what has happened."""
         before, self._state = self._state, step.state
+        if step.state is before and not step.actions:
+            return
         sent_ns = None
         if Action.STOP in step.actions and (not self._retracting or step.causes & _ENDS_RETRACTION):
             self._retracting, self._halting = False, True

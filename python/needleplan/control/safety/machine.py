@@ -34,6 +34,9 @@ class OperatingState(StrEnum):
     FAULT = "FAULT"
 
 
+_FAULT = OperatingState.FAULT
+
+
 class Order(StrEnum):
     """What a person, or a program for one, may ask for."""
 
@@ -94,6 +97,8 @@ def advance(state: SafetyState, event: Order | Report, now_ns: int) -> Step:
 
 
 def _seen(state: SafetyState, report: Report, now_ns: int) -> Step:
+    if not report.causes and not state.present and report.busy == state.is_busy and state.operating is not _FAULT:
+        return Step(state)  # nothing has changed: so it is a thousand times a second
     present = frozenset(each for each in report.causes if each.severity is not Severity.REFUSAL)
     faults = frozenset(each for each in present if each.severity is Severity.FAULT)
     homed = state.is_homed and not present & _ZERO_LOST

@@ -74,8 +74,9 @@ class MotionWatch:
         return replace(self, roll=Goal(begin, roll_rad, velocity_rad_s, 0.0, began_ns), rest_mm=None)
 
     def stops(self, now_ns: int) -> MotionWatch:
-        """Return the watch after a stop."""
-        return replace(self, depth=None, roll=None, told_ns=now_ns, rest_mm=None)
+        """Return the watch after a stop; one that has had a command has time to come to rest."""
+        idle = self.depth is None and self.roll is None
+        return replace(self, depth=None, roll=None, told_ns=self.told_ns if idle else now_ns, rest_mm=None)
 
     def sees(self, sample: StageSample, limits: SafetyLimits) -> MotionWatch:
         """Return the watch after a sample."""

@@ -1,0 +1,61 @@
+"""The limits: every one of them is checked, in the constructor and in a file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from needleplan.control.safety import SafetyLimits
+from needleplan.errors import SafetyError
+
+NUMBERS = [each.name for each in fields(SafetyLimits) if not each.name.startswith("workspace")]
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1e9, 1e9, "5", None, True, [1.0]])
+def test_what_is_no_limit_is_refused_by_name(name: str, value: object) -> None:
+    with pytest.raises(SafetyError, match=rf"safety\.{name}"):
+        SafetyLimits(**{name: value})
+
+
+@pytest.mark.parametrize("name", ["workspace_x_mm", "workspace_y_mm"])
+@pytest.mark.parametrize("value", [[1.0], [5.0, 5.0], [5.0, 1.0], [math.nan, 1.0], "all"])
+def test_what_is_no_workspace_is_refused(name: str, value: object) -> None:
+    with pytest.raises(SafetyError, match=rf"safety\.{name}"):
+        SafetyLimits(**{name: value})
+
+
+def test_a_range_of_depths_is_not_empty() -> None:
+    with pytest.raises(SafetyError, match=r"shallowest_mm = 10: must be less than deepest_mm, 10"):
+        SafetyLimits(shallowest_mm=10, deepest_mm=10)
+
+
+def test_a_file_says_all_its_mistakes_at_once(tmp_path: Path) -> None:
+    file = tmp_path / "run.toml"
+    file.write_text('other = 1\n[safety]\nforce_n = -1\ndepest_mm = 80\nrun_s = "long"\n')
+    with pytest.raises(SafetyError) as error:
+        SafetyLimits.read(file)
+    assert str(file) in str(error.value)
+    assert len(error.value.mistakes) == 3
+    assert 'did you mean "deepest_mm"?' in str(error.value)
+
+
+def test_a_file_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "run.toml"
+    file.write_text("[safety]\nforce_n = 4\nworkspace_x_mm = [0, 120]\n")
+    limits = SafetyLimits.read(file)
+    assert limits == SafetyLimits(force_n=4.0, workspace_x_mm=(0.0, 120.0))
+    assert isinstance(limits.force_n, float)
+
+
+@pytest.mark.parametrize(("text", "rule"), [("[safety", "not TOML"), ("a = 1", "is missing"), ("safety = 3", "table")])
+def test_a_file_without_limits_is_refused(tmp_path: Path, text: str, rule: str) -> None:
+    file = tmp_path / "run.toml"
+    file.write_text(text)
+    with pytest.raises(SafetyError, match=rule):
+        SafetyLimits.read(file)
+    with pytest.raises(SafetyError, match="cannot be read"):
+        SafetyLimits.read(tmp_path / "no.toml")

@@ -1,0 +1,153 @@
+"""Whether the stage does what it was told: the faults that only its samples show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from needleplan.control.safety import Cause, OperatingState, Order
+from tests.control.safety.bench import Bench
+
+STEP_S = 0.005
+
+
+def moving(bench: Bench, velocity_mm_s: float, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+    """Let the stage move for a while."""
+    bench.stage.moving, bench.stage.velocity_mm_s = True, velocity_mm_s
+    for _ in range(round(seconds / STEP_S)):
+        bench.stage.depth_mm += velocity_mm_s * STEP_S
+        bench.turn()
+        if until():
+            return
+
+
+def stopped(bench: Bench) -> bool:
+    return bench.stage.wire[-1:] == [("stop",)]
+
+
+def ended(bench: Bench, cause: Cause) -> None:
+    assert stopped(bench)
+    assert cause in bench.causes
+    assert cause in bench.guard.state.latched
+
+
+def test_an_honest_stage_may_go_in_and_out_and_turn() -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    guard.insert(20.0, 5.0)
+    moving(bench, 5.0, 4.0)
+    guard.insert(10.0, 20.0)
+    moving(bench, 5.0, 0.1)  # it takes a moment to turn round
+    moving(bench, -19.0, 0.5)
+    bench.stage.moving, bench.stage.velocity_mm_s = False, 0.0
+    guard.rotate(3.0, 6.0)
+    for _ in range(100):
+        bench.stage.roll_rad += 0.03
+        bench.turn()
+    bench.turns(2.0)
+    assert guard.state.operating is OperatingState.ENABLED
+
+
+def test_the_wrong_way() -> None:
+    bench = Bench()
+    bench.enabled().insert(20.0, 5.0)
+    moving(bench, -5.0, 1.0, lambda: stopped(bench))
+    ended(bench, Cause.WRONG_WAY)
+    assert bench.stage.depth_mm > -1.5
+
+
+def test_beyond_its_goal() -> None:
+    bench = Bench()
+    bench.enabled().insert(2.0, 5.0)
+    moving(bench, 5.0, 1.0, lambda: stopped(bench))
+    ended(bench, Cause.WRONG_WAY)
+    assert bench.stage.depth_mm < 3.5
+
+
+@pytest.mark.parametrize("axis", ["depth", "roll"])
+def test_no_motion(axis: str) -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    if axis == "depth":
+        guard.insert(20.0, 5.0)
+    else:
+        guard.rotate(3.0, 6.0)
+    bench.turns(0.45)
+    assert not stopped(bench)
+    bench.turns(0.1)
+    ended(bench, Cause.NO_MOTION)
+
+
+def test_no_motion_is_seen_though_the_command_is_repeated() -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    for goal in range(24):
+        if stopped(bench):
+            break
+        guard.insert(20.0 + goal, 5.0)
+        bench.turns(0.025)
+    ended(bench, Cause.NO_MOTION)
+
+
+def test_too_fast() -> None:
+    bench = Bench()
+    bench.enabled().insert(50.0, 5.0)
+    moving(bench, 14.0, 0.1)
+    assert not stopped(bench)
+    moving(bench, 15.5, 0.01)
+    ended(bench, Cause.OVERSPEED)
+
+
+def test_too_deep() -> None:
+    bench = Bench(deepest_mm=10.0)
+    bench.stage.depth_mm = 9.0
+    guard = bench.enabled()
+    guard.insert(10.0, 5.0)
+    moving(bench, 5.0, 1.0, lambda: stopped(bench))
+    ended(bench, Cause.DEPTH_EXCEEDED)
+    assert bench.stage.depth_mm < 10.6
+    guard.retract(0.0, 5.0)
+    assert not stopped(bench)
+
+
+@pytest.mark.parametrize("how", ["jump", "restart"])
+def test_a_lost_zero_needs_homing(how: str) -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    guard.insert(50.0, 5.0)
+    bench.turn()
+    if how == "jump":
+        bench.stage.depth_mm += 2.0
+    else:
+        bench.stage.number = 0
+    bench.turn()
+    ended(bench, Cause.STAGE_JUMPED)
+    bench.turn()
+    guard.order(Order.RESET)
+    assert not guard.state.is_homed
+    guard.order(Order.HOME)
+    guard.order(Order.ENABLE)
+
+
+@pytest.mark.parametrize("order", [None, Order.PAUSE, Order.DISABLE])
+def test_moving_without_being_told(order: Order | None) -> None:
+    bench = Bench()
+    if order is not None:
+        guard = bench.enabled()
+        guard.insert(50.0, 5.0)
+        guard.order(order)
+        moving(bench, 5.0, 0.45)
+        assert Cause.STILL_MOVING not in bench.causes, "it may take a moment to stop"
+    moving(bench, 5.0, 0.6, lambda: bench.guard.state.operating is OperatingState.FAULT)
+    ended(bench, Cause.STILL_MOVING)
+
+
+def test_drifting_at_rest() -> None:
+    bench = Bench()
+    bench.enabled()
+    bench.turns(0.1)
+    for _ in range(200):
+        bench.stage.depth_mm += 0.004
+        bench.turn()
+    ended(bench, Cause.STILL_MOVING)

@@ -1,0 +1,149 @@
+"""The watchdog, in real time: a loop that hangs is stopped, also while it holds the guard."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order, SafetyEvent, SafetyLimits, Watchdog
+from needleplan.devices import ForceSample, PoseSample, Stage, StageSample, Stamp
+from needleplan.errors import MotionRefused
+from tests.recording.samples import wait_for
+
+AGES = {"force_age_s": 10.0, "pose_age_s": 10.0, "stage_age_s": 10.0}
+
+
+class HangingStage(Stage):
+    """Notes stops; a command to insert hangs until `free`."""
+
+    def __init__(self) -> None:
+        self.free = threading.Event()
+        self.free.set()
+        self.stopped = threading.Event()
+        self.inserted = False
+
+    def insert(self, *_: float) -> None:
+        assert self.free.wait(30)
+        self.inserted = True
+
+    def rotate(self, *_: float) -> None:
+        raise AssertionError
+
+    def stop(self) -> None:
+        self.stopped.set()
+
+    def read(self, _: float) -> StageSample | None:
+        return StageSample(Stamp(time.monotonic_ns(), 1), 0.0, 0.0, 0.0, False)
+
+    def close(self) -> None:
+        self.stopped.set()
+
+
+class Rig:
+    def __init__(self) -> None:
+        self.stage = HangingStage()
+        self.events: list[SafetyEvent] = []
+        self.guard = GuardedStage(self.stage, SafetyLimits(**AGES), listener=self.events.append)
+        stamp = Stamp(time.monotonic_ns(), 1)
+        self.guard.observe(ForceSample(stamp, (0, 0, 1), (0, 0, 0)))
+        self.guard.observe(PoseSample(stamp, (0, 0, 0), (1, 0, 0, 0), 0.1), tip_mm=(0, 0), out_of_plane_mm=0)
+        self.guard.read(0)
+        self.guard.tick()
+        self.guard.order(Order.HOME)
+
+    def enable(self) -> None:
+        # A loaded machine may be late here already; then a person would do the same again.
+        for _ in range(100):
+            try:
+                self.guard.tick()
+                self.guard.order(Order.RESET)
+                self.guard.order(Order.ENABLE)
+                self.guard.insert(10.0, 5.0)
+                return
+            except MotionRefused:
+                continue
+        raise AssertionError("never on time")
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    rig = Rig()
+    yield rig
+    rig.stage.free.set()
+    rig.guard.close()
+
+
+def test_a_loop_that_hangs_is_stopped(rig: Rig) -> None:
+    rig.enable()
+    rig.stage.stopped.clear()
+    with Watchdog(rig.guard) as watchdog:
+        assert rig.stage.stopped.wait(20)
+        wait_for(lambda: rig.guard.state.operating is OperatingState.FAULT)
+        assert rig.guard.state.latched == {Cause.LOOP_LATE}
+        assert watchdog.alive
+    assert not watchdog.alive
+    # The loop comes back: it is too late, and stays so until a person has been there.
+    with pytest.raises(MotionRefused, match="loop_late"):
+        rig.guard.insert(10.0, 5.0)
+    assert rig.guard.tick().operating is OperatingState.DISABLED
+
+
+def test_a_loop_that_hangs_in_a_command_is_stopped_over_its_head(rig: Rig) -> None:
+    rig.enable()
+    rig.guard.order(Order.DISABLE)
+    rig.stage.free.clear()
+    rig.stage.stopped.clear()
+    rig.stage.inserted = False
+
+    def command() -> None:
+        rig.guard.tick()
+        rig.guard.order(Order.RESET)
+        rig.guard.order(Order.ENABLE)
+        rig.guard.insert(20.0, 5.0)
+
+    loop = threading.Thread(target=command, daemon=True)
+    loop.start()
+    with Watchdog(rig.guard):
+        assert rig.stage.stopped.wait(20)
+        assert not rig.stage.inserted
+        # The command goes out after all; another stop must follow it.
+        rig.stage.stopped.clear()
+        rig.stage.free.set()
+        loop.join(20)
+        assert rig.stage.stopped.wait(20)
+    assert rig.guard.state.operating is not OperatingState.ENABLED
+    assert Cause.LOOP_LATE in rig.guard.state.latched
+
+
+def test_a_person_stops_a_loop_that_hangs_in_a_command(rig: Rig) -> None:
+    rig.enable()
+    with rig.guard._held():
+        rig.stage.stopped.clear()
+        person = threading.Thread(target=rig.guard.stop)
+        person.start()
+        assert rig.stage.stopped.wait(20)
+        person.join(20)
+    assert rig.guard.check().operating is OperatingState.FAULT
+
+
+def test_a_pause_of_the_whole_process_is_seen_by_the_next_command(rig: Rig) -> None:
+    """What SIGSTOP and a long collection of garbage do: no thread runs, so the loop itself is the first to be late."""
+    gc.disable()
+    try:
+        rig.enable()
+        rig.stage.inserted = False
+        rig.stage.stopped.clear()
+        began = time.monotonic()
+        while time.monotonic() - began < 0.05:
+            pass
+        with pytest.raises(MotionRefused, match="loop_late"):
+            rig.guard.insert(20.0, 5.0)
+    finally:
+        gc.enable()
+    assert not rig.stage.inserted
+    assert rig.stage.stopped.is_set()
+    assert rig.guard.state.operating is OperatingState.FAULT
