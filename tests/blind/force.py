@@ -175,9 +175,15 @@ def _force_n(trials: _Trials, effects: tuple[Effect, ...]) -> Array:
     shown = force
     for each in effects:
         shown = shown + each.reading_n(scene, force)
-    keep = np.exp(-2 * np.pi * CUT_OFF_HZ * STEP_S)
-    start = keep * shown[:1]
-    return lfilter([1.0 - keep], [1.0, -keep], shown, axis=0, zi=start)[0][::EVERY]
+    return _filtered(shown)[::EVERY]
+
+
+def _filtered(shown: Array) -> Array:
+    """The sensor's low-pass, exact where its input is linear between the steps."""
+    lag = 1.0 / (2 * np.pi * CUT_OFF_HZ * STEP_S)  # in steps
+    keep = np.exp(-1.0 / lag)
+    now, before = 1.0 - lag * (1.0 - keep), lag * (1.0 - keep) - keep
+    return lfilter([now, before], [1.0, -keep], shown, axis=0, zi=(1.0 - now) * shown[:1])[0]
 
 
 _known: dict[bytes, Contact] = {}

@@ -12,7 +12,7 @@ from needleplan.recording import read_records
 from tests.blind import base, force
 from tests.blind.effect import ForceName
 from tests.blind.force import FORCE_EFFECTS, NOISE_N, ForceSpec, Wanted, generate
-from tests.blind.motions import AIR_MM, POOR, POOR_HELD_OUT, MotionKind, from_depths, trajectory
+from tests.blind.motions import AIR_MM, POOR, POOR_HELD_OUT, RICH, RICH_HELD_OUT, MotionKind, from_depths, trajectory
 from tests.blind.recording import FileKind, Role
 
 
@@ -43,6 +43,29 @@ def test_forces_of_a_steady_insertion_balance() -> None:
     assert np.abs(shown[outwards] + friction * (depth - lag)[outwards, None]).max() < 2e-3
     air = depth < -0.1
     assert np.abs(shown[air]).max() < 1e-3
+
+
+def test_the_filter_lags_by_its_time_constant() -> None:
+    ramp = np.arange(400.0)[:, None] * 0.01
+    lag = ramp - force._filtered(ramp)
+    assert lag[0] == 0.0
+    assert lag[-1] == pytest.approx(1 / (2 * np.pi * 30), rel=1e-9)
+
+
+@pytest.mark.parametrize("kinds", [RICH, POOR, (MotionKind.DITHER,)])
+def test_the_lumped_base_of_the_readme_is_what_the_elements_make(kinds: tuple[MotionKind, ...]) -> None:
+    trials = force._training(ForceSpec(5, training=kinds))
+    shown = force._force_n(trials, ())
+    for r, motion in enumerate(trials.trajectories):
+        length = trials.tissue.compliance.bristle_mm[r, 0] + base.NODE_MM
+        lumped, state = np.zeros((len(motion.depth_mm), 1)), 0.0
+        for k, (depth, step) in enumerate(zip(motion.depth_mm[1:], np.diff(motion.depth_mm), strict=True), start=1):
+            state = np.sign(step) + (state - np.sign(step)) * np.exp(-abs(step) / length)
+            friction = trials.tissue.friction_n_mm[r, 0] * max(depth, 0.0) * state
+            onset = 1.0 - np.exp(-max(depth, 0.0) / base.ONSET_MM)
+            lumped[k] = friction + trials.tissue.cutting_n[r, 0] * onset * (1.0 + state) / 2.0
+        error = force._filtered(lumped)[::2, 0] - shown[:, r]
+        assert error.std() < 0.05 * NOISE_N
 
 
 def test_scatter_between_trials_is_within_what_is_said() -> None:
@@ -160,7 +183,7 @@ def test_motions_are_what_they_say(kind: MotionKind) -> None:
 
 def test_no_training_motion_is_held_out() -> None:
     assert not {*POOR} & {*POOR_HELD_OUT}
-    assert not {*force.RICH} & {*force.RICH_HELD_OUT}
+    assert not {*RICH} & {*RICH_HELD_OUT}
 
 
 @pytest.mark.parametrize("kind", FileKind)
