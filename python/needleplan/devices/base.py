@@ -104,6 +104,9 @@ class Stage(Device):
     def stop(self) -> None:
         """Stop both axes now; always allowed, also in a fault."""
 
+    def alive(self) -> None:
+        """Say that who commands is alive; for a stage that stops where it does not hear so. Raises DeviceFault."""
+
     @abstractmethod
     def read(self, timeout_s: float) -> StageSample | None:
         """Return the next sample, or None after `timeout_s`. Raises DeviceFault."""

@@ -1,0 +1,154 @@
+/* The needleplan robot protocol, version 1: see robot-protocol.md.
+ *
+ * For little-endian machines with IEEE 754 doubles, which is nearly all of them. The structures have no padding: copy
+ * them to and from datagrams as they are. A command:
+ *
+ *     npl_command stop = {0};
+ *     npl_begin(&stop.head, NPL_STOP, sizeof stop);
+ *     stop.head.session = session; stop.head.sequence = ++sequence; stop.head.number = ++number;
+ *     npl_seal(&stop, sizeof stop);
+ *     sendto(socket, &stop, sizeof stop, 0, ...);
+ */
+#ifndef NEEDLEPLAN_ROBOT_H
+#define NEEDLEPLAN_ROBOT_H
+
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+enum {
+    NPL_VERSION = 1,
+    NPL_PORT = 5005
+};
+
+/* Kinds of datagrams; those of the capture side have the highest bit. */
+enum {
+    NPL_HELLO = 0x01,
+    NPL_ENABLE = 0x02,
+    NPL_INSERT = 0x03,   /* target in mm, speed in mm/s */
+    NPL_ROTATE = 0x04,   /* target in rad, speed in rad/s */
+    NPL_STOP = 0x05,
+    NPL_ALIVE = 0x06,
+    NPL_RESET = 0x07,
+    NPL_GOODBYE = 0x08,
+    NPL_STATUS = 0x80,
+    NPL_ANSWER = 0x81
+};
+
+enum {
+    NPL_RESULT_ACCEPTED = 0,
+    NPL_RESULT_BUSY = 1,
+    NPL_RESULT_OLD_SESSION = 2,
+    NPL_RESULT_WRONG_VERSION = 3,
+    NPL_RESULT_LATE = 4,
+    NPL_RESULT_SUPERSEDED = 5,
+    NPL_RESULT_NOT_ENABLED = 6,
+    NPL_RESULT_OUT_OF_RANGE = 7,
+    NPL_RESULT_IN_FAULT = 8
+};
+
+enum {
+    NPL_STATE_DISABLED = 0,
+    NPL_STATE_ENABLED = 1,
+    NPL_STATE_FAULT = 3
+};
+
+/* Bits of npl_status.faults. */
+enum {
+    NPL_FAULT_WATCHDOG = 0x01,
+    NPL_FAULT_ESTOP = 0x02,
+    NPL_FAULT_DRIVE = 0x04,
+    NPL_FAULT_FOLLOWING = 0x08,
+    NPL_FAULT_LIMIT = 0x10,
+    NPL_FAULT_ENCODER = 0x20,
+    NPL_FAULT_NO_MOTION = 0x40
+};
+
+typedef struct {
+    uint8_t magic[4];     /* "NPLR" */
+    uint8_t version;
+    uint8_t kind;
+    uint16_t size;        /* of the whole datagram */
+    uint32_t session;
+    uint32_t sequence;
+    uint64_t sent_ns;     /* the sender's monotonic clock */
+    uint64_t echo_ns;     /* sent_ns of the last datagram of the other side */
+    uint32_t held_us;     /* how long ago that came */
+    uint32_t number;      /* of the command that this is, answers, or acknowledges */
+} npl_head;
+
+typedef struct {
+    npl_head head;
+    uint64_t deadline_ns; /* on the clock of the robot */
+    double target;
+    double speed;
+    uint32_t silence_us;
+    uint32_t crc;
+} npl_command;
+
+typedef struct {
+    npl_head head;
+    uint8_t asked;
+    uint8_t state;
+    uint16_t result;
+    uint32_t crc;
+} npl_answer;
+
+typedef struct {
+    npl_head head;
+    double depth_mm;
+    double velocity_mm_s;
+    double roll_rad;
+    double velocity_rad_s;
+    uint32_t faults;
+    uint8_t state;
+    uint8_t moving;
+    uint16_t overruns;
+    uint32_t missed;
+    uint32_t crc;
+} npl_status;
+
+/* CRC-32 as zlib and Ethernet have it; bit by bit, because 88 bytes need no table. */
+static inline uint32_t npl_crc(const void *data, size_t length) {
+    const uint8_t *byte = (const uint8_t *)data;
+    uint32_t crc = 0xFFFFFFFFu;
+    while (length--) {
+        crc ^= *byte++;
+        for (int bit = 0; bit < 8; ++bit)
+            crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
+    }
+    return ~crc;
+}
+
+static inline void npl_begin(npl_head *head, uint8_t kind, size_t size) {
+    memcpy(head->magic, "NPLR", 4);
+    head->version = NPL_VERSION;
+    head->kind = kind;
+    head->size = (uint16_t)size;
+}
+
+/* Write the checksum, which is the last field of each structure. */
+static inline void npl_seal(void *message, size_t size) {
+    uint32_t crc = npl_crc(message, size - 4);
+    memcpy((uint8_t *)message + size - 4, &crc, 4);
+}
+
+/* Return 0 where a datagram is a sound one of a kind and its size; else what is wrong: 1 not of this protocol, or
+ * damaged; 2 another version; 3 another kind or size. */
+static inline int npl_check(const void *datagram, size_t length, uint8_t kind, size_t size) {
+    npl_head head;
+    uint32_t crc;
+    if (length < 10 || memcmp(datagram, "NPLR", 4) != 0)
+        return 1;
+    memcpy(&crc, (const uint8_t *)datagram + length - 4, 4);
+    if (crc != npl_crc(datagram, length - 4))
+        return 1;
+    if (((const uint8_t *)datagram)[4] != NPL_VERSION)
+        return 2;
+    if (length != size || length < sizeof head)
+        return 3;
+    memcpy(&head, datagram, sizeof head);
+    return head.kind == kind && head.size == size ? 0 : 3;
+}
+
+#endif

@@ -1,0 +1,210 @@
+from __future__ import annotations
+
+import math
+import shutil
+import struct
+import subprocess
+import zlib
+from pathlib import Path
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from needleplan.devices.robot import RobotMachine, SteadyDrive
+from needleplan.devices.robot.codec import VERSION, OtherVersion, decode, encode
+from needleplan.devices.robot.messages import Answer, Command, Fault, Head, Kind, Message, Result, RobotState, Status
+from needleplan.errors import ProtocolError
+from tests.pages import ROOT
+
+U16, U32, U64 = (st.integers(0, 2**bits - 1) for bits in (16, 32, 64))
+REAL = st.floats(allow_nan=False)
+HEADS = st.builds(Head, U32, U32, U64, U64, U32, U32)
+KINDS = st.sampled_from([kind for kind in Kind if kind < 0x80])
+COMMANDS = st.builds(Command, HEADS, KINDS, U64, REAL, REAL, U32)
+ANSWERS = st.builds(Answer, HEADS, st.integers(0, 255), st.sampled_from(Result), st.sampled_from(RobotState))
+STATUSES = st.builds(
+    Status, HEADS, REAL, REAL, REAL, REAL, U32.map(Fault), st.sampled_from(RobotState), st.booleans(), U16, U32
+)
+MESSAGES = COMMANDS | ANSWERS | STATUSES
+COMMAND = Command(
+    Head(0x01020304, 5, 6_000_000_007, 8, 9, 10),
+    Kind.INSERT,
+    11_000_000_012,
+    target=20.5,
+    speed=5.25,
+    silence_us=30_000,
+)
+HEADER = ROOT / "docs/reference/needleplan_robot.h"
+
+
+def sealed(begin: bytes) -> bytes:
+    return begin + struct.pack("<I", zlib.crc32(begin))
+
+
+def test_the_bytes_of_the_reference() -> None:
+    begin = bytes.fromhex(
+        "4e504c52 01 03 4800 04030201 05000000 07bca06501000000 0800000000000000 09000000 0a000000"
+        "0caea68f02000000 0000000000803440 0000000000001540 30750000"
+    )
+    assert encode(COMMAND) == sealed(begin)
+    answer = Answer(Head(1, 2, 3, 4, 5, 6), Kind.STOP, Result.BUSY, RobotState.FAULT)
+    assert encode(answer)[40:44] == bytes.fromhex("05 03 0100")
+    assert [len(encode(each)) for each in (COMMAND, answer)] == [72, 48]
+
+
+@given(MESSAGES)
+def test_messages_come_back(message: Message) -> None:
+    assert decode(encode(message)) == message
+
+
+@given(st.binary(max_size=200) | st.binary(max_size=200).map(lambda rest: sealed(b"NPLR" + rest)))
+@example(b"")
+@example(sealed(b"NPLR\x01\x03"))
+@example(sealed(b"NPLR\x01\x77" + bytes(60)))
+def test_any_datagram_is_a_message_or_a_protocol_error(datagram: bytes) -> None:
+    try:
+        message = decode(datagram)
+    except ProtocolError:
+        return
+    assert encode(message) == datagram
+
+
+@given(MESSAGES, st.data())
+def test_any_changed_bit_is_noticed(message: Message, data: st.DataObject) -> None:
+    raw = bytearray(encode(message))
+    bit = data.draw(st.integers(0, 8 * len(raw) - 1))
+    raw[bit // 8] ^= 1 << bit % 8
+    with pytest.raises(ProtocolError):
+        decode(bytes(raw))
+
+
+@given(MESSAGES, st.integers(0, 87))
+def test_any_cut_datagram_is_noticed(message: Message, length: int) -> None:
+    raw = encode(message)
+    if length < len(raw):
+        with pytest.raises(ProtocolError):
+            decode(raw[:length])
+
+
+@given(STATUSES, st.integers(2, 255), st.integers(4, 255))
+def test_values_that_mean_nothing_are_noticed(status: Status, moving: int, state: int) -> None:
+    raw = bytearray(encode(status)[:-4])
+    for offset, value in ((77, moving), (76, state)):
+        wrong = bytearray(raw)
+        wrong[offset] = value
+        with pytest.raises(ProtocolError):
+            decode(sealed(bytes(wrong)))
+
+
+def test_another_version_is_named_whatever_its_length() -> None:
+    for length in (0, 3, 500):
+        with pytest.raises(OtherVersion, match="speaks version 9"):
+            decode(sealed(b"NPLR\x09\x01" + bytes(length)))
+
+
+def test_what_does_not_fit_is_not_sent() -> None:
+    with pytest.raises(ProtocolError, match="HELLO cannot be sent"):
+        encode(Command(Head(2**32, 0, 0), Kind.HELLO))
+
+
+@settings(max_examples=50)
+@given(st.lists(st.tuples(MESSAGES.map(encode) | st.binary(max_size=100), st.integers(0, 10**8)), max_size=40))
+def test_no_datagram_stops_the_machine_or_moves_what_is_not_enabled(story: list[tuple[bytes, int]]) -> None:
+    """Random datagrams seldom hit the one session: what moves must have been greeted and enabled in order."""
+    machine, now_ns = RobotMachine(SteadyDrive()), 0
+    for datagram, passed_ns in story:
+        now_ns += passed_ns
+        answer = machine.receive(datagram, ("a", 1), now_ns)
+        if answer:
+            assert isinstance(decode(answer), Answer)
+        sent = machine.tick(now_ns)
+        if sent is not None:
+            status = decode(sent[0])
+            assert isinstance(status, Status)
+            assert status.state is RobotState.ENABLED or not status.moving
+
+
+PROGRAM = r"""
+#include <stdio.h>
+#include <stddef.h>
+#include "needleplan_robot.h"
+
+int main(void) {
+    uint8_t buffer[256];
+    npl_command command = {0};
+    npl_begin(&command.head, NPL_INSERT, sizeof command);
+    command.head.session = 0x01020304; command.head.sequence = 5; command.head.sent_ns = 6000000007ull;
+    command.head.echo_ns = 8; command.head.held_us = 9; command.head.number = 10;
+    command.deadline_ns = 11000000012ull; command.target = 20.5; command.speed = 5.25; command.silence_us = 30000;
+    npl_seal(&command, sizeof command);
+    fwrite(&command, sizeof command, 1, stdout);
+
+    size_t length = fread(buffer, 1, sizeof buffer, stdin);
+    npl_status status;
+    if (npl_check(buffer, length, NPL_STATUS, sizeof status)) return 1;
+    memcpy(&status, buffer, sizeof status);
+    buffer[50] ^= 1;
+    if (!npl_check(buffer, length, NPL_STATUS, sizeof status)) return 2;
+    fprintf(stderr, "%u %u %llu %.17g %.17g %.17g %.17g %u %u %u %u %u", status.head.session, status.head.sequence,
+            (unsigned long long)status.head.sent_ns, status.depth_mm, status.velocity_mm_s, status.roll_rad,
+            status.velocity_rad_s, status.faults, status.state, status.moving, status.overruns, status.missed);
+    return 0;
+}
+"""
+SIZES = r"""
+#include <stdio.h>
+#include <stddef.h>
+#include "needleplan_robot.h"
+#define P(t, f) printf("%zu ", offsetof(t, f))
+int main(void) {
+    printf("%zu %zu %zu %zu ", sizeof(npl_head), sizeof(npl_command), sizeof(npl_answer), sizeof(npl_status));
+    P(npl_head, size); P(npl_head, session); P(npl_head, sent_ns); P(npl_head, held_us); P(npl_head, number);
+    P(npl_command, deadline_ns); P(npl_command, silence_us); P(npl_command, crc);
+    P(npl_answer, asked); P(npl_answer, state); P(npl_answer, result); P(npl_answer, crc);
+    P(npl_status, depth_mm); P(npl_status, faults); P(npl_status, state); P(npl_status, moving);
+    P(npl_status, overruns); P(npl_status, missed); P(npl_status, crc);
+    return 0;
+}
+"""
+
+
+def compiled(source: str, folder: Path) -> str:
+    if shutil.which("gcc") is None:
+        pytest.skip("no C compiler here")
+    (folder / "program.c").write_text(source)
+    command = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", f"-I{HEADER.parent}", "program.c"]
+    subprocess.run(command, cwd=folder, check=True, timeout=60)
+    return str(folder / "a.out")
+
+
+def test_the_c_header_makes_a_command_that_is_ours_and_reads_our_status(tmp_path: Path) -> None:
+    status = Status(
+        Head(7, 8, 9_000_000_001), 12.345678901234567, -5.5, math.pi, 0.25, Fault.WATCHDOG | Fault.LIMIT,
+        RobotState.FAULT, True, 513, 70_000,
+    )  # fmt: skip
+    done = subprocess.run([compiled(PROGRAM, tmp_path)], input=encode(status), capture_output=True, timeout=60)
+    assert done.returncode == 0
+    assert done.stdout == encode(COMMAND)
+    assert decode(done.stdout) == COMMAND
+    assert done.stderr.decode() == "7 8 9000000001 12.345678901234567 -5.5 3.1415926535897931 0.25 17 3 1 513 70000"
+
+
+def test_sizes_and_offsets_of_the_c_header_are_those_of_the_reference(tmp_path: Path) -> None:
+    done = subprocess.run([compiled(SIZES, tmp_path)], capture_output=True, text=True, check=True, timeout=60)
+    expected = "40 72 48 88  6 8 16 32 36  40 64 68  40 41 42 44  40 72 76 77 78 80 84"
+    assert done.stdout.split() == expected.split()
+
+
+def test_the_c_header_has_the_codes_of_every_enumeration() -> None:
+    text = HEADER.read_text()
+    named = {
+        **{f"NPL_{kind.name}": int(kind) for kind in Kind},
+        **{f"NPL_RESULT_{result.name}": int(result) for result in Result},
+        **{f"NPL_STATE_{state.name}": int(state) for state in RobotState},
+        **{f"NPL_FAULT_{fault.name}": int(fault) for fault in Fault},
+        "NPL_VERSION": VERSION,
+    }
+    for name, value in named.items():
+        assert any(line.split()[:2] == [name, "="] and int(line.split()[2].rstrip(","), 0) == value
+                   for line in text.splitlines() if "=" in line), name  # fmt: skip
