@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
-from needleplan.control import Options, Station
+from needleplan.control import Insertion, Options, Report, Station
+from needleplan.control.safety import SafetyLimits
+from needleplan.estimation.registration import Registration
 from needleplan.planning import PolicyTable, plan
 from needleplan.scenario import Grid, Motion, Needle, Obstacle, Scenario, Target, Workspace
-from needleplan.simulation import Effects, Entry, Lab, Setup
+from needleplan.simulation import Effects, Entry, Lab, Robot, Setup
 
 FAST = Options(velocity_mm_s=20.0, velocity_rad_s=10.0)
+SLOW_SERVO = Robot(servo_hz=400, bandwidth_hz=10.0)
+WIDE = SafetyLimits(insertion_velocity_mm_s=25.0, out_of_plane_mm=20.0)
 
 
 @cache
@@ -28,8 +33,17 @@ def small_table() -> PolicyTable:
 
 def a_lab(effects: Effects | None = None, seed: int = 0, *, entry: Entry | None = None) -> Lab:
     x, y, heading, _ = small_table().best_entry().pose
-    return Lab(Setup(1 / 40, entry=entry or Entry(x, y, heading), effects=effects or Effects()), seed)
+    return Lab(Setup(1 / 40, entry=entry or Entry(x, y, heading), effects=effects or Effects(), robot=SLOW_SERVO), seed)
 
 
 def station_of(lab: Lab) -> Station:
     return Station(lab.stage, lab.force_sensor, lab.tracker, lab.clock)
+
+
+def insertion_in(lab: Lab, options: Options = FAST, **others: Any) -> Insertion:
+    coil = Registration(coil_offset_mm=lab.plant.setup.effects.coil_offset_mm)
+    return Insertion(small_table(), station_of(lab), options, registration=coil, **{"limits": WIDE} | others)
+
+
+def run_in(lab: Lab, options: Options = FAST, **others: Any) -> Report:
+    return insertion_in(lab, options, **others).run()

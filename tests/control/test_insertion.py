@@ -9,22 +9,21 @@ import numpy as np
 import pytest
 
 from needleplan.control import Ending, EventName, Insertion, Listener, Step
-from needleplan.errors import InputError
-from needleplan.estimation.registration import Registration
+from needleplan.control.safety import Order
+from needleplan.errors import InputError, MotionRefused
 from needleplan.planning import Action, Outcome
 from needleplan.simulation import Effects, Entry
-from tests.control.scenes import FAST, a_lab, small_table, station_of
+from tests.control.scenes import FAST, WIDE, a_lab, insertion_in, run_in, small_table
 
 NOISY = Effects(
     tracker_noise_mm=0.1, tracker_angle_noise_rad=0.01, heading_noise_rad_sqrt_mm=0.003, coil_offset_mm=2.0,
     encoder_step_mm=0.001, encoder_step_rad=0.0005, force_noise_n=0.02, tracker_dropout=0.01,
 )  # fmt: skip
-COIL = Registration(coil_offset_mm=2.0)
 
 
 def test_a_perfect_needle_goes_where_the_plan_says() -> None:
     table, lab = small_table(), a_lab()
-    report = Insertion(table, station_of(lab), FAST).run()
+    report = run_in(lab)
     planned = table.path(table.best_entry().pose)
     assert planned.outcome is Outcome.TARGET
     assert report.ending is Ending.TARGET, report.cause
@@ -39,7 +38,7 @@ def test_a_perfect_needle_goes_where_the_plan_says() -> None:
 
 @pytest.mark.parametrize("stops", [False, True])
 def test_every_decision_is_that_of_the_table(stops: bool) -> None:
-    report = Insertion(small_table(), station_of(a_lab(NOISY, 3)), replace(FAST, stops=stops), registration=COIL).run()
+    report = run_in(a_lab(NOISY, 3), replace(FAST, stops=stops))
     assert report.ending is Ending.TARGET, report.cause
     scenario, table = small_table().scenario, small_table()
     for step in report.steps[:-1]:
@@ -58,16 +57,14 @@ def test_every_decision_is_that_of_the_table(stops: bool) -> None:
 
 
 def test_the_same_samples_make_the_same_decisions() -> None:
-    first, again = (
-        Insertion(small_table(), station_of(a_lab(NOISY, 5)), FAST, registration=COIL).run() for _ in range(2)
-    )
+    first, again = (run_in(a_lab(NOISY, 5)) for _ in range(2))
     assert first.steps == again.steps
     assert np.array_equal(first.executed_mm, again.executed_mm)
 
 
 def test_it_plans_again_where_the_needle_bends_more_than_planned() -> None:
     lab = a_lab(replace(NOISY, curvature_error=0.25), 1)
-    report = Insertion(small_table(), station_of(lab), FAST, registration=COIL).run()
+    report = run_in(lab)
     names = [event.name for event in report.events]
     assert names.count(EventName.TABLE_SWAPPED) == report.replans >= 1
     swapped = next(event for event in report.events if event.name is EventName.TABLE_SWAPPED)
@@ -75,7 +72,7 @@ def test_it_plans_again_where_the_needle_bends_more_than_planned() -> None:
     assert "standard deviations off" in asked.cause
     assert {step.table_digest for step in report.steps if step.number < swapped.step} == {small_table().digest}
     assert report.steps[swapped.step].table_digest == swapped.digest != small_table().digest
-    assert Insertion(small_table(), station_of(a_lab()), replace(FAST, replan=False)).run().replans == 0
+    assert run_in(a_lab(), replace(FAST, replan=False)).replans == 0
 
 
 class Stopping(Listener):
@@ -90,7 +87,7 @@ class Stopping(Listener):
 
 def test_the_operator_stops_it_for_good() -> None:
     lab, listener = a_lab(), Stopping(3)
-    listener.insertion = Insertion(small_table(), station_of(lab), FAST, listeners=[listener])
+    listener.insertion = insertion_in(lab, listeners=[listener])
     report = listener.insertion.run()
     assert (report.ending, report.cause) == (Ending.STOPPED, "enough")
     assert len(report.steps) == 4
@@ -102,8 +99,8 @@ def test_the_operator_stops_it_for_good() -> None:
 
 def test_a_start_outside_of_the_table_moves_nothing() -> None:
     lab = a_lab(entry=Entry(-5.0, 20.0, 0.0))
-    report = Insertion(small_table(), station_of(lab), FAST).run()
-    assert report.ending is Ending.FAULT
+    report = run_in(lab)
+    assert report.ending is Ending.REFUSED
     assert "must lie in the workspace" in report.cause
     assert lab.plant.insertion.position == 0
     assert report.steps == ()
@@ -111,7 +108,7 @@ def test_a_start_outside_of_the_table_moves_nothing() -> None:
 
 def test_from_where_the_target_cannot_be_reached_it_does_not_begin() -> None:
     lab = a_lab(entry=Entry(0.0, 39.0, 1.5))
-    report = Insertion(small_table(), station_of(lab), FAST).run()
+    report = run_in(lab)
     assert report.ending is Ending.UNREACHABLE
     assert lab.plant.insertion.position == 0
 
@@ -119,8 +116,8 @@ def test_from_where_the_target_cannot_be_reached_it_does_not_begin() -> None:
 def test_a_device_that_falls_silent_ends_it() -> None:
     lab = a_lab()
     lab.tracker.close()
-    report = Insertion(small_table(), station_of(lab), FAST).run()
-    assert report.ending is Ending.FAULT
+    report = run_in(lab)
+    assert report.ending is Ending.REFUSED
     assert "is closed" in report.cause
     assert report.events[-1].name is EventName.END
 
@@ -128,3 +125,43 @@ def test_a_device_that_falls_silent_ends_it() -> None:
 def test_options_name_all_their_mistakes() -> None:
     with pytest.raises(InputError, match="2 mistakes"):
         replace(FAST, velocity_mm_s=-1.0, least_success=2.0)
+
+
+def test_it_waits_while_the_tracker_does_not_see_its_coil() -> None:
+    unseen = replace(NOISY, tracker_dropout=0.02, tracker_dropout_s=0.5)
+    report = run_in(a_lab(unseen, 2))
+    assert report.ending is Ending.TARGET, report.cause
+    paused = [event for event in report.events if event.name is EventName.PAUSED]
+    assert paused
+    assert {event.cause for event in paused} <= {"pose_stale", "pose_unseen"}
+    assert sum(event.name is EventName.RESUMED for event in report.events) == len(paused)
+
+
+def test_it_ends_where_it_may_not_resume() -> None:
+    unseen = replace(NOISY, tracker_dropout=0.02, tracker_dropout_s=0.5)
+    report = run_in(a_lab(unseen, 2), replace(FAST, resume_s=0.0))
+    assert report.ending is Ending.FAULT
+    assert report.cause == "paused for 0 s: pose_unseen"
+
+
+def test_too_much_force_stops_it_and_the_stop_is_latched() -> None:
+    lab = a_lab(replace(NOISY, force_drift_n_s=0.1))
+    insertion = insertion_in(lab, limits=replace(WIDE, force_n=0.3))
+    report = insertion.run()
+    assert report.ending is Ending.FAULT
+    assert "force_exceeded" in report.cause
+    assert 0.3 < report.largest_force_n < 0.35
+    lab.advance(0.5)
+    assert not lab.plant.moving
+    with pytest.raises(MotionRefused, match="force_exceeded"):
+        insertion.guard.insert(10.0, 1.0)
+    with pytest.raises(MotionRefused, match="force_exceeded"):
+        insertion.guard.order(Order.ENABLE, "somebody")
+
+
+def test_a_stage_has_one_controller() -> None:
+    lab = a_lab()
+    first = insertion_in(lab)
+    with pytest.raises(MotionRefused, match="second_commander"):
+        insertion_in(lab)
+    first.close()

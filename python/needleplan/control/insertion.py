@@ -8,8 +8,10 @@ arc is closest to the centre of the target.
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 
 from needleplan.control.entry import measured_entry
 from needleplan.control.listening import Event, EventName, Listener, Step
@@ -17,9 +19,11 @@ from needleplan.control.needle import Needle, Stopped
 from needleplan.control.options import Options
 from needleplan.control.replanning import Replanner, ThreadReplanner, curvature_left, rescaled
 from needleplan.control.report import Ending, Report, Trace
+from needleplan.control.safety import GuardedStage, SafetyEvent, SafetyLimits
 from needleplan.control.scene import Scene
 from needleplan.control.station import Station, feed_of
 from needleplan.devices import VirtualClock
+from needleplan.devices.closing import Closing
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipFilter, TipSettings
@@ -34,10 +38,12 @@ _NEARLY_MM = 0.05
 _FIRST_FRAMES = 10
 
 
-class Insertion:
+class Insertion(Closing):
     """One insertion with a policy table; `run` it once.
 
-    The devices stay open. `registration` takes the tracker to the plan; without one its frame is that of the plan.
+    The sensors stay open; closing it closes the stage. `registration` takes the tracker to the plan; without one its
+    frame is that of the plan. `limits` are those of the guard before the stage, which also has what a person needs:
+    retraction, above all.
     `replanner` makes new tables. Listeners hear of everything.
     """
 
@@ -45,6 +51,7 @@ class Insertion:
         self, table: PolicyTable, station: Station, options: Options | None = None, *,
         registration: Registration | None = None,
         tip_settings: TipSettings | None = None,
+        limits: SafetyLimits | None = None,
         replanner: Replanner | None = None,
         listeners: Sequence[Listener] = (),
     ) -> None:  # fmt: skip
@@ -54,25 +61,37 @@ class Insertion:
         self._scene = Scene(table.scenario)
         self._trace = Trace(self.options.force_axis)
         self._listeners = (self._trace, *listeners)
-        self._feed = feed_of(station)
-        self._needle = Needle(station, self._feed, self.options, self._listeners)
+        self.guard = GuardedStage(station.stage, limits, clock=station.clock, listener=self._heard)
+        self._feed = feed_of(replace(station, stage=self.guard))
+        self._needle = Needle(self.guard, self._feed, station.clock, self.options, self._listeners)
+        self._needle.on_pause = self._paused
         self.registration = registration or Registration()
         self._tip_settings = tip_settings
         self._replanner = replanner or ThreadReplanner(wait=isinstance(station.clock, VirtualClock))
         self._first_table = table
         self._planned: Path | None = None
         self._number = 0
+        self._thread = 0
+        # What takes its time the first time is done before anything moves.
+        _ = table.lattice, table.digest, self._scene.touches(0.0, 0.0)
 
     def stop(self, cause: str) -> None:
-        """Let the run end as soon as possible with the needle where it is; from any thread, and for good."""
+        """Let the run end at once with the needle where it is; from any thread or signal, and for good."""
         self._needle.stop_cause = self._needle.stop_cause or cause or "stopped"
+        if self._thread and threading.get_ident() != self._thread:  # a signal interrupts the thread of the loop itself
+            self.guard.stop()
+
+    def close(self) -> None:
+        """Stop, and close the stage; closing twice is harmless."""
+        self.guard.close()
 
     def run(self) -> Report:
         """Insert. Whatever happens, the needle stands afterwards, and the report says why."""
         ending, cause = Ending.FAULT, "the program ended"
+        self._thread = threading.get_ident()
         with ExitStack() as closing:
-            closing.callback(self._feed.close)
             closing.callback(self._replanner.close)
+            closing.callback(self._feed.close)
             try:
                 ending, cause = self._run()
             except Stopped as stopped:
@@ -80,52 +99,49 @@ class Insertion:
             except KeyboardInterrupt:
                 ending, cause = Ending.STOPPED, "interrupted by the operator"
             except (DeviceFault, InputError) as fault:
-                ending, cause = Ending.FAULT, str(fault)
+                ending, cause = (Ending.FAULT if self._needle.moved else Ending.REFUSED), str(fault)
             finally:
-                cause = self._halted(ending, cause)
+                self._halt(ending, cause)
         return self._trace.report(ending, cause, self._first_table, self._planned, self._needle.path_mm)
 
-    def _halted(self, ending: Ending, cause: str) -> str:
-        if ending is Ending.FAULT:
-            self._tell(EventName.FAULT, "device", cause)
-        elif ending is Ending.STOPPED:
-            self._tell(EventName.STOP, "operator", cause)
-        try:
-            self._needle.halt()
-        except DeviceFault as fault:
-            cause += f"; and the stop could not be sent: {fault}"
+    def _halt(self, ending: Ending, cause: str) -> None:
+        names = {Ending.FAULT: EventName.FAULT, Ending.REFUSED: EventName.FAULT, Ending.STOPPED: EventName.STOP}
+        self._needle.halt(latch=ending in names)
+        if ending in names:
+            self._tell(names[ending], str(ending), cause)
         self._tell(EventName.END, str(ending), cause)
-        return cause
 
     def _run(self) -> tuple[Ending, str]:
-        self._begin()
-        while True:
-            ended = self._judged()
-            if ended is None:
-                ended = self._step()
-            if ended is not None:
-                return ended
+        ended = self._begin()
+        while ended is None:
+            ended = self._judged() or self._step()
+        return ended
 
-    def _begin(self) -> None:
+    def _begin(self) -> tuple[Ending, str] | None:
         """Zero the force, find out where the tip is, and turn the bevel to the better side."""
         needle, options = self._needle, self.options
         self._tell(EventName.BEGIN, "operator", f"table {self.table.digest}", self.table.digest)
         needle.listen_until(lambda: needle.stage is not None, options.silence_s, "stage: the first sample")
         self._station.force_sensor.bias()
         self._tell(EventName.BIAS, "begin", "the force at rest is zero")
-        if needle.path_mm < -_NEARLY_MM:
-            needle.begin_insert(0.0)
-            needle.finish_insert()
         entry = measured_entry(needle, self.registration, _FIRST_FRAMES)
         needle.filter = TipFilter.for_scenario(self._scene.scenario, self.registration, entry, self._tip_settings)
         needle.settle(_FIRST_FRAMES)
-        tip = needle.tip
-        x, y = self._scene.clamped(tip.x_mm, tip.y_mm)
-        start = self.table.start((x, y, tip.heading_rad))
+        x, y = self._scene.clamped(*entry[:2])
+        start = self.table.start((x, y, entry[2]))
         self._planned = self.table.path(start)
+        decision = self.table.lookup(*start)
+        if decision.success < self.options.least_success:
+            return self._given_up(start, decision)
+        needle.enable()
+        if needle.path_mm < -_NEARLY_MM:
+            needle.begin_insert(0.0)
+            needle.finish_insert()
+            needle.settle(self.options.settling_frames)
         if start.bevel != needle.bevel:
             needle.rotate(0.0 if start.bevel > 0 else math.pi)
         needle.goal_mm = needle.path_mm
+        return None
 
     def _judged(self) -> tuple[Ending, str] | None:
         """Return how it has ended, by where the tip is now."""
@@ -271,6 +287,13 @@ class Insertion:
             radius = table.scenario.needle.curvature_radius_mm
             text = f"a table for a radius of {radius:.4g} mm, made in {table.stats.seconds:.3f} s"
             self._tell(EventName.TABLE_SWAPPED, "replan", text, table.digest)
+
+    def _paused(self, causes: str, text: str) -> None:
+        self._tell(EventName.PAUSED if causes else EventName.RESUMED, causes, text)
+
+    def _heard(self, event: SafetyEvent) -> None:
+        for listener in self._listeners:
+            listener.safety(event)
 
     def _tell(self, name: EventName, cause: str, text: str, digest: str = "") -> None:
         event = Event(self._station.clock.now_ns(), name, cause, text, self._number, digest)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from needleplan.control.safety import SafetyEvent
 from needleplan.control.station import Sample
 from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import Action, Pose
@@ -21,7 +22,8 @@ class EventName(StrEnum):
     REPLAN_DONE = "replan_done"
     REPLAN_REFUSED = "replan_refused"
     TABLE_SWAPPED = "table_swapped"
-    STATE = "state"
+    PAUSED = "paused"
+    RESUMED = "resumed"
     FAULT = "fault"
     STOP = "stop"
     END = "end"
@@ -96,3 +98,6 @@ class Listener:
 
     def event(self, event: Event) -> None:
         """Hear of an event."""
+
+    def safety(self, event: SafetyEvent) -> None:
+        """Hear of an event of the guard before the stage."""

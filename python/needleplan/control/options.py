@@ -62,6 +62,10 @@ class Options:
     silence_s: float = 1.0
     """Time without any sample after which the devices are taken to be dead."""
 
+    resume_s: float = 5.0
+    """How long a pause, such as one for a tracker that does not see its coil, is waited out; then the run ends. By
+    beginning it, the operator has allowed the loop to resume in his place; 0 does not. A fault is never waited out."""
+
     force_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Direction in the frame of the force sensor in which a force that resists insertion is positive."""
 
@@ -74,7 +78,7 @@ class Options:
             value = getattr(self, each.name)
             if each.name not in _POSITIVE and isinstance(value, float) and not math.isfinite(value):
                 mistakes.append(Mistake(each.name, f"{value:g}", "must be a finite number"))
-        for name in ("lead_s", "replan_share", "settling_frames"):
+        for name in ("lead_s", "replan_share", "resume_s", "settling_frames"):
             if getattr(self, name) < 0:
                 mistakes.append(Mistake(name, f"{getattr(self, name):g}", "must be at least 0"))
         if not 0 <= self.least_success <= 1:

@@ -40,6 +40,8 @@ class Ending(StrEnum):
     """By the operator."""
 
     FAULT = "fault"
+    REFUSED = "refused"
+    """Something was wrong before the needle was moved at all."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from abc import abstractmethod
 from collections import deque
 from dataclasses import dataclass
 
+from needleplan.control.safety import Source
 from needleplan.devices import Clock, ForceSample, ForceSensor, PoseSample, Stage, StageSample, Tracker, VirtualClock
 from needleplan.devices.closing import Closing
 from needleplan.errors import DeviceFault
@@ -33,6 +34,9 @@ class Station:
 class Feed(Closing):
     """Samples of all three devices, one after the other; abstract."""
 
+    failed: Source | None = None
+    """The device whose fault `next` has raised."""
+
     @abstractmethod
     def next(self, timeout_s: float) -> Sample | None:
         """Return the next sample, or None after `timeout_s`. Raises DeviceFault of any of the devices."""
@@ -53,11 +57,14 @@ class TurnFeed(Feed):
         waiting = self._waiting
         if not waiting:
             station = self._station
+            self.failed = Source.STAGE
             first = station.stage.read(timeout_s)
             found: list[Sample] = [first] if first is not None else []
-            for sensor in (station.force_sensor, station.tracker):
+            for source, sensor in ((Source.FORCE, station.force_sensor), (Source.POSE, station.tracker)):
+                self.failed = source
                 while (sample := sensor.read(0.0)) is not None:
                     found.append(sample)
+            self.failed = None
             if len(found) > 1:
                 found.sort(key=_received)
             waiting.extend(found)
@@ -72,12 +79,14 @@ class ThreadedFeed(Feed):
     """Reads every device in a thread of its own: for real time, where a slow tracker must not delay the others."""
 
     def __init__(self, station: Station) -> None:
-        self._queue: queue.SimpleQueue[Sample | DeviceFault] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[Sample | tuple[Source, DeviceFault]] = queue.SimpleQueue()
         self._ending = threading.Event()
-        devices: tuple[Stage | ForceSensor | Tracker, ...] = (station.stage, station.force_sensor, station.tracker)
+        devices: dict[Source, Stage | ForceSensor | Tracker] = {
+            Source.STAGE: station.stage, Source.FORCE: station.force_sensor, Source.POSE: station.tracker,
+        }  # fmt: skip
         self._threads = [
-            threading.Thread(target=self._read, args=(device,), name=f"read {type(device).__name__}", daemon=True)
-            for device in devices
+            threading.Thread(target=self._read, args=(source, device), name=f"read {source}", daemon=True)
+            for source, device in devices.items()
         ]
         for thread in self._threads:
             thread.start()
@@ -88,8 +97,9 @@ class ThreadedFeed(Feed):
             found = self._queue.get(timeout=max(timeout_s, 0.0))
         except queue.Empty:
             return None
-        if isinstance(found, DeviceFault):
-            raise found
+        if isinstance(found, tuple):
+            self.failed, fault = found
+            raise fault
         return found
 
     def close(self) -> None:
@@ -98,15 +108,15 @@ class ThreadedFeed(Feed):
         for thread in self._threads:
             thread.join()
 
-    def _read(self, device: Stage | ForceSensor | Tracker) -> None:
+    def _read(self, source: Source, device: Stage | ForceSensor | Tracker) -> None:
         while not self._ending.is_set():
             try:
                 sample = device.read(_AT_MOST_S)
             except DeviceFault as fault:
-                self._queue.put(fault)
+                self._queue.put((source, fault))
                 return
             except Exception as error:  # a thread that dies in silence would look like a device that is silent
-                self._queue.put(DeviceFault(f"{type(device).__name__}: {error!r}"))
+                self._queue.put((source, DeviceFault(f"{source}: {error!r}")))
                 return
             if sample is not None:
                 self._queue.put(sample)
