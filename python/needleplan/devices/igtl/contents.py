@@ -1,0 +1,231 @@
+"""The bodies that say something of a device or a place: STATUS, STRING, POINT, POLYDATA, SENSOR, and queries."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from needleplan.devices.igtl.message import padded, text_of
+from needleplan.errors import InputError, Mistake, ProtocolError
+
+__all__ = [
+    "Point",
+    "Sensor",
+    "Status",
+    "StatusCode",
+    "Unit",
+    "decode_points",
+    "decode_polyline",
+    "decode_reply",
+    "decode_sensor",
+    "decode_start",
+    "decode_status",
+    "decode_string",
+    "encode_points",
+    "encode_polyline",
+    "encode_reply",
+    "encode_sensor",
+    "encode_start",
+    "encode_status",
+    "encode_string",
+]
+
+_STATUS = struct.Struct(">Hq20s")
+_STRING = struct.Struct(">HH")
+_POINT = struct.Struct(">64s32s4B4f20s")
+_SENSOR = struct.Struct(">BBQ")
+_POLYDATA = struct.Struct(">10I")
+_START = struct.Struct(">I32s")
+_ASCII, _UTF8, _LATIN = 3, 106, 4
+_ENCODINGS = {_ASCII: "ascii", _UTF8: "utf-8", _LATIN: "latin-1"}
+
+
+class StatusCode(IntEnum):
+    """The codes of STATUS."""
+
+    INVALID = 0
+    OK = 1
+    UNKNOWN_ERROR = 2
+    PANIC = 3
+    NOT_FOUND = 4
+    ACCESS_DENIED = 5
+    BUSY = 6
+    TIMEOUT = 7
+    OVERFLOW = 8
+    CHECKSUM_ERROR = 9
+    CONFIGURATION_ERROR = 10
+    RESOURCE_ERROR = 11
+    UNKNOWN_INSTRUCTION = 12
+    NOT_READY = 13
+    MANUAL = 14
+    DISABLED = 15
+    NOT_PRESENT = 16
+    UNKNOWN_VERSION = 17
+    HARDWARE_FAILURE = 18
+    SHUTTING_DOWN = 19
+
+
+_CODES = frozenset(map(int, StatusCode))
+
+
+class Unit(IntEnum):
+    """Units of SENSOR as their 64 bits: prefix (4), then units (6) with exponents (4)."""
+
+    NONE = 0
+    NEWTON = 0x0B << 54 | 1 << 50
+    MILLIMETRE = 0xB << 60 | 0x01 << 54 | 1 << 50
+    NEWTON_METRE = 0x0B << 54 | 1 << 50 | 0x01 << 44 | 1 << 40
+    NEWTON_MILLIMETRE = 0xB << 60 | NEWTON_METRE
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a device is: a code, a code of its own, a name and a sentence."""
+
+    code: StatusCode
+    name: str = ""
+    text: str = ""
+    subcode: int = 0
+
+
+@dataclass(frozen=True)
+class Point:
+    """A marked place, in mm; `colour` is red, green, blue, opacity from 0 to 255."""
+
+    name: str
+    position_mm: tuple[float, float, float]
+    group: str = ""
+    colour: tuple[int, int, int, int] = (255, 255, 0, 255)
+    diameter_mm: float = 0.0
+    owner: str = ""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Up to 255 readings in one unit; `unit` may be one that `Unit` does not name."""
+
+    values: tuple[float, ...]
+    unit: int = Unit.NONE
+
+
+def encode_status(status: Status) -> bytes:
+    """Return the body of STATUS. Raises InputError where the name is longer than 20 bytes."""
+    return _STATUS.pack(status.code, status.subcode, padded(status.name, 20, "status name")) + status.text.encode()
+
+
+def decode_status(content: bytes) -> Status:
+    """Return what STATUS says. Raises ProtocolError."""
+    if len(content) < _STATUS.size:
+        raise ProtocolError(f"OpenIGTLink: STATUS of {len(content)} bytes")
+    number, subcode, name = _STATUS.unpack_from(content)
+    code = StatusCode(number) if number in _CODES else StatusCode.UNKNOWN_ERROR
+    return Status(code, text_of(name), text_of(content[_STATUS.size :]), subcode)
+
+
+def encode_string(text: str) -> bytes:
+    """Return the body of STRING: ASCII where that will do, else UTF-8. Raises InputError beyond 65535 bytes."""
+    data = text.encode()
+    if len(data) > 0xFFFF:
+        raise InputError(Mistake("text", text, "must have at most 65535 bytes"))
+    return _STRING.pack(_ASCII if data.isascii() else _UTF8, len(data)) + data
+
+
+def decode_string(content: bytes) -> str:
+    """Return the text in STRING. Raises ProtocolError; bytes that are not of its encoding are replaced."""
+    if len(content) < _STRING.size:
+        raise ProtocolError(f"OpenIGTLink: STRING of {len(content)} bytes")
+    encoding, length = _STRING.unpack_from(content)
+    if length != len(content) - _STRING.size or encoding not in _ENCODINGS:
+        raise ProtocolError(f"OpenIGTLink: STRING says {length} bytes in encoding {encoding}")
+    return content[_STRING.size :].decode(_ENCODINGS[encoding], "replace")
+
+
+def encode_points(points: Sequence[Point]) -> bytes:
+    """Return the body of POINT. Raises InputError where a name, group (32 bytes) or owner (20 bytes) is too long."""
+    return b"".join(
+        _POINT.pack(
+            padded(each.name, 64, "point"), padded(each.group, 32, "group"), *each.colour, *each.position_mm,
+            each.diameter_mm, padded(each.owner, 20, "owner"),
+        )
+        for each in points
+    )  # fmt: skip
+
+
+def decode_points(content: bytes) -> tuple[Point, ...]:
+    """Return the points in POINT. Raises ProtocolError."""
+    if len(content) % _POINT.size:
+        raise ProtocolError(f"OpenIGTLink: POINT of {len(content)} bytes")
+    return tuple(
+        Point(text_of(name), (x, y, z), text_of(group), (red, green, blue, opacity), diameter, text_of(owner))
+        for name, group, red, green, blue, opacity, x, y, z, diameter, owner in _POINT.iter_unpack(content)
+    )
+
+
+def encode_polyline(points_mm: Sequence[tuple[float, float, float]]) -> bytes:
+    """Return the body of POLYDATA that is one line through `points_mm`; nothing for fewer than two points."""
+    count = len(points_mm) if len(points_mm) > 1 else 0
+    flat = [number for point in points_mm[:count] for number in point]
+    lines = [count, *range(count)] if count else []
+    head = _POLYDATA.pack(count, 0, 0, int(count > 0), 4 * len(lines), 0, 0, 0, 0, 0)
+    return head + struct.pack(f">{len(flat)}f{len(lines)}I", *flat, *lines)
+
+
+def decode_polyline(content: bytes) -> tuple[tuple[float, float, float], ...]:
+    """Return the points of POLYDATA that is one line, or nothing. Raises ProtocolError for other shapes."""
+    if len(content) < _POLYDATA.size:
+        raise ProtocolError(f"OpenIGTLink: POLYDATA of {len(content)} bytes")
+    count, *others = _POLYDATA.unpack_from(content)
+    if not any((count, *others)) and len(content) == _POLYDATA.size:
+        return ()
+    if others != [0, 0, 1, 4 * count + 4, 0, 0, 0, 0, 0] or len(content) != _POLYDATA.size + 16 * count + 4:
+        raise ProtocolError("OpenIGTLink: POLYDATA that is not one line")
+    numbers = struct.unpack_from(f">{3 * count}f{count + 1}I", content, _POLYDATA.size)
+    points = [(numbers[at], numbers[at + 1], numbers[at + 2]) for at in range(0, 3 * count, 3)]
+    length, *order = numbers[3 * count :]
+    if length != count or any(index >= count for index in order):
+        raise ProtocolError("OpenIGTLink: POLYDATA whose line names points that are not there")
+    return tuple(points[index] for index in order)
+
+
+def encode_sensor(sensor: Sensor) -> bytes:
+    """Return the body of SENSOR. Raises InputError for more than 255 readings."""
+    if len(sensor.values) > 0xFF:
+        raise InputError(Mistake("values", str(len(sensor.values)), "must be at most 255 readings"))
+    return _SENSOR.pack(len(sensor.values), 0, sensor.unit) + struct.pack(f">{len(sensor.values)}d", *sensor.values)
+
+
+def decode_sensor(content: bytes) -> Sensor:
+    """Return the readings in SENSOR. Raises ProtocolError."""
+    if len(content) < _SENSOR.size or len(content) != _SENSOR.size + 8 * content[0]:
+        raise ProtocolError(f"OpenIGTLink: SENSOR of {len(content)} bytes")
+    count, _, unit = _SENSOR.unpack_from(content)
+    return Sensor(struct.unpack_from(f">{count}d", content, _SENSOR.size), unit)
+
+
+def encode_start(interval_ms: int, coordinates: str = "") -> bytes:
+    """Return the body of STT_TDATA and STT_QTDATA: the least time between two frames, and a coordinate system."""
+    if not 0 <= interval_ms < 1 << 31:
+        raise InputError(Mistake("interval_ms", str(interval_ms), "must be from 0 to 2147483647"))
+    return _START.pack(interval_ms, padded(coordinates, 32, "coordinates"))
+
+
+def decode_start(content: bytes) -> tuple[int, str]:
+    """Return interval (ms) and coordinate system of STT_TDATA. Raises ProtocolError."""
+    if len(content) != _START.size:
+        raise ProtocolError(f"OpenIGTLink: STT_TDATA of {len(content)} bytes")
+    interval_ms, coordinates = _START.unpack(content)
+    return interval_ms, text_of(coordinates)
+
+
+def encode_reply(granted: bool) -> bytes:
+    """Return the body of RTS_TDATA and its like."""
+    return b"\0" if granted else b"\1"
+
+
+def decode_reply(content: bytes) -> bool:
+    """Return whether a query was granted; an empty reply grants it. Raises ProtocolError."""
+    if len(content) > 1:
+        raise ProtocolError(f"OpenIGTLink: RTS_ of {len(content)} bytes")
+    return content in (b"", b"\0")
