@@ -104,6 +104,7 @@ BROKEN: dict[str, tuple[dict[str, Any], OperatingState, Cause]] = {
     "the pose is suspect": ({"pose": {"health": Health.SUSPECT}}, P, Cause.POSE_SUSPECT),
     "the coil is not seen": ({"pose": {"health": Health.MISSING}}, P, Cause.POSE_UNSEEN),
     "the pose is no number": ({"pose": {"position_mm": (NAN, 0, 0)}}, P, Cause.POSE_SUSPECT),
+    "the coil jumps": ({"pose": {"position_mm": (7.0, 2.0, 3.0)}}, F, Cause.POSE_JUMPED),
     "the tip is not told": ({"tip": {}}, P, Cause.TIP_UNKNOWN),
     "the tip is no number": ({"tip": {"tip_mm": (1.0, NAN), "out_of_plane_mm": 0.0}}, P, Cause.TIP_UNKNOWN),
     "the tip leaves the plane": ({"tip": {"tip_mm": (1, 1), "out_of_plane_mm": -5.1}}, F, Cause.OUT_OF_PLANE),

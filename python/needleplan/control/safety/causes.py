@@ -39,6 +39,8 @@ class Cause(StrEnum):
     """Poses come, but none that may be used."""
     POSE_UNSEEN = "pose_unseen"
     """The tracker answers, but does not see the coil."""
+    POSE_JUMPED = "pose_jumped"
+    """The coil is where the needle cannot have taken it: another tool under the same name, or a field that is bent."""
     POSE_FAULT = "pose_fault"
     """The tracker has given up."""
     TIP_UNKNOWN = "tip_unknown"

@@ -49,6 +49,10 @@ class Inputs:
     stage: Seen[StageSample] = field(default_factory=Seen)
     tip_mm: tuple[float, float] | None = None
     out_of_plane_mm: float = math.nan
+    step_mm: float = 0.0
+    """Way of the coil between the last two usable poses, and the time that it took."""
+    step_s: float = 0.0
+    _coil: tuple[int, tuple[float, float, float]] | None = None
 
     def with_force(self, sample: ForceSample) -> Inputs:
         """Return the inputs after a sample of the force."""
@@ -63,7 +67,12 @@ class Inputs:
         pose = self.pose.then(sample, usable)
         if pose is self.pose or not usable:
             return replace(self, pose=pose)
-        return replace(self, pose=pose, tip_mm=tip_mm, out_of_plane_mm=out_of_plane_mm)
+        now = (sample.stamp.received_ns, sample.position_mm)
+        before_ns, before_mm = now if self._coil is None else self._coil
+        return replace(
+            self, pose=pose, tip_mm=tip_mm, out_of_plane_mm=out_of_plane_mm, _coil=now,
+            step_mm=math.dist(now[1], before_mm), step_s=max(now[0] - before_ns, 0) * _NANO,
+        )  # fmt: skip
 
     def with_stage(self, sample: StageSample) -> Inputs:
         """Return the inputs after a sample of the stage."""
@@ -98,6 +107,9 @@ def _pose(inputs: Inputs, limits: SafetyLimits, now_ns: int) -> Iterator[Cause]:
     yield from _age(pose, limits.pose_age_s, now_ns, (Cause.POSE_FAULT, Cause.POSE_STALE, unusable))
     if pose.usable_ns is None:
         return
+    fastest_mm_s = max(limits.insertion_velocity_mm_s, limits.retraction_velocity_mm_s)
+    if inputs.step_mm > limits.pose_jump_mm + fastest_mm_s * inputs.step_s:
+        yield Cause.POSE_JUMPED
     distance_mm, tip_mm = inputs.out_of_plane_mm, inputs.tip_mm
     if tip_mm is None or not all(map(math.isfinite, (*tip_mm, distance_mm))):
         yield Cause.TIP_UNKNOWN

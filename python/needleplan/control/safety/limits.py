@@ -45,6 +45,9 @@ class SafetyLimits(Part):
     roll_rad: float = _ruled(Number("rad", above=0, at_most=1000), 200.0)
     """Largest roll of the base to either side."""
 
+    pose_jump_mm: float = _ruled(Number("mm", above=0, at_most=1000), 5.0)
+    """Largest way of the coil from one usable pose to the next, beside what the stage can move it."""
+
     out_of_plane_mm: float = _ruled(Number("mm", above=0, at_most=1000), 5.0)
     workspace_x_mm: tuple[float, float] | None = _ruled(_PLACE, None)
     """Where the tip may be in the plane of the table; None for anywhere."""
