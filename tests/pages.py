@@ -4,7 +4,8 @@
   folder that is empty at first. `.venv/bin/` stands for the interpreter that runs the tests.
 - A `text` block right after one of them is what it prints on standard output; `...` stands for anything.
 - A block of any kind with a file name, such as `toml mine.toml`, is written to that file.
-- Other blocks are not run, but for `toml` ones that begin with a schema, which must be scenarios or experiments.
+- Other blocks are not run, but for `toml` ones that begin with a schema, which must be scenarios, experiments
+  or registrations.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ from pathlib import Path
 from typing import Any
 
 import needleplan as npl
+from needleplan.estimation import Registration
+from needleplan.estimation.registration.toml import SCHEMA as REGISTRATION
 from needleplan.simulation import Experiment
-from needleplan.simulation.toml import SCHEMA
+from needleplan.simulation.toml import SCHEMA as EXPERIMENT
 
 ROOT = Path(__file__).parent.parent
 _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -66,7 +69,8 @@ def run(page: Path, folder: Path) -> None:
         else:
             printed = None
             if block.language == "toml" and block.text.startswith("schema"):
-                kind = Experiment if SCHEMA in block.text else npl.Scenario
+                kinds = (Experiment, EXPERIMENT), (Registration, REGISTRATION), (npl.Scenario, "")
+                kind: Any = next(kind for kind, schema in kinds if schema in block.text)
                 kind.from_toml(block.text, place)
 
 

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from needleplan.errors import DataError
-from needleplan.estimation import calibrate_axis, calibrate_pivot, register
+from needleplan.estimation import PivotStatus, calibrate_axis, calibrate_pivot, register, worst_pair
 from needleplan.signals import Array
 
 TIP_MM = 9.3
@@ -46,16 +47,60 @@ def test_exact_poses_give_the_tip() -> None:
     assert found.rms_mm < 1e-9
 
 
-def test_poses_that_do_not_turn_are_refused() -> None:
+def test_least_squares_over_all_poses_finds_the_same() -> None:
+    random = np.random.default_rng(8)
+    positions, rotations = pivoted(random, 60, np.array([0, 0, TIP_MM]), 0.3, 0.2)
+    axes = rotations.apply([0, 0, 1])
+    slow = least_squares(lambda u: (positions + u[0] * axes - u[1:]).ravel(), np.array([1.0, 0, 0, 0]))
+    found = calibrate_axis(positions, 7 * axes)
+    assert found.tip_mm[0] == pytest.approx(slow.x[0], abs=1e-6)
+    np.testing.assert_allclose(found.pivot_mm, slow.x[1:], atol=1e-6)
+    whole = least_squares(lambda u: (positions + rotations.apply(u[:3]) - u[3:]).ravel(), np.ones(6))
+    np.testing.assert_allclose(calibrate_pivot(positions, rotations).tip_mm, whole.x[:3], atol=1e-5)
+
+
+def test_intervals_hold_the_tip_as_often_as_they_say() -> None:
+    random, inside = np.random.default_rng(9), 0
+    for _ in range(300):
+        positions, rotations = pivoted(random, 40, np.array([0, 0, TIP_MM]), 0.3, 0.0)
+        low, high = calibrate_axis(positions, rotations.apply([0, 0, 1])).interval_mm
+        inside += low[0] <= TIP_MM <= high[0]
+    assert 0.92 <= inside / 300 <= 0.98
+
+
+def test_spread_is_the_angle_that_the_needle_turned() -> None:
+    random = np.random.default_rng(10)
+    turn = random.uniform(-np.pi, np.pi, 500)
+    # On the edge of a cone of 20 degrees every direction is 20 degrees from the mean.
+    rotations = Rotation.from_euler("ZYZ", np.column_stack([turn, np.full(500, np.radians(20)), turn * 3]))
+    positions = -rotations.apply([0, 0, TIP_MM])
+    found = calibrate_axis(positions, rotations.apply([0, 0, 1]))
+    assert np.degrees(found.spread_rad) == pytest.approx(20, rel=0.02)
+    assert found.ok
+    assert found.condition == pytest.approx(1 / np.tan(np.radians(10)), rel=0.03)
+
+
+def test_poses_that_do_not_turn_determine_nothing() -> None:
     random = np.random.default_rng(2)
     rolled = Rotation.from_euler("Z", random.uniform(-3, 3, (50, 1)))
     positions = random.normal(0, 0.1, (50, 3))
-    with pytest.raises(DataError, match="must turn in a cone"):
-        calibrate_pivot(positions, rolled)
-    with pytest.raises(DataError, match="must turn in a cone"):
-        calibrate_axis(positions, np.tile([0, 0, 1.0], (50, 1)))
+    still = calibrate_axis(positions, np.tile([0, 0, 1.0], (50, 1)) + random.normal(0, 0.01, (50, 3)))
+    for found in (calibrate_pivot(positions, rolled), still):
+        assert found.status is PivotStatus.TOO_LITTLE_ROTATION
+        assert not found.ok
+        assert np.isnan([*found.tip_mm, *found.tip_sd_mm, *found.pivot_mm, found.rms_mm]).all()
+    few = calibrate_axis(*(each[:9] for each in (positions, cone(random, 50, 30).apply([0, 0, 1]))))
+    assert few.status is PivotStatus.TOO_FEW_POSES
+    assert calibrate_axis(np.zeros((0, 3)), np.zeros((0, 3))).status is PivotStatus.TOO_FEW_POSES
     with pytest.raises(DataError, match="not of length zero"):
         calibrate_axis(positions, np.zeros((50, 3)))
+
+
+def test_a_pose_that_slipped_is_named() -> None:
+    positions, rotations = pivoted(np.random.default_rng(11), 100, np.array([0, 0, TIP_MM]), 0.3, 0.2)
+    assert calibrate_axis(positions, rotations.apply([0, 0, 1])).outliers == ()
+    positions[17] += 4.0
+    assert calibrate_axis(positions, rotations.apply([0, 0, 1])).outliers == (17,)
 
 
 @settings(max_examples=50, deadline=None)
@@ -90,3 +135,31 @@ def test_degenerate_points_are_refused(points: Array) -> None:
         register(points, points)
     with pytest.raises(DataError, match="must be that of first_mm"):
         register(np.eye(3), np.zeros((4, 3)))
+
+
+@pytest.mark.parametrize("points", [4, 6, 12])
+def test_a_bad_point_is_named_and_good_ones_are_not(points: int) -> None:
+    random, blamed, found = np.random.default_rng(12), 0, 0
+    for trial in range(100):
+        first = random.uniform(-50, 50, (points, 3))
+        rotation = Rotation.random(random_state=trial)
+        second = rotation.apply(first) + random.normal(0, 0.2, first.shape)
+        blamed += worst_pair(first, second) is not None
+        bad = trial % points
+        second[bad] += rotation.apply([0.0, 10.0, 10.0])
+        worst = worst_pair(first, second)
+        found += worst is not None and worst.number == bad
+    assert blamed <= 5
+    assert found >= (95 if points > 4 else 10)
+
+
+def test_three_points_leave_nothing_to_find_a_bad_one_with() -> None:
+    assert worst_pair(np.eye(3) * 50, np.eye(3) * 51) is None
+
+
+def test_a_wrong_sign_shows_in_the_mirror_image() -> None:
+    random = np.random.default_rng(13)
+    first = random.uniform(-50, 50, (6, 3))
+    second = Rotation.random(random_state=1).apply(first) * (1, 1, -1)
+    found = register(first, second)
+    assert found.mirrored_fre_mm < 1e-9 < 1 < found.fre_mm

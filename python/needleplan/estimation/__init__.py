@@ -18,12 +18,15 @@ from needleplan.estimation.passes import FilterRun, FilterStatus, Recipe, identi
 from needleplan.estimation.punctures import Drop, force_drops
 from needleplan.estimation.registration import (
     CoilPose,
+    Outlier,
     Pivot,
+    PivotStatus,
     Registration,
     RigidMotion,
     calibrate_axis,
     calibrate_pivot,
     register,
+    worst_pair,
 )
 from needleplan.estimation.replay import mean_absolute_error, replay
 from needleplan.estimation.sample import Sample, Step, Use
@@ -46,8 +49,10 @@ __all__ = [
     "JointForce",
     "NoiseStatus",
     "NumericJoint",
+    "Outlier",
     "PathForm",
     "Pivot",
+    "PivotStatus",
     "PoseUse",
     "Recipe",
     "Registration",
@@ -77,4 +82,5 @@ __all__ = [
     "replay",
     "tip_noise",
     "track_of",
+    "worst_pair",
 ]

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
+from needleplan.recording.cells import number_in, rows_of_cells
 from needleplan.recording.columns import NUMBERS, TEXTS, judge_names
 from needleplan.recording.table import Table
 from needleplan.signals import Record
@@ -21,24 +22,15 @@ from needleplan.signals.record import UNITS
 
 __all__ = ["parse_csv", "to_csv"]
 
-_SEPARATORS = ",;\t"
 _MOST_MISTAKES = 10
 _PRECISION = ".17g"
 
 
 def parse_csv(content: bytes, source: str) -> Table:
     """Return the rows of a CSV file. Raises DataError with the mistakes of the header, or of the first bad rows."""
-    text = _text(content, source)
-    lines = [
-        (number, line)
-        for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
+    lines, rows = rows_of_cells(content, source)
     if not lines:
         raise DataError("is empty: it must begin with a header such as time_s,depth_mm,force_n", source)
-    separator = max(_SEPARATORS, key=lines[0][1].count)
-    # A quoted cell must not run over the end of its line: one stray quote would swallow the rest of the file.
-    rows = [(number, _cells(line, separator, number, source)) for number, line in lines]
     header = rows[0][1]
     _require_names(header, lines[0], source)
     unknown, mistakes = judge_names(header)
@@ -86,7 +78,7 @@ def to_csv(records: Sequence[Record]) -> str:
 def _require_names(header: Sequence[str], line: tuple[int, str], source: str) -> None:
     """Raise DataError where the first line is no header at all, which the names of its columns would not explain."""
     number, text = line
-    if all(_number(cell) is not None for cell in header):
+    if all(number_in(cell) is not None for cell in header):
         rule = "holds numbers: a header with the names of the columns must stand above them, such as time_s,depth_mm"
     elif len(header) == 1 and "time_s" in text.split():
         rule = "is one cell: columns must be separated by commas, semicolons or tabs, not by spaces"
@@ -97,26 +89,6 @@ def _require_names(header: Sequence[str], line: tuple[int, str], source: str) ->
 
 def _cell(number: float) -> str:
     return "" if math.isnan(number) else format(number, _PRECISION)
-
-
-def _text(content: bytes, source: str) -> str:
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise DataError("is UTF-16: save it as UTF-8", source)
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise DataError(Mistake(f"line {line}", "", f"is not UTF-8 (byte {error.start})"), source) from None
-    if "\0" in text:
-        raise DataError("holds null characters: it is not a CSV file", source)
-    return text
-
-
-def _cells(line: str, separator: str, number: int, source: str) -> list[str]:
-    try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, strict=True))]
-    except (csv.Error, StopIteration) as error:
-        raise DataError(Mistake(f"line {number}", line[:100], f"cannot be read: {error}"), source) from None
 
 
 def _read_row(
@@ -134,7 +106,7 @@ def _read_row(
         if name in texts:
             texts[name].append(cell)
         elif name in numbers:
-            value = _number(cell)
+            value = number_in(cell)
             if value is None:
                 rule = f"must be a number in {UNITS[name]}, or empty"
                 if "," in cell:
@@ -143,14 +115,3 @@ def _read_row(
             else:
                 numbers[name].append(value)
     return mistakes
-
-
-def _number(cell: str) -> float | None:
-    """Return a number, NaN for a missing one, None for anything else; infinite ones and 1_000 are something else."""
-    if not cell:
-        return math.nan
-    try:
-        value = float(cell)
-    except ValueError:
-        return None
-    return None if math.isinf(value) or "_" in cell else value

@@ -5,13 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation.registration.rows import FLAT, rows_of
+from needleplan.estimation.registration.rows import rows_of
 from needleplan.signals import Array
 
-__all__ = ["RigidMotion", "register"]
+__all__ = ["Outlier", "RigidMotion", "register", "worst_pair"]
+
+FLAT = 1e-3
+"""Ratio of singular values below which points lie on one line."""
+
+_UNLIKELY = 0.01
 
 
 @dataclass(frozen=True)
@@ -24,6 +30,12 @@ class RigidMotion:
     rotation: Rotation
     translation_mm: Array
     fre_mm: float
+    distances_mm: Array
+    """Of each point from its partner, (n,)."""
+
+    mirrored_fre_mm: float
+    """The same as `fre_mm` for the best reflection: smaller by far where one axis of one frame has the wrong sign."""
+
     centre_mm: Array
     moments_mm2: Array
     """Mean square distances of the points from their three principal axes, (3,), ..."""
@@ -31,7 +43,10 @@ class RigidMotion:
     axes: Array
     """... which are the rows of this, (3, 3)."""
 
-    points: int
+    @property
+    def points(self) -> int:
+        """How many pairs there were."""
+        return len(self.distances_mm)
 
     def apply(self, points_mm: Array) -> Array:
         """Return points (n, 3) or (3,) of the first frame in the second."""
@@ -54,6 +69,15 @@ class RigidMotion:
         return float(size * np.sqrt((1 + np.sum(squares / self.moments_mm2) / 3) / self.points))
 
 
+@dataclass(frozen=True)
+class Outlier:
+    """A pair that the others contradict: its number from 0, how far off it is from them, and how likely that is."""
+
+    number: int
+    distance_mm: float
+    p_value: float
+
+
 def register(first_mm: Array, second_mm: Array) -> RigidMotion:
     """Return the rigid motion that takes points (n, 3) to their partners (n, 3), by least squares (Kabsch).
 
@@ -65,17 +89,49 @@ def register(first_mm: Array, second_mm: Array) -> RigidMotion:
             Mistake("second_mm", f"shape {second.shape}", f"must be that of first_mm, {first.shape}; 3 or more")
         )
     middle_first, middle_second = first.mean(axis=0), second.mean(axis=0)
-    centred = first - middle_first
-    for name, points in (("first_mm", centred), ("second_mm", second - middle_second)):
+    centred, partners = first - middle_first, second - middle_second
+    for name, points in (("first_mm", centred), ("second_mm", partners)):
         spread = np.linalg.svd(points, compute_uv=False)
         if spread[1] <= FLAT * spread[0] or spread[0] == 0:
             raise DataError(
                 Mistake(name, "", "lies on one line, or in one place: the rotation about it is not determined")
             )
-    rotation, _ = Rotation.align_vectors(second - middle_second, centred)
+    rotation, _ = Rotation.align_vectors(partners, centred)
     translation = middle_second - rotation.apply(middle_first)
-    left = rotation.apply(first) + translation - second
+    distances = np.linalg.norm(rotation.apply(first) + translation - second, axis=1)
+    # A reflection is minus a rotation.
+    mirrored, _ = Rotation.align_vectors(partners, -centred)
+    mirrored_left = np.linalg.norm(mirrored.apply(-centred) - partners, axis=1)
     _, singular, axes = np.linalg.svd(centred, full_matrices=True)
     squares = singular**2 / len(first)
-    fre = float(np.sqrt((left**2).sum(axis=1).mean()))
-    return RigidMotion(rotation, translation, fre, middle_first, squares.sum() - squares, axes, len(first))
+    fre, mirrored_fre = (float(np.sqrt((each**2).mean())) for each in (distances, mirrored_left))
+    return RigidMotion(
+        rotation, translation, fre, distances, mirrored_fre, middle_first, squares.sum() - squares, axes
+    )  # fmt: skip
+
+
+def worst_pair(first_mm: Array, second_mm: Array) -> Outlier | None:
+    """Return the pair that the others contradict, at 1 % for all together; None where all agree.
+
+    Each pair is compared with what the others say of it: its squared distance from there over the variance that they
+    show, as F(3, 3 (n - 1) - 6); one bad point spoils the distances of all in the common fit, but not that. Needs four
+    pairs, and tells more with more of them. Raises DataError as `register` does.
+    """
+    whole = register(first_mm, second_mm)
+    first, second = np.asarray(first_mm, float), np.asarray(second_mm, float)
+    degrees = 3 * (whole.points - 1) - 6
+    found = []
+    for number in range(whole.points if degrees > 0 else 0):
+        others = np.arange(whole.points) != number
+        try:
+            motion = register(first[others], second[others])
+        except DataError:
+            continue
+        off = float(np.linalg.norm(motion.apply(first[number]) - second[number]))
+        variance = (motion.fre_mm**2 * motion.points + 1e-18) / degrees
+        # Of the point itself, and of where the others put it.
+        share = 1 + motion.tre_mm(first[number], 1.0) ** 2
+        p_value = float(stats.f.sf(off**2 / (3 * share * variance), 3, degrees))
+        found.append(Outlier(number, off, p_value))
+    worst = min(found, key=lambda each: each.p_value, default=None)
+    return worst if worst and worst.p_value < _UNLIKELY / whole.points else None

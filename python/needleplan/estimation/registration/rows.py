@@ -7,10 +7,7 @@ import numpy as np
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array
 
-__all__ = ["FLAT", "rows_of"]
-
-FLAT = 1e-3
-"""Ratio of singular values below which rotations or points do not determine what is asked."""
+__all__ = ["rows_of"]
 
 
 def rows_of(values: Array, name: str) -> Array:

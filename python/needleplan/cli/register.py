@@ -1,0 +1,123 @@
+"""`needleplan register`: where the tip of a tracked needle is, and how the tracker lies to the plan."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import complain, note, print_json, print_lines
+from needleplan.cli.options import add_json
+from needleplan.errors import InputError, Mistake
+
+if TYPE_CHECKING:
+    from needleplan.workflow.register import Registered
+
+__all__ = ["add_to", "run"]
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "register",
+        help="register a tracked needle: coil to tip, tracker to plan",
+        description="Find how far the coil of a tracked needle is from its tip, from poses while the needle pivots "
+        "about its tip, and how the tracker's frame lies to that of the plan, from points in both. Exit code 1: the "
+        "needle was not turned enough.",
+    )
+    parser.add_argument("--pivot", required=True, metavar="POSES.csv", help="poses of the coil while the needle pivots")
+    parser.add_argument("--points", required=True, metavar="POINTS.csv", help="points in both frames")
+    parser.add_argument("-o", "--output", metavar="REGISTRATION.toml", help="write the registration")
+    parser.add_argument(
+        "--target", metavar="X,Y[,Z]", help="a target of the plan, mm: tell the error that is to be expected there"
+    )
+    parser.add_argument("--title", default="", metavar="TEXT", help="a name for people, kept in the file")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    from needleplan.provenance import require_different, require_writable
+    from needleplan.workflow.register import register_needle
+
+    target = _target(options.target)
+    outputs = [options.output] if options.output else []
+    require_different([options.pivot, options.points], outputs)
+    for output in outputs:
+        require_writable(output)
+    done = register_needle(options.pivot, options.points, options.title)
+    if done.registration and options.output:
+        done.registration.write(options.output)
+        note(f"wrote {options.output}")
+    if options.json:
+        print_json(_record(done, target, options.output))
+    else:
+        print_lines(options.title or "registration", _lines(done, target))
+        for remark in done.remarks if done.ok else ():
+            print(f"  remark       {remark}")
+    return 0 if done.ok else complain("; ".join(done.remarks))
+
+
+def _target(text: str | None) -> tuple[float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
+        raise InputError(Mistake("--target", text, "must be X,Y or X,Y,Z: numbers with commas between them"))
+    x, y, z = (*numbers, 0.0)[:3]
+    return x, y, z
+
+
+def _lines(done: Registered, target: tuple[float, float, float] | None) -> dict[str, str]:
+    pivot = done.pivot
+    turned = (
+        f"{pivot.poses} poses, spread {math.degrees(pivot.spread_rad):.1f} degrees, condition {pivot.condition:.3g}"
+    )
+    if done.registration is None or done.motion is None:
+        return {"coil": pivot.status.value, "pivot": turned}
+    made, motion = done.registration, done.motion
+    low, high = (float(each[0]) for each in pivot.interval_mm)
+    behind = "its axis points to the tip" if made.coil_axis > 0 else "its axis points away from the tip"
+    reach = (high - low) / 2
+    lines = {
+        "coil": f"{made.coil_offset_mm:.2f} mm behind the tip, +- {reach:.2f} mm (95 %); {behind}",
+        "pivot": f"{turned}, residual {pivot.rms_mm:.2f} mm",
+        "points": f"{motion.points}, FRE {motion.fre_mm:.2f} mm, FLE {motion.fle_mm:.2f} mm",
+    }
+    if target:
+        lines["target"] = f"TRE {made.tre_mm(target):.2f} mm expected"
+    return lines
+
+
+def _record(done: Registered, target: tuple[float, float, float] | None, output: str | None) -> dict[str, object]:
+    pivot, made, motion = done.pivot, done.registration, done.motion
+    record: dict[str, object] = {
+        "status": pivot.status.value,
+        "pivot": {
+            "poses": pivot.poses, "spread_rad": pivot.spread_rad, "condition": pivot.condition,
+            "rms_mm": pivot.rms_mm, "offset_mm": float(pivot.tip_mm[0]), "offset_sd_mm": float(pivot.tip_sd_mm[0]),
+            "interval_mm": [float(each[0]) for each in pivot.interval_mm], "outliers": pivot.outliers,
+        },
+        "remarks": done.remarks,
+    }  # fmt: skip
+    if made and motion:
+        outlier = done.outlier
+        record |= {
+            "coil": {
+                "offset_mm": made.coil_offset_mm, "offset_sd_mm": made.coil_offset_sd_mm, "axis": made.coil_axis,
+            },
+            "frame": {"quaternion": made.quaternion, "translation_mm": made.translation_mm},
+            "points": {
+                "count": motion.points, "fre_mm": motion.fre_mm, "fle_mm": motion.fle_mm,
+                "distances_mm": dict(zip(done.names, motion.distances_mm.tolist(), strict=True)),
+                "outlier": None if outlier is None else done.names[outlier.number],
+            },
+            "tre_mm": made.tre_mm(target) if target else None,
+            "digest": made.digest,
+            "output": output,
+        }  # fmt: skip
+    return record

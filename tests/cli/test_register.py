@@ -1,0 +1,153 @@
+"""`needleplan register` as a user runs it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from needleplan.errors import DataError, InputError
+from needleplan.estimation import Registration
+from needleplan.estimation.registration.files import read_points, read_poses
+from needleplan.workflow.register import register_needle
+from tests.cli.commands import needleplan, refused
+from tests.estimation.registrations import (
+    OFFSET_MM,
+    PLAN,
+    SHIFT_MM,
+    TURNED,
+    tracker_points,
+    write,
+    write_points,
+    write_poses,
+)
+
+
+def test_a_needle_is_registered(tmp_path: Path) -> None:
+    poses, points = write_poses(tmp_path / "poses.csv"), write_points(tmp_path / "points.csv")
+    out = tmp_path / "needle.toml"
+    done = needleplan("register", "--pivot", poses, "--points", points, "-o", out, "--target", "100,50", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    found = Registration.read(out)
+    assert told["digest"] == found.digest
+    assert found.coil_offset_mm == pytest.approx(OFFSET_MM, abs=4 * found.coil_offset_sd_mm)
+    assert told["pivot"]["interval_mm"][0] < found.coil_offset_mm < told["pivot"]["interval_mm"][1]
+    assert found.coil_axis == 1
+    # What the tracker sees at the tip of a needle along +x of the plan is there in the plan.
+    place = TURNED.inv().apply(np.array([50.0, 20.0, 0.0]) - SHIFT_MM)
+    x, y, z, w = TURNED.inv().as_quat().tolist()
+    coil = found.place(tuple(place.tolist()), (w, x, y, z))
+    np.testing.assert_allclose(coil.position_mm, [50, 20, 0], atol=0.5)
+    np.testing.assert_allclose(coil.direction, [0, 0, 1], atol=0.01)
+    assert told["points"]["fre_mm"] == pytest.approx(found.fre_mm)
+    assert 0.05 < told["tre_mm"] < 0.5
+    plain = needleplan("register", "--pivot", poses, "--points", points, "--target", "100,50")
+    assert "its axis points to the tip" in plain.stdout
+    assert "TRE" in plain.stdout
+
+
+def test_an_axis_that_points_backwards_is_turned_round(tmp_path: Path) -> None:
+    points = write_points(tmp_path / "points.csv")
+    done = register_needle(write_poses(tmp_path / "poses.csv", sign=-1.0), points)
+    assert done.registration
+    assert done.registration.coil_axis == -1
+    assert done.registration.coil_offset_mm == pytest.approx(OFFSET_MM, abs=0.3)
+
+
+def test_points_touched_with_the_needle_itself(tmp_path: Path) -> None:
+    poses = write_poses(tmp_path / "poses.csv")
+    random = np.random.default_rng(3)
+    tip = tracker_points(noise_mm=0.0)
+    axes = random.normal(size=tip.shape)
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    # The shortest rotation of z to an axis.
+    quaternions = np.column_stack([1 + axes[:, 2], -axes[:, 1], axes[:, 0], np.zeros(len(axes))])
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    header = "tracker_x_mm,tracker_y_mm,tracker_z_mm,plan_x_mm,plan_y_mm,plan_z_mm,qw,qx,qy,qz"
+    rows = np.column_stack([tip - OFFSET_MM * axes, PLAN, quaternions]).tolist()
+    done = register_needle(poses, write(tmp_path / "points.csv", header, rows))
+    assert done.motion
+    assert done.motion.fre_mm < 0.1
+    assert done.names[0] == "line 2"
+
+
+def test_a_needle_that_was_not_turned_is_no_registration(tmp_path: Path) -> None:
+    poses, points = write_poses(tmp_path / "poses.csv", degrees=3.0), write_points(tmp_path / "points.csv")
+    done = needleplan("register", "--pivot", poses, "--points", points, "-o", tmp_path / "out.toml", "--json")
+    assert done.returncode == 1
+    assert "too little rotation" in done.stderr
+    assert json.loads(done.stdout)["pivot"]["offset_mm"] is None
+    assert not (tmp_path / "out.toml").exists()
+    assert needleplan("register", "--pivot", poses, "--points", points).returncode == 1
+
+
+def test_bad_points_are_named(tmp_path: Path) -> None:
+    poses = write_poses(tmp_path / "poses.csv")
+    tracker = tracker_points(plan := np.vstack([PLAN, [[30, 60, 20], [90, 10, -20]]]))
+    slipped = tracker.copy()
+    slipped[2] += 8.0
+    done = register_needle(poses, write_points(tmp_path / "points.csv", slipped, plan))
+    assert done.outlier
+    assert done.outlier.distance_mm == pytest.approx(8 * 3**0.5, abs=1.5)
+    assert any(each.startswith("P3 is ") for each in done.remarks)
+    done = register_needle(poses, write_points(tmp_path / "points.csv", tracker * (1, 1, -1), plan))
+    assert any("mirror image" in each for each in done.remarks)
+    line = np.outer(np.arange(4.0), [10, 20, 5])
+    with pytest.raises(DataError, match="lies on one line") as caught:
+        register_needle(poses, write_points(tmp_path / "line.csv", tracker_points(line), line))
+    assert caught.value.source.endswith("line.csv")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("x_mm,", "x,", "x_mm: column is missing"),
+        ("x_mm,y_mm", "x_mm,x_mm,y_mm", "x_mm: column is there twice"),
+        ("\n", "\n1;2\n", "line 2: must have 7 cells"),
+        ("\n", "\n1,2,3,0,0,0,2\n", "qw to qz (line 2) = length 2: must be a quaternion of length 1"),
+        ("\n", "\n1,2,,0,0,0,1\n", "line 2: must have all seven numbers, or none"),
+        ("\n", "\n1,2,1e9,0,0,0,1\n", "z_mm (line 2) = 1e9: must be a number of at most 100000"),
+    ],
+)
+def test_mistakes_in_poses_are_named(old: str, new: str, says: str, tmp_path: Path) -> None:
+    poses, points = write_poses(tmp_path / "poses.csv", poses=20), write_points(tmp_path / "points.csv")
+    poses.write_text(poses.read_text().replace(old, new, 1))
+    with pytest.raises(DataError) as caught:
+        register_needle(poses, points)
+    assert says in str(caught.value)
+
+
+def test_wrong_input_is_refused(tmp_path: Path) -> None:
+    poses, points = write_poses(tmp_path / "poses.csv"), write_points(tmp_path / "points.csv")
+    refused(needleplan("register", "--pivot", "none.csv", "--points", points), "none.csv", "cannot be read")
+    refused(needleplan("register", "--pivot", poses, "--points", points, "--target", "1"), "must be X,Y or X,Y,Z")
+    refused(needleplan("register", "--pivot", poses, "--points", points, "-o", points), "would replace")
+
+
+def test_unseen_frames_are_left_out(tmp_path: Path) -> None:
+    poses = write_poses(tmp_path / "poses.csv", poses=30)
+    poses.write_text(poses.read_text() + ",,,,,,\nnan,nan,nan,nan,nan,nan,nan\n")
+    assert read_poses(poses).missing == 2
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.text(alphabet="0123456789.,;-+eEnaqwxyz_m\n\"' #", max_size=120), st.integers(0, 300))
+def test_any_text_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, text: str, place: int) -> None:
+    folder = tmp_path_factory.getbasetemp()
+    for name, written, read in (("p", write_poses, read_poses), ("q", write_points, read_points)):
+        file = folder / f"fuzzed_{name}.csv"
+        if name == "p":
+            write_poses(file, poses=10)
+        else:
+            written(file)
+        whole = file.read_text()
+        file.write_text(whole[:place] + text + whole[place:])
+        try:
+            read(file)
+        except InputError as error:
+            assert str(error)
