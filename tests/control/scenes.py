@@ -16,6 +16,11 @@ FAST = Options(velocity_mm_s=20.0, velocity_rad_s=10.0)
 SLOW_SERVO = Robot(servo_hz=400, bandwidth_hz=10.0)
 WIDE = SafetyLimits(insertion_velocity_mm_s=25.0, out_of_plane_mm=20.0)
 
+NOISY = Effects(
+    tracker_noise_mm=0.1, tracker_angle_noise_rad=0.01, heading_noise_rad_sqrt_mm=0.003, coil_offset_mm=2.0,
+    encoder_step_mm=0.001, encoder_step_rad=0.0005, force_noise_n=0.02, tracker_dropout=0.01,
+)  # fmt: skip
+
 
 @cache
 def small_table() -> PolicyTable:
@@ -40,9 +45,12 @@ def station_of(lab: Lab) -> Station:
     return Station(lab.stage, lab.force_sensor, lab.tracker, lab.clock)
 
 
+def coil_of(lab: Lab) -> Registration:
+    return Registration(coil_offset_mm=lab.plant.setup.effects.coil_offset_mm)
+
+
 def insertion_in(lab: Lab, options: Options = FAST, **others: Any) -> Insertion:
-    coil = Registration(coil_offset_mm=lab.plant.setup.effects.coil_offset_mm)
-    return Insertion(small_table(), station_of(lab), options, registration=coil, **{"limits": WIDE} | others)
+    return Insertion(small_table(), station_of(lab), options, registration=coil_of(lab), **{"limits": WIDE} | others)
 
 
 def run_in(lab: Lab, options: Options = FAST, **others: Any) -> Report:

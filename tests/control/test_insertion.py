@@ -12,13 +12,8 @@ from needleplan.control import Ending, EventName, Insertion, Listener, Step
 from needleplan.control.safety import Order
 from needleplan.errors import InputError, MotionRefused
 from needleplan.planning import Action, Outcome
-from needleplan.simulation import Effects, Entry
-from tests.control.scenes import FAST, WIDE, a_lab, insertion_in, run_in, small_table
-
-NOISY = Effects(
-    tracker_noise_mm=0.1, tracker_angle_noise_rad=0.01, heading_noise_rad_sqrt_mm=0.003, coil_offset_mm=2.0,
-    encoder_step_mm=0.001, encoder_step_rad=0.0005, force_noise_n=0.02, tracker_dropout=0.01,
-)  # fmt: skip
+from needleplan.simulation import Entry
+from tests.control.scenes import FAST, NOISY, WIDE, a_lab, insertion_in, run_in, small_table
 
 
 def test_a_perfect_needle_goes_where_the_plan_says() -> None:

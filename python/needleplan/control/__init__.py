@@ -4,12 +4,16 @@ from needleplan.control.insertion import Insertion
 from needleplan.control.listening import Command, CommandKind, Event, EventName, Listener, Step
 from needleplan.control.options import Options
 from needleplan.control.replanning import Replanner, ThreadReplanner
+from needleplan.control.replay import Comparison, RecordedStation, replay
 from needleplan.control.report import Ending, Report
+from needleplan.control.run_recorder import RunRecorder
+from needleplan.control.run_setup import RunSetup
 from needleplan.control.station import Feed, Sample, Station, ThreadedFeed, TurnFeed
 
 __all__ = [
     "Command",
     "CommandKind",
+    "Comparison",
     "Ending",
     "Event",
     "EventName",
@@ -17,12 +21,16 @@ __all__ = [
     "Insertion",
     "Listener",
     "Options",
+    "RecordedStation",
     "Replanner",
     "Report",
+    "RunRecorder",
+    "RunSetup",
     "Sample",
     "Station",
     "Step",
     "ThreadReplanner",
     "ThreadedFeed",
     "TurnFeed",
+    "replay",
 ]

@@ -11,7 +11,6 @@ import math
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 
 from needleplan.control.entry import measured_entry
 from needleplan.control.listening import Event, EventName, Listener, Step
@@ -21,7 +20,7 @@ from needleplan.control.replanning import Replanner, ThreadReplanner, curvature_
 from needleplan.control.report import Ending, Report, Trace
 from needleplan.control.safety import GuardedStage, SafetyEvent, SafetyLimits
 from needleplan.control.scene import Scene
-from needleplan.control.station import Station, feed_of
+from needleplan.control.station import Station
 from needleplan.devices import VirtualClock
 from needleplan.devices.closing import Closing
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
@@ -62,7 +61,7 @@ class Insertion(Closing):
         self._trace = Trace(self.options.force_axis)
         self._listeners = (self._trace, *listeners)
         self.guard = GuardedStage(station.stage, limits, clock=station.clock, listener=self._heard)
-        self._feed = feed_of(replace(station, stage=self.guard))
+        self._feed = station.feed(self.guard)
         self._needle = Needle(self.guard, self._feed, station.clock, self.options, self._listeners)
         self._needle.on_pause = self._paused
         self.registration = registration or Registration()

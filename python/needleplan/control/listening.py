@@ -9,6 +9,7 @@ from needleplan.control.safety import SafetyEvent
 from needleplan.control.station import Sample
 from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import Action, Pose
+from needleplan.recording.mcap import RecorderStatus
 
 __all__ = ["Command", "CommandKind", "Event", "EventName", "Listener", "Step"]
 
@@ -101,3 +102,6 @@ class Listener:
 
     def safety(self, event: SafetyEvent) -> None:
         """Hear of an event of the guard before the stage."""
+
+    def status(self) -> RecorderStatus | None:
+        """Return how the recording of the run fares, where this is one that must not be lost."""

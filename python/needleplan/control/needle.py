@@ -118,6 +118,9 @@ class Needle:
             raise DeviceFault(f"no device has said anything for {self.options.silence_s:g} s")
         if now_ns - self._ticked_ns >= _TICK_NS:
             self._ticked_ns = now_ns
+            for listener in self._listeners:
+                if (status := listener.status()) is not None:
+                    self._guard.observe_recording(status)
             self._guard.tick()
         if self._enabled and self._guard.state.operating in (OperatingState.FAULT, OperatingState.DISABLED):
             raise DeviceFault(f"stopped: {_causes(self._guard.state)}")

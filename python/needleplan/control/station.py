@@ -13,7 +13,7 @@ from needleplan.devices import Clock, ForceSample, ForceSensor, PoseSample, Stag
 from needleplan.devices.closing import Closing
 from needleplan.errors import DeviceFault
 
-__all__ = ["Feed", "Sample", "Station", "ThreadedFeed", "TurnFeed", "feed_of"]
+__all__ = ["Feed", "Sample", "Station", "ThreadedFeed", "TurnFeed"]
 
 Sample = StageSample | ForceSample | PoseSample
 
@@ -21,7 +21,7 @@ _AT_MOST_S = 0.1
 """How long a reading thread may wait before it looks whether it is to end."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Station:
     """What an insertion works with: a stage, a force sensor, a tracker, and the clock of their stamps."""
 
@@ -29,6 +29,11 @@ class Station:
     force_sensor: ForceSensor
     tracker: Tracker
     clock: Clock
+
+    def feed(self, stage: Stage) -> Feed:
+        """Return the samples of the devices, with `stage`, which guards the stage, in its place; as the clock needs."""
+        station = Station(stage, self.force_sensor, self.tracker, self.clock)
+        return TurnFeed(station) if isinstance(self.clock, VirtualClock) else ThreadedFeed(station)
 
 
 class Feed(Closing):
@@ -120,11 +125,6 @@ class ThreadedFeed(Feed):
                 return
             if sample is not None:
                 self._queue.put(sample)
-
-
-def feed_of(station: Station) -> Feed:
-    """Return the feed that fits the clock of a station."""
-    return TurnFeed(station) if isinstance(station.clock, VirtualClock) else ThreadedFeed(station)
 
 
 def _received(sample: Sample) -> int:

@@ -1,0 +1,148 @@
+"""A run as a recording: samples, tips, commands, decisions, events and what the guard said, each on its topic."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from needleplan.control.listening import Command, CommandKind, Event, Listener, Step
+from needleplan.control.run_setup import RunSetup
+from needleplan.control.safety import SafetyEvent
+from needleplan.control.station import Sample
+from needleplan.devices import Clock, ForceSample, StageSample, VirtualClock
+from needleplan.devices.closing import Closing
+from needleplan.estimation.tip import TipEstimate, TipStatus
+from needleplan.planning import Action, PolicyTable
+from needleplan.recording.files import PathLike
+from needleplan.recording.mcap import (
+    EVENT,
+    FORCE,
+    POSE,
+    STAGE,
+    Field,
+    Json,
+    Packed,
+    Recorder,
+    RecorderStatus,
+    Session,
+    WhenFull,
+)
+
+__all__ = ["COMMAND", "DECISION", "TIP", "TOPICS", "RunRecorder", "decision_of"]
+
+_TIP_NUMBERS = (
+    "x_mm", "y_mm", "z_mm", "heading_rad", "elevation_rad", "roll_rad", "curvature_per_mm", "x_sd_mm", "y_sd_mm",
+    "z_sd_mm", "heading_sd_rad", "elevation_sd_rad", "roll_sd_rad", "curvature_sd_per_mm", "depth_mm", "pose_age_s",
+)  # fmt: skip
+
+
+def _tip_row(tip: TipEstimate) -> tuple[Any, ...]:
+    return (tip.time_ns, *(getattr(tip, name) for name in _TIP_NUMBERS), str(tip.status))
+
+
+def _command_row(command: Command) -> tuple[Any, ...]:
+    return (command.time_ns, command.goal, command.speed, str(command.kind))
+
+
+TIP = Packed(
+    "needleplan_msgs/msg/Tip",
+    (Field("time_ns", "int64"), *(Field(name) for name in _TIP_NUMBERS),
+     Field("status", "uint8", tuple(map(str, TipStatus)))),
+    _tip_row,
+)  # fmt: skip
+"""The estimated tip in the frame of the plan."""
+
+COMMAND = Packed(
+    "needleplan_msgs/msg/Command",
+    (Field("sent_ns", "int64"), Field("goal", comment="mm, or rad"), Field("speed", comment="mm/s, or rad/s"),
+     Field("kind", "uint8", tuple(map(str, CommandKind)))),
+    _command_row,
+)  # fmt: skip
+"""A command that the stage has accepted."""
+
+DECISION = Json(
+    "needleplan.Decision",
+    {
+        "number": {"type": "integer"},
+        "action": {"type": "string"},
+        "state": {"type": "array", "items": {"type": "integer"}},
+        "value": {"type": "number"},
+        "success": {"type": "number"},
+    },
+)
+"""What was decided, at which state of which table, and what the tip was then."""
+
+TOPICS = {"/stage": STAGE, "/force": FORCE, "/pose": POSE, "/tip": TIP, "/command": COMMAND, "/decision": DECISION,
+          "/event": EVENT, "/safety": EVENT}  # fmt: skip
+
+
+def decision_of(step: Step) -> dict[str, Any]:
+    """Return a decision as it is recorded."""
+    return {
+        "number": step.number, "action": step.action.name.lower(), "state": list(step.state), "value": step.value,
+        "success": step.success, "length_mm": step.length_mm, "path_mm": step.path_mm,
+        "pose": [*step.pose], "table": step.table_digest, "latency_s": step.latency_s,
+        "tip": asdict(step.estimate), "turn": step.action is Action.ROTATE,
+    }  # fmt: skip
+
+
+class RunRecorder(Listener, Closing):
+    """Writes `path` while the run goes on; on simulated time it waits for the disk instead of losing anything.
+
+    Samples are stored in the order in which the loop took them, which a replay repeats. Raises OutputError where the
+    file cannot be written.
+    """
+
+    def __init__(self, path: PathLike, table: PolicyTable, setup: RunSetup, clock: Clock, title: str = "") -> None:
+        self._clock = clock
+        self._simulated = isinstance(clock, VirtualClock)
+        digests: Mapping[str, str] = {"scenario": table.scenario.digest, "table": table.digest} | setup.digests
+        session = Session(
+            title or table.scenario.title, digests, {"scenario.toml": table.scenario.to_toml()} | setup.texts,
+            setup.options.force_axis, monotonic_ns=clock.now_ns(),
+        )  # fmt: skip
+        self.recorder = Recorder(path, session, when_full=WhenFull.WAIT if self._simulated else WhenFull.DROP)
+        self._topics = {topic: self.recorder.channel(topic, kind) for topic, kind in TOPICS.items()}
+        self._last_ns = 0
+
+    def sample(self, sample: Sample) -> None:
+        """Record a sample."""
+        topic = (
+            "/stage" if isinstance(sample, StageSample) else "/force" if isinstance(sample, ForceSample) else "/pose"
+        )
+        # Of two devices the one that was read first may have the later stamp: the order counts for a replay.
+        self._last_ns = max(sample.stamp.received_ns, self._last_ns)
+        self._topics[topic].put(self._last_ns, sample)
+
+    def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
+        """Record where the tip is."""
+        self._topics["/tip"].put(time_ns, tip)
+
+    def command(self, command: Command) -> None:
+        """Record a command."""
+        self._topics["/command"].put(command.time_ns, command)
+
+    def step(self, step: Step) -> None:
+        """Record a decision."""
+        self._topics["/decision"].put(step.time_ns, decision_of(step))
+
+    def event(self, event: Event) -> None:
+        """Record an event."""
+        entry = {"name": event.name, "cause": event.cause, "text": event.text, "step": event.step}
+        self._topics["/event"].put(event.time_ns, entry | ({"digest": event.digest} if event.digest else {}))
+
+    def safety(self, event: SafetyEvent) -> None:
+        """Record what the guard has to say."""
+        values = {name: each if not isinstance(each, float) or math.isfinite(each) else None
+                  for name, each in event.entry().items()}  # fmt: skip
+        self._topics["/safety"].put(event.time_ns, values)
+
+    def status(self) -> RecorderStatus | None:
+        """Return how the recorder fares in real time; on simulated time it is waited for."""
+        return None if self._simulated else self.recorder.status
+
+    def close(self) -> None:
+        """Finish the file; closing twice is harmless."""
+        self.recorder.close()

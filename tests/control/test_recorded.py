@@ -1,0 +1,124 @@
+"""An insertion as a recording: what is in it, what it exports to, and the loop on it again."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needleplan.control import Ending, Report, RunRecorder, RunSetup, replay
+from needleplan.errors import DataError
+from needleplan.models import Torsion
+from needleplan.planning import plan
+from needleplan.recording import read_records
+from needleplan.recording.mcap import EVENT, Recorder, Recording, Session
+from needleplan.recording.mcap.export import FORMATS
+from tests.control.scenes import FAST, NOISY, WIDE, a_lab, coil_of, insertion_in, small_table
+
+
+def recorded(folder: Path, seed: int, **effects: float) -> tuple[Path, Report]:
+    lab = a_lab(replace(NOISY, **effects), seed)
+    setup = RunSetup(FAST, WIDE, coil_of(lab))
+    path = folder / "run.mcap"
+    with RunRecorder(path, small_table(), setup, lab.clock) as recorder:
+        report = insertion_in(lab, listeners=[recorder]).run()
+    return path, report
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Report]:
+    return recorded(tmp_path_factory.mktemp("run"), 1, curvature_error=0.25)
+
+
+def test_everything_is_in_it(run: tuple[Path, Report]) -> None:
+    path, report = run
+    recording = Recording.read(path)
+    table = small_table()
+    assert recording.session.digests["table"] == table.digest
+    assert recording.session.digests["scenario"] == table.scenario.digest
+    assert recording.session.texts["scenario.toml"] == table.scenario.to_toml()
+    decisions = [each.values for each in recording.messages(["/decision"])]
+    assert [each["value"] for each in decisions] == [step.value for step in report.steps]
+    assert [tuple(each["state"]) for each in decisions] == [step.state for step in report.steps]
+    events = [each.values for each in recording.messages(["/event"])]
+    assert [each["name"] for each in events] == [str(event.name) for event in report.events]
+    swapped = [each for each in events if each["name"] == "table_swapped"]
+    assert len(swapped) == report.replans >= 1
+    assert all(each["digest"].startswith("sha256:") for each in swapped)
+    assert recording.counts["/tip"] == len(report.executed_mm)
+    tips = [each.values for each in recording.messages(["/tip"])]
+    assert np.array_equal(np.array([[each["x_mm"], each["y_mm"]] for each in tips]), report.executed_mm[:, :2])
+    safety = [each.values for each in recording.messages(["/safety"])]
+    assert any(each["name"] == "transition" and each["state"] == "ENABLED" for each in safety)
+    commands = [each.values["kind"] for each in recording.messages(["/command"])]
+    assert commands.count("insert") == len(report.steps)
+    assert commands[-1] == "stop"
+
+
+@pytest.mark.parametrize(("kind", "name"), [("hdf5", "run.h5"), ("csv", "run.csv")])
+def test_it_exports(run: tuple[Path, Report], tmp_path: Path, kind: str, name: str) -> None:
+    FORMATS[kind](Recording.read(run[0]), tmp_path / name)
+    (trial,) = read_records(tmp_path / name)
+    assert {"depth_mm", "force_n", "x_mm"} <= trial.columns.keys()
+    assert trial.columns["depth_mm"][-1] == pytest.approx(run[1].inserted_mm, abs=0.1)
+
+
+def test_the_loop_on_the_recording_decides_as_it_did(run: tuple[Path, Report]) -> None:
+    again = replay(Recording.read(run[0]), small_table())
+    assert again.differences == ()
+    assert again.same
+    assert again.recorded == again.decisions == len(run[1].steps)
+    assert again.report.steps == run[1].steps
+    assert again.report.replans == run[1].replans >= 1
+
+
+def test_a_changed_recording_is_told_apart(run: tuple[Path, Report], tmp_path: Path) -> None:
+    """One decision of the recording is another one."""
+    recording = Recording.read(run[0])
+    changed = tmp_path / "changed.mcap"
+    with Recorder(changed, recording.session) as recorder:
+        channels = {topic: recorder.channel(topic, kind) for topic, kind in recording.kinds.items()
+                    if topic not in ("/session", "/recorder")}  # fmt: skip
+        for message in recording.messages(channels):
+            values = message.values
+            if message.topic == "/decision" and values["number"] == 2:
+                values = values | {"action": "nothing"}
+            if message.topic == "/command" and values["kind"] == "insert":
+                values = values | {"goal": values["goal"] + 1e-3}
+            channels[message.topic].put(message.time_ns, values)
+    again = replay(Recording.read(changed), small_table())
+    assert not again.same
+    assert again.differences[0] == f"decision 2: action {run[1].steps[2].action.name.lower()}, in the recording nothing"
+    assert sum("where the recording has insert" in each for each in again.differences) == len(run[1].steps)
+
+
+def test_another_table_is_refused(run: tuple[Path, Report]) -> None:
+    scenario = small_table().scenario
+    other = plan(replace(scenario, objective=replace(scenario.objective, rotation=5.0)))
+    with pytest.raises(DataError, match=r"digest.table = .*must be that of the table"):
+        replay(Recording.read(run[0]), other)
+
+
+def test_a_recording_of_something_else_is_refused(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "other.mcap", Session("other")) as recorder:
+        recorder.channel("/event", EVENT).put(0, {"name": "x"})
+    with pytest.raises(DataError, match="not the recording of an insertion"):
+        replay(Recording.read(tmp_path / "other.mcap"), small_table())
+
+
+def test_the_setup_comes_back_from_its_texts() -> None:
+    setup = RunSetup(replace(FAST, torsion=Torsion(1.5e4, 0.05), force_axis=(0.0, 0.0, -1.0)), WIDE)
+    assert RunSetup.from_texts(setup.texts) == setup
+    options = json.loads(setup.texts["options.json"]) | {"velocity_mm_s": -1.0}
+    with pytest.raises(DataError, match="velocity_mm_s"):
+        RunSetup.from_texts(setup.texts | {"options.json": json.dumps(options)})
+
+
+def test_an_end_by_a_fault_replays_to_where_it_was(tmp_path: Path) -> None:
+    path, report = recorded(tmp_path, 2, tracker_dropout=0.02, tracker_dropout_s=8.0)
+    assert report.ending is Ending.FAULT
+    again = replay(Recording.read(path), small_table())
+    assert again.differences == ()
