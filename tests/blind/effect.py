@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields, replace
+from abc import ABC
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, ClassVar, Self
+from typing import Self
 
 import numpy as np
 
 from tests.blind.base import Scene
 from tests.blind.contact import Compliance
+from tests.blind.hidden import Hidden
 from tests.blind.motions import Array
 
 
@@ -46,46 +47,9 @@ class ForceName(StrEnum):
     VIBRATION = "vibration"
 
 
-class Axis(StrEnum):
-    """Along which a gap outside of the library lies: what an honest UNKNOWN can still say."""
-
-    TIME = "time"
-    DEPTH = "depth"
-    SPEED = "speed"
-    HOLD = "hold"
-    FORCE = "force"
-    PERIODIC = "position_periodic"
-
-
 @dataclass(frozen=True)
-class Effect(ABC):
-    """One hidden effect. size carries its strength, in UNIT; 0 is the base to the last bit.
-
-    LARGEST bounds the size to what a person would still believe; LINEAR says that the force is linear in the size.
-    SIGNED effects may be negative.
-    """
-
-    NAME: ClassVar[ForceName]
-    UNIT: ClassVar[str]
-    LARGEST: ClassVar[float]
-    FIRST: ClassVar[float]  # a size to begin the search with
-    LINEAR: ClassVar[bool] = True
-    SIGNED: ClassVar[bool] = False
-
-    size: float
-
-    @classmethod
-    @abstractmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        """The effect with size 0 and its other parameters at random, placed within what the training motions reach."""
-
-    def with_size(self, size: float) -> Self:
-        return replace(self, size=size)
-
-    def parameters(self) -> dict[str, Any]:
-        """The truth as plain values; units stand in the names, that of size in UNIT."""
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {"size_unit": self.UNIT, **{k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}}
+class Effect(Hidden, ABC):
+    """A hidden effect of the axial force."""
 
     def tissue_mm(self, time_s: Array) -> Array | None:
         """Motion of the tissue along the path (T,), positive inwards."""

@@ -86,8 +86,8 @@ def generate(spec: ForceSpec) -> tuple[DataSet, Truth]:
     trials = _record(_trials(spec, seeds, [trajectory(each) for each in kinds]), effects, seeds, roles)
     truth = Truth(
         "force", spec.seed, spec.heterogeneity, NOISE_N, "N",
-        tuple(HiddenEffect(each.NAME, each.parameters(), rms, rms / NOISE_N)
-              for each, rms in zip(effects, contributions, strict=True)),
+        tuple(HiddenEffect(each.NAME, each.parameters(), _rms(added), float(np.abs(added).max()), _rms(added) / NOISE_N)
+              for each, added in zip(effects, contributions, strict=True)),
     )  # fmt: skip
     return DataSet((*trials, noise_record(spec.seed))), truth
 
@@ -113,8 +113,8 @@ def contribution_n(spec: ForceSpec, effect: Effect, others: Sequence[Effect] = (
     return _force_n(trials, (*others, effect)) - _force_n(trials, tuple(others))
 
 
-def _sized(spec: ForceSpec) -> tuple[tuple[Effect, ...], tuple[float, ...]]:
-    """The effects of a specification with their sizes found, and the RMS of each in N, the others being there."""
+def _sized(spec: ForceSpec) -> tuple[tuple[Effect, ...], tuple[Array, ...]]:
+    """The effects of a specification with their sizes found, and what each adds in N, the others being there."""
     if not spec.effects:
         return (), ()
     rng = np.random.default_rng(np.random.SeedSequence(spec.seed, spawn_key=(1,)))
@@ -133,9 +133,7 @@ def _sized(spec: ForceSpec) -> tuple[tuple[Effect, ...], tuple[float, ...]]:
         size = scaled(rms_n, want.noise_multiple * NOISE_N, kind.FIRST, kind.LARGEST, linear=kind.LINEAR)
         found.append(effect.with_size(sign * size))
     complete = _force_n(trials, tuple(found))
-    contributions = tuple(
-        _rms(complete - _force_n(trials, tuple(found[:i] + found[i + 1 :]))) for i in range(len(found))
-    )
+    contributions = tuple(complete - _force_n(trials, tuple(found[:i] + found[i + 1 :])) for i in range(len(found)))
     return tuple(found), contributions
 
 

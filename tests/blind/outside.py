@@ -11,7 +11,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from tests.blind.base import Scene
-from tests.blind.effect import Axis, Effect, ForceName, PlainEffect
+from tests.blind.effect import Effect, ForceName, PlainEffect
+from tests.blind.hidden import Axis
 from tests.blind.motions import SECONDS, STEP_S, Array
 
 

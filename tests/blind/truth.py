@@ -10,11 +10,12 @@ from typing import Any
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """rms is its contribution to the training data in the truth's unit, noise_multiple the same in noise RMS."""
+    """Its contribution to the training data: RMS and largest in the truth's unit, and the RMS in that of the noise."""
 
     name: str
     parameters: dict[str, Any]
     rms: float
+    largest: float
     noise_multiple: float
 
 
