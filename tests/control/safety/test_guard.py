@@ -213,9 +213,10 @@ def test_a_stage_that_takes_no_command_is_a_fault() -> None:
     assert guard.state.operating is F
     assert bench.causes == {Cause.STAGE_FAULT}
     bench.stage.broken = False
-    bench.clock.advance(0.03)
-    guard.check()
-    assert bench.stage.wire == [("stop",)], "the stop is sent again"
+    bench.turns(0.2)
+    assert bench.stage.wire == []
+    bench.turns(0.1)
+    assert bench.stage.wire == [("stop",)], "the stop is sent again, and the stage stands still"
 
 
 def test_a_stop_is_repeated_until_the_stage_stands_still() -> None:
@@ -241,6 +242,32 @@ def test_stop_latches() -> None:
     assert bench.stage.wire[-1] == ("stop",)
     assert guard.state.operating is D
     assert refused(guard.order, Order.ENABLE) == {Cause.NOT_RESET, Cause.STOP_ORDERED}
+
+
+def test_a_stage_that_asks_for_it_hears_that_the_loop_is_alive() -> None:
+    bench = Bench()
+    heard = []
+    bench.guard.close()
+    bench.stage.broken = False
+    bench.stage.alive = lambda: heard.append(bench.clock.now_ns())  # type: ignore[attr-defined]
+    bench.guard = GuardedStage(bench.stage, clock=bench.clock)
+    bench.turns(0.1)
+    assert len(heard) == 20
+    for _ in range(100):
+        bench.turn(0.001)
+    assert len(heard) == 40
+    bench.without = {"loop"}
+    bench.turns(0.1)
+    assert len(heard) == 40
+
+    def fail() -> None:
+        raise DeviceFault("no way to it")
+
+    bench.without = set()
+    guard = bench.enabled()
+    bench.stage.alive = fail  # type: ignore[attr-defined]
+    bench.turn()
+    assert Cause.STAGE_FAULT in guard.state.latched
 
 
 def test_two_threads_do_not_command() -> None:

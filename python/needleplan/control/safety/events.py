@@ -32,7 +32,7 @@ class EventName(StrEnum):
     """A person's retraction went to the stage."""
 
     STOP = "stop"
-    """A stop went to the stage; at `sent_ns` it was given to the wire."""
+    """A stop went to the stage, which was called at `sent_ns`."""
 
 
 @dataclass(frozen=True)

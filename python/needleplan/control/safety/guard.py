@@ -33,6 +33,7 @@ from needleplan.control.safety.limits import SafetyLimits
 from needleplan.control.safety.machine import Action, OperatingState, Order, Report, SafetyState, Step, advance
 from needleplan.control.safety.motion import MotionWatch
 from needleplan.control.safety.record import RecordWatch
+from needleplan.control.safety.stopping import Stopping, Vouching
 from needleplan.devices import Clock, ForceSample, PoseSample, Stage, StageSample, SystemClock
 from needleplan.errors import DeviceFault, MotionRefused
 from needleplan.recording.mcap import RecorderStatus
@@ -40,7 +41,6 @@ from needleplan.recording.mcap import RecorderStatus
 __all__ = ["GuardedStage", "Source"]
 
 _NANO = 1e-9
-_AGAIN_S = 0.02
 _PATIENCE_S = 0.02
 """Nobody holds the guard for so long who is not hanging in a command to the stage."""
 
@@ -89,8 +89,9 @@ class GuardedStage(Stage):
         self._latest_ns = self._state.since_ns
         self._enabled_ns = 0
         self._commander: int | None = None
-        self._stop_ns: int | None = None
-        self._halting = self._retracting = self._overtaken = self._deaf = False
+        self._stopping = Stopping(stage, self._clock)
+        self._vouching = Vouching(stage, self._state.since_ns)
+        self._retracting = self._overtaken = self._deaf = False
 
     @property
     def state(self) -> SafetyState:
@@ -151,11 +152,17 @@ class GuardedStage(Stage):
             return self._look(now_ns, status.cause)
 
     def tick(self) -> SafetyState:
-        """Say that the loop is alive, and look at everything; once a turn of the loop."""
+        """Say that the loop is alive, and look at everything; once a turn of the loop.
+
+        A stage that has a watchdog of its own (`alive`) hears it from here.
+        """
         with self._held() as now_ns:
             # A turn that came too late is judged before it is forgotten.
             state = self._look(now_ns)
             self._ticked_ns = now_ns
+            if (error := self._vouching.vouch(now_ns)) is not None:
+                self._fail(Source.STAGE)
+                return self._look(now_ns, str(error))
             return self._look(now_ns) if Cause.LOOP_LATE in state.present else state
 
     def check(self) -> SafetyState:
@@ -218,7 +225,7 @@ class GuardedStage(Stage):
                 self._follow(advance(self._state, Order.PAUSE, now_ns), now_ns, what)
             if self._motion.last is not None:
                 self._motion = self._motion.inserts(depth_mm, velocity_mm_s, now_ns)
-            self._retracting, self._halting = True, False
+            self._retracting, self._stopping.wanted = True, False
             with self._to_stage(what, now_ns):
                 self._stage.insert(depth_mm, velocity_mm_s)
             values = (("depth_mm", depth_mm), ("velocity_mm_s", velocity_mm_s))
@@ -239,7 +246,9 @@ class GuardedStage(Stage):
             self.device_failed(Source.STAGE, error)
             raise
         if sample is not None:
-            self.observe(sample)
+            # Where the guard cannot be reached it has sent a stop; the sample is none the worse for it.
+            with contextlib.suppress(MotionRefused):
+                self.observe(sample)
         return sample
 
     def close(self) -> None:
@@ -297,7 +306,7 @@ class GuardedStage(Stage):
         self._follow(
             advance(self._state, Report(frozenset(causes), last is not None and last.moving), now_ns), now_ns, text
         )
-        if self._halting and self._stop_ns is not None and (now_ns - self._stop_ns) * _NANO >= _AGAIN_S:
+        if self._stopping.due(now_ns):
             self._send_stop()
         return self._state
 
@@ -308,7 +317,7 @@ class GuardedStage(Stage):
             return
         sent_ns = None
         if Action.STOP in step.actions and (not self._retracting or step.causes & _ENDS_RETRACTION):
-            self._retracting, self._halting = False, True
+            self._retracting = False
             sent_ns = self._send_stop()
             self._motion = self._motion.stops(now_ns)
             self._commander = None
@@ -323,21 +332,17 @@ class GuardedStage(Stage):
             self._tell(EventName.STOP, now_ns, step.causes, text, sent_ns=sent_ns)
 
     def _send_stop(self) -> int:
-        self._stop_ns = self._clock.now_ns()
         try:
-            self._stage.stop()
+            return self._stopping.send()
         except DeviceFault:
             self._fail(Source.STAGE)
-        return self._clock.now_ns()
+            return self._clock.now_ns()
 
     def _settle(self, sample: StageSample, now_ns: int) -> None:
         """See whether a stop or a retraction has come to its end."""
-        if sample.moving:
-            return
-        if self._halting and self._stop_ns is not None and sample.stamp.received_ns > self._stop_ns:
-            self._halting = False
+        self._stopping.sees(sample)
         goal = self._motion.depth
-        if self._retracting and goal is not None:
+        if self._retracting and goal is not None and not sample.moving:
             waited_s = (now_ns - goal.began_ns) * _NANO
             if abs(sample.depth_mm - goal.end) <= self._limits.following_mm or waited_s > self._limits.motion_s:
                 self._retracting = False

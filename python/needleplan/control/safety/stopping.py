@@ -1,0 +1,74 @@
+"""What goes to a stage beside commands: stops, again until it stands still, and the proof that the loop is alive."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from needleplan.devices import Clock, Stage, StageSample
+from needleplan.errors import DeviceFault
+
+__all__ = ["Stopping", "Vouching"]
+
+_NANO = 1e-9
+_AGAIN_S = 0.02
+_IN_VAIN_S = 0.25
+"""A stop that did not reach the stage is sent again after so long: trying may block, and others must get their turn."""
+
+_VOUCH_S = 0.005
+
+
+@runtime_checkable
+class _Vouched(Protocol):
+    """A stage with a watchdog of its own, which wants to hear from the loop."""
+
+    def alive(self) -> None: ...
+
+
+class Stopping:
+    """The stop of one stage; `wanted` until it has arrived and the stage has said that it stands still."""
+
+    def __init__(self, stage: Stage, clock: Clock) -> None:
+        self._stage, self._clock = stage, clock
+        self._sent_ns = 0
+        self._arrived = True
+        self.wanted = False
+
+    def send(self) -> int:
+        """Send a stop, and return when. Raises DeviceFault where it did not reach the stage."""
+        self.wanted = True
+        self._sent_ns = self._clock.now_ns()
+        try:
+            self._stage.stop()
+        except DeviceFault:
+            self._sent_ns, self._arrived = self._clock.now_ns(), False
+            raise
+        self._arrived = True
+        return self._sent_ns
+
+    def due(self, now_ns: int) -> bool:
+        """Whether it is time to send it again."""
+        return self.wanted and (now_ns - self._sent_ns) * _NANO >= (_AGAIN_S if self._arrived else _IN_VAIN_S)
+
+    def sees(self, sample: StageSample) -> None:
+        """See whether the stage stands still since the last stop."""
+        if self._arrived and not sample.moving and sample.stamp.received_ns > self._sent_ns:
+            self.wanted = False
+
+
+class Vouching:
+    """Tells a stage that has a watchdog of its own that the loop is alive, not too often; other stages nothing."""
+
+    def __init__(self, stage: Stage, now_ns: int) -> None:
+        self._stage = stage if isinstance(stage, _Vouched) else None
+        self._last_ns = now_ns
+
+    def vouch(self, now_ns: int) -> DeviceFault | None:
+        """Say so, and return what the stage has against it."""
+        if self._stage is None or (now_ns - self._last_ns) * _NANO < _VOUCH_S:
+            return None
+        self._last_ns = now_ns
+        try:
+            self._stage.alive()
+        except DeviceFault as error:
+            return error
+        return None
