@@ -75,12 +75,13 @@ def moved(
     change = np.eye(SIZE)
     change[:, _VARIED] = ((rows[1 : count + 1] - rows[count + 1 :]) / (2 * _STEP[:, None])).T
     after = rows[0]
-    return after, change @ covariance @ change.T + _noise((state + after) / 2, piece, settings)
+    return after, change @ covariance @ change.T + _noise(state, after, piece, settings)
 
 
-def _noise(middle: Array, piece: Piece, settings: TipSettings) -> Array:
+def _noise(before: Array, after: Array, piece: Piece, settings: TipSettings) -> Array:
     """Return the covariance that a piece adds: the tangent's random walk, integrated over its length, and the slip."""
     length = piece.length_mm
+    middle = (before + after) / 2
     cos_h, sin_h = math.cos(middle[HEADING]), math.sin(middle[HEADING])
     cos_e, sin_e = math.cos(middle[ELEVATION]), math.sin(middle[ELEVATION])
     forward = np.array([cos_e * cos_h, cos_e * sin_h, sin_e])
@@ -96,5 +97,11 @@ def _noise(middle: Array, piece: Piece, settings: TipSettings) -> Array:
         noise[:3, :3] += variance * length**3 / 3 * np.outer(across, across)
         noise[:3, angle] = noise[angle, :3] = variance * length**2 / 2 * scale * across
         noise[angle, angle] = variance * length * scale**2
+    # An elevation that wanders takes the roll along where the heading turns.
+    upwards = np.array([-sin_e * cos_h, -sin_e * sin_h, cos_e])
+    turn = float(before[HEADING] - after[HEADING])
+    noise[:3, ROLL] = noise[ROLL, :3] = variance * turn * length**2 / 3 * upwards
+    noise[ELEVATION, ROLL] = noise[ROLL, ELEVATION] = variance * turn * length / 2
+    noise[ROLL, ROLL] = variance * turn**2 * length / 3
     noise[FACTOR, FACTOR] = settings.factor_sd_sqrt_mm**2 * length
     return noise
