@@ -1,0 +1,124 @@
+"""`needleplan lab`: the simulated devices in real time, to be opened by their addresses."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import complain, note, print_json, print_lines
+from needleplan.cli.options import add_json
+from needleplan.errors import InputError, Mistake
+
+if TYPE_CHECKING:
+    from needleplan.simulation import Experiment
+    from needleplan.simulation.processes import RealTimeLab
+
+__all__ = ["add_to", "run"]
+
+_PORTS = ("robot_port", "force_port", "http_port", "tracker_port")
+_LOOK_S = 0.1
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "lab",
+        help="run the lab twin in real time, behind UDP ports and a serial line",
+        description="Run a simulated robot, force sensor and tracker in real time, each in a process of its own that "
+        "speaks the bytes of a real device, print their addresses, and serve them until Ctrl-C.",
+    )
+    parser.add_argument(
+        "experiment", metavar="EXPERIMENT", nargs="?", default="insertion",
+        help="an experiment file (.toml) or a shipped one by name (insertion); its moves are not made",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the seed of the experiment")
+    parser.add_argument("--host", default="127.0.0.1", metavar="HOST", help="where to listen (127.0.0.1)")
+    parser.add_argument("--robot-port", type=int, default=0, metavar="N", help="UDP port of the robot (a free one)")
+    parser.add_argument("--force-port", type=int, default=0, metavar="N", help="UDP port of the force sensor")
+    parser.add_argument("--http-port", type=int, default=0, metavar="N", help="HTTP port of its configuration")
+    parser.add_argument("--tracker", choices=("pty", "tcp"), default="pty", help="how the tracker is reached (pty)")
+    parser.add_argument("--tracker-port", type=int, default=0, metavar="N", help="TCP port of the tracker")
+    parser.add_argument(
+        "--longest-silence", type=float, default=0.34, metavar="S",
+        help="longest time that the robot moves without hearing its controller, if that asks for it (0.34)",
+    )  # fmt: skip
+    parser.add_argument("--for", type=float, dest="duration_s", metavar="S", help="end after so many seconds")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    from needleplan.devices.processes import LabPlaces, TrackerLine
+    from needleplan.devices.robot import RobotLimits
+    from needleplan.simulation import Experiment
+    from needleplan.simulation.processes import RealTimeLab
+
+    _require(options)
+    experiment = Experiment.read(options.experiment)
+    seed = experiment.seed if options.seed is None else options.seed
+    places = LabPlaces(
+        options.host, options.robot_port, options.force_port, options.http_port, TrackerLine(options.tracker),
+        options.tracker_port,
+    )  # fmt: skip
+    ending = threading.Event()
+    # From before the first process on: whoever ends this one, the others end with it.
+    for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(each, lambda *_: ending.set())
+    limits = RobotLimits(longest_silence_s=options.longest_silence)
+    with RealTimeLab(experiment.setup, seed, places, limits) as lab:
+        _print(options, experiment, seed, lab)
+        all_died = _serve(lab, ending, options.duration_s)
+    robot = lab.served.get("robot")
+    if robot is not None:
+        note(
+            f"served {robot.ticks:,} ticks, {robot.overruns:,} of them late, the worst by "
+            f"{1e3 * robot.worst_overrun_s:.3g} ms"
+        )
+    return complain("all processes of the lab have ended") if all_died else 0
+
+
+def _serve(lab: RealTimeLab, ending: threading.Event, duration_s: float | None) -> bool:
+    """Wait for the end, and tell of processes that end before; whether all of them did."""
+    end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
+    while not ending.wait(_LOOK_S) and time.monotonic() < end_s:
+        for name, how in lab.newly_ended().items():
+            note(f"the process of the {name} has ended: {how}")
+        if not lab.alive:
+            return True
+    return False
+
+
+def _print(options: argparse.Namespace, experiment: Experiment, seed: int, lab: RealTimeLab) -> None:
+    addresses = lab.addresses
+    if options.json:
+        print_json(
+            {"robot": addresses.robot, "force": addresses.force, "tracker": addresses.tracker,
+             "title": experiment.title, "digest": experiment.digest, "seed": seed, "processes": lab.pids}
+        )  # fmt: skip
+    else:
+        lines = {"--robot": addresses.robot, "--force": addresses.force, "--tracker": addresses.tracker}
+        print_lines(f"{experiment.title or options.experiment}, seed {seed}; Ctrl-C ends it", lines)
+    sys.stdout.flush()
+
+
+def _require(options: argparse.Namespace) -> None:
+    mistakes = []
+    if options.seed is not None and not 0 <= options.seed < 2**32:
+        mistakes.append(Mistake("--seed", f"{options.seed}", "must be a whole number from 0, below 2^32"))
+    for name in _PORTS:
+        if not 0 <= getattr(options, name) <= 65_535:
+            option = "--" + name.replace("_", "-")
+            mistakes.append(Mistake(option, f"{getattr(options, name)}", "must be a port: from 1 to 65535, 0 for any"))
+    if options.tracker_port and options.tracker == "pty":
+        mistakes.append(Mistake("--tracker-port", f"{options.tracker_port}", "needs --tracker tcp"))
+    if not 0.005 <= options.longest_silence <= 60:
+        mistakes.append(Mistake("--longest-silence", f"{options.longest_silence:g}", "must be from 0.005 to 60 s"))
+    if options.duration_s is not None and not 0 < options.duration_s < 1e7:
+        mistakes.append(Mistake("--for", f"{options.duration_s:g}", "must be a positive number of seconds"))
+    if mistakes:
+        raise InputError(mistakes)
