@@ -1,0 +1,195 @@
+"""The devices of `fault_to_stop.py` in a process of their own, on real sockets, and what goes wrong with them."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import random
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+
+from needleplan.devices.ati import NetFtBox, NetFtServer
+from needleplan.devices.ati.rdt import Command, encode_request
+from needleplan.devices.endpoint import TcpEndpoint
+from needleplan.devices.ndi import AuroraDevice, SimulatedTool
+from needleplan.devices.ndi.frames import Seen
+from needleplan.devices.robot import DriveFaults, Fault, RobotMachine, RobotServer, RobotState, SteadyDrive
+from needleplan.devices.robot.codec import decode
+from needleplan.devices.robot.messages import Kind
+from needleplan.errors import ProtocolError
+
+TOOL = "34801403"
+PAUSE_S = 0.2
+
+
+class FaultLab:
+    """Servers of the three devices; notes when the first stop came and when the robot no longer moved."""
+
+    def __init__(self) -> None:
+        noise = random.Random(1)
+        self.extra_n = 0.0
+        self.box = NetFtBox(lambda _: (noise.gauss(0, 0.01), noise.gauss(0, 0.01), 1 + self.extra_n, 0, 0, 0))
+        self.box.ft_sequence = 3_000_000_000
+        self.tool = SimulatedTool(TOOL, lambda time_s: ((1, 0, 0, 0), (10 + time_s, -20, -150)))
+        self.aurora = AuroraDevice([self.tool])
+        self.machine = RobotMachine(SteadyDrive())
+        self.stop_ns = self.stood_ns = 0
+        self._receive, self._tick = self.machine.receive, self.machine.tick
+        self.machine.receive = self.received  # type: ignore[method-assign]
+        self.machine.tick = self.ticked  # type: ignore[method-assign]
+        self.fault_ns = 0
+        self.force, self.coils = NetFtServer(self.box), TcpEndpoint(self.aurora)
+        self.robot = RobotServer(self.machine)
+        self.robot.__enter__()
+
+    @property
+    def addresses(self) -> tuple[str, str, str]:
+        """Of force sensor, tracker and robot."""
+        return self.force.address, f"{self.coils.address}?tool={TOOL}", f"{self.robot.address}?alive=calls"
+
+    def received(self, datagram: bytes, sender: tuple[str, int], now_ns: int) -> bytes:
+        """Note the first stop after the fault."""
+        answer = self._receive(datagram, sender, now_ns)
+        if self.fault_ns and not self.stop_ns:
+            with contextlib.suppress(ProtocolError):
+                if getattr(decode(datagram), "kind", None) is Kind.STOP:
+                    self.stop_ns = time.monotonic_ns()
+        return answer
+
+    def ticked(self, now_ns: int) -> object:
+        """Note when the robot stands."""
+        sent = self._tick(now_ns)
+        if self.fault_ns and not self.stood_ns and not self.moving:
+            self.stood_ns = time.monotonic_ns()
+        return sent
+
+    @property
+    def moving(self) -> bool:
+        """Whether the robot moves."""
+        return self.machine.state is RobotState.ENABLED and self.machine.drive.advance(time.monotonic()).moving
+
+    def inject(self, name: str) -> None:
+        """Let something go wrong."""
+        # The moment is taken before: what the fault itself takes counts.
+        self.fault_ns = time.monotonic_ns()
+        FAULTS[name](self)
+
+    def close(self) -> None:
+        """Switch everything off."""
+        for each in (self.force, self.coils):
+            with contextlib.suppress(OSError):
+                each.close()
+        self.robot.__exit__(None, None, None)
+
+
+def silent(lab: FaultLab) -> None:
+    lab.box.faults.silent = True
+
+
+def garbage(lab: FaultLab) -> None:
+    step = lab.box.step
+    lab.box.step = lambda time_s: [b"\xff" * len(each) for each in step(time_s)]  # type: ignore[method-assign]
+
+
+def stolen(lab: FaultLab) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief:
+        thief.sendto(encode_request(Command.START), (lab.force.host, lab.force.port))
+
+
+def reboot(lab: FaultLab) -> None:
+    client = lab.box.client
+    lab.box.reboot()
+    lab.box.client = client
+
+
+def strong(lab: FaultLab) -> None:
+    lab.extra_n = 12.0
+
+
+def elsewhere(lab: FaultLab) -> None:
+    lab.tool.pose = lambda time_s: ((1, 0, 0, 0), (10 + time_s, 40, -150))
+
+
+def stopped(_: FaultLab) -> None:
+    """Stop the process of the loop for a while, as a debugger or a swapping machine does."""
+    os.kill(os.getppid(), signal.SIGSTOP)
+    threading.Timer(PAUSE_S, os.kill, (os.getppid(), signal.SIGCONT)).start()
+
+
+def status(value: int) -> Callable[[FaultLab], None]:
+    return lambda lab: setattr(lab.box.faults, "status", value)
+
+
+def seen(value: Seen) -> Callable[[FaultLab], None]:
+    return lambda lab: setattr(lab.tool, "seen", value)
+
+
+def aurora(name: str, value: object) -> Callable[[FaultLab], None]:
+    return lambda lab: setattr(lab.aurora.faults, name, value)
+
+
+def drive(**faults: object) -> Callable[[FaultLab], None]:
+    return lambda lab: setattr(lab.machine.drive, "faults", DriveFaults(**faults))  # type: ignore[arg-type]
+
+
+FAULTS: dict[str, Callable[[FaultLab], None]] = {
+    "2 force: stream stops": silent,
+    "7 force: frozen measurement": lambda lab: setattr(lab.box.faults, "freeze", True),
+    "8 force: box restarts": reboot,
+    "9 force: nothing but garbage": garbage,
+    "11 force: saturation": status(0x8002_0000),
+    "12 force: threshold latched": lambda lab: lab.box.exceed_threshold(),
+    "13 force: other status": status(0x8800_0000),
+    "15 force: stream stolen": stolen,
+    "16 force: beyond its limit": strong,
+    "18 tracker: damage without end": aurora("damage", 10**9),
+    "20 tracker: an error": aurora("error", 0x0C),
+    "21 tracker: coil not seen": seen(Seen.MISSING),
+    "21 tracker: tool disabled": seen(Seen.DISABLED),
+    "22 tracker: out of the volume": lambda lab: setattr(lab.tool, "port_bits", 0x40),
+    "23 tracker: frozen frame": aurora("freeze", True),
+    "24 tracker: another tool": elsewhere,
+    "25 tracker: RESET": lambda lab: lab.coils.say(lab.aurora.reset()),
+    "26 tracker: no reply": aurora("mute", True),
+    "27 tracker: cable out": lambda lab: lab.coils.close(),
+    "28 robot: drive fault": drive(reported=Fault.DRIVE),
+    "30 robot: axis stuck": drive(stuck=True),
+    "31 robot: emergency stop": drive(reported=Fault.ESTOP),
+    "33 loop: hangs": lambda _: None,
+    "33 loop: process stopped for 200 ms": stopped,
+    "34 clock: a sample from the future": lambda _: None,
+    "35 recorder: its thread dies": lambda _: None,
+    "36 operator: a person's stop": lambda _: None,
+}
+OF_THE_LOOP = ("33 loop: hangs", "34 clock: a sample from the future", "35 recorder: its thread dies",
+               "36 operator: a person's stop")  # fmt: skip
+"""These happen in the process of the loop."""
+
+
+def serve(pipe: Connection) -> None:
+    """Answer what comes through the pipe until it is closed."""
+    lab: FaultLab | None = None
+    while True:
+        try:
+            what, name = pipe.recv()
+        except EOFError:
+            return
+        if what == "open":
+            lab = FaultLab()
+            pipe.send(lab.addresses)
+        elif lab is None:
+            pipe.send(None)
+        elif what == "inject":
+            lab.inject(name)
+            pipe.send(lab.fault_ns)
+        elif what == "moving":
+            pipe.send(lab.moving)
+        elif what == "close":
+            pipe.send((lab.stop_ns or math.nan, lab.stood_ns or math.nan))
+            lab.close()
+            lab = None
