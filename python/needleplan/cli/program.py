@@ -11,7 +11,20 @@ import os
 import sys
 from collections.abc import Sequence
 
-from needleplan.cli import entry, evaluate, identify, info, lab, path, plan, recording, register, reproduce, simulate
+from needleplan.cli import (
+    entry,
+    evaluate,
+    identify,
+    info,
+    insert,
+    lab,
+    path,
+    plan,
+    recording,
+    register,
+    reproduce,
+    simulate,
+)
 from needleplan.errors import InputError
 
 __all__ = ["main"]
@@ -49,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in (plan, path, evaluate, entry, info, identify, register, simulate, lab, recording, reproduce):
+    for command in (plan, path, evaluate, entry, info, identify, register, simulate, lab, insert, recording, reproduce):
         command.add_to(commands)
     return parser
 

@@ -1,4 +1,4 @@
-"""`needleplan recording`: what is in a recording, recovering a cut one, exporting."""
+"""`needleplan recording`: what is in a recording, recovering a cut one, exporting, replaying an insertion."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from needleplan.cli.options import add_json
 if TYPE_CHECKING:
     from needleplan.recording.mcap import Recording
 
-__all__ = ["add_to", "run_export", "run_info", "run_recover"]
+__all__ = ["add_to", "run_export", "run_info", "run_recover", "run_replay"]
 
 FORMATS = ("hdf5", "csv", "parquet", "rosbag")
 
@@ -21,10 +21,10 @@ def add_to(commands: Any) -> None:
     """Declare the command and its subcommands."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "recording",
-        help="show, recover and export recordings",
-        description="Show, recover and export recordings of a run (MCAP).",
+        help="show, recover, export and replay recordings",
+        description="Show, recover, export and replay recordings of a run (MCAP).",
     )
-    subcommands = parser.add_subparsers(title="commands", metavar="{info,recover,export}", required=True)
+    subcommands = parser.add_subparsers(title="commands", metavar="{info,recover,export,replay}", required=True)
     info = subcommands.add_parser(
         "info", help="show what is in a recording and verify its checksums",
         description="Show what is in a recording and verify its checksums.",
@@ -51,6 +51,15 @@ def add_to(commands: Any) -> None:
     export.add_argument("--to", required=True, choices=FORMATS)
     export.add_argument("-o", "--output", required=True, metavar="PATH", help="file or folder to write")
     export.set_defaults(run=run_export)
+    again = subcommands.add_parser(
+        "replay", help="let the loop run on the recording of an insertion again",
+        description="Let the loop run on the samples of a recorded insertion, with the table that was used, and "
+        "compare its decisions and commands with the recorded ones. Exit code 1: they are not the same.",
+    )  # fmt: skip
+    again.add_argument("recording", metavar="RUN.mcap")
+    again.add_argument("--table", required=True, metavar="TABLE.h5", help="the policy table of the insertion")
+    add_json(again)
+    again.set_defaults(run=run_replay)
 
 
 def run_info(options: argparse.Namespace) -> int:
@@ -108,6 +117,26 @@ def run_export(options: argparse.Namespace) -> int:
 
     for remark in WRITERS[options.to](Recording.read(options.recording), options.output):
         note(remark)
+    return 0
+
+
+def run_replay(options: argparse.Namespace) -> int:
+    """Replay an insertion and return the exit code."""
+    from needleplan.control import replay
+    from needleplan.planning import PolicyTable
+    from needleplan.recording.mcap import Recording
+
+    done = replay(Recording.read(options.recording), PolicyTable.read(options.table))
+    if options.json:
+        print_json({"same": done.same, "decisions": done.decisions, "recorded": done.recorded,
+                    "differences": list(done.differences), "ending": done.report.ending})  # fmt: skip
+    else:
+        first = done.differences[0] if done.differences else "none"
+        lines = {"decisions": f"{done.decisions}, recorded {done.recorded}", "differences": str(len(done.differences)),
+                 "first": first}  # fmt: skip
+        print_lines(options.recording, lines)
+    if not done.same:
+        return complain(f"the loop does not decide as it did: {(*done.differences, 'it made fewer decisions')[0]}")
     return 0
 
 

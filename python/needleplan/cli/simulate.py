@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 __all__ = ["add_to", "run"]
 
-_ENDINGS = (".csv", ".h5", ".hdf5")
+_RECORDING = ".mcap"
+_ENDINGS = (".csv", ".h5", ".hdf5", _RECORDING)
 
 
 def add_to(commands: Any) -> None:
@@ -24,10 +25,10 @@ def add_to(commands: Any) -> None:
         "simulate",
         help="run an experiment in the lab twin",
         description="Run an experiment with a simulated robot, needle, tissue and sensors, faster than real time, and "
-        "write what the sensors say as records for `needleplan identify`.",
+        "write what the sensors say as records for `needleplan identify`, or as a recording (MCAP).",
     )
     parser.add_argument("experiment", metavar="EXPERIMENT", help="an experiment file (.toml), or a shipped one by name")
-    parser.add_argument("-o", "--output", metavar="RUN", help="write the records (.csv or .h5)")
+    parser.add_argument("-o", "--output", metavar="RUN", help="write the records (.csv or .h5), or a recording (.mcap)")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the seed of the experiment")
     parser.add_argument("--runs", type=int, default=1, metavar="N", help="trials, with consecutive seeds (1)")
     add_json(parser)
@@ -38,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from needleplan.provenance import require_writable
     from needleplan.recording import write_records
-    from needleplan.simulation import Experiment, run_experiment
+    from needleplan.simulation import Experiment, record_run, run_experiment
 
     _require(options)
     experiment = Experiment.read(options.experiment)
@@ -46,7 +47,10 @@ def run(options: argparse.Namespace) -> int:
         require_writable(options.output)
     first = experiment.seed if options.seed is None else options.seed
     runs = [run_experiment(experiment, seed) for seed in range(first, first + options.runs)]
-    if options.output:
+    if options.output and Path(options.output).suffix.lower() == _RECORDING:
+        record_run(runs[0], options.output)
+        note(f"wrote {options.output}")
+    elif options.output:
         write_records([each.record() for each in runs], options.output)
         note(f"wrote {options.output}")
     if options.json:
@@ -76,6 +80,8 @@ def _require(options: argparse.Namespace) -> None:
         mistakes.append(Mistake("--seed", f"{options.seed}", "must be a whole number from 0, below 2^32"))
     if not 1 <= options.runs <= 10_000:
         mistakes.append(Mistake("--runs", f"{options.runs}", "must be a whole number from 1 to 10000"))
+    if options.output and Path(options.output).suffix.lower() == _RECORDING and options.runs != 1:
+        mistakes.append(Mistake("--runs", f"{options.runs}", "must be 1: a recording is of one run"))
     if mistakes:
         raise InputError(mistakes)
 

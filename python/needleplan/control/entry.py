@@ -7,9 +7,11 @@ import math
 import numpy as np
 
 from needleplan.control.needle import Needle
+from needleplan.control.options import Options
+from needleplan.errors import Mistake, PoseError
 from needleplan.estimation.registration import Registration
 
-__all__ = ["measured_entry"]
+__all__ = ["measured_entry", "require_expected"]
 
 
 def measured_entry(needle: Needle, registration: Registration, frames: int) -> tuple[float, float, float]:
@@ -27,3 +29,16 @@ def measured_entry(needle: Needle, registration: Registration, frames: int) -> t
         rows.append([*(at + ahead * along for at, along in zip(position, direction, strict=True)), *direction])
     x, y, _, dx, dy, _ = np.mean(rows, axis=0).tolist()
     return x, y, math.atan2(dy, dx)
+
+
+def require_expected(entry: tuple[float, float, float], options: Options) -> None:
+    """Raise PoseError where the needle stands elsewhere than it should."""
+    expected = options.expected_start
+    if expected is None:
+        return
+    off_mm = math.dist(entry[:2], expected[:2])
+    off_rad = abs(math.remainder(entry[2] - expected[2], 2 * math.pi))
+    if off_mm > options.start_within_mm or off_rad > options.start_within_rad:
+        found = f"x {entry[0]:.2f} mm, y {entry[1]:.2f} mm, heading {math.degrees(entry[2]):.2f} deg"
+        rule = f"is {off_mm:.1f} mm and {math.degrees(off_rad):.1f} deg from the start that is wanted"
+        raise PoseError(Mistake("start", found, rule))

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
 
-from needleplan.control.entry import measured_entry
+from needleplan.control.entry import measured_entry, require_expected
 from needleplan.control.listening import Event, EventName, Listener, Step
 from needleplan.control.needle import Needle, Stopped
 from needleplan.control.options import Options
@@ -61,8 +61,7 @@ class Insertion(Closing):
         self._trace = Trace(self.options.force_axis)
         self._listeners = (self._trace, *listeners)
         self.guard = GuardedStage(station.stage, limits, clock=station.clock, listener=self._heard)
-        self._feed = station.feed(self.guard)
-        self._needle = Needle(self.guard, self._feed, station.clock, self.options, self._listeners)
+        self._needle = Needle(self.guard, station.clock, self.options, self._listeners, station.alive)
         self._needle.on_pause = self._paused
         self.registration = registration or Registration()
         self._tip_settings = tip_settings
@@ -90,9 +89,8 @@ class Insertion(Closing):
         self._thread = threading.get_ident()
         with ExitStack() as closing:
             closing.callback(self._replanner.close)
-            closing.callback(self._feed.close)
             try:
-                ending, cause = self._run()
+                ending, cause = self._run(closing)
             except Stopped as stopped:
                 ending, cause = Ending.STOPPED, str(stopped)
             except KeyboardInterrupt:
@@ -110,20 +108,24 @@ class Insertion(Closing):
             self._tell(names[ending], str(ending), cause)
         self._tell(EventName.END, str(ending), cause)
 
-    def _run(self) -> tuple[Ending, str]:
+    def _run(self, closing: ExitStack) -> tuple[Ending, str]:
+        self._tell(EventName.BEGIN, "operator", f"table {self.table.digest}", self.table.digest)
+        self._station.force_sensor.bias()
+        self._tell(EventName.BIAS, "begin", "the force at rest is zero")
+        feed = self._station.feed(self.guard)
+        closing.callback(feed.close)
+        self._needle.hear(feed)
         ended = self._begin()
         while ended is None:
             ended = self._judged() or self._step()
         return ended
 
     def _begin(self) -> tuple[Ending, str] | None:
-        """Zero the force, find out where the tip is, and turn the bevel to the better side."""
+        """Find out where the tip is, and turn the bevel to the better side."""
         needle, options = self._needle, self.options
-        self._tell(EventName.BEGIN, "operator", f"table {self.table.digest}", self.table.digest)
         needle.listen_until(lambda: needle.stage is not None, options.silence_s, "stage: the first sample")
-        self._station.force_sensor.bias()
-        self._tell(EventName.BIAS, "begin", "the force at rest is zero")
         entry = measured_entry(needle, self.registration, _FIRST_FRAMES)
+        require_expected(entry, options)
         needle.filter = TipFilter.for_scenario(self._scene.scenario, self.registration, entry, self._tip_settings)
         needle.settle(_FIRST_FRAMES)
         x, y = self._scene.clamped(*entry[:2])

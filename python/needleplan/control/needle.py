@@ -40,8 +40,9 @@ class Needle:
     """Reads the devices, keeps the last sample of each, follows the tip, and carries out moves."""
 
     def __init__(
-        self, guard: GuardedStage, feed: Feed, clock: Clock, options: Options, listeners: Sequence[Listener]
-    ) -> None:
+        self, guard: GuardedStage, clock: Clock, options: Options, listeners: Sequence[Listener],
+        alive: Callable[[], None] | None = None,
+    ) -> None:  # fmt: skip
         self.options = options
         self.stage: StageSample | None = None
         self.force: ForceSample | None = None
@@ -62,10 +63,16 @@ class Needle:
 
         self._guard = guard
         self._clock = clock
-        self._feed = feed
+        self._alive = alive
+        self._feed: Feed | None = None
         self._listeners = listeners
         self._heard_ns = self._ticked_ns = clock.now_ns()
         self._enabled = False
+
+    def hear(self, feed: Feed) -> None:
+        """Take samples from a feed from now on."""
+        self._feed = feed
+        self._heard_ns = self._clock.now_ns()
 
     @property
     def path_mm(self) -> float:
@@ -104,6 +111,7 @@ class Needle:
         """Take one sample. Raises Stopped where the operator wants that, DeviceFault of devices, silence and guard."""
         if self.stop_cause:
             raise Stopped(self.stop_cause)
+        assert self._feed is not None
         try:
             sample = self._feed.next(_TURN_S)
         except DeviceFault as fault:
@@ -122,6 +130,8 @@ class Needle:
                 if (status := listener.status()) is not None:
                     self._guard.observe_recording(status)
             self._guard.tick()
+            if self._alive is not None:
+                self._alive()
         if self._enabled and self._guard.state.operating in (OperatingState.FAULT, OperatingState.DISABLED):
             raise DeviceFault(f"stopped: {_causes(self._guard.state)}")
 

@@ -22,8 +22,8 @@ class Options:
     velocity_mm_s: float = 5.0
     """Speed of insertion; the thesis has up to 12."""
 
-    velocity_rad_s: float = 0.314
-    """Speed of rotation; 3 turns a minute, as in the thesis."""
+    velocity_rad_s: float = 3.0
+    """Speed of rotation; the thesis has 3 turns a minute, a tenth of that."""
 
     entry_depth_mm: float = 0.0
     """Depth of the stage at which the tip is at the entry."""
@@ -61,6 +61,12 @@ class Options:
 
     silence_s: float = 1.0
     """Time without any sample after which the devices are taken to be dead."""
+
+    expected_start: tuple[float, float, float] | None = None
+    """Where the needle should go in, x_mm, y_mm, heading_rad: elsewhere it does not."""
+
+    start_within_mm: float = 5.0
+    start_within_rad: float = 0.2
 
     resume_s: float = 5.0
     """How long a pause, such as one for a tracker that does not see its coil, is waited out; then the run ends. By

@@ -49,9 +49,10 @@ class Report:
     """What came of an insertion; lengths in mm.
 
     `planned_mm` [n, 2] is the path that the first table had from the start, `executed_mm` [m, 3] the estimated tip at
-    every frame of the tracker (x, y, out of the plane). `error_mm` is the distance of the last estimate from the centre
-    of the target, `beyond_rim_mm` how much of it is beyond its rim; `deviation_mm` the largest distance from the
-    planned path.
+    every frame of the tracker (x, y, out of the plane), at the lengths `path_mm` [m] of the path and at distances
+    `deviations_mm` [m] from the planned one; `forces` [m, 2] is the axial force (N) over the length of the path.
+    `error_mm` is the distance of the last estimate from the centre of the target, `beyond_rim_mm` how much of it is
+    beyond its rim; `deviation_mm` the largest distance from the planned path, which goes on straight in the target.
     """
 
     ending: Ending
@@ -60,6 +61,9 @@ class Report:
     events: tuple[Event, ...]
     planned_mm: Array
     executed_mm: Array
+    path_mm: Array
+    deviations_mm: Array
+    forces: Array
     tip: TipEstimate | None
     error_mm: float
     beyond_rim_mm: float
@@ -94,6 +98,9 @@ class Trace(Listener):
         self.steps: list[Step] = []
         self.events: list[Event] = []
         self.tips: list[tuple[float, float, float]] = []
+        self.paths_mm: list[float] = []
+        self.forces: list[tuple[float, float]] = []
+        self._force_n = math.nan
         self.last: TipEstimate | None = None
         self.largest_force_n = 0.0
         self._axis = force_axis
@@ -105,11 +112,14 @@ class Trace(Listener):
         self._span_ns = (self._span_ns[0] if self._span_ns else now, now)
         if isinstance(sample, ForceSample):
             along = sum(each * axis for each, axis in zip(sample.force_n, self._axis, strict=True))
+            self._force_n = along
             self.largest_force_n = max(self.largest_force_n, abs(along))
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Keep where the tip is."""
+        """Keep where the tip is, and the force there."""
         self.last = tip
+        self.paths_mm.append(path_mm)
+        self.forces.append((path_mm, self._force_n))
         self.tips.append((tip.x_mm, tip.y_mm, tip.z_mm))
 
     def step(self, step: Step) -> None:
@@ -129,10 +139,12 @@ class Trace(Listener):
         error = math.nan if tip is None else math.dist((tip.x_mm, tip.y_mm), target.center_mm)
         executed = np.array(self.tips, float).reshape(-1, 3)
         line = np.empty((0, 2)) if planned is None else drawn(planned, table)
-        off = path_distances_mm(line, executed[:, :2])
+        along = np.array(self.paths_mm, float)
+        off = np.where(along < 0, 0.0, path_distances_mm(_prolonged(line, 2 * target.radius_mm), executed[:, :2]))
         begin, end = self._span_ns or (0, 0)
         return Report(
-            ending, cause, tuple(self.steps), tuple(self.events), line, executed, tip, error,
+            ending, cause, tuple(self.steps), tuple(self.events), line, executed,
+            along, off, np.array(self.forces, float).reshape(-1, 2), tip, error,
             max(error - target.radius_mm, 0.0), float(off.max(initial=0.0)),
             float(np.abs(executed[:, 2]).max(initial=0.0)), inserted_mm,
             sum(each.action is Action.ROTATE for each in self.steps),
@@ -158,7 +170,15 @@ def drawn(path: Path, table: PolicyTable) -> Array:
 def path_distances_mm(line_mm: Array, points_mm: Array) -> Array:
     """Return the distances of points [m, 2] from a polyline [n, 2]."""
     if len(line_mm) < 2 or not len(points_mm):
-        return np.empty(0)
+        return np.zeros(len(points_mm))
     import shapely
 
     return np.asarray(shapely.distance(shapely.LineString(line_mm), shapely.points(points_mm)))
+
+
+def _prolonged(line_mm: Array, length_mm: float) -> Array:
+    """Return a polyline that goes on straight: the plan ends on the rim of the target, the insertion within."""
+    if len(line_mm) < 2:
+        return line_mm
+    ahead = line_mm[-1] - line_mm[-2]
+    return np.concatenate([line_mm, [line_mm[-1] + ahead * length_mm / np.linalg.norm(ahead)]])

@@ -47,7 +47,8 @@ class RunSetup:
             options: dict[str, Any] = json.loads(texts[_OPTIONS])
             if options["torsion"] is not None:
                 options["torsion"] = Torsion(**options["torsion"])
-            options["force_axis"] = tuple(options["force_axis"])
+            for name in ("force_axis", "expected_start"):
+                options[name] = options[name] and tuple(options[name])
             return cls(
                 Options(**options),
                 SafetyLimits(**json.loads(texts[_LIMITS])),

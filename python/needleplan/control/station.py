@@ -6,6 +6,7 @@ import queue
 import threading
 from abc import abstractmethod
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from needleplan.control.safety import Source
@@ -23,12 +24,16 @@ _AT_MOST_S = 0.1
 
 @dataclass
 class Station:
-    """What an insertion works with: a stage, a force sensor, a tracker, and the clock of their stamps."""
+    """What an insertion works with: a stage, a force sensor, a tracker, and the clock of their stamps.
+
+    `alive`, where the stage wants to hear that the loop lives, is called at least every 20 ms.
+    """
 
     stage: Stage
     force_sensor: ForceSensor
     tracker: Tracker
     clock: Clock
+    alive: Callable[[], None] | None = None
 
     def feed(self, stage: Stage) -> Feed:
         """Return the samples of the devices, with `stage`, which guards the stage, in its place; as the clock needs."""

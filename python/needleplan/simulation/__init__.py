@@ -14,6 +14,7 @@ from needleplan.simulation.experiment import Experiment, shipped_experiments
 from needleplan.simulation.lab import Lab, SimulatedForceSensor, SimulatedStage, SimulatedTracker
 from needleplan.simulation.parts import Entry, Layer, Move, Robot, Shaft, Tissue
 from needleplan.simulation.plant import Plant
+from needleplan.simulation.recorded import record_run
 from needleplan.simulation.run import Phase, Run, run_experiment
 from needleplan.simulation.setup import Setup
 
@@ -35,6 +36,7 @@ __all__ = [
     "SimulatedTracker",
     "Tissue",
     "open_lab",
+    "record_run",
     "run_experiment",
     "shipped_experiments",
 ]

@@ -1,0 +1,212 @@
+"""`needleplan insert`: the intraoperative loop."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import complain, note, percent, print_json, print_lines
+from needleplan.cli.options import add_figure, add_json, add_start, add_table, start_pose
+from needleplan.errors import AddressError, DeviceFault, InputError, Mistake
+
+if TYPE_CHECKING:
+    from needleplan.control import Insertion, Report, RunSetup
+    from needleplan.planning import PolicyTable
+    from needleplan.workflow.insertion import Bench
+
+__all__ = ["add_to", "run"]
+
+_SIM = "sim://"
+_REFUSED, _INTERRUPTED = 2, 130
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "insert",
+        help="insert the needle by a policy table: the intraoperative loop",
+        description="Insert a needle by a policy table, in the simulated lab or with real devices. Ctrl-C stops the "
+        "needle where it is. Exit code 1: the target was not reached; 2: refused before anything moved.",
+    )
+    add_table(parser)
+    for name, what in (("robot", "udp://"), ("force", "udp://"), ("tracker", "serial://, tcp:// or igtl://")):
+        parser.add_argument(
+            f"--{name}", metavar="URL", help=f"{what}, or sim://[EXPERIMENT][?seed=N] for all three (sim://)"
+        )
+    parser.add_argument("--registration", metavar="FILE", help="coil to tip and tracker to plan; needed but in sim://")
+    add_start(parser)
+    parser.add_argument("--scenario", metavar="SCENARIO.toml", help="refuse a table of another scenario")
+    parser.add_argument("--needle", metavar="MODEL.toml", help="refuse a table for a needle of another radius")
+    parser.add_argument("--limits", metavar="FILE", help="limits of the run, in a table [safety]")
+    parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="of insertion, mm/s (5)")
+    parser.add_argument("--rotation-speed", type=float, metavar="RAD_S", default=3.0, help="rad/s (3)")
+    parser.add_argument("--entry-depth", type=float, metavar="MM", default=0.0, help="of the stage at the entry (0)")
+    parser.add_argument("--torsion", metavar="GJ,TAU", help="N mm^2 and N mm/mm: compensate the lag of the tip's roll")
+    parser.add_argument("--needle-length", type=float, metavar="MM", help="of the shaft, for the torsion (200)")
+    parser.add_argument("--force-axis", metavar="X,Y,Z", default="0,0,1", help="in which resistance counts (0,0,1)")
+    parser.add_argument("--no-replan", action="store_true", help="keep the table, however the needle bends")
+    parser.add_argument("--stops", action="store_true", help="stop after every step, not only to rotate")
+    parser.add_argument("-o", "--output", metavar="RUN.mcap", help="record the run")
+    add_figure(parser, "the planned and the executed path, deviations and force")
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    from needleplan.planning import PolicyTable
+    from needleplan.provenance import require_different, require_writable
+    from needleplan.workflow.insertion import are_simulated, open_bench
+
+    table = PolicyTable.read(options.table)
+    _require_table(table, options)
+    outputs = [output for output in (options.output, options.figure) if output]
+    require_different([options.table], outputs)
+    for output in outputs:
+        require_writable(output)
+    wanted = start_pose(options.start) if options.start is not None else None
+    start = table.start(wanted) if wanted else table.best_entry().pose
+    addresses = [getattr(options, name) for name in ("robot", "force", "tracker")]
+    given = {address for address in addresses if address and address.startswith(_SIM)} or {_SIM}
+    # One lab has all three: what is not said is in the same one.
+    robot, force, tracker = (address or min(given) for address in addresses)
+    setup = _setup(options, wanted)
+    if not are_simulated(robot, force, tracker) and not options.registration:
+        rule = "is missing: only the simulated lab needs none; see `needleplan register`"
+        raise AddressError(Mistake("--registration", "", rule))
+    try:
+        with open_bench(robot, force, tracker, table, start) as bench:
+            report = _insert(table, bench, setup(bench), options)
+            true_tip = bench.true_tip_mm
+    except DeviceFault as fault:
+        complain(str(fault))
+        return _REFUSED
+    return _answer(table, report, true_tip, options)
+
+
+def _insert(table: PolicyTable, bench: Bench, setup: RunSetup, options: argparse.Namespace) -> Report:
+    from needleplan.cli.insert_view import view
+    from needleplan.control import Insertion, Listener, RunRecorder
+    from needleplan.control.safety import Watchdog
+
+    with ExitStack() as stack:
+        listeners: list[Listener] = []
+        if options.output:
+            listeners.append(stack.enter_context(RunRecorder(options.output, table, setup, bench.station.clock)))
+        listeners.append(stack.enter_context(view(table, setup.options)))
+        insertion = stack.enter_context(
+            Insertion(
+                table, bench.station, setup.options, registration=setup.registration,
+                tip_settings=setup.tip_settings, limits=setup.limits, listeners=listeners,
+            )
+        )  # fmt: skip
+        if bench.lab is None:
+            stack.enter_context(Watchdog(insertion.guard))
+        with _stopped_by_signals(insertion):
+            return insertion.run()
+
+
+@contextmanager
+def _stopped_by_signals(insertion: Insertion) -> Iterator[None]:
+    """Let Ctrl-C, and being asked to end, stop the needle."""
+    names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "asked to end"}
+    before = {number: signal.signal(number, lambda n, _: insertion.stop(names[signal.Signals(n)])) for number in names}
+    try:
+        yield
+    finally:
+        for number, action in before.items():
+            signal.signal(number, action)
+
+
+def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
+    from needleplan.models import ModelFile
+    from needleplan.scenario import Scenario, identified
+    from needleplan.workflow.insertion import require_fitting
+
+    scenario = Scenario.read(options.scenario) if options.scenario else None
+    needle = identified(ModelFile.read(options.needle), options.needle) if options.needle else None
+    require_fitting(table, options.table, scenario, needle)
+
+
+def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any:
+    """Check what was asked for, and return what makes the setup of it when the devices are open."""
+    from needleplan.control import Options, RunSetup
+    from needleplan.control.safety import SafetyLimits
+    from needleplan.estimation.registration import Registration
+    from needleplan.models import Torsion
+
+    registration = Registration.read(options.registration) if options.registration else None
+    limits = SafetyLimits.read(options.limits) if options.limits else SafetyLimits()
+    torsion = Torsion(*_numbers("--torsion", options.torsion, 2)) if options.torsion else None
+    x, y, z = _numbers("--force-axis", options.force_axis, 3)
+    length = math.hypot(x, y, z)
+    if not length:
+        raise InputError(Mistake("--force-axis", options.force_axis, "must be a direction"))
+    if options.speed > limits.insertion_velocity_mm_s:
+        rule = f"must be at most the limit of the run, {limits.insertion_velocity_mm_s:g} mm/s"
+        raise InputError(Mistake("--speed", f"{options.speed:g}", rule))
+
+    def made(bench: Bench) -> RunSetup:
+        its_length = bench.needle_length_mm or 200.0
+        how = Options(
+            velocity_mm_s=options.speed, velocity_rad_s=options.rotation_speed, entry_depth_mm=options.entry_depth,
+            longest_mm=limits.deepest_mm - options.entry_depth, torsion=torsion or bench.torsion,
+            needle_length_mm=its_length if options.needle_length is None else options.needle_length,
+            stops=options.stops, replan=not options.no_replan,
+            force_axis=(x / length, y / length, z / length),
+            expected_start=(wanted[0], wanted[1], wanted[2]) if wanted else None,
+        )  # fmt: skip
+        return RunSetup(how, limits, registration or bench.registration or Registration())
+
+    return made
+
+
+def _numbers(name: str, text: str, count: int) -> list[float]:
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise InputError(Mistake(name, text, f"must be {count} numbers with commas between them"))
+    return numbers
+
+
+def _answer(
+    table: PolicyTable, report: Report, true_tip: tuple[float, float, float] | None, options: argparse.Namespace
+) -> int:
+    from needleplan.control import Ending
+
+    target = table.scenario.target.center_mm
+    true_error = None if true_tip is None else math.dist(true_tip[:2], target)
+    if options.output:
+        note(f"wrote {options.output}")
+    if options.figure:
+        from needleplan.workflow.figures import save
+        from needleplan.workflow.insertion import insertion_figure
+
+        save(insertion_figure(table, report, true_tip), options.figure)
+        note(f"drew {options.figure}")
+    if options.json:
+        print_json({**report.record(), "true_error_mm": true_error, "true_tip_mm": true_tip and list(true_tip),
+                    "recording": options.output, "figure": options.figure})  # fmt: skip
+    else:
+        lines = {
+            "ended": f"{report.ending}: {report.cause}",
+            "error": f"{report.error_mm:.2f} mm from the centre of the target, {report.beyond_rim_mm:.2f} mm beyond "
+            "its rim" + ("" if true_error is None else f"; in truth {true_error:.2f} mm from the centre"),
+            "deviation": f"at most {report.deviation_mm:.2f} mm from the planned path, {report.out_of_plane_mm:.2f} mm "
+            "out of the plane",
+            "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
+            "plan": f"success {percent(report.predicted_success)} promised; planned again {report.replans} times",
+            "force": f"at most {report.largest_force_n:.2f} N",
+            "time": f"{report.duration_s:.1f} s",
+        }  # fmt: skip
+        print_lines(table.scenario.title or options.table, lines)
+    if report.ending is Ending.TARGET:
+        return 0
+    complain(f"{report.ending}: {report.cause}")
+    return {Ending.REFUSED: _REFUSED, Ending.STOPPED: _INTERRUPTED}.get(report.ending, 1)

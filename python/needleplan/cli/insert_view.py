@@ -1,0 +1,125 @@
+"""An insertion on the terminal while it goes on: a small table that is rewritten, or plain lines."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from needleplan.control import Event, EventName, Listener, Options, Sample, Step
+from needleplan.control.safety import SafetyEvent
+from needleplan.devices import ForceSample, PoseSample, StageSample
+from needleplan.estimation.tip import TipEstimate
+
+if TYPE_CHECKING:
+    from rich.live import Live
+    from rich.table import Table
+
+    from needleplan.planning import PolicyTable
+
+__all__ = ["LiveView", "PlainView", "view"]
+
+_PERIOD_S = 0.1
+_TOLD = {EventName.TABLE_SWAPPED, EventName.REPLAN_REFUSED, EventName.PAUSED, EventName.RESUMED, EventName.FAULT,
+         EventName.STOP}  # fmt: skip
+
+
+class PlainView(Listener):
+    """A line for every decision, and for every event that matters."""
+
+    def step(self, step: Step) -> None:
+        """Say what was decided."""
+        tip = step.estimate
+        self._say(
+            f"step {step.number:3d}  {step.action!s:20s} {step.length_mm:5.2f} mm at {step.path_mm:6.2f} mm: "
+            f"x {tip.x_mm:6.2f}, y {tip.y_mm:6.2f} mm, {math.degrees(tip.heading_rad):6.1f} deg, "
+            f"success {100 * step.success:.1f} %"
+        )
+
+    def event(self, event: Event) -> None:
+        """Say what happened."""
+        if event.name in _TOLD:
+            self._say(f"{event.name.replace('_', ' ')}: {event.text}" + (f" ({event.cause})" if event.cause else ""))
+
+    def _say(self, text: str) -> None:
+        print(text, file=sys.stderr)
+
+
+class LiveView(PlainView):
+    """The numbers of now, above them the events, on a terminal."""
+
+    def __init__(self, live: Live, table: PolicyTable, options: Options) -> None:
+        self._live = live
+        self._target, self._axis = table.scenario.target.center_mm, options.force_axis
+        self._samples: dict[type[Sample], Sample] = {}
+        self._tip: TipEstimate | None = None
+        self._step: Step | None = None
+        self._state, self._due_s, self._now_ns = "DISABLED", 0.0, 0
+        self._planned: list[tuple[float, float]] = []
+
+    def sample(self, sample: Sample) -> None:
+        """Keep a sample, and show all now and then."""
+        self._samples[type(sample)] = sample
+        self._now_ns = max(self._now_ns, sample.stamp.received_ns)
+        if time.monotonic() >= self._due_s:
+            self._due_s = time.monotonic() + _PERIOD_S
+            self._live.update(self.rows())
+
+    def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
+        """Keep where the tip is."""
+        self._tip = tip
+
+    def step(self, step: Step) -> None:
+        """Keep a decision."""
+        self._step = step
+
+    def safety(self, event: SafetyEvent) -> None:
+        """Keep the state of the guard."""
+        self._state = str(event.state)
+
+    def rows(self) -> Table:
+        """Return what is shown."""
+        from rich.table import Table
+
+        rows = Table(show_header=False, box=None, padding=(0, 2))
+        stage, force, pose = (self._samples.get(kind) for kind in (StageSample, ForceSample, PoseSample))
+        rows.add_row("state", self._state)
+        if isinstance(stage, StageSample):
+            rows.add_row("depth", f"{stage.depth_mm:7.2f} mm at {stage.velocity_mm_s:6.2f} mm/s")
+        if isinstance(force, ForceSample):
+            along = sum(each * axis for each, axis in zip(force.force_n, self._axis, strict=True))
+            rows.add_row("force", f"{along:7.2f} N")
+        if self._tip:
+            tip = self._tip
+            off = math.dist((tip.x_mm, tip.y_mm), self._target)
+            rows.add_row("tip", f"x {tip.x_mm:7.2f} mm  y {tip.y_mm:7.2f} mm  {math.degrees(tip.heading_rad):6.1f} deg")
+            rows.add_row("target", f"{off:7.2f} mm away; {tip.z_mm:+.2f} mm out of the plane")
+            rows.add_row("radius", f"{1 / max(tip.curvature_per_mm, 1e-9):7.2f} mm estimated; {tip.status}")
+        if self._step:
+            step = self._step
+            rows.add_row("action", f"step {step.number}: {step.action}, success {100 * step.success:.1f} %")
+        ages = [
+            f"{name} {(self._now_ns - each.stamp.received_ns) * 1e-6:.0f} ms"
+            for name, each in (("stage", stage), ("force", force), ("tracker", pose)) if each is not None
+        ]  # fmt: skip
+        rows.add_row("ages", ", ".join(ages))
+        return rows
+
+    def _say(self, text: str) -> None:
+        self._live.console.print(text)
+
+
+@contextmanager
+def view(table: PolicyTable, options: Options) -> Iterator[PlainView]:
+    """Show a run on standard error: live on a terminal, in lines elsewhere."""
+    if not sys.stderr.isatty():
+        yield PlainView()
+        return
+    from rich.console import Console
+    from rich.live import Live
+
+    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
+        yield LiveView(live, table, options)

@@ -1,0 +1,112 @@
+"""`needleplan insert` in the simulated lab, and what it refuses before anything moves."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from needleplan.cli import main
+from needleplan.errors import TableError
+from needleplan.estimation.registration import Registration
+from needleplan.recording.mcap import Recording
+from needleplan.scenario import Identified
+from needleplan.workflow.insertion import require_fitting
+from tests.cli.commands import needleplan
+from tests.control.scenes import small_table
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("tables") / "table.h5"
+    small_table().write(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("experiments") / "quick.toml"
+    path.write_text(
+        'schema = "needleplan.experiment/1"\n[tissue]\ncurvature_per_mm = 0.025\n[robot]\nservo_hz = 400\n'
+        "bandwidth_hz = 10\n[effects]\ncoil_offset_mm = 2.0\ntracker_noise_mm = 0.05\ntorsional_friction_n = 0.02\n"
+        "[[move]]\ndwell_s = 1.0\n"
+    )
+    return path
+
+
+def test_it_reaches_the_target_and_the_recording_replays(file: Path, quick: Path, tmp_path: Path) -> None:
+    run, figure = tmp_path / "run.mcap", tmp_path / "run.svg"
+    arguments = ("--speed", 10, "--rotation-speed", 10, "-o", run, "--figure", figure, "--json")
+    done = needleplan("insert", file, "--robot", f"sim://{quick}?seed=4", *map(str, arguments))
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert answer["ending"] == "target"
+    assert answer["error_mm"] <= small_table().scenario.target.radius_mm
+    assert answer["true_error_mm"] == pytest.approx(answer["error_mm"], abs=0.3)
+    assert answer["table"] == small_table().digest
+    assert done.stderr.count("\nstep ") + done.stderr.startswith("step ") == answer["steps"]
+    assert "<svg" in figure.read_text()
+    session = Recording.read(run).session
+    assert session.force_axis == (0.0, 0.0, 1.0)
+    assert json.loads(session.texts["options.json"])["torsion"]["torque_per_length_n"] == 0.02
+    again = needleplan("recording", "replay", run, "--table", file, "--json")
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout) == {
+        "same": True, "decisions": answer["steps"], "recorded": answer["steps"], "differences": [], "ending": "target",
+    }  # fmt: skip
+
+
+def test_without_a_way_to_the_target_it_does_not_begin(file: Path, quick: Path) -> None:
+    done = needleplan("insert", file, "--robot", f"sim://{quick}", "--start=0,39,85", "--json")
+    assert done.returncode == 1
+    answer = json.loads(done.stdout)
+    assert (answer["ending"], answer["steps"], answer["inserted_mm"]) == ("unreachable", 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--robot", "udp:/wrong"], ["--robot", "udp"]),
+        (["--robot", "tcp://127.0.0.1:1", "--force", "udp://x", "--tracker", "tcp://x", "--registration", "REG"],
+         ["--robot", "must begin with udp://"]),
+        (["--robot", "sim://steering", "--force", "sim://insertion"], ["must be the same address"]),
+        (["--robot", "sim://", "--force", "udp://127.0.0.1", "--registration", "REG"], ["cannot be simulated"]),
+        (["--tracker", "serial:///dev/ttyNONE", "--robot", "udp://127.0.0.1", "--force", "udp://127.0.0.1"],
+         ["--registration", "is missing"]),
+        (["--robot", "sim://nowhere"], ["nowhere"]),
+        (["--robot", "sim://?seed=-3"], ["seed = -3", "whole number"]),
+        (["--robot", "sim://?sead=3"], ['did you mean "seed"']),
+        (["--start=-5,20,0"], ["must lie in the workspace"]),
+        (["--speed", "12"], ["--speed = 12", "at most the limit"]),
+        (["--speed", "nan"], ["velocity_mm_s = nan"]),
+        (["--torsion", "1e4"], ["--torsion", "2 numbers"]),
+        (["--force-axis", "0,0,0"], ["--force-axis", "direction"]),
+        (["--scenario", "four_obstacles"], ["workspace", "must be that of the scenario", "grid"]),
+        (["--limits", "none.toml"], ["none.toml", "cannot be read"]),
+        (["--registration", "none.toml"], ["none.toml", "cannot be read"]),
+        (["-o", "/nowhere/run.mcap"], ["/nowhere"]),
+    ],
+    ids=lambda value: " ".join(value[:2]) if isinstance(value, list) else None,
+)  # fmt: skip
+def test_what_is_refused(
+    arguments: list[str], words: list[str], file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    Registration().write("REG")
+    assert main(["insert", str(file), *arguments]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    for word in words:
+        assert word in said.err
+
+
+def test_a_table_for_another_needle_is_refused(file: Path) -> None:
+    needle = Identified(1 / 55, 1 / 60, 1 / 50, "bicycle", 3, "sha256:0")
+    with pytest.raises(TableError, match="must be that of the needle, 55 mm, from 50 to 60 mm"):
+        require_fitting(small_table(), str(file), needle=needle)
+    require_fitting(small_table(), str(file), needle=Identified(1 / 41, 1 / 45, 1 / 38, "bicycle", 3, "sha256:0"))
+    without_interval = Identified(1 / 41, math.nan, math.nan, "bicycle", 3, "sha256:0")
+    require_fitting(small_table(), str(file), needle=without_interval)
