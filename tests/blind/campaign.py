@@ -18,7 +18,9 @@ from tests.blind.outside import NEVER_TUNED, OUTSIDE
 
 HETEROGENEITY = (0.0, 0.03, 0.10)
 SMALLEST, LARGEST = 0.05, 6.0  # of sizes, in noise RMS
-_ROOM = 100_000  # seeds of a stratum
+# A breath of millimetres does twenty times as much to the force as the noise.
+LARGEST_OF = {ForceName.RESPIRATION: 24.0}
+_ROOM = 1000  # seeds of a row of cases
 
 
 class Purpose(StrEnum):
@@ -96,13 +98,13 @@ def campaign(purpose: Purpose, counts: Counts | None = None) -> Iterator[Case]:
 
 
 def _seed(purpose: Purpose, place: int, index: int) -> int:
-    if not 0 <= index < _ROOM // 100:
-        raise ValueError(f"index: a stratum has {_ROOM // 100} cases, not {index + 1}")
-    return SEEDS[purpose].start + place * (_ROOM // 100) + index
+    if not 0 <= index < _ROOM:
+        raise ValueError(f"index: a row of cases has {_ROOM}, not {index + 1}")
+    return SEEDS[purpose].start + place * (_ROOM) + index
 
 
 def _place(stratum: Stratum, variety: Variety, level: float, names: tuple[ForceName, ...]) -> int:
-    """The number of a row of cases; it does not change when effects are added at the end of ForceName."""
+    """The number of a row of cases. It does not change when effects are added at the end of ForceName."""
     row = [*Stratum].index(stratum) * 6 + [*Variety].index(variety) * 3 + HETEROGENEITY.index(level)
     return row * 100 + (1 + [*ForceName].index(names[0]) if names else 0)
 
@@ -120,7 +122,9 @@ def _cases(
 ) -> Iterator[Case]:
     for index in range(count):
         seed = _seed(purpose, _place(stratum, variety, level, names), index)
-        wanted = tuple(Wanted(name, _log_uniform(_drawn(seed), SMALLEST, LARGEST)) for name in names)
+        wanted = tuple(
+            Wanted(name, _log_uniform(_drawn(seed), SMALLEST, LARGEST_OF.get(name, LARGEST))) for name in names
+        )
         yield Case(purpose, stratum, variety, ForceSpec(seed, wanted, level, *MOTIONS[variety]))
 
 

@@ -1,8 +1,7 @@
 """The path of a needle's tip in space, by its parallel-transported frame.
 
 The tip's tangent t and two normals e1, e2 that never twist about it turn by the curvature K = (K1, K2) per length:
-dt/ds = K1 e1 + K2 e2, de_i/ds = -K_i t. K follows what bevel and tissue ask for over RELAXING_MM of new path. Each step
-is the exact arc of its K.
+dt/ds = K1 e1 + K2 e2, de_i/ds = -K_i t. Each step is the exact arc of its K.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import numpy as np
 from tests.blind.motions import Array
 
 CURVATURE_1_MM = 1.0 / 250.0
-RELAXING_MM = 0.02
 SCATTER = 0.03  # of the curvature, uniform, per trial
 CORRELATION_MM = 5.0
 GRID_MM = np.arange(0.0, 121.0)
@@ -79,39 +77,32 @@ def wanted_curvature(steered: Steered, tissue: Medium) -> tuple[Array, Array]:
 
 
 def integrated(depth_mm: Array, curvature_1_mm: Array, tilt_rad: Array) -> Course:
-    """The course for wanted curvatures (T, R, 2) in e1 and e2, entering with tilt_rad (2,) toward y and z."""
-    steps, trials = depth_mm.shape
-    angle = float(np.hypot(*tilt_rad))
-    frame = np.broadcast_to(np.eye(3), (trials, 3, 3)).copy()
-    if angle:
-        frame = _turned(frame, np.broadcast_to(tilt_rad, (trials, 2)))[0]
-    state = np.zeros((trials, 2))
-    here = np.zeros((trials, 3))
-    positions, frames = np.zeros((steps, trials, 3)), np.zeros((steps, trials, 3, 3))
-    frames[0] = frame
-    lengths = np.diff(depth_mm, axis=0)
-    follow = -np.expm1(-lengths / RELAXING_MM)
-    for k in range(1, steps):
-        if lengths[k - 1].any():
-            mean = 0.5 * (curvature_1_mm[k] + curvature_1_mm[k - 1])
-            state = state + (mean - state) * follow[k - 1, :, None]
-            frame, chord = _turned(frame, state * lengths[k - 1, :, None])
-            here = here + chord * lengths[k - 1, :, None]
-        positions[k], frames[k] = here, frame
-    return Course(positions, frames[:, :, 1], frames[:, :, 2])
+    """The course for wanted curvatures (T, R, 2) in e1 and e2, entering with tilt_rad (2,) toward y and z.
+
+    The frame after k steps is the product of k bends, each given in the frame before it; all products are made together
+    by doubling the number of factors.
+    """
+    lengths = np.diff(depth_mm, axis=0)[..., None]
+    bends = 0.5 * (curvature_1_mm[1:] + curvature_1_mm[:-1]) * lengths
+    entry = np.broadcast_to(tilt_rad, (1, *bends.shape[1:]))
+    turns, chords = _arcs(np.concatenate([entry, bends]))
+    done = 1
+    while done < len(turns):
+        turns[done:] = turns[done:] @ turns[:-done]
+        done *= 2
+    steps = np.einsum("tri,trix->trx", chords[1:], turns[:-1]) * lengths
+    position = np.concatenate([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
+    return Course(position, turns[..., 1, :], turns[..., 2, :])
 
 
-def _turned(frame: Array, bend_rad: Array) -> tuple[Array, Array]:
-    """The frames (R, 3, 3; rows t, e1, e2) after a bend (R, 2), and the mean tangent of the arc (R, 3)."""
-    angle = np.sqrt(np.sum(bend_rad**2, axis=1))
-    share = bend_rad / np.maximum(angle, 1e-300)[:, None]
-    tangent, normals = frame[:, 0], frame[:, 1:]
-    toward = np.einsum("ri,rix->rx", share, normals)
-    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+def _arcs(bend_rad: Array) -> tuple[Array, Array]:
+    """Of bends (..., 2): the frame after (..., 3, 3; rows t, e1, e2) and the mean tangent, both in the frame before."""
+    angle = np.sqrt(np.sum(bend_rad**2, axis=-1))
+    toward = bend_rad / np.maximum(angle, 1e-300)[..., None]
+    cosine, sine = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    frame = np.zeros((*angle.shape, 3, 3))
+    frame[..., 0, :1], frame[..., 0, 1:] = cosine, sine * toward
+    frame[..., 1:, 0] = -sine * toward
+    frame[..., 1:, 1:] = np.eye(2) + (cosine[..., None] - 1.0) * toward[..., :, None] * toward[..., None, :]
     ahead, aside = np.sinc(angle / np.pi), np.sin(angle / 2) * np.sinc(angle / 2 / np.pi)
-    chord = ahead[:, None] * tangent + aside[:, None] * toward
-    turned = np.empty_like(frame)
-    turned[:, 0] = cosine * tangent + sine * toward
-    change = (cosine - 1.0) * toward - sine * tangent
-    turned[:, 1:] = normals + share[:, :, None] * change[:, None]
-    return turned, chord
+    return frame, np.concatenate([ahead[..., None], aside[..., None] * toward], axis=-1)

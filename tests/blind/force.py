@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
-from tests.blind.base import Scene, Specimen, base_force_n, specimen, stacked
+from tests.blind.base import ONSET_MM, Scene, Specimen, base_force_n, specimen, stacked
 from tests.blind.contact import Contact, touch
 from tests.blind.effect import Effect, ForceName
+from tests.blind.identifiable import Colour, left
 from tests.blind.motions import RICH, RICH_HELD_OUT, STEP_S, Array, MotionKind, Trajectory, trajectory
 from tests.blind.outside import OUTSIDE
 from tests.blind.recording import DataSet, Role, Trial
@@ -39,6 +40,7 @@ NOISE_SHARE, NOISE_KEEP = 0.6, 0.8  # share of the variance that is AR(1), and i
 CUT_OFF_HZ = 30.0
 QUANTUM_N = 0.002
 ENCODER_MM = 0.005
+COLOUR = Colour(NOISE_N, NOISE_SHARE, NOISE_KEEP)
 EVERY = 2  # steps per recorded sample: 50 Hz
 NOISE_SECONDS = 60.0
 
@@ -85,10 +87,13 @@ def generate(spec: ForceSpec) -> tuple[DataSet, Truth]:
     seeds = _seeds(spec, len(kinds))
     trials = _record(_trials(spec, seeds, [trajectory(each) for each in kinds]), effects, seeds, roles)
     truth = Truth(
-        "force", spec.seed, spec.heterogeneity, NOISE_N, "N",
-        tuple(HiddenEffect(each.NAME, each.parameters(), _rms(added), float(np.abs(added).max()), _rms(added) / NOISE_N)
-              for each, added in zip(effects, contributions, strict=True)),
-    )  # fmt: skip
+        "force",
+        spec.seed,
+        spec.heterogeneity,
+        NOISE_N,
+        "N",
+        tuple(_hidden(spec, each, added) for each, added in zip(effects, contributions, strict=True)),
+    )
     return DataSet((*trials, noise_record(spec.seed))), truth
 
 
@@ -133,8 +138,28 @@ def _sized(spec: ForceSpec) -> tuple[tuple[Effect, ...], tuple[Array, ...]]:
         size = scaled(rms_n, want.noise_multiple * NOISE_N, kind.FIRST, kind.LARGEST, linear=kind.LINEAR)
         found.append(effect.with_size(sign * size))
     complete = _force_n(trials, tuple(found))
-    contributions = tuple(complete - _force_n(trials, tuple(found[:i] + found[i + 1 :])) for i in range(len(found)))
-    return tuple(found), contributions
+    if len(found) == 1:
+        return tuple(found), (complete - without,)
+    others = (tuple(found[:i] + found[i + 1 :]) for i in range(len(found)))
+    return tuple(found), tuple(complete - _force_n(trials, each) for each in others)
+
+
+def _hidden(spec: ForceSpec, effect: Effect, added: Array) -> HiddenEffect:
+    rms = _rms(added)
+    absorbed, rest = left(added[..., None], _calibrations(_training(spec))[:, :, None], COLOUR)
+    largest = float(np.abs(added).max())
+    return HiddenEffect(effect.NAME, effect.parameters(), rms, largest, rms / NOISE_N, absorbed, rest)
+
+
+def _calibrations(trials: _Trials) -> Array:
+    """What friction, cutting, onset and presliding length of the base do to the force, (samples, R, 4)."""
+    tissue, compliance = trials.tissue, trials.tissue.compliance
+    whole = _force_n(trials, ())
+    cutting = _force_n(replace(trials, tissue=replace(tissue, friction_n_mm=0.0 * tissue.friction_n_mm)), ())
+    depth = np.maximum(stacked(trials.trajectories)[0][::EVERY], 1e-9) / ONSET_MM
+    longer = replace(compliance, bristle_mm=1.05 * compliance.bristle_mm)
+    stretched = _force_n(replace(trials, tissue=replace(tissue, compliance=longer)), ()) - whole
+    return np.stack([whole - cutting, cutting, cutting * depth / np.expm1(depth), stretched], axis=-1)
 
 
 def _rms(values: Array) -> float:

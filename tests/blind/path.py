@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from tests.blind import bending
 from tests.blind.curve import Medium, Steered, integrated, medium, wanted_curvature
 from tests.blind.force import ENCODER_MM
+from tests.blind.identifiable import Colour, left
 from tests.blind.motions import Array
 from tests.blind.path_effect import PathEffect, PathName, side
 from tests.blind.path_outside import OUTSIDE_PATH
@@ -23,6 +24,7 @@ from tests.blind.truth import HiddenEffect, Truth
 
 SIGMA_MM = 0.1  # per axis
 SLOW_SHARE, SLOW_KEEP = 0.2, 0.9  # share of the variance that is AR(1), and its coefficient at 40 Hz
+COLOUR = Colour(SIGMA_MM, SLOW_SHARE, SLOW_KEEP)
 EVERY = 2
 NOISE_SECONDS = 30.0
 
@@ -72,7 +74,8 @@ def generate(spec: PathSpec) -> tuple[DataSet, Truth]:
     hidden = []
     for each, shift in zip(effects, added, strict=True):
         rms = float(np.sqrt(np.mean(np.sum(shift**2, axis=2))))
-        hidden.append(HiddenEffect(each.NAME, each.parameters(), rms, _largest(shift), rms / SIGMA_MM))
+        absorbed, rest = left(shift, _calibrations(spec), COLOUR)
+        hidden.append(HiddenEffect(each.NAME, each.parameters(), rms, _largest(shift), rms / SIGMA_MM, absorbed, rest))
     truth = Truth("path", spec.seed, spec.heterogeneity, SIGMA_MM, "mm", tuple(hidden))
     return DataSet((*trials, noise_record(spec.seed))), truth
 
@@ -113,8 +116,18 @@ def _sized(spec: PathSpec) -> tuple[tuple[PathEffect, ...], tuple[Array, ...]]:
         size = scaled(moved_mm, want.sigmas * SIGMA_MM, kind.FIRST, kind.LARGEST, linear=kind.LINEAR)
         found.append(effect.with_size(sign * size))
     complete = _shown_mm(trials, tuple(found))
+    if len(found) == 1:
+        return tuple(found), (complete - without,)
     added = tuple(complete - _shown_mm(trials, tuple(found[:i] + found[i + 1 :])) for i in range(len(found)))
     return tuple(found), added
+
+
+def _calibrations(spec: PathSpec) -> Array:
+    """What the curvature of the base does to the path, (samples, R, 3, 1)."""
+    motions = [steering(each) for each in spec.training]
+    trials = _trials(spec, _seeds(spec, len(motions)), motions)
+    more = replace(trials.tissue, along=1.01 * trials.tissue.along)
+    return (_shown_mm(replace(trials, tissue=more), ()) - _shown_mm(trials, ()))[..., None]
 
 
 def _largest(shift_mm: Array) -> float:

@@ -64,5 +64,5 @@ def test_a_pair_is_made_as_it_is_listed() -> None:
 
 
 def test_a_stratum_is_not_overfilled() -> None:
-    with pytest.raises(ValueError, match="a stratum has 1000 cases"):
+    with pytest.raises(ValueError, match="a row of cases has 1000"):
         list(campaign(Purpose.TUNING, Counts(rich_nulls=1001)))

@@ -12,6 +12,7 @@ from needleplan.recording import read_records
 from tests.blind import base, force
 from tests.blind.effect import ForceName
 from tests.blind.force import FORCE_EFFECTS, NOISE_N, ForceSpec, Wanted, generate
+from tests.blind.identifiable import left
 from tests.blind.motions import AIR_MM, POOR, POOR_HELD_OUT, RICH, RICH_HELD_OUT, MotionKind, from_depths, trajectory
 from tests.blind.recording import FileKind, Role
 
@@ -146,6 +147,37 @@ def test_two_effects_have_both_their_sizes() -> None:
     hidden = generate(ForceSpec(23, wanted))[1].effects
     assert [each.name for each in hidden] == ["viscous", "puncture"]
     assert [each.noise_multiple for each in hidden] == pytest.approx([1.0, 0.5], rel=0.02)
+
+
+def test_what_calibration_absorbs_and_what_is_left() -> None:
+    names = (ForceName.GAIN, ForceName.BIAS, ForceName.MOTOR_RIPPLE)
+    absorbed, rest = zip(*(
+        (hidden.absorbed, hidden.noncentrality)
+        for name in names for hidden in generate(ForceSpec(27, (Wanted(name, 1.0),)))[1].effects
+    ), strict=True)  # fmt: skip
+    assert absorbed[0] > 0.999
+    assert rest[0] < 10.0
+    assert 0.0 < absorbed[1] < 0.9
+    assert absorbed[2] < 0.05
+    assert rest[2] > 1000.0
+
+
+def test_noncentrality_is_what_the_likelihood_would_see() -> None:
+    rng = np.random.default_rng(3)
+    added = np.sin(np.arange(400) / 9.0)[:, None, None] * 0.01
+    base_column = np.arange(400.0)[:, None, None, None]
+    lags = np.arange(400)
+    covariance = NOISE_N**2 * (0.4 * np.eye(400) + 0.6 * 0.8 ** np.abs(lags[:, None] - lags))
+    inverse = np.linalg.inv(covariance)
+    signal, column = added[:, 0, 0], base_column[:, 0, 0, 0]
+    taken = (column @ inverse @ signal) ** 2 / (column @ inverse @ column)
+    whole = signal @ inverse @ signal
+    absorbed, rest = left(added, base_column, force.COLOUR)
+    assert rest == pytest.approx(whole - taken, rel=0.03)
+    assert absorbed == pytest.approx(taken / whole, abs=0.02)
+    white = force.COLOUR.whitened(force._noise(rng, 50_000))
+    assert white.std() == pytest.approx(1.0, rel=0.02)
+    assert abs(np.mean(white[1:] * white[:-1])) < 0.02
 
 
 def test_the_difference_to_the_base_is_the_effect() -> None:

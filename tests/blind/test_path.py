@@ -101,6 +101,14 @@ def test_effects_move_the_tip_as_far_as_wanted(name: PathName) -> None:
     assert 0 < abs(hidden.parameters["size"]) <= PATH_EFFECTS[name].LARGEST
 
 
+def test_what_the_curvature_cannot_take_up_is_left() -> None:
+    bias, layer = (generate(PathSpec(18, (Moves(name, 5.0),)))[1].effects[0] for name in (
+        PathName.TRACKER_BIAS, PathName.CURVATURE_LAYER))  # fmt: skip
+    assert 0.0 <= bias.absorbed < 0.5
+    assert 0.1 < layer.absorbed < 0.99
+    assert bias.noncentrality > layer.noncentrality > 100.0
+
+
 def test_one_speed_without_a_turn_cannot_show_a_lag() -> None:
     spec = PathSpec(19, (Moves(PathName.TORSIONAL_LAG, 5.0),), 0.0, STRAIGHT_ON, STRAIGHT_ON_HELD_OUT)
     assert generate(spec)[1].effects[0].largest == 0.0

@@ -10,13 +10,19 @@ from typing import Any
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """Its contribution to the training data: RMS and largest in the truth's unit, and the RMS in that of the noise."""
+    """Its contribution to the training data: RMS and largest in the truth's unit, and the RMS in that of the noise.
+
+    absorbed is the share that calibrating the base again would take up, noncentrality what is left of it against the
+    sensor's noise: the size as an analyst can see it at best.
+    """
 
     name: str
     parameters: dict[str, Any]
     rms: float
     largest: float
     noise_multiple: float
+    absorbed: float
+    noncentrality: float
 
 
 @dataclass(frozen=True)
