@@ -77,6 +77,7 @@ class FaultLab:
         """Let something go wrong."""
         # The moment is taken before: what the fault itself takes counts.
         self.fault_ns = time.monotonic_ns()
+        self.robot.worst_overrun_s = 0.0
         FAULTS[name](self)
 
     def close(self) -> None:
@@ -190,6 +191,6 @@ def serve(pipe: Connection) -> None:
         elif what == "moving":
             pipe.send(lab.moving)
         elif what == "close":
-            pipe.send((lab.stop_ns or math.nan, lab.stood_ns or math.nan))
+            pipe.send((lab.stop_ns or math.nan, lab.stood_ns or math.nan, lab.robot.worst_overrun_s * 1e3))
             lab.close()
             lab = None

@@ -7,71 +7,10 @@ from collections.abc import Callable
 import pytest
 
 from needleplan.control.safety import Cause, Order
-from needleplan.devices.robot import DriveFaults, Fault, RobotMachine, RobotState
+from needleplan.devices.robot import Fault, RobotState
 from needleplan.errors import DeviceFault, MotionRefused
+from tests.control.faults.robot_faults import BORNE, SERIOUS, drive
 from tests.control.faults.robot_rig import RobotRig
-
-
-def drive(**faults: object) -> Callable[[RobotRig], None]:
-    def inject(rig: RobotRig) -> None:
-        rig.bench.drive.faults = DriveFaults(**faults)  # type: ignore[arg-type]
-
-    return inject
-
-
-def cut(rig: RobotRig) -> None:
-    rig.bench.network.to_robot.cut = rig.bench.network.from_robot.cut = True
-
-
-def deaf(rig: RobotRig) -> None:
-    rig.bench.network.to_robot.cut = True
-
-
-def mute(rig: RobotRig) -> None:
-    rig.bench.network.from_robot.cut = True
-
-
-def slow(rig: RobotRig) -> None:
-    rig.bench.network.to_robot.delay_s = rig.bench.network.from_robot.delay_s = 1.0
-
-
-def forgets(rig: RobotRig) -> None:
-    rig.bench.network.machine = rig.bench.machine = RobotMachine(rig.bench.drive)
-    rig.bench.drive.stop()
-
-
-def hangs(rig: RobotRig) -> None:
-    rig.hangs = True
-
-
-def stolen(rig: RobotRig) -> None:
-    with pytest.raises(DeviceFault, match="another controller"):
-        rig.bench.stage(name="another")
-
-
-def lossy(rig: RobotRig) -> None:
-    rig.bench.network.to_robot.lose = rig.bench.network.from_robot.lose = 3
-
-
-def doubled(rig: RobotRig) -> None:
-    rig.bench.network.to_robot.double = rig.bench.network.from_robot.double = 50
-
-
-SERIOUS = [
-    ("28 a drive reports a fault", drive(reported=Fault.DRIVE), Cause.STAGE_FAULT, 0.01),
-    ("30 a limit switch", drive(reported=Fault.LIMIT), Cause.STAGE_FAULT, 0.01),
-    ("30 an encoder jumps", drive(jump_mm=0.5), Cause.STAGE_FAULT, 0.01),
-    ("30 an axis does not move", drive(stuck=True), Cause.STAGE_FAULT, 0.05),
-    ("30 an encoder counts the wrong way", drive(reversed=True), Cause.STAGE_FAULT, 0.05),
-    ("30 an axis does not follow", drive(slow=0.5), Cause.STAGE_FAULT, 0.05),
-    ("31 the emergency stop is pressed", drive(reported=Fault.ESTOP), Cause.STAGE_FAULT, 0.01),
-    ("32 the link is cut", cut, Cause.STAGE_STALE, 0.05),
-    ("32 the robot does not hear us", deaf, Cause.STAGE_FAULT, 0.05),
-    ("32 we do not hear the robot", mute, Cause.STAGE_STALE, 0.05),
-    ("32 a delay of a second", slow, Cause.STAGE_STALE, 0.05),
-    ("32 the robot has forgotten the session", forgets, Cause.STAGE_FAULT, 0.05),
-    ("33 the loop hangs, the robot's watchdog is first", hangs, Cause.STAGE_FAULT, 0.05),
-]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "inject", "cause", "within_s"), SERIOUS, ids=[each[0] for each in SERIOUS])
@@ -101,13 +40,13 @@ def test_it_is_a_fault_and_the_needle_stands(
     assert not rig.moving
 
 
-@pytest.mark.parametrize("inject", [lossy, doubled, stolen])
-def test_32_36_what_a_link_bears_stops_nothing(inject: Callable[[RobotRig], None]) -> None:
+@pytest.mark.parametrize(("name", "inject"), BORNE, ids=[each[0] for each in BORNE])
+def test_what_a_link_bears_stops_nothing(name: str, inject: Callable[[RobotRig], None]) -> None:
     rig = RobotRig()
     rig.begin()
     inject(rig)
     rig.turns(0.3)
-    assert rig.state == "ENABLED"
+    assert rig.state == "ENABLED", name
     assert rig.moving
 
 
