@@ -4,8 +4,8 @@
   folder that is empty at first. `.venv/bin/` stands for the interpreter that runs the tests.
 - A `text` block right after one of them is what it prints on standard output; `...` stands for anything.
 - A block of any kind with a file name, such as `toml mine.toml`, is written to that file.
-- Other blocks are not run, but for `toml` ones that begin with a schema, which must be scenarios, experiments
-  or registrations.
+- Other blocks are not run, but for `toml` ones that begin with a schema, which must be scenarios, experiments,
+  registrations or drives.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import needleplan as npl
+from needleplan.devices.cia402 import DrivesSetup
+from needleplan.devices.cia402.setup import SCHEMA as DRIVES
 from needleplan.estimation import Registration
 from needleplan.estimation.registration.toml import SCHEMA as REGISTRATION
 from needleplan.simulation import Experiment
@@ -30,6 +32,7 @@ from needleplan.simulation.toml import SCHEMA as EXPERIMENT
 
 ROOT = Path(__file__).parent.parent
 _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_KINDS = {EXPERIMENT: Experiment, REGISTRATION: Registration, DRIVES: DrivesSetup}
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
@@ -69,8 +72,7 @@ def run(page: Path, folder: Path) -> None:
         else:
             printed = None
             if block.language == "toml" and block.text.startswith("schema"):
-                kinds = (Experiment, EXPERIMENT), (Registration, REGISTRATION), (npl.Scenario, "")
-                kind: Any = next(kind for kind, schema in kinds if schema in block.text)
+                kind: Any = next((kind for schema, kind in _KINDS.items() if schema in block.text), npl.Scenario)
                 kind.from_toml(block.text, place)
 
 

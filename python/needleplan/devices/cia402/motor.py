@@ -1,0 +1,71 @@
+"""A motor that follows a position profile with ramps, in counts."""
+
+from __future__ import annotations
+
+import math
+
+from needleplan.devices.cia402.setup import AxisSetup
+
+__all__ = ["Motor"]
+
+_STEP_NS = 1_000_000
+
+
+class Motor:
+    """Goes to a target by a trapezoid of speed, in steps of a millisecond; `counts` is where it is."""
+
+    def __init__(self, setup: AxisSetup, counts: float, now_ns: int) -> None:
+        self.counts, self.speed = float(counts), 0.0
+        self._target = self._start = float(counts)
+        self._fastest = 0.0
+        self._stuck = False
+        unit = abs(setup.counts_per_unit)
+        self._ramp, self._quick = setup.limits.acceleration * unit, setup.limits.stop * unit
+        self._braking: float | None = None
+        self._now_ns = now_ns
+
+    @property
+    def arrived(self) -> bool:
+        """Whether it stands where it should, or has come to rest after a stop."""
+        return self.speed == 0 and (self._braking is not None or self.counts == self._target)
+
+    def shown(self, backwards: bool) -> float:
+        """Return what the encoder shows."""
+        return 2 * self._start - self.counts if backwards else self.counts
+
+    def begin(self, now_ns: int, target: float, fastest: float, stuck: bool = False) -> None:
+        """Go to `target`, at most `fastest` counts in a second."""
+        self.advance(now_ns)
+        self._target, self._start, self._stuck, self._braking = float(target), self.counts, stuck, None
+        self._fastest = fastest
+
+    def halt(self, now_ns: int, quick: bool) -> None:
+        """Slow down to rest, and stay."""
+        self.advance(now_ns)
+        self._braking = self._quick if quick else self._ramp
+
+    def advance(self, now_ns: int) -> None:
+        """Let time pass."""
+        while self._now_ns + _STEP_NS <= now_ns:
+            if self.arrived or self._stuck:
+                self._now_ns += (now_ns - self._now_ns) // _STEP_NS * _STEP_NS
+                return
+            self._now_ns += _STEP_NS
+            self._step(_STEP_NS / 1e9)
+
+    def _step(self, seconds: float) -> None:
+        if self._braking is not None:
+            change = self._braking * seconds
+            self.speed = math.copysign(max(abs(self.speed) - change, 0.0), self.speed)
+            self.counts += self.speed * seconds
+            return
+        left = self._target - self.counts
+        change = self._ramp * seconds
+        # The speed from which it can still stop there, the step that is about to be taken included.
+        most = max((math.sqrt(change * change + 8 * self._ramp * abs(left)) - change) / 2, 0.0)
+        wanted = math.copysign(min(self._fastest, most), left)
+        self.speed += min(max(wanted - self.speed, -change), change)
+        if abs(left) <= abs(self.speed * seconds) or abs(left) < 1:
+            self.counts, self.speed = self._target, 0.0
+            return
+        self.counts += self.speed * seconds
