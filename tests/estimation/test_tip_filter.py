@@ -198,6 +198,23 @@ def test_a_needle_drawn_back_is_where_it_was_and_may_leave_its_channel() -> None
     assert tip.counts[PoseUse.OUTLIER] <= 2
 
 
+def test_a_needle_drawn_back_is_as_certain_as_it_was() -> None:
+    random = np.random.default_rng(8)
+    walk, off = drawn(random)
+    tip = TipFilter(Registration(coil_offset_mm=COIL_MM), (0.0, 0.0, 0.0), 1 / RADIUS_MM, SETTINGS)
+    inserted(walk, tip, off, ((30.0, 0.0),), step_mm=0.1)
+    now = tip.tip.time_ns
+    for back in np.arange(30.0, 14.9, -0.25):
+        now += FRAME_NS
+        tip.predict(stage(now, float(back), 0.0))
+        tip.update(walk.pose_of_coil(float(back) - COIL_MM, now, now, 0.2, 0.01))
+    state, covariance = tip.tip_state()
+    error = state[:3] - walk.at(15.0)[0]
+    # The coil has been there: what the tip's place is uncertain by is what the coil's was.
+    assert np.sqrt(np.diag(covariance)[:3]).max() < 0.12
+    assert float(error @ np.linalg.solve(covariance[:3, :3], error)) < stats.chi2.isf(1e-3, 3)
+
+
 def test_settings_and_entry_that_cannot_be_are_refused() -> None:
     with pytest.raises(ModelError) as caught:
         TipSettings(position_sd_mm=0.0, latency_s=-1.0)

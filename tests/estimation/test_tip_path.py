@@ -109,6 +109,6 @@ def test_a_turned_needle_leaves_its_channel_and_another_follows_it() -> None:
     for roll, leaves in ((math.pi, True), (0.2, False), (2 * math.pi, False)):
         channel = Channel(0.0, 0.0)
         channel.move(20.0, 0.0)
-        assert not channel.move(10.0, 0.0)
-        assert channel.move(10.5, roll) is leaves
+        assert channel.move(10.0, 0.0) is None
+        assert channel.move(10.5, roll) == (10.0 if leaves else None)
         assert channel.cut_mm == (10.5 if leaves else 20.0)

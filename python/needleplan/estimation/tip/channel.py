@@ -48,23 +48,23 @@ class Channel:
         """The roll at which the end of the channel was cut."""
         return self._rolls[-1]
 
-    def move(self, length_mm: float, roll_rad: float) -> bool:
-        """Move the tip to a length, its bevel at a roll; return whether it left the channel for a new one."""
+    def move(self, length_mm: float, roll_rad: float) -> float | None:
+        """Move the tip to a length, its bevel at a roll; return where it left the channel for a new one, if it did."""
         begin = self.length_mm
-        branched = False
+        left_at = None
         if length_mm > begin and 0 < begin < self.cut_mm - _REJOIN_MM:
             old = self._rolls[bisect_right(self._from, begin) - 1]
             if abs(math.remainder(roll_rad - old, 2 * math.pi)) > _REJOIN_RAD:
                 keep = bisect_right(self._from, begin)
                 del self._from[keep:], self._rolls[keep:]
                 self.cut_mm = begin
-                branched = True
+                left_at = begin
         self.length_mm = length_mm
         if length_mm > self.cut_mm:
             if abs(roll_rad - self._rolls[-1]) > _SAME_RAD:
                 self._turn(self.cut_mm, roll_rad)
             self.cut_mm = length_mm
-        return branched
+        return left_at
 
     def pieces(self, begin_mm: float, end_mm: float) -> Iterator[Piece]:
         """Yield the path from one length to another, in its order; beyond its end as if it went on."""

@@ -114,10 +114,12 @@ class TipFilter:
         if self._channel is None:
             self._channel = Channel(depth, roll)
             self._begin(min(depth - self.registration.coil_offset_mm, 0.0))
-        elif self._channel.move(depth, roll) and depth < self._at:
-            # The path beyond is another one now, and nothing has been seen of it.
-            self._at, self._state, self._covariance = self._path_at(self._channel.cut_mm)
-            del self._past[bisect_right(self._past, self._at, key=lambda each: each[0]) :]
+        else:
+            left_at = self._channel.move(depth, roll)
+            if left_at is not None and left_at < self._at:
+                # The path beyond is another one now, and nothing has been seen of it.
+                self._at, self._state, self._covariance = self._path_at(left_at)
+                del self._past[bisect_right(self._past, self._at, key=lambda each: each[0]) :]
 
     def update(self, sample: PoseSample) -> PoseUse:
         """Take a pose, and return what became of it."""
@@ -179,7 +181,7 @@ class TipFilter:
         used = self._correct(sample)
         if self._at - self._past[-1][0] >= _SPACING_MM:
             self._past.append((self._at, self._state, self._covariance))
-        elif len(self._past) > 1 or self._at == self._past[-1][0]:
+        elif self._at == self._past[-1][0]:
             self._past[-1] = (self._at, self._state, self._covariance)
         if used:
             self._used_ns = measured_ns
