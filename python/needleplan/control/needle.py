@@ -28,6 +28,9 @@ _GRACE_S = 2.0
 """A move may take this many times as long as it should, and this much longer."""
 
 _TURN_S = 0.02
+_LAST_WORDS = 100
+"""Samples that may wait before the fault of a device that the guard knows of already."""
+
 _TICK_NS = 10_000_000
 _LOOP = "the loop, for the operator"
 
@@ -133,7 +136,7 @@ class Needle:
             if self._alive is not None:
                 self._alive()
         if self._enabled and self._guard.state.operating in (OperatingState.FAULT, OperatingState.DISABLED):
-            raise DeviceFault(f"stopped: {_causes(self._guard.state)}")
+            raise DeviceFault(self._why_stopped())
 
     def listen_until(self, done: Callable[[], bool], limit_s: float, what: str) -> None:
         """Take samples until something is so; pauses do not count. Raises DeviceFault after `limit_s`."""
@@ -225,6 +228,17 @@ class Needle:
         self._resumed = True
         self.on_pause("", "the needle goes on")
         return self._clock.now_ns() - began_ns
+
+    def _why_stopped(self) -> str:
+        """Return the causes of the guard, and what the device said that raised them, if it did."""
+        assert self._feed is not None
+        causes = f"stopped: {_causes(self._guard.state)}"
+        try:
+            for _ in range(_LAST_WORDS):
+                self._feed.next(0.0)
+        except DeviceFault as fault:
+            return f"{fault}; {causes}"
+        return causes
 
     def _turn(self, goal_rad: float) -> None:
         options, stage = self.options, self.stage

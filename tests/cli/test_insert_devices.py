@@ -1,0 +1,146 @@
+"""`needleplan insert` in real time, over the bytes of devices, and devices that it refuses before anything moves."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from needleplan.cli import main
+from needleplan.devices.ati import BoxSettings, NetFtBox, NetFtServer
+from needleplan.devices.endpoint import TcpEndpoint
+from needleplan.devices.ndi import AuroraDevice, SimulatedTool
+from needleplan.devices.processes import LabPlaces, TrackerLine
+from needleplan.devices.robot import RobotLimits, RobotMachine, RobotServer, RobotStage, SteadyDrive
+from needleplan.estimation.registration import Registration
+from needleplan.simulation import Effects, Entry, Setup
+from needleplan.simulation.processes import RealTimeLab
+from tests.control.scenes import small_table
+
+# The machine of the tests may be busy: what is looked at here is not how fast it is.
+PATIENT = """[safety]
+force_age_s = 5.0
+pose_age_s = 5.0
+stage_age_s = 5.0
+loop_age_s = 5.0
+motion_s = 5.0
+following_mm = 5.0
+recording_age_s = 10.0
+insertion_velocity_mm_s = 25.0
+out_of_plane_mm = 20.0
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("insert")
+    small_table().write(path / "table.h5")
+    (path / "limits.toml").write_text(PATIENT)
+    Registration(coil_offset_mm=2.0).write(path / "registration.toml")
+    return path
+
+
+def insert(folder: Path, robot: str, force: str, tracker: str, *more: str) -> int:
+    return main(
+        ["insert", str(folder / "table.h5"), "--robot", robot, "--force", force, "--tracker", tracker,
+         "--registration", str(folder / "registration.toml"), "--limits", str(folder / "limits.toml"), *more]
+    )  # fmt: skip
+
+
+def test_the_same_loop_in_real_time(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    x, y, heading, _ = small_table().best_entry().pose
+    effects = Effects(coil_offset_mm=2.0, tracker_noise_mm=0.05, force_noise_n=0.02)
+    setup = Setup(1 / 40, entry=Entry(x, y, heading), effects=effects)
+    places = LabPlaces(tracker_line=TrackerLine.TCP)
+    with RealTimeLab(setup, 1, places, RobotLimits(longest_silence_s=10.0)) as lab:
+        at = lab.addresses
+        run = str(folder / "run.mcap")
+        speeds = ("--speed", "20", "--rotation-speed", "12")
+        code = insert(folder, f"{at.robot}?watchdog_s=5&valid_s=1", at.force, at.tracker, *speeds, "-o", run, "--json")
+    said = capsys.readouterr()
+    assert code == 0, said.err
+    answer = json.loads(said.out)
+    assert answer["ending"] == "target"
+    assert answer["true_error_mm"] is None
+    assert main(["recording", "replay", run, "--table", str(folder / "table.h5"), "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["same"]
+    assert again["decisions"] == answer["steps"]
+    assert main(["recording", "export", run, "--to", "hdf5", "-o", str(folder / "run.h5")]) == 0
+
+
+@dataclass(frozen=True)
+class Still:
+    """Devices in which nothing moves by itself."""
+
+    robot: RobotServer
+    drive: SteadyDrive
+    force: str
+    tracker: str
+
+
+@pytest.fixture(scope="module")
+def still() -> Iterator[Still]:
+    x, y, _, _ = small_table().best_entry().pose
+    half = 0.5**0.5  # the z axis of the coil along x: the needle points ahead
+    coil = SimulatedTool("1", lambda _: ((half, 0.0, half, 0.0), (x - 2.0, y, 0.0)))
+    drive = SteadyDrive()
+    with ExitStack() as stack:
+        robot = stack.enter_context(RobotServer(RobotMachine(drive)))
+        force = stack.enter_context(NetFtServer(NetFtBox(lambda _: (0, 0, 0.1, 0, 0, 0))))
+        tracker = stack.enter_context(TcpEndpoint(AuroraDevice([coil])))
+        yield Still(robot, drive, force.address, tracker.address)
+        assert drive.advance(0.0).depth_mm == 0  # nothing has moved it
+
+
+def refused(capsys: pytest.CaptureFixture[str], code: int, *words: str) -> None:
+    said = capsys.readouterr()
+    assert code == 2, said.err
+    assert said.out == ""
+    for word in words:
+        assert word in said.err
+
+
+def test_two_controllers(still: Still, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with RobotStage.open(f"{still.robot.address}?watchdog_s=5"):
+        code = insert(folder, still.robot.address, still.force, still.tracker)
+    refused(capsys, code, "another controller")
+
+
+def test_a_port_that_is_taken(still: Still, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("", 0))
+        address = f"{still.robot.address}?local_port={taken.getsockname()[1]}"
+        code = insert(folder, address, still.force, still.tracker)
+    refused(capsys, code, "in use")
+
+
+def test_units_that_nobody_knows(still: Still, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    box = NetFtBox(lambda _: (0, 0, 0, 0, 0, 0), settings=BoxSettings(force_unit="furlong"))
+    with NetFtServer(box) as wrong:
+        code = insert(folder, still.robot.address, wrong.address, still.tracker)
+    refused(capsys, code, "furlong")
+
+
+def test_a_device_of_another_type(still: Still, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A robot where the force sensor should be: it does not answer as one."""
+    code = insert(folder, still.robot.address, still.robot.address, still.tracker)
+    refused(capsys, code, "127.0.0.1")
+
+
+def test_a_tracker_that_lacks_the_tool(still: Still, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = insert(folder, still.robot.address, still.force, f"{still.tracker}?tool=77")
+    refused(capsys, code, "77")
+
+
+def test_a_needle_that_stands_elsewhere(still: Still, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = insert(folder, f"{still.robot.address}?watchdog_s=5", still.force, still.tracker, "--start", "0,5,0")
+    said = capsys.readouterr()
+    assert code == 2, said.err
+    assert "from the start that is wanted" in said.err
+    assert "refused" in said.out
