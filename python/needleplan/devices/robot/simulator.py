@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import select
 import socket
 import threading
 import time
@@ -17,6 +18,9 @@ from needleplan.devices.robot.messages import Fault
 from needleplan.errors import DeviceFault
 
 __all__ = ["DriveFaults", "RobotServer", "SteadyDrive"]
+
+_MOST_OVERTIME = 256
+"""So many datagrams are heard when a tick is due already."""
 
 
 @dataclass
@@ -107,6 +111,7 @@ class RobotServer:
         except OSError:
             self._socket.close()
             raise
+        self._socket.setblocking(False)
         self.host, self.port = self._socket.getsockname()
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
@@ -133,14 +138,18 @@ class RobotServer:
                 self._send(*sent)
 
     def _listen_until(self, due_s: float) -> None:
-        while True:
-            # What has come is heard before the watchdog looks, also where this process was stopped for a while.
-            self._socket.settimeout(max(due_s - time.monotonic(), 0.0))
+        # What has come is heard before the watchdog looks, also where this process was stopped for a while; but who
+        # sends without end does not keep the watchdog from looking.
+        overtime = _MOST_OVERTIME
+        while overtime:
+            left_s = max(due_s - time.monotonic(), 0.0)
+            overtime -= left_s == 0
+            # A time-out of the socket would be rounded up to whole milliseconds.
+            if not select.select([self._socket], [], [], left_s)[0]:
+                return
             try:
                 datagram, sender = self._socket.recvfrom(2048)
             except OSError:
-                if time.monotonic() >= due_s or self._stopping.is_set():
-                    return
                 continue
             answer = self.machine.receive(datagram, sender, time.monotonic_ns())
             if answer:
