@@ -140,7 +140,7 @@ def test_degenerate_points_are_refused(points: Array) -> None:
 @pytest.mark.parametrize("points", [4, 6, 12])
 def test_a_bad_point_is_named_and_good_ones_are_not(points: int) -> None:
     random, blamed, found = np.random.default_rng(12), 0, 0
-    for trial in range(100):
+    for trial in range(40):
         first = random.uniform(-50, 50, (points, 3))
         rotation = Rotation.random(random_state=trial)
         second = rotation.apply(first) + random.normal(0, 0.2, first.shape)
@@ -149,8 +149,8 @@ def test_a_bad_point_is_named_and_good_ones_are_not(points: int) -> None:
         second[bad] += rotation.apply([0.0, 10.0, 10.0])
         worst = worst_pair(first, second)
         found += worst is not None and worst.number == bad
-    assert blamed <= 5
-    assert found >= (95 if points > 4 else 10)
+    assert blamed <= 3
+    assert found >= (38 if points > 4 else 4)
 
 
 def test_three_points_leave_nothing_to_find_a_bad_one_with() -> None:

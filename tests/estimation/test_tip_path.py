@@ -42,18 +42,18 @@ def test_arcs_are_those_of_a_frame_that_does_not_twist(
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.floats(0.5, 12), st.floats(-3, 3), st.floats(-0.2, 0.2))
+@given(st.floats(0.5, 5), st.floats(-3, 3), st.floats(-0.2, 0.2))
 def test_one_long_piece_spreads_like_many_short_ones(length: float, roll: float, elevation: float) -> None:
     allowed = TipSettings(heading_sd_rad_sqrt_mm=0.01)
     state = np.array([0, 0, 0, 0.3, elevation, 1.1, 0.02, 0, 0, 0], float)
     start = np.diag([0.1, 0.1, 0.1, 0.01, 0.01, 0.1, 0.03, 0.2, 0.2, 0.2]) ** 2
     whole, spread = moved(state, start, piece(length, roll), 1 / 40, allowed)
     at, by_parts = state, start
-    for _ in range(50):
-        at, by_parts = moved(at, by_parts, piece(length / 50, roll), 1 / 40, allowed)
+    for _ in range(30):
+        at, by_parts = moved(at, by_parts, piece(length / 30, roll), 1 / 40, allowed)
     np.testing.assert_allclose(whole[:FACTOR], at[:FACTOR], atol=2e-3)
     scale = np.sqrt(np.diag(by_parts))
-    np.testing.assert_allclose(spread / np.outer(scale, scale), by_parts / np.outer(scale, scale), atol=0.06)
+    np.testing.assert_allclose(spread / np.outer(scale, scale), by_parts / np.outer(scale, scale), atol=0.04)
 
 
 def test_spread_is_that_of_many_needles() -> None:

@@ -40,7 +40,10 @@ _AHEAD_S = 0.05
 
 _SPACING_MM = 0.25
 _SAME_PLACE_MM = 0.05
-_LONGEST_MM = 1.0
+_LONGEST_MM = 5.0
+"""The covariance of a longer piece would be that of its chord."""
+
+_LOOKED_UP_MM = 1.0
 """Where the curvature differs from place to place, it is looked up so often."""
 
 _SEEN = np.zeros((5, SIZE))
@@ -256,9 +259,10 @@ class TipFilter:
         return until_mm, state, covariance
 
     def _parts(self, piece: Piece) -> list[Piece]:
-        if not callable(self._planned) or piece.length_mm <= _LONGEST_MM or not piece.fresh:
+        longest = _LOOKED_UP_MM if callable(self._planned) else _LONGEST_MM
+        if piece.length_mm <= longest or not piece.fresh:
             return [piece]
-        count = math.ceil(piece.length_mm / _LONGEST_MM)
+        count = math.ceil(piece.length_mm / longest)
         part = piece._replace(length_mm=piece.length_mm / count)
         return [part, *[part._replace(turned_rad=0.0)] * (count - 1)]
 
