@@ -18,17 +18,19 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from needleplan import mdp, models
+    from needleplan.diagnosis import diagnose
     from needleplan.errors import InputError, NeedleplanError
     from needleplan.planning import PolicyTable, plan
     from needleplan.scenario import Scenario
 
-__all__ = ["InputError", "NeedleplanError", "PolicyTable", "Scenario", "mdp", "models", "plan"]
+__all__ = ["InputError", "NeedleplanError", "PolicyTable", "Scenario", "diagnose", "mdp", "models", "plan"]
 
 _HOMES = {
     "InputError": "errors",
     "NeedleplanError": "errors",
     "PolicyTable": "planning",
     "Scenario": "scenario",
+    "diagnose": "diagnosis",
     "plan": "planning",
 }
 

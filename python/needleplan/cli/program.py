@@ -12,6 +12,7 @@ import sys
 from collections.abc import Sequence
 
 from needleplan.cli import (
+    diagnose,
     entry,
     evaluate,
     identify,
@@ -62,7 +63,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in (plan, path, evaluate, entry, info, identify, register, simulate, lab, insert, recording, reproduce):
+    for command in (
+        plan, path, evaluate, entry, info, identify, register, simulate, lab, insert, diagnose, recording, reproduce,
+    ):  # fmt: skip
         command.add_to(commands)
     return parser
 

@@ -21,12 +21,13 @@ from needleplan.models.friction import (
     distributed,
     into_fresh_tissue,
 )
+from needleplan.models.insertion import ShaftAndTip
 from needleplan.models.intervals import Intervals, bootstrap_intervals, profile_intervals
 from needleplan.models.model_file import ModelFile, Parent
 from needleplan.models.needle import Needle
 from needleplan.models.parameter import Parameter, Scale, constant, parameter
 from needleplan.models.registry import KINDS, kind_of
-from needleplan.models.residuals import Finding, residual_findings
+from needleplan.models.residuals import Finding, ljung_box, residual_findings
 from needleplan.models.simulate import Trajectory, simulate
 from needleplan.models.spatial import TipFrame
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, fit_on_tissue, tune_slow_observer
@@ -63,6 +64,7 @@ __all__ = [
     "QuasiStatic",
     "Scale",
     "SelfIntegratingModel",
+    "ShaftAndTip",
     "TipFrame",
     "TipPath",
     "Torsion",
@@ -76,6 +78,7 @@ __all__ = [
     "fit_on_tissue",
     "into_fresh_tissue",
     "kind_of",
+    "ljung_box",
     "parameter",
     "profile_intervals",
     "residual_findings",

@@ -22,6 +22,8 @@
     name = "trial 3"
     digest = "sha256:..."
 
+    [[effect]]                # what was added to the model: see `needleplan.models.effect_file`
+
 Parameters that the file does not name have the default of the model; `unit` must be that of the model.
 """
 
@@ -41,6 +43,8 @@ from typing import Any, get_type_hints
 
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.base import Model
+from needleplan.models.effect_file import effect_lines, read_effects
+from needleplan.models.effects.augmented import AugmentedModel
 from needleplan.models.fit import Estimate
 from needleplan.models.parameter import Parameter
 from needleplan.models.registry import kind_of
@@ -49,7 +53,7 @@ from needleplan.provenance import digest, version, write_whole
 __all__ = ["SCHEMA", "ModelFile", "Parent"]
 
 SCHEMA = "needleplan.model/1"
-_KEYS = ("schema", "kind", "title", "made_by", "parameters", "options", "parent", "remarks")
+_KEYS = ("schema", "kind", "title", "made_by", "parameters", "options", "parent", "remarks", "effect")
 _NUMBERS = ("value", "sd", "low", "high")
 _ESTIMATE = ("sd", "low", "high", "identified")
 _OPTIONS = (StrEnum, bool, int, float, str)
@@ -114,7 +118,9 @@ class ModelFile:
         return digest(self.to_toml())
 
     def _lines(self) -> Iterator[str]:
-        kind = type(self.model)
+        effects = self.model.effects if isinstance(self.model, AugmentedModel) else ()
+        model = self.model.base if isinstance(self.model, AugmentedModel) else self.model
+        kind = type(model)
         yield from (f"schema = {_text(SCHEMA)}", f"kind = {_text(kind.name)}", f"title = {_text(self.title)}")
         yield f"made_by = {_text(self.made_by)}"
         yield f"remarks = [{', '.join(map(_text, self.remarks))}]"
@@ -122,7 +128,7 @@ class ModelFile:
             yield from (
                 "",
                 f"[parameters.{name}]",
-                f"value = {getattr(self.model, name)!r}",
+                f"value = {getattr(model, name)!r}",
                 f"unit = {_text(what.unit)}",
             )
             if name in self.estimates:
@@ -132,9 +138,11 @@ class ModelFile:
         options = _options(kind)
         if options:
             yield from ("", "[options]")
-            yield from (f"{name} = {_option(getattr(self.model, name))}" for name in options)
+            yield from (f"{name} = {_option(getattr(model, name))}" for name in options)
         for parent in self.parents:
             yield from ("", "[[parent]]", f"name = {_text(parent.name)}", f"digest = {_text(parent.digest)}")
+        for added in effects:
+            yield from effect_lines(added)
 
 
 class _Reader:
@@ -159,6 +167,7 @@ class _Reader:
         parameters = self._table("parameters")
         known = kind.parameters()
         self._unknown("parameters", parameters, known)
+        effects = read_effects(self.document.get("effect", []), self._wrong)
         values: dict[str, Any] = self._choices(kind)
         estimates: dict[str, Estimate] = {}
         for name, what in known.items():
@@ -169,10 +178,12 @@ class _Reader:
         if self.mistakes:
             return None
         try:
-            model = kind(**values)
+            model: Model = kind(**values)
         except ModelError as error:
             self.mistakes += [Mistake(f"parameters.{each.key}", each.value, each.rule) for each in error.mistakes]
             return None
+        if effects:
+            model = AugmentedModel(model, effects)
         return ModelFile(model, estimates, parents, remarks, texts["title"], texts["made_by"])
 
     def _parameter(

@@ -14,6 +14,7 @@ from needleplan.models.deflection import TipPath
 from needleplan.models.deflection.axial_force import InsertionForce
 from needleplan.models.force import ForceModel1, ForceModel2
 from needleplan.models.friction import AveragedLuGre, Karnopp, LumpedLuGre, QuasiStatic
+from needleplan.models.insertion import ShaftAndTip
 from needleplan.models.tissue.lugre import AveragedOnTissue, LumpedOnTissue
 
 __all__ = ["KINDS", "MEMBERS", "kind_of"]
@@ -29,6 +30,7 @@ MEMBERS: tuple[type[Model], ...] = (
     LumpedLuGre,
     LumpedOnTissue,
     QuasiStatic,
+    ShaftAndTip,
     TipPath,
 )
 

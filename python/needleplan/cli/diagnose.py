@@ -1,0 +1,78 @@
+"""`needleplan diagnose`: where a model and recordings disagree, and what is missing."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import note, print_json
+from needleplan.cli.options import add_json
+
+if TYPE_CHECKING:
+    from needleplan.diagnosis import Diagnosis
+
+__all__ = ["add_to", "run"]
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "diagnose",
+        help="find where a model and recordings disagree, name what is missing, add it",
+        description="Compare a model with recordings: where they disagree, which effect is missing, how large it is, "
+        "and whether that is enough; or that it cannot be told. Trials have the roles train, holdout (another motion) "
+        "and noise (the sensor with nothing happening). Writes DIR/diagnosis.json, and DIR/model.toml where an effect "
+        "was named. Exit code 0: nothing is missing, or it has a name; 1: no name could be given.",
+    )
+    parser.add_argument("model", metavar="MODEL.toml", help="the model, as needleplan identify writes it")
+    parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
+    parser.add_argument("-o", "--output", required=True, metavar="DIR", help="folder for the results")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the simulated data behind p-values (0)")
+    parser.add_argument(
+        "--merge-anyway", action="store_true", help="write model.toml also where the verdict is not named"
+    )
+    parser.add_argument(
+        "--accept-units", action="store_true", help="use numbers of a size that no needle has, such as depths in metres"
+    )
+    add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    from needleplan.diagnosis import Verdict
+    from needleplan.diagnosis.document import document_of
+    from needleplan.workflow.diagnosis import diagnose_files, write_folder
+
+    found, file = diagnose_files(options.model, options.data, accept_units=options.accept_units, seed=options.seed)
+    written = write_folder(found, file, options.output, merge_anyway=options.merge_anyway)
+    for each in written:
+        note(f"wrote {each}")
+    if options.json:
+        print_json(document_of(found) | {"written": list(written)})
+    else:
+        print("\n".join(_lines(found)))
+    return 0 if found.verdict in (Verdict.NONE, Verdict.NAMED) else 1
+
+
+def _lines(found: Diagnosis) -> Iterator[str]:
+    decision = found.decision
+    yield f"{decision.verdict}: {decision.because}"
+    for each in found.effects:
+        yield f"  {each.effect.title}: {each.effect.meaning}"
+        for name, value in each.added.estimates.items():
+            yield f"    {name:<14} {value.value:.4g} {value.unit}  ({value.low:.4g} to {value.high:.4g})".rstrip()
+        yield f"    adds {each.rms:.3g} RMS in the training data, {each.share:.0%} of what was found"
+    if decision.axis:
+        yield f"  what is left lies along: {decision.axis}"
+    if found.effects and found.verified:
+        after = found.verified
+        yield (
+            f"  held out: {after.before_n:.4g} -> {after.after_n:.4g} RMS, noise {after.floor_n:.4g}; "
+            f"{after.transfer:.2f} of what was promised"
+        )
+    for why in found.checked.lacks.values():
+        yield f"  lacking: {why}"
+    for remark in found.remarks:
+        yield f"  remark: {remark}"

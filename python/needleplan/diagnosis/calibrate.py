@@ -1,0 +1,263 @@
+"""Before anything is called missing, the base gets every chance: all of its parameters, in each trial by itself.
+
+A trial is linearised about its own best parameters. Late readings belong to the base too: low-pass filters of sensors
+are normal, so a lag of some milliseconds is a nuisance with a prior, and only one far beyond it is an effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.diagnosis.noise import Noise
+from needleplan.diagnosis.space import Block
+from needleplan.diagnosis.variation import tissue_modes
+from needleplan.models import Model, simulate
+from needleplan.signals import Array, Motion, Record
+
+__all__ = ["USUAL_LAG_S", "Calibration", "Case", "calibrate", "fit_case", "late", "pooled", "turning", "turns"]
+
+USUAL_LAG_S = 0.004
+"""Standard deviation of the lag that a sensor may have without anybody calling it an effect."""
+
+_STEPS = 8
+_LONGEST_STEP = 0.7
+_RELATIVE = 1e-3
+_DONE = 0.02
+_LONGEST_LAG_S = 0.2
+_FORGOTTEN = 0.05
+_TURN_S = 0.003
+_TURN_SAMPLES = 2
+_SLOW = 0.002
+_BELIEF = 0.7
+"""Standard deviation of a coordinate about that of the model as given: a factor of two, give or take."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A trial that is diagnosed: what was measured, the base calibrated to it, and both whitened."""
+
+    record: Record
+    motion: Motion
+    measured: Array
+    model: Model
+    lag_s: float
+    output: Array
+    """Of the calibrated base, with the effects that were held."""
+
+    predicted: Array
+    """What the sensor shows of it: with the lag."""
+
+    block: Block
+    rows: Array
+    """Whitened samples that count: bool (samples - order,)."""
+
+    noise: Noise
+    lag_column: Array
+    """Whitened: what is measured by one second of lag, zeros for what is known already."""
+
+    def whiten(self, values: Array) -> Array:
+        """Return what is new in forces, (samples, ...), once they are read; zeros for what is known already."""
+        whitened = self.noise.whiten(late(values, self.motion, self.lag_s))[self.rows]
+        more = self.block.samples - len(whitened)
+        return np.concatenate([whitened, np.zeros((more, *whitened.shape[1:]))])
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The base, calibrated to every trial, and the noise."""
+
+    noise: Noise
+    training: tuple[Case, ...]
+    held_out: tuple[Case, ...]
+    free: tuple[str, ...]
+    model: Model
+    """With the mean of the parameters of the training trials."""
+
+    given: Model
+
+
+def calibrate(
+    model: Model, training: Sequence[Record], held_out: Sequence[Record], noise: Noise, *, modes: bool = True
+) -> Calibration:
+    """Calibrate every free parameter of `model` to every trial by itself."""
+    free = tuple(name for name, what in model.parameters().items() if what.free)
+    cases = [fit_case(model, record, noise, free, modes=modes) for record in training]
+    base = pooled([case.model for case in cases], free)
+    others = [fit_case(base, record, noise, free, modes=modes, about=model) for record in held_out]
+    return Calibration(noise, tuple(cases), tuple(others), free, base, model)
+
+
+def pooled(models: Sequence[Model], free: Sequence[str]) -> Model:
+    """Return the model with the mean of the coordinates of each free parameter."""
+    first = models[0]
+    what = first.parameters()
+    return first.with_values(**{
+        name: what[name].value(float(np.mean([what[name].coordinate(getattr(each, name)) for each in models])))
+        for name in free
+    })  # fmt: skip
+
+
+def fit_case(
+    model: Model,
+    record: Record,
+    noise: Noise,
+    free: Sequence[str],
+    *,
+    modes: bool = True,
+    extra: Callable[[Model, Motion], Array] | None = None,
+    start_lag_s: float = 0.004,
+    about: Model | None = None,
+) -> Case:
+    """Calibrate `model` to one trial (Gauss and Newton, whitened) and linearise it there.
+
+    `extra` is what an effect that is held adds to the output of a model along a motion, shape (samples,). Parameters
+    are believed to be near those of `about`, by default `model`.
+    """
+    motion = record.motion()
+    measured = record[model.channel]
+    rows = np.isfinite(noise.whiten(measured))
+    what = model.parameters()
+    coordinates = np.array([what[name].coordinate(getattr(model, name)) for name in free])
+    low = np.array([what[name].coordinate(max(what[name].lower, 1e-300)) for name in free])
+    high = np.array([what[name].coordinate(what[name].upper) for name in free])
+    given = about or model
+    centre = np.append([what[name].coordinate(getattr(given, name)) for name in free], 0.0)
+    belief = np.append(np.full(len(free), _BELIEF), USUAL_LAG_S)
+
+    def model_at(u: Array) -> Model:
+        return model.with_values(**{
+            name: float(np.clip(what[name].value(float(each)), what[name].lower, what[name].upper))
+            for name, each in zip(free, u, strict=True)
+        })  # fmt: skip
+
+    def output(u: Array) -> Array:
+        now = model_at(u)
+        plain = simulate(now, motion).output
+        return plain if extra is None else np.asarray(plain + extra(now, motion))
+
+    def left(plain: Array, its_lag: float) -> Array:
+        return noise.whiten(measured - late(plain, motion, its_lag))[rows]
+
+    def off(u: Array, its_lag: float) -> Array:
+        return np.asarray((np.append(u, its_lag) - centre) / belief)
+
+    def cost(plain: Array, u: Array, its_lag: float) -> float:
+        each, known = left(plain, its_lag), off(u, its_lag)
+        return float(each @ each) + float(known @ known)
+
+    lag = start_lag_s
+    plain = output(coordinates)
+    least = cost(plain, coordinates, lag)
+    for _ in range(_STEPS):
+        sensitivities = _sensitivities(output, coordinates, plain, motion, lag, noise, rows)
+        normal = sensitivities.T @ sensitivities
+        normal += np.diag(belief**-2)
+        target = sensitivities.T @ left(plain, lag) - off(coordinates, lag) / belief
+        move = np.linalg.solve(normal, target)
+        promised = float(move @ target)
+        move *= min(1.0, _LONGEST_STEP / max(float(np.abs(move[:-1]).max()), 1e-12))
+        found = False
+        for share in (1.0, 0.4, 0.1):
+            trial = np.clip(coordinates + share * move[:-1], low, high)
+            its_lag = float(np.clip(lag + share * move[-1], 0.0, _LONGEST_LAG_S))
+            there = output(trial)
+            its_cost = cost(there, trial, its_lag)
+            if its_cost < least:
+                coordinates, lag, plain, least, found = trial, its_lag, there, its_cost, True
+                break
+        if not found or promised < _DONE:
+            break
+    predicted, residual = late(plain, motion, lag), left(plain, lag)
+    sensitivities = _sensitivities(output, coordinates, plain, motion, lag, noise, rows)
+    best = model_at(coordinates)
+    vectors, variances = (
+        _modes(best, motion, lag, noise, rows) if modes else (np.zeros((len(residual), 0)), np.zeros(0))
+    )
+    jitter = noise.whiten(turns(predicted, motion))[rows]
+    # What is believed of parameters, of the lag and of the moments of turning are more measurements.
+    q, k = sensitivities.shape[1], jitter.shape[1]
+    more = q + k
+    sensitivities = np.block(
+        [[sensitivities, jitter], [np.diag(1 / belief), np.zeros((q, k))], [np.zeros((k, q)), np.eye(k)]]
+    )
+    lag_column = np.concatenate([sensitivities[: len(residual), q - 1], np.zeros(more)])
+    block = Block(
+        np.concatenate([residual, -off(coordinates, lag), np.zeros(k)]),
+        sensitivities / np.maximum(np.linalg.norm(sensitivities, axis=0), 1e-12),
+        np.zeros((len(residual) + more, 0)),
+        np.vstack([vectors, np.zeros((more, vectors.shape[1]))]),
+        variances,
+    )
+    return Case(record, motion, measured, best, lag, plain, predicted, block, rows, noise, lag_column)
+
+
+def late(force: Array, motion: Motion, lag_s: float) -> Array:
+    """Return a force as a sensor with a lag of first order shows it, shape (samples,) or (samples, n)."""
+    h = motion.interval_s.reshape((-1,) + (1,) * (force.ndim - 1))
+    rise = np.diff(force, axis=0) / h
+    if lag_s <= 0:
+        return force
+    decay = np.exp(-h / lag_s)
+    behind = np.empty_like(force)
+    if float(decay.max()) < _FORGOTTEN:
+        behind[0], behind[1:] = 0.0, -lag_s * rise * (1 - decay)
+        behind[2:] += decay[1:] * behind[1:-1]
+        return force + behind
+    now = behind[0] = np.zeros(force.shape[1:])
+    for index in range(len(h)):
+        now = behind[index + 1] = decay[index] * now - lag_s * rise[index] * (1 - decay[index])
+    return force + behind
+
+
+def turns(predicted: Array, motion: Motion) -> Array:
+    """Return what an error of the moment, and of the duration, of every turn of the force would show, at one sd.
+
+    Between two samples a motion is taken as even, and when it turns it is not: at a reversal the force changes by all
+    of its friction within one or two samples, and a millisecond is worth many times the noise.
+    """
+    slope = np.gradient(predicted, motion.time_s)
+    curve = np.gradient(slope, motion.time_s)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], turning(motion).astype(int), [0]])))
+    found = []
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        for values, sd in ((slope, _TURN_S), (curve, _TURN_S * float(np.median(motion.interval_s)) / 2)):
+            each = np.zeros(len(predicted))
+            each[begin:end] = sd * values[begin:end]
+            found.append(each)
+    return np.column_stack(found) if found else np.zeros((len(predicted), 0))
+
+
+def turning(motion: Motion) -> Array:
+    """Return which samples are next to a change of direction, or to a begin or end of rest; bool (samples,)."""
+    fastest = float(np.abs(motion.velocity_mm_s).max())
+    sign = np.sign(np.where(np.abs(motion.velocity_mm_s) < _SLOW * fastest, 0.0, motion.velocity_mm_s))
+    turned = np.concatenate([[False], np.diff(np.where(sign == 0, motion.direction, sign)) != 0])
+    return np.asarray(np.convolve(turned, np.ones(2 * _TURN_SAMPLES + 1), "same") > 0)
+
+
+def _sensitivities(
+    output: Callable[[Array], Array], coordinates: Array, plain: Array, motion: Motion, lag: float, noise: Noise,
+    rows: Array,
+) -> Array:  # fmt: skip
+    """Return how what is measured depends on every coordinate and on the lag, whitened."""
+    raw = np.empty((len(plain), coordinates.size + 1))
+    for index in range(coordinates.size):
+        moved = coordinates.copy()
+        moved[index] += _RELATIVE
+        raw[:, index] = (output(moved) - plain) / _RELATIVE
+    raw[:, :-1] = late(raw[:, :-1], motion, lag)
+    step = 1e-4
+    raw[:, -1] = (late(plain, motion, lag + step) - late(plain, motion, lag)) / step
+    whitened: Array = noise.whiten(raw)[rows]
+    return whitened
+
+
+def _modes(model: Model, motion: Motion, lag: float, noise: Noise, rows: Array) -> tuple[Array, Array]:
+    whitened = noise.whiten(late(tissue_modes(model, motion), motion, lag))[rows]
+    gram = whitened.T @ whitened
+    values, vectors = np.linalg.eigh(gram)
+    keep = values > 1e-6 * values[-1]
+    return whitened @ (vectors[:, keep] / np.sqrt(values[keep])), values[keep]

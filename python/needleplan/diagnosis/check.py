@@ -1,0 +1,135 @@
+"""Whether the data can carry a diagnosis, and what they cannot carry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from needleplan.errors import DataError, Mistake
+from needleplan.models import Channel
+from needleplan.signals import Record, Role
+from needleplan.signals.record import UNITS
+
+__all__ = ["Checked", "Lack", "check_data"]
+
+_FEWEST = 200
+_NOISE_S = 5.0
+_SAME_RATE = 0.03
+_SAME_MOTION_MM = 0.5
+_GAP = 5.0
+
+
+class Lack(StrEnum):
+    """What is missing, and keeps an effect from being named."""
+
+    NOISE = "noise record"
+    HELD_OUT = "held-out trial"
+    OTHER_MOTION = "held-out trial of another motion"
+    TRIALS = "second training trial"
+
+
+@dataclass(frozen=True)
+class Checked:
+    """Trials by their role; what is lacking, each with what can still be said; remarks."""
+
+    training: tuple[Record, ...]
+    held_out: tuple[Record, ...]
+    noise: tuple[Record, ...]
+    lacks: dict[Lack, str]
+    remarks: tuple[str, ...]
+
+
+def check_data(recordings: Sequence[Record], channel: Channel) -> Checked:
+    """Sort recordings by their role and say what is missing.
+
+    Raises DataError, with every mistake, where nothing can be said: no training trial, a column that is missing, too
+    few samples, sampling that is uneven or not that of the noise record, a channel that is constant.
+    """
+    roles = {role: tuple(each for each in recordings if each.role is role) for role in Role}
+    training, held_out, noise = roles[Role.TRAIN], roles[Role.HOLDOUT], roles[Role.NOISE]
+    mistakes: list[Mistake] = []
+    if not training:
+        mistakes.append(Mistake("role", "", "no trial has the role train: there is nothing to diagnose"))
+    for each in (*training, *held_out):
+        mistakes += _unusable(each, channel)
+    for each in noise:
+        mistakes += _unusable_noise(each, channel)
+    if mistakes:
+        raise DataError(mistakes, "diagnose")
+    rates = {each.trial: _interval_s(each) for each in recordings}
+    first = rates[training[0].trial]
+    mistakes += [
+        Mistake(
+            f"time_s of {name}", f"every {rate:.4g} s", f"must be sampled as {training[0].trial}, every {first:.4g} s"
+        )
+        for name, rate in rates.items()
+        if abs(rate / first - 1) > _SAME_RATE
+    ]
+    if mistakes:
+        raise DataError(mistakes, "diagnose")
+    lacks: dict[Lack, str] = {}
+    long_enough = sum(float(np.ptp(each["time_s"])) for each in noise) >= _NOISE_S
+    if not long_enough:
+        lacks[Lack.NOISE] = (
+            f"no noise record of at least {_NOISE_S:g} s (role noise: the sensor with nothing happening): the noise is "
+            "taken from what smooth functions leave, and a gap in the noise cannot be told from one in the model"
+        )
+    if not held_out:
+        lacks[Lack.HELD_OUT] = "no held-out trial (role holdout): whether an effect holds elsewhere is not known"
+    elif not any(_other_motion(each, training) for each in held_out):
+        lacks[Lack.OTHER_MOTION] = (
+            "the held-out trials repeat a motion of the training: that proves nothing about others"
+        )
+    if len(training) < 2:
+        lacks[Lack.TRIALS] = "one training trial: what differs from place to place cannot be told from what is missing"
+    remarks = [f"{each.trial}: {note}" for each in recordings for note in each.notes]
+    return Checked(training, held_out, noise if long_enough else (), lacks, tuple(remarks))
+
+
+def _unusable(record: Record, channel: Channel) -> list[Mistake]:
+    missing = [name for name in ("depth_mm", str(channel)) if name not in record.columns]
+    if missing:
+        return [Mistake(f"{name} ({record.trial})", "", "is missing, and is needed here") for name in missing]
+    good = np.isfinite(record[channel])
+    mistakes = []
+    if good.sum() < _FEWEST:
+        rule = f"too short: at least {_FEWEST} samples of {channel} are needed"
+        mistakes.append(Mistake(record.trial, f"{int(good.sum())} samples", rule))
+    elif np.ptp(record[channel][good]) == 0:
+        mistakes.append(
+            Mistake(f"{channel} ({record.trial})", "", "is constant to the last bit: no sensor measures that")
+        )
+    if np.ptp(record["depth_mm"]) == 0:
+        mistakes.append(Mistake(f"depth_mm ({record.trial})", "", "is constant: a needle at rest shows nothing"))
+    steps = np.diff(record["time_s"])
+    if steps.size and steps.max() > _GAP * np.median(steps):
+        rule = f"has a gap of {steps.max():.3g} s between samples every {np.median(steps):.3g} s; cut the trial there"
+        mistakes.append(Mistake(f"time_s ({record.trial})", "", rule))
+    return mistakes
+
+
+def _unusable_noise(record: Record, channel: Channel) -> list[Mistake]:
+    if str(channel) not in record.columns:
+        return [Mistake(f"{channel} ({record.trial})", "", "is missing from the noise record")]
+    values = record[channel]
+    if not np.isfinite(values).all() or np.ptp(values) == 0:
+        rule = f"a noise record must have a number in {UNITS[channel]} in every row, and they must not all be equal"
+        return [Mistake(f"{channel} ({record.trial})", "", rule)]
+    return []
+
+
+def _interval_s(record: Record) -> float:
+    return float(np.median(np.diff(record["time_s"])))
+
+
+def _other_motion(record: Record, training: Sequence[Record]) -> bool:
+    """Whether a trial moves otherwise than all of the training."""
+    for each in training:
+        time = record["time_s"] - record["time_s"][0]
+        other = np.interp(time, each["time_s"] - each["time_s"][0], each["depth_mm"])
+        if float(np.sqrt(np.mean((record["depth_mm"] - other) ** 2))) < _SAME_MOTION_MM:
+            return False
+    return True

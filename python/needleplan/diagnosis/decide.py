@@ -1,0 +1,103 @@
+"""From what was selected to a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.diagnosis.calibrate import Calibration, Case
+from needleplan.diagnosis.rivals import Axis, bases, omnibus
+from needleplan.diagnosis.select import Selection, Stop
+from needleplan.diagnosis.space import Space
+from needleplan.diagnosis.verdict import Gates, Verdict
+from needleplan.models.effects import SIZE
+
+__all__ = ["Decision", "decide"]
+
+_FEW = 40.0
+"""Gap that smooth functions must see for the share that is explained to mean something."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The verdict, and what speaks for it."""
+
+    verdict: Verdict
+    named: tuple[str, ...]
+    tied: tuple[str, ...]
+    """Where it is ambiguous, the effects between which it is."""
+
+    axis: Axis | None
+    """Along what the gap lies, where it has no name."""
+
+    explained: float | None
+    """Part of the gap that smooth functions see which the named effects explain."""
+
+    because: str
+
+
+def decide(selection: Selection, calibration: Calibration, gates: Gates, *, seen: float) -> Decision:
+    """Return the verdict. `seen` is the largest size, in noise RMS, that some effect could have unseen."""
+    last, first = selection.steps[-1], selection.steps[0]
+    rival = first.rivals[0]
+    if selection.joint is None:
+        if last.stop is Stop.TIE:
+            if _loses(last.ranked[0].joint.gain, last.ranked[0].balance, rival.gain, rival.balance, gates):
+                return _unknown(rival.axis, "a smooth function without a name explains more than any known effect")
+            text = "these effects explain the gap alike: " + ", ".join(last.tied)
+            return Decision(Verdict.AMBIGUOUS, (), last.tied, None, None, text)
+        if rival.balance >= gates.balance or last.stop is Stop.NO_TRANSFER:
+            if last.stop is Stop.NO_TRANSFER and last.ranked[0].balance > rival.balance:
+                return _unknown(rival.axis, f"{last.ranked[0].name} fits best, but does not hold in another motion")
+            return _unknown(rival.axis, "a smooth function without a name explains what no known effect does")
+        if seen > gates.relevant:
+            return Decision(Verdict.UNDERPOWERED, (), (), None, None, "no gap, but an effect that matters could hide")
+        return Decision(Verdict.NONE, (), (), None, None, "no gap: what the model leaves is noise")
+    joint = selection.joint
+    names = tuple(each.effect.name for each in joint.added)
+    balance = sum(step.ranked[0].balance for step in selection.steps if step.stop is Stop.ACCEPTED)
+    if _loses(joint.gain, balance, rival.gain, rival.balance, gates):
+        return _unknown(rival.axis, f"{', '.join(names)} fits, but a smooth function without a name explains more")
+    share = _explained(selection, calibration)
+    remaining = last.rivals[0]
+    for index, each in enumerate(joint.added):
+        what = each.effect.parameters[SIZE]
+        sd = joint.sd(index, SIZE)
+        if not what.lower - 2 * sd <= each.values[SIZE] <= what.upper + 2 * sd or each.values[SIZE] in (
+            what.lower, what.upper,
+        ):  # fmt: skip
+            text = f"{each.effect.name} would have to be as large as it can be, {each.values[SIZE]:.3g} {what.unit}"
+            return Decision(Verdict.IMPLAUSIBLE, names, (), None, share, text)
+    if share is not None and share < gates.explained and remaining.balance > gates.balance:
+        return _unknown(remaining.axis, f"{', '.join(names)} explains {share:.0%} of the gap only", share)
+    left = remaining.balance > gates.balance and share is not None and share < gates.complete
+    if left or last.stop is Stop.TIE:
+        return Decision(Verdict.INCOMPLETE, names, last.tied if last.stop is Stop.TIE else (), remaining.axis, share,
+                        "something else is missing too")  # fmt: skip
+    return Decision(Verdict.NAMED, names, (), None, share, "passes all gates")
+
+
+def _unknown(axis: Axis, text: str, share: float | None = None) -> Decision:
+    return Decision(Verdict.UNKNOWN, (), (), axis, share, text)
+
+
+def _loses(gain: float, balance: float, rival_gain: float, rival_balance: float, gates: Gates) -> bool:
+    return rival_balance - balance > gates.lead and gain < gates.share_of_rival * rival_gain
+
+
+def _explained(selection: Selection, calibration: Calibration) -> float | None:
+    assert selection.joint is not None
+    before = _seen(selection.base, calibration.training)
+    if before < _FEW:
+        return None
+    after = _seen(selection.joint.space, selection.joint.cases)
+    return float(np.clip(1 - after / before, 0.0, 1.0))
+
+
+def _seen(space: Space, cases: Sequence[Case]) -> float:
+    columns = omnibus(bases(cases))
+    df = columns[0].shape[1]
+    gain = space.basis_gains([case.whiten(each) for case, each in zip(cases, columns, strict=True)])
+    return max(gain - df, 0.0)

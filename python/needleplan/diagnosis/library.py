@@ -1,0 +1,95 @@
+"""All effects over all places, times and speeds where they are looked for, as columns along the motions at hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from needleplan.models import Model
+from needleplan.models.effects import SIZE, Effect, Reach
+from needleplan.provenance import digest
+from needleplan.signals import Array, Motion
+
+__all__ = ["Candidates", "Library"]
+
+_STEP = 1.5
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """One effect: where it is looked for, m places."""
+
+    effect: Effect
+    grid: tuple[Mapping[str, float], ...]
+    first: int
+    """Where its columns begin."""
+
+    @property
+    def last(self) -> int:
+        """Where they end."""
+        return self.first + len(self.grid)
+
+    @property
+    def count(self) -> int:
+        """How many parameters it has, size included."""
+        return len(self.effect.parameters)
+
+    @property
+    def sign(self) -> int:
+        """Sign that the size must have: +1, -1, or 0 for either."""
+        what = self.effect.parameters[SIZE]
+        return 1 if what.lower >= 0 else -1 if what.upper <= 0 else 0
+
+    def guessed(self) -> Array:
+        """Return for what size each column was made, shape (m,); NaN where the effect is linear in its size."""
+        return np.array([values.get(SIZE, np.nan) for values in self.grid])
+
+
+@dataclass
+class Library:
+    """Columns by motion, made once and kept: recordings of the same motions share them."""
+
+    effects: Sequence[Effect]
+    nominal: Model
+    _kept: dict[tuple[str, str], Array] = field(default_factory=dict, repr=False)
+
+    def candidates(self, motions: Sequence[Motion]) -> tuple[Candidates, ...]:
+        """Return the grids of all effects in what some motions visit."""
+        reach = Reach.of(motions)
+        found: list[Candidates] = []
+        first = 0
+        for effect in self.effects:
+            grid = tuple(effect.grid(reach))
+            if grid:
+                found.append(Candidates(effect, grid, first))
+                first += len(grid)
+        return tuple(found)
+
+    def columns(self, model: Model, motion: Motion, candidates: Sequence[Candidates]) -> Array:
+        """Return what the output gains for each candidate, shape (samples, m).
+
+        Columns are for the nominal model unless `model` is far from it, so that data sets of one needle share them.
+        """
+        near = _near(model, self.nominal)
+        place = digest(motion.time_s.tobytes() + motion.depth_mm.tobytes() + motion.velocity_mm_s.tobytes())
+        parts = []
+        for each in candidates:
+            key = (place, f"{each.effect.name} {near} {each.grid}")
+            if key not in self._kept:
+                self._kept[key] = each.effect.columns(near, motion, each.grid)
+            parts.append(self._kept[key])
+        return np.column_stack(parts)
+
+
+def _near(model: Model, nominal: Model) -> Model:
+    """Return the nominal model, with each parameter that is far from it moved by steps of a half."""
+    values = {}
+    for name, what in model.parameters().items():
+        given, nominal_value = getattr(model, name), getattr(nominal, name)
+        if what.free and given * nominal_value > 0:
+            near = nominal_value * _STEP ** round(math.log(given / nominal_value) / math.log(_STEP))
+            values[name] = min(max(near, what.lower), what.upper)
+    return nominal.with_values(**values)

@@ -1,0 +1,155 @@
+"""Base and effects together, by the simulator itself and not by columns: the fit on which a decision rests.
+
+In turn, each trial's base is calibrated beside the effects as they are, and the effects' parameters, common to all
+trials, take a step of Gauss and Newton with the base projected out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from needleplan.diagnosis.calibrate import Calibration, Case, fit_case
+from needleplan.diagnosis.space import Space
+from needleplan.models import Model, Scale, simulate
+from needleplan.models.effects import SIZE, Effect
+from needleplan.signals import Array, Motion
+
+__all__ = ["Added", "Joint", "added_output", "cases_with", "refit"]
+
+_ROUNDS = 4
+_STEP = 1e-3
+_STEP_LINEAR = 0.05
+_DONE = 0.05
+
+
+@dataclass(frozen=True)
+class Added:
+    """An effect with the values of its parameters, size among them."""
+
+    effect: Effect
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Base and effects, fitted together."""
+
+    added: tuple[Added, ...]
+    cases: tuple[Case, ...]
+    """Training trials, their base calibrated beside the effects."""
+
+    space: Space
+    """With the effects' parameters as shared nuisances."""
+
+    gain: float
+    """Twice the log likelihood over the base alone."""
+
+    covariance: Array
+    """Of the parameters' coordinates (see `names`), with the base projected out."""
+
+    names: tuple[tuple[int, str], ...]
+    """Which effect and parameter each coordinate is of."""
+
+    def sd(self, which: int, name: str) -> float:
+        """Return the standard deviation of a parameter, in its unit, first order."""
+        index = self.names.index((which, name))
+        each = self.added[which]
+        what = each.effect.parameters[name]
+        return float(
+            np.sqrt(max(self.covariance[index, index], 0.0)) * _slope(what.scale, each.values[name], what.typical)
+        )
+
+
+def added_output(added: Sequence[Added], model: Model, motion: Motion) -> Array:
+    """Return what effects add to the output of a model along a motion, shape (samples,)."""
+    plain = simulate(model, motion).output
+    whole = model
+    for each in added:
+        whole = each.effect.apply(whole, each.values)
+    return simulate(whole, motion).output - plain
+
+
+def cases_with(added: Sequence[Added], calibration: Calibration, cases: Sequence[Case]) -> tuple[Case, ...]:
+    """Return trials with the base calibrated beside effects that are held."""
+    return tuple(
+        fit_case(
+            case.model, case.record, calibration.noise, calibration.free,
+            extra=lambda model, motion: added_output(added, model, motion),
+            start_lag_s=case.lag_s, about=calibration.given,
+        )
+        for case in cases
+    )  # fmt: skip
+
+
+def refit(start: Sequence[Added], calibration: Calibration, base: Space, *, rounds: int = _ROUNDS) -> Joint:
+    """Fit effects and base together from `start`; `base` is the space of the base alone."""
+    added = tuple(start)
+    names = tuple((index, name) for index, each in enumerate(added) for name in _free(each))
+    cases = calibration.training
+    best: Joint | None = None
+    for _ in range(rounds):
+        cases = cases_with(added, calibration, cases)
+        columns = [case.whiten(_columns(added, names, case.model, case.motion)) for case in cases]
+        alone = Space([case.block for case in cases])
+        shared = Space([replace(case.block, shared=each) for case, each in zip(cases, columns, strict=True)])
+        level = shared.best
+        matrix, target = alone.normal(columns, level)
+        ridge = 1e-6 * np.diag(np.diag(matrix) + 1e-12)
+        covariance = np.asarray(np.linalg.inv(matrix + ridge), float)
+        # The likelihood where the fit stands now, not where a step would lead to by the linearisation.
+        gain = 2 * float(alone.evidence.max() - base.evidence.max())
+        if best is None or gain > best.gain:
+            best = Joint(added, cases, shared, gain, covariance, names)
+            improving = True
+        else:
+            improving = False
+        move = covariance @ target
+        if float(move @ target) < _DONE or not improving:
+            break
+        added = _moved(added, names, move)
+    assert best is not None
+    return best
+
+
+def _free(added: Added) -> tuple[str, ...]:
+    return tuple(name for name, what in added.effect.parameters.items() if what.free)
+
+
+def _columns(added: Sequence[Added], names: Sequence[tuple[int, str]], model: Model, motion: Motion) -> Array:
+    """Return how the output depends on each coordinate, shape (samples, len(names))."""
+    plain = added_output(added, model, motion)
+    found = []
+    for index, name in names:
+        step = _STEP if added[index].effect.parameters[name].scale is Scale.LOG else _STEP_LINEAR
+        if name == SIZE:
+            # In a tenth of a percent of the size itself: an effect may only just be there.
+            what = added[index].effect.parameters[SIZE]
+            step = _STEP * max(abs(added[index].values[SIZE]), 1e-3 * what.typical) / what.typical
+            step = step if what.scale is Scale.LINEAR else _STEP
+        moved = _moved(added, ((index, name),), np.array([step]))
+        found.append((added_output(moved, model, motion) - plain) / step)
+    return np.column_stack(found)
+
+
+_LONGEST = 0.4
+
+
+def _moved(added: Sequence[Added], names: Sequence[tuple[int, str]], move: Array) -> tuple[Added, ...]:
+    changed = [dict(each.values) for each in added]
+    for (index, name), step in zip(names, move, strict=True):
+        what = added[index].effect.parameters[name]
+        value = changed[index][name]
+        if what.scale is Scale.LOG:
+            each = max(min(float(step), _LONGEST), -_LONGEST)
+            new = value * float(np.exp(each))
+        else:
+            new = value + float(step) * what.typical
+        changed[index][name] = min(max(new, what.lower), what.upper)
+    return tuple(Added(each.effect, values) for each, values in zip(added, changed, strict=True))
+
+
+def _slope(scale: Scale, value: float, typical: float) -> float:
+    return value if scale is Scale.LOG else typical

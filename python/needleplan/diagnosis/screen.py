@@ -1,0 +1,66 @@
+"""Every effect over its grid: how much more likely the data are with it, after everything the base can take up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.diagnosis.library import Candidates
+from needleplan.diagnosis.space import Space
+from needleplan.models.effects import SIZE, Effect
+from needleplan.signals import Array
+
+__all__ = ["Screened", "allowed_sizes", "screen"]
+
+_NEAR = (0.5, 2.0)
+"""How far the size of an effect that is not linear in it may be from the one that its column was made for."""
+
+
+@dataclass(frozen=True)
+class Screened:
+    """An effect where it fits best: gain is twice that in log likelihood, balance what Schwarz' criterion leaves."""
+
+    effect: Effect
+    values: Mapping[str, float]
+    """With the size."""
+
+    gain: float
+    balance: float
+    size_sd: float
+    level: float
+    """Heterogeneity that goes with it."""
+
+
+def screen(space: Space, columns: Sequence[Array], candidates: Sequence[Candidates]) -> tuple[Screened, ...]:
+    """Return all effects, the best first. `columns` are whitened, one array for each trial."""
+    scores = space.scores(columns)
+    sizes = scores.sizes()
+    gains, levels = scores.gains(allowed_sizes(sizes, candidates))
+    price = float(np.log(space.samples))
+    found = []
+    for each in candidates:
+        index = each.first + int(gains[each.first : each.last].argmax())
+        level = int(levels[index])
+        curvature = float(scores.curvature[level, index])
+        values = {**each.grid[index - each.first], SIZE: float(sizes[level, index])}
+        sd = curvature**-0.5 if curvature > 0 else float("inf")
+        gain = float(gains[index])
+        found.append(Screened(each.effect, values, gain, gain - each.count * price, sd, float(space.levels[level])))
+    return tuple(sorted(found, key=lambda each: -each.balance))
+
+
+def allowed_sizes(sizes: Array, candidates: Sequence[Candidates]) -> Array:
+    """Return which sizes, shape (levels, m), have the sign that their effect must have and belong to their column."""
+    allowed = np.ones_like(sizes, bool)
+    for each in candidates:
+        part = sizes[:, each.first : each.last]
+        if each.sign:
+            allowed[:, each.first : each.last] &= part * each.sign > 0
+        guessed = each.guessed()
+        linear = np.isnan(guessed)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = part / guessed
+        allowed[:, each.first : each.last] &= linear | ((ratio > _NEAR[0]) & (ratio < _NEAR[1]))
+    return allowed

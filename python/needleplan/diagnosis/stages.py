@@ -1,0 +1,135 @@
+"""The workflow: check, calibrate, screen, decide, verify; each a function of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from needleplan.diagnosis.calibrate import Calibration, calibrate
+from needleplan.diagnosis.check import Checked, Lack, check_data
+from needleplan.diagnosis.decide import Decision, decide
+from needleplan.diagnosis.diagnosis import Diagnosis, FoundEffect
+from needleplan.diagnosis.library import Library
+from needleplan.diagnosis.minimal import Smallest, smallest_seen
+from needleplan.diagnosis.noise import Noise, fit_noise
+from needleplan.diagnosis.refit import Joint, added_output
+from needleplan.diagnosis.select import Selection, Stop, select
+from needleplan.diagnosis.verdict import Gates, Verdict
+from needleplan.errors import Mistake, ModelError
+from needleplan.models import Estimate, Model
+from needleplan.models.effects import SIZE, AddedEffect, AugmentedModel, effects_of
+from needleplan.provenance import digest
+from needleplan.signals import Record
+
+__all__ = ["diagnose"]
+
+
+def diagnose(
+    model: Model,
+    recordings: Sequence[Record],
+    *,
+    library: Library | None = None,
+    gates: Gates | None = None,
+    seed: int = 0,
+) -> Diagnosis:
+    """Find where `model` and `recordings` disagree, what is missing, how much of it, and whether that is enough.
+
+    `recordings` are trials with the roles train, holdout (another motion) and noise (the sensor alone).
+    A `library` keeps what is computed for motions, and may be shared by data sets of one needle; by default it holds
+    all effects of the model's channel. Raises DataError for data of which nothing can be said, ModelError for a model
+    whose channel has no effects, or that has effects already.
+    """
+    gates = gates or Gates()
+    if isinstance(model, AugmentedModel):
+        model = _plain(model)
+    library = library or Library(effects_of(model.channel), model)
+    if not library.effects:
+        raise ModelError(Mistake("channel", model.channel, "has no effects that could be looked for"), model.name)
+    checked = check_data(recordings, model.channel)
+    calibration = calibrate(model, checked.training, checked.held_out, _noise(model, checked))
+    selection = select(calibration, library, gates, seed=seed)
+    smallest = _smallest(calibration, selection, library)
+    hidden = [each.noise_multiple for each in smallest if each.visible]
+    decision = decide(selection, calibration, gates, seen=float(np.quantile(hidden, 0.75)) if hidden else float("inf"))
+    decision = _limited(decision, checked)
+    found = _found(selection.joint, selection) if decision.named else ()
+    remarks = (*checked.remarks, *_strange(model, calibration))
+    parents = "".join(sorted(each.digest or digest(each["time_s"].tobytes()) for each in recordings))
+    return Diagnosis(
+        decision, model, checked, calibration, selection, found, smallest, gates, remarks,
+        digest(f"{model!r} {parents} {decision!r} {[each.added for each in found]!r}"),
+    )  # fmt: skip
+
+
+def _plain(model: AugmentedModel) -> Model:
+    names = ", ".join(each.name for each in model.effects)
+    rule = f"has effects already ({names}); diagnose its base, or take them out first"
+    raise ModelError(Mistake("effect", names, rule), model.name)
+
+
+def _noise(model: Model, checked: Checked) -> Noise:
+    if checked.noise:
+        return fit_noise([each[model.channel] for each in checked.noise])
+    # Without a record of it, noise is what changes from sample to sample: twice differenced, motion is gone.
+    rows = [each[model.channel] for each in checked.training]
+    spread = [np.nanmedian(np.abs(np.diff(row, n=2))) / 0.6745 / np.sqrt(6) for row in rows]
+    sd = float(np.median(spread)) or 1e-9
+    return Noise(np.zeros(0), sd, sd)
+
+
+def _smallest(calibration: Calibration, selection: Selection, library: Library) -> tuple[Smallest, ...]:
+    candidates = library.candidates([case.motion for case in calibration.training])
+    raw = [library.columns(calibration.model, case.motion, candidates) for case in calibration.training]
+    columns = [case.whiten(each) for case, each in zip(calibration.training, raw, strict=True)]
+    return smallest_seen(selection.base, raw, columns, candidates, calibration.noise.rms)
+
+
+def _limited(decision: Decision, checked: Checked) -> Decision:
+    """Return the verdict that the data can carry: without noise, held-out motion or a second trial, no name is sure."""
+    serious = [why for lack, why in checked.lacks.items() if lack is not Lack.TRIALS or decision.named]
+    if decision.verdict not in (Verdict.NAMED, Verdict.INCOMPLETE) or not serious:
+        return decision
+    text = f"{', '.join(decision.named)} fits best, but cannot be named: {'; '.join(serious)}"
+    return Decision(Verdict.AMBIGUOUS, (), decision.named, decision.axis, decision.explained, text)
+
+
+def _found(joint: Joint | None, selection: Selection) -> tuple[FoundEffect, ...]:
+    if joint is None:
+        return ()
+    accepted = [step for step in selection.steps if step.stop is Stop.ACCEPTED]
+    gains = np.diff([0.0, *(step.ranked[0].joint.gain for step in accepted)])
+    found = []
+    for index, (each, step) in enumerate(zip(joint.added, accepted, strict=True)):
+        what = each.effect.parameters
+        estimates = {}
+        for name, value in each.values.items():
+            sd = joint.sd(index, name) if what[name].free else 0.0
+            ends = [what[name].value(what[name].coordinate(value) + sign * 1.96 * sd / what[name].slope(value))
+                    for sign in (-1, 1)]  # fmt: skip
+            low, high = (float(np.clip(end, what[name].lower, what[name].upper)) for end in ends)
+            estimates[name] = Estimate(
+                value, sd, min(low, value), max(high, value), what[name].unit, name != SIZE or low * high > 0
+            )
+        rows = [added_output([each], case.model, case.motion) for case in joint.cases]
+        rms = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
+        added = AddedEffect(each.effect.name, each.values, estimates, "", each.effect.version)
+        share = float(gains[index] / max(gains.sum(), 1e-12))
+        found.append(FoundEffect(each.effect, added, rms, share, step.ranked[0].balance, step.p_value))
+    return tuple(found)
+
+
+def _strange(model: Model, calibration: Calibration) -> list[str]:
+    """Return what is odd about the calibrated base: parameters at their bounds, or far from those of the file."""
+    found = []
+    for name in calibration.free:
+        what, given, now = model.parameters()[name], getattr(model, name), getattr(calibration.model, name)
+        if now in (what.lower, what.upper) or (given * now > 0 and not 0.2 < now / given < 5):
+            found.append(
+                f"{name} is {now:.3g} {what.unit} in these recordings, and {given:.3g} in the model: another needle or "
+                "tissue, or wrong units?"
+            )
+    lags = [case.lag_s for case in calibration.training]
+    if max(lags) > 0.03:
+        found.append(f"the readings are {max(lags) * 1e3:.0f} ms late: are the clocks of sensor and robot in step?")
+    return found

@@ -1,0 +1,79 @@
+"""Whether what was named in some motions also holds in another one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.diagnosis.calibrate import Calibration, Case
+from needleplan.diagnosis.refit import Joint, added_output, cases_with
+from needleplan.diagnosis.space import Space
+from needleplan.models import ljung_box
+from needleplan.signals import Array
+
+__all__ = ["Verified", "verify"]
+
+
+@dataclass(frozen=True)
+class Verified:
+    """Held-out trials, with the base calibrated anew and the effects held at their values."""
+
+    promised: float
+    """Gain that the effects promise there (twice the log likelihood)."""
+
+    kept: float
+    """Gain that they bring."""
+
+    before_n: float
+    after_n: float
+    floor_n: float
+    """RMS of what is left, with the base alone and with the effects, and of the noise."""
+
+    shrink: float
+    """Part of the energy above the floor that is gone; NaN where there was none."""
+
+    whiteness_before: float
+    whiteness_after: float
+    """p-values of Ljung and Box's test of the whitened residuals."""
+
+    @property
+    def transfer(self) -> float:
+        """Kept over promised: 1 for a true effect."""
+        return self.kept / self.promised if self.promised > 0 else float("nan")
+
+
+def verify(joint: Joint, calibration: Calibration) -> Verified | None:
+    """Judge effects on the held-out trials; None where there is none."""
+    before = calibration.held_out
+    if not before:
+        return None
+    after = cases_with(joint.added, calibration, before)
+    level = joint.space.best
+    first, last = Space([case.block for case in before]), Space([case.block for case in after])
+    columns = [case.whiten(added_output(joint.added, case.model, case.motion))[:, None] for case in after]
+    scores = last.scores(columns)
+    promised = float(scores.curvature[level, 0])
+    kept = first.energy(level) - last.energy(level)
+    floor = float(sum(case.block.samples - case.block.sensitivities.shape[1] for case in before))
+    gap = first.energy(level) - floor
+    return Verified(
+        promised,
+        kept,
+        _rms(before),
+        _rms(after),
+        calibration.noise.rms,
+        min(kept / gap, 1.0) if gap > 0 else float("nan"),
+        _whiteness(before),
+        _whiteness(after),
+    )
+
+
+def _rms(cases: Sequence[Case]) -> float:
+    left: Array = np.concatenate([case.measured - case.predicted for case in cases])
+    return float(np.sqrt(np.nanmean(left**2)))
+
+
+def _whiteness(cases: Sequence[Case]) -> float:
+    return ljung_box([case.block.residual[: int(case.rows.sum())] for case in cases])[1]

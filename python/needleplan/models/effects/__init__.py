@@ -1,0 +1,38 @@
+"""Effects that a model may lack, as physics: what they add, on their own, to any model of their channel.
+
+| here | what |
+|---|---|
+| `Effect` | an effect that can be looked for and added; what a plug-in is |
+| `Term`, `WithTerm` | a force that is added, with a memory of its own |
+| `FORCE_EFFECTS` | the effects of the axial force |
+| `known_effects`, `effect_named` | all of them, plug-ins too |
+| `with_effect`, `AugmentedModel` | a model with effects, for model files, planner, twin and estimators |
+"""
+
+from needleplan.models.effects.augmented import AddedEffect, AugmentedModel, with_effect, without_effect
+from needleplan.models.effects.base import SIZE, Effect, Enters, Family, Reach, Term, WithTerm
+from needleplan.models.effects.catalogue import FORCE_EFFECTS, TermEffect, WrapEffect, presliding_of
+from needleplan.models.effects.path import travelled
+from needleplan.models.effects.registry import effect_named, effects_of, known_effects
+
+__all__ = [
+    "FORCE_EFFECTS",
+    "SIZE",
+    "AddedEffect",
+    "AugmentedModel",
+    "Effect",
+    "Enters",
+    "Family",
+    "Reach",
+    "Term",
+    "TermEffect",
+    "WithTerm",
+    "WrapEffect",
+    "effect_named",
+    "effects_of",
+    "known_effects",
+    "presliding_of",
+    "travelled",
+    "with_effect",
+    "without_effect",
+]

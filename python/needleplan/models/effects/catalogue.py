@@ -1,0 +1,261 @@
+"""The effects of the axial force: what each means, and where it is looked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from needleplan.models.base import Channel, Model
+from needleplan.models.effects import cutting, sensor, shaft
+from needleplan.models.effects.base import SIZE, Effect, Enters, Family, Reach, Term, WithTerm
+from needleplan.models.effects.path import PathTerm
+from needleplan.models.effects.tissue import BreathingTissue, Lagging, TissueMotion
+from needleplan.models.parameter import Parameter, parameters_of
+from needleplan.models.simulate import simulate
+from needleplan.signals import Array, Motion
+
+__all__ = ["FORCE_EFFECTS", "TermEffect", "WrapEffect", "presliding_of"]
+
+Grid = Callable[[Reach], Mapping[str, Sequence[float] | Array]]
+_THESIS = "Needle steering thesis, "
+
+
+@dataclass(frozen=True)
+class _Described(Effect):
+    """The words of an effect, and its grid as a function of what the motions visit."""
+
+    name: str
+    title: str
+    family: Family
+    enters: Enters
+    equation: str
+    meaning: str
+    source: str
+    looked_for: Grid = lambda reach: {}  # noqa: ARG005
+    channel: Channel = Channel.FORCE
+    repeats: bool = False
+    is_lag: bool = False
+
+    def grid(self, reach: Reach) -> list[dict[str, float]]:
+        """Return the product of the axes of the grid."""
+        axes = self.looked_for(reach)
+        return [dict(zip(axes, map(float, each), strict=True)) for each in product(*axes.values())]
+
+
+@dataclass(frozen=True)
+class TermEffect(_Described):
+    """An effect that is a term."""
+
+    term: type[Term] = cutting.Puncture
+
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:  # type: ignore[override]
+        """Size, and where, when or how fast."""
+        return {name: what for name, what in self.term.parameters().items() if what.free}
+
+    def apply(self, model: Model, values: Mapping[str, float]) -> Model:
+        """Return the model with the term; the model itself at size 0."""
+        return WithTerm(model, self._term(model, values)) if values.get(SIZE, 0.0) else model
+
+    def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
+        """Return the shape of the term; the same memories are integrated once."""
+        plain = simulate(model, motion).output
+        memories: dict[tuple[float, ...], Array] = {}
+        found = np.empty((len(motion), len(grid)))
+        for index, values in enumerate(grid):
+            term = self._term(model, {**values, SIZE: 1.0})
+            key = tuple(values[name] for name in _REMEMBERED.get(self.name, ()))
+            if key not in memories:
+                memories[key] = term.states(motion, term.initial(motion))
+            found[:, index] = term.shape(memories[key], motion, plain)
+        return found
+
+    def _term(self, model: Model, values: Mapping[str, float]) -> Term:
+        known = {"presliding_mm": presliding_of(model)} if issubclass(self.term, PathTerm) else {}
+        return self.term(**known, **values)
+
+
+_REMEMBERED = {
+    "bristle": ("travel_mm",),
+    "relaxation": ("time_s", "recovery_mm"),
+    "tissue_motion": ("give_mm", "lag_s"),
+}
+"""The parameters on which a memory depends."""
+
+
+@dataclass(frozen=True)
+class WrapEffect(_Described):
+    """An effect that puts something around the model: `wrapper(base=model, size=..., ...)`."""
+
+    wrapper: type[Model] = Lagging
+
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:  # type: ignore[override]
+        """Size, and where, when or how fast."""
+        return parameters_of(self.wrapper)
+
+    def apply(self, model: Model, values: Mapping[str, float]) -> Model:
+        """Return the model, wrapped; the model itself at size 0."""
+        return self.wrapper(base=model, **values) if values.get(SIZE, 0.0) else model  # type: ignore[call-arg]
+
+
+def presliding_of(model: Model) -> float:
+    """Return the travel over which friction turns round in a model (mm), 0.05 where it does not say."""
+    while not hasattr(model, "presliding_mm") and hasattr(model, "base"):
+        model = model.base
+    return float(getattr(model, "presliding_mm", 0.05))
+
+
+def _depths(step_mm: float) -> Callable[[Reach], np.ndarray]:
+    return lambda reach: np.arange(max(reach.depth_mm[0], 0) + 2 * step_mm, reach.depth_mm[1] - step_mm, step_mm)
+
+
+def _speeds(reach: Reach) -> np.ndarray:
+    low, high = max(reach.speed_mm_s[0], 1e-2), max(reach.speed_mm_s[1], 2e-2)
+    return np.geomspace(0.3 * low, max(0.5 * high, 0.6 * low), 8)
+
+
+FORCE_EFFECTS: tuple[Effect, ...] = (
+    TermEffect(
+        "puncture", "puncture of a membrane", Family.CUTTING, Enters.TIP,
+        "F += size exp((L - depth)/bulge) until the tip first reaches depth",
+        "A membrane, capsule or crust bulges before the tip and breaks: the force rises, and drops at once.",
+        _THESIS + "2.5.1 and 7.2",
+        lambda reach: {"depth_mm": _depths(0.5)(reach), "bulge_mm": (0.7, 1.5, 3.0, 6.0)},
+        term=cutting.Puncture,
+    ),
+    TermEffect(
+        "cutting_layer", "layer that is harder to cut", Family.CUTTING, Enters.TIP,
+        "F += size step((L - depth)/width) while the tip is pushed in",
+        "From some depth on the tip meets other tissue, which takes more or less to cut.",
+        _THESIS + "2.1 and 7.2",
+        lambda reach: {"depth_mm": _depths(1.0)(reach), "width_mm": (0.5, 2.0)},
+        term=cutting.CuttingLayer,
+    ),
+    TermEffect(
+        "fresh_cutting", "cutting in fresh tissue only", Family.CUTTING, Enters.TIP,
+        "F -= size (1 - exp(-(L_max - L)/margin)) while the tip is pushed in",
+        "Where the tip has been before it does not cut again.",
+        _THESIS + "3.4.2",
+        lambda reach: {"margin_mm": (0.1, 0.5, 2.0)},  # noqa: ARG005
+        term=cutting.FreshCutting,
+    ),
+    TermEffect(
+        "cutting_with_depth", "cutting that grows with depth", Family.CUTTING, Enters.TIP,
+        "F += size L while the tip is pushed in",
+        "The deeper the tip, the more it takes to cut.",
+        _THESIS + "3.4.2",
+        term=cutting.CuttingWithDepth,
+    ),
+    TermEffect(
+        "friction_layer", "layer that rubs more", Family.FRICTION, Enters.SHAFT,
+        "F += size (L - depth) on the part of the shaft beyond depth",
+        "From some depth on the shaft is in other tissue, which rubs more or less.",
+        _THESIS + "2.1 and 7.2",
+        lambda reach: {"depth_mm": _depths(1.0)(reach)},
+        term=shaft.FrictionLayer,
+    ),
+    TermEffect(
+        "stribeck", "friction that depends on low speed (Stribeck)", Family.FRICTION, Enters.SHAFT,
+        "F += size L exp(-|v|/speed)",
+        "Friction is higher when the needle goes slowly.",
+        _THESIS + "(3.2) and 3.4.3",
+        lambda reach: {"speed_mm_s": _speeds(reach)},
+        term=shaft.Stribeck,
+    ),
+    TermEffect(
+        "viscous", "viscous friction", Family.FRICTION, Enters.SHAFT,
+        "F += size L v", "Friction grows in proportion to the speed.", _THESIS + "(3.1) and chapter 5",
+        term=shaft.Viscous,
+    ),
+    TermEffect(
+        "bristle", "hysteresis before sliding", Family.FRICTION, Enters.SHAFT,
+        "F += size L (z_slow - z), z_slow' = (v - |v| z_slow)/travel",
+        "After a reversal part of the friction turns round only after some travel, at any speed.",
+        "Dahl, AIAA J. 14 (1976) 1675",
+        lambda reach: {"travel_mm": np.geomspace(0.1, 6.0, 10)},  # noqa: ARG005
+        term=shaft.Bristle,
+    ),
+    TermEffect(
+        "relaxation", "force that relaxes at rest", Family.TISSUE, Enters.SHAFT,
+        "F (1 - size q), q' = (1 - q)/time - q |v|/recovery",
+        "While the needle rests the force sinks; after a little travel it is there again.",
+        _THESIS + "2.2 and 3.4.3",
+        lambda reach: {"time_s": np.geomspace(0.1, 12.0, 8), "recovery_mm": (0.05, 0.4)},  # noqa: ARG005
+        term=shaft.Relaxation,
+    ),
+    TermEffect(
+        "tissue_motion", "tissue that moves with the needle", Family.TISSUE, Enters.TISSUE,
+        "F += size L (clip((u + lag u')/give, -1, 1) - z), u' = v until it slides",
+        "The tissue is held by a spring and a damper: it goes with the needle before the needle slides in it.",
+        _THESIS + "chapter 4",
+        lambda reach: {"give_mm": np.geomspace(0.15, 5.0, 7), "lag_s": (0.02, 0.07, 0.2, 0.6)},  # noqa: ARG005
+        term=TissueMotion,
+    ),
+    TermEffect(
+        "path_damage", "path that wears with sliding", Family.TISSUE, Enters.SHAFT,
+        "F -= size int_0^L (1 - exp(-slid(x)/sliding)) dx",
+        "Tissue along which the shaft has slid, there and back, rubs less.",
+        _THESIS + "3.4.2 and 3.4.3",
+        lambda reach: {"sliding_mm": (10.0, 40.0, 160.0)},  # noqa: ARG005
+        term=shaft.PathDamage,
+    ),
+    TermEffect(
+        "bump", "bump at one place", Family.TISSUE, Enters.SHAFT,
+        "F += size exp(-((L - depth)/width)^2), against the movement",
+        "Something at one place, such as an air bubble or a fibre, resists each time the tip passes it.",
+        _THESIS + "2.5.2 and 3.4.1",
+        lambda reach: {"depth_mm": _depths(1.0)(reach), "width_mm": (0.7, 1.5, 3.0)},
+        term=shaft.Bump,
+        repeats=True,
+    ),
+    TermEffect(
+        "bias", "bias of the force sensor", Family.SENSOR, Enters.SENSOR,
+        "y = F + size", "The sensor was not set to zero.", _THESIS + "2.5.2",
+        term=sensor.Bias,
+    ),
+    TermEffect(
+        "drift", "drift of the force sensor", Family.SENSOR, Enters.SENSOR,
+        "y = F + size t", "The zero of the sensor moves evenly during each trial.", _THESIS + "2.5.2",
+        term=sensor.Drift,
+    ),
+    TermEffect(
+        "thermal_drift", "force sensor that warms up", Family.SENSOR, Enters.SENSOR,
+        "y = F + size (1 - exp(-t/time))", "The zero of the sensor moves to another value while it warms up.",
+        _THESIS + "2.5.1",
+        lambda reach: {"time_s": np.geomspace(reach.duration_s / 12, reach.duration_s / 2.5, 5)},
+        term=sensor.ThermalDrift,
+    ),
+    TermEffect(
+        "gain_error", "gain of the force sensor", Family.SENSOR, Enters.SENSOR,
+        "y = (1 + size) F", "The sensor shows forces too large, or too small; friction and cutting take it up.",
+        _THESIS + "2.5.2",
+        term=sensor.GainError,
+    ),
+    TermEffect(
+        "inertia", "inertia of what hangs on the sensor", Family.DRIVE, Enters.SENSOR,
+        "y = F + size a", "The sensor accelerates the holder as well as the needle.", _THESIS + "3.4.2",
+        term=sensor.Inertia,
+    ),
+    WrapEffect(
+        "latency", "reading that is late", Family.SENSOR, Enters.SENSOR,
+        "size y' = F - y", "The force arrives later than the position.", _THESIS + "appendix A",
+        wrapper=Lagging,
+        is_lag=True,
+    ),
+    WrapEffect(
+        "respiration", "breathing", Family.TISSUE, Enters.TISSUE,
+        "v - u', L - u with u = size sin(2 pi f t + phase)",
+        "The tissue moves along the needle by itself, with the breath.", _THESIS + "1.2 and 2.1",
+        lambda reach: {  # noqa: ARG005
+            "frequency_hz": np.arange(0.12, 0.5, 0.02),
+            "phase_rad": np.arange(8) * np.pi / 4,
+            SIZE: (0.015, 0.06, 0.25, 1.0),
+        },
+        wrapper=BreathingTissue,
+    ),
+)  # fmt: skip
+"""In the order in which they are shown."""

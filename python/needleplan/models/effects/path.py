@@ -1,0 +1,56 @@
+"""Memories of the path that terms share: which way the shaft is bent, and how deep the tip has been."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import ClassVar
+
+import numpy as np
+
+from needleplan.models.effects.base import Term
+from needleplan.models.parameter import constant
+from needleplan.signals import Array, Motion
+
+__all__ = ["PathTerm", "decaying", "travelled"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathTerm(Term):
+    """A term that knows z, Dahl's bristle of the shaft, and the greatest depth so far (mm); abstract."""
+
+    order: ClassVar[int] = 2
+    presliding_mm: float = constant("mm", 1e-4, 50, "travel over which the bristle turns round", default=0.05)
+
+    def initial(self, motion: Motion) -> Array:
+        """Return a straight bristle, and the first depth as the greatest."""
+        return np.array([0.0, float(np.ravel(motion.depth_mm)[0])])
+
+    def rate(self, state: Array, motion: Motion) -> Array:
+        """Return the rates of bristle and greatest depth."""
+        velocity = np.asarray(motion.velocity_mm_s, float)
+        fresh = np.asarray(motion.depth_mm) >= state[1]
+        return np.array(
+            [(velocity - np.abs(velocity) * state[0]) / self.presliding_mm, np.where(fresh, np.maximum(velocity, 0), 0)]
+        )
+
+    def states(self, motion: Motion, start: Array) -> Array:
+        """Return both along a motion that is linear in depth between samples: exact."""
+        return np.array([travelled(motion, self.presliding_mm, float(start[0])), reached(motion, float(start[1]))])
+
+
+def travelled(motion: Motion, length_mm: float, start: float = 0.0) -> Array:
+    """Return Dahl's bristle along a motion, shape (samples,): z' = (v - |v| z) / length."""
+    step = np.diff(motion.depth_mm)
+    return decaying(np.exp(-np.abs(step) / length_mm), np.sign(step), start)
+
+
+def reached(motion: Motion, start: float) -> Array:
+    """Return the greatest depth so far, shape (samples,)."""
+    return np.maximum(np.maximum.accumulate(motion.depth_mm), start)
+
+
+def decaying(decay: Array, target: Array, start: float) -> Array:
+    """Return y, shape (n + 1,), of y[k+1] = target[k] + (y[k] - target[k]) decay[k]."""
+    pairs = zip(decay.tolist(), (target * (1 - decay)).tolist(), strict=True)
+    return np.array(list(accumulate(pairs, lambda y, each: each[0] * y + each[1], initial=start)))

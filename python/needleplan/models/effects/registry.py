@@ -1,0 +1,49 @@
+"""All effects by name: those of this package, and those of others by the entry points `needleplan.effects`.
+
+An entry point names an object of a member of `Effect`, or a class that makes one without arguments.
+"""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from functools import lru_cache
+from importlib import metadata
+
+from needleplan.errors import Mistake, ModelError
+from needleplan.models.base import Channel
+from needleplan.models.effects.base import SIZE, Effect
+from needleplan.models.effects.catalogue import FORCE_EFFECTS
+
+__all__ = ["GROUP", "effect_named", "effects_of", "known_effects"]
+
+GROUP = "needleplan.effects"
+
+
+@lru_cache(maxsize=1)
+def known_effects() -> dict[str, Effect]:
+    """Return all effects by name. Raises ModelError for a plug-in that is none, or takes another one's name."""
+    found = {each.name: each for each in FORCE_EFFECTS}
+    for point in metadata.entry_points(group=GROUP):
+        made = point.load()
+        effect = made() if isinstance(made, type) else made
+        if not isinstance(effect, Effect) or SIZE not in effect.parameters:
+            raise ModelError(Mistake(point.name, str(made), f"must be an Effect with a parameter {SIZE}"), GROUP)
+        if effect.name in found:
+            raise ModelError(Mistake(point.name, effect.name, "is the name of another effect"), GROUP)
+        found[effect.name] = effect
+    return found
+
+
+def effects_of(channel: Channel) -> tuple[Effect, ...]:
+    """Return the effects of a channel."""
+    return tuple(each for each in known_effects().values() if each.channel is channel)
+
+
+def effect_named(name: str) -> Effect:
+    """Return an effect. Raises ModelError with a suggestion."""
+    known = known_effects()
+    if name in known:
+        return known[name]
+    close = get_close_matches(name, known, n=1)
+    rule = f"must be one of {', '.join(sorted(known))}"
+    raise ModelError(Mistake("effect", name, rule + (f'; did you mean "{close[0]}"?' if close else "")))

@@ -1,0 +1,171 @@
+"""Effects along the shaft: what friction does besides being the same everywhere and at any speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from needleplan.models.effects.path import PathTerm, decaying, travelled
+from needleplan.models.parameter import parameter
+from needleplan.signals import Array, Motion
+
+__all__ = ["Bristle", "Bump", "FrictionLayer", "PathDamage", "Relaxation", "Stribeck", "Viscous"]
+
+_CELL_MM = 2.0
+_CELLS = 75
+
+
+def _inserted(motion: Motion) -> Array:
+    return np.asarray(np.maximum(motion.depth_mm, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionLayer(PathTerm):
+    """Another layer rubs more, or less."""
+
+    name: ClassVar[str] = "friction_layer"
+    size: float = parameter("N/mm", -1, 1, "friction per length in the layer, above that before it", typical=1e-3)
+    depth_mm: float = parameter("mm", 0, 500, "where the layer begins", typical=1.0)
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return the length of shaft in the layer, with the sign of the friction."""
+        return np.asarray(np.maximum(_inserted(motion) - self.depth_mm, 0.0) * state[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stribeck(PathTerm):
+    """Friction is larger at low speed."""
+
+    name: ClassVar[str] = "stribeck"
+    size: float = parameter("N/mm", 0, 1, "friction per length at rest, above that at speed", typical=1e-3)
+    speed_mm_s: float = parameter("mm/s", 1e-2, 100, "speed over which it goes")
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return the length of the shaft times exp(-|v|/speed)."""
+        return np.asarray(_inserted(motion) * state[0] * np.exp(-np.abs(motion.velocity_mm_s) / self.speed_mm_s))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Viscous(PathTerm):
+    """Friction grows in proportion to the speed."""
+
+    name: ClassVar[str] = "viscous"
+    size: float = parameter("N s/mm2", -1e-2, 1e-2, "friction per length and speed", typical=1e-4)
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return length times velocity."""
+        return np.asarray(_inserted(motion) * np.asarray(motion.velocity_mm_s))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bristle(PathTerm):
+    """Part of the friction turns round over a longer travel: tissue sticks to the shaft and bends before it slides."""
+
+    name: ClassVar[str] = "bristle"
+    order: ClassVar[int] = 3
+    size: float = parameter("N/mm", 0, 1, "friction per length that turns round slowly", typical=1e-3)
+    travel_mm: float = parameter("mm", 0.02, 50, "travel over which it does")
+
+    def initial(self, motion: Motion) -> Array:
+        """Return straight bristles, and the first depth as the greatest."""
+        return np.asarray(np.append(super().initial(motion), 0.0))
+
+    def rate(self, state: Array, motion: Motion) -> Array:
+        """Return the rates of both bristles and of the greatest depth."""
+        velocity = np.asarray(motion.velocity_mm_s, float)
+        slow = (velocity - np.abs(velocity) * state[2]) / self.travel_mm
+        return np.asarray(np.concatenate([super().rate(state[:2], motion), slow[None]]))
+
+    def states(self, motion: Motion, start: Array) -> Array:
+        """Return all three."""
+        return np.asarray(
+            np.vstack([super().states(motion, start[:2]), travelled(motion, self.travel_mm, float(start[2]))])
+        )
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return how far the slow bristle is behind."""
+        return np.asarray(_inserted(motion) * (state[2] - state[0]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relaxation(PathTerm):
+    """The force sinks while the needle rests, and is there again after a little travel (Maxwell)."""
+
+    name: ClassVar[str] = "relaxation"
+    order: ClassVar[int] = 3
+    size: float = parameter("", 0, 1, "share of the force that relaxes", typical=0.1)
+    time_s: float = parameter("s", 0.02, 1e3, "time over which it does")
+    recovery_mm: float = parameter("mm", 1e-3, 20, "travel after which it is back")
+
+    def initial(self, motion: Motion) -> Array:
+        """Return nothing relaxed."""
+        return np.asarray(np.append(super().initial(motion), 0.0))
+
+    def rate(self, state: Array, motion: Motion) -> Array:
+        """Return the rates; what has relaxed grows with time and is undone by travel."""
+        speed = np.abs(np.asarray(motion.velocity_mm_s, float))
+        relaxed = (1 - state[2]) / self.time_s - state[2] * speed / self.recovery_mm
+        return np.asarray(np.concatenate([super().rate(state[:2], motion), relaxed[None]]))
+
+    def states(self, motion: Motion, start: Array) -> Array:
+        """Return all three; exact for the mean speed between two samples."""
+        rate = 1 / self.time_s + np.abs(np.diff(motion.depth_mm)) / motion.interval_s / self.recovery_mm
+        share = decaying(np.exp(-rate * motion.interval_s), 1 / (self.time_s * rate), float(start[2]))
+        return np.asarray(np.vstack([super().states(motion, start[:2]), share]))
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return minus the relaxed share of the force."""
+        return np.asarray(-state[2] * plain)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathDamage(PathTerm):
+    """Tissue along which the shaft has slid rubs less. The memory is how far it slid past each part of the path."""
+
+    name: ClassVar[str] = "path_damage"
+    order: ClassVar[int] = 2 + _CELLS
+    size: float = parameter("N/mm", 0, 1, "friction per length that wears away", typical=1e-3)
+    sliding_mm: float = parameter("mm", 0.5, 5000, "way of sliding over which it does")
+
+    def initial(self, motion: Motion) -> Array:
+        """Return a path along which nothing has slid."""
+        return np.asarray(np.concatenate([super().initial(motion), np.zeros(_CELLS)]))
+
+    def rate(self, state: Array, motion: Motion) -> Array:
+        """Return the rates; every cell that the tip has left behind counts the travel."""
+        depth, speed = np.asarray(motion.depth_mm, float), np.abs(np.asarray(motion.velocity_mm_s, float))
+        return np.asarray(np.concatenate([super().rate(state[:2], motion), _filled(depth) * speed]))
+
+    def states(self, motion: Motion, start: Array) -> Array:
+        """Return the memory; every step counts in the cells that it leaves behind."""
+        filled = _filled(np.asarray(motion.depth_mm, float))
+        steps = np.abs(np.diff(motion.depth_mm)) * (filled[:, 1:] + filled[:, :-1]) / 2
+        slid = np.concatenate([np.zeros((_CELLS, 1)), np.cumsum(steps, axis=1)], axis=1)
+        return np.asarray(np.vstack([super().states(motion, start[:2]), slid + start[2:, None]]))
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return minus the length of shaft that lies in worn tissue."""
+        worn = -np.expm1(-np.maximum(state[2:], 0.0) / self.sliding_mm)
+        return np.asarray(-(worn * _filled(_inserted(motion)) * _CELL_MM).sum(axis=0) * state[0])
+
+
+def _filled(depth_mm: Array) -> Array:
+    """Return which part of every cell the shaft fills, shape (cells, ...)."""
+    edges = (np.arange(_CELLS) * _CELL_MM).reshape((-1,) + (1,) * np.ndim(depth_mm))
+    return np.asarray(np.clip((depth_mm - edges) / _CELL_MM, 0.0, 1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bump(PathTerm):
+    """Something at one place resists the needle each time it passes, such as an air bubble, a fibre, a lesion."""
+
+    name: ClassVar[str] = "bump"
+    size: float = parameter("N", -20, 20, "force at the place", typical=0.1)
+    depth_mm: float = parameter("mm", 0, 500, "place of the tip", typical=1.0)
+    width_mm: float = parameter("mm", 0.1, 30, "half width, to 1/e")
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return a bell about the place, against the movement."""
+        return np.asarray(np.exp(-(((np.asarray(motion.depth_mm) - self.depth_mm) / self.width_mm) ** 2)) * state[0])

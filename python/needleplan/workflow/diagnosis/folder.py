@@ -1,0 +1,47 @@
+"""What `needleplan diagnose` reads and writes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from needleplan.diagnosis import Diagnosis, Verdict, diagnose
+from needleplan.diagnosis.document import document_of
+from needleplan.errors import Mistake, OutputError
+from needleplan.models import ModelFile, Parent
+from needleplan.provenance import write_whole
+from needleplan.recording import read_records
+
+__all__ = ["diagnose_files", "write_folder"]
+
+
+def diagnose_files(
+    model: str, data: Sequence[str], *, accept_units: bool = False, seed: int = 0
+) -> tuple[Diagnosis, ModelFile]:
+    """Diagnose a model file with data files. Raises ModelError and DataError."""
+    file = ModelFile.read(model)
+    records = read_records(list(data), accept_units=accept_units)
+    return diagnose(file.model, records, seed=seed), file
+
+
+def write_folder(found: Diagnosis, file: ModelFile, folder: str, *, merge_anyway: bool = False) -> tuple[str, ...]:
+    """Write `diagnosis.json`, and `model.toml` where an effect was named or `merge_anyway`; return what was written.
+
+    Raises OutputError.
+    """
+    place = Path(folder)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(Mistake("", "", f"cannot be made: {error.strerror}"), folder) from error
+    written = [place / "diagnosis.json"]
+    write_whole(written[0], (json.dumps(document_of(found), indent=1) + "\n").encode())
+    if found.verdict is Verdict.NAMED or (merge_anyway and found.effects):
+        model = found.merged(anyway=merge_anyway)
+        digests = {each.trial: each.digest for each in (*found.checked.training, *found.checked.held_out)}
+        parents = (Parent("base", file.digest), *(Parent(name, digest) for name, digest in digests.items()))
+        remark = f"verdict of the diagnosis {found.digest}: {found.verdict}"
+        written.append(place / "model.toml")
+        ModelFile(model, found.estimates(), parents, (*file.remarks, remark), file.title).write(written[-1])
+    return tuple(map(str, written))
