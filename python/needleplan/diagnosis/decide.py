@@ -99,5 +99,5 @@ def _explained(selection: Selection, calibration: Calibration) -> float | None:
 def _seen(space: Space, cases: Sequence[Case]) -> float:
     columns = omnibus(bases(cases))
     df = columns[0].shape[1]
-    gain = space.basis_gains([case.whiten(each) for case, each in zip(cases, columns, strict=True)])
-    return max(gain - df, 0.0)
+    gain: float = space.basis_gains([case.whiten(each) for case, each in zip(cases, columns, strict=True)])
+    return max(float(gain - df), 0.0)

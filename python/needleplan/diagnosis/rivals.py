@@ -107,7 +107,8 @@ def _best_step(space: Space, cases: Sequence[Case], price: float) -> RivalScore:
         columns.append(case.whiten(each))
     gains, _ = space.scores(columns).gains()
     together = np.arange(max(case.motion.time_s[0] for case in cases) + 0.5, cases[0].motion.time_s[-1] - 0.4, 0.4)
-    shared, _ = space.scores([case.whiten((case.motion.time_s[:, None] >= together) * 1.0) for case in cases]).gains()
+    after = [np.asarray(case.motion.time_s[:, None] >= together, float) for case in cases]
+    shared, _ = space.scores([case.whiten(each) for case, each in zip(cases, after, strict=True)]).gains()
     alone, all_ = float(gains.max()) - 3 * price, float(shared.max()) - 2 * price
     if all_ >= alone:
         return RivalScore("step in time", Axis.TIME, float(shared.max()), 2, all_)

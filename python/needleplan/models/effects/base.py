@@ -1,7 +1,7 @@
 """What an effect is: something of the tissue, the needle or a sensor that a model lacks, and how it is added.
 
 An effect has a size, 0 where it is not there, and parameters that say where, when or how fast. Added to a model it
-makes another model, that simulates, filters, is fitted and written like any. At size 0 that model gives what the first one
+makes another model, that simulates, filters, is fitted and written like any. At size 0 that model gives what the first
 gives, to the last bit.
 
 Most effects are a *term*: a force that is added to that of the model, with a memory of its own::

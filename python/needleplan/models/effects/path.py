@@ -12,7 +12,7 @@ from needleplan.models.effects.base import Term
 from needleplan.models.parameter import constant
 from needleplan.signals import Array, Motion
 
-__all__ = ["PathTerm", "decaying", "travelled"]
+__all__ = ["PathTerm", "decaying", "reached", "travelled"]
 
 
 @dataclass(frozen=True, kw_only=True)
