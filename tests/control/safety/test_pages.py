@@ -1,0 +1,72 @@
+"""The pages of the reference say what the code does: every cause, every limit, every fault and its test."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+
+from needleplan.control.safety import Cause, SafetyLimits, Severity
+from tests import pages
+from tests.control.faults.robot_faults import BORNE, SERIOUS
+from tests.control.faults.sensors import RUNNING, STARTING
+
+SAFETY = (pages.ROOT / "docs/reference/safety.md").read_text()
+FAULTS = (pages.ROOT / "docs/reference/faults.md").read_text()
+
+
+def rows(text: str) -> list[list[str]]:
+    """Return the cells of all tables."""
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line.startswith("|")]
+
+
+def test_every_cause_stands_with_what_it_leads_to() -> None:
+    told: dict[str, str] = {}
+    for cells in rows(SAFETY):
+        if len(cells) == 3 and cells[2].split(",")[0] in ("FAULT", "PAUSED", "DISABLED"):
+            told |= {name: cells[2].split(",")[0] for name in re.findall(r"`(\w+)`", cells[0])}
+    severe = {Severity.FAULT: "FAULT", Severity.PAUSE: "PAUSED"}
+    expected = {str(each): severe[each.severity] for each in Cause if each.severity in severe}
+    assert {name: told.get(name) for name in expected} == expected | {"stop_ordered": "DISABLED"}
+    for each in Cause:
+        assert f"`{each}`" in SAFETY
+
+
+def test_every_limit_stands_with_its_default() -> None:
+    told: dict[str, str] = {}
+    for cells in rows(SAFETY):
+        names = re.findall(r"`(\w+)`", cells[0])
+        values = re.findall(r"`([-\d.]+)`", cells[1]) if len(cells) == 3 else []
+        told |= dict(zip(names, values, strict=False))
+    defaults = {each.name: str(each.default) for each in fields(SafetyLimits) if each.default is not None}
+    assert {name: told.get(name) for name in defaults} == defaults
+
+
+def test_every_fault_stands_in_the_table() -> None:
+    numbered = [cells for cells in rows(FAULTS) if cells[0].isdigit()]
+    assert {int(cells[0]) for cells in numbered} == set(range(1, 37))
+
+
+def test_every_fault_has_a_test_that_is_there() -> None:
+    files = dict(re.findall(r"^\| `(\w+)` \| `(tests/[\w/]+\.py)`", FAULTS, re.MULTILINE))
+    for cells in rows(FAULTS):
+        if not cells[0].isdigit():
+            continue
+        references = re.findall(r"`(\w+)(?:::(\w+))?`", cells[2])
+        assert references, cells
+        for short, test in references:
+            text = (pages.ROOT / files[short]).read_text()
+            assert f"def {test or 'test_'}" in text, (short, test)
+
+
+def test_every_injected_fault_ends_as_the_table_says() -> None:
+    told = {(cells[0], cells[1]): (cells[3], cells[4].strip("`")) for cells in rows(FAULTS) if cells[0].isdigit()}
+    for fault in RUNNING:
+        assert told[str(fault.number), fault.name] == (str(fault.state), str(fault.cause or "")), fault.name
+    for start in STARTING:
+        assert told[str(start.number), start.name] == ("DISABLED", str(start.cause)), start.name
+    for name, _, cause, _ in SERIOUS:
+        number, _, words = name.partition(" ")
+        assert told[number, words] == ("FAULT", str(cause)), name
+    for name, _ in BORNE:
+        number, _, words = name.partition(" ")
+        assert told[number, words] == ("ENABLED", ""), name
