@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import socket
@@ -11,6 +12,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,6 +22,8 @@ from needleplan.devices.ati import ForceLimits, NetFt
 from needleplan.devices.ndi import NdiTracker, PoseLimits
 from needleplan.devices.robot import RobotStage, RobotTiming
 from needleplan.errors import DeviceFault
+from needleplan.estimation.registration import Registration
+from needleplan.planning import PolicyTable
 from tests.cli.commands import needleplan, refused
 
 PATIENT = {"silence_s": 20.0, "valid_s": 20.0, "answer_s": 20.0, "lost_s": 20.0}
@@ -85,7 +89,7 @@ def start() -> Iterator[Callable[..., Running]]:
 
 
 def test_three_clients_see_one_needle_go_in(start: Callable[..., Running]) -> None:
-    lab = start()
+    lab = start("insertion")
     with (
         NetFt.open(lab.said["force"], limits=BEARING) as force,
         NdiTracker.open(lab.said["tracker"], limits=SLOW) as tracker,
@@ -111,6 +115,28 @@ def test_three_clients_see_one_needle_go_in(start: Callable[..., Running]) -> No
     assert "ticks" in errors
     assert "Traceback" not in errors
     assert not any(map(runs, lab.pids.values()))
+
+
+def test_with_a_table_the_needle_is_where_its_insertion_begins_and_a_kill_leaves_nothing(
+    start: Callable[..., Running], table: PolicyTable, table_file: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "registration.toml"
+    lab = start("--tracker", "tcp", "--table", str(table_file), "--registration", str(file))
+    with NdiTracker.open(lab.said["tracker"], limits=SLOW) as tracker:
+        poses: list[PoseSample] = []
+        assert before(30, lambda: _pose(tracker, poses).health is Health.GOOD)
+    # The experiment begins 2 mm before the surface, and its coil is 3 mm behind the tip.
+    registration = Registration.read(file)
+    assert registration.coil_offset_mm == 3.0
+    pose = table.best_entry().pose
+    coil = registration.place(poses[-1].position_mm, poses[-1].quaternion)
+    assert math.dist(coil.position_mm, (
+        pose.x_mm - 5 * math.cos(pose.heading_rad), pose.y_mm - 5 * math.sin(pose.heading_rad), 0.0
+    )) < 1.0  # fmt: skip
+    assert coil.direction == pytest.approx((math.cos(pose.heading_rad), math.sin(pose.heading_rad), 0.0), abs=0.1)
+    lab.process.kill()
+    lab.process.wait()
+    assert before(30, lambda: not any(map(runs, lab.pids.values())))
 
 
 def _last(force: NetFt, seen_n: list[float]) -> float:
@@ -152,13 +178,6 @@ def test_one_that_is_killed_leaves_the_others_and_all_end_with_the_program(start
     assert not any(map(runs, lab.pids.values()))
 
 
-def test_nothing_is_left_where_the_program_is_killed(start: Callable[..., Running]) -> None:
-    lab = start("--tracker", "tcp")
-    lab.process.kill()
-    lab.process.communicate(timeout=60)
-    assert before(30, lambda: not any(map(runs, lab.pids.values())))
-
-
 @pytest.mark.parametrize(
     ("option", "kind", "device"),
     [("--robot-port", socket.SOCK_DGRAM, "robot"), ("--http-port", socket.SOCK_STREAM, "force sensor"),
@@ -176,6 +195,7 @@ def test_a_port_that_is_taken_is_one_clear_error(option: str, kind: socket.Socke
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [(("insertoin",), ("did you mean",)), (("--robot-port", "70000"), ("--robot-port = 70000", "from 1 to 65535")),
+     (("--start", "0,20,0"), ("needs --table",)), (("--table", "no.h5"), ("no.h5",)),
      (("--tracker-port", "8765"), ("needs --tracker tcp",)), (("--for", "nan"), ("positive number",)),
      (("--longest-silence", "0"), ("from 0.005 to 60",)), (("--seed", "-1"), ("whole number",)),
      (("--host", "name.invalid"), ("name.invalid",))],

@@ -10,11 +10,11 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_lines
-from needleplan.cli.options import add_json
+from needleplan.cli.options import add_json, add_start, start_pose
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
-    from needleplan.simulation import Experiment
+    from needleplan.simulation import Experiment, Setup
     from needleplan.simulation.processes import RealTimeLab
 
 __all__ = ["add_to", "run"]
@@ -32,9 +32,15 @@ def add_to(commands: Any) -> None:
         "speaks the bytes of a real device, print their addresses, and serve them until Ctrl-C.",
     )
     parser.add_argument(
-        "experiment", metavar="EXPERIMENT", nargs="?", default="insertion",
-        help="an experiment file (.toml) or a shipped one by name (insertion); its moves are not made",
+        "experiment", metavar="EXPERIMENT", nargs="?", default="steering",
+        help="an experiment file (.toml) or a shipped one by name (steering); its moves are not made",
     )  # fmt: skip
+    parser.add_argument(
+        "--table", metavar="TABLE.h5",
+        help="put the needle where this table's insertion begins, and let it bend as planned, but for the effects",
+    )  # fmt: skip
+    add_start(parser)
+    parser.add_argument("--registration", metavar="FILE", help="write the registration that `insert` needs (.toml)")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the seed of the experiment")
     parser.add_argument("--host", default="127.0.0.1", metavar="HOST", help="where to listen (127.0.0.1)")
     parser.add_argument("--robot-port", type=int, default=0, metavar="N", help="UDP port of the robot (a free one)")
@@ -55,12 +61,18 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from needleplan.devices.processes import LabPlaces, TrackerLine
     from needleplan.devices.robot import RobotLimits
+    from needleplan.estimation.registration import Registration
+    from needleplan.provenance import require_writable
     from needleplan.simulation import Experiment
     from needleplan.simulation.processes import RealTimeLab
 
     _require(options)
     experiment = Experiment.read(options.experiment)
     seed = experiment.seed if options.seed is None else options.seed
+    setup = _planned(experiment, options) if options.table else experiment.setup
+    if options.registration:
+        require_writable(options.registration)
+        Registration(coil_offset_mm=setup.effects.coil_offset_mm, title="lab twin").write(options.registration)
     places = LabPlaces(
         options.host, options.robot_port, options.force_port, options.http_port, TrackerLine(options.tracker),
         options.tracker_port,
@@ -70,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
     for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(each, lambda *_: ending.set())
     limits = RobotLimits(longest_silence_s=options.longest_silence)
-    with RealTimeLab(experiment.setup, seed, places, limits) as lab:
+    with RealTimeLab(setup, seed, places, limits) as lab:
         _print(options, experiment, seed, lab)
         all_died = _serve(lab, ending, options.duration_s)
     robot = lab.served.get("robot")
@@ -80,6 +92,18 @@ def run(options: argparse.Namespace) -> int:
             f"{1e3 * robot.worst_overrun_s:.3g} ms"
         )
     return complain("all processes of the lab have ended") if all_died else 0
+
+
+def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
+    """Return the setup with the needle where an insertion by the table begins."""
+    from needleplan.planning import PolicyTable
+    from needleplan.workflow.insertion import simulated_bench
+
+    table = PolicyTable.read(options.table)
+    start = table.start(start_pose(options.start)) if options.start is not None else table.best_entry().pose
+    with simulated_bench(experiment, table, start) as bench:
+        assert bench.lab is not None
+        return bench.lab.plant.setup
 
 
 def _serve(lab: RealTimeLab, ending: threading.Event, duration_s: float | None) -> bool:
@@ -114,6 +138,8 @@ def _require(options: argparse.Namespace) -> None:
         if not 0 <= getattr(options, name) <= 65_535:
             option = "--" + name.replace("_", "-")
             mistakes.append(Mistake(option, f"{getattr(options, name)}", "must be a port: from 1 to 65535, 0 for any"))
+    if options.start is not None and not options.table:
+        mistakes.append(Mistake("--start", options.start, "needs --table"))
     if options.tracker_port and options.tracker == "pty":
         mistakes.append(Mistake("--tracker-port", f"{options.tracker_port}", "needs --tracker tcp"))
     if not 0.005 <= options.longest_silence <= 60:
