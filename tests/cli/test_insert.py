@@ -70,7 +70,7 @@ def test_without_a_way_to_the_target_it_does_not_begin(file: Path, quick: Path) 
     [
         (["--robot", "udp:/wrong"], ["--robot", "udp"]),
         (["--robot", "tcp://127.0.0.1:1", "--force", "udp://x", "--tracker", "tcp://x", "--registration", "REG"],
-         ["--robot", "must begin with udp://"]),
+         ["--robot", "must begin with udp://, canopen://"]),
         (["--robot", "sim://steering", "--force", "sim://insertion"], ["must be the same address"]),
         (["--robot", "sim://", "--force", "udp://127.0.0.1", "--registration", "REG"], ["cannot be simulated"]),
         (["--tracker", "serial:///dev/ttyNONE", "--robot", "udp://127.0.0.1", "--force", "udp://127.0.0.1"],

@@ -160,3 +160,13 @@ def test_a_stage_has_one_controller() -> None:
     with pytest.raises(MotionRefused, match="second_commander"):
         insertion_in(lab)
     first.close()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pause_anywhere_in_a_step_is_only_a_pause(seed: int) -> None:
+    """A needle that was paused just before the end of a step goes on from where it stands."""
+    unseen = replace(NOISY, tracker_dropout=0.05, tracker_dropout_s=0.3)
+    report = run_in(a_lab(unseen, seed), limits=replace(WIDE, run_s=60.0))
+    assert report.ending is Ending.TARGET, report.cause
+    assert any(event.name is EventName.PAUSED for event in report.events)
+    assert report.duration_s < 60

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import subprocess
 import sys
@@ -231,3 +232,17 @@ def test_a_limit_of_the_file_size_leaves_the_old_table(table_file: Path, tmp_pat
 
 def test_the_format_is_named_in_the_first_bytes(table_file: Path) -> None:
     assert table_file.read_bytes().startswith(FORMAT.encode())
+
+
+def test_a_table_in_other_units_is_refused(tiny_file: Path, tmp_path: Path) -> None:
+    """Another program may write a whole and sealed file; it must not be taken for one in mm."""
+    image = io.BytesIO(tiny_file.read_bytes())
+    with h5py.File(image, "r+") as file:
+        file["x_mm"].attrs["units"] = "inch"
+        file["heading_rad"].attrs["units"] = "deg"
+    body = image.getvalue()[512:]
+    seal = f"{FORMAT} {len(body)} bytes {provenance.digest(body)}\n".encode().ljust(512, b"\0")
+    (tmp_path / "inch.h5").write_bytes(seal + body)
+    with pytest.raises(TableError, match=r'x_mm\.units = inch: must be "mm"') as refused:
+        npl.PolicyTable.read(tmp_path / "inch.h5")
+    assert 'heading_rad.units = deg: must be "rad"' in str(refused.value)

@@ -33,7 +33,11 @@ def add_to(commands: Any) -> None:
         "needle where it is. Exit code 1: the target was not reached; 2: refused before anything moved.",
     )
     add_table(parser)
-    for name, what in (("robot", "udp://"), ("force", "udp://"), ("tracker", "serial://, tcp:// or igtl://")):
+    for name, what in (
+        ("robot", "udp:// or canopen://"),
+        ("force", "udp://"),
+        ("tracker", "serial://, tcp:// or igtl://"),
+    ):
         parser.add_argument(
             f"--{name}", metavar="URL", help=f"{what}, or sim://[EXPERIMENT][?seed=N] for all three (sim://)"
         )

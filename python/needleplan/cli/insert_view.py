@@ -9,7 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from needleplan.control import Event, EventName, Listener, Options, Sample, Step
+from needleplan.control.report import drawn, path_distances_mm
 from needleplan.control.safety import SafetyEvent
 from needleplan.devices import ForceSample, PoseSample, StageSample
 from needleplan.estimation.tip import TipEstimate
@@ -58,7 +61,7 @@ class LiveView(PlainView):
         self._tip: TipEstimate | None = None
         self._step: Step | None = None
         self._state, self._due_s, self._now_ns = "DISABLED", 0.0, 0
-        self._planned: list[tuple[float, float]] = []
+        self._table, self._line = table, np.empty((0, 2))
 
     def sample(self, sample: Sample) -> None:
         """Keep a sample, and show all now and then."""
@@ -73,7 +76,9 @@ class LiveView(PlainView):
         self._tip = tip
 
     def step(self, step: Step) -> None:
-        """Keep a decision."""
+        """Keep a decision; at the first one, the plan from there."""
+        if self._step is None:
+            self._line = drawn(self._table.path(step.pose), self._table)
         self._step = step
 
     def safety(self, event: SafetyEvent) -> None:
@@ -97,6 +102,8 @@ class LiveView(PlainView):
             off = math.dist((tip.x_mm, tip.y_mm), self._target)
             rows.add_row("tip", f"x {tip.x_mm:7.2f} mm  y {tip.y_mm:7.2f} mm  {math.degrees(tip.heading_rad):6.1f} deg")
             rows.add_row("target", f"{off:7.2f} mm away; {tip.z_mm:+.2f} mm out of the plane")
+            apart = float(path_distances_mm(self._line, np.array([[tip.x_mm, tip.y_mm]]))[0])
+            rows.add_row("plan", f"{apart:7.2f} mm from its path")
             rows.add_row("radius", f"{1 / max(tip.curvature_per_mm, 1e-9):7.2f} mm estimated; {tip.status}")
         if self._step:
             step = self._step

@@ -70,7 +70,9 @@ class Needle:
         self._feed: Feed | None = None
         self._listeners = listeners
         self._heard_ns = self._ticked_ns = clock.now_ns()
-        self._enabled = False
+        self._enabled = self._resumed = False
+        self._unsure = True
+        """Whether no stage sample has come since the last command."""
 
     def hear(self, feed: Feed) -> None:
         """Take samples from a feed from now on."""
@@ -158,6 +160,7 @@ class Needle:
         """Begin to insert to a length of the path. Raises DeviceFault."""
         if self._paused:
             self._wait_out()
+        self._resumed, self._unsure = False, True
         options = self.options
         depth = path_mm + options.entry_depth_mm
         self._guard.insert(depth, options.velocity_mm_s)
@@ -170,19 +173,16 @@ class Needle:
         limit_s = _PATIENCE * way / self.options.velocity_mm_s + _GRACE_S
 
         def there() -> bool:
-            stage = self.stage
-            if stage is None:
+            if self._resumed:
+                self.begin_insert(goal)
+            if self._unsure or self.stage is None:
                 return False
             left = goal - self.path_mm
-            if not stage.moving and abs(left) <= _DEPTH_MM:
-                return True
-            if self._resumed:
-                self._resumed = False
-                self.begin_insert(goal)
-            return 0 < left <= early_mm
+            return 0 < left <= early_mm or (not self.stage.moving and abs(left) <= _DEPTH_MM)
 
-        self._resumed = False
         self.listen_until(there, limit_s, f"stage: came to rest at {goal:.4g} mm")
+        if self.stage is not None and not self.stage.moving:
+            self.goal_mm = self.path_mm  # what is left of it belongs to the next step
 
     def rotate(self, roll_rad: float) -> None:
         """Turn the base so that the tip comes to a roll: beyond it by the torsional lag, and back. Raises DeviceFault.
@@ -208,8 +208,6 @@ class Needle:
         else:
             self._guard.order(Order.DISABLE, _LOOP)
         self._tell(CommandKind.STOP, math.nan, math.nan)
-
-    _resumed = False
 
     @property
     def _paused(self) -> bool:
@@ -249,16 +247,16 @@ class Needle:
             if self._paused:
                 self._wait_out()
             self._guard.rotate(goal_rad, options.velocity_rad_s)
-            self.moved, self._resumed = True, False
+            self.moved, self._resumed, self._unsure = True, False, True
             self._tell(CommandKind.ROTATE, goal_rad, options.velocity_rad_s)
 
         def there() -> bool:
-            now = self.stage
-            if now is not None and not now.moving and abs(now.roll_rad - goal_rad) <= _ROLL_RAD:
-                return True
             if self._resumed:
                 begin()
-            return False
+            now = self.stage
+            if self._unsure or now is None:
+                return False
+            return not now.moving and abs(now.roll_rad - goal_rad) <= _ROLL_RAD
 
         begin()
         self.listen_until(there, limit_s, f"stage: came to rest at a roll of {goal_rad:.4g} rad")
@@ -267,7 +265,7 @@ class Needle:
         for listener in self._listeners:
             listener.sample(sample)
         if isinstance(sample, StageSample):
-            self.stage = sample
+            self.stage, self._unsure = sample, False
             if self.filter is not None:
                 self.filter.predict(self._from_entry(sample))
         elif isinstance(sample, ForceSample):

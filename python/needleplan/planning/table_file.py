@@ -78,6 +78,8 @@ def read(path: str | os.PathLike[str]) -> Content:
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             return _content(file)
+    except TableError as error:
+        raise TableError(error.mistakes, source) from None
     except (OSError, KeyError, ValueError, TypeError, AttributeError, InputError) as error:
         raise TableError(f"is sealed but does not hold a policy table: {error}", source) from error
 
@@ -129,7 +131,19 @@ def _fill(file: h5py.File, table: PolicyTable) -> None:
     file["order"].attrs["description"] = "partitions ix * py + iy in the order of their first processing"
 
 
+def _require_units(file: h5py.File) -> None:
+    """Raise TableError where the file says that it is in other units than ours: another program has made it."""
+    units = {name: unit for name, (_, unit) in _TABLES.items()} | {"x_mm": "mm", "y_mm": "mm", "heading_rad": "rad"}
+    mistakes = [
+        Mistake(f"{name}.units", str(file[name].attrs.get("units", "")), f'must be "{unit}"')
+        for name, unit in units.items() if file[name].attrs.get("units") != unit
+    ]  # fmt: skip
+    if mistakes:
+        raise TableError(mistakes)
+
+
 def _content(file: h5py.File) -> Content:
+    _require_units(file)
     tables = {name: file[name][()] for name in _TABLES}
     numbers: dict[str, Any] = {each.name: file.attrs[each.name] for each in fields(Stats) if each.name != "order"}
     plain = {name: getattr(value, "item", lambda value=value: value)() for name, value in numbers.items()}

@@ -152,6 +152,12 @@ def _robot(address: str) -> Stage:
     return RobotStage.open(str(replace(parsed, options={**parsed.options, "alive": "calls"})))
 
 
+def _drives(address: str) -> Stage:
+    from needleplan.devices.cia402 import CanopenStage
+
+    return CanopenStage.open(address)
+
+
 def _net_ft(address: str) -> ForceSensor:
     from needleplan.devices.ati import NetFt
 
@@ -170,6 +176,6 @@ def _igtl(address: str) -> Tracker:
     return IgtlTracker.open(address)
 
 
-_ROBOTS: dict[str, Callable[[str], Stage]] = {"udp": _robot}
+_ROBOTS: dict[str, Callable[[str], Stage]] = {"udp": _robot, "canopen": _drives}
 _FORCES: dict[str, Callable[[str], ForceSensor]] = {"udp": _net_ft}
 _TRACKERS: dict[str, Callable[[str], Tracker]] = {"serial": _ndi, "tcp": _ndi, "igtl": _igtl}

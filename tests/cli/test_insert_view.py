@@ -1,0 +1,42 @@
+"""What a person sees of an insertion while it goes on."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+from rich.live import Live
+
+from needleplan.cli.insert_view import LiveView, PlainView, view
+from needleplan.control import Ending
+from tests.control.scenes import FAST, NOISY, a_lab, insertion_in, small_table
+
+
+def test_the_live_view_shows_what_is_now() -> None:
+    console = Console(file=io.StringIO(), width=100, force_terminal=True)
+    with Live(console=console, auto_refresh=False) as live:
+        shown = LiveView(live, small_table(), FAST)
+        report = insertion_in(a_lab(NOISY, 1), listeners=[shown]).run()
+    assert report.ending is Ending.TARGET
+    console = Console(file=io.StringIO(), width=100)
+    console.print(shown.rows())
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    rows = {line.split()[0]: line for line in text.splitlines() if line.strip()}
+    assert set(rows) == {"state", "depth", "force", "tip", "target", "plan", "radius", "action", "ages"}
+    assert "DISABLED" in rows["state"]
+    assert f"{report.inserted_mm:7.2f} mm" in rows["depth"]
+    assert f"{report.error_mm:7.2f} mm away" in rows["target"]
+    assert f"step {report.steps[-1].number}: insert" in rows["action"]
+    assert "tracker" in rows["ages"]
+
+
+def test_elsewhere_it_is_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    lab = a_lab(replace(NOISY, curvature_error=0.25), 1)
+    with view(small_table(), FAST) as shown:
+        assert type(shown) is PlainView
+        report = insertion_in(lab, listeners=[shown]).run()
+    lines = capsys.readouterr().err.splitlines()
+    assert sum(line.startswith("step ") for line in lines) == len(report.steps)
+    assert sum(line.startswith("table swapped: a table for a radius of") for line in lines) == report.replans >= 1
