@@ -12,6 +12,7 @@ import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
 
+from needleplan.control.approach import NEARLY_MM, Approach
 from needleplan.control.entry import measured_entry, require_expected
 from needleplan.control.listening import Event, EventName, Listener, Step
 from needleplan.control.needle import Needle, Stopped
@@ -30,9 +31,6 @@ from needleplan.models.bicycle import arc_step
 from needleplan.planning import Action, Decision, Path, PolicyTable, Pose
 
 __all__ = ["Insertion"]
-
-_NEARLY_MM = 0.05
-"""An arc whose closest point is nearer than that has been followed to its end."""
 
 _FIRST_FRAMES = 10
 
@@ -135,7 +133,7 @@ class Insertion(Closing):
         if decision.success < self.options.least_success:
             return self._given_up(start, decision)
         needle.enable()
-        if needle.path_mm < -_NEARLY_MM:
+        if needle.path_mm < -NEARLY_MM:
             needle.begin_insert(0.0)
             needle.finish_insert()
             needle.settle(self.options.settling_frames)
@@ -153,44 +151,52 @@ class Insertion(Closing):
         touched = scene.touches(tip.x_mm, tip.y_mm)
         if touched:
             return Ending.COLLISION, f"{place}, in {touched}"
-        if self._needle.path_mm >= options.longest_mm - _NEARLY_MM:
+        if self._needle.path_mm >= options.longest_mm - NEARLY_MM:
             return Ending.TOO_LONG, f"the path has the length that is allowed, {options.longest_mm:g} mm"
         return None
 
     def _step(self) -> tuple[Ending, str] | None:
         """Decide, and do it; return how it has ended if it has."""
-        needle = self._needle
         self._take_table()
-        pose = self._pose_at_goal()
-        early = self._remaining_mm() > _NEARLY_MM
-        if self._at_target(pose) and not early:
-            distance = self._scene.target_distance_mm(pose.x_mm, pose.y_mm)
-            return Ending.TARGET, f"the tip is {distance:.2f} mm from the centre of the target"
-        inside = self._inside(pose)
-        decision = None if inside else self._decision(pose)
-        action = Action.INSERT if decision is None else decision.action
-        if early and (
-            action is Action.ROTATE or inside or (decision and decision.success < self.options.least_success)
-        ):
-            needle.finish_insert()
-            needle.settle(self.options.settling_frames)
+        pose, scene, options = self._pose_at_goal(), self._scene, self.options
+        approach = Approach(scene, self._needle.tip.curvature_per_mm)
+        ahead = self._remaining_mm() > NEARLY_MM
+        inside, outside = approach.inside(pose), scene.outside(pose.x_mm, pose.y_mm)
+        decision = None if inside or outside else self.table.lookup(*pose)
+        hopeless = decision is not None and decision.success < options.least_success
+        rotates = decision is not None and decision.action is Action.ROTATE
+        if ahead and (inside or outside or hopeless or rotates):
+            # That is not decided in passing: the needle stops, and looks again.
+            self._needle.finish_insert()
+            self._needle.settle(options.settling_frames)
             return None
-        if decision is not None and decision.success < self.options.least_success:
-            return self._given_up(pose, decision)
-        if action is Action.ROTATE:
-            pose = pose._replace(bevel=-pose.bevel)
-        length, last = self._length_mm(pose)
-        self._record(pose, action, decision, length)
-        self._consider(pose)
-        if action is Action.ROTATE:
-            needle.rotate(0.0 if pose.bevel > 0 else math.pi)
-        needle.begin_insert(needle.goal_mm + length)
-        if last or self.options.stops:
-            needle.finish_insert()
-            needle.settle(self.options.settling_frames)
+        if approach.done(pose):
+            distance = scene.target_distance_mm(pose.x_mm, pose.y_mm)
+            return Ending.TARGET, f"the tip is {distance:.2f} mm from the centre of the target"
+        if decision is not None and hopeless:
+            beside = approach.beside(pose)
+            if beside is None:
+                return self._given_up(pose, decision)
+            turned, length, last = beside[0], beside[1], True
         else:
-            needle.finish_insert(self.options.velocity_mm_s * self.options.lead_s)
+            turned = pose._replace(bevel=-pose.bevel) if rotates else pose
+            room = max(options.longest_mm - self._needle.goal_mm, 0.0)
+            length, last = approach.length_mm(turned, room)
+        self._record(pose, turned, decision, length)
+        self._consider(pose)
+        self._carry_out(pose, turned, length, last=last)
         return None
+
+    def _carry_out(self, pose: Pose, turned: Pose, length_mm: float, *, last: bool) -> None:
+        needle, options = self._needle, self.options
+        if turned.bevel != pose.bevel:
+            needle.rotate(0.0 if turned.bevel > 0 else math.pi)
+        needle.begin_insert(needle.goal_mm + length_mm)
+        if last or options.stops:
+            needle.finish_insert()
+            needle.settle(options.settling_frames)
+        else:
+            needle.finish_insert(options.velocity_mm_s * options.lead_s)
 
     def _remaining_mm(self) -> float:
         return self._needle.goal_mm - self._needle.path_mm
@@ -204,48 +210,20 @@ class Insertion(Closing):
             x, y, heading = (float(each) for each in arc_step(x, y, heading, bevel * tip.curvature_per_mm, left))
         return Pose(*self._scene.clamped(x, y), heading, bevel)
 
-    def _decision(self, pose: Pose) -> Decision:
-        return self.table.lookup(*pose)
-
-    def _inside(self, pose: Pose) -> bool:
-        distance = self._scene.target_distance_mm(pose.x_mm, pose.y_mm)
-        return distance <= self._scene.scenario.target.radius_mm
-
-    def _at_target(self, pose: Pose) -> bool:
-        """Whether the tip is in the target, and going on would not bring it nearer to its centre."""
-        return self._inside(pose) and self._closest(pose)[0] < 2 * _NEARLY_MM
-
-    def _closest(self, pose: Pose) -> tuple[float, float]:
-        curvature = pose.bevel * self._needle.tip.curvature_per_mm
-        step = self._scene.step_mm(pose.x_mm, pose.y_mm)
-        return self._scene.closest(pose.x_mm, pose.y_mm, pose.heading_rad, curvature, step)
-
-    def _length_mm(self, pose: Pose) -> tuple[float, bool]:
-        """Return how far to insert, and whether that is where the needle is to end."""
-        step = self._scene.step_mm(pose.x_mm, pose.y_mm)
-        along, distance = self._closest(pose)
-        left = max(self.options.longest_mm - self._needle.goal_mm, 0.0)
-        if left < step:
-            return left, True
-        if _NEARLY_MM <= along < step and distance <= self._scene.scenario.target.radius_mm:
-            return along, True
-        return step, False
-
     def _given_up(self, pose: Pose, decision: Decision) -> tuple[Ending, str]:
         promise = f"the table promises {decision.success:.2%} from {pose}"
-        distance = self._scene.target_distance_mm(pose.x_mm, pose.y_mm)
-        near_mm = self._scene.scenario.target.radius_mm + 2 * self._scene.step_mm(pose.x_mm, pose.y_mm)
-        if distance <= near_mm and self._scene.behind(pose.x_mm, pose.y_mm, pose.heading_rad):
-            return Ending.MISSED, f"the target lies behind the tip, {distance:.2f} mm away; {promise}"
+        if Approach(self._scene, 0.0).near(pose):
+            distance = self._scene.target_distance_mm(pose.x_mm, pose.y_mm)
+            return Ending.MISSED, f"the tip is {distance:.2f} mm from the centre of the target, beside it; {promise}"
         return Ending.UNREACHABLE, promise
 
-    def _record(self, pose: Pose, action: Action, decision: Decision | None, length_mm: float) -> None:
+    def _record(self, pose: Pose, turned: Pose, decision: Decision | None, length_mm: float) -> None:
         needle, now_ns = self._needle, self._station.clock.now_ns()
-        before = pose._replace(bevel=-pose.bevel) if action is Action.ROTATE else pose
+        action = Action.INSERT if turned.bevel == pose.bevel else Action.ROTATE
         latency_s = (now_ns - needle.pose.stamp.received_ns) * 1e-9 if needle.pose else math.nan
         value, success = (decision.value, decision.success) if decision else (0.0, 1.0)
         step = Step(
-            self._number, now_ns, needle.goal_mm, before, self._state(before), action, value, success, length_mm,
+            self._number, now_ns, needle.goal_mm, pose, self._state(pose), action, value, success, length_mm,
             self._needle.tip, self.table.digest, latency_s,
         )  # fmt: skip
         self._number += 1

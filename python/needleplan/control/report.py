@@ -26,7 +26,7 @@ class Ending(StrEnum):
 
     TARGET = "target"
     MISSED = "missed"
-    """The target was passed beside its rim, and lies behind the tip, less than two steps away."""
+    """The tip is less than two steps from the target, beside it, and cannot come nearer."""
 
     UNREACHABLE = "unreachable"
     """From where the tip is, the table does not promise to reach the target."""

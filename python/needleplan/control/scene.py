@@ -75,10 +75,11 @@ class Scene:
         at = int(distances.argmin())
         return float(lengths[at]), float(distances[at])
 
-    def behind(self, x_mm: float, y_mm: float, heading_rad: float) -> bool:
-        """Whether the target lies behind the tip."""
-        x, y = self.scenario.target.center_mm
-        return (x - x_mm) * math.cos(heading_rad) + (y - y_mm) * math.sin(heading_rad) < 0
+    def blocked(self, x_mm: float, y_mm: float, heading_rad: float, curvature_per_mm: float, length_mm: float) -> bool:
+        """Whether an arc leaves the workspace or touches an obstacle."""
+        lengths = np.linspace(0.0, length_mm, max(int(length_mm / _SAMPLE_MM), 1) + 1)
+        x, y, _ = arc_step(x_mm, y_mm, heading_rad, curvature_per_mm, lengths)
+        return any(self.outside(*at) or self.touches(*at) for at in zip(x.tolist(), y.tolist(), strict=True))
 
     @cached_property
     def _obstacles(self) -> list[tuple[str, BaseGeometry]]:
