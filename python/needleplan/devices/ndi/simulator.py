@@ -81,6 +81,9 @@ class AuroraDevice:
     first_frame: int = 1
     baud: int = 9600
     tracking: bool = False
+    count: Callable[[], int] | None = None
+    """Tells the number of the present frame, where it is not the clock that counts them."""
+
     faults: DeviceFaults = field(default_factory=DeviceFaults)
     commands: list[str] = field(default_factory=list)
     _input: bytearray = field(default_factory=bytearray)
@@ -192,7 +195,9 @@ class AuroraDevice:
         if self.faults.error is not None:
             error, self.faults.error = self.faults.error, None
             return encode_text(f"ERROR{error:02X}")
-        if not self.faults.freeze:
+        if self.count is not None:
+            self._frame = self.count()
+        elif not self.faults.freeze:
             self._frame = int((self.clock.now_ns() - self._began_ns) / 1e9 * self.rate_hz + 1e-6)
         number = (self.first_frame + self._frame) % (1 << 32)
         frames = Frames(

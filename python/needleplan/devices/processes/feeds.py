@@ -17,7 +17,7 @@ from needleplan.devices.closing import Closing
 
 __all__ = ["FeedReader", "FeedSender", "feed_pair"]
 
-_WRENCH, _POSE = struct.Struct("<6d"), struct.Struct("<8d")
+_WRENCH, _POSE = struct.Struct("<6d"), struct.Struct("<9d")
 _SILENT_S = 0.1
 
 
@@ -38,7 +38,7 @@ class FeedSender:
         if isinstance(sample, ForceSample):
             data = _WRENCH.pack(*sample.force_n, *sample.torque_n_mm)
         else:
-            data = _POSE.pack(*sample.quaternion, *sample.position_mm, sample.error_mm)
+            data = _POSE.pack(sample.stamp.sequence, *sample.quaternion, *sample.position_mm, sample.error_mm)
         with contextlib.suppress(OSError):  # full, or the other process has ended
             self._end.send(data)
 
@@ -46,8 +46,8 @@ class FeedSender:
 class FeedReader(Closing):
     """The end of a sensor: calls `hear` with each sample, and `fall_silent` where none has come for 0.1 s.
 
-    A ForceSample is heard as three forces in N and three torques in N mm; a PoseSample as quaternion (w, x, y, z),
-    position in mm and error in mm, all NaN where the coil is not seen.
+    A ForceSample is heard as three forces in N and three torques in N mm; a PoseSample as the number of
+    its frame, quaternion (w, x, y, z), position in mm and error in mm, these NaN where the coil is not seen.
     """
 
     def __init__(

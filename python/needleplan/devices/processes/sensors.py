@@ -52,20 +52,23 @@ def serve_force(boss: Connection, places: LabPlaces, feed: socket.socket) -> Non
 
 def serve_tracker(boss: Connection, places: LabPlaces, feed: socket.socket) -> None:
     """Be the tracker, with one coil."""
-    pose = ((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    tool = SimulatedTool(TOOL, lambda _: pose, seen=Seen.MISSING)
-    device = AuroraDevice([tool])
+    nan = math.nan
+    heard = now = (0.0, nan, nan, nan, nan, nan, nan, nan, nan)
+    tool = SimulatedTool(TOOL, lambda _: ((now[1], now[2], now[3], now[4]), (now[5], now[6], now[7])))
 
     def hear(values: tuple[float, ...]) -> None:
-        nonlocal pose
-        w, qx, qy, qz, x, y, z, error_mm = values
-        if math.isfinite(w):
-            pose, tool.error_mm = ((w, qx, qy, qz), (x, y, z)), error_mm
-        tool.seen = Seen.VALID if math.isfinite(w) else Seen.MISSING
-        device.faults.freeze = False
+        nonlocal heard
+        frame, w, qx, qy, qz, x, y, z, error_mm = values
+        heard = (frame, w, qx, qy, qz, x, y, z, error_mm)
 
-    def fall_silent() -> None:
-        device.faults.freeze = True
+    def count() -> int:
+        """Take what was heard last for the frame that is asked for now: a frame is there as soon as it is measured."""
+        nonlocal now
+        now = heard
+        tool.seen, tool.error_mm = (Seen.VALID if math.isfinite(now[1]) else Seen.MISSING), now[8]
+        return int(now[0])
+
+    device = AuroraDevice([tool], count=count)
 
     def place() -> Endpoint:
         if places.tracker_line is TrackerLine.PTY:
@@ -77,7 +80,7 @@ def serve_tracker(boss: Connection, places: LabPlaces, feed: socket.socket) -> N
         return
     ended = threading.Event()
     call_at_end(boss, ended.set)
-    with endpoint, FeedReader(feed, hear, fall_silent, PoseSample):
+    with endpoint, FeedReader(feed, hear, lambda: None, PoseSample):
         boss.send(Ready(endpoint.address))
         ended.wait()
     tell(boss, Served())
