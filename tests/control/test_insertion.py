@@ -11,7 +11,6 @@ import pytest
 from needleplan.control import Ending, EventName, Insertion, Listener, Step
 from needleplan.control.safety import Order
 from needleplan.errors import InputError, MotionRefused
-from needleplan.models import arc_step
 from needleplan.planning import Action, Outcome
 from needleplan.simulation import Entry
 from tests.control.scenes import FAST, NOISY, WIDE, a_lab, insertion_in, run_in, small_table
@@ -171,20 +170,3 @@ def test_a_pause_anywhere_in_a_step_is_only_a_pause(seed: int) -> None:
     assert report.ending is Ending.TARGET, report.cause
     assert any(event.name is EventName.PAUSED for event in report.events)
     assert report.duration_s < 60
-
-
-def test_beside_the_target_it_goes_as_near_as_it_can() -> None:
-    """From here no arc enters the target: the last step ends where the needle is closest to it."""
-    x, y = small_table().scenario.target.center_mm
-    lab = a_lab(entry=Entry(x - 4.0, y - 2.9, 0.0))
-    report = run_in(lab, replace(FAST, replan=False))
-    assert report.ending is Ending.MISSED, report.cause
-    (step,) = report.steps
-    assert step.success < 0.01
-    start = math.dist((x - 4.0, y - 2.9), (x, y))
-    best = min(
-        math.dist(arc_step(x - 4.0, y - 2.9, 0.0, bevel / 40, along)[:2], (x, y))
-        for bevel in (-1, 1) for along in np.linspace(0, small_table().scenario.step_mm, 200)
-    )  # fmt: skip
-    assert report.error_mm == pytest.approx(best, abs=0.1)
-    assert report.error_mm < start
