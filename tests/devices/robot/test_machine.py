@@ -1,0 +1,124 @@
+"""Every command in every state of the capture side: what becomes of it, and of the state."""
+
+from __future__ import annotations
+
+import pytest
+
+from needleplan.devices.robot import Fault, RobotMachine, RobotState, SteadyDrive
+from needleplan.devices.robot.codec import decode, encode
+from needleplan.devices.robot.messages import Answer, Command, Head, Kind, Result
+
+PEER = ("controller", 1)
+A, B, F = Result.ACCEPTED, Result.OLD_SESSION, Result.IN_FAULT
+DISABLED, ENABLED, FAULT = RobotState
+
+# By state: for each command its result, and the state after it. A repeated HELLO is that of the controller itself.
+TABLE = {
+    DISABLED: {
+        Kind.HELLO: (A, DISABLED), Kind.ENABLE: (A, ENABLED), Kind.INSERT: (Result.NOT_ENABLED, DISABLED),
+        Kind.ROTATE: (Result.NOT_ENABLED, DISABLED), Kind.STOP: (A, DISABLED), Kind.ALIVE: (None, DISABLED),
+        Kind.RESET: (A, DISABLED), Kind.GOODBYE: (A, DISABLED),
+    },
+    ENABLED: {
+        Kind.HELLO: (A, ENABLED), Kind.ENABLE: (A, ENABLED), Kind.INSERT: (A, ENABLED), Kind.ROTATE: (A, ENABLED),
+        Kind.STOP: (A, ENABLED), Kind.ALIVE: (None, ENABLED), Kind.RESET: (A, ENABLED), Kind.GOODBYE: (A, DISABLED),
+    },
+    FAULT: {
+        Kind.HELLO: (A, FAULT), Kind.ENABLE: (F, FAULT), Kind.INSERT: (F, FAULT), Kind.ROTATE: (F, FAULT),
+        Kind.STOP: (A, FAULT), Kind.ALIVE: (None, FAULT), Kind.RESET: (A, DISABLED), Kind.GOODBYE: (A, FAULT),
+    },
+}  # fmt: skip
+
+
+class Told:
+    """A machine on a clock of whole milliseconds, and what it answers."""
+
+    def __init__(self) -> None:
+        self.drive = SteadyDrive()
+        self.machine = RobotMachine(self.drive)
+        self.now_ns = 0
+        self.number = 0
+
+    def tick(self) -> None:
+        self.now_ns += 1_000_000
+        self.machine.tick(self.now_ns)
+
+    def tell(self, kind: Kind, session: int = 1) -> Result | None:
+        """Give a command that is in time, and return its result."""
+        self.number += 1
+        head = Head(session, self.number, 1, number=self.number)
+        answer = self.machine.receive(encode(Command(head, kind, self.now_ns + 1, 20.0, 5.0)), PEER, self.now_ns)
+        if not answer:
+            return None
+        message = decode(answer)
+        assert isinstance(message, Answer)
+        assert (message.asked, message.head.number, message.state) == (kind, self.number, self.machine.state)
+        return message.result
+
+
+def in_state(state: RobotState) -> Told:
+    told = Told()
+    told.tick()
+    assert told.tell(Kind.HELLO) is A
+    if state is not DISABLED:
+        told.tell(Kind.ENABLE)
+    if state is FAULT:
+        told.drive.faults.reported = Fault.DRIVE
+        told.tick()
+        told.drive.faults.reported = Fault(0)
+        told.tick()
+    assert told.machine.state is state
+    return told
+
+
+@pytest.mark.parametrize("kind", [kind for kind in Kind if kind < 0x80])
+@pytest.mark.parametrize("state", RobotState)
+def test_every_command_in_every_state(state: RobotState, kind: Kind) -> None:
+    told = in_state(state)
+    result, after = TABLE[state][kind]
+    assert told.tell(kind) is result
+    assert told.machine.state is after
+    told.tick()
+    moves = state is ENABLED and kind in (Kind.INSERT, Kind.ROTATE)
+    last = told.drive.advance(told.now_ns / 1e9)
+    assert last.moving == moves
+    assert (told.machine.controller is None) == (kind is Kind.GOODBYE)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in Kind if kind < 0x80 and kind is not Kind.HELLO])
+@pytest.mark.parametrize("state", RobotState)
+def test_no_command_of_another_session_changes_anything(state: RobotState, kind: Kind) -> None:
+    told = in_state(state)
+    assert told.tell(kind, session=2) is B
+    assert told.machine.state is state
+    assert told.machine.controller == PEER
+
+
+@pytest.mark.parametrize("kind", [kind for kind in Kind if kind < 0x80 and kind is not Kind.HELLO])
+def test_without_a_session_there_is_nothing_to_command(kind: Kind) -> None:
+    told = Told()
+    told.tick()
+    assert told.tell(kind) is B
+    assert told.machine.state is DISABLED
+
+
+def test_a_command_that_comes_again_is_answered_the_same_and_obeyed_once() -> None:
+    told = in_state(ENABLED)
+    head = Head(1, 50, 1, number=50)
+    insert = encode(Command(head, Kind.INSERT, told.now_ns + 10_000_000, 20.0, 5.0))
+    stop = encode(Command(Head(1, 51, 1, number=51), Kind.STOP))
+    for datagram, result in ((insert, A), (insert, A), (stop, A), (insert, Result.SUPERSEDED), (stop, A)):
+        answer = decode(told.machine.receive(datagram, PEER, told.now_ns))
+        assert isinstance(answer, Answer)
+        assert answer.result is result
+    assert not told.drive.advance(told.now_ns / 1e9).moving
+
+
+def test_sessions_that_have_ended_are_remembered() -> None:
+    told = in_state(DISABLED)
+    told.tell(Kind.GOODBYE)
+    for session in range(2, 60):
+        assert told.tell(Kind.HELLO, session) is A
+        assert told.tell(Kind.GOODBYE, session) is A
+    assert told.tell(Kind.HELLO, 1) is B
+    assert told.tell(Kind.HELLO, 0) is B
