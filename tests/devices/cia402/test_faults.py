@@ -76,13 +76,13 @@ def test_28_a_fault_that_stays_is_not_reset() -> None:
 
 
 def test_29_a_drive_that_hears_nothing_of_us_stops_by_itself() -> None:
-    timing = replace(PATIENT, watchdog_s=0.25)
+    timing = replace(PATIENT, watchdog_s=0.5)
     with drives() as there, stage_on(there, timing) as stage:
         stage.insert(100.0, 20.0)
         # Nobody reads: nothing says that we live any more.
         wait_for(lambda: there.insertion.stopped_after_s is not None)
         assert there.insertion.state is DriveState.QUICK_STOP
-        assert there.insertion.stopped_after_s < 0.25 + 1.0  # type: ignore[operator]  a late tick of the simulation
+        assert there.insertion.stopped_after_s < 0.5 + 1.0  # type: ignore[operator]  a late tick of the simulation
         stands_still(there)
         assert there.insertion.position < 100
         fault_of(stage, r"(error 0x8130 \(monitoring\)|left OPERATION ENABLED for QUICK STOP ACTIVE)")

@@ -6,12 +6,15 @@ import os
 import struct
 import subprocess
 import sys
+import threading
+from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from needleplan.devices import Stage
+from needleplan.devices import Stage, StageSample
 
 pytest.importorskip("canopen", reason="the library canopen is not installed (extra: canopen)")
 
@@ -166,3 +169,39 @@ def test_a_drive_has_the_bytes_of_the_profile_on_the_wire() -> None:
     assert (0x601, b"\x2b\x40\x60\x00\x3f\x00\x00\x00") in sent
     assert {(0x201, b"\x02\x00"), (0x202, b"\x02\x00"), (0x77F, b"\x05"), (0x080, b"")} <= sent
     assert any(each.arbitration_id == 0x181 and len(each.data) == 6 for each in seen)
+
+
+def test_two_threads_may_read_and_command() -> None:
+    with drives() as there, stage_on(there) as stage:
+        samples: list[StageSample] = []
+        enough = threading.Event()
+
+        def read() -> None:
+            while not enough.is_set():
+                samples.append(next_of(stage))
+
+        reading = threading.Thread(target=read)
+        reading.start()
+        for _ in range(10):
+            stage.insert(20.0, 20.0)
+            stage.rotate(3.0, 10.0)
+            stage.stop()
+        enough.set()
+        reading.join()
+        numbers = [each.stamp.sequence for each in samples]
+        assert numbers == sorted(set(numbers))
+        while (last := next_of(stage)).moving:
+            pass
+        assert 0 < last.depth_mm < 20
+
+
+def test_a_thread_that_reads_does_not_vouch_where_it_is_told_not_to(tmp_path: Path) -> None:
+    timing = replace(PATIENT, watchdog_s=0.5)
+    with drives() as there:
+        address = f"{there.address}&setup={setup_file(tmp_path)}&alive=calls"
+        with CanopenStage.open(address, timing=timing) as stage:
+            stage.insert(100.0, 5.0)
+            stage.alive()
+            with pytest.raises(DeviceFault, match=r"0x8130|QUICK STOP ACTIVE"):
+                deque((next_of(stage) for _ in range(10_000)), maxlen=0)
+            assert there.insertion.stopped_after_s is not None

@@ -9,65 +9,44 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from needleplan.devices.address import Address
-from needleplan.devices.base import Stage, StageSample, Stamp
+from needleplan.devices.base import Stage, StageSample
 from needleplan.devices.cia402.axis import Axis
 from needleplan.devices.cia402.bus import CanBus, Frame
 from needleplan.devices.cia402.drive import Drive
 from needleplan.devices.cia402.objects import Entry, Service, decode_emergency
+from needleplan.devices.cia402.rounds import Rounds
 from needleplan.devices.cia402.setup import DrivesSetup
+from needleplan.devices.cia402.timing import DriveTiming
 from needleplan.devices.clock import Clock, Deadline, SystemClock
 from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake
 
-__all__ = ["CanopenStage", "DriveTiming"]
+__all__ = ["CanopenStage"]
 
 _OPERATIONAL = 5
 _NANO = 1_000_000_000
 
 
-@dataclass(frozen=True)
-class DriveTiming:
-    """How long each side believes in the other."""
-
-    sync_s: float = 0.005
-    """The drives are asked where they are so often."""
-
-    heartbeat_s: float = 0.01
-    """Both sides say that they live so often."""
-
-    watchdog_s: float = 0.04
-    """A drive that does not hear us for so long stops by itself."""
-
-    silence_s: float = 0.04
-    """We give the drives up where they do not say where they are for so long."""
-
-    answer_s: float = 0.1
-    """A drive has so long to answer a question."""
-
-    change_s: float = 0.5
-    """A change of state, or taking a new target, may take so long."""
-
-    slack_s: float = 0.3
-    """A motion may begin so late, or rest so long on its way."""
-
-
 class CanopenStage(Stage):
     """The two drives on `bus`; `node` is our own number there.
 
-    Each `read` and each command is a proof of life; there is no thread that would vouch for a loop that has died.
+    Each `read` and each command is a proof of life; there is no thread that would vouch for a loop that has died. With
+    `alive_by_reading` false only commands and `alive` are: so a thread that reads does not vouch for the loop either.
     """
 
-    def __init__(self, bus: CanBus, setup: DrivesSetup, *, node: int = 127, timing: DriveTiming | None = None) -> None:
+    def __init__(
+        self, bus: CanBus, setup: DrivesSetup, *, node: int = 127, timing: DriveTiming | None = None,
+        alive_by_reading: bool = True,
+    ) -> None:  # fmt: skip
         self.timing = DriveTiming() if timing is None else timing
-        self.setup, self._node = setup, node
+        self.setup, self._node, self._by_reading = setup, node, alive_by_reading
         self._bus, self._clock = bus, bus.clock
         self._lock = threading.RLock()
         self._fault: DeviceFault | None = None
         self._closed = self._running = False
-        self._number = self._lost = self._vouched_ns = self._heard_ns = self._due_ns = 0
-        self._asked_ns: int | None = None
+        self._vouched_ns = 0
         self._drives: list[Drive] = []
         self._axes: list[Axis] = []
         try:
@@ -75,6 +54,7 @@ class CanopenStage(Stage):
                 drive = Drive(bus, each, self.timing.answer_s, self.timing.change_s, self._vouch)
                 self._drives.append(drive)
                 self._axes.append(Axis(each, drive.name, self.timing.slack_s))
+            self._rounds = Rounds(bus, self._axes, self.timing)
             self.start()
         except BaseException:
             self.close()
@@ -85,14 +65,14 @@ class CanopenStage(Stage):
         """Open `canopen://can0?setup=drives.toml` and enable both drives.
 
         Options: `interface` (socketcan; any of python-can), `bitrate`, `node` (our own number, 127),
-        `watchdog_s` (0.04).
+        `watchdog_s` (0.04), `alive` (`reading`, or `calls` to leave proofs of life to who calls `alive`).
 
         Raises AddressError, ConfigurationError for a setup that is wrong or without the extra `canopen`, DeviceFault.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "canopen" or not parsed.host or parsed.port is not None or parsed.path not in ("", "/"):
             raise AddressError(Mistake("address", address, "must name a bus, as in canopen://can0?setup=drives.toml"))
-        parsed.only(("setup", "interface", "bitrate", "node", "watchdog_s"))
+        parsed.only(("setup", "interface", "bitrate", "node", "watchdog_s", "alive"))
         if "setup" not in parsed.options:
             raise AddressError(Mistake("setup", "", "is missing: a TOML file with [insertion] and [roll]"), address)
         node = parsed.option("node", int, 127)
@@ -103,13 +83,15 @@ class CanopenStage(Stage):
         watchdog_s = parsed.option("watchdog_s", float, usual.watchdog_s)
         if not 0.02 <= watchdog_s <= 60:
             raise AddressError(Mistake("watchdog_s", f"{watchdog_s:g}", "must be from 0.02 to 60 s"), address)
+        by_reading = parsed.option("alive", {"reading": True, "calls": False}.__getitem__, True)
         setup = DrivesSetup.read(parsed.options["setup"])
         if node in (setup.insertion.node, setup.roll.node):
             raise AddressError(Mistake("node", str(node), "must be another than those of the drives"), address)
         interface = parsed.options.get("interface", "socketcan")
         options = {"bitrate": bitrate} if bitrate else {}
         bus = CanBus(parsed.host, interface, SystemClock() if clock is None else clock, **options)
-        return cls(bus, setup, node=node, timing=replace(usual, watchdog_s=watchdog_s))
+        asked = replace(usual, watchdog_s=watchdog_s)
+        return cls(bus, setup, node=node, timing=asked, alive_by_reading=by_reading)
 
     def start(self) -> None:
         """Set both drives up, reset faults whose cause is gone, and enable; nothing moves.
@@ -118,7 +100,6 @@ class CanopenStage(Stage):
         """
         with self._lock:
             self._fault, self._running = None, False
-            self._asked_ns, self._due_ns, self._lost = None, 0, 0
             try:
                 for drive in self._drives:
                     drive.configure(self._node, self.timing.watchdog_s, self.timing.heartbeat_s)
@@ -132,7 +113,7 @@ class CanopenStage(Stage):
             # What was said up to now was said of the time before.
             while self._next_frame(0) is not None:
                 pass
-            self._heard_ns = self._clock.now_ns()
+            self._rounds.begin_anew()
             self._running = True
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
@@ -151,6 +132,9 @@ class CanopenStage(Stage):
         if self._closed:
             raise LinkClosed("the stage is closed")
         try:
+            # Who reads in another thread must know of the stop before he sees what comes of it.
+            for axis in self._axes:
+                axis.stop()
             for drive in self._drives:
                 drive.quick_stop()  # both are under way before anybody waits, here or in another thread
             with self._lock:
@@ -161,6 +145,12 @@ class CanopenStage(Stage):
             raise self._give_up(fault) from None
         if faults:
             raise self._give_up(faults[0])
+
+    def alive(self) -> None:
+        """Say that the control side lives. Raises LinkClosed."""
+        if self._closed:
+            raise LinkClosed("the stage is closed")
+        self._vouch()
 
     def read(self, timeout_s: float) -> StageSample | None:
         """Return the next sample, or None after `timeout_s`. Raises DeviceFault, again and again until `start`."""
@@ -212,7 +202,8 @@ class CanopenStage(Stage):
             except DeviceFault as fault:
                 raise self._give_up(fault) from None
             # What was asked before the motion began is not told as if it were after it.
-            self._forget()
+            self._rounds.forget()
+            self._drain()
             axis.begin(target, velocity, position, self._clock.now_ns())
 
     def _enable(self, which: int) -> None:
@@ -223,55 +214,17 @@ class CanopenStage(Stage):
     def _step(self) -> StageSample | None:
         """Return the sample if all have answered; else say that we live, and ask where it is due."""
         self._drain()
-        now_ns = self._clock.now_ns()
-        if self._asked_ns is not None and all(axis.complete for axis in self._axes):
-            self._heard_ns, self._due_ns, self._asked_ns = now_ns, self._asked_ns + self._sync_ns, None
-            insertion, roll = self._axes
-            stamp = Stamp(max(insertion.received_ns, roll.received_ns), self._number, self._lost)
-            self._lost = 0
-            moving = insertion.moving or roll.moving
-            return StageSample(stamp, insertion.position, insertion.velocity, roll.position, moving)
-        silent_s = (now_ns - self._heard_ns) / _NANO
-        if silent_s > self.timing.silence_s and self._asked_ns is not None and now_ns > self._asked_ns + self._sync_ns:
-            silent = ", ".join(axis.name for axis in self._axes if not axis.complete)
-            raise self._give_up(DeviceFault(f"{silent}: silent for {silent_s:.3g} s: power, cable, or bus-off"))
+        if (sample := self._rounds.sample()) is not None:
+            return sample
+        if silent := self._rounds.silent():
+            raise self._give_up(DeviceFault(silent))
         try:
-            self._vouch()
-            self._ask()
+            if self._by_reading:
+                self._vouch()
+            self._rounds.ask()
         except DeviceFault as fault:
             raise self._give_up(fault) from None
         return None
-
-    @property
-    def _sync_ns(self) -> int:
-        return round(self.timing.sync_s * _NANO)
-
-    def _ask(self) -> None:
-        now_ns = self._clock.now_ns()
-        if self._asked_ns is None:
-            if now_ns < self._due_ns:
-                return
-            # Who did not read for a while has not asked either: that is nobody's silence.
-            if now_ns > self._due_ns + self._sync_ns:
-                self._heard_ns = now_ns
-        elif now_ns < self._asked_ns + 4 * self._sync_ns:
-            return
-        else:
-            self._lost += 1
-        for axis in self._axes:
-            axis.expect()
-        self._number += 1
-        self._asked_ns = now_ns
-        self._bus.sync()
-
-    def _forget(self) -> None:
-        """Drop what was asked and not answered, and all answers to it."""
-        if self._asked_ns is not None:
-            self._lost += 1
-        self._asked_ns, self._due_ns = None, 0
-        self._drain()
-        for axis in self._axes:
-            axis.expect()
 
     def _vouch(self, due: bool = False) -> None:
         now_ns = self._clock.now_ns()
@@ -307,11 +260,11 @@ class CanopenStage(Stage):
         if frame.service is Service.HEARTBEAT:
             state = frame.data[0] & 0x7F if frame.data else -1
             return "" if state == _OPERATIONAL or not self._running else f"is not operational: NMT state {state}"
-        if self._asked_ns is None:
+        if self._rounds.asked_ns is None:
             return ""
         if frame.service is Service.VELOCITY:
             return axis.take_velocity(frame.data)
-        return axis.take_status(frame.data, self._asked_ns, frame.received_ns)
+        return axis.take_status(frame.data, self._rounds.asked_ns, frame.received_ns)
 
     def _require_sound(self) -> None:
         if self._closed:
