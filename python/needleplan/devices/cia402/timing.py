@@ -23,7 +23,7 @@ class DriveTiming:
     silence_s: float = 0.04
     """We give the drives up where they do not say where they are for so long."""
 
-    answer_s: float = 0.1
+    answer_s: float = 0.3
     """A drive has so long to answer a question."""
 
     change_s: float = 0.5

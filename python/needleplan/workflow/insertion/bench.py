@@ -145,17 +145,19 @@ def _close(device: Device) -> None:
 def _robot(address: str) -> Stage:
     from needleplan.devices.robot import RobotStage
 
-    parsed = Address.parse(address)
-    if "alive" in parsed.options:
-        return RobotStage.open(address)
-    # The loop itself vouches for its life, not the thread that reads.
-    return RobotStage.open(str(replace(parsed, options={**parsed.options, "alive": "calls"})))
+    return RobotStage.open(_vouched_for(address))
 
 
 def _drives(address: str) -> Stage:
     from needleplan.devices.cia402 import CanopenStage
 
-    return CanopenStage.open(address)
+    return CanopenStage.open(_vouched_for(address))
+
+
+def _vouched_for(address: str) -> str:
+    """Return an address by which the loop itself vouches for its life, not the thread that reads."""
+    parsed = Address.parse(address)
+    return str(replace(parsed, options={"alive": "calls", **parsed.options}))
 
 
 def _net_ft(address: str) -> ForceSensor:
