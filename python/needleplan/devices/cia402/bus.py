@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 from dataclasses import dataclass
 from importlib import import_module
@@ -82,4 +83,6 @@ class CanBus(Closing):
         """Leave the bus."""
         if not self._closed:
             self._closed = True
-            self.network.disconnect()
+            # Where the bus went before us, the library says so once more when all has been given back.
+            with contextlib.suppress(*self._errors):
+                self.network.disconnect()
