@@ -93,3 +93,21 @@ def test_a_person_retracts_with_a_robot_that_was_in_fault() -> None:
     rig.turns(0.5)
     assert rig.bench.truth[0] == pytest.approx(0.0, abs=0.01)
     assert rig.state == "DISABLED"
+
+
+def test_32_34_what_comes_late_for_good_is_not_taken_for_fresh() -> None:
+    """The statuses come again, a moment older each than it seems; the robot's clock is 77 s ahead of ours."""
+    rig = RobotRig()
+    rig.begin()
+    rig.bench.network.from_robot.delay_s = 0.08
+    rig.turns(0.5)
+    assert rig.state in ("FAULT", "DISABLED")
+    rig.start_again()
+    rig.turns(0.5)
+    assert Cause.STAGE_SUSPECT in rig.guard.state.present
+    assert rig.state == "FAULT"
+    rig.bench.network.from_robot.delay_s = 0.0
+    rig.start_again()
+    rig.turns(0.5)
+    assert rig.state == "DISABLED"
+    assert not rig.guard.state.present

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 
 PAUSING = {"pose_stale", "pose_suspect", "pose_unseen", "tip_unknown", "plan_lost", "recording_behind"}
 
+MOVING = ("still_moving", "wrong_way", "overspeed", "depth_exceeded", "stage_jumped")
+
 
 @dataclass
 class SlowRobot:
@@ -34,7 +36,8 @@ class SlowRobot:
         if self.state == "FAULT":
             if severe:
                 self.unsigned |= severe
-                if new & severe:
+                # It has been stopped; again only where it moves all the same.
+                if any(each in new for each in MOVING):
                     self.stops += 1
             else:
                 self.state = "DISABLED"

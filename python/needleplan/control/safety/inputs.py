@@ -1,7 +1,8 @@
 """What is known of the robot at a moment, and what is wrong with it: a pure judgement.
 
 An input counts as long as its last usable sample is young: one that is suspect is not used, but is no reason to stop
-before the age limit. Limits are different: a number beyond one is believed even where it is suspect.
+before the age limit. One of a stage that was long on its way is older than its arrival. Limits are different: a number
+beyond one is believed even where it is suspect.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 from needleplan.control.safety.causes import Cause
+from needleplan.control.safety.delay import Delay
 from needleplan.control.safety.limits import SafetyLimits
 from needleplan.devices import ForceSample, Health, PoseSample, StageSample
 
@@ -25,19 +27,27 @@ _FUTURE_S = 0.005
 
 @dataclass(frozen=True)
 class Seen(Generic[_Sample]):
-    """The last sample of a device, the moment of the last usable one, and whether the device has given up."""
+    """The last sample of a device, from when the last usable one is, and whether the device has given up."""
 
     last: _Sample | None = None
     usable_ns: int | None = None
     failed: bool = False
+    is_usable: bool = False
+    """Whether the last one is."""
 
-    def then(self, sample: _Sample, usable: bool) -> Seen[_Sample]:
-        """Return what is known after another sample; the same one again tells nothing, however it is dated."""
+    delay: Delay = field(default_factory=Delay)
+
+    def then(self, sample: _Sample, usable: bool, timed: bool = False) -> Seen[_Sample]:
+        """Return what is known after another sample; the same one again tells nothing, however it is dated.
+
+        A `timed` one carries the time of a clock.
+        """
         if self.last is not None and sample.stamp.sequence == self.last.stamp.sequence:
             return self
+        delay = self.delay.then(sample.stamp) if timed else self.delay
         if usable:
-            return Seen(sample, sample.stamp.received_ns)
-        return replace(self, last=sample)
+            return Seen(sample, sample.stamp.received_ns - round(delay.late_s / _NANO), is_usable=True, delay=delay)
+        return replace(self, last=sample, is_usable=False, delay=delay)
 
 
 @dataclass(frozen=True)
@@ -78,13 +88,13 @@ class Inputs:
         """Return the inputs after a sample of the stage."""
         numbers = (sample.depth_mm, sample.velocity_mm_s, sample.roll_rad)
         usable = sample.health is Health.GOOD and all(map(math.isfinite, numbers))
-        return replace(self, stage=self.stage.then(sample, usable))
+        return replace(self, stage=self.stage.then(sample, usable, timed=True))
 
     def stage_known(self, limits: SafetyLimits, now_ns: int) -> StageSample | None:
         """Return where the stage is, or None where that is not known now."""
         stage = self.stage
         young = not _older(stage.usable_ns, limits.stage_age_s, now_ns)
-        return stage.last if young and not stage.failed and _is_usable(stage) else None
+        return stage.last if young and not stage.failed and stage.is_usable else None
 
 
 def judge(inputs: Inputs, limits: SafetyLimits, now_ns: int) -> frozenset[Cause]:
@@ -144,8 +154,4 @@ def _age(seen: Seen[_Sample], limit_s: float, now_ns: int, causes: tuple[Cause, 
 
 
 def _older(moment_ns: int | None, limit_s: float, now_ns: int) -> bool:
-    return moment_ns is None or (now_ns - moment_ns) * _NANO > limit_s
-
-
-def _is_usable(seen: Seen[_Sample]) -> bool:
-    return seen.last is not None and seen.last.stamp.received_ns == seen.usable_ns
+    return moment_ns is None or now_ns - moment_ns > limit_s / _NANO

@@ -22,6 +22,9 @@ __all__ = ["Action", "OperatingState", "Order", "Report", "SafetyState", "Step",
 
 _NONE: frozenset[Cause] = frozenset()
 _EVEN_WHEN_DISABLED = frozenset({Cause.STILL_MOVING})
+_OF_MOTION = frozenset({Cause.STILL_MOVING, Cause.WRONG_WAY, Cause.OVERSPEED, Cause.DEPTH_EXCEEDED, Cause.STAGE_JUMPED})
+"""In a fault the stop is on its way already; these say that it has not helped."""
+
 _ZERO_LOST = frozenset({Cause.STAGE_JUMPED})
 
 
@@ -108,7 +111,7 @@ def _seen(state: SafetyState, report: Report, now_ns: int) -> Step:
         if not faults:
             return Step(_to(seen, OperatingState.DISABLED, now_ns))
         new = faults - state.present
-        return Step(_latched(seen, faults), (Action.STOP,) if new else (), new)
+        return Step(_latched(seen, faults), (Action.STOP,) if new & _OF_MOTION else (), new)
     if operating is OperatingState.DISABLED:
         faults &= _EVEN_WHEN_DISABLED
     if faults:

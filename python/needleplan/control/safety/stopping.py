@@ -12,7 +12,10 @@ __all__ = ["Stopping", "Vouching"]
 _NANO = 1e-9
 _AGAIN_S = 0.02
 _IN_VAIN_S = 0.25
-"""A stop that did not reach the stage is sent again after so long: trying may block, and others must get their turn."""
+"""A stop that did not reach the stage is sent again after so long."""
+
+_SHARE, _LONGEST_S = 10.0, 1.0
+"""Where a stop takes its time, as over a slow link, it takes at most a tenth of all time, so that others get theirs."""
 
 _VOUCH_S = 0.005
 
@@ -31,23 +34,27 @@ class Stopping:
         self._stage, self._clock = stage, clock
         self._sent_ns = 0
         self._arrived = True
+        self._again_ns = 0
         self.wanted = False
 
     def send(self) -> int:
         """Send a stop, and return when. Raises DeviceFault where it did not reach the stage."""
         self.wanted = True
-        self._sent_ns = self._clock.now_ns()
+        sent_ns = self._clock.now_ns()
+        self._arrived = False
         try:
             self._stage.stop()
-        except DeviceFault:
-            self._sent_ns, self._arrived = self._clock.now_ns(), False
-            raise
-        self._arrived = True
-        return self._sent_ns
+            self._arrived = True
+        finally:
+            self._sent_ns = now_ns = self._clock.now_ns()
+            took_s = (now_ns - sent_ns) * _NANO
+            wait_s = max(_AGAIN_S if self._arrived else _IN_VAIN_S, min(_SHARE * took_s, _LONGEST_S))
+            self._again_ns = now_ns + round(wait_s / _NANO)
+        return sent_ns
 
     def due(self, now_ns: int) -> bool:
         """Whether it is time to send it again."""
-        return self.wanted and (now_ns - self._sent_ns) * _NANO >= (_AGAIN_S if self._arrived else _IN_VAIN_S)
+        return self.wanted and now_ns >= self._again_ns
 
     def sees(self, sample: StageSample) -> None:
         """See whether the stage stands still since the last stop."""
