@@ -154,4 +154,4 @@ def _age(seen: Seen[_Sample], limit_s: float, now_ns: int, causes: tuple[Cause, 
 
 
 def _older(moment_ns: int | None, limit_s: float, now_ns: int) -> bool:
-    return moment_ns is None or now_ns - moment_ns > limit_s / _NANO
+    return moment_ns is None or now_ns - moment_ns > limit_s * 1e9
