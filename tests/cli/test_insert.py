@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -110,3 +113,27 @@ def test_a_table_for_another_needle_is_refused(file: Path) -> None:
     require_fitting(small_table(), str(file), needle=Identified(1 / 41, 1 / 45, 1 / 38, "bicycle", 3, "sha256:0"))
     without_interval = Identified(1 / 41, math.nan, math.nan, "bicycle", 3, "sha256:0")
     require_fitting(small_table(), str(file), needle=without_interval)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_who_stops_it_leaves_the_needle_and_a_whole_recording(
+    number: signal.Signals, file: Path, quick: Path, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "needleplan", "insert", str(file), "--robot", f"sim://{quick}", "--speed", "1"]
+    with subprocess.Popen(
+        [*command, "-o", str(tmp_path / "run.mcap"), "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as running:
+        assert running.stderr is not None
+        assert any(line.startswith("step   1") for line in running.stderr)
+        running.send_signal(number)
+        said, _ = running.communicate()
+    assert running.returncode == 130
+    answer = json.loads(said)
+    assert answer["ending"] == "stopped"
+    recording = Recording.read(tmp_path / "run.mcap")
+    events = [each.values["name"] for each in recording.messages(["/event"])]
+    assert events[-2:] == ["stop", "end"]
+    assert [each.values["kind"] for each in recording.messages(["/command"])][-1] == "stop"

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import math
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any, cast
 
 import pytest
 from rich.console import Console
@@ -11,6 +14,8 @@ from rich.live import Live
 
 from needleplan.cli.insert_view import LiveView, PlainView, view
 from needleplan.control import Ending
+from needleplan.devices.igtl import SlicerServer, StatusCode
+from needleplan.workflow.insertion import SlicerView
 from tests.control.scenes import FAST, NOISY, a_lab, insertion_in, small_table
 
 
@@ -40,3 +45,32 @@ def test_elsewhere_it_is_lines(capsys: pytest.CaptureFixture[str]) -> None:
     lines = capsys.readouterr().err.splitlines()
     assert sum(line.startswith("step ") for line in lines) == len(report.steps)
     assert sum(line.startswith("table swapped: a table for a radius of") for line in lines) == report.replans >= 1
+
+
+class Told:
+    """Takes note of what Slicer would be shown."""
+
+    def __init__(self) -> None:
+        self.shown: dict[str, list[tuple[Any, ...]]] = {}
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        return lambda *what: self.shown.setdefault(name, []).append(what)
+
+
+def test_slicer_is_shown_the_run() -> None:
+    told = Told()
+    report = insertion_in(a_lab(NOISY, 1), listeners=[SlicerView(cast("SlicerServer", told), small_table())]).run()
+    shown = told.shown
+    x, y = small_table().scenario.target.center_mm
+    assert shown["show_target"] == [((x, y, 0.0), 3.0)]
+    ((plan,),) = shown["show_plan"]
+    assert len(plan) > 20
+    (path,) = shown["show_path"][-1]
+    assert math.dist(path[-1], (*report.executed_mm[-1],)) < 0.6
+    (place, turn) = shown["show_tip"][-1]
+    assert place == pytest.approx((*report.executed_mm[-1],))
+    assert math.hypot(*turn) == pytest.approx(1)
+    assert [state for state, *_ in shown["show_state"]][-1] == "DISABLED"
+    assert ("ENABLED", StatusCode.OK, "") in shown["show_state"]
+    assert shown["show_note"][-1][0].startswith("end: the tip is")
+    assert len(shown["show_force"]) == pytest.approx(10 * report.duration_s, rel=0.2)

@@ -11,8 +11,9 @@ import pytest
 from needleplan.control import Ending, EventName, Insertion, Listener, Step
 from needleplan.control.safety import Order
 from needleplan.errors import InputError, MotionRefused
+from needleplan.models import Torsion
 from needleplan.planning import Action, Outcome
-from needleplan.simulation import Entry
+from needleplan.simulation import Effects, Entry
 from tests.control.scenes import FAST, NOISY, WIDE, a_lab, insertion_in, run_in, small_table
 
 
@@ -170,3 +171,18 @@ def test_a_pause_anywhere_in_a_step_is_only_a_pause(seed: int) -> None:
     assert report.ending is Ending.TARGET, report.cause
     assert any(event.name is EventName.PAUSED for event in report.events)
     assert report.duration_s < 60
+
+
+@pytest.mark.parametrize("compensated", [True, False])
+def test_a_known_torsional_lag_is_compensated(compensated: bool) -> None:
+    """The lag of the tip's roll is some 8 degrees at the end: known, the tip looks where it should all the same."""
+    lab = a_lab(Effects(torsional_friction_n=0.25))
+    torsion = Torsion(lab.plant.setup.shaft.torsional_stiffness_n_mm2, 0.25) if compensated else None
+    report = run_in(lab, replace(FAST, torsion=torsion))
+    assert report.turns >= 2
+    lag = Torsion(1.5e4, 0.25).lag_rad(200 - report.inserted_mm, report.inserted_mm)
+    off = abs(math.remainder(lab.plant.tip_roll_rad, math.pi))
+    if compensated:
+        assert off < 0.1 * lag
+    else:
+        assert off > 0.3 * lag

@@ -54,6 +54,9 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--force-axis", metavar="X,Y,Z", default="0,0,1", help="in which resistance counts (0,0,1)")
     parser.add_argument("--no-replan", action="store_true", help="keep the table, however the needle bends")
     parser.add_argument("--stops", action="store_true", help="stop after every step, not only to rotate")
+    parser.add_argument(
+        "--slicer", metavar="URL", help="show the run to 3D Slicer, which connects to igtl://host[:18944]"
+    )
     parser.add_argument("-o", "--output", metavar="RUN.mcap", help="record the run")
     add_figure(parser, "the planned and the executed path, deviations and force")
     add_json(parser)
@@ -96,11 +99,15 @@ def _insert(table: PolicyTable, bench: Bench, setup: RunSetup, options: argparse
     from needleplan.cli.insert_view import view
     from needleplan.control import Insertion, Listener, RunRecorder
     from needleplan.control.safety import Watchdog
+    from needleplan.devices.igtl import SlicerServer
+    from needleplan.workflow.insertion import SlicerView
 
     with ExitStack() as stack:
         listeners: list[Listener] = []
         if options.output:
             listeners.append(stack.enter_context(RunRecorder(options.output, table, setup, bench.station.clock)))
+        if options.slicer:
+            listeners.append(SlicerView(stack.enter_context(SlicerServer.open(options.slicer)), table))
         listeners.append(stack.enter_context(view(table, setup.options)))
         insertion = stack.enter_context(
             Insertion(
