@@ -13,12 +13,14 @@ import sys
 import threading
 import time
 
-from needleplan.control.safety import GuardedStage, Order, SafetyEvent, SafetyLimits, Watchdog
+from needleplan.control.safety import GuardedStage, OperatingState, Order, SafetyEvent, SafetyLimits, Watchdog
 from needleplan.devices import ForceSample, PoseSample, Stamp
 from needleplan.devices.robot import RobotStage
-from needleplan.errors import DeviceFault, MotionRefused
+from needleplan.errors import DeviceFault
 
 GARBAGE = 3_000_000
+PATIENCE = 100
+"""Turns after which it ends where it is not enabled any more."""
 
 
 def say(event: SafetyEvent) -> None:
@@ -46,13 +48,14 @@ def main() -> None:
             ring: list[object] = []
             ring.append(ring)
             garbage.append(ring)
-    with RobotStage.open(f"{sys.argv[1]}?watchdog_s=0.1&alive=calls") as stage:
+    with RobotStage.open(f"{sys.argv[1]}?watchdog_s=0.1&valid_s=0.1&alive=calls") as stage:
         guard = GuardedStage(stage, limits, listener=say)
         with Watchdog(guard):
-            number, enabled, collected = 0, False, False
-            while True:
+            number, enabled, collected, refused = 0, False, False, 0
+            while refused < PATIENCE:
                 number += 1
-                with contextlib.suppress(MotionRefused):
+                refused += enabled and guard.state.operating is not OperatingState.ENABLED
+                with contextlib.suppress(DeviceFault):
                     turn(guard, number)
                     if not enabled and not guard.state.present:
                         guard.order(Order.HOME)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -18,6 +19,10 @@ from needleplan.devices.robot import RobotMachine, RobotServer, RobotState, Stea
 from tests.recording.samples import wait_for
 
 LOOP = Path(__file__).with_name("looping.py")
+
+
+class Ended(AssertionError):
+    """The process ended before it said what was expected."""
 
 
 class Loop:
@@ -37,7 +42,7 @@ class Loop:
             self.said.append(event)
             if event["name"] == name and values.items() <= event.items():
                 return event
-        raise AssertionError(f"it ended without {name}: {self.said}")
+        raise Ended(f"without {name}: {self.said}")
 
     def end(self) -> None:
         self.process.kill()
@@ -54,12 +59,13 @@ def begun(robot: RobotServer, how: str) -> Loop:
     """Return a loop that moves the robot; a busy machine may be too slow for it at first."""
     for _ in range(5):
         loop = Loop(robot.address, how)
-        loop.until("command")
-        end_s = time.monotonic() + 1.0
-        while time.monotonic() < end_s:
-            if moving(robot):
-                return loop
-            time.sleep(0.002)
+        with contextlib.suppress(Ended):
+            loop.until("command")
+            end_s = time.monotonic() + 1.0
+            while time.monotonic() < end_s:
+                if moving(robot):
+                    return loop
+                time.sleep(0.002)
         loop.end()
         wait_for(lambda: robot.machine.state is not RobotState.ENABLED)
     raise AssertionError("it never moved")
