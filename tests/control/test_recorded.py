@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needleplan.control import Ending, Report, RunRecorder, RunSetup, replay
+from needleplan.control import Ending, Event, EventName, Report, RunRecorder, RunSetup, replay
+from needleplan.devices import VirtualClock
 from needleplan.errors import DataError
 from needleplan.models import Torsion
 from needleplan.planning import plan
@@ -122,3 +123,11 @@ def test_an_end_by_a_fault_replays_to_where_it_was(tmp_path: Path) -> None:
     assert report.ending is Ending.FAULT
     again = replay(Recording.read(path), small_table())
     assert again.differences == ()
+
+
+def test_what_is_not_in_it_is_told(tmp_path: Path) -> None:
+    with RunRecorder(tmp_path / "run.mcap", small_table(), RunSetup(), VirtualClock()) as recorder:
+        recorder.event(Event(0, EventName.BEGIN, "test", "", 0))
+        recorder.tip(0, 0.0, None)  # type: ignore[arg-type]
+    assert "1 messages were refused: /tip" in recorder.missing
+    assert Recording.read(tmp_path / "run.mcap").counts["/event"] == 1

@@ -87,25 +87,31 @@ def run(options: argparse.Namespace) -> int:
         raise AddressError(Mistake("--registration", "", rule))
     try:
         with open_bench(robot, force, tracker, table, start) as bench:
-            report = _insert(table, bench, setup(bench), options)
+            report, missing = _insert(table, bench, setup(bench), options)
             true_tip = bench.true_tip_mm
     except DeviceFault as fault:
         complain(str(fault))
         return _REFUSED
-    return _answer(table, report, true_tip, options)
+    code = _answer(table, report, true_tip, options)
+    if missing:
+        complain(f"{options.output}: not all of the run is in the recording: {missing}")
+    return code or bool(missing)
 
 
-def _insert(table: PolicyTable, bench: Bench, setup: RunSetup, options: argparse.Namespace) -> Report:
+def _insert(table: PolicyTable, bench: Bench, setup: RunSetup, options: argparse.Namespace) -> tuple[Report, str]:
+    """Return what came of it, and what is missing in the recording."""
     from needleplan.cli.insert_view import view
     from needleplan.control import Insertion, Listener, RunRecorder
     from needleplan.control.safety import Watchdog
     from needleplan.devices.igtl import SlicerServer
     from needleplan.workflow.insertion import SlicerView
 
+    recorder: RunRecorder | None = None
     with ExitStack() as stack:
         listeners: list[Listener] = []
         if options.output:
-            listeners.append(stack.enter_context(RunRecorder(options.output, table, setup, bench.station.clock)))
+            recorder = stack.enter_context(RunRecorder(options.output, table, setup, bench.station.clock))
+            listeners.append(recorder)
         if options.slicer:
             listeners.append(SlicerView(stack.enter_context(SlicerServer.open(options.slicer)), table))
         listeners.append(stack.enter_context(view(table, setup.options)))
@@ -118,7 +124,8 @@ def _insert(table: PolicyTable, bench: Bench, setup: RunSetup, options: argparse
         if bench.lab is None:
             stack.enter_context(Watchdog(insertion.guard))
         with _stopped_by_signals(insertion):
-            return insertion.run()
+            report = insertion.run()
+    return report, recorder.missing if recorder else ""
 
 
 @contextmanager

@@ -146,3 +146,11 @@ class RunRecorder(Listener, Closing):
     def close(self) -> None:
         """Finish the file; closing twice is harmless."""
         self.recorder.close()
+
+    @property
+    def missing(self) -> str:
+        """What is not in the file, or nothing."""
+        status = self.recorder.status
+        lost = [f"{count} messages of {topic} were lost" for topic, count in status.overflowed.items()]
+        refused = [f"{status.refused} messages were refused: {status.refusal}"] if status.refused else []
+        return "; ".join([*([status.cause] if status.cause else []), *lost, *refused])
