@@ -30,6 +30,7 @@ from needleplan.models.registry import KINDS, kind_of
 from needleplan.models.residuals import Finding, ljung_box, residual_findings
 from needleplan.models.simulate import Trajectory, simulate
 from needleplan.models.spatial import TipFrame
+from needleplan.models.steered import SpatialBicycle, SteeredModel
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, fit_on_tissue, tune_slow_observer
 from needleplan.models.torsion import Torsion
 
@@ -65,6 +66,8 @@ __all__ = [
     "Scale",
     "SelfIntegratingModel",
     "ShaftAndTip",
+    "SpatialBicycle",
+    "SteeredModel",
     "TipFrame",
     "TipPath",
     "Torsion",

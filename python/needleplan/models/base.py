@@ -42,6 +42,14 @@ class Channel(StrEnum):
     VELOCITY = "velocity_mm_s"
     """A velocity (mm/s)."""
 
+    TIP = "tip_mm"
+    """Position of the tip in space: the columns x_mm, y_mm and z_mm; outputs have the shape (3, ...)."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns of a record."""
+        return ("x_mm", "y_mm", "z_mm") if self is Channel.TIP else (str(self),)
+
 
 @dataclass(frozen=True)
 class Model(ABC):

@@ -15,6 +15,7 @@ from needleplan.models.deflection.axial_force import InsertionForce
 from needleplan.models.force import ForceModel1, ForceModel2
 from needleplan.models.friction import AveragedLuGre, Karnopp, LumpedLuGre, QuasiStatic
 from needleplan.models.insertion import ShaftAndTip
+from needleplan.models.steered import SpatialBicycle
 from needleplan.models.tissue.lugre import AveragedOnTissue, LumpedOnTissue
 
 __all__ = ["KINDS", "MEMBERS", "kind_of"]
@@ -31,6 +32,7 @@ MEMBERS: tuple[type[Model], ...] = (
     LumpedOnTissue,
     QuasiStatic,
     ShaftAndTip,
+    SpatialBicycle,
     TipPath,
 )
 

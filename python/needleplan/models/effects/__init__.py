@@ -4,7 +4,7 @@
 |---|---|
 | `Effect` | an effect that can be looked for and added; what a plug-in is |
 | `Term`, `WithTerm` | a force that is added, with a memory of its own |
-| `FORCE_EFFECTS` | the effects of the axial force |
+| `FORCE_EFFECTS`, `TIP_EFFECTS` | the effects of the axial force, and of the path of the tip |
 | `known_effects`, `effect_named` | all of them, plug-ins too |
 | `with_effect`, `AugmentedModel` | a model with effects, for model files, planner, twin and estimators |
 """
@@ -14,10 +14,12 @@ from needleplan.models.effects.base import SIZE, Effect, Enters, Family, Reach, 
 from needleplan.models.effects.catalogue import FORCE_EFFECTS, TermEffect, WrapEffect, presliding_of
 from needleplan.models.effects.path import travelled
 from needleplan.models.effects.registry import effect_named, effects_of, known_effects
+from needleplan.models.effects.tip_catalogue import TIP_EFFECTS
 
 __all__ = [
     "FORCE_EFFECTS",
     "SIZE",
+    "TIP_EFFECTS",
     "AddedEffect",
     "AugmentedModel",
     "Effect",

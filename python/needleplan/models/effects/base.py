@@ -111,14 +111,16 @@ class Effect(ABC):
     def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
         """Return what the output gains for a unit of size, shape (samples, len(grid)).
 
+        Where the output has several axes, shape (axes, samples), they follow one another: (axes * samples, len(grid)).
         Default: the difference of two simulations, with the size of the grid, or else a thousandth of its scale.
         """
         plain = simulate(model, motion).output
         small = 1e-3 * self.parameters[SIZE].typical
-        found = np.empty((len(motion), len(grid)))
+        found = np.empty((plain.size, len(grid)))
         for index, values in enumerate(grid):
             step = values.get(SIZE, small)
-            found[:, index] = (simulate(self.apply(model, {**values, SIZE: step}), motion).output - plain) / step
+            gained = simulate(self.apply(model, {**values, SIZE: step}), motion).output - plain
+            found[:, index] = gained.ravel() / step
         return found
 
 

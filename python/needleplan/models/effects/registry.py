@@ -13,6 +13,7 @@ from needleplan.errors import Mistake, ModelError
 from needleplan.models.base import Channel
 from needleplan.models.effects.base import SIZE, Effect
 from needleplan.models.effects.catalogue import FORCE_EFFECTS
+from needleplan.models.effects.tip_catalogue import TIP_EFFECTS
 
 __all__ = ["GROUP", "effect_named", "effects_of", "known_effects"]
 
@@ -22,7 +23,7 @@ GROUP = "needleplan.effects"
 @lru_cache(maxsize=1)
 def known_effects() -> dict[str, Effect]:
     """Return all effects by name. Raises ModelError for a plug-in that is none, or takes another one's name."""
-    found = {each.name: each for each in FORCE_EFFECTS}
+    found = {each.name: each for each in (*FORCE_EFFECTS, *TIP_EFFECTS)}
     for point in metadata.entry_points(group=GROUP):
         made = point.load()
         effect = made() if isinstance(made, type) else made
