@@ -52,6 +52,7 @@ class Lab(Device):
         self.forces = ForceReading(setup.effects, seed)
         self._poses = TrackerReading(setup.effects, seed)
         self._tick_ns = _NANO / setup.robot.servo_hz
+        self._due_ns = self._begin_ns + round(self._tick_ns)
         self._force_ticks = setup.robot.servo_hz // FORCE_HZ
         self._tracker_ticks = setup.robot.servo_hz // TRACKER_HZ
         self.stage = SimulatedStage(self)
@@ -60,9 +61,8 @@ class Lab(Device):
 
     def catch_up(self) -> None:
         """Let the plant go on to the time of the clock."""
-        passed_ns = self.clock.now_ns() - self._begin_ns
-        plant = self.plant
-        while round((plant.ticks + 1) * self._tick_ns) <= passed_ns:
+        now_ns = self.clock.now_ns()
+        while self._due_ns <= now_ns:
             self._tick()
 
     def advance(self, seconds: float) -> None:
@@ -72,8 +72,7 @@ class Lab(Device):
 
     def wait(self, limit_ns: int) -> bool:
         """Let the time of one tick pass, but none after `limit_ns` on the clock; whether there was a tick."""
-        due_ns = self._begin_ns + round((self.plant.ticks + 1) * self._tick_ns)
-        now_ns = self.clock.now_ns()
+        due_ns, now_ns = self._due_ns, self.clock.now_ns()
         self.clock.advance((min(due_ns, limit_ns) - now_ns) / _NANO)
         self.catch_up()
         return due_ns <= limit_ns
@@ -86,20 +85,19 @@ class Lab(Device):
     def _tick(self) -> None:
         plant = self.plant
         plant.step()
-        now_s = plant.now_s
-        now_ns = self._begin_ns + round(plant.ticks * self._tick_ns)
+        ticks, now_s, now_ns = plant.ticks, plant.now_s, self._due_ns
+        self._due_ns = self._begin_ns + round((ticks + 1) * self._tick_ns)
         axis = plant.insertion
         self.stage.put(
             StageSample(
-                Stamp(now_ns, plant.ticks, device_time_s=now_s), axis.measured, axis.measured_velocity,
-                plant.roll.measured, plant.moving,
+                Stamp(now_ns, ticks, 0, now_s), axis.measured, axis.measured_velocity, plant.roll.measured, plant.moving
             )
-        )  # fmt: skip
-        if plant.ticks % self._force_ticks == 0:
-            stamp = Stamp(now_ns, plant.ticks // self._force_ticks, device_time_s=now_s)
+        )
+        if ticks % self._force_ticks == 0:
+            stamp = Stamp(now_ns, ticks // self._force_ticks, 0, now_s)
             self.force_sensor.put(self.forces.sample(stamp, plant.force_n, plant.torque_n_mm, now_s))
-        if plant.ticks % self._tracker_ticks == 0:
-            stamp = Stamp(now_ns, plant.ticks // self._tracker_ticks, device_time_s=now_s)
+        if ticks % self._tracker_ticks == 0:
+            stamp = Stamp(now_ns, ticks // self._tracker_ticks, 0, now_s)
             self.tracker.put(self._poses.sample(stamp, plant.frame_behind(self._coil_mm)))
 
 
@@ -127,7 +125,7 @@ class _Reader(Generic[_Sample]):
         self.require_open()
         lab = self._lab
         lab.catch_up()
-        if not self._waiting:
+        if not self._waiting and timeout_s > 0:
             limit_ns = lab.clock.now_ns() + round(timeout_s * _NANO)
             while not self._waiting and lab.wait(limit_ns):
                 pass

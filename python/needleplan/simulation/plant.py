@@ -54,6 +54,8 @@ class Plant:
         )
         self._tip = TipForce(setup.all_layers)
         self._torsion = Torsion(setup.shaft.torsional_stiffness_n_mm2, effects.torsional_friction_n)
+        self._breathes = bool(effects.respiration_along_mm or effects.respiration_across_mm)
+        self._reaction = effects.reaction_mm_s2_n
         self._phase = 2 * math.pi * random_for(seed, Stream.RESPIRATION).random()
         self._breath = self._breathing(0.0)
         self.tip_roll_rad = entry.roll_rad
@@ -91,9 +93,9 @@ class Plant:
 
     def step(self) -> None:
         """Go on by one tick of the servo."""
-        effects, insertion, roll, interval = self.setup.effects, self.insertion, self.roll, self.interval_s
+        insertion, roll, interval = self.insertion, self.roll, self.interval_s
         now = self.ticks * interval
-        insertion.step(now, -self.force_n * effects.reaction_mm_s2_n)
+        insertion.step(now, -self.force_n * self._reaction)
         roll.step(now)
         self.ticks += 1
         breath = self._breathing(self.ticks * interval)
@@ -161,9 +163,9 @@ class Plant:
         return self._torsion.lag_rad(max(self.setup.shaft.length_mm - inserted_mm, 0.0), inserted_mm)
 
     def _breathing(self, time_s: float) -> tuple[float, float]:
-        effects = self.setup.effects
-        if not (effects.respiration_along_mm or effects.respiration_across_mm):
+        if not self._breathes:
             return 0.0, 0.0
+        effects = self.setup.effects
         sine = math.sin(2 * math.pi * time_s / effects.respiration_period_s + self._phase)
         return effects.respiration_along_mm * sine, effects.respiration_across_mm * sine
 

@@ -288,16 +288,16 @@ class GuardedStage(Stage):
 
     def _look(self, now_ns: int, text: str = "") -> SafetyState:
         """Judge everything at a moment, and follow the state."""
-        causes = {*judge(self._inputs, self._limits, now_ns), *self._reported}
-        causes.update(self._motion.judge(self._limits, now_ns))
-        causes.update(self._record.judge(self._limits, now_ns))
-        late = self._ticked_ns is None or (now_ns - self._ticked_ns) * _NANO > self._limits.loop_age_s
+        limits = self._limits
+        causes = set(judge(self._inputs, limits, now_ns))
+        causes.update(self._reported, self._motion.judge(limits, now_ns), self._record.judge(limits, now_ns))
+        late = self._ticked_ns is None or (now_ns - self._ticked_ns) * _NANO > limits.loop_age_s
         if late or self._overtaken:
             causes.add(Cause.LOOP_LATE)
         if now_ns < self._latest_ns:
             causes.add(Cause.CLOCK_MISMATCH)
         running_s = (now_ns - self._enabled_ns) * _NANO
-        if self._state.operating in _RUNNING and running_s > self._limits.run_s:
+        if running_s > limits.run_s and self._state.operating in _RUNNING:
             causes.add(Cause.TIME_EXCEEDED)
         if self._deaf:
             causes.add(Cause.RECORDING_LOST)

@@ -92,7 +92,7 @@ class MotionWatch:
         idle = self.depth is None and self.roll is None
         settled = idle and (sample.stamp.received_ns - self.told_ns) * _NANO > limits.motion_s
         rest_mm = sample.depth_mm if settled and self.rest_mm is None and not sample.moving else self.rest_mm
-        return replace(self, last=sample, jumped=jumped, rest_mm=rest_mm)
+        return MotionWatch(self.depth, self.roll, self.told_ns, sample, jumped, rest_mm)
 
     def judge(self, limits: SafetyLimits, now_ns: int) -> Iterator[Cause]:
         """Yield what is wrong with the motion."""
