@@ -35,6 +35,13 @@ pub(crate) fn filled<T: Copy>(value: T, len: usize) -> Vec<T> {
     vec
 }
 
+/// Memory for `len` numbers, asking for huge pages; for arrays that leave the crate.
+pub(crate) fn reserved<T: Copy>(len: usize) -> Vec<T> {
+    let mut vec: Vec<T> = Vec::with_capacity(len);
+    advise(vec.as_mut_ptr().cast(), len * size_of::<T>());
+    vec
+}
+
 /// Memory of dropped arrays is kept for the next ones up to this many bytes in all: a solver that is called again, as
 /// in a loop that plans again, does not wait for the system to clear pages for it.
 const KEPT_BYTES: usize = 64 << 20;

@@ -1,168 +1,281 @@
 //! The sweep of a sector: columns from the last to the first, each backed up from W and turned into W.
+//!
+//! A column is done in strips of [`LANES`] grid points. All headings of a strip are backed up, convolved along the heading and
+//! stored as W before the next strip: everything between reading W and writing it stays in the nearest cache.
 
-use multiversion::multiversion;
+use std::ops::Range;
 
-use crate::lattice::endings::{Column, Piece};
+use crate::lattice::LANES;
+use crate::lattice::endings::SectorEndings;
 use crate::lattice::halo::Halo;
-use crate::lattice::kernel::{Numbers, better_row, blend_row, convolve_row, follow_row, go_on_row};
+use crate::lattice::kernel::{Step, blend, convolve, convolve_five, q_values};
+use crate::lattice::lanes::Lanes;
 use crate::lattice::real::Real;
 use crate::lattice::sector::{Sector, Task};
-use crate::lattice::store::Store;
+use crate::lattice::store::{Kept, Part};
 
-/// Sweeps a sector once; writes all values, and the better actions unless there is a policy, where there is a `store`.
-/// Returns how much what was read has changed meanwhile: zero where all reads are downstream.
-pub(crate) fn sweep<T: Real>(
-    sector: &mut Sector<T>,
-    task: Task<'_, T>,
-    endings: &[Column],
-    halo: &Halo<T>,
-    store: Option<&mut Store<T>>,
-) -> f64 {
-    match (task.lattice.is_interpolated(), sector.turns.is_empty()) {
-        (false, true) => sweep_columns::<T, false, false>(sector, task, endings, halo, store),
-        (false, false) => sweep_columns::<T, false, true>(sector, task, endings, halo, store),
-        (true, true) => sweep_columns::<T, true, false>(sector, task, endings, halo, store),
-        (true, false) => sweep_columns::<T, true, true>(sector, task, endings, halo, store),
+/// What the sweep of a sector needs beside it.
+pub(crate) struct Around<'a, T: Copy> {
+    pub task: Task<'a, T>,
+    pub endings: &'a SectorEndings,
+    pub halo: &'a Halo<T>,
+    /// Where there is one, all values are written there, and the better actions unless there is a policy.
+    pub table: Option<Part<'a>>,
+}
+
+/// What a sweep has seen.
+pub(crate) struct Swept {
+    /// How much what was read has changed meanwhile: zero where all reads are downstream.
+    pub change: f64,
+    /// The largest finite value written to a table.
+    pub largest: f64,
+}
+
+/// Sweeps a sector once.
+pub(crate) fn sweep<T: Real>(sector: &mut Sector<T>, around: Around<'_, T>) -> Swept {
+    match (around.task.lattice.is_interpolated(), sector.has_policy()) {
+        (false, false) => dispatch::<T, false, false>(sector, around),
+        (false, true) => dispatch::<T, false, true>(sector, around),
+        (true, false) => dispatch::<T, true, false>(sector, around),
+        (true, true) => dispatch::<T, true, true>(sector, around),
     }
 }
 
-#[multiversion(targets("x86_64+avx+avx2"))]
-fn sweep_columns<T: Real, const INTERPOLATED: bool, const POLICY: bool>(
+/// Chooses the vectors that the processor has.
+fn dispatch<T: Real, const INTERPOLATED: bool, const POLICY: bool>(
     sector: &mut Sector<T>,
-    task: Task<'_, T>,
-    endings: &[Column],
-    halo: &Halo<T>,
-    mut store: Option<&mut Store<T>>,
-) -> f64 {
-    let mut values = vec![T::default(); sector.arc.count * 2 * sector.lanes];
-    let mut room = vec![T::default(); 2 * sector.lanes];
+    around: Around<'_, T>,
+) -> Swept {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2.
+        return unsafe { sweep_avx2::<T, INTERPOLATED, POLICY>(sector, around) };
+    }
+    sweep_columns::<T, [T; LANES], INTERPOLATED, POLICY>(sector, around)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn sweep_avx2<T: Real, const INTERPOLATED: bool, const POLICY: bool>(
+    sector: &mut Sector<T>,
+    around: Around<'_, T>,
+) -> Swept {
+    sweep_columns::<T, T::Vector, INTERPOLATED, POLICY>(sector, around)
+}
+
+/// All of this file is inlined into the function that knows the processor.
+#[inline(always)]
+fn sweep_columns<T: Real, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: bool>(
+    sector: &mut Sector<T>,
+    around: Around<'_, T>,
+) -> Swept {
+    let Around { task: Task { noise, numbers, .. }, endings, halo, mut table } = around;
+    let count = sector.arc.count;
+    let mut values = halo.around(count);
+    let mut kept = Kept::new(count);
+    let mut reads = Vec::new();
     let mut change = T::default();
-    if sector.downstream {
+    if INTERPOLATED && sector.downstream {
         // Beyond the last column.
-        sector.convolved.fill(task.numbers.outside());
+        sector.convolved.fill(numbers.outside());
     }
     for u in (0..sector.extent[0]).rev() {
-        let column = &endings[u];
-        if let Some(store) = &mut store {
-            let (values, actions) = store.column(u);
-            back_up_column::<T, INTERPOLATED, POLICY>(sector, task, column, u, (values, actions), &mut room);
-            change = larger(change, store_column(sector, u, values, halo, task.noise, &mut room));
-        } else {
-            let values = &mut values[..];
-            back_up_column::<T, INTERPOLATED, POLICY>(sector, task, column, u, (values, &mut []), &mut room);
-            change = larger(change, store_column(sector, u, values, halo, task.noise, &mut room));
+        let place = sector.place(u);
+        let pieces = endings.pieces(place);
+        reads.clear();
+        for piece in pieces {
+            reads.extend((0..count).map(|q| [0, 1].map(|bevel| read(sector, u, piece.region, q, bevel))));
+        }
+        for strip in 0..sector.strips() {
+            let first = strip * LANES;
+            halo.copy_to(place, strip, &mut values);
+            for (piece, reads) in pieces.iter().zip(reads.chunks_exact(count)) {
+                let lanes = piece.first.max(first)..piece.end.min(first + LANES);
+                if lanes.is_empty() {
+                    continue;
+                }
+                let work = Work {
+                    convolved: &sector.convolved,
+                    reads,
+                    first,
+                    codes: endings.strip(place, strip),
+                    turns: sector.turns(place, strip),
+                    step: &numbers.steps[piece.region],
+                    discount: numbers.discount,
+                    rotation: numbers.rotation,
+                };
+                let lanes = lanes.start - first..lanes.end - first;
+                if table.is_some() {
+                    back_up::<T, V, INTERPOLATED, POLICY, true>(
+                        work,
+                        lanes,
+                        halo.own(&mut values, count),
+                        kept.rows(count),
+                    );
+                } else {
+                    back_up::<T, V, INTERPOLATED, POLICY, false>(
+                        work,
+                        lanes,
+                        halo.own(&mut values, count),
+                        kept.rows(count),
+                    );
+                }
+            }
+            if let Some(table) = &mut table {
+                kept.write::<V::Narrow>(table, place, first);
+            }
+            sector.put_edges(place, strip, halo.own(&mut values, count));
+            let at = sector.column(u + sector.pad[0]) + sector.pad[1] + first;
+            if !sector.downstream {
+                change = larger(change, largest_change::<T, V>(sector, at, halo.taps(&values), noise));
+            }
+            store_convolved::<T, V>(sector, at, halo.taps(&values), noise);
         }
     }
-    change.widen()
+    Swept { change: change.widen(), largest: kept.largest() }
 }
 
-/// Backs up column `u` into `values` (`[count][bevel][lanes]`), and notes the better actions unless `actions` is empty.
-/// `room` is for two rows.
-#[inline(always)]
-fn back_up_column<T: Real, const INTERPOLATED: bool, const POLICY: bool>(
-    sector: &Sector<T>,
-    task: Task<'_, T>,
-    endings: &Column,
-    u: usize,
-    (values, actions): (&mut [T], &mut [u8]),
-    room: &mut [T],
-) {
-    let n = sector.lanes;
-    let rotation = task.numbers.rotation;
-    let (q_minus, q_plus) = room.split_at_mut(n);
-    for (q, values) in values.chunks_exact_mut(2 * n).enumerate() {
-        q_row::<T, INTERPOLATED>(sector, task, endings, (u, q, 0), q_minus);
-        q_row::<T, INTERPOLATED>(sector, task, endings, (u, q, 1), q_plus);
-        let (minus, plus) = values.split_at_mut(n);
-        if POLICY {
-            let row = (u * sector.arc.count + q) * 2 * n;
-            let turns = [row, row + n].map(|start| &sector.turns[start..][..n]);
-            follow_row([minus, plus], turns, [q_minus, q_plus], rotation);
-        } else if actions.is_empty() {
-            better_row::<T, false>([minus, plus], [&mut [], &mut []], [q_minus, q_plus], rotation);
-        } else {
-            let (act_minus, act_plus) = actions[q * 2 * n..][..2 * n].split_at_mut(n);
-            better_row::<T, true>([minus, plus], [act_minus, act_plus], [q_minus, q_plus], rotation);
-        }
-    }
+/// Where the W stands that a step from the beginning of a column reads.
+#[derive(Clone, Copy)]
+struct Read<T> {
+    /// In the column arrived at, and in the next one.
+    at: [usize; 2],
+    /// Of the four grid points around, for interpolation.
+    weights: [T; 4],
 }
 
-/// Q-values of the row of heading `q` at column `u`, of the steps that arrive with `bevel`.
+/// The read of a step that arrives with `bevel`.
 #[inline(always)]
-fn q_row<T: Real, const INTERPOLATED: bool>(
-    sector: &Sector<T>,
-    task: Task<'_, T>,
-    endings: &Column,
-    (u, q, bevel): (usize, usize, usize),
-    out: &mut [T],
-) {
-    let Numbers { discount, steps, .. } = task.numbers;
+fn read<T: Real>(sector: &Sector<T>, u: usize, region: usize, q: usize, bevel: usize) -> Read<T> {
+    let shift = &sector.shifts[region * sector.arc.count + q][bevel];
     let turned = if bevel == 1 { q + 2 } else { q };
-    for &Piece { first, end, region } in &endings.pieces {
-        let shift = &sector.shifts[region * sector.arc.count + q][bevel];
-        let read = |[du, dv]: [i64; 2]| {
-            let to_u = (u as i64 + sector.pad[0] as i64 + i64::from(shift.cell[0]) + du) as usize;
-            let to_v = ((sector.pad[1] + first) as i64 + i64::from(shift.cell[1]) + dv) as usize;
-            &sector.convolved[sector.column(to_u) + (turned * 2 + bevel) * sector.width() + to_v..][..end - first]
-        };
-        let (out, cost) = (&mut out[first..end], steps[region].cost);
-        if INTERPOLATED {
-            let [fu, fv] = shift.fraction;
-            let weights = [(1.0 - fu) * (1.0 - fv), (1.0 - fu) * fv, fu * (1.0 - fv), fu * fv];
-            let [a, b, c, d] = [[0, 0], [0, 1], [1, 0], [1, 1]].map(read);
-            blend_row(out, [a, b, c, d], weights.map(T::of), cost, *discount);
-        } else {
-            go_on_row(out, read([0, 0]), cost, *discount);
+    let to_u = (u as i64 + sector.pad[0] as i64 + i64::from(shift.cell[0])) as usize;
+    let in_column = (turned * 2 + bevel) * sector.width() + (sector.pad[1] as i64 + i64::from(shift.cell[1])) as usize;
+    let [fu, fv] = shift.fraction;
+    let weights = [(1.0 - fu) * (1.0 - fv), (1.0 - fu) * fv, fu * (1.0 - fv), fu * fv];
+    Read { at: [to_u, to_u + 1].map(|u| sector.column(u) + in_column), weights: weights.map(T::of) }
+}
+
+/// What the backup of a strip needs; `[heading]` and `[heading][bevel]`.
+#[derive(Clone, Copy)]
+struct Work<'a, T> {
+    convolved: &'a [T],
+    reads: &'a [[Read<T>; 2]],
+    /// The first grid point of the strip.
+    first: usize,
+    codes: &'a [[[u8; LANES]; 2]],
+    /// Empty without a policy.
+    turns: &'a [[[u8; LANES]; 2]],
+    step: &'a Step<T>,
+    discount: T,
+    rotation: T,
+}
+
+/// Backs up the grid points `lanes` of a strip; with `KEEP` also notes the values with their actions.
+#[inline(always)]
+fn back_up<T: Real, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: bool, const KEEP: bool>(
+    work: Work<'_, T>,
+    lanes: Range<usize>,
+    values: [&mut [[T; LANES]]; 2],
+    kept: &mut [[[f32; LANES]; 2]],
+) {
+    let whole = lanes.len() == LANES;
+    let rotation = V::splat(work.rotation);
+    for q in 0..kept.len() {
+        let on: [V; 2] = [q_row::<T, V, INTERPOLATED>(work, q, 0), q_row::<T, V, INTERPOLATED>(work, q, 1)];
+        let turned = [on[1].add(rotation), on[0].add(rotation)];
+        for bevel in 0..2 {
+            let (value, note) = match (POLICY, KEEP) {
+                (true, _) => {
+                    let value = on[bevel].or_turned(turned[bevel], &work.turns[q][bevel]);
+                    (value, value)
+                }
+                (false, true) => (turned[bevel].lesser(on[bevel]), turned[bevel].lesser_marked(on[bevel])),
+                (false, false) => {
+                    let value = turned[bevel].lesser(on[bevel]);
+                    (value, value)
+                }
+            };
+            if whole {
+                value.store(&mut values[bevel][q]);
+                if KEEP {
+                    note.narrow().store(&mut kept[q][bevel]);
+                }
+            } else {
+                let mut all = [T::default(); LANES];
+                value.store(&mut all);
+                values[bevel][q][lanes.clone()].copy_from_slice(&all[lanes.clone()]);
+                if KEEP {
+                    let mut all = [0.0; LANES];
+                    note.narrow().store(&mut all);
+                    kept[q][bevel][lanes.clone()].copy_from_slice(&all[lanes.clone()]);
+                }
+            }
         }
-    }
-    for run in endings.row(q, bevel) {
-        let ended = &steps[usize::from(run.region)].ended;
-        out[run.first as usize..run.end as usize].fill(ended[usize::from(run.code)]);
     }
 }
 
-/// Stores the values of a column: the edges, and W of it. Returns the largest change of W, where W is kept whole.
+/// Q-values of the steps of heading `q` that arrive with `bevel`.
 #[inline(always)]
-fn store_column<T: Real>(
-    sector: &mut Sector<T>,
-    u: usize,
-    values: &[T],
-    halo: &Halo<T>,
-    noise: &[T],
-    room: &mut [T],
-) -> T {
-    let (count, lanes) = (sector.arc.count, sector.lanes);
-    for q in 0..count {
-        let Some(slot) = sector.slot(q) else { continue };
-        for bevel in 0..2 {
-            let to = ((slot * 2 + bevel) * sector.extent[0] + u) * lanes;
-            sector.edges[to..to + lanes].copy_from_slice(&values[(q * 2 + bevel) * lanes..][..lanes]);
+fn q_row<T: Real, V: Lanes<T>, const INTERPOLATED: bool>(work: Work<'_, T>, q: usize, bevel: usize) -> V {
+    let Read { at: [near, far], weights } = work.reads[q][bevel];
+    let (near, far) = (near + work.first, far + work.first);
+    let to = if INTERPOLATED {
+        let (a, b) = (lanes_at(work.convolved, near), lanes_at(work.convolved, near + 1));
+        let (c, d) = (lanes_at(work.convolved, far), lanes_at(work.convolved, far + 1));
+        blend([V::load(a), V::load(b), V::load(c), V::load(d)], weights)
+    } else {
+        V::load(lanes_at(work.convolved, near))
+    };
+    q_values(to, &work.codes[q][bevel], work.step, work.discount)
+}
+
+#[inline(always)]
+fn lanes_at<T>(array: &[T], at: usize) -> &[T; LANES] {
+    let Some(lanes) = array[at..].first_chunk() else { unreachable!("rows are padded") };
+    lanes
+}
+
+/// Stores W of a strip, whose rows begin at `at`; `taps` are the values by bevel.
+#[inline(always)]
+fn store_convolved<T: Real, V: Lanes<T>>(sector: &mut Sector<T>, at: usize, taps: [&[[T; LANES]]; 2], noise: &[T]) {
+    for (bevel, taps) in taps.into_iter().enumerate() {
+        let rows = w_rows_mut(sector, at, bevel);
+        if let &[p0, p1, p2] = noise {
+            let noise = [V::splat(p0), V::splat(p1), V::splat(p2)];
+            for (row, taps) in rows.zip(taps.windows(5)) {
+                if let (Some(row), Some(taps)) = (row.first_chunk_mut(), taps.first_chunk()) {
+                    convolve_five::<T, V>(taps, noise).store(row);
+                }
+            }
+        } else {
+            for (row, taps) in rows.zip(taps.windows(2 * noise.len() - 1)) {
+                if let Some(row) = row.first_chunk_mut() {
+                    convolve::<T, V>(taps, noise).store(row);
+                }
+            }
         }
     }
-    let own = values.chunks_exact(lanes);
-    let rows: Vec<&[T]> =
-        halo.rows(u, 0..noise.len()).chain(own).chain(halo.rows(u, noise.len()..2 * noise.len())).collect();
-    let (start, size, width, pad) =
-        (sector.column(u + sector.pad[0]), sector.column_size(), sector.width(), sector.pad[1]);
-    let whole = !sector.downstream;
+}
+
+/// The rows of W for steps that arrive with a bevel: with -1 they read the headings -1 .. count - 1 of the sector, with +1
+/// the headings 1 .. count + 1.
+#[inline(always)]
+fn w_rows_mut<T: Real>(sector: &mut Sector<T>, at: usize, bevel: usize) -> impl Iterator<Item = &mut [T]> {
+    let (width, count) = (sector.width(), sector.arc.count);
+    sector.convolved[at + 5 * bevel * width..].chunks_mut(2 * width).take(count)
+}
+
+/// The largest change that [`store_convolved`] would make.
+#[inline(always)]
+fn largest_change<T: Real, V: Lanes<T>>(sector: &mut Sector<T>, at: usize, taps: [&[[T; LANES]]; 2], noise: &[T]) -> T {
     let mut change = T::default();
-    for (r, pair) in sector.convolved[start..start + size].chunks_exact_mut(2 * width).enumerate() {
-        for (bevel, row) in pair.chunks_exact_mut(width).enumerate() {
-            // Steps that arrive with bevel -1 read rows 0 .. count, those with bevel +1 rows 2 .. count + 2.
-            if !(2 * bevel..count + 2 * bevel).contains(&r) {
-                continue;
-            }
-            let out = &mut row[pad..][..lanes];
-            // Row r of W is centred on heading r - 1 of the sector; taps reach noise.len() - 1 to each side.
-            let tap = |tap: usize| rows[(r + tap) * 2 + bevel];
-            if whole {
-                room[..lanes].copy_from_slice(out);
-            }
-            convolve_row(out, noise, tap);
-            if whole {
-                let changes = out.iter().zip(&*room).map(|(new, old)| (*new - *old).magnitude());
-                change = changes.fold(change, larger);
-            }
+    for (bevel, taps) in taps.into_iter().enumerate() {
+        for (row, taps) in w_rows_mut(sector, at, bevel).zip(taps.windows(2 * noise.len() - 1)) {
+            let mut new = [T::default(); LANES];
+            convolve::<T, V>(taps, noise).store(&mut new);
+            let changes = new.iter().zip(row).map(|(new, old)| (*new - *old).magnitude());
+            change = changes.fold(change, larger);
         }
     }
     change

@@ -44,8 +44,8 @@ impl LatticeMdp {
                     }
                 }
                 let vertical = self.directions[k].is_vertical();
-                let from = Plane { start: 0, stride: ny, reversed: false };
-                let into = Plane { start: 0, stride: if vertical { nx } else { ny }, reversed: false };
+                let from = Plane { start: 0, stride: ny };
+                let into = Plane { start: 0, stride: if vertical { nx } else { ny } };
                 copy((plane, from), (to, into), [nx, ny], vertical, |code| code);
             },
         );

@@ -1,5 +1,6 @@
 //! The four directions in which headings move over the grid, and the headings of each.
 
+use crate::lattice::plane::Plane;
 use crate::lattice::{Shape, Shift};
 
 /// The grid direction in which a heading moves the most, in cells.
@@ -61,6 +62,14 @@ pub(crate) struct Arc {
     pub count: usize,
 }
 
+/// Headings `begin .. begin + count` of a sector, which are those from `heading` on of the circle.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Run {
+    pub begin: usize,
+    pub count: usize,
+    pub heading: usize,
+}
+
 impl Arc {
     /// The headings of each direction: they are consecutive on the circle. Directions without a heading are left out.
     pub(crate) fn all(directions: &[Direction]) -> Vec<Arc> {
@@ -81,6 +90,24 @@ impl Arc {
     /// The heading index of heading `q` of the sector.
     pub(crate) fn heading(self, q: usize, headings: usize) -> usize {
         (self.first + q) % headings
+    }
+
+    /// The headings as consecutive ones of a table: they may run over the end of the circle.
+    pub(crate) fn runs(self, headings: usize) -> [Run; 2] {
+        let before = (headings - self.first).min(self.count);
+        [
+            Run { begin: 0, count: before, heading: self.first },
+            Run { begin: before, count: self.count - before, heading: 0 },
+        ]
+    }
+
+    /// The states of a table, `[i][j][heading][bevel]`, from `heading` on at the points of a column of the sector from `first` on:
+    /// a row for each point.
+    pub(crate) fn table_plane(self, shape: Shape, place: usize, first: usize, heading: usize) -> Plane {
+        let point = shape.headings * 2;
+        let (i, j, stride) =
+            if self.direction.is_vertical() { (first, place, shape.ny * point) } else { (place, first, point) };
+        Plane { start: (i * shape.ny + j) * point + heading * 2, stride }
     }
 
     /// All (heading of the sector, bevel).

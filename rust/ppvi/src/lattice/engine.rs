@@ -2,17 +2,15 @@
 
 use rayon::prelude::*;
 
-use crate::lattice::backup;
+use crate::lattice::LatticeMdp;
+use crate::lattice::backup::{self, Around};
 use crate::lattice::direction::Arc;
 use crate::lattice::endings::Endings;
-use crate::lattice::field::Field;
 use crate::lattice::halo::Halo;
 use crate::lattice::kernel::Numbers;
 use crate::lattice::real::Real;
 use crate::lattice::sector::{Sector, Task};
-use crate::lattice::store::{Block, Store};
-use crate::lattice::{LANES, LatticeMdp, Shape};
-use crate::memory::filled;
+use crate::lattice::store::{Part, Store};
 
 /// The state of an iteration; with a policy its passes evaluate that, without they take the better action.
 pub(crate) struct Engine<'a, T: Copy> {
@@ -24,8 +22,10 @@ pub(crate) struct Engine<'a, T: Copy> {
     numbers: Numbers<T>,
     /// By sector.
     changes: Vec<Change>,
-    /// By sector: the values that its last sweep kept.
-    stores: Vec<Option<Store<T>>>,
+    /// What sweeps have kept.
+    store: Option<Store>,
+    /// By sector: the largest finite value that its last sweep kept, where it did.
+    kept: Vec<Option<f64>>,
 }
 
 /// How much that what a sector has read has changed.
@@ -57,7 +57,7 @@ impl<'a, T: Real> Engine<'a, T> {
         endings: &'a Endings,
         numbers: &Numbers<f64>,
         start: f64,
-        policy: Option<&Field<u8>>,
+        policy: Option<&[u8]>,
     ) -> Self {
         let numbers = numbers.cast::<T>();
         let noise: Vec<T> = lattice.setup.noise.iter().map(|p| T::of(*p)).collect();
@@ -72,8 +72,8 @@ impl<'a, T: Real> Engine<'a, T> {
             })
             .unzip();
         let changes = sectors.iter().map(|_| Change::default()).collect();
-        let stores = sectors.iter().map(|_| None).collect();
-        Engine { lattice, endings, sectors, halos, noise, numbers, changes, stores }
+        let kept = vec![None; sectors.len()];
+        Engine { lattice, endings, sectors, halos, noise, numbers, changes, store: None, kept }
     }
 
     /// Number of sectors.
@@ -111,13 +111,21 @@ impl<'a, T: Real> Engine<'a, T> {
 
     /// Sweeps some sectors, side by side.
     fn sweep(&mut self, chosen: impl Fn(&Sector<T>) -> bool + Sync, keep: bool) {
-        let Engine { lattice, endings, sectors, halos, noise, numbers, changes, stores } = self;
+        let Engine { lattice, endings, sectors, halos, noise, numbers, changes, store, kept } = self;
         let task = Task { lattice, noise, numbers };
-        let all = sectors.par_iter_mut().zip(&*halos).zip(*endings).zip(&mut *changes).zip(&mut *stores);
+        let arcs = sectors.iter().map(|sector| sector.arc);
+        let tables: Vec<Option<Part<'_>>> = if keep {
+            store.get_or_insert_with(|| Store::new(lattice.shape)).parts(arcs).into_iter().map(Some).collect()
+        } else {
+            arcs.map(|_| None).collect()
+        };
+        let results = changes.par_iter_mut().zip(kept);
+        let all = sectors.par_iter_mut().zip(&*halos).zip(*endings).zip(tables).zip(results);
         let chosen = all.filter(|((((sector, _), _), _), _)| chosen(sector));
-        chosen.for_each(|((((sector, halo), endings), change), store)| {
-            *store = keep.then(|| Store::new(sector));
-            *change = Change { during: backup::sweep(sector, task, endings, halo, store.as_mut()), since: 0.0 };
+        chosen.for_each(|((((sector, halo), endings), table), (change, kept))| {
+            let swept = backup::sweep(sector, Around { task, endings, halo, table });
+            *change = Change { during: swept.change, since: 0.0 };
+            *kept = keep.then_some(swept.largest);
         });
     }
 
@@ -149,26 +157,16 @@ impl<'a, T: Real> Engine<'a, T> {
     /// halos that it has. For the wave that was swept last they are those of its last sweep, so that nothing changes; the
     /// other wave has new ones, and so the last wave sees another seam.
     pub(crate) fn tables(&mut self, threshold: f64) -> Tables {
-        let again = self.stores.iter().any(Option::is_none);
+        let again = self.kept.iter().any(Option::is_none);
         if again {
             self.sweep(|_| true, true);
             self.pull(|_| true, threshold);
         }
         let seen = self.bound();
-        let Shape { nx, ny, headings } = self.lattice.shape;
-        let states = self.lattice.shape.states();
-        let (mut values, mut policy) = (filled(0f32, states), filled(0u8, states));
-        // A few blocks a thread.
-        let columns = nx.div_ceil(2 * rayon::current_num_threads()).next_multiple_of(LANES);
-        let block = columns * ny * headings * 2;
-        let blocks = values.par_chunks_mut(block).zip(policy.par_chunks_mut(block)).enumerate();
-        let largest = blocks.map(|(number, (values, actions))| {
-            let mut block = Block { first: number * columns, values, actions };
-            let stores = self.stores.iter().flatten();
-            let copied = self.sectors.iter().zip(stores);
-            copied.map(|(sector, store)| store.copy_to(sector, self.lattice.shape, &mut block)).fold(0.0, f64::max)
-        });
-        let largest = largest.reduce(|| 0.0, f64::max);
+        let largest = self.kept.iter_mut().filter_map(Option::take).fold(0.0, f64::max);
+        let Some(store) = self.store.take() else { unreachable!("every sector has kept its values") };
+        // SAFETY: the last sweep of every sector has written all its headings at all grid points.
+        let (values, policy) = unsafe { store.finish() };
         Tables { values, policy, largest, seen, again }
     }
 }

@@ -5,7 +5,6 @@
 
 use crate::error::{Error, Result};
 use crate::lattice::engine::Engine;
-use crate::lattice::field::Field;
 use crate::lattice::kernel::{Numbers, Step};
 use crate::lattice::{LatticeMdp, Region, outcome};
 
@@ -92,8 +91,7 @@ fn evaluate(
     if policy.len() != states {
         return Err(Error::Length { name: "policy", expected: states, found: policy.len() });
     }
-    let policy = Field::of_table(lattice.shape, policy);
-    let mut engine = Engine::<f32>::new(lattice, &lattice.endings, numbers, 0.0, Some(&policy));
+    let mut engine = Engine::<f32>::new(lattice, &lattice.endings, numbers, 0.0, Some(policy));
     let ended = numbers.steps.iter().flat_map(|step| step.ended);
     let largest = ended.fold(numbers.rotation, f64::max);
     let mut change = f64::INFINITY;

@@ -3,64 +3,108 @@
 //! A sector never reads another one during a sweep, only its halo; that is what makes the sectors of a wave independent
 //! and the result the same for any number of threads.
 
-use crate::lattice::plane::{Plane, copy};
+use multiversion::multiversion;
+
+use crate::lattice::LANES;
+use crate::lattice::lanes::Lanes;
 use crate::lattice::real::Real;
 use crate::lattice::sector::Sector;
 use crate::memory::Array;
 
-/// Headings `first - reach .. first` and `first + count .. first + count + reach`, laid out as in the sector.
+/// The headings beyond the ends of a sector that it reads.
 pub(crate) struct Halo<T: Copy> {
-    reach: usize,
-    lanes: usize,
-    /// `[u][2 * reach][bevel][lanes]`.
+    /// By plane: the heading in the sector's own numbers (negative, or from its count on), and the bevel.
+    planes: Vec<(i64, usize)>,
+    /// By bevel: planes below and above the sector.
+    beyond: [[usize; 2]; 2],
+    /// The first tap of the first row of W, by bevel.
+    skip: [usize; 2],
+    strips: usize,
+    /// The value of the padding.
+    padding: T,
+    /// `[place][strip][plane][LANES]`.
     values: Array<T>,
     /// What was there before the last pull.
     before: Array<T>,
 }
 
+/// V of a strip by bevel: the halo below, the sector, the halo above.
+pub(crate) type Values<T> = [Vec<[T; LANES]>; 2];
+
 impl<T: Real> Halo<T> {
-    /// A halo of `start` values, for noise with `reach` = taps on one side, plus one for the arc itself.
+    /// A halo of `start` values, for noise with `reach` = taps on one side, plus one for the step itself.
     pub(crate) fn new(sector: &Sector<T>, reach: usize, start: T, padding: T) -> Self {
-        let lanes = sector.lanes;
-        let mut values = Array::filled(start, sector.extent[0] * 2 * reach * 2 * lanes);
-        let mut before = Array::filled(start, values.len());
-        for array in [&mut values, &mut before] {
-            for row in array.chunks_exact_mut(lanes) {
-                row[sector.extent[1]..].fill(padding);
+        // Steps turn the heading by one to the side of their bevel.
+        let inner = reach.saturating_sub(2);
+        let beyond = [[reach, inner], [inner, reach]];
+        let skip = [0, 2 + inner - reach];
+        let count = sector.arc.count as i64;
+        let of_bevel = |(bevel, [below, above]): (usize, [usize; 2])| {
+            (-(below as i64)..0).chain(count..count + above as i64).map(move |q| (q, bevel))
+        };
+        let planes: Vec<_> = beyond.into_iter().enumerate().flat_map(of_bevel).collect();
+        let strips = sector.strips();
+        let mut values = Array::filled(start, sector.extent[0] * strips * planes.len() * LANES);
+        for column in values.chunks_exact_mut(strips * planes.len() * LANES) {
+            for plane in column[(strips - 1) * planes.len() * LANES..].chunks_exact_mut(LANES) {
+                plane[sector.extent[1] - (strips - 1) * LANES..].fill(padding);
             }
         }
-        Halo { reach, lanes, values, before }
+        // The first pull writes all of it.
+        let before = Array::any(values.len());
+        Halo { planes, beyond, skip, strips, padding, values, before }
     }
 
-    /// The rows of some headings at column `u`, bevel after bevel.
+    /// Room for the values of a strip.
+    pub(crate) fn around(&self, count: usize) -> Values<T> {
+        self.beyond.map(|[below, above]| vec![[T::default(); LANES]; below + count + above])
+    }
+
+    /// The sector's own values.
     #[inline(always)]
-    pub(crate) fn rows(&self, u: usize, headings: std::ops::Range<usize>) -> impl Iterator<Item = &[T]> {
-        let column = u * 2 * self.reach;
-        let part = (column + headings.start) * 2 * self.lanes..(column + headings.end) * 2 * self.lanes;
-        self.values[part].chunks_exact(self.lanes)
+    pub(crate) fn own<'a>(&self, values: &'a mut Values<T>, count: usize) -> [&'a mut [[T; LANES]]; 2] {
+        let [minus, plus] = values;
+        [&mut minus[self.beyond[0][0]..][..count], &mut plus[self.beyond[1][0]..][..count]]
+    }
+
+    /// The values from the first tap of the first row of W on.
+    #[inline(always)]
+    pub(crate) fn taps<'a>(&self, values: &'a Values<T>) -> [&'a [[T; LANES]]; 2] {
+        [&values[0][self.skip[0]..], &values[1][self.skip[1]..]]
+    }
+
+    /// Copies a strip to where it belongs.
+    #[inline(always)]
+    pub(crate) fn copy_to(&self, place: usize, strip: usize, values: &mut Values<T>) {
+        let size = self.planes.len() * LANES;
+        let mut from = self.values[(place * self.strips + strip) * size..][..size].as_chunks::<LANES>().0;
+        for (values, [below, above]) in values.iter_mut().zip(self.beyond) {
+            let high = values.len() - above;
+            copy_few(&mut values[..below], &from[..below]);
+            copy_few(&mut values[high..], &from[below..below + above]);
+            from = &from[below + above..];
+        }
     }
 
     /// Refreshes the halo of `sectors[of]` from the owners of its headings.
     pub(crate) fn pull(&mut self, sectors: &[Sector<T>], of: usize, headings: usize) {
         std::mem::swap(&mut self.values, &mut self.before);
-        let target = &sectors[of];
-        let reversed = target.arc.direction.is_reversed();
-        for index in 0..2 * self.reach {
-            let offset = if index < self.reach { index } else { index + target.arc.count };
-            let heading = (target.arc.first + headings * self.reach + offset - self.reach) % headings;
-            for source in sectors {
+        let target = &sectors[of].arc;
+        for source in sectors {
+            let plane = |(plane, (q, bevel)): (usize, &(i64, usize))| {
+                let heading = (target.first as i64 + q).rem_euclid(headings as i64) as usize;
                 let q = (heading + headings - source.arc.first) % headings;
-                if q >= source.arc.count {
-                    continue;
-                }
-                let transposed = target.arc.direction.is_vertical() != source.arc.direction.is_vertical();
-                let reach = self.reach;
-                for bevel in (0..2).filter(|bevel| is_read(reach, index, *bevel)) {
-                    let stride = 2 * self.reach * 2 * self.lanes;
-                    let to = Plane { start: (index * 2 + bevel) * self.lanes, stride, reversed };
-                    let Some(edge) = source.edge(q, bevel) else { unreachable!("halos reach no further than edges") };
-                    copy((&source.edges, edge), (&mut self.values, to), source.extent, transposed, |value| value);
-                }
+                (q < source.arc.count).then(|| {
+                    let Some(edge) = source.ends.plane(q, *bevel) else { unreachable!("halos reach as far as edges") };
+                    (edge, plane)
+                })
+            };
+            let pairs: Vec<(usize, usize)> = self.planes.iter().enumerate().filter_map(plane).collect();
+            let to = To { planes: self.planes.len(), strips: self.strips, padding: self.padding };
+            if target.direction.is_vertical() == source.arc.direction.is_vertical() {
+                copy_planes(source, &mut self.values, to, &pairs);
+            } else {
+                transpose_planes(source, &mut self.values, to, &pairs);
             }
         }
     }
@@ -68,54 +112,122 @@ impl<T: Real> Halo<T> {
     /// How much the last pull changes what a sector with `count` headings reads of W, at most; roughly, where that is far
     /// above `threshold`.
     pub(crate) fn seam(&self, count: usize, noise: &[T], threshold: f64) -> f64 {
-        let offset = |index: usize| if index < self.reach { index } else { index + count } as i64 - self.reach as i64;
         // Steps that arrive with bevel -1 read headings -1 .. count - 1, those with bevel +1 the headings 1 .. count + 1.
         let centres = [0, 1].map(|bevel: usize| (2 * bevel as i64 - 1)..(count as i64 + 2 * bevel as i64 - 1));
         let mut rows = Vec::new();
         for (bevel, centres) in centres.into_iter().enumerate() {
             for centre in centres {
-                let weight = |index: usize| noise.get((offset(index) - centre).unsigned_abs() as usize);
-                let taps: Vec<(usize, T)> =
-                    (0..2 * self.reach).filter_map(|index| Some((index * 2 + bevel, *weight(index)?))).collect();
+                let planes = self.planes.iter().enumerate().filter(|(_, (_, of))| *of == bevel);
+                let weight = |q: i64| noise.get((q - centre).unsigned_abs() as usize);
+                let taps: Vec<(usize, T)> = planes.filter_map(|(plane, (q, _))| Some((plane, *weight(*q)?))).collect();
                 if !taps.is_empty() {
                     rows.push(taps);
                 }
             }
         }
-        let planes = 4 * self.reach;
-        let sample = self.values.len() / planes / self.lanes / 2 * planes * self.lanes;
-        let column = sample..sample + planes * self.lanes;
-        let rough = largest_change(&self.values[column.clone()], &self.before[column], planes, self.lanes, &rows);
-        if rough > threshold { rough } else { largest_change(&self.values, &self.before, planes, self.lanes, &rows) }
+        let planes = self.planes.len();
+        let column = self.strips * planes * LANES;
+        let sample = self.values.len() / column / 2 * column;
+        let sample = sample..sample + column;
+        let rough = largest_change(&self.values[sample.clone()], &self.before[sample], planes, &rows);
+        if rough > threshold { rough } else { largest_change(&self.values, &self.before, planes, &rows) }
     }
 }
 
-/// Whether W of a sector has a use for a heading of its halo with a bevel: steps turn the heading by one to the side of their
-/// bevel, so that they reach two headings less far beyond the other end.
-fn is_read(reach: usize, index: usize, bevel: usize) -> bool {
-    let (below, distance) = if index < reach { (true, reach - index) } else { (false, index - reach + 1) };
-    below == (bevel == 0) || distance + 2 <= reach
+/// `to.copy_from_slice(from)`, quick for the numbers of planes that the noise of the thesis asks for.
+#[inline(always)]
+pub(crate) fn copy_few<A: Copy>(to: &mut [A], from: &[A]) {
+    match (to, from) {
+        ([to], [from]) => *to = *from,
+        ([a, b, c], [x, y, z]) => (*a, *b, *c) = (*x, *y, *z),
+        (to, from) => to.copy_from_slice(from),
+    }
 }
 
-/// The largest change, over `rows`, of sums of weighted rows in `[u][planes][lanes]` arrays.
-#[multiversion::multiversion(targets("x86_64+avx+avx2"))]
-fn largest_change<T: Real>(new: &[T], old: &[T], planes: usize, lanes: usize, rows: &[Vec<(usize, T)>]) -> f64 {
-    let mut largest = vec![T::default(); lanes];
-    let mut changes = vec![T::default(); planes * lanes];
-    let mut sum = vec![T::default(); lanes];
-    for (new, old) in new.chunks_exact(changes.len()).zip(old.chunks_exact(changes.len())) {
-        for ((change, new), old) in changes.iter_mut().zip(new).zip(old) {
-            *change = *new - *old;
+/// The layout of a halo.
+#[derive(Clone, Copy)]
+struct To<T> {
+    planes: usize,
+    strips: usize,
+    padding: T,
+}
+
+/// Copies edges of a sector to a halo of the same orientation; `pairs` are planes from and to.
+fn copy_planes<T: Real>(source: &Sector<T>, to: &mut [T], To { planes, .. }: To<T>, pairs: &[(usize, usize)]) {
+    let from = source.edges.chunks_exact(source.ends.planes() * LANES);
+    for (from, to) in from.zip(to.chunks_exact_mut(planes * LANES)) {
+        for (edge, plane) in pairs {
+            to[plane * LANES..][..LANES].copy_from_slice(&from[edge * LANES..][..LANES]);
         }
-        for taps in rows {
-            sum.fill(T::default());
-            for (plane, weight) in taps {
-                let row = &changes[plane * lanes..][..lanes];
-                sum.iter_mut().zip(row).for_each(|(sum, change)| *sum = *sum + *weight * *change);
+    }
+}
+
+/// Copies edges of a sector to a halo in which its places are the grid points of strips; `pairs` are planes from and to.
+fn transpose_planes<T: Real>(source: &Sector<T>, to: &mut [T], layout: To<T>, pairs: &[(usize, usize)]) {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2.
+        return unsafe { transpose_avx2(source, to, layout, pairs) };
+    }
+    transpose_squares::<T, [T; LANES]>(source, to, layout, pairs);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn transpose_avx2<T: Real>(source: &Sector<T>, to: &mut [T], layout: To<T>, pairs: &[(usize, usize)]) {
+    transpose_squares::<T, T::Vector>(source, to, layout, pairs);
+}
+
+/// A square of grid points at a time.
+#[inline(always)]
+fn transpose_squares<T: Real, V: Lanes<T>>(
+    source: &Sector<T>,
+    to: &mut [T],
+    To { planes, strips, padding }: To<T>,
+    pairs: &[(usize, usize)],
+) {
+    let [places, length] = source.extent;
+    let edges = source.edges.as_chunks::<LANES>().0;
+    let from_planes = source.ends.planes();
+    let from_stride = source.strips() * from_planes;
+    let to = to.as_chunks_mut::<LANES>().0;
+    for place in 0..strips {
+        for strip in 0..source.strips() {
+            for (edge, plane) in pairs {
+                let (row, column) = (place * LANES, strip * LANES);
+                let mut rows = [V::splat(padding); LANES];
+                for l in 0..LANES {
+                    if row + l < places {
+                        rows[l] = V::load(&edges[(row + l) * from_stride + strip * from_planes + edge]);
+                    }
+                }
+                let columns = V::transpose(rows);
+                for l in 0..LANES {
+                    if column + l < length {
+                        columns[l].store(&mut to[((column + l) * strips + place) * planes + plane]);
+                    }
+                }
             }
-            for (largest, sum) in largest.iter_mut().zip(&sum) {
-                let change = sum.magnitude();
-                *largest = if change > *largest { change } else { *largest };
+        }
+    }
+}
+
+/// The largest change, over `rows`, of sums of weighted planes in `[strip][planes][LANES]` arrays.
+#[multiversion(targets("x86_64+avx+avx2"))]
+fn largest_change<T: Real>(new: &[T], old: &[T], planes: usize, rows: &[Vec<(usize, T)>]) -> f64 {
+    let mut largest = [T::default(); LANES];
+    let (new, old) = (new.as_chunks::<LANES>().0, old.as_chunks::<LANES>().0);
+    for (new, old) in new.chunks_exact(planes).zip(old.chunks_exact(planes)) {
+        for taps in rows {
+            let mut sum = [T::default(); LANES];
+            for (plane, weight) in taps {
+                for l in 0..LANES {
+                    sum[l] = sum[l] + *weight * (new[*plane][l] - old[*plane][l]);
+                }
+            }
+            for l in 0..LANES {
+                let change = sum[l].magnitude();
+                largest[l] = if change > largest[l] { change } else { largest[l] };
             }
         }
     }

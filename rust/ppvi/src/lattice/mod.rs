@@ -14,6 +14,8 @@
 //! V(b) = min(Q(b), rotation + Q(1 - b)). `sector` and `sweep` turn that into code; this file is the definition, and it
 //! is an [`Mdp`](crate::Mdp) like any other, with the states numbered as in the table: `((i * ny + j) * headings + k) * 2 + b`.
 
+#[cfg(target_arch = "x86_64")]
+pub(crate) mod avx2;
 pub(crate) mod backup;
 mod classification;
 mod definition;
@@ -21,9 +23,9 @@ pub(crate) mod direction;
 pub(crate) mod endings;
 pub(crate) mod engine;
 pub mod evaluation;
-pub(crate) mod field;
 pub(crate) mod halo;
 pub(crate) mod kernel;
+pub(crate) mod lanes;
 pub(crate) mod plane;
 pub(crate) mod real;
 pub(crate) mod region;
@@ -62,8 +64,8 @@ pub mod outcome {
     pub(crate) const CODES: usize = 8;
 }
 
-/// Rows of grid points are padded to a multiple of this many, so that vector code has no remainders.
-pub(crate) const LANES: usize = 16;
+/// Grid points that a sweep looks at together: a vector of single precision. Rows are padded to a multiple of it.
+pub(crate) const LANES: usize = 8;
 
 /// Numbers of grid points and headings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

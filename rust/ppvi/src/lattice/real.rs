@@ -2,6 +2,7 @@
 
 use std::ops::{Add, Mul, Sub};
 
+use crate::lattice::lanes::Lanes;
 use crate::memory::Plain;
 
 /// Single or double precision.
@@ -13,10 +14,13 @@ pub(crate) trait Real:
     fn of(value: f64) -> Self;
     fn widen(self) -> f64;
     fn magnitude(self) -> Self;
+    fn negative(self) -> Self;
+    /// The fastest vectors, where they can be had: AVX2 on x86.
+    type Vector: Lanes<Self>;
 }
 
 macro_rules! real {
-    ($type:ty) => {
+    ($type:ty, $vector:ty) => {
         impl Real for $type {
             const EPSILON: f64 = <$type>::EPSILON as f64;
             #[inline(always)]
@@ -31,8 +35,16 @@ macro_rules! real {
             fn magnitude(self) -> Self {
                 self.abs()
             }
+            #[inline(always)]
+            fn negative(self) -> Self {
+                -self
+            }
+            #[cfg(target_arch = "x86_64")]
+            type Vector = $vector;
+            #[cfg(not(target_arch = "x86_64"))]
+            type Vector = [$type; crate::lattice::LANES];
         }
     };
 }
-real!(f32);
-real!(f64);
+real!(f32, crate::lattice::avx2::Single);
+real!(f64, crate::lattice::avx2::Double);

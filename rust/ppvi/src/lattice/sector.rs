@@ -1,7 +1,8 @@
 //! A quarter of the headings, stored so that the needle always moves towards larger `u`.
 //!
 //! In the sector "right" u is the grid column and v the grid row, in "up" they are exchanged; in "left" and "down" u is
-//! reversed as well. Rows are contiguous in v and padded, so that a step is a read of a shifted row.
+//! reversed as well. Rows are contiguous in v and padded, so that a step is a read of a shifted row. What does not move along
+//! is stored by *place*, the grid column or row: u, or its reverse.
 //!
 //! A sweep against the motion needs nothing of the sweep before it: it makes all values anew from what stands around the
 //! sector (`halo`). So what is kept of a sector are the values at its ends, for the halos of the others, and W, its
@@ -9,12 +10,14 @@
 //! arithmetic instead of memory. Only where the grid is so coarse that steps do not leave their column is W kept whole.
 //! Values of the whole sector are written when they are wanted (`Store`).
 
+use std::ops::Range;
+
 use crate::lattice::direction::Arc;
-use crate::lattice::field::Field;
+use crate::lattice::halo::copy_few;
 use crate::lattice::kernel::Numbers;
 use crate::lattice::plane::{Plane, copy};
 use crate::lattice::real::Real;
-use crate::lattice::{LANES, LatticeMdp, Region, Shift};
+use crate::lattice::{LANES, LatticeMdp, Region, Shape, Shift};
 use crate::memory::Array;
 
 /// W of the last columns, the values at the ends, and the steps of the headings of a sector.
@@ -30,11 +33,11 @@ pub(crate) struct Sector<T: Copy> {
     pub convolved: Array<T>,
     /// Columns of W: a power of two less one, or all ones where W is kept whole.
     mask: usize,
-    /// V of the headings at the ends, `[slots][bevel][u][lanes]`; see [`Sector::slot`].
+    /// V of the headings at the ends, `[place][strip][plane][LANES]`; see [`Ends`].
     pub edges: Array<T>,
-    slots: usize,
-    /// `[u][count][bevel][lanes]`: whether the policy turns the needle; empty without a policy.
-    pub turns: Array<u8>,
+    pub ends: Ends,
+    /// `[place][strip][count][bevel][LANES]`: whether the policy turns the needle; empty without a policy.
+    turns: Array<u8>,
     /// `[region][count][bevel]`, along (u, v).
     pub shifts: Vec<[Shift; 2]>,
     /// Whether every step reads only columns further downstream, as it does unless the grid is coarse for the step.
@@ -51,7 +54,7 @@ pub(crate) struct Task<'a, T> {
 
 impl<T: Real> Sector<T> {
     /// A sector with values `start` everywhere; a policy makes its sweeps follow it.
-    pub(crate) fn new(task: Task<'_, T>, arc: Arc, start: T, policy: Option<&Field<u8>>) -> Self {
+    pub(crate) fn new(task: Task<'_, T>, arc: Arc, start: T, policy: Option<&[u8]>) -> Self {
         let Task { lattice, noise, numbers } = task;
         let headings = lattice.shape.headings;
         let extent = arc.extent(lattice.shape);
@@ -67,7 +70,7 @@ impl<T: Real> Sector<T> {
         let pad = [reach(0), reach(1)];
         let lanes = extent[1].next_multiple_of(LANES);
         let columns = if downstream { (pad[0] + 1).next_power_of_two() } else { extent[0] + 2 * pad[0] };
-        let slots = arc.count.min(2 * noise.len());
+        let ends = Ends::new(arc.count, noise.len());
         let mut sector = Sector {
             arc,
             extent,
@@ -75,8 +78,8 @@ impl<T: Real> Sector<T> {
             pad,
             convolved: Array::filled(numbers.outside(), columns * (arc.count + 2) * 2 * (lanes + 2 * pad[1])),
             mask: if downstream { columns - 1 } else { usize::MAX },
-            edges: Array::filled(start, slots * 2 * extent[0] * lanes),
-            slots,
+            edges: Array::filled(start, extent[0] * lanes * ends.planes()),
+            ends,
             turns: Array::filled(0, if policy.is_some() { extent[0] * arc.count * 2 * lanes } else { 0 }),
             shifts,
             downstream,
@@ -85,7 +88,7 @@ impl<T: Real> Sector<T> {
             sector.fill_convolved(start);
         }
         if let Some(policy) = policy {
-            sector.import(policy);
+            sector.import(policy, lattice.shape);
         }
         sector
     }
@@ -128,34 +131,107 @@ impl<T: Real> Sector<T> {
         }
     }
 
-    /// Copies the sector's part of a policy.
-    fn import(&mut self, policy: &Field<u8>) {
-        let stride = self.arc.count * 2 * self.lanes;
-        let Arc { direction, .. } = self.arc;
-        for (q, bevel) in self.arc.planes() {
-            let from = (&policy.values[..], policy.plane(self.arc.heading(q, policy.shape.headings), bevel));
-            let to = Plane { start: (q * 2 + bevel) * self.lanes, stride, reversed: direction.is_reversed() };
-            copy(from, (&mut self.turns, to), policy.extent(), direction.is_vertical(), |action| action);
+    /// Copies the sector's part of a policy, given as a table.
+    fn import(&mut self, policy: &[u8], shape: Shape) {
+        let (arc, size) = (self.arc, self.arc.count * 2 * LANES);
+        for (number, strip) in self.turns.chunks_exact_mut(size).enumerate() {
+            let (place, first) = (number / (self.lanes / LANES), number % (self.lanes / LANES) * LANES);
+            let length = LANES.min(self.extent[1] - first);
+            for run in arc.runs(shape.headings) {
+                let from = arc.table_plane(shape, place, first, run.heading);
+                let to = Plane { start: run.begin * 2 * LANES, stride: LANES };
+                copy((policy, from), (strip, to), [length, run.count * 2], true, |action| action);
+            }
         }
     }
 
-    /// Where the values of heading `q` stand among the edges; None for a heading far from both ends.
-    pub(crate) fn slot(&self, q: usize) -> Option<usize> {
-        let between = self.arc.count - self.slots;
-        let half = self.slots.div_ceil(2);
-        if q < half { Some(q) } else { (q >= half + between).then(|| q - between) }
+    /// Whether sweeps follow a policy.
+    pub(crate) fn has_policy(&self) -> bool {
+        !self.turns.is_empty()
     }
 
-    /// The values of heading `q`, as a plane of the edges with rows u.
-    pub(crate) fn edge(&self, q: usize, bevel: usize) -> Option<Plane> {
-        let start = (self.slot(q)? * 2 + bevel) * self.extent[0] * self.lanes;
-        Some(Plane { start, stride: self.lanes, reversed: self.arc.direction.is_reversed() })
+    /// What the policy says in a strip, `[heading][bevel]`; nothing without a policy.
+    #[inline(always)]
+    pub(crate) fn turns(&self, place: usize, strip: usize) -> &[[[u8; LANES]; 2]] {
+        if self.turns.is_empty() {
+            return &[];
+        }
+        let size = self.arc.count * 2 * LANES;
+        let turns = &self.turns[(place * self.strips() + strip) * size..][..size];
+        turns.as_chunks::<LANES>().0.as_chunks::<2>().0
+    }
+
+    /// The place of column `u`.
+    #[inline(always)]
+    pub(crate) fn place(&self, u: usize) -> usize {
+        if self.arc.direction.is_reversed() { self.extent[0] - 1 - u } else { u }
+    }
+
+    /// Strips of a column.
+    #[inline(always)]
+    pub(crate) fn strips(&self) -> usize {
+        self.lanes / LANES
+    }
+
+    /// Stores the values of a strip at the ends of the sector.
+    #[inline(always)]
+    pub(crate) fn put_edges(&mut self, place: usize, strip: usize, values: [&mut [[T; LANES]]; 2]) {
+        let planes = self.ends.planes();
+        let start = (place * self.strips() + strip) * planes * LANES;
+        let mut to = self.edges[start..][..planes * LANES].as_chunks_mut::<LANES>().0;
+        for (values, [low, high]) in values.into_iter().zip(self.ends.kept.clone()) {
+            for part in [low, high] {
+                let (now, rest) = to.split_at_mut(part.len());
+                copy_few(now, &values[part]);
+                to = rest;
+            }
+        }
     }
 
     /// The largest finite value at the ends: about the largest value.
     pub(crate) fn max(&self) -> f64 {
         let larger = |max: T, value: &T| if *value > max && value.widen() < f64::INFINITY { *value } else { max };
-        let rows = self.edges.chunks_exact(self.lanes).map(|row| &row[..self.extent[1]]);
-        rows.flatten().fold(T::default(), larger).widen()
+        // All lanes: those of the padding have the value outside, which is no larger than that of an exit.
+        self.edges.iter().fold(T::default(), larger).widen()
+    }
+}
+
+/// The headings whose values others read, by bevel: those of a range at the low end and those of one at the high end.
+///
+/// Steps turn the heading by one to the side of their bevel, so that W of the sectors beyond reaches two headings less far
+/// on the one side than on the other.
+#[derive(Debug, Clone)]
+pub(crate) struct Ends {
+    kept: [[Range<usize>; 2]; 2],
+}
+
+impl Ends {
+    /// For noise with `reach` = taps on one side, plus one for the step itself.
+    fn new(count: usize, reach: usize) -> Self {
+        let ends = |low: usize, high: usize| {
+            let low = low.min(count);
+            [0..low, low.max(count.saturating_sub(high))..count]
+        };
+        let inner = reach.saturating_sub(2);
+        Ends { kept: [ends(inner, reach), ends(reach, inner)] }
+    }
+
+    /// Planes in all.
+    #[inline(always)]
+    pub(crate) fn planes(&self) -> usize {
+        self.kept.iter().flatten().map(Range::len).sum()
+    }
+
+    /// The plane of heading `q`, where it is kept.
+    pub(crate) fn plane(&self, q: usize, bevel: usize) -> Option<usize> {
+        let mut before = 0;
+        for (of, range) in self.kept.iter().enumerate().flat_map(|(of, ends)| ends.iter().map(move |range| (of, range)))
+        {
+            if of == bevel && range.contains(&q) {
+                return Some(before + q - range.start);
+            }
+            before += range.len();
+        }
+        None
     }
 }

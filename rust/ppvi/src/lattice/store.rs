@@ -1,87 +1,153 @@
-//! All values of a sector and their actions, on the way to the tables.
+//! Values and actions on the way from a sweep to the tables.
+//!
+//! Values are never negative. So the sign of a kept value is free to say that the needle is turned: one array instead of two.
 
-use multiversion::multiversion;
+use std::marker::PhantomData;
 
-use crate::lattice::Shape;
-use crate::lattice::kernel::larger_row;
-use crate::lattice::plane::{Plane, copy};
-use crate::lattice::real::Real;
-use crate::lattice::sector::Sector;
-use crate::memory::Array;
+use crate::lattice::direction::Arc;
+use crate::lattice::lanes::Narrow;
+use crate::lattice::{LANES, Shape};
+use crate::memory::reserved;
 
-/// `[u][count][bevel][lanes]`, in the order of the sector.
-pub(crate) struct Store<T: Copy> {
-    values: Array<T>,
-    /// Empty where a policy was given.
-    actions: Array<u8>,
-    /// Length of a column.
-    column: usize,
+/// Tables that are being written, `[i][j][heading][bevel]`.
+pub(crate) struct Store {
+    shape: Shape,
+    values: Vec<f32>,
+    actions: Vec<u8>,
 }
 
-/// A part of the tables: some grid columns from `first` on, `[i][j][heading][bevel]`.
-pub(crate) struct Block<'a> {
-    pub first: usize,
-    pub values: &'a mut [f32],
-    pub actions: &'a mut [u8],
-}
-
-impl<T: Real> Store<T> {
-    pub(crate) fn new(sector: &Sector<T>) -> Self {
-        let column = sector.arc.count * 2 * sector.lanes;
-        let size = sector.extent[0] * column;
-        let actions = Array::any(if sector.turns.is_empty() { size } else { 0 });
-        Store { values: Array::any(size), actions, column }
+impl Store {
+    pub(crate) fn new(shape: Shape) -> Self {
+        Store { shape, values: reserved(shape.states()), actions: reserved(shape.states()) }
     }
 
-    /// Values and actions of column `u`.
-    pub(crate) fn column(&mut self, u: usize) -> (&mut [T], &mut [u8]) {
-        let part = u * self.column..(u + 1) * self.column;
-        let noted = if self.actions.is_empty() { 0..0 } else { part.clone() };
-        (&mut self.values[part], &mut self.actions[noted])
-    }
-
-    /// Copies what falls into `block` there. Returns the largest finite value.
-    pub(crate) fn copy_to(&self, sector: &Sector<T>, shape: Shape, block: &mut Block<'_>) -> f64 {
-        copy_columns(self, sector, shape, block)
-    }
-}
-
-#[multiversion(targets("x86_64+avx+avx2"))]
-fn copy_columns<T: Real>(store: &Store<T>, sector: &Sector<T>, shape: Shape, block: &mut Block<'_>) -> f64 {
-    let Shape { ny, headings, .. } = shape;
-    let columns = block.values.len() / (ny * headings * 2);
-    let Sector { arc, lanes, extent, .. } = *sector;
-    let vertical = arc.direction.is_vertical();
-    let (skipped, length) = if vertical { (block.first, columns) } else { (0, ny) };
-    let mut largest = vec![T::default(); length];
-    for place in if vertical { 0..ny } else { block.first..block.first + columns } {
-        let u = if arc.direction.is_reversed() { extent[0] - 1 - place } else { place };
-        for row in store.values[u * store.column..][..store.column].chunks_exact(lanes) {
-            larger_row(&mut largest, &row[skipped..][..length]);
-        }
-        // From [heading][bevel][v] to [v][heading][bevel]; the headings of a sector may run over the end of the circle.
-        let (start, stride) = if vertical {
-            (place * headings * 2, ny * headings * 2)
-        } else {
-            ((place - block.first) * ny * headings * 2, headings * 2)
+    /// Parts of the tables, which may be written at the same time.
+    pub(crate) fn parts(&mut self, arcs: impl Iterator<Item = Arc>) -> Vec<Part<'_>> {
+        let (values, actions, shape) = (self.values.as_mut_ptr(), self.actions.as_mut_ptr(), self.shape);
+        let mut owned = vec![false; shape.headings];
+        let part = |arc: Arc| {
+            for q in 0..arc.count {
+                let before = std::mem::replace(&mut owned[arc.heading(q, shape.headings)], true);
+                assert!(!before, "no heading has two parts");
+            }
+            Part { arc, shape, values, actions, table: PhantomData }
         };
-        let before = (headings - arc.first).min(arc.count);
-        for (begin, count, heading) in [(0, before, arc.first), (before, arc.count - before, 0)] {
-            let from = u * store.column + begin * 2 * lanes + skipped;
-            let from = Plane { start: from, stride: lanes, reversed: false };
-            let to = Plane { start: start + heading * 2, stride, reversed: false };
-            let size = [count * 2, length];
-            copy((&store.values, from), (block.values, to), size, true, |value| value.widen() as f32);
-            if !store.actions.is_empty() {
-                copy((&store.actions, from), (block.actions, to), size, true, |action| action);
+        arcs.map(part).collect()
+    }
+
+    /// The tables.
+    ///
+    /// # Safety
+    ///
+    /// Parts of all headings have been written at all grid points.
+    pub(crate) unsafe fn finish(mut self) -> (Vec<f32>, Vec<u8>) {
+        let states = self.shape.states();
+        // SAFETY: so much has been reserved, and the caller says that it has been written.
+        unsafe {
+            self.values.set_len(states);
+            self.actions.set_len(states);
+        }
+        (self.values, self.actions)
+    }
+}
+
+/// The headings of a sector in tables.
+pub(crate) struct Part<'a> {
+    arc: Arc,
+    shape: Shape,
+    values: *mut f32,
+    actions: *mut u8,
+    table: PhantomData<&'a mut Store>,
+}
+
+// SAFETY: parts of one table have no heading in common, so that no two write the same number; nothing is read.
+unsafe impl Send for Part<'_> {}
+
+/// A strip on the way to the tables.
+pub(crate) struct Kept {
+    /// `[heading][bevel]`, a multiple of four headings.
+    rows: Vec<[[f32; LANES]; 2]>,
+    /// `[LANES][heading][bevel]`.
+    points: Vec<f32>,
+    /// The largest finite value so far, by lane.
+    largest: [f32; LANES],
+}
+
+impl Kept {
+    /// Room for `count` headings.
+    pub(crate) fn new(count: usize) -> Self {
+        let rows = vec![[[0.0; LANES]; 2]; count.next_multiple_of(LANES / 2)];
+        let points = vec![0.0; rows.len() * 2 * LANES];
+        Kept { rows, points, largest: [0.0; LANES] }
+    }
+
+    /// The values of the first `count` headings.
+    #[inline(always)]
+    pub(crate) fn rows(&mut self, count: usize) -> &mut [[[f32; LANES]; 2]] {
+        &mut self.rows[..count]
+    }
+
+    /// The largest finite value written.
+    pub(crate) fn largest(&self) -> f64 {
+        f64::from(self.largest.into_iter().fold(0.0, f32::max))
+    }
+
+    /// Writes the strip whose first grid point is `first` of the column at `place`.
+    #[inline(always)]
+    pub(crate) fn write<V: Narrow>(&mut self, part: &mut Part<'_>, place: usize, first: usize) {
+        let point = self.rows.len() * 2;
+        let mut largest = V::load(&self.largest);
+        for (number, rows) in self.rows.as_flattened().as_chunks::<LANES>().0.iter().enumerate() {
+            let [a, b, c, d, e, f, g, h] = rows;
+            let rows = [V::load(a), V::load(b), V::load(c), V::load(d), V::load(e), V::load(f), V::load(g), V::load(h)];
+            for (point, numbers) in self.points.chunks_exact_mut(point).zip(V::transpose(rows)) {
+                numbers.store(&mut point.as_chunks_mut().0[number]);
+            }
+        }
+        let Shape { ny, headings, .. } = part.shape;
+        let vertical = part.arc.direction.is_vertical();
+        let length = if vertical { part.shape.nx } else { ny };
+        for (v, numbers) in (first..length).zip(self.points.chunks_exact(point)) {
+            let (i, j) = if vertical { (v, place) } else { (place, v) };
+            for run in part.arc.runs(headings) {
+                let at = ((i * ny + j) * headings + run.heading) * 2;
+                part.write(&numbers[run.begin * 2..][..run.count * 2], at, &mut largest);
+            }
+        }
+        largest.store(&mut self.largest);
+    }
+}
+
+impl Part<'_> {
+    /// Writes kept numbers of a few headings of this part from `at` on.
+    #[inline(always)]
+    fn write<V: Narrow>(&mut self, kept: &[f32], at: usize, largest: &mut V) {
+        let n = kept.len();
+        assert!(at + n <= self.shape.states(), "within the table");
+        if n < LANES {
+            for (offset, number) in kept.iter().enumerate() {
+                let (values, actions) = V::splat(*number).split();
+                *largest = values.larger_finite(*largest);
+                // SAFETY: within the table, and of this part.
+                unsafe {
+                    self.values.add(at + offset).write(number.abs());
+                    self.actions.add(at + offset).write(actions[0]);
+                }
+            }
+            return;
+        }
+        // Whole vectors; the last one ends with the numbers, so that it may begin among those before.
+        for start in (0..n).step_by(LANES).map(|start| start.min(n - LANES)) {
+            let Some(numbers) = kept[start..].first_chunk() else { unreachable!("a whole vector") };
+            let (values, actions) = V::load(numbers).split();
+            *largest = values.larger_finite(*largest);
+            let mut magnitudes = [0.0; LANES];
+            values.store(&mut magnitudes);
+            // SAFETY: within the table, and of this part; arrays are aligned as their numbers.
+            unsafe {
+                self.values.add(at + start).cast::<[f32; LANES]>().write(magnitudes);
+                self.actions.add(at + start).cast::<[u8; LANES]>().write(actions);
             }
         }
     }
-    let largest = largest.iter().fold(0.0, |max, value| f64::max(max, value.widen()));
-    if largest < f64::INFINITY {
-        return largest;
-    }
-    // Rare: states from which no policy ends.
-    let finite = block.values.iter().filter(|value| value.is_finite());
-    finite.fold(0.0, |max, value| f64::max(max, f64::from(*value)))
 }

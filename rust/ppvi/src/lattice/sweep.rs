@@ -6,8 +6,8 @@
 //! waves of a pass, and the sectors of a wave run side by side. Between waves each sector takes a copy of the few
 //! headings beyond its ends (`halo`). Nothing else is shared, so the result does not depend on the number of threads.
 //!
-//! A pass is n backups, and about five passes are enough where Jacobi sweeps need eighty, and one more that writes the
-//! tables; see the benches.
+//! A pass is n backups, and about five passes are enough where Jacobi sweeps need eighty; see the benches. The last sweeps
+//! write the tables as they go.
 //!
 //! *Start.* V = the cheaper of the two failures, since that is what most of a hard workspace is worth.
 //!
@@ -31,7 +31,7 @@ use crate::proper::proper_states;
 use crate::solution::Report;
 use crate::termination::{Certificate, Observer, Progress, Status, StopRule, Watch};
 
-/// Values are kept for the tables once the residual was below this many thresholds: a sweep divides it by five to ten, and
+/// Values are written to the tables once the residual was below this many thresholds: a sweep divides it by five to ten, and
 /// two sweeps have to be kept.
 const KEEP_BELOW: f64 = 20.0;
 
