@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["insertion_figure"]
 
+_FLAT = 2.2
+
 
 def insertion_figure(
     table: PolicyTable, report: Report, true_tip_mm: tuple[float, float, float] | None = None
@@ -25,9 +27,16 @@ def insertion_figure(
     from matplotlib.figure import Figure
 
     with mpl.rc_context({"font.size": 9, "axes.linewidth": 0.8, "svg.fonttype": "none", "pdf.fonttype": 42}):
-        figure = Figure(figsize=(10.5, 4.6), layout="constrained")
-        grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1))
-        scene, apart, force = (figure.add_subplot(grid[at]) for at in (np.s_[:, 0], np.s_[0, 1], np.s_[1, 1]))
+        workspace = table.scenario.workspace
+        if workspace.width_mm > _FLAT * workspace.height_mm:
+            figure = Figure(figsize=(9.5, 5.4), layout="constrained")
+            grid = figure.add_gridspec(2, 2)
+            places = (grid[0, :], grid[1, 0], grid[1, 1])
+        else:
+            figure = Figure(figsize=(10.5, 4.8), layout="constrained")
+            grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1))
+            places = (grid[:, 0], grid[0, 1], grid[1, 1])
+        scene, apart, force = (figure.add_subplot(place) for place in places)
     draw_scene(scene, table.scenario)
     if len(report.planned_mm):
         scene.plot(*report.planned_mm.T, color=GREY, linestyle="--", linewidth=1.3, zorder=4, label="planned")
@@ -39,7 +48,7 @@ def insertion_figure(
         scene.plot(*true_tip_mm[:2], linestyle="none", marker="x", color=VERMILLION, markersize=7, zorder=8,
                    label="true tip at the end")  # fmt: skip
     title(scene, f"{table.scenario.title or 'insertion'}: {report.ending}, {report.error_mm:.2f} mm from the centre")
-    scene.legend(loc="upper left", bbox_to_anchor=(0.0, -0.13), ncol=2, frameon=False)
+    figure.legend(*scene.get_legend_handles_labels(), loc="outside lower left", ncols=4, frameon=False)
     along = report.path_mm
     if len(report.deviations_mm):
         apart.plot(along, report.deviations_mm, color=BLUE, linewidth=1.0, label="from the planned path")
@@ -49,9 +58,9 @@ def insertion_figure(
     apart.legend(frameon=False)
     force.plot(*report.forces.T, color=BLACK, linewidth=0.7)
     force.set_ylabel("axial force (N)")
-    force.set_xlabel("length of the path (mm)")
     title(force, f"force, at most {report.largest_force_n:.2f} N")
     for axes in (apart, force):
+        axes.set_xlabel("length of the path (mm)")
         axes.set_xlim(min(float(along.min(initial=0.0)), 0.0), max(float(along.max(initial=1.0)), 1.0))
         axes.spines[["top", "right"]].set_visible(False)
     for event in report.events:
