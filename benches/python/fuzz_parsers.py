@@ -9,20 +9,26 @@ from __future__ import annotations
 import contextlib
 import struct
 import sys
+import tempfile
 import zlib
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 
 import atheris
 
-with atheris.instrument_imports(include=["needleplan.devices"]):
+with atheris.instrument_imports(include=["needleplan.devices", "needleplan.recording.mcap"]):
     from needleplan.devices.ati import parse_configuration
     from needleplan.devices.ati.rdt import decode_records, encode_records
+    from needleplan.devices.igtl import contents, crc64, poses
+    from needleplan.devices.igtl.stream import MessageReader
     from needleplan.devices.ndi.bx import encode_bx, parse_bx
     from needleplan.devices.ndi.replies import ReplyReader
     from needleplan.devices.ndi.tx import parse_tx
     from needleplan.devices.robot import RobotMachine, RobotState, SteadyDrive
     from needleplan.devices.robot.codec import decode, encode
-    from needleplan.errors import ConfigurationError, ProtocolError
+    from needleplan.errors import ConfigurationError, DataError, ProtocolError
+    from needleplan.recording.mcap import EVENT, FORCE, POSE, STAGE, Recorder, Recording, Session, recover
 
 
 def sealed(data: bytes) -> bytes:
@@ -75,7 +81,74 @@ def ndi(data: bytes) -> None:
                 parse_tx(reply)
 
 
-TARGETS: dict[str, Callable[[bytes], None]] = {"robot": robot, "machine": machine, "ati": ati, "ndi": ndi}
+_CONTENTS: dict[bytes, Callable[[bytes], object]] = {
+    b"TRANSFORM": poses.decode_transform,
+    b"POSITION": poses.decode_position,
+    b"TDATA": poses.decode_tdata,
+    b"QTDATA": poses.decode_qtdata,
+    b"STATUS": contents.decode_status,
+    b"STRING": contents.decode_string,
+    b"POINT": contents.decode_points,
+    b"POLYDATA": contents.decode_polyline,
+    b"SENSOR": contents.decode_sensor,
+    b"STT_TDATA": contents.decode_start,
+    b"RTS_TDATA": contents.decode_reply,
+}
+
+
+def igtl(data: bytes) -> None:
+    """A message with a right checksum comes out of the stream, whole and behind damage; its content is one or not."""
+    kind = list(_CONTENTS)[data[0] % len(_CONTENTS)] if data else b"STRING"
+    body, noise = data[2:], data[:2]
+    version = 1 + (data[1] & 1 if len(data) > 1 else 0)
+    header = struct.pack(">H12s20sQQQ", version, kind, b"Needle", 0, len(body), crc64(body))
+    reader = MessageReader()
+    reader.feed(noise + header + body)
+    while (message := reader.next()) is not None:
+        with contextlib.suppress(ProtocolError):
+            _CONTENTS[message.kind.encode()](message.content) if message.kind.encode() in _CONTENTS else None
+    assert reader.pending <= len(header) + len(body) + len(noise)
+
+
+def recording(data: bytes) -> None:
+    """A recording with bytes changed, and cut, is recovered, or said to be none; messages are fields, or damage."""
+    for kind in (FORCE, POSE, STAGE, EVENT):
+        with contextlib.suppress(DataError):
+            kind.decode(data)
+    changed = bytearray(_recorded())
+    for at in range(0, len(data) - 3, 3):
+        changed[int.from_bytes(data[at : at + 2], "little") % len(changed)] = data[at + 2]
+    with tempfile.TemporaryDirectory() as folder:
+        partial, whole = Path(folder) / "run.mcap.partial", Path(folder) / "run.mcap"
+        partial.write_bytes(changed[: len(changed) - (data[-1] if data else 0)])
+        try:
+            done = recover(partial, whole)
+        except DataError:
+            assert not whole.exists()
+            return
+        found = Recording.read(whole)
+        assert sum(found.counts.values()) == done.messages
+
+
+@cache
+def _recorded() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.mcap"
+        with Recorder(path, Session(monotonic_ns=0, wall_ns=0)) as recorder:
+            channel = recorder.channel("/event", EVENT)
+            for number in range(20):
+                channel.put(number, {"name": "tick", "cause": "", "text": str(number)})
+        return path.read_bytes()
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    "robot": robot,
+    "machine": machine,
+    "ati": ati,
+    "ndi": ndi,
+    "igtl": igtl,
+    "recording": recording,
+}
 
 if __name__ == "__main__":
     if len(sys.argv) < 2 or sys.argv[1] not in TARGETS:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import io
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -66,6 +68,40 @@ def test_a_damaged_chunk_is_counted_and_the_others_are_there(partial: bytes, tmp
     count, damaged, missing = recovered(partial[:at] + bytes([partial[at] ^ 8]) + partial[at + 1 :], tmp_path)
     assert (count, missing) == (190, {"/force": 10})
     assert 1000 < damaged < 2000
+
+
+def test_a_channel_that_is_repeated_under_another_number_is_not_believed(whole: bytes, tmp_path: Path) -> None:
+    """The definitions at the end of a file stand outside of its chunks, where no checksum of their own is."""
+    places = [at for at in range(len(whole)) if whole.startswith(b"/force", at)]
+    changed = bytearray(whole)
+    changed[places[-1] - 8] ^= 0x55  # the number of the channel: two bytes, then two of its schema, four of a length
+    assert len(places) == 1  # the chunks are compressed
+    source, target, untouched = tmp_path / "source", tmp_path / "target.mcap", tmp_path / "whole.mcap"
+    source.write_bytes(changed)
+    untouched.write_bytes(whole)
+    found = recover(source, target)
+    assert found.by_topic == Recording.read(target).counts == Recording.read(untouched).counts
+
+
+def test_a_disk_that_is_full_in_the_middle_leaves_no_half_recovery(
+    partial: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where it has room again for the rest."""
+    source, target, calls = tmp_path / "source", tmp_path / "target.mcap", 0
+    source.write_bytes(partial)
+    add = Writer.add_message
+
+    def fails_once(*arguments: Any, **more: Any) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 100:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        add(*arguments, **more)
+
+    monkeypatch.setattr(Writer, "add_message", fails_once)
+    with pytest.raises(OutputError, match="No space left"):
+        recover(source, target)
+    assert [each.name for each in tmp_path.iterdir()] == ["source"]
 
 
 @FEW

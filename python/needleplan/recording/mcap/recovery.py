@@ -10,6 +10,7 @@ import contextlib
 import mmap
 import os
 import secrets
+import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -23,7 +24,7 @@ from needleplan.provenance import require_writable, version
 from needleplan.recording.files import PathLike
 from needleplan.recording.mcap.journal import PROFILE
 from needleplan.recording.mcap.kinds import STATUS
-from needleplan.recording.mcap.salvage import Damage, Definitions, chunks, definitions_of, messages_of
+from needleplan.recording.mcap.salvage import Damage, Definitions, RawMessage, chunks, definitions_of, messages_of
 from needleplan.recording.mcap.session import Session
 
 __all__ = ["Recovery", "finish", "recover"]
@@ -143,20 +144,20 @@ def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, re
     status: dict[str, Any] = {}
     again: tuple[int, int, bytes] | None = None
     for content in chunks(data, damage):
-        with contextlib.suppress(Exception):
-            for number, sequence, time_ns, body in messages_of(content):
-                topic = known.channels[number].topic if number in numbers else ""
-                if not topic:
-                    continue
-                if topic == _SESSION:
-                    again = (numbers[number], time_ns, body)
-                else:
-                    missing[number] += max(sequence - last.get(number, 0) - 1, 0)
-                last[number] = max(sequence, last.get(number, 0))
-                if topic == "/recorder":
+        for number, sequence, time_ns, body in _readable(content):
+            topic = known.channels[number].topic if number in numbers else ""
+            if not topic:
+                continue
+            if topic == _SESSION:
+                again = (numbers[number], time_ns, body)
+            else:
+                missing[number] += max(sequence - last.get(number, 0) - 1, 0)
+            last[number] = max(sequence, last.get(number, 0))
+            if topic == "/recorder":
+                with contextlib.suppress(DataError):
                     status = STATUS.decode(body)
-                writer.add_message(numbers[number], time_ns, body, time_ns, sequence)
-                counts[number] += 1
+            writer.add_message(numbers[number], time_ns, body, time_ns, sequence)
+            counts[number] += 1
     if again:  # in the first chunk and in the last, so that one damage leaves one of them
         writer.add_message(again[0], again[1], again[2], again[1])
     done = _summed(known, counts, missing, status, damage)
@@ -168,6 +169,19 @@ def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, re
         })  # fmt: skip
     writer.finish()
     return done
+
+
+def _readable(content: bytes) -> Iterator[RawMessage]:
+    """Yield the messages of a chunk as far as they can be read: its checksum agrees, but anybody may have made it."""
+    messages = messages_of(content)
+    while True:
+        try:
+            message = next(messages, None)
+        except struct.error:
+            return
+        if message is None:
+            return
+        yield message
 
 
 def _register(writer: Writer, known: Definitions) -> dict[int, int]:

@@ -74,14 +74,18 @@ def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
 
 
 def definitions_of(content: bytes, known: Definitions) -> None:
-    """Add what the records of a chunk define; what came first holds."""
+    """Add what the records of a chunk define; what came first holds.
+
+    A topic has one channel: what repeats it under another number at the end, where no checksum is, was damaged.
+    """
     for opcode, body in _records(content):
         if opcode == Opcode.SCHEMA:
             schema = records.Schema.read(ReadDataStream(BytesIO(body)))
             known.schemas.setdefault(schema.id, schema)
         elif opcode == Opcode.CHANNEL:
             channel = records.Channel.read(ReadDataStream(BytesIO(body)))
-            known.channels.setdefault(channel.id, channel)
+            if channel.topic not in {each.topic for each in known.channels.values()}:
+                known.channels.setdefault(channel.id, channel)
         elif opcode == Opcode.MESSAGE and known.session is None:
             number = _MESSAGE.unpack_from(body)[0]
             channel_of = known.channels.get(number)

@@ -1,0 +1,26 @@
+"""The parsers under a fuzzer that is guided by coverage, for a bounded number of inputs; benches/ has the long runs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROGRAM = Path(__file__).parents[1] / "benches" / "python" / "fuzz_parsers.py"
+RUNS = {"robot": 5000, "machine": 100, "ati": 5000, "ndi": 2000, "igtl": 2000, "recording": 100}
+
+
+@pytest.mark.parametrize("target", RUNS)
+def test_no_input_gives_anything_but_a_value_or_its_error(target: str, tmp_path: Path) -> None:
+    pytest.importorskip("atheris", reason="the fuzzer is installed with the tests on Linux only")
+    run = subprocess.run(
+        [sys.executable, str(PROGRAM), target, f"-runs={RUNS[target]}", "-seed=1"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr[-3000:]
+    assert f"Done {RUNS[target]} runs" in run.stderr
