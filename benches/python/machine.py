@@ -10,7 +10,17 @@ from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("needleplan", "numpy", "numba", "quantecon", "mdpsolver", "pymdptoolbox", "stormpy")
+PACKAGES = (
+    "needleplan",
+    "numpy",
+    "numba",
+    "quantecon",
+    "mdpsolver",
+    "pymdptoolbox",
+    "stormpy",
+    "pysindy",
+    "scikit-learn",
+)
 
 
 def description() -> dict[str, object]:

@@ -1,0 +1,126 @@
+"""The scoring of the benchmark, against counts by hand; and a few blind data sets, diagnosed and scored."""
+
+from __future__ import annotations
+
+import importlib
+from itertools import count
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from tests.blind.campaign import MOTIONS, Case, Purpose, Stratum, Variety
+from tests.blind.effect import ForceName
+from tests.blind.force import ForceSpec, Wanted
+
+BENCHES = Path(__file__).parents[2] / "benches" / "python"
+SEEDS = count(1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _benches_are_found() -> Any:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(BENCHES)
+        yield
+
+
+@pytest.fixture(scope="module")
+def score() -> ModuleType:
+    return importlib.import_module("diagnosis_score")
+
+
+def line(stratum: str, verdict: str, names: list[str], truth: list[tuple[str, float]], **other: Any) -> dict[str, Any]:
+    """An outcome, rich, without heterogeneity; the base leaves of each effect a hundred times its size."""
+    hidden = [{"name": name, "size": size, "rms": 0.03 * size, "noncentrality": 100 * size, "parameters": {"size": 1.0}}
+              for name, size in truth]  # fmt: skip
+    effects = [{"name": name, "rms": 0.03, "estimates": {"size": [1.1, 0.9, 1.3]}} for name in names]
+    return {
+        "seed": next(SEEDS), "stratum": stratum, "variety": "rich", "heterogeneity": 0.0, "never_tuned": False,
+        "truth": hidden, "verdict": verdict, "names": names, "effects": effects, "axis": None, "true_axis": None,
+        "p_value": 0.5, "level": 0.0, "shrink": 0.9, "failure": "", "cpu_s": 1.0, "wall_s": 2.0,
+    } | other  # fmt: skip
+
+
+def test_counts_are_those_by_hand(score: ModuleType) -> None:
+    found = score.summary([
+        *(line("null", "none", [], []) for _ in range(19)),
+        line("null", "named", ["bias"], [], p_value=0.001),
+        line("single", "named", ["viscous"], [("viscous", 2.0)]),
+        line("single", "named", ["bias"], [("viscous", 3.0)]),
+        line("single", "underpowered", [], [("viscous", 0.2)]),
+        line("single", "incomplete", ["viscous"], [("viscous", 1.0)]),
+        line("pair", "named", ["bias", "viscous"], [("viscous", 1.0), ("bias", 2.0)]),
+        line("pair", "incomplete", ["bias"], [("viscous", 1.0), ("bias", 2.0)]),
+        line("pair", "named", ["drift"], [("viscous", 1.0), ("bias", 9.0)]),  # not within a factor of four
+        line("outside", "unknown", [], [("slip_step", 1.0)], axis="time", true_axis="time"),
+        line("outside", "unknown", [], [("buckling", 1.0)], axis="time", true_axis="force"),
+        line("outside", "named", ["bias"], [("gain_curve", 1.0)]),
+        line("outside", "named", ["bias"], [("gain_curve", 0.2)]),  # too small to count
+    ])  # fmt: skip
+    nulls, singles, pairs, outside = (
+        found["null"]["rich 0"],
+        found["single"]["rich 0"],
+        found["pair"]["0"],
+        found["outside"]["all"],
+    )
+
+    def hits(each: dict[str, Any]) -> tuple[int, int]:
+        return each["hits"], each["of"]
+
+    assert hits(nulls["falsely_named"]) == (1, 20)
+    assert nulls["names"] == {"bias": 1}
+    assert hits(singles["right"]) == (1, 3)
+    assert hits(singles["wrong"]) == (1, 3)
+    assert hits(singles["detected"]) == (3, 3)
+    assert hits(pairs["exact"]) == (1, 2)
+    assert hits(pairs["strongest"]) == (2, 2)
+    assert hits(outside["declined"]) == (2, 3)
+    assert hits(outside["right_axis"]) == (1, 2)
+    assert hits(found["coverage"]["0"]["parameters"]) == (1, 1)
+    assert hits(found["p_values"]["0"]["0.01"]) == (1, 20)
+    assert found["confusion"]["viscous"] == {"viscous": 1, "bias": 1, "INCOMPLETE": 1}
+
+
+def test_bounds_of_a_share(score: ModuleType) -> None:
+    none = score.rate(0, 300)
+    assert none["high"] == pytest.approx(1 - 0.025 ** (1 / 300))
+    assert score.rate(300, 300)["low"] == pytest.approx(0.025 ** (1 / 300))
+    assert score.rate(0, 0)["rate"] is None
+
+
+def test_a_part_of_a_run_has_its_goals_and_its_page(score: ModuleType, tmp_path: Path) -> None:
+    goals, page = importlib.import_module("diagnosis_goals"), importlib.import_module("diagnosis_page")
+    found = score.summary([line("null", "none", [], []), line("single", "named", ["bias"], [("bias", 2.0)])])
+    judged = goals.goals(found, 3.0)
+    reached = {each.what: each.reached for each in judged}
+    assert reached["named and right, from 1 noise RMS, rich motion, 0 % heterogeneity"] is True
+    assert reached["two effects, 0 %: exact set"] is None
+    run = {"done": 2, "wanted": 9, "purpose": "tuning", "engine": "e"}
+    report = {"run": run, "machine": {"commit": "c", "date": "d", "processor": "p"}, "summary": found}
+    assert "A part of the run" in page.page(report, judged, "x")
+    page.draw(found, tmp_path / "x")
+    assert {each.name for each in tmp_path.iterdir()} == {"x_power.png", "x_confusion.png"}
+
+
+def test_blind_data_of_seeds_that_belong_to_nobody(score: ModuleType) -> None:
+    """Few data sets, far above the noise or without an effect: the campaign itself takes hours."""
+    bench = importlib.import_module("diagnosis_case").Bench(peers=False)
+    slip = Wanted(ForceName.SLIP_STEP, 2.0)
+    wanted: list[tuple[Stratum, tuple[Wanted, ...], float]] = [
+        (Stratum.NULL, (), 0.0),
+        (Stratum.NULL, (), 0.1),
+        (Stratum.SINGLE, (Wanted(ForceName.VISCOUS, 3.0),), 0.0),
+        (Stratum.SINGLE, (Wanted(ForceName.BIAS, 2.0),), 0.03),
+        (Stratum.OUTSIDE, (slip,), 0.0),
+    ]
+    rich = MOTIONS[Variety.RICH]
+    lines = [
+        bench.outcome(Case(Purpose.TUNING, stratum, Variety.RICH, ForceSpec(seed, effects, level, *rich)))
+        for seed, (stratum, effects, level) in enumerate(wanted, start=400)
+    ]
+    found = score.summary(lines)
+    assert not found["failures"]
+    assert all(each["falsely_named"]["hits"] == 0 for each in found["null"].values())
+    assert found["single"]["rich 0"]["right"]["hits"] == found["single"]["rich 0.03"]["right"]["hits"] == 1
+    assert found["outside"]["all"]["declined"]["hits"] == 1
