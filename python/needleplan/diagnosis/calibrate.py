@@ -6,6 +6,7 @@ are normal, so a lag of some milliseconds is a nuisance with a prior, and only o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,7 +18,7 @@ from needleplan.diagnosis.variation import tissue_modes
 from needleplan.models import Model, simulate
 from needleplan.signals import Array, Motion, Record
 
-__all__ = ["USUAL_LAG_S", "Calibration", "Case", "calibrate", "fit_case", "late", "pooled", "turning", "turns"]
+__all__ = ["USUAL_LAG_S", "Calibration", "Case", "calibrate", "fit_case", "lag_taps", "late", "pooled", "turning", "turns"]
 
 USUAL_LAG_S = 0.004
 """Standard deviation of the lag that a sensor may have without anybody calling it an effect."""
@@ -60,7 +61,11 @@ class Case:
 
     def whiten(self, values: Array) -> Array:
         """Return what is new in forces, (samples, ...), once they are read; zeros for what is known already."""
-        whitened = self.noise.whiten(late(values, self.motion, self.lag_s))[self.rows]
+        taps = lag_taps(self.motion, self.lag_s)
+        read = values if taps is not None else late(values, self.motion, self.lag_s)
+        whitened = self.noise.whiten(read, taps)
+        if not self.rows.all():
+            whitened = whitened[self.rows]
         more = self.block.samples - len(whitened)
         return np.concatenate([whitened, np.zeros((more, *whitened.shape[1:]))])
 
@@ -210,6 +215,19 @@ def late(force: Array, motion: Motion, lag_s: float) -> Array:
     for index in range(len(h)):
         now = behind[index + 1] = decay[index] * now - lag_s * rise[index] * (1 - decay[index])
     return force + behind
+
+
+def lag_taps(motion: Motion, lag_s: float) -> Array | None:
+    """Return `late` as weights of the present and the past; None where the sampling is uneven or the memory long."""
+    h = motion.interval_s
+    step = float(np.median(h))
+    if lag_s <= 0:
+        return np.ones(1)
+    decay = math.exp(-step / lag_s)
+    if decay > _FORGOTTEN or float(np.abs(h - step).max()) > 1e-3 * step:
+        return None
+    rise = lag_s / step * (1 - decay) * decay ** np.arange(3)
+    return np.asarray(np.append(np.eye(1, 4)[0][:3] - rise, 0.0) + np.append(0.0, rise))
 
 
 def turns(predicted: Array, motion: Motion) -> Array:

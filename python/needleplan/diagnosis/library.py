@@ -15,7 +15,7 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["Candidates", "Library"]
 
-_STEP = 1.5
+_STEP = 2.0
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Library:
 
 
 def _near(model: Model, nominal: Model) -> Model:
-    """Return the nominal model, with each parameter that is far from it moved by steps of a half."""
+    """Return the nominal model, with each parameter that is far from it moved by factors of two."""
     values = {}
     for name, what in model.parameters().items():
         given, nominal_value = getattr(model, name), getattr(nominal, name)

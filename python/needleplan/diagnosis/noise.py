@@ -32,14 +32,25 @@ class Noise:
         """How many samples of the past count."""
         return int(self.weights.size)
 
-    def whiten(self, values: Array) -> Array:
-        """Return what is new in each sample in units of its standard deviation, shape (n - order, ...)."""
+    def whiten(self, values: Array, taps: Array | None = None) -> Array:
+        """Return what is new in each sample in units of its standard deviation, shape (n - order, ...).
+
+        `taps` weigh present and past of the values before that, as a sensor does that is late. Before the first sample
+        the values are taken as those of the first.
+        """
+        whole = np.concatenate([[1.0], -self.weights]) / self.sd
+        if taps is not None:
+            whole = np.convolve(whole, taps)
         n, p = len(values), self.order
-        new = values[p:].astype(float, copy=True)
-        for lag, weight in enumerate(self.weights, start=1):
-            new -= weight * values[p - lag : n - lag]
-        new /= self.sd
-        return new
+        new = whole[0] * values[p:]
+        for lag in range(1, len(whole)):
+            begin = p - lag
+            if begin >= 0:
+                new += whole[lag] * values[begin : n - lag]
+            else:
+                new[-begin:] += whole[lag] * values[: n - lag]
+                new[:-begin] += whole[lag] * values[0]
+        return np.asarray(new)
 
 
 def fit_noise(rows: Sequence[Array]) -> Noise:

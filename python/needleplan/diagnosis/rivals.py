@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline
 from needleplan.diagnosis.calibrate import Case, turning
 from needleplan.diagnosis.space import Space
 from needleplan.models.effects import presliding_of
-from needleplan.models.effects.path import travelled
+from needleplan.models.sliding import slid
 from needleplan.signals import Array, Motion
 
 __all__ = ["Axis", "RivalScore", "bases", "omnibus", "score_rivals"]
@@ -62,7 +62,7 @@ def bases(cases: Sequence[Case]) -> dict[str, tuple[Axis, list[Array]]]:
         if alive.any():
             found[name] = (axis, [each[:, alive] for each in columns])
 
-    signs = [travelled(case.motion, presliding_of(case.model)) for case in cases]
+    signs = [slid(case.motion, presliding_of(case.model)) for case in cases]
     depth = [_splines(np.clip(each.depth_mm, 0, None), 0.0, deepest, 9) for each in motions]
     inside = [np.clip(each.depth_mm, 0, None)[:, None] for each in motions]
     speed = [_splines(np.abs(each.velocity_mm_s), 0.0, fastest, 5) for each in motions]

@@ -14,7 +14,7 @@ from needleplan.signals import Array
 
 __all__ = ["Screened", "allowed_sizes", "screen"]
 
-_NEAR = (0.5, 2.0)
+_NEAR = (0.4, 2.5)
 """How far the size of an effect that is not linear in it may be from the one that its column was made for."""
 
 

@@ -11,6 +11,7 @@ from scipy import stats
 
 from needleplan.diagnosis.calibrate import Calibration, Case
 from needleplan.diagnosis.library import Candidates, Library
+from needleplan.diagnosis.minimal import Smallest, smallest_seen
 from needleplan.diagnosis.refit import Added, Joint, refit
 from needleplan.diagnosis.rivals import RivalScore, score_rivals
 from needleplan.diagnosis.screen import Screened, screen
@@ -19,7 +20,7 @@ from needleplan.diagnosis.verdict import Gates
 from needleplan.diagnosis.verify import Verified, verify
 from needleplan.signals import Array
 
-__all__ = ["Ranked", "Selection", "Step", "Stop", "select"]
+__all__ = ["Ranked", "Selection", "Step", "Stop", "select", "whitened_columns"]
 
 _REFITTED = 4
 _NEAR = 40.0
@@ -85,12 +86,16 @@ class Selection:
     steps: tuple[Step, ...]
     joint: Joint | None
     verified: Verified | None
+    smallest: tuple[Smallest, ...]
 
 
 def select(calibration: Calibration, library: Library, gates: Gates, *, seed: int = 0) -> Selection:
     """Take effects as long as one passes all gates."""
     base = Space([case.block for case in calibration.training])
     candidates = library.candidates([case.motion for case in calibration.training])
+    first = whitened_columns(calibration, library, calibration.training, candidates)
+    raw = [library.columns(calibration.model, case.motion, candidates) for case in calibration.training]
+    smallest = smallest_seen(base, raw, first, candidates, calibration.noise.rms)
     cases, space = calibration.training, base
     joint: Joint | None = None
     verified: Verified | None = None
@@ -98,22 +103,22 @@ def select(calibration: Calibration, library: Library, gates: Gates, *, seed: in
     while True:
         taken = joint.added if joint else ()
         before = joint.gain if joint else 0.0
-        step = _round(calibration, library, gates, base, space, cases, candidates, taken, before, steps, seed)
+        columns = first if joint is None else whitened_columns(calibration, library, cases, candidates)
+        step = _round(calibration, gates, base, space, cases, columns, candidates, taken, before, steps, seed)
         steps.append(step)
         if step.stop is not Stop.ACCEPTED:
             break
         joint, verified = step.ranked[0].joint, step.verified
         cases, space = joint.cases, joint.space
-    return Selection(base, tuple(steps), joint, verified)
+    return Selection(base, tuple(steps), joint, verified, smallest)
 
 
 def _round(
-    calibration: Calibration, library: Library, gates: Gates, base: Space, space: Space, cases: Sequence[Case],
-    candidates: Sequence[Candidates], taken: tuple[Added, ...], before: float, steps: Sequence[Step], seed: int,
+    calibration: Calibration, gates: Gates, base: Space, space: Space, cases: Sequence[Case],
+    columns: Sequence[Array], candidates: Sequence[Candidates], taken: tuple[Added, ...], before: float, steps: Sequence[Step], seed: int,
 ) -> Step:  # fmt: skip
     names = {each.effect.name for each in taken if not each.effect.repeats}
     left = [each for each in candidates if each.effect.name not in names]
-    columns = _columns(calibration, library, cases, candidates)
     screened = tuple(each for each in screen(space, columns, candidates) if each.effect.name not in names)
     rivals = score_rivals(space, cases)
     needed = gates.balance_varied if space.level > gates.varied else gates.balance
@@ -158,9 +163,10 @@ def _transfers(verified: Verified, gates: Gates, before: Verified | None) -> boo
     return verified.transfer >= gates.transfer
 
 
-def _columns(
+def whitened_columns(
     calibration: Calibration, library: Library, cases: Sequence[Case], candidates: Sequence[Candidates]
 ) -> list[Array]:
+    """Return every candidate along every trial, whitened."""
     columns = [case.whiten(library.columns(calibration.model, case.motion, candidates)) for case in cases]
     for each in candidates:
         if each.effect.is_lag:  # the lag that was calibrated and one more are not the same as one that is longer

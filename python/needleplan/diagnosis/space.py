@@ -129,8 +129,9 @@ class Space:
     def basis_gains(self, basis: Sequence[Array], *, ridge: float = 1e-9) -> float:
         """Return twice the gain in log likelihood of a whole basis, shape (n, df) for each trial, sizes shared."""
         best = -np.inf
+        products = self._products(basis)
         for level in range(len(self.levels)):
-            matrix, target = self.normal(basis, level)
+            matrix, target = self.normal(basis, level, products)
             scale = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
             scaled = matrix / np.outer(scale, scale) + ridge * np.eye(len(scale))
             values, vectors = np.linalg.eigh(scaled)
@@ -139,19 +140,28 @@ class Space:
             best = max(best, 2 * float(self.evidence[level]) + float((part**2 / values[keep]).sum()))
         return float(best - 2 * self.evidence.max())
 
-    def normal(self, basis: Sequence[Array], level: int) -> tuple[Array, Array]:
+    def _products(self, basis: Sequence[Array]) -> list[tuple[Array, Array, Array]]:
+        found = []
+        for block, columns in zip(self.blocks, basis, strict=True):
+            known = np.column_stack([block.sensitivities, block.shared, block.residual])
+            found.append((known.T @ columns, block.modes.T @ columns, columns.T @ columns))
+        return found
+
+    def normal(
+        self, basis: Sequence[Array], level: int, products: Sequence[tuple[Array, Array, Array]] | None = None
+    ) -> tuple[Array, Array]:
         """Return matrix (df, df) and right side (df,) of the normal equations of a basis at a level."""
         df = basis[0].shape[1]
         matrix, target = np.zeros((df, df)), np.zeros(df)
         cross = np.zeros((self.blocks[0].shared.shape[1], df))
-        for index, (block, columns) in enumerate(zip(self.blocks, basis, strict=True)):
+        products = self._products(basis) if products is None else products
+        for index, block in enumerate(self.blocks):
             q = block.sensitivities.shape[1]
-            moved = block.modes.T @ columns
             weights = self._weights[index][level]
-            known = np.column_stack([block.sensitivities, block.shared, block.residual])
-            with_known = known.T @ columns - self._moved[index].T @ (weights[:, None] * moved)
+            plain, moved, square = products[index]
+            with_known = plain - self._moved[index].T @ (weights[:, None] * moved)
             factor, solved = self._factors[index][level][:2]
-            own = columns.T @ columns - moved.T @ (weights[:, None] * moved)
+            own = square - moved.T @ (weights[:, None] * moved)
             matrix += own - with_known[:q].T @ cho_solve(factor, with_known[:q])
             rest = with_known[q:] - solved.T @ with_known[:q]
             target += rest[-1]

@@ -11,7 +11,6 @@ from needleplan.diagnosis.check import Checked, Lack, check_data
 from needleplan.diagnosis.decide import Decision, decide
 from needleplan.diagnosis.diagnosis import Diagnosis, FoundEffect
 from needleplan.diagnosis.library import Library
-from needleplan.diagnosis.minimal import Smallest, smallest_seen
 from needleplan.diagnosis.noise import Noise, fit_noise
 from needleplan.diagnosis.refit import Joint, added_output
 from needleplan.diagnosis.select import Selection, Stop, select
@@ -49,15 +48,14 @@ def diagnose(
     checked = check_data(recordings, model.channel)
     calibration = calibrate(model, checked.training, checked.held_out, _noise(model, checked))
     selection = select(calibration, library, gates, seed=seed)
-    smallest = _smallest(calibration, selection, library)
-    hidden = [each.noise_multiple for each in smallest if each.visible]
+    hidden = [each.noise_multiple for each in selection.smallest if each.visible]
     decision = decide(selection, calibration, gates, seen=float(np.quantile(hidden, 0.75)) if hidden else float("inf"))
     decision = _limited(decision, checked)
     found = _found(selection.joint, selection) if decision.named else ()
     remarks = (*checked.remarks, *_strange(model, calibration))
     parents = "".join(sorted(each.digest or digest(each["time_s"].tobytes()) for each in recordings))
     return Diagnosis(
-        decision, model, checked, calibration, selection, found, smallest, gates, remarks,
+        decision, model, checked, calibration, selection, found, selection.smallest, gates, remarks,
         digest(f"{model!r} {parents} {decision!r} {[each.added for each in found]!r}"),
     )  # fmt: skip
 
@@ -76,13 +74,6 @@ def _noise(model: Model, checked: Checked) -> Noise:
     spread = [np.nanmedian(np.abs(np.diff(row, n=2))) / 0.6745 / np.sqrt(6) for row in rows]
     sd = float(np.median(spread)) or 1e-9
     return Noise(np.zeros(0), sd, sd)
-
-
-def _smallest(calibration: Calibration, selection: Selection, library: Library) -> tuple[Smallest, ...]:
-    candidates = library.candidates([case.motion for case in calibration.training])
-    raw = [library.columns(calibration.model, case.motion, candidates) for case in calibration.training]
-    columns = [case.whiten(each) for case, each in zip(calibration.training, raw, strict=True)]
-    return smallest_seen(selection.base, raw, columns, candidates, calibration.noise.rms)
 
 
 def _limited(decision: Decision, checked: Checked) -> Decision:

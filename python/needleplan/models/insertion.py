@@ -19,15 +19,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from needleplan.models.base import Channel, LinearStateModel
+from needleplan.models.base import Channel, SelfIntegratingModel
 from needleplan.models.parameter import parameter
+from needleplan.models.sliding import slid
 from needleplan.signals import Array, Motion
 
 __all__ = ["ShaftAndTip"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShaftAndTip(LinearStateModel):
+class ShaftAndTip(SelfIntegratingModel):
     """Axial force of friction and cutting (N), positive where it resists insertion. State: the bristle, -1 to 1."""
 
     name: ClassVar[str] = "shaft_and_tip"
@@ -38,10 +39,18 @@ class ShaftAndTip(LinearStateModel):
     onset_mm: float = parameter("mm", 1e-2, 50, "depth over which cutting sets in")
     presliding_mm: float = parameter("mm", 1e-3, 20, "travel over which friction turns round")
 
-    def coefficients(self, motion: Motion) -> tuple[Array, Array]:
-        """Return forcing and rate of the bristle (1/s)."""
+    def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
+        """Return a bristle that is not bent, shape (1,)."""
+        return np.zeros(1)
+
+    def derivative(self, state: Array, motion: Motion) -> Array:
+        """Return the rate of the bristle (1/s), shape (1, ...)."""
         velocity = np.asarray(motion.velocity_mm_s, float)
-        return velocity / self.presliding_mm, np.abs(velocity) / self.presliding_mm
+        return np.asarray((velocity - np.abs(velocity) * state) / self.presliding_mm)
+
+    def integrate(self, motion: Motion, start: Array) -> Array:
+        """Return the bristle along a motion, shape (1, samples)."""
+        return slid(motion, self.presliding_mm, float(start[0]))[None]
 
     def shaft_n(self, state: Array, motion: Motion) -> Array:
         """Return the force of the shaft (N), shape (...)."""

@@ -124,7 +124,7 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         "F += size exp((L - depth)/bulge) until the tip first reaches depth",
         "A membrane, capsule or crust bulges before the tip and breaks: the force rises, and drops at once.",
         _THESIS + "2.5.1 and 7.2",
-        lambda reach: {"depth_mm": _depths(0.5)(reach), "bulge_mm": (0.7, 1.5, 3.0, 6.0)},
+        lambda reach: {"depth_mm": _depths(0.6)(reach), "bulge_mm": (0.7, 2.0, 5.0)},
         term=cutting.Puncture,
     ),
     TermEffect(
@@ -252,8 +252,8 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         "The tissue moves along the needle by itself, with the breath.", _THESIS + "1.2 and 2.1",
         lambda reach: {  # noqa: ARG005
             "frequency_hz": np.arange(0.12, 0.5, 0.02),
-            "phase_rad": np.arange(8) * np.pi / 4,
-            SIZE: (0.015, 0.06, 0.25, 1.0),
+            "phase_rad": np.arange(6) * np.pi / 3,
+            SIZE: (0.02, 0.1, 0.6),
         },
         wrapper=BreathingTissue,
     ),

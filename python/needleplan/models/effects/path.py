@@ -10,9 +10,10 @@ import numpy as np
 
 from needleplan.models.effects.base import Term
 from needleplan.models.parameter import constant
+from needleplan.models.sliding import slid
 from needleplan.signals import Array, Motion
 
-__all__ = ["PathTerm", "decaying", "reached", "travelled"]
+__all__ = ["PathTerm", "decaying", "reached"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,14 +36,8 @@ class PathTerm(Term):
         )
 
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return both along a motion that is linear in depth between samples: exact."""
-        return np.array([travelled(motion, self.presliding_mm, float(start[0])), reached(motion, float(start[1]))])
-
-
-def travelled(motion: Motion, length_mm: float, start: float = 0.0) -> Array:
-    """Return Dahl's bristle along a motion, shape (samples,): z' = (v - |v| z) / length."""
-    step = np.diff(motion.depth_mm)
-    return decaying(np.exp(-np.abs(step) / length_mm), np.sign(step), start)
+        """Return both along a motion."""
+        return np.array([slid(motion, self.presliding_mm, float(start[0])), reached(motion, float(start[1]))])
 
 
 def reached(motion: Motion, start: float) -> Array:

@@ -7,8 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from needleplan.models.effects.path import PathTerm, decaying, travelled
+from needleplan.models.effects.path import PathTerm, decaying
 from needleplan.models.parameter import parameter
+from needleplan.models.sliding import slid
 from needleplan.signals import Array, Motion
 
 __all__ = ["Bristle", "Bump", "FrictionLayer", "PathDamage", "Relaxation", "Stribeck", "Viscous"]
@@ -81,7 +82,7 @@ class Bristle(PathTerm):
     def states(self, motion: Motion, start: Array) -> Array:
         """Return all three."""
         return np.asarray(
-            np.vstack([super().states(motion, start[:2]), travelled(motion, self.travel_mm, float(start[2]))])
+            np.vstack([super().states(motion, start[:2]), slid(motion, self.travel_mm, float(start[2]))])
         )
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
