@@ -13,7 +13,7 @@
 from needleplan.diagnosis.decide import Decision
 from needleplan.diagnosis.diagnosis import Diagnosis, FoundEffect
 from needleplan.diagnosis.library import Library
-from needleplan.diagnosis.rivals import Axis
+from needleplan.diagnosis.measurand import Axis
 from needleplan.diagnosis.stages import diagnose
 from needleplan.diagnosis.verdict import Gates, Verdict
 

@@ -7,31 +7,26 @@ are normal, so a lag of some milliseconds is a nuisance with a prior, and only o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.noise import Noise
 from needleplan.diagnosis.space import Block
-from needleplan.diagnosis.variation import tissue_modes
 from needleplan.models import Model, simulate
 from needleplan.signals import Array, Motion, Record
 
-__all__ = ["USUAL_LAG_S", "Calibration", "Case", "calibrate", "fit_case", "lag_taps", "late", "pooled", "turning", "turns"]
+__all__ = ["Calibration", "Case", "calibrate", "fit_case", "lag_taps", "late", "pooled"]
 
-USUAL_LAG_S = 0.004
-"""Standard deviation of the lag that a sensor may have without anybody calling it an effect."""
-
-_STEPS = 8
+_STEPS = 10
+_TRIES = 5
 _LONGEST_STEP = 0.7
 _RELATIVE = 1e-3
 _DONE = 0.02
-_LONGEST_LAG_S = 0.2
+_EARLIEST_S, _LONGEST_LAG_S = -0.001, 0.2
 _FORGOTTEN = 0.05
-_TURN_S = 0.003
-_TURN_SAMPLES = 2
-_SLOW = 0.002
 _BELIEF = 0.7
 """Standard deviation of a coordinate about that of the model as given: a factor of two, give or take."""
 
@@ -115,12 +110,15 @@ def fit_case(
     extra: Callable[[Model, Motion], Array] | None = None,
     start_lag_s: float = 0.004,
     about: Model | None = None,
+    hold: Collection[str] = (),
 ) -> Case:
-    """Calibrate `model` to one trial (Gauss and Newton, whitened) and linearise it there.
+    """Calibrate `model` to one trial (Levenberg and Marquardt, whitened) and linearise it there.
 
     `extra` is what an effect that is held adds to the output of a model along a motion, shape (samples,). Parameters
-    are believed to be near those of `about`, by default `model`.
+    are believed to be near those of `about`, by default `model`; those in `hold` stay as they are in `model`.
     """
+    measurand = measurand_of(model.channel)
+    usual_lag_s = max(measurand.usual_lag_s, 1e-9)
     motion = record.motion()
     measured = record[model.channel]
     rows = np.isfinite(noise.whiten(measured))
@@ -130,7 +128,7 @@ def fit_case(
     high = np.array([what[name].coordinate(what[name].upper) for name in free])
     given = about or model
     centre = np.append([what[name].coordinate(getattr(given, name)) for name in free], 0.0)
-    belief = np.append(np.full(len(free), _BELIEF), USUAL_LAG_S)
+    belief = np.array([measurand.beliefs.get(name, _BELIEF) for name in free] + [usual_lag_s])
 
     def model_at(u: Array) -> Model:
         return model.with_values(**{
@@ -153,35 +151,43 @@ def fit_case(
         each, known = left(plain, its_lag), off(u, its_lag)
         return float(each @ each) + float(known @ known)
 
-    lag = start_lag_s
+    lag = start_lag_s if measurand.usual_lag_s else 0.0
     plain = output(coordinates)
     least = cost(plain, coordinates, lag)
+    moving = np.array([name not in hold for name in free] + [measurand.usual_lag_s > 0])
+    damping = 1e-4
     for _ in range(_STEPS):
         sensitivities = _sensitivities(output, coordinates, plain, motion, lag, noise, rows)
-        normal = sensitivities.T @ sensitivities
-        normal += np.diag(belief**-2)
-        target = sensitivities.T @ left(plain, lag) - off(coordinates, lag) / belief
-        move = np.linalg.solve(normal, target)
-        promised = float(move @ target)
-        move *= min(1.0, _LONGEST_STEP / max(float(np.abs(move[:-1]).max()), 1e-12))
-        found = False
-        for share in (1.0, 0.4, 0.1):
-            trial = np.clip(coordinates + share * move[:-1], low, high)
-            its_lag = float(np.clip(lag + share * move[-1], 0.0, _LONGEST_LAG_S))
+        normal = sensitivities.T @ sensitivities + np.diag(belief**-2)
+        target = np.where(moving, sensitivities.T @ left(plain, lag) - off(coordinates, lag) / belief, 0.0)
+        normal = np.where(np.outer(moving, moving), normal, np.diag(np.diag(normal)))
+        promised, found = 0.0, False
+        for _ in range(_TRIES):
+            move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), target)
+            move *= min(1.0, _LONGEST_STEP / max(float(np.abs(move[:-1]).max(initial=0.0)), 1e-12))
+            promised = float(move @ target)
+            trial = np.clip(coordinates + move[:-1], low, high)
+            its_lag = float(np.clip(lag + move[-1], _EARLIEST_S, _LONGEST_LAG_S))
             there = output(trial)
             its_cost = cost(there, trial, its_lag)
             if its_cost < least:
                 coordinates, lag, plain, least, found = trial, its_lag, there, its_cost, True
+                damping = max(damping / 10, 1e-6)
                 break
+            if promised < _DONE:
+                break
+            damping = max(damping * 20, 1e-2)
         if not found or promised < _DONE:
             break
     predicted, residual = late(plain, motion, lag), left(plain, lag)
     sensitivities = _sensitivities(output, coordinates, plain, motion, lag, noise, rows)
     best = model_at(coordinates)
     vectors, variances = (
-        _modes(best, motion, lag, noise, rows) if modes else (np.zeros((len(residual), 0)), np.zeros(0))
+        _modes(measurand.modes(best, motion), motion, lag, noise, rows)
+        if modes
+        else (np.zeros((len(residual), 0)), np.zeros(0))
     )
-    jitter = noise.whiten(turns(predicted, motion))[rows]
+    jitter = noise.whiten(measurand.moments(predicted, motion))[rows]
     # What is believed of parameters, of the lag and of the moments of turning are more measurements.
     q, k = sensitivities.shape[1], jitter.shape[1]
     more = q + k
@@ -203,10 +209,11 @@ def late(force: Array, motion: Motion, lag_s: float) -> Array:
     """Return a force as a sensor with a lag of first order shows it, shape (samples,) or (samples, n)."""
     h = motion.interval_s.reshape((-1,) + (1,) * (force.ndim - 1))
     rise = np.diff(force, axis=0) / h
-    if lag_s <= 0:
-        return force
-    decay = np.exp(-h / lag_s)
     behind = np.empty_like(force)
+    if lag_s <= 0:  # early instead: what a lag that is small goes over into
+        behind[0], behind[1:] = 0.0, -lag_s * rise
+        return force + behind
+    decay = np.exp(-h / lag_s)
     if float(decay.max()) < _FORGOTTEN:
         behind[0], behind[1:] = 0.0, -lag_s * rise * (1 - decay)
         behind[2:] += decay[1:] * behind[1:-1]
@@ -221,39 +228,13 @@ def lag_taps(motion: Motion, lag_s: float) -> Array | None:
     """Return `late` as weights of the present and the past; None where the sampling is uneven or the memory long."""
     h = motion.interval_s
     step = float(np.median(h))
-    if lag_s <= 0:
+    if lag_s == 0:
         return np.ones(1)
-    decay = math.exp(-step / lag_s)
+    decay = math.exp(-step / lag_s) if lag_s > 0 else 0.0
     if decay > _FORGOTTEN or float(np.abs(h - step).max()) > 1e-3 * step:
         return None
     rise = lag_s / step * (1 - decay) * decay ** np.arange(3)
     return np.asarray(np.append(np.eye(1, 4)[0][:3] - rise, 0.0) + np.append(0.0, rise))
-
-
-def turns(predicted: Array, motion: Motion) -> Array:
-    """Return what an error of the moment, and of the duration, of every turn of the force would show, at one sd.
-
-    Between two samples a motion is taken as even, and when it turns it is not: at a reversal the force changes by all
-    of its friction within one or two samples, and a millisecond is worth many times the noise.
-    """
-    slope = np.gradient(predicted, motion.time_s)
-    curve = np.gradient(slope, motion.time_s)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], turning(motion).astype(int), [0]])))
-    found = []
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        for values, sd in ((slope, _TURN_S), (curve, _TURN_S * float(np.median(motion.interval_s)) / 2)):
-            each = np.zeros(len(predicted))
-            each[begin:end] = sd * values[begin:end]
-            found.append(each)
-    return np.column_stack(found) if found else np.zeros((len(predicted), 0))
-
-
-def turning(motion: Motion) -> Array:
-    """Return which samples are next to a change of direction, or to a begin or end of rest; bool (samples,)."""
-    fastest = float(np.abs(motion.velocity_mm_s).max())
-    sign = np.sign(np.where(np.abs(motion.velocity_mm_s) < _SLOW * fastest, 0.0, motion.velocity_mm_s))
-    turned = np.concatenate([[False], np.diff(np.where(sign == 0, motion.direction, sign)) != 0])
-    return np.asarray(np.convolve(turned, np.ones(2 * _TURN_SAMPLES + 1), "same") > 0)
 
 
 def _sensitivities(
@@ -273,8 +254,8 @@ def _sensitivities(
     return whitened
 
 
-def _modes(model: Model, motion: Motion, lag: float, noise: Noise, rows: Array) -> tuple[Array, Array]:
-    whitened = noise.whiten(late(tissue_modes(model, motion), motion, lag))[rows]
+def _modes(raw: Array, motion: Motion, lag: float, noise: Noise, rows: Array) -> tuple[Array, Array]:
+    whitened = noise.whiten(late(raw, motion, lag))[rows]
     gram = whitened.T @ whitened
     values, vectors = np.linalg.eigh(gram)
     keep = values > 1e-6 * values[-1]

@@ -8,13 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.diagnosis.calibrate import Calibration, Case
-from needleplan.diagnosis.rivals import Axis, bases, omnibus
+from needleplan.diagnosis.measurand import Axis
+from needleplan.diagnosis.rivals import omnibus
 from needleplan.diagnosis.select import Selection, Stop
 from needleplan.diagnosis.space import Space
 from needleplan.diagnosis.verdict import Gates, Verdict
 from needleplan.models.effects import SIZE
 
 __all__ = ["Decision", "decide"]
+
+_STRONG = 3.0
+"""Multiple of the threshold from which an effect that does not hold elsewhere still shows a gap."""
 
 _FEW = 40.0
 """Gap that smooth functions must see for the share that is explained to mean something."""
@@ -48,7 +52,8 @@ def decide(selection: Selection, calibration: Calibration, gates: Gates, *, seen
                 return _unknown(rival.axis, "a smooth function without a name explains more than any known effect")
             text = "these effects explain the gap alike: " + ", ".join(last.tied)
             return Decision(Verdict.AMBIGUOUS, (), last.tied, None, None, text)
-        if rival.balance >= gates.balance or last.stop is Stop.NO_TRANSFER:
+        unsupported = last.stop is Stop.NO_TRANSFER and last.ranked[0].balance > _STRONG * gates.balance
+        if rival.balance >= gates.balance or unsupported:
             if last.stop is Stop.NO_TRANSFER and last.ranked[0].balance > rival.balance:
                 return _unknown(rival.axis, f"{last.ranked[0].name} fits best, but does not hold in another motion")
             return _unknown(rival.axis, "a smooth function without a name explains what no known effect does")
@@ -97,7 +102,6 @@ def _explained(selection: Selection, calibration: Calibration) -> float | None:
 
 
 def _seen(space: Space, cases: Sequence[Case]) -> float:
-    columns = omnibus(bases(cases))
-    df = columns[0].shape[1]
-    gain: float = space.basis_gains([case.whiten(each) for case, each in zip(cases, columns, strict=True)])
-    return max(float(gain - df), 0.0)
+    columns = omnibus(cases)
+    gain: float = space.basis_gains(columns)
+    return max(float(gain - columns[0].shape[1]), 0.0)

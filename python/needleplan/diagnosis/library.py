@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from needleplan.models import Model
+from needleplan.models import Model, Scale
 from needleplan.models.effects import SIZE, Effect, Reach
 from needleplan.provenance import digest
 from needleplan.signals import Array, Motion
@@ -16,6 +16,7 @@ from needleplan.signals import Array, Motion
 __all__ = ["Candidates", "Library"]
 
 _STEP = 2.0
+_SLACK = 1.3
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,19 @@ class Candidates:
         what = self.effect.parameters[SIZE]
         return 1 if what.lower >= 0 else -1 if what.upper <= 0 else 0
 
+    def within(self) -> dict[str, tuple[float, float]]:
+        """Return the hull of the grid, by parameter, and a little more."""
+        names = [name for name in self.effect.parameters if name != SIZE and any(name in each for each in self.grid)]
+        found = {}
+        for name in names:
+            values = sorted({each[name] for each in self.grid})
+            if self.effect.parameters[name].scale is Scale.LOG:
+                found[name] = (values[0] / _SLACK, values[-1] * _SLACK)
+            else:
+                step = values[1] - values[0] if len(values) > 1 else 0.0
+                found[name] = (values[0] - step, values[-1] + step)
+        return {name: ends for name, ends in found.items() if ends[0] < ends[1]}
+
     def guessed(self) -> Array:
         """Return for what size each column was made, shape (m,); NaN where the effect is linear in its size."""
         return np.array([values.get(SIZE, np.nan) for values in self.grid])
@@ -62,7 +76,7 @@ class Library:
         found: list[Candidates] = []
         first = 0
         for effect in self.effects:
-            grid = tuple(effect.grid(reach))
+            grid = tuple(effect.grid(reach)) if effect.suits(self.nominal) else ()
             if grid:
                 found.append(Candidates(effect, grid, first))
                 first += len(grid)

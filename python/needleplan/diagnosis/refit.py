@@ -7,7 +7,7 @@ trials, take a step of Gauss and Newton with the base projected out.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,6 +31,8 @@ class Added:
 
     effect: Effect
     values: Mapping[str, float]
+    within: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Where its parameters are looked for: beyond, another effect may hide in it."""
 
 
 @dataclass(frozen=True)
@@ -84,11 +86,21 @@ def cases_with(added: Sequence[Added], calibration: Calibration, cases: Sequence
     )  # fmt: skip
 
 
-def refit(start: Sequence[Added], calibration: Calibration, base: Space, *, rounds: int = _ROUNDS) -> Joint:
-    """Fit effects and base together from `start`; `base` is the space of the base alone."""
+def refit(
+    start: Sequence[Added],
+    calibration: Calibration,
+    base: Space,
+    cases: Sequence[Case] | None = None,
+    *,
+    rounds: int = _ROUNDS,
+) -> Joint:
+    """Fit effects and base together from `start`; `base` is the space of the base alone.
+
+    The base begins as in `cases`, by default as it was calibrated alone.
+    """
     added = tuple(start)
     names = tuple((index, name) for index, each in enumerate(added) for name in _free(each))
-    cases = calibration.training
+    cases = tuple(cases or calibration.training)
     best: Joint | None = None
     for _ in range(rounds):
         cases = cases_with(added, calibration, cases)
@@ -147,8 +159,9 @@ def _moved(added: Sequence[Added], names: Sequence[tuple[int, str]], move: Array
             new = value * float(np.exp(each))
         else:
             new = value + float(step) * what.typical
-        changed[index][name] = min(max(new, what.lower), what.upper)
-    return tuple(Added(each.effect, values) for each, values in zip(added, changed, strict=True))
+        low, high = added[index].within.get(name, (what.lower, what.upper))
+        changed[index][name] = min(max(new, low, what.lower), high, what.upper)
+    return tuple(replace(each, values=values) for each, values in zip(added, changed, strict=True))
 
 
 def _slope(scale: Scale, value: float, typical: float) -> float:

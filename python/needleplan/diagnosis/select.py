@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from scipy import stats
 
-from needleplan.diagnosis.calibrate import Calibration, Case
+from needleplan.diagnosis.calibrate import Calibration, Case, fit_case
 from needleplan.diagnosis.library import Candidates, Library
 from needleplan.diagnosis.minimal import Smallest, smallest_seen
 from needleplan.diagnosis.refit import Added, Joint, refit
@@ -18,6 +18,7 @@ from needleplan.diagnosis.screen import Screened, screen
 from needleplan.diagnosis.space import Space
 from needleplan.diagnosis.verdict import Gates
 from needleplan.diagnosis.verify import Verified, verify
+from needleplan.models import Model
 from needleplan.signals import Array
 
 __all__ = ["Ranked", "Selection", "Step", "Stop", "select", "whitened_columns"]
@@ -25,6 +26,7 @@ __all__ = ["Ranked", "Selection", "Step", "Stop", "select", "whitened_columns"]
 _REFITTED = 4
 _NEAR = 40.0
 _NULLS = 200
+_FAR = 0.3
 
 
 class Stop(StrEnum):
@@ -96,6 +98,7 @@ def select(calibration: Calibration, library: Library, gates: Gates, *, seed: in
     first = whitened_columns(calibration, library, calibration.training, candidates)
     raw = [library.columns(calibration.model, case.motion, candidates) for case in calibration.training]
     smallest = smallest_seen(base, raw, first, candidates, calibration.noise.rms)
+    again = _believed(calibration)
     cases, space = calibration.training, base
     joint: Joint | None = None
     verified: Verified | None = None
@@ -104,7 +107,11 @@ def select(calibration: Calibration, library: Library, gates: Gates, *, seed: in
         taken = joint.added if joint else ()
         before = joint.gain if joint else 0.0
         columns = first if joint is None else whitened_columns(calibration, library, cases, candidates)
-        step = _round(calibration, gates, base, space, cases, columns, candidates, taken, before, steps, seed)
+        round_ = _Round(calibration, gates, base, candidates, taken, before, tuple(steps), seed)
+        other = None
+        if joint is None and again:
+            other = (again, whitened_columns(calibration, library, again, candidates, calibration.given))
+        step = _round(round_, space, cases, columns, other)
         steps.append(step)
         if step.stop is not Stop.ACCEPTED:
             break
@@ -113,32 +120,59 @@ def select(calibration: Calibration, library: Library, gates: Gates, *, seed: in
     return Selection(base, tuple(steps), joint, verified, smallest)
 
 
+@dataclass(frozen=True)
+class _Round:
+    """What a round knows of those before it."""
+
+    calibration: Calibration
+    gates: Gates
+    base: Space
+    candidates: tuple[Candidates, ...]
+    taken: tuple[Added, ...]
+    before: float
+    steps: tuple[Step, ...]
+    seed: int
+
+
 def _round(
-    calibration: Calibration, gates: Gates, base: Space, space: Space, cases: Sequence[Case],
-    columns: Sequence[Array], candidates: Sequence[Candidates], taken: tuple[Added, ...], before: float, steps: Sequence[Step], seed: int,
-) -> Step:  # fmt: skip
+    known: _Round,
+    space: Space,
+    cases: Sequence[Case],
+    columns: Sequence[Array],
+    other: tuple[Sequence[Case], Sequence[Array]] | None,
+) -> Step:
+    gates, taken, before, steps = known.gates, known.taken, known.before, known.steps
     names = {each.effect.name for each in taken if not each.effect.repeats}
-    left = [each for each in candidates if each.effect.name not in names]
-    screened = tuple(each for each in screen(space, columns, candidates) if each.effect.name not in names)
+    left = [each for each in known.candidates if each.effect.name not in names]
+    screened = tuple(each for each in screen(space, columns, known.candidates) if each.effect.name not in names)
     rivals = score_rivals(space, cases)
     needed = gates.balance_varied if space.level > gates.varied else gates.balance
-    none = Step(screened, rivals, (), None, gates.lead, None, Stop.WEAK)
     if len(taken) >= gates.most:
         return Step(screened, rivals, (), None, gates.lead, None, Stop.ENOUGH)
-    hopeful = [each for each in screened if each.balance > screened[0].balance - _NEAR][:_REFITTED]
+    starts = [(each, cases) for each in screened if each.balance > screened[0].balance - _NEAR][:_REFITTED]
     if screened[0].balance < needed - 5:
-        return none
-    price = float(np.log(space.samples))
-    ranked = []
-    for each in hopeful:
-        joint = refit([*taken, Added(each.effect, each.values)], calibration, base)
-        gain = max(joint.gain - before, 0.0)
-        ranked.append(Ranked(each.effect.name, joint, gain - len(each.effect.parameters) * price))
-    ranked.sort(key=lambda each: -each.balance)
+        starts = []
+    if other:
+        believed = Space([case.block for case in other[0]])
+        behind = 2 * float(known.base.evidence.max() - believed.evidence.max())
+        found = [each for each in screen(believed, other[1], known.candidates) if each.balance - behind > needed - 30]
+        starts += [(each, other[0]) for each in found[: _REFITTED - 1]]
+    if not starts:
+        return Step(screened, rivals, (), None, gates.lead, None, Stop.WEAK)
+    ranked = _fitted(known, starts, space)
+    judged = [(each, verify(each.joint, known.calibration)) for each in ranked if each.balance >= needed]
+    vetoed = {each.name for each, seen in judged if seen and not _transfers(each, seen, known)}
+    if len(vetoed) < len(judged):  # what another motion refutes is no rival of what it supports
+        ranked = sorted(ranked, key=lambda each: each.name in vetoed)
     best = ranked[0]
-    p_value = _chance(space, columns, left, best.balance, seed + len(taken))
-    others = [each.balance for each in ranked[1:]] + [each.balance for each in screened if each not in hopeful]
-    verified = verify(best.joint, calibration)
+    p_value = _chance(space, columns, left, best.balance, known.seed + len(taken))
+    tried = {each.name for each in ranked}
+    others = [each.balance for each in ranked[1:] if each.name not in vetoed] + [
+        e.balance for e in screened if e.effect.name not in tried
+    ]
+    verified = {each.name: seen for each, seen in judged}.get(best.name)
+    if verified is None:
+        verified = verify(best.joint, known.calibration)
 
     def ended(stop: Stop) -> Step:
         return Step(screened, rivals, tuple(ranked), p_value, gates.lead, verified, stop)
@@ -151,23 +185,73 @@ def _round(
         return ended(Stop.SMALL)
     if others and best.balance - max(others) < gates.lead:
         return ended(Stop.TIE)
-    if verified is not None and not _transfers(verified, gates, steps[-1].verified if taken else None):
+    if best.name in vetoed:
         return ended(Stop.NO_TRANSFER)
     return ended(Stop.ACCEPTED)
 
 
-def _transfers(verified: Verified, gates: Gates, before: Verified | None) -> bool:
-    kept = verified.kept - (before.kept if before else 0.0)
-    if verified.promised < gates.transfer_from or before:
-        return kept > 0
+def _fitted(known: _Round, starts: Sequence[tuple[Screened, Sequence[Case]]], space: Space) -> list[Ranked]:
+    """Return effects fitted from where they were screened, the best first and each once."""
+    price = float(np.log(space.samples))
+    found: dict[str, Ranked] = {}
+    for each, cases in starts:
+        within = next(c.within() for c in known.candidates if c.effect is each.effect)
+        start = [*known.taken, Added(each.effect, each.values, within)]
+        joint = refit(start, known.calibration, known.base, cases if not known.taken else None)
+        gain = max(joint.gain - known.before, 0.0)
+        ranked = Ranked(each.effect.name, joint, gain - len(each.effect.parameters) * price)
+        if ranked.name not in found or ranked.balance > found[ranked.name].balance:
+            found[ranked.name] = ranked
+    return sorted(found.values(), key=lambda each: -each.balance)
+
+
+def _believed(calibration: Calibration) -> tuple[Case, ...]:
+    """Return the trials with those parameters held that calibration moved far from what was believed of them.
+
+    Where an effect acts like such a parameter, the calibrated base imitates it, and its score there says nothing. Seen
+    from the base as it was given it stands out. Nothing, where no parameter was moved far.
+    """
+    given, now = calibration.given, calibration.model
+    far = {
+        name
+        for name in calibration.free
+        if abs(given.parameters()[name].coordinate(getattr(now, name))
+               - given.parameters()[name].coordinate(getattr(given, name))) > _FAR
+    }  # fmt: skip
+    if not far:
+        return ()
+    return tuple(
+        fit_case(
+            case.model.with_values(**{name: getattr(given, name) for name in far}), case.record, calibration.noise,
+            calibration.free, start_lag_s=case.lag_s, about=given, hold=far,
+        )
+        for case in calibration.training
+    )  # fmt: skip
+
+
+def _transfers(each: Ranked, verified: Verified, known: _Round) -> bool:
+    """Whether an effect holds in another motion; a further one must bring there part of what it brought in training."""
+    gates, calibration = known.gates, known.calibration
+    before = known.steps[-1].verified if known.taken else None
+    if before is not None:
+        samples = [sum(len(case.motion) for case in part) for part in (calibration.held_out, calibration.training)]
+        hoped = (each.joint.gain - known.before) * samples[0] / samples[1]
+        return verified.kept - before.kept >= gates.further_transfer * hoped
+    if verified.promised < gates.transfer_from:
+        return verified.kept > 0
     return verified.transfer >= gates.transfer
 
 
 def whitened_columns(
-    calibration: Calibration, library: Library, cases: Sequence[Case], candidates: Sequence[Candidates]
+    calibration: Calibration,
+    library: Library,
+    cases: Sequence[Case],
+    candidates: Sequence[Candidates],
+    about: Model | None = None,
 ) -> list[Array]:
-    """Return every candidate along every trial, whitened."""
-    columns = [case.whiten(library.columns(calibration.model, case.motion, candidates)) for case in cases]
+    """Return every candidate along every trial, whitened; beside the calibrated base, or one like `about`."""
+    model = about or calibration.model
+    columns = [case.whiten(library.columns(model, case.motion, candidates)) for case in cases]
     for each in candidates:
         if each.effect.is_lag:  # the lag that was calibrated and one more are not the same as one that is longer
             for case, whitened in zip(cases, columns, strict=True):

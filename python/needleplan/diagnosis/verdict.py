@@ -49,16 +49,21 @@ class Gates:
     share_of_rival: float = 0.93
     """Of the gain of a nameless competitor that leads: with more, the name stays."""
 
-    explained: float = 0.8
-    """Of the gap that smooth functions see, at least."""
+    explained: float = 0.5
+    """Of the gap that smooth functions see, at least, where these see something left."""
 
-    complete: float = 0.95
+    complete: float = 0.7
+    """With less of it, what was named is not all."""
+
     transfer: float = 0.5
     transfer_from: float = 20.0
     """Gain on held-out trials that must be promised for `transfer` to be asked for; below, it must be positive."""
 
     further: float = 0.03
     """Of the first gain that a second or third effect must bring."""
+
+    further_transfer: float = 0.3
+    """Of what it brought in training that a further effect must bring on held-out trials, sample for sample."""
 
     most: int = 3
     """How many effects are looked for."""

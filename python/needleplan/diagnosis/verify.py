@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needleplan.diagnosis.calibrate import Calibration, Case
-from needleplan.diagnosis.refit import Joint, added_output, cases_with
+from needleplan.diagnosis.calibrate import Calibration, Case, fit_case
+from needleplan.diagnosis.refit import Joint, cases_with
 from needleplan.diagnosis.space import Space
 from needleplan.models import ljung_box
 from needleplan.signals import Array
@@ -52,9 +52,16 @@ def verify(joint: Joint, calibration: Calibration) -> Verified | None:
     after = cases_with(joint.added, calibration, before)
     level = joint.space.best
     first, last = Space([case.block for case in before]), Space([case.block for case in after])
-    columns = [case.whiten(added_output(joint.added, case.model, case.motion))[:, None] for case in after]
-    scores = last.scores(columns)
-    promised = float(scores.curvature[level, 0])
+    # What the base alone would leave of these trials, were they exactly as base and effects say.
+    channel = calibration.model.channel
+    exact = [
+        fit_case(
+            case.model, replace(case.record, columns={**case.record.columns, channel: each.predicted}),
+            calibration.noise, calibration.free, start_lag_s=case.lag_s, about=calibration.given,
+        )
+        for case, each in zip(before, after, strict=True)
+    ]  # fmt: skip
+    promised = max(Space([case.block for case in exact]).energy(level) - _pull(after), 0.0)
     kept = first.energy(level) - last.energy(level)
     floor = float(sum(case.block.samples - case.block.sensitivities.shape[1] for case in before))
     gap = first.energy(level) - floor
@@ -68,6 +75,11 @@ def verify(joint: Joint, calibration: Calibration) -> Verified | None:
         _whiteness(before),
         _whiteness(after),
     )
+
+
+def _pull(cases: Sequence[Case]) -> float:
+    """Return what the parameters, as they are with the effects, are away from what was believed of them."""
+    return float(sum((case.block.residual[int(case.rows.sum()) :] ** 2).sum() for case in cases))
 
 
 def _rms(cases: Sequence[Case]) -> float:

@@ -100,6 +100,10 @@ class Effect(ABC):
     is_lag: bool = False
     """Whether it makes the reading late, as a calibration does too."""
 
+    def suits(self, model: Model) -> bool:  # noqa: ARG002
+        """Whether it can be added to a model. Default: to any of its channel."""
+        return True
+
     @abstractmethod
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
         """Return `model` with the effect of these values; the model itself, where the size is 0."""

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
+from needleplan.errors import Mistake, ModelError
 from needleplan.models.base import Channel, Model
 from needleplan.models.effects import cutting, sensor, shaft
 from needleplan.models.effects.base import SIZE, Effect, Enters, Family, Reach, Term, WithTerm
 from needleplan.models.effects.path import PathTerm
-from needleplan.models.effects.tissue import BreathingTissue, Lagging, TissueMotion
+from needleplan.models.effects.tissue import BreathingTissue, GivingTissue, Lagging, SlowTurning
+from needleplan.models.insertion import ShaftAndTip
 from needleplan.models.parameter import Parameter, parameters_of
 from needleplan.models.simulate import simulate
 from needleplan.signals import Array, Motion
@@ -38,6 +42,15 @@ class _Described(Effect):
     channel: Channel = Channel.FORCE
     repeats: bool = False
     is_lag: bool = False
+    beside: tuple[type[Model], ...] = ()
+    """The models that it can be added to; empty for any."""
+
+    def suits(self, model: Model) -> bool:
+        """Whether it can be added to a model."""
+        inner = model
+        while not isinstance(inner, self.beside) and hasattr(inner, "base"):
+            inner = inner.base
+        return not self.beside or isinstance(inner, self.beside)
 
     def grid(self, reach: Reach) -> list[dict[str, float]]:
         """Return the product of the axes of the grid."""
@@ -79,9 +92,7 @@ class TermEffect(_Described):
 
 
 _REMEMBERED = {
-    "bristle": ("travel_mm",),
     "relaxation": ("time_s", "recovery_mm"),
-    "tissue_motion": ("give_mm", "lag_s"),
 }
 """The parameters on which a memory depends."""
 
@@ -99,7 +110,21 @@ class WrapEffect(_Described):
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
         """Return the model, wrapped; the model itself at size 0."""
-        return self.wrapper(base=model, **values) if values.get(SIZE, 0.0) else model  # type: ignore[call-arg]
+        if not values.get(SIZE, 0.0):
+            return model
+        if self.beside and not isinstance(model, self.beside):
+            return self._inside(model, values)
+        made: Model = self.wrapper(base=model, **values)  # type: ignore[call-arg]
+        return made
+
+    def _inside(self, model: Model, values: Mapping[str, float]) -> Model:
+        """Return a model that has effects already with this one put around its innermost base."""
+        if not self.suits(model):
+            wanted = " or ".join(each.name for each in self.beside)
+            raise ModelError(Mistake("effect", self.name, f"can be added to {wanted} only"), type(model).__name__)
+        inner: Any = model
+        whole: Model = dataclasses.replace(inner, base=self.apply(inner.base, values))
+        return whole
 
 
 def presliding_of(model: Model) -> float:
@@ -171,13 +196,15 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         "F += size L v", "Friction grows in proportion to the speed.", _THESIS + "(3.1) and chapter 5",
         term=shaft.Viscous,
     ),
-    TermEffect(
+    WrapEffect(
         "bristle", "hysteresis before sliding", Family.FRICTION, Enters.SHAFT,
-        "F += size L (z_slow - z), z_slow' = (v - |v| z_slow)/travel",
-        "After a reversal part of the friction turns round only after some travel, at any speed.",
+        "z' = (v - |v| z)/(presliding + size)",
+        "After a reversal the force turns round over a longer travel than the model knows: tissue sticks to "
+        "the needle and bends before it slides.",
         "Dahl, AIAA J. 14 (1976) 1675",
-        lambda reach: {"travel_mm": np.geomspace(0.1, 6.0, 10)},  # noqa: ARG005
-        term=shaft.Bristle,
+        lambda reach: {SIZE: np.geomspace(0.03, 6.0, 10)},  # noqa: ARG005
+        wrapper=SlowTurning,
+        beside=(ShaftAndTip,),
     ),
     TermEffect(
         "relaxation", "force that relaxes at rest", Family.TISSUE, Enters.SHAFT,
@@ -187,13 +214,14 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         lambda reach: {"time_s": np.geomspace(0.1, 12.0, 8), "recovery_mm": (0.05, 0.4)},  # noqa: ARG005
         term=shaft.Relaxation,
     ),
-    TermEffect(
+    WrapEffect(
         "tissue_motion", "tissue that moves with the needle", Family.TISSUE, Enters.TISSUE,
-        "F += size L (clip((u + lag u')/give, -1, 1) - z), u' = v until it slides",
+        "z = clip((u + lag u')/size, -1, 1), u' = v until it slides",
         "The tissue is held by a spring and a damper: it goes with the needle before the needle slides in it.",
         _THESIS + "chapter 4",
-        lambda reach: {"give_mm": np.geomspace(0.15, 5.0, 7), "lag_s": (0.02, 0.07, 0.2, 0.6)},  # noqa: ARG005
-        term=TissueMotion,
+        lambda reach: {SIZE: np.geomspace(0.1, 5.0, 10), "lag_s": (0.02, 0.07, 0.2, 0.6)},  # noqa: ARG005
+        wrapper=GivingTissue,
+        beside=(ShaftAndTip,),
     ),
     TermEffect(
         "path_damage", "path that wears with sliding", Family.TISSUE, Enters.SHAFT,
@@ -226,7 +254,7 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         "thermal_drift", "force sensor that warms up", Family.SENSOR, Enters.SENSOR,
         "y = F + size (1 - exp(-t/time))", "The zero of the sensor moves to another value while it warms up.",
         _THESIS + "2.5.1",
-        lambda reach: {"time_s": np.geomspace(reach.duration_s / 12, reach.duration_s / 2.5, 5)},
+        lambda reach: {"time_s": np.geomspace(reach.duration_s / 12, reach.duration_s / 3, 5)},
         term=sensor.ThermalDrift,
     ),
     TermEffect(

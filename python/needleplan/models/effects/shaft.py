@@ -9,10 +9,9 @@ import numpy as np
 
 from needleplan.models.effects.path import PathTerm, decaying
 from needleplan.models.parameter import parameter
-from needleplan.models.sliding import slid
 from needleplan.signals import Array, Motion
 
-__all__ = ["Bristle", "Bump", "FrictionLayer", "PathDamage", "Relaxation", "Stribeck", "Viscous"]
+__all__ = ["Bump", "FrictionLayer", "PathDamage", "Relaxation", "Stribeck", "Viscous"]
 
 _CELL_MM = 2.0
 _CELLS = 75
@@ -58,36 +57,6 @@ class Viscous(PathTerm):
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return length times velocity."""
         return np.asarray(_inserted(motion) * np.asarray(motion.velocity_mm_s))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bristle(PathTerm):
-    """Part of the friction turns round over a longer travel: tissue sticks to the shaft and bends before it slides."""
-
-    name: ClassVar[str] = "bristle"
-    order: ClassVar[int] = 3
-    size: float = parameter("N/mm", 0, 1, "friction per length that turns round slowly", typical=1e-3)
-    travel_mm: float = parameter("mm", 0.02, 50, "travel over which it does")
-
-    def initial(self, motion: Motion) -> Array:
-        """Return straight bristles, and the first depth as the greatest."""
-        return np.asarray(np.append(super().initial(motion), 0.0))
-
-    def rate(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of both bristles and of the greatest depth."""
-        velocity = np.asarray(motion.velocity_mm_s, float)
-        slow = (velocity - np.abs(velocity) * state[2]) / self.travel_mm
-        return np.asarray(np.concatenate([super().rate(state[:2], motion), slow[None]]))
-
-    def states(self, motion: Motion, start: Array) -> Array:
-        """Return all three."""
-        return np.asarray(
-            np.vstack([super().states(motion, start[:2]), slid(motion, self.travel_mm, float(start[2]))])
-        )
-
-    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return how far the slow bristle is behind."""
-        return np.asarray(_inserted(motion) * (state[2] - state[0]))
 
 
 @dataclass(frozen=True, kw_only=True)

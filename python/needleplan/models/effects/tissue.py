@@ -4,64 +4,110 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import cached_property
 
 import numpy as np
 
 from needleplan.models.base import Channel, Model, SelfIntegratingModel
-from needleplan.models.effects.path import PathTerm
+from needleplan.models.insertion import ShaftAndTip
 from needleplan.models.parameter import parameter
 from needleplan.models.simulate import simulate
 from needleplan.signals import Array, Motion
 
-__all__ = ["BreathingTissue", "Lagging", "TissueMotion"]
+__all__ = ["BreathingTissue", "GivingTissue", "Lagging", "SlowTurning"]
 
 _SHORTEST_S = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
-class TissueMotion(PathTerm):
-    """Part of the friction acts on tissue that a spring and a damper hold (Kelvin and Voigt).
+class SlowTurning(SelfIntegratingModel):
+    """A model whose friction turns round over a travel that is longer by `size`; the state is that of the model."""
 
-    The tissue goes with the needle until spring and damper, k u + c u', reach the friction; then it stays at
-    u = give. In parts of the friction: y = (u + lag u') / give, from -1 to 1.
+    base: ShaftAndTip
+    size: float = parameter("mm", 0, 20, "travel beyond that of the model over which friction turns round", typical=0.1)
+
+    @property
+    def channel(self) -> Channel:  # type: ignore[override]
+        """What the base predicts."""
+        return self.base.channel
+
+    @cached_property
+    def slow(self) -> ShaftAndTip:
+        """The base with the longer travel; the base itself, where the size is 0."""
+        longest = self.base.parameters()["presliding_mm"].upper
+        travel = min(self.base.presliding_mm + self.size, longest)
+        return self.base.with_values(presliding_mm=travel) if self.size else self.base
+
+    def initial_state(self, motion: Motion) -> Array:
+        """Return that of the base."""
+        return self.base.initial_state(motion)
+
+    def derivative(self, state: Array, motion: Motion) -> Array:
+        """Return the rates."""
+        return self.slow.derivative(state, motion)
+
+    def output(self, state: Array, motion: Motion) -> Array:
+        """Return the force."""
+        return self.slow.output(state, motion)
+
+    def integrate(self, motion: Motion, start: Array) -> Array:
+        """Return the states."""
+        return self.slow.integrate(motion, start)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivingTissue(SelfIntegratingModel):
+    """A model in tissue that a spring and a damper hold (Kelvin and Voigt), and that gives way by `size`.
+
+    The tissue goes with the needle until spring and damper, k u + c u', reach the friction; then it stays at u = size.
+    In parts of the friction y = (u + lag u') / size, from -1 to 1: along the shaft y is what the bristle of the base is
+    otherwise. The tip, which cuts, feels nothing of it.
+    State: that of the model, then u (mm).
     """
 
-    name: ClassVar[str] = "tissue_motion"
-    order: ClassVar[int] = 3
-    size: float = parameter("N/mm", 0, 1, "friction per length on tissue that gives way", typical=1e-3)
-    give_mm: float = parameter("mm", 0.02, 50, "how far the tissue goes with the needle before it slides")
+    base: ShaftAndTip
+    size: float = parameter("mm", 0, 50, "how far the tissue goes with the needle before it slides", typical=0.5)
     lag_s: float = parameter("s", 1e-3, 20, "damper over spring")
 
-    def initial(self, motion: Motion) -> Array:
-        """Return tissue where it rests."""
-        return np.append(super().initial(motion), 0.0)
+    @property
+    def channel(self) -> Channel:  # type: ignore[override]
+        """What the base predicts."""
+        return self.base.channel
 
-    def rate(self, state: Array, motion: Motion) -> Array:
+    def initial_state(self, motion: Motion) -> Array:
+        """Return that of the base, and tissue where it rests."""
+        return np.append(self.base.initial_state(motion), 0.0)
+
+    def derivative(self, state: Array, motion: Motion) -> Array:
         """Return the rates; the tissue has the velocity of the needle, or that with which it sinks back."""
-        velocity, moved = np.asarray(motion.velocity_mm_s, float), state[2]
+        velocity, moved = np.asarray(motion.velocity_mm_s, float), state[1]
         pull = moved + self.lag_s * velocity
-        sliding = np.sign(pull) * self.give_mm
-        tissue = np.where(np.abs(pull) <= self.give_mm, velocity, (sliding - moved) / self.lag_s)
-        return np.concatenate([super().rate(state[:2], motion), tissue[None]])
+        sinking = (np.sign(pull) * self.size - moved) / self.lag_s
+        tissue = np.where(np.abs(pull) <= self.size, velocity, sinking)
+        return np.concatenate([self.base.derivative(state[:1], motion), np.asarray(tissue)[None]])
 
-    def states(self, motion: Motion, start: Array) -> Array:
-        """Return all three; the tissue step by step, at the mean velocity of each."""
-        moved, places = float(start[2]), [float(start[2])]
-        for step, h in zip(np.diff(motion.depth_mm).tolist(), motion.interval_s.tolist(), strict=True):
-            pull = moved + self.lag_s * step / h
-            if abs(pull) <= self.give_mm:
+    def output(self, state: Array, motion: Motion) -> Array:
+        """Return the force; that of the base, where the size is 0."""
+        if not self.size:
+            return self.base.output(state[:1], motion)
+        pull = (state[1] + self.lag_s * np.asarray(motion.velocity_mm_s)) / self.size
+        shaft = self.base.shaft_n(np.clip(pull, -1.0, 1.0)[None], motion)
+        return shaft + self.base.tip_n(state[:1], motion)
+
+    def integrate(self, motion: Motion, start: Array) -> Array:
+        """Return the states; the tissue step by step, at the mean velocity of each."""
+        moved, places = float(start[1]), [float(start[1])]
+        h = motion.interval_s
+        steps = (motion.velocity_mm_s[1:] + motion.velocity_mm_s[:-1]) / 2 * h
+        for step, seconds in zip(steps.tolist(), h.tolist(), strict=True):
+            pull = moved + self.lag_s * step / seconds
+            if abs(pull) <= self.size:
                 moved += step
             else:
-                target = math.copysign(self.give_mm, pull)
-                moved = target + (moved - target) * math.exp(-h / self.lag_s)
+                target = math.copysign(self.size, pull)
+                moved = target + (moved - target) * math.exp(-seconds / self.lag_s)
             places.append(moved)
-        return np.vstack([super().states(motion, start[:2]), places])
-
-    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return what the friction is less than on tissue that does not move."""
-        pull = (state[2] + self.lag_s * np.asarray(motion.velocity_mm_s)) / self.give_mm
-        return np.asarray(np.maximum(motion.depth_mm, 0.0) * (np.clip(pull, -1.0, 1.0) - state[0]))
+        return np.vstack([self.base.integrate(motion, start[:1]), places])
 
 
 @dataclass(frozen=True, kw_only=True)
