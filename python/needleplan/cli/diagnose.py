@@ -22,8 +22,8 @@ def add_to(commands: Any) -> None:
         help="find where a model and recordings disagree, name what is missing, add it",
         description="Compare a model with recordings: where they disagree, which effect is missing, how large it is, "
         "and whether that is enough; or that it cannot be told. Trials have the roles train, holdout (another motion) "
-        "and noise (the sensor with nothing happening). Writes DIR/diagnosis.json, and DIR/model.toml where an effect "
-        "was named. Exit code 0: nothing is missing, or it has a name; 1: no name could be given.",
+        "and noise (the sensor with nothing happening). Writes DIR/report.html, DIR/diagnosis.json, and DIR/model.toml "
+        "where an effect was named. Exit code 0: nothing is missing, or it has a name; 1: no name could be given.",
     )
     parser.add_argument("model", metavar="MODEL.toml", help="the model, as needleplan identify writes it")
     parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
@@ -45,8 +45,10 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.diagnosis.document import document_of
     from needleplan.workflow.diagnosis import diagnose_files, write_folder
 
-    found, file = diagnose_files(options.model, options.data, accept_units=options.accept_units, seed=options.seed)
-    written = write_folder(found, file, options.output, merge_anyway=options.merge_anyway)
+    found, file, library = diagnose_files(
+        options.model, options.data, accept_units=options.accept_units, seed=options.seed
+    )
+    written = write_folder(found, file, library, options.output, merge_anyway=options.merge_anyway)
     for each in written:
         note(f"wrote {each}")
     if options.json:

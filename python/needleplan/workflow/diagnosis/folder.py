@@ -6,27 +6,34 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from needleplan.diagnosis import Diagnosis, Verdict, diagnose
+from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
 from needleplan.diagnosis.document import document_of
 from needleplan.errors import Mistake, OutputError
 from needleplan.models import ModelFile, Parent
+from needleplan.models.effects import effects_of
 from needleplan.provenance import write_whole
 from needleplan.recording import read_records
+from needleplan.workflow.diagnosis.report import report_of
 
 __all__ = ["diagnose_files", "write_folder"]
 
 
 def diagnose_files(
     model: str, data: Sequence[str], *, accept_units: bool = False, seed: int = 0
-) -> tuple[Diagnosis, ModelFile]:
-    """Diagnose a model file with data files. Raises ModelError and DataError."""
+) -> tuple[Diagnosis, ModelFile, Library]:
+    """Diagnose a model file with data files; the library keeps what a report needs. Raises ModelError and DataError."""
     file = ModelFile.read(model)
     records = read_records(list(data), accept_units=accept_units)
-    return diagnose(file.model, records, seed=seed), file
+    library = Library(effects_of(file.model.channel), file.model)
+    return diagnose(file.model, records, library=library, seed=seed), file, library
 
 
-def write_folder(found: Diagnosis, file: ModelFile, folder: str, *, merge_anyway: bool = False) -> tuple[str, ...]:
-    """Write `diagnosis.json`, and `model.toml` where an effect was named or `merge_anyway`; return what was written.
+def write_folder(
+    found: Diagnosis, file: ModelFile, library: Library, folder: str, *, merge_anyway: bool = False
+) -> tuple[str, ...]:
+    """Write `diagnosis.json`, `report.html`, and `model.toml` where an effect was named or `merge_anyway`.
+
+    Returns what was written.
 
     Raises OutputError.
     """
@@ -35,8 +42,9 @@ def write_folder(found: Diagnosis, file: ModelFile, folder: str, *, merge_anyway
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(Mistake("", "", f"cannot be made: {error.strerror}"), folder) from error
-    written = [place / "diagnosis.json"]
+    written = [place / "diagnosis.json", place / "report.html"]
     write_whole(written[0], (json.dumps(document_of(found), indent=1) + "\n").encode())
+    write_whole(written[1], report_of(found, file, library).encode())
     if found.verdict is Verdict.NAMED or (merge_anyway and found.effects):
         model = found.merged(anyway=merge_anyway)
         digests = {each.trial: each.digest for each in (*found.checked.training, *found.checked.held_out)}

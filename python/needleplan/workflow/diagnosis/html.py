@@ -1,0 +1,98 @@
+"""Pieces of a page that holds all it shows: no script, no request, one heading of the first order."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Iterable, Sequence
+from html import escape
+
+__all__ = ["heading", "items", "page", "paragraph", "picture", "table"]
+
+_STYLE = """
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; max-width: 52rem; margin: 2rem auto;
+  padding: 0 1rem; }
+h1 { font-size: 1.6rem; line-height: 1.25; }
+h2 { font-size: 1.2rem; margin-top: 2.2rem; border-bottom: 1px solid #bbb; }
+h3 { font-size: 1rem; margin-bottom: .3rem; }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; margin: .7rem 0; font-size: .88rem; }
+caption { text-align: left; color: #444; padding: .2rem 0; }
+th, td { text-align: left; vertical-align: top; padding: .2rem .7rem .2rem 0; border-bottom: 1px solid #ddd; }
+td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+figure { margin: .8rem 0; } img { max-width: 100%; height: auto; } figcaption { color: #444; font-size: .88rem; }
+.answer { border-left: .4rem solid #0072B2; padding: .1rem 0 .1rem 1rem; background: #f3f7fa; }
+code { font-size: .9em; overflow-wrap: anywhere; }
+a { color: #00527f; }
+@media print { body { max-width: none; margin: 0; font-size: 10pt; } figure, tr { break-inside: avoid; }
+  h2, h3 { break-after: avoid; } .scroll { overflow: visible; } }
+"""
+
+
+def page(title: str, body: Iterable[str]) -> str:
+    """Return a whole page; `title` is also its first heading."""
+    return "\n".join([
+        "<!DOCTYPE html>",
+        '<html lang="en">',
+        "<head>",
+        '<meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        # Nothing is fetched, whatever a name from a data file holds.
+        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; "
+        "style-src 'unsafe-inline'\">",
+        f"<title>{escape(title)}</title>",
+        f"<style>{_STYLE}</style>",
+        "</head>",
+        "<body>",
+        "<main>",
+        f"<h1>{escape(title)}</h1>",
+        *body,
+        "</main>",
+        "</body>",
+        "</html>",
+        "",
+    ])  # fmt: skip
+
+
+def heading(text: str, level: int = 2) -> str:
+    """Return a heading of the second or a further order."""
+    return f"<h{level}>{escape(text)}</h{level}>"
+
+
+def paragraph(text: str, kind: str = "") -> str:
+    """Return a paragraph; `kind` is a class of the style."""
+    return f'<p class="{escape(kind)}">{escape(text)}</p>' if kind else f"<p>{escape(text)}</p>"
+
+
+def items(texts: Iterable[str]) -> str:
+    """Return a list."""
+    return "<ul>\n" + "\n".join(f"<li>{escape(each)}</li>" for each in texts) + "\n</ul>"
+
+
+def table(caption: str, columns: Sequence[str], rows: Iterable[Sequence[str | float | int | None]]) -> str:
+    """Return a table; the first cell of a row is its heading, numbers are set to the right, None is a dash."""
+    lines = ['<div class="scroll"><table>', f"<caption>{escape(caption)}</caption>", "<thead><tr>"]
+    lines += [f'<th scope="col">{escape(each)}</th>' for each in columns]
+    lines.append("</tr></thead><tbody>")
+    for first, *others in rows:
+        lines.append(f'<tr><th scope="row">{_cell(first)}</th>' + "".join(_td(each) for each in others) + "</tr>")
+    return "\n".join([*lines, "</tbody></table></div>"])
+
+
+def picture(svg: str, alternative: str, caption: str = "") -> str:
+    """Return a figure; `alternative` says in words what it shows."""
+    data = base64.b64encode(svg.encode()).decode("ascii")
+    below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
+    return f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{escape(alternative)}">{below}</figure>'
+
+
+def _td(each: str | float | int | None) -> str:
+    kind = ' class="number"' if isinstance(each, int | float) else ""
+    return f"<td{kind}>{_cell(each)}</td>"
+
+
+def _cell(each: str | float | int | None) -> str:
+    if each is None or (isinstance(each, float) and math.isnan(each)):
+        return "&ndash;"
+    return f"{each:.4g}" if isinstance(each, float) else escape(str(each))

@@ -1,0 +1,187 @@
+"""`report.html`: a diagnosis for a person, in one file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from needleplan.diagnosis import Diagnosis, Library
+from needleplan.diagnosis.isolability import Isolability, isolability
+from needleplan.models import ModelFile
+from needleplan.provenance import version
+from needleplan.signals.record import UNITS
+from needleplan.workflow.diagnosis import html, pictures
+from needleplan.workflow.diagnosis.traces import Phase, Trace, correlation, gap_map, traces_of
+from needleplan.workflow.diagnosis.words import advice, answer, title_of
+
+__all__ = ["report_of"]
+
+_AXES = {"force_n": ("force",), "y_mm": ("y",), "velocity_mm_s": ("velocity",)}
+
+
+def report_of(found: Diagnosis, file: ModelFile, library: Library) -> str:
+    """Return the page."""
+    channel = found.given.channel
+    unit = UNITS[channel]
+    traces = traces_of(found)
+    matrix = isolability(found.calibration, library, found.selection.base.level)
+    return html.page(title_of(found), [
+        *_answer(found, unit),
+        *_effects(found),
+        *_gap(found, traces, unit),
+        *_where(traces),
+        *_trials(traces, unit),
+        *_candidates(found),
+        *_whiteness(found, traces),
+        *_smallest(found, unit),
+        *_isolability(matrix),
+        *_provenance(found, file),
+    ])  # fmt: skip
+
+
+def _answer(found: Diagnosis, unit: str) -> Iterator[str]:
+    yield '<section class="answer" aria-label="answer">'
+    yield from map(html.paragraph, answer(found, unit))
+    yield "</section>"
+    todo = list(advice(found))
+    if todo:
+        yield html.heading("What to do")
+        yield html.items(todo)
+
+
+def _effects(found: Diagnosis) -> Iterator[str]:
+    if not found.effects:
+        return
+    yield html.heading("How much")
+    rows = [
+        (f"{each.effect.title}: {name}", value.value, value.low, value.high, value.unit or "1")
+        for each in found.effects
+        for name, value in each.added.estimates.items()
+    ]
+    yield html.table(
+        "Parameters of what was named, with 95 % intervals", ("parameter", "value", "from", "to", "unit"), rows
+    )
+    for each in found.effects:
+        yield html.paragraph(f"{each.effect.title}: {each.effect.equation} (source: {each.effect.source}). "
+                             f"{each.share:.0%} of what was gained.")  # fmt: skip
+    rows = [(name, each.value, each.low, each.high, each.unit or "1") for name, each in found.estimates().items()]
+    yield html.table(
+        "The model itself, mean of the training trials", ("parameter", "value", "from", "to", "unit"), rows
+    )
+
+
+def _gap(found: Diagnosis, traces: Sequence[Trace], unit: str) -> Iterator[str]:
+    yield html.heading("What the model leaves")
+    text = f"Bars of what the model leaves, RMS in {unit}, for training and held-out trials, beside the noise"
+    yield html.picture(pictures.gap_figure(found, traces, unit), text,
+                       "Before: the model, calibrated to each trial. After: with what was named.")  # fmt: skip
+    rows = [(each.trial, "held out" if each.held_out else "training", _rms(each.measured - each.before),
+             _rms(each.measured - each.after) if each.after is not None else None) for each in traces]  # fmt: skip
+    yield html.table(f"RMS of what is left, {unit}; the noise is {found.calibration.noise.rms:.3g} {unit}",
+                     ("trial", "role", "before", "after"), rows)  # fmt: skip
+
+
+def _where(traces: Sequence[Trace]) -> Iterator[str]:
+    yield html.heading("Where")
+    edges, energy = gap_map(traces, after=False)
+    row, column = np.unravel_index(np.nanargmax(energy), energy.shape)
+    most = (f"before, most at {edges[column]:.3g} to {edges[column + 1]:.3g} mm, {list(Phase)[row]}: "
+            f"{energy[row, column]:.3g} times the noise")  # fmt: skip
+    text = f"Map of the mean square of the whitened residual by depth and phase of the motion; {most}"
+    caption = f"Mean square of the whitened residual, all trials; 1 is noise alone. {most[0].upper()}{most[1:]}."
+    yield html.picture(pictures.map_figure(traces), text, caption)
+
+
+def _trials(traces: Sequence[Trace], unit: str) -> Iterator[str]:
+    yield html.heading("Measured and modelled")
+    for each in traces:
+        role = "held out" if each.held_out else "training"
+        yield html.heading(f"{each.trial} ({role})", 3)
+        names = ("x", "y", "z") if len(each.measured) == 3 else ("measured",)
+        after = "" if each.after is None else f", after {_rms(each.measured - each.after):.3g}"
+        text = (f"Trial {each.trial}: measured against model over time, with the depth; left before "
+                f"{_rms(each.measured - each.before):.3g}{after} {unit} RMS")  # fmt: skip
+        yield html.picture(pictures.trial_figure(each, unit, names), text)
+
+
+def _candidates(found: Diagnosis) -> Iterator[str]:
+    yield html.heading("How it was decided")
+    step = found.selection.steps[0]
+    best, rival = step.screened[0], step.rivals[0]
+    text = (
+        f"Bars of the balance of every effect in the first round, best {best.effect.name} {best.balance:.3g}, and "
+        f"of functions without a name, best {rival.name} {rival.balance:.3g}; threshold {found.gates.balance:g}"
+    )
+    caption = (
+        "First round. An effect must pass the threshold, lead every other, and not be beaten by a smooth function "
+        "without a name (hatched, in brackets)."
+    )
+    yield html.picture(pictures.candidates_figure(found), text, caption)
+    rows = []
+    for number, each in enumerate(found.selection.steps, start=1):
+        first = each.ranked[0] if each.ranked else None
+        second = each.ranked[1] if len(each.ranked) > 1 else None
+        rows.append((
+            str(number), first.name if first else "none", first.balance if first else None,
+            f"{second.name} {second.balance:.3g}" if second else "none", each.p_value,
+            f"{each.rivals[0].name} {each.rivals[0].balance:.3g}", str(each.stop),
+        ))  # fmt: skip
+    columns = ("round", "best effect", "balance", "next best", "p by chance", "best without a name", "how it ended")
+    yield html.table("Round by round", columns, rows)
+
+
+def _whiteness(found: Diagnosis, traces: Sequence[Trace]) -> Iterator[str]:
+    yield html.heading("Is the rest noise?")
+    values, bound = correlation(traces, 40, after=True)
+    outside = int((np.abs(values) > bound).sum())
+    text = f"Autocorrelation of the whitened residual at 40 lags; {outside} are outside of the 99 % band"
+    yield html.picture(pictures.correlation_figure(traces), text,
+                       "All trials. Grey: where 99 of 100 lags of white noise lie.")  # fmt: skip
+    if found.verified:
+        each = found.verified
+        yield html.paragraph(f"Test of Ljung and Box on the held-out trials: p = {each.whiteness_before:.2g} before, "
+                             f"{each.whiteness_after:.2g} after.")  # fmt: skip
+
+
+def _smallest(found: Diagnosis, unit: str) -> Iterator[str]:
+    yield html.heading("What would have been seen")
+    rows = [(each.effect, each.size if each.visible else None, each.unit or "1", each.rms if each.visible else None,
+             each.noise_multiple if each.visible else None,
+             "" if each.visible else "the model takes it up") for each in found.smallest]  # fmt: skip
+    columns = ("effect", "size", "unit", f"RMS ({unit})", "in noise RMS", "remark")
+    yield html.table("The smallest effect that would have been named in these data", columns, rows)
+
+
+def _isolability(matrix: Isolability) -> Iterator[str]:
+    yield html.heading("What these motions can tell apart")
+    alike = matrix.alike()
+    text = "Matrix of how much of each effect each other one imitates; " + (
+        "most alike: " + ", ".join(f"{a} by {b} {share:.2f}" for a, b, share in alike[:5]) if alike
+        else "no pair is above 0.8"
+    )  # fmt: skip
+    caption = "Share of what an effect (row) shows that another (column) can show too; empty: below 0.1."
+    yield html.picture(pictures.isolability_figure(matrix), text, caption)
+    if alike:
+        yield html.table("Pairs that are hard to tell apart in these motions",
+                         ("effect", "imitated by", "share"), alike)  # fmt: skip
+
+
+def _provenance(found: Diagnosis, file: ModelFile) -> Iterator[str]:
+    yield html.heading("Where this comes from")
+    roles = {"training": found.checked.training, "held out": found.checked.held_out, "noise": found.checked.noise}
+    rows = [(each.trial, role, len(each), each.digest or "not from a file") for role, records in roles.items()
+            for each in records]  # fmt: skip
+    yield html.table("Data", ("trial", "role", "samples", "digest"), rows)
+    gates = [(name, float(value)) for name, value in vars(found.gates).items()]
+    facts: list[tuple[str, str | float]] = [
+        ("kind of the model", found.given.name), ("digest of the model file", file.digest),
+        ("digest of this diagnosis", found.digest),
+        ("made by", f"needleplan {version()}"), ("order of the noise", float(found.calibration.noise.order)),
+    ]  # fmt: skip
+    yield html.table("Model and program", ("fact", "value"), facts)
+    yield html.table("Thresholds", ("gate", "value"), gates)
+
+
+def _rms(values: np.typing.NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))

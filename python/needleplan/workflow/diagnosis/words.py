@@ -1,0 +1,88 @@
+"""A verdict in the words of a laboratory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from needleplan.diagnosis import Axis, Diagnosis, Verdict
+
+__all__ = ["advice", "answer", "title_of"]
+
+_ALONG = {
+    Axis.TIME: "time: something changes from some moment on, or slowly",
+    Axis.DEPTH: "depth: something depends on where the tip is",
+    Axis.SPEED: "speed: something depends on how fast the needle moves",
+    Axis.FORCE: "force: the reading is not in proportion to the force, or the needle gives way",
+    Axis.HOLD: "rest: something happens while the needle stands still",
+    Axis.PERIOD: "position, again and again: a screw, a gear, a guide",
+}
+
+_TITLES = {
+    Verdict.NONE: "nothing is missing that these data could show",
+    Verdict.UNDERPOWERED: "nothing was seen, but these data could not have shown everything that matters",
+    Verdict.INCOMPLETE: "{names}, and something else",
+    Verdict.AMBIGUOUS: "something is missing, and these data cannot tell what",
+    Verdict.UNKNOWN: "something is missing, and it is none of the known effects",
+    Verdict.IMPLAUSIBLE: "{names} fits best, but would have to be larger than it can be",
+}
+
+
+def title_of(found: Diagnosis) -> str:
+    """Return the verdict as a title."""
+    names = " and ".join(each.effect.title for each in found.effects)
+    text = _TITLES.get(found.verdict, "what is missing: {names}").format(names=names or "an effect")
+    return f"Diagnosis: {text}"
+
+
+def answer(found: Diagnosis, unit: str) -> Iterator[str]:
+    """Return what was found, sentence by sentence."""
+    decision, noise = found.decision, found.calibration.noise.rms
+    yield f"Verdict: {decision.verdict}. {_begun(decision.because)}."
+    for each in found.effects:
+        size = each.added.estimates["size"]
+        yield (
+            f"{_begun(each.effect.title)}: {each.effect.meaning.rstrip('.')}. Size {size.value:.3g} {size.unit} "
+            f"(95 %: {size.low:.3g} to {size.high:.3g}); it adds {each.rms:.3g} {unit} RMS to the training data, "
+            f"{each.rms / noise:.2g} times the noise."
+        )
+    after = found.verified
+    if found.effects and after:
+        yield (
+            f"In the held-out trials, to which only the base was fitted, the model left {after.before_n:.3g} {unit} "
+            f"RMS before, and {after.after_n:.3g} {unit} with what was named; the noise is {after.floor_n:.3g} {unit}."
+        )
+    if decision.axis:
+        along = _ALONG.get(decision.axis, str(decision.axis))
+        yield f"What has no name lies along {along}."
+    level = (found.joint.space if found.joint else found.selection.base).level
+    yield (
+        f"Every parameter of the model was fitted to every trial first, so that nothing is called missing that another "
+        f"value would mend; the tissue was taken to vary by {level:.0%} from place to place."
+    )
+
+
+def _begun(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def advice(found: Diagnosis) -> Iterator[str]:
+    """Return what to do next."""
+    for why in found.checked.lacks.values():
+        yield f"Record what is lacking: {why}."
+    match found.verdict:
+        case Verdict.NAMED:
+            yield "Use model.toml beside this page from now on: it is the model with what was named."
+        case Verdict.INCOMPLETE:
+            yield "Diagnose again with more and other motions: what is left is too small or too unlike to be named."
+        case Verdict.AMBIGUOUS if len(found.decision.tied) > 1:
+            yield f"Record a motion that tells these apart: {', '.join(found.decision.tied)}."
+        case Verdict.UNKNOWN:
+            yield "Look at the map and at the trials below; a cause that is known can be added as an effect of its own."
+        case Verdict.UNDERPOWERED:
+            yield "The table of smallest effects says what could hide; longer or richer motions make it shorter."
+        case Verdict.IMPLAUSIBLE:
+            yield "Check units, the sensor and the kind of model before believing any name."
+        case _:
+            pass
+    for remark in found.remarks:
+        yield f"Remark: {remark}."
