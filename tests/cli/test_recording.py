@@ -66,3 +66,13 @@ def test_export(run: Path, tmp_path: Path) -> None:
     assert "interpolated from" in done.stderr
     assert len(read_records(tmp_path / "run.csv")[0]) == 396
     refused(needleplan("recording", "export", run, "--to", "csv", "-o", tmp_path / "no" / "x.csv"), "cannot be written")
+
+
+@pytest.mark.parametrize("to", ["csv", "hdf5"])
+def test_an_export_never_replaces_a_recording(to: str, run: Path, tmp_path: Path) -> None:
+    before = run.read_bytes()
+    other = write_run(tmp_path / "other.mcap")
+    (tmp_path / "link").symlink_to(run)
+    for target in (run, other, tmp_path / "link"):
+        refused(needleplan("recording", "export", run, "--to", to, "-o", target), "is a recording", "never overwritten")
+    assert run.read_bytes() == before

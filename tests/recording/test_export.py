@@ -103,7 +103,7 @@ def test_samples_that_are_not_good_are_missing_and_counted(tmp_path: Path) -> No
     trial = trial_of(Recording.read(tmp_path / "run.mcap"))
     assert np.flatnonzero(np.isnan(trial["x_mm"])).tolist() == [5]
     assert len(trial) == 19
-    assert "/tracker: 1 samples are not good, and missing" in trial.notes
+    assert "/tracker: samples that are not good, and are missing numbers here: 1" in trial.notes
     assert "/tracker: 1 samples with the time of another were left out" in trial.notes
 
 

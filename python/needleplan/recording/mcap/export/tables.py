@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import io
 import json
@@ -10,6 +11,8 @@ import shutil
 import tempfile
 from pathlib import Path
 from typing import Any
+
+from mcap.writer import MCAP0_MAGIC
 
 from needleplan.errors import Mistake, OutputError
 from needleplan.provenance import digest, require_writable, write_whole
@@ -24,6 +27,7 @@ __all__ = ["new_folder", "optional", "write_csv", "write_hdf5", "write_parquet"]
 
 def write_csv(recording: Recording, path: PathLike) -> tuple[str, ...]:
     """Write the trial of a recording as CSV, and return remarks. Raises DataError and OutputError."""
+    _require_no_recording(path)
     trial = trial_of(recording)
     write_whole(path, to_csv([trial]).encode())
     return trial.notes
@@ -37,6 +41,7 @@ def write_hdf5(recording: Recording, path: PathLike) -> tuple[str, ...]:
     """
     import h5py
 
+    _require_no_recording(path)
     trial = trial_of(recording)
     image = io.BytesIO(to_hdf5([trial]))
     with h5py.File(image, "r+") as file:
@@ -103,6 +108,16 @@ class new_folder:  # noqa: N801  used like a function
         shutil.rmtree(self._made, ignore_errors=True)
         if isinstance(error, OSError):
             raise OutputError(f"cannot be written: {error.strerror or error}", str(self._target)) from error
+
+
+def _require_no_recording(path: PathLike) -> None:
+    """Raise OutputError where a recording would be overwritten: what it holds cannot be had again."""
+    require_writable(path)
+    with contextlib.suppress(OSError):
+        if Path(path).is_file():
+            with Path(path).open("rb") as stream:
+                if stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+                    raise OutputError("is a recording, which is never overwritten", os.fspath(path))
 
 
 def _columns(recording: Recording, topic: str) -> dict[str, Any]:
