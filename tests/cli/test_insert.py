@@ -83,7 +83,14 @@ def test_without_a_way_to_the_target_it_does_not_begin(file: Path, quick: Path) 
         (["--robot", "sim://?sead=3"], ['did you mean "seed"']),
         (["--start=-5,20,0"], ["must lie in the workspace"]),
         (["--speed", "12"], ["--speed = 12", "at most the limit"]),
-        (["--speed", "nan"], ["velocity_mm_s = nan"]),
+        (["--speed", "nan"], ["--speed = nan", "mm/s above 0"]),
+        (["--rotation-speed", "100"], ["--rotation-speed = 100", "at most the limit of the run, 12 rad/s"]),
+        (["--entry-depth", "1000"], ["--entry-depth = 1000", "from -100 to 150 mm"]),
+        (["--needle-length", "0"], ["--needle-length = 0", "above 0"]),
+        (["--start", "0,20,0,2"], ["--start = 0,20,0,2", "X,Y,DEG"]),
+        (["--figure", "run.bmp"], ["run.bmp", "must end in .png"]),
+        (["-o", "run.csv"], ["--output = run.csv", "must end in .mcap"]),
+        (["--limits", "run.mcap", "-o", "run.mcap"], ["would replace run.mcap"]),
         (["--torsion", "1e4"], ["--torsion", "2 numbers"]),
         (["--force-axis", "0,0,0"], ["--force-axis", "direction"]),
         (["--scenario", "four_obstacles"], ["workspace", "must be that of the scenario", "grid"]),
@@ -102,6 +109,7 @@ def test_what_is_refused(
     assert main(["insert", str(file), *arguments]) == 2
     said = capsys.readouterr()
     assert said.out == ""
+    assert "step" not in said.err
     for word in words:
         assert word in said.err
 

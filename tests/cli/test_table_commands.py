@@ -105,3 +105,10 @@ def test_numbers_that_cannot_be(table_file: Path) -> None:
     refused(needleplan("evaluate", table_file, "--seed", "-1"), "seed = -1: must be a whole number")
     refused(needleplan("evaluate", table_file, "--runs", "many"), "invalid int value")
     refused(needleplan("entry", table_file, "--at", "99"), "y_mm = 99.0: must lie in the workspace")
+
+
+def test_a_figure_that_cannot_be_drawn_is_refused_before_the_work(table_file: Path, tmp_path: Path) -> None:
+    refused(needleplan("path", table_file, "--figure", tmp_path / "path.bmp"), "must end in .png, .pdf, .svg")
+    done = needleplan("plan", "four_obstacles", "-o", tmp_path / "t.h5", "--figure", tmp_path / "plan.bmp")
+    refused(done, "must end in .png, .pdf, .svg")
+    assert list(tmp_path.iterdir()) == []

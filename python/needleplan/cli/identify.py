@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from needleplan.cli.answer import complain, note, print_json
 from needleplan.cli.identify_options import add_knowledge, knowledge
 from needleplan.cli.needle import part_lines, part_record
-from needleplan.cli.options import add_figure, add_json
+from needleplan.cli.options import add_figure, add_json, require_outputs
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -62,14 +62,11 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from needleplan.provenance import require_different, require_writable
     from needleplan.recording import read_records
 
     known = knowledge(options)
-    outputs = [output for output in (options.output, options.figure, options.scenario_out) if output]
-    require_different([*options.data, *([options.scenario] if options.scenario else [])], outputs)
-    for output in outputs:
-        require_writable(output)
+    read = [*options.data, *([options.scenario] if options.scenario else [])]
+    require_outputs(read, options.figure, options.output, options.scenario_out)
     scenario = _scenario(options)
     records = read_records(options.data, accept_units=options.accept_units)
     note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")

@@ -7,20 +7,22 @@ import math
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_lines
-from needleplan.cli.options import add_figure, add_json, add_start, add_table, start_pose
-from needleplan.errors import AddressError, DeviceFault, InputError, Mistake
+from needleplan.cli.options import add_figure, add_json, add_start, add_table, require_outputs, start_pose
+from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
     from needleplan.control import Insertion, Report, RunSetup
+    from needleplan.control.safety import SafetyLimits
     from needleplan.planning import PolicyTable
     from needleplan.workflow.insertion import Bench
 
 __all__ = ["add_to", "run"]
 
-_SIM = "sim://"
+_SIM, _RECORDING = "sim://", ".mcap"
 _REFUSED, _INTERRUPTED = 2, 130
 
 
@@ -66,15 +68,15 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from needleplan.planning import PolicyTable
-    from needleplan.provenance import require_different, require_writable
     from needleplan.workflow.insertion import are_simulated, open_bench
 
+    read = (options.table, options.registration, options.scenario, options.needle, options.limits)
+    require_outputs([each for each in read if each], options.figure, options.output)
+    if options.output and not options.output.lower().endswith(_RECORDING):
+        rule = f"must end in {_RECORDING}; `needleplan recording export` writes other formats"
+        raise OutputError(Mistake("--output", options.output, rule))
     table = PolicyTable.read(options.table)
     _require_table(table, options)
-    outputs = [output for output in (options.output, options.figure) if output]
-    require_different([options.table], outputs)
-    for output in outputs:
-        require_writable(output)
     wanted = start_pose(options.start) if options.start is not None else None
     start = table.start(wanted) if wanted else table.best_entry().pose
     addresses = [getattr(options, name) for name in ("robot", "force", "tracker")]
@@ -164,23 +166,41 @@ def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any
     length = math.hypot(x, y, z)
     if not length:
         raise InputError(Mistake("--force-axis", options.force_axis, "must be a direction"))
-    if options.speed > limits.insertion_velocity_mm_s:
-        rule = f"must be at most the limit of the run, {limits.insertion_velocity_mm_s:g} mm/s"
-        raise InputError(Mistake("--speed", f"{options.speed:g}", rule))
+    _require_numbers(options, limits)
+    how = Options(
+        velocity_mm_s=options.speed, velocity_rad_s=options.rotation_speed, entry_depth_mm=options.entry_depth,
+        longest_mm=limits.deepest_mm - options.entry_depth, torsion=torsion,
+        stops=options.stops, replan=not options.no_replan, force_axis=(x / length, y / length, z / length),
+        expected_start=(wanted[0], wanted[1], wanted[2]) if wanted else None,
+    )  # fmt: skip
 
     def made(bench: Bench) -> RunSetup:
-        its_length = bench.needle_length_mm or 200.0
-        how = Options(
-            velocity_mm_s=options.speed, velocity_rad_s=options.rotation_speed, entry_depth_mm=options.entry_depth,
-            longest_mm=limits.deepest_mm - options.entry_depth, torsion=torsion or bench.torsion,
-            needle_length_mm=its_length if options.needle_length is None else options.needle_length,
-            stops=options.stops, replan=not options.no_replan,
-            force_axis=(x / length, y / length, z / length),
-            expected_start=(wanted[0], wanted[1], wanted[2]) if wanted else None,
-        )  # fmt: skip
-        return RunSetup(how, limits, registration or bench.registration or Registration())
+        its_length = options.needle_length or bench.needle_length_mm or how.needle_length_mm
+        its_own = replace(how, torsion=torsion or bench.torsion, needle_length_mm=its_length)
+        return RunSetup(its_own, limits, registration or bench.registration or Registration())
 
     return made
+
+
+def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
+    """Raise InputError for what the guard, or the loop, would refuse when the needle is already there."""
+    mistakes = []
+    for name, most, unit in (
+        ("speed", limits.insertion_velocity_mm_s, "mm/s"),
+        ("rotation_speed", limits.rotation_velocity_rad_s, "rad/s"),
+    ):
+        value, option = getattr(options, name), f"--{name.replace('_', '-')}"
+        if not 0 < value < math.inf:
+            mistakes.append(Mistake(option, f"{value:g}", f"must be a number of {unit} above 0"))
+        elif value > most:
+            mistakes.append(Mistake(option, f"{value:g}", f"must be at most the limit of the run, {most:g} {unit}"))
+    if not limits.shallowest_mm <= options.entry_depth < limits.deepest_mm:
+        rule = f"must be in the limits of the run, from {limits.shallowest_mm:g} to {limits.deepest_mm:g} mm"
+        mistakes.append(Mistake("--entry-depth", f"{options.entry_depth:g}", rule))
+    if options.needle_length is not None and not 0 < options.needle_length < math.inf:
+        mistakes.append(Mistake("--needle-length", f"{options.needle_length:g}", "must be a number of mm above 0"))
+    if mistakes:
+        raise InputError(mistakes)
 
 
 def _numbers(name: str, text: str, count: int) -> list[float]:
@@ -219,7 +239,8 @@ def _answer(
             "deviation": f"at most {report.deviation_mm:.2f} mm from the planned path, {report.out_of_plane_mm:.2f} mm "
             "out of the plane",
             "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
-            "plan": f"success {percent(report.predicted_success)} promised; planned again {report.replans} times",
+            "plan": f"success {percent(report.predicted_success)} promised; planned again {report.replans} times"
+            if report.steps else "nothing was decided",
             "force": f"at most {report.largest_force_n:.2f} N",
             "time": f"{report.duration_s:.1f} s",
         }  # fmt: skip

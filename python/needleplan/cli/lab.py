@@ -10,7 +10,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_lines
-from needleplan.cli.options import add_json, add_start, start_pose
+from needleplan.cli.options import add_json, add_start, require_outputs, start_pose
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -62,16 +62,16 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.devices.processes import LabPlaces, TrackerLine
     from needleplan.devices.robot import RobotLimits
     from needleplan.estimation.registration import Registration
-    from needleplan.provenance import require_writable
     from needleplan.simulation import Experiment
     from needleplan.simulation.processes import RealTimeLab
 
     _require(options)
+    read = [each for each in (options.experiment, options.table) if each]
+    require_outputs(read, None, options.registration)
     experiment = Experiment.read(options.experiment)
     seed = experiment.seed if options.seed is None else options.seed
     setup = _planned(experiment, options) if options.table else experiment.setup
     if options.registration:
-        require_writable(options.registration)
         Registration(coil_offset_mm=setup.effects.coil_offset_mm, title="lab twin").write(options.registration)
     places = LabPlaces(
         options.host, options.robot_port, options.force_port, options.http_port, TrackerLine(options.tracker),

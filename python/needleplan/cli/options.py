@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from needleplan.errors import Mistake, PoseError
@@ -21,6 +22,7 @@ __all__ = [
     "add_table",
     "entry_record",
     "pose_record",
+    "require_outputs",
     "start_pose",
 ]
 
@@ -72,9 +74,24 @@ def start_pose(text: str) -> tuple[float, ...]:
         numbers = [float(word) for word in text.split(",")]
     except ValueError:
         numbers = []
-    if len(numbers) not in (3, 4) or not all(map(math.isfinite, numbers)):
+    bevel = numbers[3] if len(numbers) == 4 else 1
+    if len(numbers) not in (3, 4) or not all(map(math.isfinite, numbers)) or abs(bevel) != 1:
         raise PoseError(Mistake("--start", text, "must be X,Y,DEG or X,Y,DEG,BEVEL: numbers with commas between them"))
     return (numbers[0], numbers[1], math.radians(numbers[2]), *numbers[3:])
+
+
+def require_outputs(inputs: Iterable[str], figure: str | None, *others: str | None) -> None:
+    """Raise OutputError, before the work, for what could not be written after it."""
+    from needleplan.provenance import require_different, require_writable
+
+    outputs = [output for output in (*others, figure) if output]
+    require_different(inputs, outputs)
+    for output in outputs:
+        require_writable(output)
+    if figure:
+        from needleplan.workflow.figures import require_drawable
+
+        require_drawable(figure)
 
 
 def pose_record(pose: Pose) -> dict[str, Any]:

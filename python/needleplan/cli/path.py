@@ -6,7 +6,16 @@ import argparse
 from typing import Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_lines
-from needleplan.cli.options import add_figure, add_greedy, add_json, add_start, add_table, pose_record, start_pose
+from needleplan.cli.options import (
+    add_figure,
+    add_greedy,
+    add_json,
+    add_start,
+    add_table,
+    pose_record,
+    require_outputs,
+    start_pose,
+)
 
 __all__ = ["add_to", "run"]
 
@@ -31,6 +40,7 @@ def run(options: argparse.Namespace) -> int:
     start = start_pose(options.start) if options.start is not None else None
     from needleplan.planning import Outcome, PolicyTable, Pose
 
+    require_outputs([options.table], options.figure)
     table = PolicyTable.read(options.table)
     path = table.path(start or table.best_entry().pose, greedy=options.greedy)
     decision = table.lookup(*path.start)

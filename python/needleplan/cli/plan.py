@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import ProgressLine, complain, note, percent, print_json, print_lines
 from needleplan.cli.needle import add_identified, with_identified
-from needleplan.cli.options import add_edge, add_figure, add_json, entry_record
+from needleplan.cli.options import add_edge, add_figure, add_json, entry_record, require_outputs
 from needleplan.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -41,14 +41,10 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from needleplan.provenance import require_different, require_writable
     from needleplan.scenario import Scenario
 
     scenario, identified = with_identified(Scenario.read(options.scenario), options)
-    outputs = [output for output in (options.output, options.figure) if output]
-    require_different([options.scenario, *(each.file for each in identified)], outputs)
-    for output in outputs:
-        require_writable(output)
+    require_outputs([options.scenario, *(each.file for each in identified)], options.figure, options.output)
     from needleplan.planning import Status, plan
 
     note(f"{scenario.title or options.scenario}: {scenario.states:,} states, method {scenario.solver.method}")

@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_lines
-from needleplan.cli.options import add_json
+from needleplan.cli.options import add_json, require_outputs
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -38,14 +38,10 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from needleplan.provenance import require_different, require_writable
     from needleplan.workflow.register import register_needle
 
     target = _target(options.target)
-    outputs = [options.output] if options.output else []
-    require_different([options.pivot, options.points], outputs)
-    for output in outputs:
-        require_writable(output)
+    require_outputs([options.pivot, options.points], None, options.output)
     done = register_needle(options.pivot, options.points, options.title)
     if done.registration and options.output:
         done.registration.write(options.output)

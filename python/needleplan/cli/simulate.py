@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, print_json, print_lines
-from needleplan.cli.options import add_json
+from needleplan.cli.options import add_json, require_outputs
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -37,14 +37,12 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from needleplan.provenance import require_writable
     from needleplan.recording import write_records
     from needleplan.simulation import Experiment, record_run, run_experiment
 
     _require(options)
+    require_outputs([options.experiment], None, options.output)
     experiment = Experiment.read(options.experiment)
-    if options.output:
-        require_writable(options.output)
     first = experiment.seed if options.seed is None else options.seed
     runs = [run_experiment(experiment, seed) for seed in range(first, first + options.runs)]
     if options.output and Path(options.output).suffix.lower() == _RECORDING:

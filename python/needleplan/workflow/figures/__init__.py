@@ -1,6 +1,6 @@
 """Figures of plans and executions; importing this package does not import matplotlib."""
 
-from needleplan.workflow.figures.canvas import save, sheet
+from needleplan.workflow.figures.canvas import require_drawable, save, sheet
 from needleplan.workflow.figures.caption import caption
 from needleplan.workflow.figures.dependents import dependent_points, draw_dependents
 from needleplan.workflow.figures.partitions import draw_partition_order
@@ -22,6 +22,7 @@ __all__ = [
     "order_figure",
     "path_figure",
     "plan_figure",
+    "require_drawable",
     "save",
     "sheet",
 ]

@@ -25,6 +25,7 @@ __all__ = [
     "SKY",
     "VERMILLION",
     "axes_in_mm",
+    "require_drawable",
     "save",
     "sheet",
     "tall",
@@ -82,14 +83,19 @@ def title(axes: Axes, text: str) -> None:
     axes.set_title(text, loc="left", fontsize=10)
 
 
+def require_drawable(path: str | os.PathLike[str]) -> None:
+    """Raise OutputError unless the end of a name is that of a format in which figures are written."""
+    if Path(path).suffix.lower().removeprefix(".") not in _FORMATS:
+        rule = f"the name of a figure must end in {', '.join(f'.{each}' for each in _FORMATS)}"
+        raise OutputError(Mistake("", "", rule), os.fspath(path))
+
+
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write the figure as PNG (200 dots per inch), PDF or SVG, by the end of the name. Raises OutputError."""
     import matplotlib as mpl
 
+    require_drawable(path)
     kind = Path(path).suffix.lower().removeprefix(".")
-    if kind not in _FORMATS:
-        rule = f"the name of a figure must end in {', '.join(f'.{each}' for each in _FORMATS)}"
-        raise OutputError(Mistake("", "", rule), os.fspath(path))
     image = io.BytesIO()
     with mpl.rc_context(_STYLE):
         figure.savefig(image, format=kind, dpi=200)
