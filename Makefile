@@ -35,7 +35,7 @@ python:
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 # Instruction counts of the solver's hot paths, by valgrind. CI sets CI=true and must have it.
 guard:
