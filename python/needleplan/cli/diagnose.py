@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, print_json
@@ -42,7 +44,6 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from needleplan.diagnosis import Verdict
-    from needleplan.diagnosis.document import document_of
     from needleplan.workflow.diagnosis import diagnose_files, write_folder
 
     found, file, library = diagnose_files(
@@ -52,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     for each in written:
         note(f"wrote {each}")
     if options.json:
-        print_json(document_of(found) | {"written": list(written)})
+        print_json(json.loads(Path(written[0]).read_text(encoding="utf-8")) | {"written": list(written)})
     else:
         print("\n".join(_lines(found)))
     return 0 if found.verdict in (Verdict.NONE, Verdict.NAMED) else 1

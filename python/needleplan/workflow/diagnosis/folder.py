@@ -8,11 +8,13 @@ from pathlib import Path
 
 from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
 from needleplan.diagnosis.document import document_of
+from needleplan.diagnosis.next_motion import next_motion
 from needleplan.errors import Mistake, OutputError
 from needleplan.models import ModelFile, Parent
 from needleplan.models.effects import effects_of
 from needleplan.provenance import write_whole
 from needleplan.recording import read_records
+from needleplan.workflow.diagnosis.motion_file import motion_text, next_motion_document
 from needleplan.workflow.diagnosis.report import report_of
 
 __all__ = ["diagnose_files", "write_folder"]
@@ -31,11 +33,10 @@ def diagnose_files(
 def write_folder(
     found: Diagnosis, file: ModelFile, library: Library, folder: str, *, merge_anyway: bool = False
 ) -> tuple[str, ...]:
-    """Write `diagnosis.json`, `report.html`, and `model.toml` where an effect was named or `merge_anyway`.
+    """Write `diagnosis.json` and `report.html`, and return what was written.
 
-    Returns what was written.
-
-    Raises OutputError.
+    Besides `model.toml`, where an effect was named or `merge_anyway`, and `next_motion.toml`, where effects are left
+    between which another trial would decide. Raises OutputError.
     """
     place = Path(folder)
     try:
@@ -43,8 +44,13 @@ def write_folder(
     except OSError as error:
         raise OutputError(Mistake("", "", f"cannot be made: {error.strerror}"), folder) from error
     written = [place / "diagnosis.json", place / "report.html"]
-    write_whole(written[0], (json.dumps(document_of(found), indent=1) + "\n").encode())
+    next_ = next_motion(found)
+    document = document_of(found) | {"next_motion": next_motion_document(next_) if next_ else None}
+    write_whole(written[0], (json.dumps(document, indent=1) + "\n").encode())
     write_whole(written[1], report_of(found, file, library).encode())
+    if next_:
+        written.append(place / "next_motion.toml")
+        write_whole(written[-1], motion_text(next_, found.base).encode())
     if found.verdict is Verdict.NAMED or (merge_anyway and found.effects):
         model = found.merged(anyway=merge_anyway)
         digests = {each.trial: each.digest for each in (*found.checked.training, *found.checked.held_out)}
