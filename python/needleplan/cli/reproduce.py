@@ -32,6 +32,9 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("-o", "--figures", metavar="FOLDER", help="draw the figures into this folder")
     parser.add_argument(
+        "--experiments", action="store_true", help="ch6: repeat the experiments of section 6.5 in the lab twin"
+    )
+    parser.add_argument(
         "--json", action="store_true", help="print a list of {id, published, ours, unit, verdict, reason}"
     )
     effort = parser.add_mutually_exclusive_group()
@@ -46,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.workflow.reproduce import Effort, reproduce
 
     effort = Effort.QUICK if options.quick else Effort.FULL if options.full else Effort.DEFAULT
-    comparisons = reproduce(options.chapters, options.figures, effort, note)
+    comparisons = reproduce(options.chapters, options.figures, effort, note, experiments=options.experiments)
     if options.json:
         print_json([asdict(each) for each in comparisons])
     else:

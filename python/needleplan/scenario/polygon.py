@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from needleplan.scenario.rules import Number, Pair, Refused, sequence
@@ -12,6 +13,7 @@ from needleplan.scenario.rules import Number, Pair, Refused, sequence
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from shapely import Polygon
 
 __all__ = ["TOLERANCE_MM", "Points", "Simple", "contains", "covered"]
 
@@ -59,16 +61,22 @@ def contains(polygon_mm: Sequence[tuple[float, float]], point_mm: tuple[float, f
     return bool(Polygon(polygon_mm).intersects(Point(point_mm)))
 
 
-def covered(
-    polygon_mm: Sequence[tuple[float, float]], x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def covered(polygon_mm: Points, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which points are inside the polygon or on its boundary; arrays of one shape."""
+    import shapely
+
+    found: NDArray[np.bool_] = shapely.dwithin(_prepared(polygon_mm), shapely.points(x_mm, y_mm), TOLERANCE_MM)
+    return found
+
+
+@lru_cache(maxsize=64)
+def _prepared(polygon_mm: Points) -> Polygon:
+    """Return the polygon ready for many questions: a loop asks for one point at a time."""
     import shapely
 
     polygon = shapely.Polygon(polygon_mm)
     shapely.prepare(polygon)
-    found: NDArray[np.bool_] = shapely.dwithin(polygon, shapely.points(x_mm, y_mm), TOLERANCE_MM)
-    return found
+    return polygon
 
 
 def _flaw(corners: list[tuple[float, float]]) -> str:

@@ -33,6 +33,8 @@ class Request:
     folder: Path | None
     effort: Effort
     note: Callable[[str], None]
+    experiments: bool = False
+    """Whether the experiments of section 6.5 are repeated in the lab twin, in place of the chapter's computations."""
 
 
 CHAPTERS = ("ch2", "ch3", "ch4", "ch5", "ch6", "diagnosis")
@@ -79,11 +81,17 @@ _AVAILABLE: dict[str, Callable[[Request], list[Comparison]]] = {
 
 
 def reproduce(
-    chapters: Sequence[str], figures: str | None, effort: Effort, note: Callable[[str], None]
+    chapters: Sequence[str],
+    figures: str | None,
+    effort: Effort,
+    note: Callable[[str], None],
+    *,
+    experiments: bool = False,
 ) -> list[Comparison]:
     """Run the chapters and return all comparisons; draw into the folder `figures` where one is given.
 
-    No chapters means all that are available. Raises InputError for a chapter that is not, OutputError for the folder.
+    No chapters means all that are available. `experiments` is for chapter 6 alone. Raises InputError for a chapter that
+    is not available, OutputError for the folder.
     """
     mistakes = [
         Mistake(
@@ -92,6 +100,8 @@ def reproduce(
         for chapter in chapters
         if chapter not in _AVAILABLE
     ]
+    if experiments and list(chapters) != ["ch6"]:
+        mistakes.append(Mistake("--experiments", " ".join(chapters), "goes with the chapter ch6, and with no other"))
     if mistakes:
         raise InputError(mistakes)
     folder = Path(figures) if figures else None
@@ -100,7 +110,7 @@ def reproduce(
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"cannot be made: {error.strerror}", str(folder)) from error
-    request = Request(folder, effort, note)
+    request = Request(folder, effort, note, experiments)
     return [comparison for chapter in chapters or _AVAILABLE for comparison in _AVAILABLE[chapter](request)]
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from needleplan.scenario import Scenario
 from needleplan.workflow.chapter6.believability import believability
 from needleplan.workflow.chapter6.claims import claims
+from needleplan.workflow.chapter6.experiments import experiments
 from needleplan.workflow.chapter6.orders import orders
 from needleplan.workflow.chapter6.paths import paths
 from needleplan.workflow.chapter6.phantom import phantom
@@ -23,9 +24,13 @@ if TYPE_CHECKING:
 
 __all__ = ["run"]
 
+_SEEDS, _FEW = 100, 2
+
 
 def run(request: Request) -> list[Comparison]:
-    """Reproduce the chapter; figures and predicted_realised.csv where there is a folder."""
+    """Reproduce the chapter, or its experiments alone; figures and predicted_realised.csv where there is a folder."""
+    if request.experiments:
+        return experiments(request.folder, request.note, _FEW if request.effort is Effort.QUICK else _SEEDS)
     quick, full = request.effort is Effort.QUICK, request.effort is Effort.FULL
     thesis = Scenario.read("four_obstacles_thesis")
     comparisons = problem(thesis)

@@ -18,7 +18,7 @@ from needleplan.scenario import Scenario, Transition
 from needleplan.workflow.chapter6.panels import Panel, draw_panels, ending
 from needleplan.workflow.comparison import Comparison, Verdict, measured
 
-__all__ = ["EXPERIMENTS", "Experiment", "miss_mm", "phantom"]
+__all__ = ["EXPERIMENTS", "Experiment", "miss_mm", "phantom", "with_rotation"]
 
 _SECTION = "ch6/section 6.5"
 _FAILURE = 1000.0
@@ -58,7 +58,7 @@ def phantom(folder: Path | None, note: Callable[[str], None], fine: bool) -> lis
     if fine:
         dx, dy = scenario.grid.spacing_mm
         scenario = replace(scenario, grid=replace(scenario.grid, spacing_mm=(dx / 2, dy / 2)))
-    tables = {rotation: plan(_with_rotation(scenario, rotation)) for rotation in (100.0, 40.0)}
+    tables = {rotation: plan(with_rotation(scenario, rotation)) for rotation in (100.0, 40.0)}
     panels = {each.figure: _panel(each, tables[each.rotation]) for each in EXPERIMENTS}
     if folder:
         _draw(panels, folder)
@@ -77,7 +77,8 @@ def miss_mm(panel: Panel) -> float:
     return min(math.hypot(*(pose[:2] - (x, y))) for pose in panel.path.poses) - target.radius_mm
 
 
-def _with_rotation(scenario: Scenario, rotation: float) -> Scenario:
+def with_rotation(scenario: Scenario, rotation: float) -> Scenario:
+    """Return the scenario with the costs of section 6.5 as they are used here."""
     objective = replace(scenario.objective, rotation=rotation, collision=_FAILURE, exit=_FAILURE)
     return replace(scenario, objective=objective)
 

@@ -1,0 +1,108 @@
+"""Insertions without feedback: a program of moves, carried out whatever comes of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from needleplan.control.scene import Scene
+from needleplan.models import Torsion
+from needleplan.planning import Action, PolicyTable, Pose
+from needleplan.signals import Array
+from needleplan.simulation import Plant, Setup
+
+__all__ = ["Moves", "aimed_at_target", "carried_out", "planned_moves"]
+
+_AT_REST_S = 0.1
+"""How long a move is waited after, as the loop waits for four frames of the tracker."""
+
+_EVERY_S = 0.02
+_CLOSE_MM = 0.05
+
+
+@dataclass(frozen=True)
+class Moves:
+    """What the stage is told: lengths of insertion (mm), and before each the side to which the bevel is turned."""
+
+    lengths_mm: tuple[float, ...]
+    bevels: tuple[int, ...]
+
+    @property
+    def turns(self) -> int:
+        """Number of rotations after the first insertion."""
+        return len(self.lengths_mm) - 1
+
+
+def planned_moves(table: PolicyTable, start: Pose) -> Moves:
+    """Return the moves of the planned path, on to where it is closest to the centre of the target, as the loop ends."""
+    scene, path = Scene(table.scenario), table.path(start)
+    lengths, bevels = [0.0], [start.bevel]
+    for row, action in zip(path.poses[:-1].tolist(), path.actions.tolist(), strict=True):
+        pose = Pose.of(row)
+        bevel = -pose.bevel if action == Action.ROTATE else pose.bevel
+        step = scene.step_mm(pose.x_mm, pose.y_mm)
+        if bevel != bevels[-1]:
+            bevels.append(bevel)
+            lengths.append(0.0)
+        along, distance = scene.closest(
+            pose.x_mm, pose.y_mm, pose.heading_rad, bevel / scene.radius_mm(pose.x_mm, pose.y_mm), step
+        )
+        if _CLOSE_MM <= along < step and distance <= table.scenario.target.radius_mm:
+            lengths[-1] += along
+            return Moves(tuple(lengths), tuple(bevels))
+        lengths[-1] += step
+    x, y, heading, _ = path.poses[-1].tolist()
+    radius = scene.radius_mm(x, y)
+    lengths[-1] += scene.closest(x, y, heading, bevels[-1] / radius, scene.step_mm(x, y))[0]
+    return Moves(tuple(lengths), tuple(bevels))
+
+
+def aimed_at_target(setup: Setup, table: PolicyTable, *, bending: bool) -> tuple[Setup, Moves]:
+    """Return the lab with the heading at the target and the one move to it; the needle bends, or does not at all."""
+    entry, (x, y) = setup.entry, table.scenario.target.center_mm
+    heading = math.atan2(y - entry.y_mm, x - entry.x_mm)
+    setup = replace(setup, entry=replace(entry, heading_rad=heading))
+    if not bending:
+        setup = replace(setup, scenario=None, plan_curvature_per_mm=0.0)
+    return setup, Moves((math.hypot(x - entry.x_mm, y - entry.y_mm),), (1,))
+
+
+def carried_out(
+    plant: Plant, moves: Moves, velocity_mm_s: float, velocity_rad_s: float, torsion: Torsion | None
+) -> Array:
+    """Carry out the moves, and return the true path of the tip in the tissue, [n, 3].
+
+    The lag of the tip is compensated as the loop does it.
+    """
+    shaft_mm = plant.setup.shaft.length_mm
+    path: list[tuple[float, float, float]] = []
+    depth_mm = roll_rad = 0.0
+    for length_mm, bevel in zip(moves.lengths_mm, moves.bevels, strict=True):
+        wanted = 0.0 if bevel > 0 else math.pi
+        if wanted != roll_rad:
+            goals = [wanted]
+            if torsion is not None:
+                goals = torsion.compensated_rad(roll_rad, wanted, shaft_mm - depth_mm, depth_mm)[1:].tolist()
+            for goal in goals:
+                plant.rotate(goal, velocity_rad_s)
+                path += _until_rest(plant)
+            roll_rad = wanted
+        depth_mm += length_mm
+        plant.insert(depth_mm, velocity_mm_s)
+        path += _until_rest(plant)
+    return np.array(path)
+
+
+def _until_rest(plant: Plant) -> Iterator[tuple[float, float, float]]:
+    every = max(round(_EVERY_S / plant.interval_s), 1)
+    left = round(_AT_REST_S / plant.interval_s)
+    while left:
+        plant.step()
+        left -= not plant.moving
+        if plant.ticks % every == 0 and plant.path_mm >= 0:
+            yield plant.tip().position_mm
+    if plant.path_mm >= 0:
+        yield plant.tip().position_mm
