@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.noise import Noise
 from needleplan.diagnosis.space import Block
-from needleplan.models import Model, simulate
+from needleplan.models import Channel, Model, Scale, simulate
 from needleplan.signals import Array, Motion, Record
 
-__all__ = ["Calibration", "Case", "calibrate", "fit_case", "lag_taps", "late", "pooled"]
+__all__ = ["Calibration", "Case", "calibrate", "fit_case", "lag_taps", "late", "measured_of", "pooled", "with_measured"]
 
 _STEPS = 10
 _TRIES = 5
@@ -64,6 +65,15 @@ class Case:
         more = self.block.samples - len(whitened)
         return np.concatenate([whitened, np.zeros((more, *whitened.shape[1:]))])
 
+    def samples(self) -> NDArray[np.intp]:
+        """Return of which sample each whitened one that counts is, axis after axis."""
+        each = len(self.motion) - self.noise.order
+        return np.asarray(np.flatnonzero(self.rows) % each + self.noise.order)
+
+    def spread(self, values: Array) -> Array:
+        """Return columns (samples, m), once on each axis that is measured, (axes * samples, axes * m)."""
+        return np.asarray(np.kron(np.eye(len(self.measured) // len(self.motion)), values), float)
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -90,6 +100,17 @@ def calibrate(
     return Calibration(noise, tuple(cases), tuple(others), free, base, model)
 
 
+def measured_of(record: Record, channel: Channel) -> Array:
+    """Return what was measured of a channel, its axes one after the other, shape (axes * samples,)."""
+    return np.concatenate([record[name] for name in channel.columns])
+
+
+def with_measured(record: Record, channel: Channel, values: Array) -> Record:
+    """Return the record with other values of a channel, its axes one after the other."""
+    axes = zip(channel.columns, np.split(values, len(channel.columns)), strict=True)
+    return replace(record, columns={**record.columns, **dict(axes)})
+
+
 def pooled(models: Sequence[Model], free: Sequence[str]) -> Model:
     """Return the model with the mean of the coordinates of each free parameter."""
     first = models[0]
@@ -107,24 +128,27 @@ def fit_case(
     free: Sequence[str],
     *,
     modes: bool = True,
-    extra: Callable[[Model, Motion], Array] | None = None,
+    whole: Callable[[Model], Model] = lambda base: base,
     start_lag_s: float = 0.004,
     about: Model | None = None,
     hold: Collection[str] = (),
 ) -> Case:
     """Calibrate `model` to one trial (Levenberg and Marquardt, whitened) and linearise it there.
 
-    `extra` is what an effect that is held adds to the output of a model along a motion, shape (samples,). Parameters
-    are believed to be near those of `about`, by default `model`; those in `hold` stay as they are in `model`.
+    `whole` makes of the base the model with the effects that are held. Parameters are believed to be near those of
+    `about`, by default `model`; those in `hold` stay as they are in `model`.
     """
     measurand = measurand_of(model.channel)
     usual_lag_s = max(measurand.usual_lag_s, 1e-9)
     motion = record.motion()
-    measured = record[model.channel]
+    measured = measured_of(record, model.channel)
     rows = np.isfinite(noise.whiten(measured))
     what = model.parameters()
     coordinates = np.array([what[name].coordinate(getattr(model, name)) for name in free])
-    low = np.array([what[name].coordinate(max(what[name].lower, 1e-300)) for name in free])
+    low = np.array([
+        what[name].coordinate(max(what[name].lower, 1e-300) if what[name].scale is Scale.LOG else what[name].lower)
+        for name in free
+    ])  # fmt: skip
     high = np.array([what[name].coordinate(what[name].upper) for name in free])
     given = about or model
     centre = np.append([what[name].coordinate(getattr(given, name)) for name in free], 0.0)
@@ -137,9 +161,7 @@ def fit_case(
         })  # fmt: skip
 
     def output(u: Array) -> Array:
-        now = model_at(u)
-        plain = simulate(now, motion).output
-        return plain if extra is None else np.asarray(plain + extra(now, motion))
+        return simulate(whole(model_at(u)), motion).output.ravel()
 
     def left(plain: Array, its_lag: float) -> Array:
         return noise.whiten(measured - late(plain, motion, its_lag))[rows]
@@ -201,12 +223,19 @@ def fit_case(
         np.zeros((len(residual) + more, 0)),
         np.vstack([vectors, np.zeros((more, vectors.shape[1]))]),
         variances,
+        measurand.usual_level,
+        measurand.independent(motion),
     )
     return Case(record, motion, measured, best, lag, plain, predicted, block, rows, noise, lag_column)
 
 
 def late(force: Array, motion: Motion, lag_s: float) -> Array:
-    """Return a force as a sensor with a lag of first order shows it, shape (samples,) or (samples, n)."""
+    """Return a force as a sensor with a lag of first order shows it, shape (samples,) or (samples, n).
+
+    Several axes that follow one another, (axes * samples, ...), are late alike.
+    """
+    if len(force) > len(motion):
+        return np.concatenate([late(each, motion, lag_s) for each in np.split(force, len(force) // len(motion))])
     h = motion.interval_s.reshape((-1,) + (1,) * (force.ndim - 1))
     rise = np.diff(force, axis=0) / h
     behind = np.empty_like(force)

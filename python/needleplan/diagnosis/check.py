@@ -90,18 +90,18 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> Checked:
 
 
 def _unusable(record: Record, channel: Channel) -> list[Mistake]:
-    missing = [name for name in ("depth_mm", str(channel)) if name not in record.columns]
+    missing = [name for name in ("depth_mm", *channel.columns) if name not in record.columns]
     if missing:
         return [Mistake(f"{name} ({record.trial})", "", "is missing, and is needed here") for name in missing]
-    good = np.isfinite(record[channel])
     mistakes = []
-    if good.sum() < _FEWEST:
-        rule = f"too short: at least {_FEWEST} samples of {channel} are needed"
-        mistakes.append(Mistake(record.trial, f"{int(good.sum())} samples", rule))
-    elif np.ptp(record[channel][good]) == 0:
-        mistakes.append(
-            Mistake(f"{channel} ({record.trial})", "", "is constant to the last bit: no sensor measures that")
-        )
+    for name in channel.columns:
+        good = np.isfinite(record[name])
+        if good.sum() < _FEWEST:
+            rule = f"too short: at least {_FEWEST} samples of {name} are needed"
+            mistakes.append(Mistake(record.trial, f"{int(good.sum())} samples", rule))
+        elif np.ptp(record[name][good]) == 0:
+            rule = "is constant to the last bit: no sensor measures that"
+            mistakes.append(Mistake(f"{name} ({record.trial})", "", rule))
     if np.ptp(record["depth_mm"]) == 0:
         mistakes.append(Mistake(f"depth_mm ({record.trial})", "", "is constant: a needle at rest shows nothing"))
     steps = np.diff(record["time_s"])
@@ -112,13 +112,14 @@ def _unusable(record: Record, channel: Channel) -> list[Mistake]:
 
 
 def _unusable_noise(record: Record, channel: Channel) -> list[Mistake]:
-    if str(channel) not in record.columns:
-        return [Mistake(f"{channel} ({record.trial})", "", "is missing from the noise record")]
-    values = record[channel]
-    if not np.isfinite(values).all() or np.ptp(values) == 0:
-        rule = f"a noise record must have a number in {UNITS[channel]} in every row, and they must not all be equal"
-        return [Mistake(f"{channel} ({record.trial})", "", rule)]
-    return []
+    mistakes = []
+    for name in channel.columns:
+        if name not in record.columns:
+            mistakes.append(Mistake(f"{name} ({record.trial})", "", "is missing from the noise record"))
+        elif not np.isfinite(record[name]).all() or np.ptp(record[name]) == 0:
+            rule = f"a noise record must have a number in {UNITS[name]} in every row, and they must not all be equal"
+            mistakes.append(Mistake(f"{name} ({record.trial})", "", rule))
+    return mistakes
 
 
 def _interval_s(record: Record) -> float:

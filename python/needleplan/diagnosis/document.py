@@ -28,7 +28,7 @@ def document_of(found: Diagnosis) -> dict[str, Any]:
         "made_by": f"needleplan {version()}",
         "digest": found.digest,
         "channel": str(found.given.channel),
-        "unit": UNITS[found.given.channel],
+        "unit": UNITS[found.given.channel.columns[0]],
         "model": found.given.name,
         "verdict": str(decision.verdict),
         "because": decision.because,

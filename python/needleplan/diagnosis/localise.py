@@ -126,7 +126,7 @@ def _projected(space: Space, cases: Sequence[Case]) -> tuple[Array, Array, list[
         count = int(case.rows.sum())
         smooth.append((weighed[1] - basis @ (basis.T @ weighed[1]))[:count])
         residual.append((weighed[2] - basis @ (basis.T @ weighed[2]))[:count])
-        rows.append(np.asarray(np.flatnonzero(case.rows) + case.noise.order))
+        rows.append(case.samples())
     return np.vstack(smooth), np.concatenate(residual), rows
 
 
@@ -180,8 +180,9 @@ def _changes(space: Space, cases: Sequence[Case]) -> list[ChangePoint]:
             motion = case.motion
             forward = np.where(motion.direction > 0, 1.0, 0.0)[:, None]
             past = motion.depth_mm[:, None] >= grid if axis is Axis.DEPTH else motion.time_s[:, None] >= grid
-            columns.append(case.whiten(np.asarray(past * (forward if axis is Axis.DEPTH else 1.0), float)))
+            columns.append(case.whiten(case.spread(np.asarray(past * (forward if axis is Axis.DEPTH else 1.0), float))))
         gains, _ = space.scores(columns).gains()
+        gains = gains.reshape(-1, len(grid)).max(axis=0)
         best = int(gains.argmax())
         near = np.flatnonzero(gains > gains[best] - _INTERVAL)
         if gains[best] > price:

@@ -6,11 +6,13 @@ is not known well enough, and along which axes a gap without a name is looked fo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
+from needleplan.diagnosis.verdict import Gates
 from needleplan.models import Channel, Model
 from needleplan.signals import Array, Motion
 
@@ -62,3 +64,12 @@ class Measurand:
 
     bases: Callable[[Sequence[Case]], Mapping[str, Basis]]
     """Competitors without a name, by name."""
+
+    independent: Callable[[Motion], int] = lambda motion: 0  # noqa: ARG005
+    """How many samples of a trial say something of their own; 0 for all."""
+
+    gates: Gates = Gates()
+    """Thresholds."""
+
+    usual_level: float = math.inf
+    """Standard deviation of what tissues vary by: how far a gap may be laid to that; any level where it is infinite."""

@@ -14,9 +14,10 @@ import numpy as np
 
 from needleplan.signals import Array
 
-__all__ = ["Noise", "fit_noise"]
+__all__ = ["AxesNoise", "Noise", "fit_axes", "fit_noise", "together"]
 
 _HIGHEST_ORDER = 12
+_HIGHEST_OF_AXES = 24
 
 
 @dataclass(frozen=True)
@@ -53,11 +54,52 @@ class Noise:
         return np.asarray(new)
 
 
-def fit_noise(rows: Sequence[Array]) -> Noise:
-    """Return the autoregression of rows of noise, shape (samples,) each, about the mean of each."""
+@dataclass(frozen=True)
+class AxesNoise(Noise):
+    """Of several axes, each by itself: values follow one another, (axes * samples, ...). Weights: of the longest.
+
+    All are whitened with the highest order of them, so that they stay of one length.
+    """
+
+    axes: tuple[Noise, ...]
+
+    def whiten(self, values: Array, taps: Array | None = None) -> Array:
+        """Return what is new on each axis, one after the other, shape (axes * (samples - order), ...)."""
+        parts = zip(self.axes, np.split(values, len(self.axes)), strict=True)
+        return np.concatenate([axis.whiten(part, taps)[self.order - axis.order :] for axis, part in parts])
+
+
+def together(axes: Sequence[Noise]) -> Noise:
+    """Return the noise of several axes; that of the only one where there is one."""
+    if len(axes) == 1:
+        return axes[0]
+    longest = max(axes, key=lambda each: each.order)
+    mean = [float(np.sqrt(np.mean([getattr(each, name) ** 2 for each in axes]))) for name in ("sd", "rms")]
+    return AxesNoise(longest.weights, mean[0], mean[1], tuple(axes))
+
+
+def fit_axes(rows: Sequence[Sequence[Array]]) -> Noise:
+    """Return the noise of several axes, for each its rows: of one colour, each of its own strength.
+
+    What is smooth lives on the slowest part of the noise, which a short autoregression makes too small: so the order is
+    Akaike's choice, and all axes choose it together.
+    """
+    if len(rows) == 1:
+        return fit_noise(rows[0])
+    rms = [float(np.sqrt(np.mean(np.concatenate([row - row.mean() for row in axis]) ** 2))) for axis in rows]
+    shared = [row / size for axis, size in zip(rows, rms, strict=True) for row in axis]
+    whole = fit_noise(shared, highest=_HIGHEST_OF_AXES, charge=2.0)
+    return together([Noise(whole.weights, whole.sd * size, size) for size in rms])
+
+
+def fit_noise(rows: Sequence[Array], *, highest: int = _HIGHEST_ORDER, charge: float | None = None) -> Noise:
+    """Return the autoregression of rows of noise, shape (samples,) each, about the mean of each.
+
+    `charge` is what a weight costs in twice the log likelihood: by default log(n), Schwarz' criterion.
+    """
     centred = [row - row.mean() for row in rows]
     n = sum(row.size for row in centred)
-    most = min(_HIGHEST_ORDER, min(row.size for row in centred) // 10)
+    most = min(highest, min(row.size for row in centred) // 10)
     rms = float(np.sqrt(sum(row @ row for row in centred) / max(n - len(centred), 1)))
     best, least = Noise(np.zeros(0), rms, rms), n * np.log(max(rms, 1e-300) ** 2)
     target = np.concatenate([row[most:] for row in centred])
@@ -68,7 +110,7 @@ def fit_noise(rows: Sequence[Array]) -> Noise:
         weights = np.linalg.lstsq(past[:, :order], target, rcond=None)[0]
         left = target - past[:, :order] @ weights
         variance = float(left @ left) / max(target.size - order, 1)
-        criterion = n * np.log(max(variance, 1e-300)) + order * np.log(n)
+        criterion = n * np.log(max(variance, 1e-300)) + order * (np.log(n) if charge is None else charge)
         if criterion < least:
             best, least = Noise(weights, float(np.sqrt(variance)), rms), criterion
     return best

@@ -17,7 +17,7 @@ from needleplan.models import Model, Scale, simulate
 from needleplan.models.effects import SIZE, Effect
 from needleplan.signals import Array, Motion
 
-__all__ = ["Added", "Joint", "added_output", "cases_with", "refit"]
+__all__ = ["Added", "Joint", "added_output", "cases_with", "refit", "whole_model"]
 
 _ROUNDS = 4
 _STEP = 1e-3
@@ -68,10 +68,14 @@ class Joint:
 def added_output(added: Sequence[Added], model: Model, motion: Motion) -> Array:
     """Return what effects add to the output of a model along a motion, shape (samples,)."""
     plain = simulate(model, motion).output
-    whole = model
+    return np.asarray((simulate(whole_model(added, model), motion).output - plain).ravel())
+
+
+def whole_model(added: Sequence[Added], model: Model) -> Model:
+    """Return the model with the effects."""
     for each in added:
-        whole = each.effect.apply(whole, each.values)
-    return simulate(whole, motion).output - plain
+        model = each.effect.apply(model, each.values)
+    return model
 
 
 def cases_with(added: Sequence[Added], calibration: Calibration, cases: Sequence[Case]) -> tuple[Case, ...]:
@@ -79,7 +83,7 @@ def cases_with(added: Sequence[Added], calibration: Calibration, cases: Sequence
     return tuple(
         fit_case(
             case.model, case.record, calibration.noise, calibration.free,
-            extra=lambda model, motion: added_output(added, model, motion),
+            whole=lambda model: whole_model(added, model),
             start_lag_s=case.lag_s, about=calibration.given,
         )
         for case in cases

@@ -64,11 +64,11 @@ def _best_step(space: Space, cases: Sequence[Case], price: float) -> RivalScore:
         each = np.zeros((len(case.motion), total))
         each[:, first : first + len(grid)] = case.motion.time_s[:, None] >= grid
         first += len(grid)
-        columns.append(case.whiten(each))
+        columns.append(case.whiten(case.spread(each)))
     gains, _ = space.scores(columns).gains()
     together = np.arange(max(case.motion.time_s[0] for case in cases) + 0.5, cases[0].motion.time_s[-1] - 0.4, 0.4)
     after = [np.asarray(case.motion.time_s[:, None] >= together, float) for case in cases]
-    shared, _ = space.scores([case.whiten(each) for case, each in zip(cases, after, strict=True)]).gains()
+    shared, _ = space.scores([case.whiten(case.spread(each)) for case, each in zip(cases, after, strict=True)]).gains()
     alone, all_ = float(gains.max()) - 3 * price, float(shared.max()) - 2 * price
     if all_ >= alone:
         return RivalScore("step in time", Axis.TIME, float(shared.max()), 2, all_)
@@ -81,7 +81,7 @@ def _best_period(space: Space, cases: Sequence[Case], price: float) -> RivalScor
     parts = []
     for case in cases:
         angle: Array = 2 * np.pi * case.motion.depth_mm[:, None] / np.asarray(lengths, float)
-        parts.append((case.whiten(np.sin(angle)), case.whiten(np.cos(angle))))
+        parts.append((case.whiten(case.spread(np.sin(angle))), case.whiten(case.spread(np.cos(angle)))))
     single = np.maximum(space.scores([s for s, _ in parts]).gains()[0], space.scores([c for _, c in parts]).gains()[0])
     best = -np.inf
     for index in np.argsort(-single)[:4]:

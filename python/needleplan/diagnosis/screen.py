@@ -38,13 +38,15 @@ def screen(space: Space, columns: Sequence[Array], candidates: Sequence[Candidat
     scores = space.scores(columns)
     sizes = scores.sizes()
     gains, levels = scores.gains(allowed_sizes(sizes, candidates))
-    price = float(np.log(space.samples))
+    price = space.price
     found = []
     for each in candidates:
         index = each.first + int(gains[each.first : each.last].argmax())
         level = int(levels[index])
         curvature = float(scores.curvature[level, index])
-        values = {**each.grid[index - each.first], SIZE: float(sizes[level, index])}
+        what = each.effect.parameters[SIZE]
+        size = float(np.clip(sizes[level, index], what.lower, what.upper))
+        values = {**each.grid[index - each.first], SIZE: size}
         sd = curvature**-0.5 if curvature > 0 else float("inf")
         gain = float(gains[index])
         found.append(Screened(each.effect, values, gain, gain - each.count * price, sd, float(space.levels[level])))

@@ -192,7 +192,7 @@ def _round(
 
 def _fitted(known: _Round, starts: Sequence[tuple[Screened, Sequence[Case]]], space: Space) -> list[Ranked]:
     """Return effects fitted from where they were screened, the best first and each once."""
-    price = float(np.log(space.samples))
+    price = space.price
     found: dict[str, Ranked] = {}
     for each, cases in starts:
         within = next(c.within() for c in known.candidates if c.effect is each.effect)
@@ -263,7 +263,7 @@ def _chance(
     space: Space, columns: Sequence[Array], candidates: Sequence[Candidates], balance: float, seed: int
 ) -> float:
     """Return how often data without an effect reach such a balance: Gumbel's law, fitted to simulated data."""
-    price = float(np.log(space.samples))
+    price = space.price
     keep = np.concatenate([np.arange(each.first, each.last) for each in candidates])
     penalty = np.concatenate([np.full(len(each.grid), each.count * price) for each in candidates])
     signs = np.concatenate([np.full(len(each.grid), each.sign) for each in candidates])

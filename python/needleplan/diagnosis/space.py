@@ -11,6 +11,7 @@ and tau is chosen anew for each candidate by its restricted likelihood.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -37,6 +38,12 @@ class Block:
 
     variances: Array
     """Of the modes at level 1."""
+
+    usual_level: float = math.inf
+    """Standard deviation that heterogeneity is believed to have among tissues."""
+
+    independent: int = 0
+    """How many of the samples say something of their own about a smooth function; 0 for all."""
 
     @property
     def samples(self) -> int:
@@ -93,6 +100,11 @@ class Space:
     def samples(self) -> int:
         """Of all trials."""
         return sum(block.samples for block in self.blocks)
+
+    @property
+    def price(self) -> float:
+        """What Schwarz' criterion charges for a parameter."""
+        return float(np.log(sum(block.independent or block.samples for block in self.blocks)))
 
     @property
     def best(self) -> int:
@@ -247,4 +259,5 @@ class Space:
         return matrix, target, left
 
     def _evidence(self, level: int) -> float:
-        return -0.5 * (sum(each[level][3] for each in self._factors) + self._shared[level][2])
+        believed = (self.levels[level] / self.blocks[0].usual_level) ** 2
+        return -0.5 * float(sum(each[level][3] for each in self._factors) + self._shared[level][2] + believed)

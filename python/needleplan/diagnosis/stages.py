@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from needleplan.diagnosis.calibrate import Calibration, calibrate
+from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.check import Checked, Lack, check_data
 from needleplan.diagnosis.decide import Decision, decide
 from needleplan.diagnosis.diagnosis import Diagnosis, FoundEffect
 from needleplan.diagnosis.library import Library
-from needleplan.diagnosis.noise import Noise, fit_noise
+from needleplan.diagnosis.noise import Noise, fit_axes, together
 from needleplan.diagnosis.refit import Joint, added_output
 from needleplan.diagnosis.select import Selection, Stop, select
 from needleplan.diagnosis.verdict import Gates, Verdict
@@ -39,7 +40,7 @@ def diagnose(
     all effects of the model's channel. Raises DataError for data of which nothing can be said, ModelError for a model
     whose channel has no effects, or that has effects already.
     """
-    gates = gates or Gates()
+    gates = gates or measurand_of(model.channel).gates
     if isinstance(model, AugmentedModel):
         model = _plain(model)
     library = library or Library(effects_of(model.channel), model)
@@ -68,12 +69,15 @@ def _plain(model: AugmentedModel) -> Model:
 
 def _noise(model: Model, checked: Checked) -> Noise:
     if checked.noise:
-        return fit_noise([each[model.channel] for each in checked.noise])
+        return fit_axes([[each[name] for each in checked.noise] for name in model.channel.columns])
     # Without a record of it, noise is what changes from sample to sample: twice differenced, motion is gone.
-    rows = [each[model.channel] for each in checked.training]
-    spread = [np.nanmedian(np.abs(np.diff(row, n=2))) / 0.6745 / np.sqrt(6) for row in rows]
-    sd = float(np.median(spread)) or 1e-9
-    return Noise(np.zeros(0), sd, sd)
+    found = []
+    for name in model.channel.columns:
+        rows = [each[name] for each in checked.training]
+        spread = [np.nanmedian(np.abs(np.diff(row, n=2))) / 0.6745 / np.sqrt(6) for row in rows]
+        sd = float(np.median(spread)) or 1e-9
+        found.append(Noise(np.zeros(0), sd, sd))
+    return together(found)
 
 
 def _limited(decision: Decision, checked: Checked) -> Decision:

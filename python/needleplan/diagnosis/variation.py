@@ -13,7 +13,7 @@ import numpy as np
 from needleplan.models import Model, simulate
 from needleplan.signals import Array, Motion
 
-__all__ = ["CORRELATION_MM", "tissue_modes"]
+__all__ = ["CORRELATION_MM", "functions_of_depth", "tissue_modes"]
 
 CORRELATION_MM = 6.0
 _GRID_MM = 0.5
@@ -29,7 +29,7 @@ def tissue_modes(model: Model, motion: Motion) -> Array:
     """
     run = simulate(model, motion)
     depth = np.clip(np.asarray(motion.depth_mm, float), 0.0, None)
-    modes, places = _modes(float(np.ceil(max(depth.max(), 1.0))))
+    modes, places = functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
     at_tip = np.column_stack([np.interp(depth, places, mode) for mode in modes.T])
     sums = np.concatenate([np.zeros((1, modes.shape[1])), np.cumsum((modes[1:] + modes[:-1]) / 2, axis=0)]) * _GRID_MM
     along = np.column_stack([np.interp(depth, places, each) for each in sums.T])
@@ -40,7 +40,7 @@ def tissue_modes(model: Model, motion: Motion) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _modes(deepest_mm: float) -> tuple[Array, Array]:
+def functions_of_depth(deepest_mm: float) -> tuple[Array, Array]:
     """Return eigenfunctions times the roots of their eigenvalues, shape (places, modes), and the places."""
     places = np.arange(0.0, deepest_mm + _GRID_MM, _GRID_MM)
     covariance = np.exp(-np.abs(places[:, None] - places) / CORRELATION_MM)

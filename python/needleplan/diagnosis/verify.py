@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.diagnosis.calibrate import Calibration, Case, fit_case
+from needleplan.diagnosis.calibrate import Calibration, Case, fit_case, with_measured
 from needleplan.diagnosis.refit import Joint, cases_with
 from needleplan.diagnosis.space import Space
 from needleplan.models import ljung_box
@@ -56,7 +56,7 @@ def verify(joint: Joint, calibration: Calibration) -> Verified | None:
     channel = calibration.model.channel
     exact = [
         fit_case(
-            case.model, replace(case.record, columns={**case.record.columns, channel: each.predicted}),
+            case.model, with_measured(case.record, channel, each.predicted),
             calibration.noise, calibration.free, start_lag_s=case.lag_s, about=calibration.given,
         )
         for case, each in zip(before, after, strict=True)

@@ -62,6 +62,8 @@ class SteeredModel(SelfIntegratingModel):
         normal = np.array([-tangent[1], tangent[0], 0.0]) / np.hypot(tangent[0], tangent[1])
         start = np.concatenate([place, tangent, normal, first.angle_rad])
         depth = max(float(first.depth_mm[0]), 0.0)
+        if depth == 0:
+            return start
         return self._arcs(start, self.bend_per_mm(first, first.angle_rad), np.array([depth]), start[9:])[:, -1]
 
     def derivative(self, state: Array, motion: Motion) -> Array:

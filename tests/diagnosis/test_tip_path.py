@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from needleplan.diagnosis import Library, Verdict, diagnose
+from needleplan.diagnosis.document import document_of
+from needleplan.diagnosis.noise import fit_axes
+from needleplan.diagnosis.tip_position import bent
+from needleplan.errors import DataError
+from needleplan.models import ModelFile, simulate
+from needleplan.models.effects import AugmentedModel, effect_named
+from tests.diagnosis.tip_trials import BASE, NOISE_MM, motion, recordings
+
+NAMES = ("curvature_speed", "torsional_lag", "pre_bend", "misalignment", "tracker_bias", "entry_rupture")
+LIBRARY = Library([effect_named(name) for name in NAMES], BASE)
+
+
+def test_a_path_that_bends_more_moves_as_the_simulation_says() -> None:
+    path = motion(0)
+    states = simulate(BASE, path).states
+    direction = np.cos(states[9]) * states[6:9] + np.sin(states[9]) * np.cross(states[3:6], states[6:9], axis=0)
+    more = 1e-6
+    moved = simulate(BASE.with_values(curvature_per_mm=BASE.curvature_per_mm + more), path).output - states[:3]
+    linear = bent(states, path, np.full((len(path), 1), more), direction)[:, 0]
+    np.testing.assert_allclose(linear, moved.ravel(), atol=0.02 * np.abs(moved).max())
+
+
+def test_axes_of_a_tracker_share_a_colour_and_have_their_own_strength() -> None:
+    generator = np.random.default_rng(2)
+    sizes = np.array([0.1, 0.2, 0.4])
+    rows = [[size * generator.standard_normal(4000)] for size in sizes]
+    noise = fit_axes(rows)
+    new = noise.whiten(np.concatenate([row[0] for row in rows]))
+    assert new.std() == pytest.approx(1.0, rel=0.03)
+    parts = np.split(new, 3)
+    np.testing.assert_allclose([part.std() for part in parts], 1.0, rtol=0.05)
+
+
+def test_nothing_is_named_where_nothing_is_missing() -> None:
+    found = diagnose(BASE, recordings(seed=1), library=LIBRARY)
+    assert found.verdict in (Verdict.NONE, Verdict.UNDERPOWERED)
+    assert found.calibration.noise.rms == pytest.approx(NOISE_MM, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "of_the_sensor"),
+    [
+        ("torsional_lag", {"size": 0.012}, False),
+        ("tracker_bias", {"size": 0.8, "direction_rad": 1.0}, True),
+    ],
+)
+def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, float], *, of_the_sensor: bool) -> None:
+    found = diagnose(BASE, recordings({name: values}, seed=3), library=LIBRARY)
+    assert (found.verdict, found.names) == (Verdict.NAMED, (name,))
+    size = found.effects[0].added.estimates["size"]
+    assert abs(size.value) == pytest.approx(values["size"], abs=5 * size.sd)
+    assert found.verified is not None
+    assert found.verified.shrink > 0.8
+    model = found.model
+    assert isinstance(model, AugmentedModel)
+    assert (model.plant is model.base) == of_the_sensor
+    again = ModelFile.from_toml(ModelFile(model).to_toml()).model
+    np.testing.assert_array_equal(simulate(again, motion(0)).output, simulate(model, motion(0)).output)
+    document = json.loads(json.dumps(document_of(found), allow_nan=False))
+    assert (document["channel"], document["unit"]) == ("tip_mm", "mm")
+
+
+def test_every_axis_is_needed() -> None:
+    data = recordings()
+    data[0].columns.pop("z_mm")
+    with pytest.raises(DataError, match="z_mm"):
+        diagnose(BASE, data, library=LIBRARY)
