@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from importlib import metadata
+from pathlib import Path
+
+import pytest
 
 from tests.cli.commands import needleplan
+from tests.control.scenes import small_table
 
 
 def test_help_names_every_command() -> None:
@@ -31,3 +36,52 @@ def test_nothing_heavy_is_imported_before_it_is_needed() -> None:
     code = "import sys, needleplan.cli; print(*sorted({'matplotlib', 'h5py', 'shapely', 'numpy'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+@pytest.mark.parametrize(
+    ("command", "not_needed"),
+    [
+        (["recording", "info", "/nowhere.mcap"], {"scipy", "h5py", "matplotlib"}),
+        (["simulate", "nowhere"], {"scipy.stats", "scipy.signal", "scipy.interpolate", "filterpy", "matplotlib"}),
+        (["lab", "nowhere"], {"scipy.stats", "scipy.signal", "scipy.interpolate", "filterpy", "matplotlib"}),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else None,
+)
+def test_what_takes_a_second_to_import_is_not_imported_by_who_does_not_use_it(
+    command: list[str], not_needed: set[str]
+) -> None:
+    code = f"import sys, needleplan.cli; needleplan.cli.main({command}); print(*({not_needed} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+    assert "nowhere" in done.stderr
+
+
+def test_nothing_is_imported_while_the_needle_moves(tmp_path: Path) -> None:
+    """An import takes longer than the robot waits for a sign of life."""
+    small_table().write(tmp_path / "table.h5")
+    code = """if True:
+        import sys
+        from dataclasses import replace
+        from needleplan.control import Insertion, Options, RunRecorder, RunSetup
+        from needleplan.planning import PolicyTable
+        from needleplan.simulation import Experiment
+        from needleplan.workflow.insertion import simulated_bench
+        table, steering = PolicyTable.read("table.h5"), Experiment.read("steering")
+        bent = replace(steering.setup, effects=replace(steering.setup.effects, curvature_error=0.3))
+        bench = simulated_bench(replace(steering, setup=bent), table, table.best_entry().pose)
+        options = Options(velocity_mm_s=10, velocity_rad_s=10, torsion=bench.torsion)
+        known = bench.registration
+        setup = RunSetup(options, registration=known)
+        with bench, RunRecorder("run.mcap", table, setup, bench.station.clock) as recorder:
+            with Insertion(table, bench.station, options, registration=known, listeners=[recorder]) as loop:
+                before = set(sys.modules)
+                report = loop.run()
+                new = {name.partition(".")[0] for name in set(sys.modules) - before}
+        print(len(report.steps), report.replans, *(new & {"scipy", "filterpy", "numpy", "needleplan", "mcap"}))
+    """
+    where = {"cwd": tmp_path, "env": {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, **where)
+    steps, replans, *imported = done.stdout.split()
+    assert int(steps) > 2
+    assert int(replans) > 0
+    assert imported == []

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from scipy.signal import lfilter_zi
 
 from needleplan.errors import DataError, ModelError
 from needleplan.signals import Array, DiscreteFilter, MovingAverage, TrackerFilter, TrackerModel
@@ -129,3 +130,15 @@ def test_the_centred_average_is_the_mean_about_each_sample() -> None:
     assert MovingAverage(5).centred(values[:3]) == pytest.approx(np.full(3, values[:3].mean()))
     with pytest.raises(ModelError, match="must be odd"):
         MovingAverage(4).centred(values)
+
+
+@given(st.lists(st.tuples(st.floats(-3, 3), st.floats(-0.2, 0.2)), max_size=4), st.floats(0.5, 2), st.floats(-9, 9))
+def test_a_filter_begins_settled(pairs: list[tuple[float, float]], first: float, value: float) -> None:
+    numerator, denominator = (1.0, *(b for b, _ in pairs)), (first, *(first * a for _, a in pairs))
+    filtering = DiscreteFilter(numerator, denominator, 0.005)
+    if pairs:
+        assert filtering._settled(value) == pytest.approx(value * lfilter_zi(numerator, denominator), abs=1e-9)
+    gain = sum(numerator) / sum(denominator)
+    assert filtering.apply(np.full(5, value)) == pytest.approx(np.full(5, gain * value), abs=1e-9)
+    stream = filtering.stream()
+    assert [stream.push(value) for _ in range(5)] == pytest.approx([gain * value] * 5, abs=1e-9)

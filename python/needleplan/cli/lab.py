@@ -61,7 +61,6 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from needleplan.devices.processes import LabPlaces, TrackerLine
     from needleplan.devices.robot import RobotLimits
-    from needleplan.estimation.registration import Registration
     from needleplan.simulation import Experiment
     from needleplan.simulation.processes import RealTimeLab
 
@@ -72,6 +71,8 @@ def run(options: argparse.Namespace) -> int:
     seed = experiment.seed if options.seed is None else options.seed
     setup = _planned(experiment, options) if options.table else experiment.setup
     if options.registration:
+        from needleplan.estimation.registration import Registration
+
         Registration(coil_offset_mm=setup.effects.coil_offset_mm, title="lab twin").write(options.registration)
     places = LabPlaces(
         options.host, options.robot_port, options.force_port, options.http_port, TrackerLine(options.tracker),

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array
@@ -142,6 +141,8 @@ def _algebraic(points: Array, method: CircleMethod) -> tuple[float, float, float
 
 def _geometric(points: Array, start: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
     """Minimise the distances over curvature, shift across the path and turn, from an algebraic fit."""
+    from scipy.optimize import least_squares
+
     curvature, x, y, heading = start
 
     def place(unknown: Array) -> tuple[float, float, float, float]:

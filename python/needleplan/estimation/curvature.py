@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy import stats
-from scipy.optimize import least_squares
 
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.circle import arc_distance, checked_points, fit_circle
@@ -151,6 +149,8 @@ def path_curvature(
     far along the path each point is, such as its depth; by default the distance along the fitted circle from the
     first point. Other parameters and errors as for `curvature`.
     """
+    from scipy.optimize import least_squares
+
     points = checked_points(points_mm)
     path = _Path(points, edges_mm, position_mm, form, entry)
     found = least_squares(path.distance, path.start, x_scale=path.scale, jac="3-point", method="trf", xtol=1e-12)
@@ -180,6 +180,8 @@ def path_curvature(
 
 def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
     """Return whether several paths have one curvature. Raises DataError for fewer than two."""
+    from scipy import stats
+
     if len(paths) < 2:
         raise DataError("one path cannot agree with itself: at least two are needed")
     value = np.array([each.curvature_per_mm for each in paths])

@@ -22,8 +22,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
-from scipy.optimize import brentq
 
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array
@@ -79,6 +77,8 @@ class Marginal:
 
     def below(self, value: float, direction: Array) -> float:
         """Return the probability that `direction` @ parameters is below `value`."""
+        from scipy import stats
+
         centre, scale = self._along(direction)
         return float(self.weights @ stats.t.cdf((value - centre) / scale, self.dof))
 
@@ -89,6 +89,9 @@ class Marginal:
         return self._quantile(low, centre, scale), self._quantile(high, centre, scale)
 
     def _quantile(self, share: float, centre: Array, scale: Array) -> float:
+        from scipy import stats
+        from scipy.optimize import brentq
+
         each = centre + stats.t.ppf(share, self.dof) * scale
         low, high = float(each.min()), float(each.max())
         if not high > low:

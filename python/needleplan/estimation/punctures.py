@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Record
@@ -36,6 +35,8 @@ def force_drops(record: Record, *, least_n: float, within_mm: float = 5.0) -> tu
     what is found. Samples while the needle does not go deeper than before do not count. Raises DataError for
     thresholds that are not above 0.
     """
+    from scipy.signal import find_peaks
+
     if not (least_n > 0 and within_mm > 0):
         raise DataError(Mistake("least_n, within_mm", f"{least_n:g}, {within_mm:g}", "must be above 0"))
     depth, force = record["depth_mm"], record["force_n"]

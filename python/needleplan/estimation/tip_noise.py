@@ -16,8 +16,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy import stats
-from scipy.optimize import brentq
 
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array, Record
@@ -76,6 +74,8 @@ def tip_noise(
     measurements, each with the standard deviation `measurement_sd_rad`. `headings` (N) and `radius_mm` (R) are those of
     the scenario. Raises DataError for fewer than two replicates, or numbers that make no sense.
     """
+    from scipy import stats
+
     values, depths = np.asarray(headings_rad, float), np.asarray(depths_mm, float)
     _require(values, depths, headings, radius_mm, measurement_sd_rad)
     replicates = len(values)
@@ -110,6 +110,8 @@ def probabilities_of(sd_rad: float, step_rad: float) -> tuple[float, ...]:
 
     At most eight; rounded, in sum one when doubled. Raises DataError where eight do not hold it.
     """
+    from scipy.optimize import brentq
+
     target = (sd_rad / step_rad) ** 2
     if target < 1e-9:
         return (1.0,)
@@ -141,6 +143,8 @@ def headings_at(records: Sequence[Record], depths_mm: Array, window_mm: float) -
     not overlap. Columns: x_mm (or depth_mm) and y_mm. The deviation is that of the lines, from their residuals, and
     too small where the errors of the tracker are correlated. Raises DataError where a window has fewer than 4 points.
     """
+    from scipy import stats
+
     depths = np.asarray(depths_mm, float)
     if depths.size > 1 and np.diff(depths).min() < window_mm:
         rule = f"must be at least window_mm, {window_mm:g} mm, apart"

@@ -19,8 +19,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
-from scipy.optimize import least_squares
 
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.models.base import Model
@@ -118,6 +116,8 @@ def fit(
     covariance, by default 3 n^(1/3), enough for the moving averages
     of force sensors. Raises DataError for records that cannot be used, ModelError for unknown names.
     """
+    from scipy.optimize import least_squares
+
     records = (data,) if isinstance(data, Record) else tuple(data)
     problem = _Problem(model, records, _free(model, free), bounds or {}, smooth, mask)
     generator = np.random.default_rng(seed)
@@ -219,6 +219,8 @@ class _Problem:
         return residual
 
     def conclude(self, coordinates: Array, jacobian: Array, ending: int, evaluations: int, lags: int | None) -> Fit:
+        from scipy import stats
+
         residual = self.residual(coordinates)
         covariance, condition, undetermined = self._uncertainty(jacobian, residual, lags)
         model = self.model_at(coordinates)

@@ -16,8 +16,6 @@ from dataclasses import dataclass
 from typing import TypedDict, Unpack
 
 import numpy as np
-from scipy import stats
-from scipy.optimize import brentq
 
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.models.base import Model
@@ -157,6 +155,8 @@ class _Profile:
         self.least = found.samples * found.rmse**2
 
     def interval(self, name: str, level: float) -> Estimate:
+        from scipy import stats
+
         found, index = self.found, self.found.free.index(name)
         what = found.model.parameters()[name]
         centre = what.coordinate(getattr(found.model, name))
@@ -177,6 +177,8 @@ class _Profile:
 
     def _end(self, excess: Callable[[float], float], centre: float, step: float, limit: float) -> float:
         """Return where the profile leaves the allowed, or the end of the range where it never does."""
+        from scipy.optimize import brentq
+
         before, reach = centre, abs(step)
         while reach < _FURTHEST * 2**20:
             here = centre + math.copysign(reach, step)

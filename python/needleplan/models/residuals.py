@@ -12,8 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
-from scipy.linalg import solve_toeplitz
 
 from needleplan.errors import DataError, Mistake
 from needleplan.models.fit import Fit
@@ -91,6 +89,8 @@ def ljung_box(residuals: Sequence[Array], lags: int | None = None) -> tuple[floa
     most a fifth of the shortest record and 20 by default. No correction for fitted parameters: they are few beside
     the samples.
     """
+    from scipy import stats
+
     most = min(20, min(map(len, residuals)) // 5) if lags is None else lags
     most = max(most, 1)
     total = 0.0
@@ -142,6 +142,8 @@ def _trend(
 
 
 def _normality(left: Sequence[Array], filters: Sequence[Array]) -> Finding:
+    from scipy import stats
+
     innovations = []
     for values, weights in zip(left, filters, strict=True):
         each = _filtered(values, weights)
@@ -164,6 +166,8 @@ def _normality(left: Sequence[Array], filters: Sequence[Array]) -> Finding:
 
 def _autoregression(values: Array) -> Array:
     """Return the weights of the past in an autoregression (Yule and Walker), its order by Akaike's criterion."""
+    from scipy.linalg import solve_toeplitz
+
     n = values.size
     centred = values - values.mean()
     highest = min(_HIGHEST_ORDER, n // 10)
@@ -193,6 +197,8 @@ def _slope(
     left: Sequence[Array], others: Sequence[Array], values: Sequence[Array], filters: Sequence[Array]
 ) -> tuple[float, float, float]:
     """Return slope, t and p of residuals over `values`, beside `others`, after filtering all of them."""
+    from scipy import stats
+
     bring: Callable[[Sequence[Array]], Array] = lambda rows: np.concatenate(  # noqa: E731
         [_filtered(row, weights) for row, weights in zip(rows, filters, strict=True)]
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals.array import Array, ComplexArray
@@ -72,10 +71,12 @@ class DiscreteFilter:
 
     def apply(self, values: Array) -> Array:
         """Filter a record, shape (samples,), as if its first value had been there for ever. Raises DataError."""
+        from scipy.signal import lfilter
+
         values = np.asarray(values, float)
         if values.ndim != 1 or not values.size:
             raise DataError(Mistake("values", f"shape {values.shape}", "must be a row of numbers"))
-        filtered, _ = signal.lfilter(self.numerator, self.denominator, values, zi=self._settled(values[0]))
+        filtered, _ = lfilter(self.numerator, self.denominator, values, zi=self._settled(values[0]))
         return np.asarray(filtered)
 
     def stream(self) -> FilterStream:
@@ -84,9 +85,11 @@ class DiscreteFilter:
 
     def _settled(self, value: float) -> Array:
         """Return the memory of the filter after `value` has been there for ever, shape (order,)."""
-        if len(self.denominator) == 1:
-            return np.zeros(0)
-        return np.asarray(signal.lfilter_zi(self.numerator, self.denominator)) * value
+        first = self.denominator[0]
+        b, a = np.array(self.numerator) / first, np.array(self.denominator) / first
+        out = value * b.sum() / a.sum()
+        # What each place holds is what the later coefficients still make of input and output.
+        return np.cumsum((b * value - a * out)[:0:-1])[::-1]
 
 
 class FilterStream:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from needleplan.errors import DataError, Mistake
 from needleplan.signals.array import Array
@@ -37,6 +36,8 @@ def dominant_frequency_hz(time_s: Array, values: Array) -> float:
     The largest line of the spectrum, refined by least squares within half a line to either side. Raises DataError for
     fewer than eight samples, or where the values do not change.
     """
+    from scipy.optimize import minimize_scalar
+
     time, values = np.asarray(time_s, float), np.asarray(values, float)
     if time.size < 8 or np.ptp(values) == 0:
         raise DataError(Mistake("values", f"{time.size} samples", "must be at least eight, and change"))

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from needleplan.errors import DataError, Mistake
 from needleplan.signals.array import Array
@@ -53,6 +52,8 @@ def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:
     The density of the smoother's driving noise is that of a jerk as large as the record's own sine has, for as long as
     a radian of it takes. Raises DataError for fewer than 15 samples, a record that does not move, or bad numbers.
     """
+    from scipy.signal import savgol_filter
+
     time, position = np.asarray(time_s, float), np.asarray(position_mm, float)
     if time.ndim != 1 or time.shape != position.shape or time.size < 15:
         raise DataError(

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from needleplan.errors import DataError
 from needleplan.estimation import (
@@ -88,6 +87,8 @@ def register_needle(
 
 def _axes(quaternions: Array) -> Array:
     """Return where quaternions (n, 4), w first, take the z axis, shape (n, 3)."""
+    from scipy.spatial.transform import Rotation
+
     if not len(quaternions):
         return np.zeros((0, 3))
     return np.asarray(Rotation.from_quat(quaternions[:, [1, 2, 3, 0]]).apply([0.0, 0.0, 1.0]))

@@ -15,14 +15,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import stats
-from scipy.spatial.transform import Rotation
 
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration.rows import rows_of
 from needleplan.signals import Array
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 __all__ = ["Pivot", "PivotStatus", "calibrate_axis", "calibrate_pivot"]
 
@@ -74,6 +76,8 @@ class Pivot:
     @property
     def interval_mm(self) -> tuple[Array, Array]:
         """Lower and upper limits of the tip, 95 %."""
+        from scipy import stats
+
         degrees = max(3 * self.poses - len(self.tip_mm) - 3, 1)
         reach = float(stats.t.ppf(0.975, degrees)) * self.tip_sd_mm
         return self.tip_mm - reach, self.tip_mm + reach
@@ -108,6 +112,8 @@ def calibrate_pivot(positions_mm: Array, rotations: Rotation) -> Pivot:
 
 def _solve(positions: Array, turned: Array) -> Pivot:
     """Solve turned @ tip - pivot = -position; `turned` (n, 3, k)."""
+    from scipy import stats
+
     count, _, unknowns = turned.shape
     matrix = np.concatenate([turned, np.broadcast_to(-np.eye(3), (count, 3, 3))], axis=2).reshape(-1, unknowns + 3)
     singular = np.linalg.svd(matrix, compute_uv=False) if count else np.zeros(1)

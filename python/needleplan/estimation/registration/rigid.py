@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import stats
-from scipy.spatial.transform import Rotation
 
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration.rows import rows_of
 from needleplan.signals import Array
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 __all__ = ["Outlier", "RigidMotion", "register", "worst_pair"]
 
@@ -83,6 +85,8 @@ def register(first_mm: Array, second_mm: Array) -> RigidMotion:
 
     Never a reflection. Raises DataError for fewer than 3 pairs, and for points on one line.
     """
+    from scipy.spatial.transform import Rotation
+
     first, second = rows_of(first_mm, "first_mm"), rows_of(second_mm, "second_mm")
     if first.shape != second.shape or len(first) < 3:
         raise DataError(
@@ -117,6 +121,8 @@ def worst_pair(first_mm: Array, second_mm: Array) -> Outlier | None:
     show, as F(3, 3 (n - 1) - 6); one bad point spoils the distances of all in the common fit, but not that. Needs four
     pairs, and tells more with more of them. Raises DataError as `register` does.
     """
+    from scipy import stats
+
     whole = register(first_mm, second_mm)
     first, second = np.asarray(first_mm, float), np.asarray(second_mm, float)
     degrees = 3 * (whole.points - 1) - 6

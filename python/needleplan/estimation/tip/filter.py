@@ -17,7 +17,7 @@ from typing import Self
 
 import numpy as np
 from filterpy.kalman import update as kalman_update
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from needleplan.devices import Health, PoseSample, StageSample
 from needleplan.errors import DataError, Mistake
@@ -74,7 +74,7 @@ class TipFilter:
         self.settings = settings = settings or TipSettings()
         self._entry = entry
         self._planned = planned_per_mm
-        self._gate = float(chi2.isf(settings.gate, 5))
+        self._gate = float(chdtri(5, settings.gate))
         self._channel: Channel | None = None
         self._stage: deque[tuple[int, float, float]] = deque(maxlen=_KEPT)
         self._base_roll = 0.0

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import solve_banded
 
 from needleplan.signals import Array
 
@@ -35,6 +34,8 @@ def solve_blocks(diagonal: Blocks, lower: Blocks, upper: Blocks, loads: Sequence
 
 
 def _banded(diagonal: Blocks, lower: Blocks, upper: Blocks, loads: Sequence[Array]) -> tuple[Array, Array]:
+    from scipy.linalg import solve_banded
+
     count, systems = loads[0].shape
     bands = np.zeros((7, systems, count, 2))
     for row in range(2):

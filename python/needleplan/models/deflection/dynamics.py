@@ -15,7 +15,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh, solve_banded
 
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection.beam import Tissue
@@ -53,6 +52,8 @@ def natural_frequencies_hz(
     needle: Needle, tissue: Tissue, depth_mm: float, count: int = 3, *, element_mm: float = 2.0
 ) -> Array:
     """Return the lowest natural frequencies of the needle at rest at a depth (0: the free cantilever), Hz."""
+    from scipy.linalg import eigh
+
     mesh = _Mesh(needle, tissue, element_mm)
     stiffness, mass = mesh.dense(mesh.beam + mesh.foundation(depth_mm)), mesh.dense(mesh.mass)
     values = eigh(stiffness, mass, eigvals_only=True, subset_by_index=(0, count - 1))
@@ -74,6 +75,8 @@ def vibrate(
     `damping_1_s` is a force against the velocity over the mass: 2 zeta omega for a mode of the angular frequency omega.
     Raises ModelError where the end is deeper than the needle is long.
     """
+    from scipy.linalg import solve_banded
+
     push = np.asarray(tip_push_n, float)
     time = np.asarray(step_s * np.arange(push.size), float)
     depth = velocity_mm_s * time

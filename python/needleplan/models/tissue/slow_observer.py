@@ -20,7 +20,6 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import bisect
 
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import FAST_ALPHA1, Array, HighGainObserver, Projection
@@ -92,6 +91,8 @@ def tune_slow_observer(
 
     Raises DataError where shapes differ, a number is not finite, or the times are not even (to 2 %).
     """
+    from scipy.optimize import bisect
+
     time, depth, force = (np.asarray(each, float) for each in (time_s, depth_mm, force_n))
     interval = _even_interval(time, depth, force)
     fast = HighGainObserver.critically_damped(fast_alpha1, interval)
