@@ -75,6 +75,8 @@ def _lines(found: Diagnosis) -> Iterator[str]:
             f"  held out: {after.before_n:.4g} -> {after.after_n:.4g} RMS, noise {after.floor_n:.4g}; "
             f"{after.transfer:.2f} of what was promised"
         )
+    for part in found.localisation.where()[:4]:
+        yield f"  where: {part.axis}, {part.label}: {part.share:.0%} of the gap (p {part.p_value:.2g})"
     for why in found.checked.lacks.values():
         yield f"  lacking: {why}"
     for remark in found.remarks:

@@ -58,7 +58,10 @@ def force_bases(cases: Sequence[Case]) -> dict[str, Basis]:
     add("force by speed", Axis.SPEED, [b * z[:, None] for b, z in zip(speed, signs, strict=True)])
     add("time", Axis.TIME, [splines(each.time_s, 0.0, longest, 7) for each in motions])
     add("rest", Axis.HOLD, [_rests(case) for case in cases])
-    add("force", Axis.FORCE, [_powers(case, force) for case in cases])
+    powers = [_powers(case, force) for case in cases]
+    add("force", Axis.FORCE, powers)
+    add("force squared", Axis.FORCE, [each[:, 1:2] - each[:, 3:4] for each in powers])
+    add("pushing force squared", Axis.FORCE, [each[:, 1:2] for each in powers])
     return found
 
 

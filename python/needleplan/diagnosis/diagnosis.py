@@ -9,9 +9,11 @@ import numpy as np
 from needleplan.diagnosis.calibrate import Calibration, pooled
 from needleplan.diagnosis.check import Checked
 from needleplan.diagnosis.decide import Decision
+from needleplan.diagnosis.localise import Localisation
 from needleplan.diagnosis.minimal import Smallest
 from needleplan.diagnosis.refit import Joint
 from needleplan.diagnosis.select import Selection
+from needleplan.diagnosis.unknown import Described
 from needleplan.diagnosis.verdict import Gates, Verdict
 from needleplan.diagnosis.verify import Verified
 from needleplan.errors import Mistake, ModelError
@@ -51,6 +53,12 @@ class Diagnosis:
     effects: tuple[FoundEffect, ...]
     smallest: tuple[Smallest, ...]
     gates: Gates
+    localisation: Localisation
+    """Where the gap of the calibrated base lies."""
+
+    described: Described | None
+    """The gap that has no name, or what is left beside one."""
+
     remarks: tuple[str, ...] = ()
     digest: str = ""
 

@@ -51,6 +51,9 @@ def document_of(found: Diagnosis) -> dict[str, Any]:
         ],
         "held_out": _verified(found.verified) if found.verified else None,
         "steps": [_step(each) for each in found.selection.steps],
+        "where": [asdict(each) for each in found.localisation.bins],
+        "changes": [asdict(each) | {"axis": str(each.axis)} for each in found.localisation.changes],
+        "described": asdict(found.described) | {"axis": str(found.described.axis)} if found.described else None,
         "smallest": [asdict(each) for each in found.smallest],
         "gates": asdict(found.gates),
     }

@@ -89,6 +89,8 @@ class Selection:
     joint: Joint | None
     verified: Verified | None
     smallest: tuple[Smallest, ...]
+    believed: tuple[Case, ...] = ()
+    """The trials with parameters held that calibration moved far from what was believed of them; empty otherwise."""
 
 
 def select(calibration: Calibration, library: Library, gates: Gates, *, seed: int = 0) -> Selection:
@@ -117,7 +119,7 @@ def select(calibration: Calibration, library: Library, gates: Gates, *, seed: in
             break
         joint, verified = step.ranked[0].joint, step.verified
         cases, space = joint.cases, joint.space
-    return Selection(base, tuple(steps), joint, verified, smallest)
+    return Selection(base, tuple(steps), joint, verified, smallest, again)
 
 
 @dataclass(frozen=True)
@@ -147,6 +149,8 @@ def _round(
     screened = tuple(each for each in screen(space, columns, known.candidates) if each.effect.name not in names)
     rivals = score_rivals(space, cases)
     needed = gates.balance_varied if space.level > gates.varied else gates.balance
+    if not screened:
+        return Step(screened, rivals, (), None, gates.lead, None, Stop.WEAK)
     if len(taken) >= gates.most:
         return Step(screened, rivals, (), None, gates.lead, None, Stop.ENOUGH)
     starts = [(each, cases) for each in screened if each.balance > screened[0].balance - _NEAR][:_REFITTED]

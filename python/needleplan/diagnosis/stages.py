@@ -12,12 +12,15 @@ from needleplan.diagnosis.check import Checked, Lack, check_data
 from needleplan.diagnosis.decide import Decision, decide
 from needleplan.diagnosis.diagnosis import Diagnosis, FoundEffect
 from needleplan.diagnosis.library import Library
+from needleplan.diagnosis.localise import Localisation, localise
 from needleplan.diagnosis.noise import Noise, fit_axes, together
 from needleplan.diagnosis.refit import Joint, added_output
 from needleplan.diagnosis.select import Selection, Stop, select
+from needleplan.diagnosis.space import Space
+from needleplan.diagnosis.unknown import Described, describe
 from needleplan.diagnosis.verdict import Gates, Verdict
 from needleplan.errors import Mistake, ModelError
-from needleplan.models import Estimate, Model
+from needleplan.models import Channel, Estimate, Model
 from needleplan.models.effects import SIZE, AddedEffect, AugmentedModel, effects_of
 from needleplan.provenance import digest
 from needleplan.signals import Record
@@ -56,7 +59,9 @@ def diagnose(
     remarks = (*checked.remarks, *_strange(model, calibration))
     parents = "".join(sorted(each.digest or digest(each["time_s"].tobytes()) for each in recordings))
     return Diagnosis(
-        decision, model, checked, calibration, selection, found, selection.smallest, gates, remarks,
+        decision, model, checked, calibration, selection, found, selection.smallest, gates,
+        _localisation(decision, selection, calibration, seed),
+        _described(decision, selection, calibration), remarks,
         digest(f"{model!r} {parents} {decision!r} {[each.added for each in found]!r}"),
     )  # fmt: skip
 
@@ -78,6 +83,24 @@ def _noise(model: Model, checked: Checked) -> Noise:
         sd = float(np.median(spread)) or 1e-9
         found.append(Noise(np.zeros(0), sd, sd))
     return together(found)
+
+
+def _localisation(decision: Decision, selection: Selection, calibration: Calibration, seed: int) -> Localisation:
+    """Return where the gap lies; where a base imitates what is missing, beside the base as it was believed to be."""
+    quiet = decision.verdict in (Verdict.NONE, Verdict.UNDERPOWERED)
+    if quiet or not selection.believed:
+        return localise(selection.base, calibration.training, seed=seed)
+    return localise(Space([case.block for case in selection.believed]), selection.believed, seed=seed)
+
+
+def _described(decision: Decision, selection: Selection, calibration: Calibration) -> Described | None:
+    if calibration.given.channel is not Channel.FORCE:  # its formulas are of forces
+        return None
+    if decision.verdict is Verdict.UNKNOWN:
+        return describe(selection.base, calibration.training, selection.steps[0].rivals[0])
+    if decision.verdict is Verdict.INCOMPLETE and selection.joint:
+        return describe(selection.joint.space, selection.joint.cases, selection.steps[-1].rivals[0])
+    return None
 
 
 def _limited(decision: Decision, checked: Checked) -> Decision:

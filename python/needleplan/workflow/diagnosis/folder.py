@@ -36,7 +36,7 @@ def write_folder(
     """Write `diagnosis.json` and `report.html`, and return what was written.
 
     Besides `model.toml`, where an effect was named or `merge_anyway`, and `next_motion.toml`, where effects are left
-    between which another trial would decide. Raises OutputError.
+    between which another trial would decide, and `effect_to_name.py`, where a gap has no name. Raises OutputError.
     """
     place = Path(folder)
     try:
@@ -58,4 +58,7 @@ def write_folder(
         remark = f"verdict of the diagnosis {found.digest}: {found.verdict}"
         written.append(place / "model.toml")
         ModelFile(model, found.estimates(), parents, (*file.remarks, remark), file.title).write(written[-1])
+    if found.described:
+        written.append(place / "effect_to_name.py")
+        write_whole(written[-1], found.described.effect_file().encode())
     return tuple(map(str, written))
