@@ -134,3 +134,12 @@ def test_missing_measurements_do_not_count() -> None:
     force[100:140] = np.nan
     found = diagnose(BASE, [data[0].with_column("force_n", force), *data[1:]], library=LIBRARY)
     assert found.names == ("bias",)
+
+
+def test_what_would_have_to_be_too_large_is_no_reason_to_fail() -> None:
+    name = "relaxation"
+    strong = {"size": 1.0, "time_s": 1.0, "recovery_mm": 0.1}
+    found = diagnose(BASE, recordings({name: strong}, seed=5), library=Library([effect_named(name)], BASE))
+    for each in found.effects:
+        what = each.effect.parameters
+        assert all(what[key].lower <= value <= what[key].upper for key, value in each.added.values.items())

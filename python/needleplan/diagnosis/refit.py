@@ -104,6 +104,7 @@ def refit(
     """
     added = tuple(start)
     names = tuple((index, name) for index, each in enumerate(added) for name in _free(each))
+    added = _moved(added, names, np.zeros(len(names)))  # what was screened may lie outside of what can be
     cases = tuple(cases or calibration.training)
     best: Joint | None = None
     for _ in range(rounds):
