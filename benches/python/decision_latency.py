@@ -1,0 +1,280 @@
+"""Measure how long the loop takes from a sample to its command, and whether minutes of traffic pass without loss.
+
+python benches/python/decision_latency.py --json results/decision_latency.json > results/decision_latency.md
+python benches/python/decision_latency.py --insertions 1 --traffic 5       # to see that it runs
+
+The lab twin runs in real time, in processes of its own, and speaks the bytes of robot, force sensor and tracker on the
+loopback. The loop is that of `needleplan insert`, with its guard, its threads that read, and a recording. The traffic
+is 1,000 Hz status of the robot, 200 Hz force and 40 Hz poses through the clients of the devices, in real time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import machine
+import numpy as np
+from fault_lab import serve
+
+from needleplan.control import (
+    Command,
+    CommandKind,
+    Event,
+    EventName,
+    Insertion,
+    Listener,
+    Options,
+    RunRecorder,
+    RunSetup,
+    Sample,
+    Station,
+    ThreadedFeed,
+)
+from needleplan.control.safety import SafetyLimits
+from needleplan.devices import PoseSample, SystemClock
+from needleplan.devices.ati import NetFt
+from needleplan.devices.ndi import NdiTracker
+from needleplan.devices.processes import LabPlaces, TrackerLine
+from needleplan.devices.robot import RobotLimits, RobotStage
+from needleplan.estimation.tip import TipEstimate
+from needleplan.planning import PolicyTable, plan
+from needleplan.scenario import Scenario
+from needleplan.simulation import Experiment
+from needleplan.simulation.processes import RealTimeLab
+from needleplan.workflow.insertion import open_bench, simulated_bench
+
+GOAL_MS, GOAL_REPLANNING_MS = 5.0, 40.0
+PATIENT = SafetyLimits(
+    insertion_velocity_mm_s=25.0, force_age_s=0.5, pose_age_s=0.5, stage_age_s=0.5, loop_age_s=0.5, following_mm=2.0, motion_s=2.0,
+    recording_age_s=5.0, out_of_plane_mm=20.0,
+)  # fmt: skip
+"""Ages that a machine with other work does not exceed: a fault would end the measurement, not change it."""
+
+
+class Timed(Listener):
+    """Notes when samples arrived, and how long after that the command was out that they led to."""
+
+    def __init__(self) -> None:
+        self.last: Sample | None = None
+        self.tips_ms: list[float] = []
+        self.commands: list[tuple[float, bool, bool]] = []
+        """Time from the last sample (ms), whether that was one of the tracker, whether a plan was being made."""
+
+        self.planning = False
+        self.planned: list[str] = []
+
+    def sample(self, sample: Sample) -> None:
+        """Note a sample that is about to be used."""
+        self.last = sample
+
+    def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
+        """Note how long the tip took from the arrival of its frame."""
+        self.tips_ms.append((time.monotonic_ns() - time_ns) * 1e-6)
+
+    def command(self, command: Command) -> None:
+        """Note a command, which is out."""
+        if command.kind is CommandKind.STOP or self.last is None:
+            return
+        since_ms = (time.monotonic_ns() - self.last.stamp.received_ns) * 1e-6
+        self.commands.append((since_ms, isinstance(self.last, PoseSample), self.planning))
+
+    def event(self, event: Event) -> None:
+        """Note when a plan is being made; the decision that takes the table is one of those that wait for nothing."""
+        if event.name is EventName.REPLAN_ASKED:
+            self.planning = True
+        elif event.name in (EventName.TABLE_SWAPPED, EventName.REPLAN_REFUSED):
+            self.planned.append(event.text)
+            self.planning = False
+
+
+def insertion(table: PolicyTable, experiment: Experiment, seed: int, folder: Path, *, replanning: bool) -> Timed | str:
+    """Insert in real time, and return what was timed, or why it did not end in the target."""
+    options = Options(velocity_mm_s=20.0, velocity_rad_s=10.0, replan=replanning)
+    if replanning:  # at every decision at which no plan is being made
+        options = replace(options, replan_deviations=1e-6, replan_share=1e-6)
+    with simulated_bench(experiment, table, table.best_entry().pose, seed) as bench:
+        assert bench.lab is not None
+        setup, registration = bench.lab.plant.setup, bench.registration
+        options = replace(options, torsion=bench.torsion)
+    assert registration is not None
+    timed, places = Timed(), LabPlaces(tracker_line=TrackerLine.TCP)
+    with ExitStack() as stack:
+        lab = stack.enter_context(RealTimeLab(setup, seed, places, RobotLimits(longest_silence_s=5.0)))
+        at = lab.addresses
+        devices = stack.enter_context(
+            open_bench(f"{at.robot}?watchdog_s=3&valid_s=1", at.force, at.tracker, table, table.best_entry().pose)
+        )
+        run = RunSetup(options, PATIENT, registration)
+        recorder = stack.enter_context(RunRecorder(folder / f"{time.monotonic_ns()}.mcap", table, run, SystemClock()))
+        loop = Insertion(
+            table, devices.station, options, registration=registration, limits=PATIENT, listeners=[recorder, timed]
+        )
+        report = stack.enter_context(loop).run()
+    return timed if report.ending == "target" else f"{report.ending}: {report.cause}"
+
+
+def latencies(insertions: int, scenario: str) -> dict[str, Any]:
+    """Return the times of many insertions, without planning again and with it at every decision."""
+    table, experiment = plan(Scenario.read(scenario)), Experiment.read("steering")
+    found: dict[str, Any] = {"scenario": scenario, "failed": []}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, replanning in (("without", False), ("with", True)):
+            tips: list[float] = []
+            commands: list[tuple[float, bool, bool]] = []
+            tables = 0
+            for seed in range(insertions):
+                timed = insertion(table, experiment, seed, Path(folder), replanning=replanning)
+                if isinstance(timed, str):
+                    found["failed"].append(f"{name}, seed {seed}: {timed}")
+                    continue
+                tips += timed.tips_ms
+                commands += timed.commands
+                tables += len(timed.planned)
+            found[name] = {
+                "tables": tables,
+                "tip": percentiles(tips),
+                "command after a frame of the tracker": percentiles([ms for ms, pose, _ in commands if pose]),
+                "command after any sample": percentiles([ms for ms, _, _ in commands]),
+                "command while a plan is made": percentiles([ms for ms, _, planning in commands if planning]),
+            }
+    return found
+
+
+def percentiles(values_ms: list[float]) -> dict[str, float]:
+    """Return median, 99th percentile and worst of times in ms."""
+    if not values_ms:
+        return {"number": 0}
+    middle, high = np.percentile(values_ms, [50, 99]).tolist()
+    return {"number": len(values_ms), "p50_ms": middle, "p99_ms": high, "worst_ms": max(values_ms)}
+
+
+def traffic(seconds: float) -> dict[str, Any]:
+    """Take all samples for a while, and return how many came and were lost, and how the memory went."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    child = context.Process(target=serve, args=(there,))
+    child.start()
+    here.send(("open", ""))
+    force, tracker, robot = here.recv()
+    counts: dict[str, int] = {}
+    lost: dict[str, int] = {}
+    gaps: dict[str, int] = {}
+    last: dict[str, int] = {}
+    memory: list[tuple[float, float]] = []
+    begin = time.monotonic()
+    with ExitStack() as stack:
+        sensor = stack.enter_context(NetFt.open(force))
+        eyes = stack.enter_context(NdiTracker.open(tracker))
+        stage = stack.enter_context(RobotStage.open(robot))
+        feed = stack.enter_context(ThreadedFeed(Station(stage, sensor, eyes, SystemClock())))
+        while (now := time.monotonic()) < begin + seconds:
+            if not memory or now - begin > memory[-1][0] + max(seconds / 20, 1.0):
+                memory.append((now - begin, resident_mb()))
+            if (sample := feed.next(0.02)) is None:
+                continue
+            name, number = type(sample).__name__, sample.stamp.sequence
+            lost[name] = lost.get(name, 0) + sample.stamp.lost
+            if name in last:
+                gaps[name] = gaps.get(name, 0) + (number - last[name] > 1 + sample.stamp.lost and name != "PoseSample")
+            counts[name], last[name] = counts.get(name, 0) + 1, number
+        memory.append((time.monotonic() - begin, resident_mb()))
+    here.send(("close", ""))
+    here.recv()
+    here.close()
+    child.join()
+    rates = {name: count / seconds for name, count in counts.items()}
+    return {"seconds": seconds, "samples": counts, "rates_hz": rates, "lost": lost, "unexplained_gaps": gaps,
+            "memory_mb": memory}  # fmt: skip
+
+
+def resident_mb() -> float:
+    """Return the memory of this process."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+def main() -> int:
+    """Run, and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--insertions", type=int, default=5, help="in real time, without and with planning again (5)")
+    parser.add_argument("--scenario", default="four_obstacles")
+    parser.add_argument("--traffic", type=float, default=600.0, metavar="S", help="seconds of traffic (600)")
+    parser.add_argument("--json", metavar="FILE")
+    options = parser.parse_args()
+    results: dict[str, Any] = {"machine": machine.description()}
+    if options.insertions:
+        results["latency"] = latencies(options.insertions, options.scenario)
+    if options.traffic:
+        results["traffic"] = traffic(options.traffic)
+    results["load_after"] = os.getloadavg()[0]
+    if options.json:
+        Path(options.json).write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    print("\n".join(lines(results)))
+    return 0
+
+
+def lines(results: dict[str, Any]) -> Iterator[str]:
+    """Yield the page."""
+    of = results["machine"]
+    yield "# From a sample to the command, and minutes of traffic"
+    yield ""
+    yield f"{of['processor']}, {of['threads']} threads, commit {of['commit']}, {of['date']}; load before and after:"
+    yield f"{of['load_before']}, {results['load_after']:.2f}."
+    if "latency" in results:
+        yield from _latency(results["latency"])
+    if "traffic" in results:
+        yield from _traffic(results["traffic"])
+
+
+def _latency(found: dict[str, Any]) -> Iterator[str]:
+    yield from ("", "## Latency", "")
+    yield f"Scenario {found['scenario']}. From the arrival of a sample to the tip, or to the command that it led to"
+    yield "being out. With planning again: a new table is asked for at every decision at which none is being made."
+    yield f"Goals: 99 % below {GOAL_MS:g} ms without planning again, below {GOAL_REPLANNING_MS:g} ms with it."
+    yield ""
+    yield "| planning again | what | number | median ms | 99 % ms | worst ms |"
+    yield "|---|---|--:|--:|--:|--:|"
+    for name in ("without", "with"):
+        for what, each in found[name].items():
+            if isinstance(each, dict) and each["number"]:
+                yield (
+                    f"| {name} | {what} | {each['number']} | {each['p50_ms']:.2f} | {each['p99_ms']:.2f} | "
+                    f"{each['worst_ms']:.2f} |"
+                )
+    yield ""
+    yield f"{found['with']['tables']} tables were made and taken meanwhile."
+    for failed in found["failed"]:
+        yield f"Not counted: {failed}."
+
+
+def _traffic(found: dict[str, Any]) -> Iterator[str]:
+    yield from ("", "## Traffic", "", f"{found['seconds']:.0f} s in real time, servers in a process of their own.", "")
+    yield "| samples | number | per second | lost | gaps that no sample tells of |"
+    yield "|---|--:|--:|--:|--:|"
+    for name, count in found["samples"].items():
+        yield (
+            f"| {name} | {count:,} | {found['rates_hz'][name]:.1f} | {found['lost'][name]} | "
+            f"{found['unexplained_gaps'].get(name, 0)} |"
+        )
+    yield ""
+    yield (
+        "Memory of the process that takes them: "
+        + ", ".join(f"{mb:.1f} MB after {at:.0f} s" for at, mb in found["memory_mb"])
+        + "."
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
