@@ -1,6 +1,6 @@
 """Measure how long the loop takes from a sample to its command, and whether minutes of traffic pass without loss.
 
-python benches/python/decision_latency.py --json results/decision_latency.json > results/decision_latency.md
+python benches/python/decision_latency.py --json benches/results/latency.json > benches/results/latency.md
 python benches/python/decision_latency.py --insertions 1 --traffic 5       # to see that it runs
 
 The lab twin runs in real time, in processes of its own, and speaks the bytes of robot, force sensor and tracker on the
@@ -48,6 +48,7 @@ from needleplan.devices.ati import NetFt
 from needleplan.devices.ndi import NdiTracker
 from needleplan.devices.processes import LabPlaces, TrackerLine
 from needleplan.devices.robot import RobotLimits, RobotStage
+from needleplan.errors import DeviceFault
 from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import PolicyTable, plan
 from needleplan.scenario import Scenario
@@ -57,8 +58,8 @@ from needleplan.workflow.insertion import open_bench, simulated_bench
 
 GOAL_MS, GOAL_REPLANNING_MS = 5.0, 40.0
 PATIENT = SafetyLimits(
-    insertion_velocity_mm_s=25.0, force_age_s=0.5, pose_age_s=0.5, stage_age_s=0.5, loop_age_s=0.5, following_mm=2.0, motion_s=2.0,
-    recording_age_s=5.0, out_of_plane_mm=20.0,
+    insertion_velocity_mm_s=25.0, force_age_s=0.5, pose_age_s=0.5, stage_age_s=0.5, loop_age_s=0.5, motion_s=2.0,
+    following_mm=2.0, recording_age_s=5.0, out_of_plane_mm=20.0,
 )  # fmt: skip
 """Ages that a machine with other work does not exceed: a fault would end the measurement, not change it."""
 
@@ -174,29 +175,35 @@ def traffic(seconds: float) -> dict[str, Any]:
     last: dict[str, int] = {}
     memory: list[tuple[float, float]] = []
     begin = time.monotonic()
-    with ExitStack() as stack:
-        sensor = stack.enter_context(NetFt.open(force))
-        eyes = stack.enter_context(NdiTracker.open(tracker))
-        stage = stack.enter_context(RobotStage.open(robot))
-        feed = stack.enter_context(ThreadedFeed(Station(stage, sensor, eyes, SystemClock())))
-        while (now := time.monotonic()) < begin + seconds:
-            if not memory or now - begin > memory[-1][0] + max(seconds / 20, 1.0):
-                memory.append((now - begin, resident_mb()))
-            if (sample := feed.next(0.02)) is None:
-                continue
-            name, number = type(sample).__name__, sample.stamp.sequence
-            lost[name] = lost.get(name, 0) + sample.stamp.lost
-            if name in last:
-                gaps[name] = gaps.get(name, 0) + (number - last[name] > 1 + sample.stamp.lost and name != "PoseSample")
-            counts[name], last[name] = counts.get(name, 0) + 1, number
-        memory.append((time.monotonic() - begin, resident_mb()))
+    interrupted: list[str] = []
+    while time.monotonic() < begin + seconds:
+        last.clear()
+        try:
+            with ExitStack() as stack:
+                sensor = stack.enter_context(NetFt.open(force))
+                eyes = stack.enter_context(NdiTracker.open(tracker))
+                stage = stack.enter_context(RobotStage.open(robot))
+                feed = stack.enter_context(ThreadedFeed(Station(stage, sensor, eyes, SystemClock())))
+                while (now := time.monotonic()) < begin + seconds:
+                    if not memory or now - begin > memory[-1][0] + max(seconds / 20, 1.0):
+                        memory.append((now - begin, resident_mb()))
+                    if (sample := feed.next(0.02)) is None:
+                        continue
+                    name, number = type(sample).__name__, sample.stamp.sequence
+                    lost[name] = lost.get(name, 0) + sample.stamp.lost
+                    if name in last and name != "PoseSample":
+                        gaps[name] = gaps.get(name, 0) + (number - last[name] > 1 + sample.stamp.lost)
+                    counts[name], last[name] = counts.get(name, 0) + 1, number
+        except DeviceFault as fault:
+            interrupted.append(f"after {time.monotonic() - begin:.0f} s: {fault}")
+    memory.append((time.monotonic() - begin, resident_mb()))
     here.send(("close", ""))
     here.recv()
     here.close()
     child.join()
     rates = {name: count / seconds for name, count in counts.items()}
     return {"seconds": seconds, "samples": counts, "rates_hz": rates, "lost": lost, "unexplained_gaps": gaps,
-            "memory_mb": memory}  # fmt: skip
+            "memory_mb": memory, "interrupted": interrupted}  # fmt: skip
 
 
 def resident_mb() -> float:
