@@ -47,7 +47,7 @@ def write_folder(
     next_ = next_motion(found)
     document = document_of(found) | {"next_motion": next_motion_document(next_) if next_ else None}
     write_whole(written[0], (json.dumps(document, indent=1) + "\n").encode())
-    write_whole(written[1], report_of(found, file, library).encode())
+    write_whole(written[1], report_of(found, file, library, next_).encode())
     if next_:
         written.append(place / "next_motion.toml")
         write_whole(written[-1], motion_text(next_, found.base).encode())

@@ -18,7 +18,7 @@ h2 { font-size: 1.2rem; margin-top: 2.2rem; border-bottom: 1px solid #bbb; }
 h3 { font-size: 1rem; margin-bottom: .3rem; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; margin: .7rem 0; font-size: .88rem; }
-caption { text-align: left; color: #444; padding: .2rem 0; }
+caption { text-align: left; color: #444; padding: .2rem 0; white-space: nowrap; }
 th, td { text-align: left; vertical-align: top; padding: .2rem .7rem .2rem 0; border-bottom: 1px solid #ddd; }
 td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 figure { margin: .8rem 0; } img { max-width: 100%; height: auto; } figcaption { color: #444; font-size: .88rem; }
@@ -26,7 +26,7 @@ figure { margin: .8rem 0; } img { max-width: 100%; height: auto; } figcaption { 
 code { font-size: .9em; overflow-wrap: anywhere; }
 a { color: #00527f; }
 @media print { body { max-width: none; margin: 0; font-size: 10pt; } figure, tr { break-inside: avoid; }
-  h2, h3 { break-after: avoid; } .scroll { overflow: visible; } }
+  h2, h3 { break-after: avoid; } .scroll { overflow: visible; } caption { white-space: normal; } }
 """
 
 

@@ -10,14 +10,23 @@ import numpy as np
 
 from needleplan.diagnosis import Diagnosis
 from needleplan.diagnosis.isolability import Isolability
-from needleplan.workflow.diagnosis.traces import Phase, Trace, correlation, gap_map
+from needleplan.signals import Motion
+from needleplan.workflow.diagnosis.traces import Trace, correlation, gap_map
 from needleplan.workflow.figures.canvas import BLACK, BLUE, GREY, ORANGE, VERMILLION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["candidates_figure", "correlation_figure", "gap_figure", "isolability_figure", "map_figure", "trial_figure"]
+__all__ = [
+    "candidates_figure",
+    "correlation_figure",
+    "gap_figure",
+    "isolability_figure",
+    "map_figure",
+    "motion_figure",
+    "trial_figure",
+]
 
 _STYLE: Any = {"font.size": 9, "axes.linewidth": 0.8, "svg.fonttype": "path", "svg.hashsalt": "needleplan"}
 _LAGS = 40
@@ -85,17 +94,17 @@ def map_figure(traces: Sequence[Trace]) -> str:
     figure, panels = _sheet(1 + both, 1, (7.4, 1.9 * (1 + both) + 0.4), sharex=True)
     top = 2.0
     for ax, after in zip(panels, (False, True), strict=False):
-        edges, energy = gap_map(traces, after=after)
+        phases, edges, energy = gap_map(traces, after=after)
         top = max(top, float(np.nanmax(energy))) if not after else top
         image = ax.imshow(energy, cmap="viridis_r", vmin=0.5, vmax=min(top, 20.0), aspect="auto",
-                          extent=(edges[0], edges[-1], len(Phase) - 0.5, -0.5))  # fmt: skip
+                          extent=(edges[0], edges[-1], len(phases) - 0.5, -0.5))  # fmt: skip
         middle = (edges[1:] + edges[:-1]) / 2
         for row, column in zip(*np.nonzero(np.isfinite(energy)), strict=True):
             value = energy[row, column]
             colour = "white" if value > 0.25 + 0.5 * min(top, 20.0) else "black"
             ax.text(middle[column], row, f"{value:.2g}" if value < 100 else f"{value:.0f}", ha="center", va="center",
                     fontsize=7, color=colour)  # fmt: skip
-        ax.set_yticks(range(len(Phase)), [str(each) for each in Phase])
+        ax.set_yticks(range(len(phases)), [str(each) for each in phases])
         ax.set_title("model after" if after else "model before", loc="left", fontsize=9)
     panels[-1].set_xlabel("depth (mm)")
     figure.colorbar(image, ax=panels, label="energy, 1: noise", shrink=0.9)
@@ -152,6 +161,15 @@ def isolability_figure(matrix: Isolability) -> str:
     ax.set_xticks(range(count), names, rotation=60, ha="right", fontsize=7)
     ax.set_yticks(range(count), names, fontsize=7)
     ax.set(xlabel="imitated by", ylabel="effect")
+    return _svg(figure)
+
+
+def motion_figure(motion: Motion) -> str:
+    """Return depth over time."""
+    figure, (ax,) = _sheet(1, 1, (7.4, 1.9))
+    ax.plot(motion.time_s, motion.depth_mm, color=BLUE, lw=1.2)
+    ax.set(xlabel="time (s)", ylabel="depth (mm)")
+    ax.grid(alpha=0.25)
     return _svg(figure)
 
 

@@ -8,19 +8,22 @@ import numpy as np
 
 from needleplan.diagnosis import Diagnosis, Library
 from needleplan.diagnosis.isolability import Isolability, isolability
+from needleplan.diagnosis.localise import localise
+from needleplan.diagnosis.next_motion import NextMotion
 from needleplan.models import ModelFile
 from needleplan.provenance import version
 from needleplan.signals.record import UNITS
 from needleplan.workflow.diagnosis import html, pictures
-from needleplan.workflow.diagnosis.traces import Phase, Trace, correlation, gap_map, traces_of
+from needleplan.workflow.diagnosis.traces import Trace, correlation, gap_map, traces_of
 from needleplan.workflow.diagnosis.words import advice, answer, title_of
 
 __all__ = ["report_of"]
 
-_AXES = {"force_n": ("force",), "y_mm": ("y",), "velocity_mm_s": ("velocity",)}
+_SMALL = 0.05
+_MOST = 12
 
 
-def report_of(found: Diagnosis, file: ModelFile, library: Library) -> str:
+def report_of(found: Diagnosis, file: ModelFile, library: Library, next_: NextMotion | None) -> str:
     """Return the page."""
     channel = found.given.channel
     unit = UNITS[channel]
@@ -30,7 +33,8 @@ def report_of(found: Diagnosis, file: ModelFile, library: Library) -> str:
         *_answer(found, unit),
         *_effects(found),
         *_gap(found, traces, unit),
-        *_where(traces),
+        *_where(found, traces),
+        *_next(next_),
         *_trials(traces, unit),
         *_candidates(found),
         *_whiteness(found, traces),
@@ -82,15 +86,52 @@ def _gap(found: Diagnosis, traces: Sequence[Trace], unit: str) -> Iterator[str]:
                      ("trial", "role", "before", "after"), rows)  # fmt: skip
 
 
-def _where(traces: Sequence[Trace]) -> Iterator[str]:
+def _where(found: Diagnosis, traces: Sequence[Trace]) -> Iterator[str]:
     yield html.heading("Where")
-    edges, energy = gap_map(traces, after=False)
+    phases, edges, energy = gap_map(traces, after=False)
     row, column = np.unravel_index(np.nanargmax(energy), energy.shape)
-    most = (f"before, most at {edges[column]:.3g} to {edges[column + 1]:.3g} mm, {list(Phase)[row]}: "
+    most = (f"before, most at {edges[column]:.3g} to {edges[column + 1]:.3g} mm, {phases[row]}: "
             f"{energy[row, column]:.3g} times the noise")  # fmt: skip
     text = f"Map of the mean square of the whitened residual by depth and phase of the motion; {most}"
     caption = f"Mean square of the whitened residual, all trials; 1 is noise alone. {most[0].upper()}{most[1:]}."
     yield html.picture(pictures.map_figure(traces), text, caption)
+    localised = localise(found.selection.base, found.calibration.training)
+    parts = localised.where(_SMALL)
+    if not parts:
+        yield html.paragraph("No part of depth, speed, time, phase or trial has more than chance gives to the largest "
+                             "part of its axis in one of twenty data sets without a gap.")  # fmt: skip
+    else:
+        yield html.table(
+            "Parts that have more of the gap than chance gives to the largest of an axis, before anything was added",
+            ("along", "part", "share of the gap", "p"),
+            [(_words(each.axis), each.label, f"{each.share:.0%}", each.p_value) for each in parts[:_MOST]],
+        )
+    if localised.changes:
+        yield html.table(
+            "Where a step fits best, with 95 % intervals",
+            ("along", "at", "from", "to", "unit"),
+            [(str(each.axis), each.place, each.low, each.high, each.unit) for each in localised.changes],
+        )
+
+
+def _next(each: NextMotion | None) -> Iterator[str]:
+    if each is None:
+        return
+    program, least = each.program, min(each.separations, key=lambda pair: pair.thresholds)
+    yield html.heading("What to measure next")
+    yield html.paragraph(
+        f"One more trial: {program.about}. It decides between the effects in question with a probability of "
+        f"{each.resolves:.0%}; the last training motion, once more, with {each.repeated_resolves:.0%}. Hardest to tell "
+        f"apart are {least.true} and {least.rival}. It is next_motion.toml beside this page: its head says how it is "
+        "simulated, and how it is made on a robot."
+    )
+    text = f"Depth over time of the proposed motion, {program.name}: {program.about}"
+    yield html.picture(pictures.motion_figure(each.motion), text)
+    yield html.table(
+        "How far one more trial tells the effects apart; 1 is the lead that a name needs",
+        ("if this is true", "against", "this motion", "probability that it is enough"),
+        [(pair.true, pair.rival, pair.thresholds, f"{pair.resolves:.0%}") for pair in each.separations],
+    )
 
 
 def _trials(traces: Sequence[Trace], unit: str) -> Iterator[str]:
@@ -181,6 +222,10 @@ def _provenance(found: Diagnosis, file: ModelFile) -> Iterator[str]:
     ]  # fmt: skip
     yield html.table("Model and program", ("fact", "value"), facts)
     yield html.table("Thresholds", ("gate", "value"), gates)
+
+
+def _words(column: str) -> str:
+    return column.removesuffix("_mm_s").removesuffix("_mm").removesuffix("_s")
 
 
 def _rms(values: np.typing.NDArray[np.float64]) -> float:

@@ -4,30 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needleplan.diagnosis import Diagnosis
 from needleplan.diagnosis.calibrate import Case
+from needleplan.diagnosis.localise import Phase, phases
 from needleplan.diagnosis.refit import cases_with
 from needleplan.signals import Array, Motion
 
-__all__ = ["Phase", "Trace", "correlation", "gap_map", "traces_of"]
+__all__ = ["Trace", "correlation", "gap_map", "traces_of"]
 
-_AT_REST = 0.02
-_REVERSAL_MM = 2.0
 _DEPTHS = 10
-
-
-class Phase(StrEnum):
-    """What the needle does."""
-
-    ADVANCE = "advance"
-    HOLD = "hold"
-    REVERSAL = "after a reversal"
-    RETRACTION = "retraction"
+_FEWEST = 5
 
 
 @dataclass(frozen=True)
@@ -58,21 +48,24 @@ def traces_of(found: Diagnosis) -> tuple[Trace, ...]:
     )
 
 
-def gap_map(traces: Sequence[Trace], *, after: bool) -> tuple[Array, Array]:
-    """Return edges of depth, and the mean square of the whitened residual by phase and depth: 1 is noise alone.
+def gap_map(traces: Sequence[Trace], *, after: bool) -> tuple[tuple[Phase, ...], Array, Array]:
+    """Return phases, edges of depth, and the mean square of the whitened residual, shape (phases, depths).
 
-    Shape (phases, depths); NaN where the needle never was.
+    1 is noise alone; NaN where the needle hardly was. Phases that no trial has are left out.
     """
     deepest = max(float(each.motion.depth_mm.max()) for each in traces)
     edges = np.linspace(min(0.0, *(float(each.motion.depth_mm.min()) for each in traces)), deepest, _DEPTHS + 1)
-    total, count = np.zeros((len(Phase), _DEPTHS)), np.zeros((len(Phase), _DEPTHS))
+    order = list(Phase)
+    total, count = np.zeros((len(order), _DEPTHS)), np.zeros((len(order), _DEPTHS))
     for each in traces:
         left = each.left_after if after and each.left_after is not None else each.left_before
         depth = np.clip(np.searchsorted(edges, each.motion.depth_mm[each.sample], side="right") - 1, 0, _DEPTHS - 1)
-        phase = _phases(each.motion)[each.sample]
+        phase = np.array([order.index(name) for name in phases(each.motion)[each.sample].tolist()])
         np.add.at(total, (phase, depth), left**2)
         np.add.at(count, (phase, depth), 1)
-    return edges, np.where(count >= 5, total / np.maximum(count, 1), np.nan)
+    visited = np.flatnonzero((count >= _FEWEST).any(axis=1))
+    energy = np.where(count >= _FEWEST, total / np.maximum(count, 1), np.nan)
+    return tuple(order[index] for index in visited), edges, energy[visited]
 
 
 def correlation(traces: Sequence[Trace], lags: int, *, after: bool) -> tuple[Array, float]:
@@ -101,16 +94,3 @@ def _traces(before: Sequence[Case], after: Sequence[Case] | None, *, held_out: b
             )
         )  # fmt: skip
     return found
-
-
-def _phases(motion: Motion) -> NDArray[np.intp]:
-    """Return the place of each sample's phase in `Phase`, shape (samples,)."""
-    order = list(Phase)
-    speed = np.abs(motion.velocity_mm_s)
-    found = np.where(motion.direction < 0, order.index(Phase.RETRACTION), order.index(Phase.ADVANCE))
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.depth_mm)))])
-    for index in np.flatnonzero(np.diff(motion.direction) != 0) + 1:
-        if motion.direction[index - 1] != 0:
-            found[(way >= way[index]) & (way < way[index] + _REVERSAL_MM)] = order.index(Phase.REVERSAL)
-    found[speed <= _AT_REST * max(float(speed.max()), 1e-12)] = order.index(Phase.HOLD)
-    return np.asarray(found, np.intp)

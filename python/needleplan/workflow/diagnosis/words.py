@@ -75,7 +75,7 @@ def advice(found: Diagnosis) -> Iterator[str]:
         case Verdict.INCOMPLETE:
             yield "Diagnose again with more and other motions: what is left is too small or too unlike to be named."
         case Verdict.AMBIGUOUS if len(found.decision.tied) > 1:
-            yield f"Record a motion that tells these apart: {', '.join(found.decision.tied)}."
+            yield f"Make the motion below, which tells these apart: {', '.join(found.decision.tied)}."
         case Verdict.UNKNOWN:
             yield "Look at the map and at the trials below; a cause that is known can be added as an effect of its own."
         case Verdict.UNDERPOWERED:
