@@ -26,7 +26,7 @@ _MOST = 12
 def report_of(found: Diagnosis, file: ModelFile, library: Library, next_: NextMotion | None) -> str:
     """Return the page."""
     channel = found.given.channel
-    unit = UNITS[channel]
+    unit = UNITS[channel.columns[0]]
     traces = traces_of(found)
     matrix = isolability(found.calibration, library, found.selection.base.level)
     return html.page(title_of(found), [

@@ -82,15 +82,12 @@ def _traces(before: Sequence[Case], after: Sequence[Case] | None, *, held_out: b
         other = after[index] if after else None
         samples = len(case.motion)
         count = int(case.rows.sum())
-        # Rows are of one axis after the other, each without the first samples, whose past is not known.
-        known = len(case.rows) // (len(case.measured) // samples)
-        sample = np.flatnonzero(case.rows) % known + samples - known
         found.append(
             Trace(
                 case.record.trial, held_out, case.motion, case.measured.reshape(-1, samples),
                 case.predicted.reshape(-1, samples), other.predicted.reshape(-1, samples) if other else None,
                 case.block.residual[:count],
-                other.block.residual[:count] if other else None, sample,
+                other.block.residual[:count] if other else None, case.samples(),
             )
         )  # fmt: skip
     return found
