@@ -14,6 +14,7 @@ import pytest
 from needleplan.cli import main
 from needleplan.models import ModelFile
 from needleplan.recording import write_records
+from needleplan.signals import Record, Role
 from tests.diagnosis.trials import BASE, recordings
 
 PUNCTURE = {"puncture": {"size": 0.3, "depth_mm": 33.3, "bulge_mm": 2.5}}
@@ -48,14 +49,30 @@ class Page(HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
 
-@pytest.fixture(scope="module", params=[PUNCTURE, {}], ids=["puncture", "nothing"])
+def crosstalk(record: Record) -> Record:
+    """What no library has: a reading that rises with the square of the speed, either way."""
+    if record.role is Role.NOISE:
+        return record
+    more = 0.03 * (record["velocity_mm_s"] / 5) ** 2
+    return replace(record, columns={**record.columns, "force_n": record["force_n"] + more})
+
+
+CASES: dict[str, tuple[list[Record], int]] = {
+    "puncture": (recordings(PUNCTURE), 0),
+    "nothing": (recordings(), 0),
+    "unknown": ([crosstalk(each) for each in recordings(seed=4)], 1),
+}
+
+
+@pytest.fixture(scope="module", params=list(CASES))
 def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What `diagnose` wrote, of trials with a name that would break a page."""
     place = tmp_path_factory.mktemp("diagnosis")
     ModelFile(BASE, {}, ()).write(place / "model.toml")
-    records = [replace(each, trial=f"<script>{each.trial}</script>") for each in recordings(request.param)]
+    given, code = CASES[request.param]
+    records = [replace(each, trial=f"<script>{each.trial}</script>") for each in given]
     write_records(records, place / "data.h5")
-    assert main(["diagnose", str(place / "model.toml"), str(place / "data.h5"), "-o", str(place / "out")]) == 0
+    assert main(["diagnose", str(place / "model.toml"), str(place / "data.h5"), "-o", str(place / "out")]) == code
     return place / "out"
 
 
@@ -108,4 +125,7 @@ def test_it_says_what_the_document_says(folder: Path, page: Page) -> None:
         assert f"Size {size['value']:.3g} {size['unit']} (95 %: {size['low']:.3g} to {size['high']:.3g})" in text
     assert all(each["effect"] in text for each in document["smallest"])
     assert all(f"{each['trial']} (" in text for each in document["trials"])
-    assert ("model.toml" in text) == (folder / "model.toml").exists()
+    for name in ("model.toml", "next_motion.toml", "effect_to_name.py"):
+        assert (name in text) == (folder / name).exists(), name
+    if document["described"]:
+        assert all(each["text"] in text for each in document["described"]["formula"])

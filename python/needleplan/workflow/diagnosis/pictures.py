@@ -10,6 +10,7 @@ import numpy as np
 
 from needleplan.diagnosis import Diagnosis
 from needleplan.diagnosis.isolability import Isolability
+from needleplan.diagnosis.unknown import Described
 from needleplan.signals import Motion
 from needleplan.workflow.diagnosis.traces import Trace, correlation, gap_map
 from needleplan.workflow.figures.canvas import BLACK, BLUE, GREY, ORANGE, VERMILLION
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "candidates_figure",
     "correlation_figure",
+    "course_figure",
     "gap_figure",
     "isolability_figure",
     "map_figure",
@@ -169,6 +171,18 @@ def motion_figure(motion: Motion) -> str:
     figure, (ax,) = _sheet(1, 1, (7.4, 1.9))
     ax.plot(motion.time_s, motion.depth_mm, color=BLUE, lw=1.2)
     ax.set(xlabel="time (s)", ylabel="depth (mm)")
+    ax.grid(alpha=0.25)
+    return _svg(figure)
+
+
+def course_figure(described: Described, unit: str) -> str:
+    """Return the course of a gap without a name, with two standard deviations."""
+    figure, (ax,) = _sheet(1, 1, (7.4, 2.4))
+    values, sds = np.array(described.values), np.array(described.sds)
+    ax.fill_between(described.places, values - 2 * sds, values + 2 * sds, color=BLUE, alpha=0.25, lw=0)
+    ax.plot(described.places, values, color=BLUE, marker="o", ms=3)
+    ax.axhline(0, color=BLACK, lw=0.6)
+    ax.set(xlabel=f"{described.axis} ({described.unit})", ylabel=f"what is missing ({unit})")
     ax.grid(alpha=0.25)
     return _svg(figure)
 

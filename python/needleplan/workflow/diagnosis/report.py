@@ -8,7 +8,6 @@ import numpy as np
 
 from needleplan.diagnosis import Diagnosis, Library
 from needleplan.diagnosis.isolability import Isolability, isolability
-from needleplan.diagnosis.localise import localise
 from needleplan.diagnosis.next_motion import NextMotion
 from needleplan.models import ModelFile
 from needleplan.provenance import version
@@ -35,6 +34,7 @@ def report_of(found: Diagnosis, file: ModelFile, library: Library, next_: NextMo
         *_gap(found, traces, unit),
         *_where(found, traces),
         *_next(next_),
+        *_described(found, unit),
         *_trials(traces, unit),
         *_candidates(found),
         *_whiteness(found, traces),
@@ -95,8 +95,7 @@ def _where(found: Diagnosis, traces: Sequence[Trace]) -> Iterator[str]:
     text = f"Map of the mean square of the whitened residual by depth and phase of the motion; {most}"
     caption = f"Mean square of the whitened residual, all trials; 1 is noise alone. {most[0].upper()}{most[1:]}."
     yield html.picture(pictures.map_figure(traces), text, caption)
-    localised = localise(found.selection.base, found.calibration.training)
-    parts = localised.where(_SMALL)
+    parts = found.localisation.where(_SMALL)
     if not parts:
         yield html.paragraph("No part of depth, speed, time, phase or trial has more than chance gives to the largest "
                              "part of its axis in one of twenty data sets without a gap.")  # fmt: skip
@@ -106,11 +105,11 @@ def _where(found: Diagnosis, traces: Sequence[Trace]) -> Iterator[str]:
             ("along", "part", "share of the gap", "p"),
             [(_words(each.axis), each.label, f"{each.share:.0%}", each.p_value) for each in parts[:_MOST]],
         )
-    if localised.changes:
+    if found.localisation.changes:
         yield html.table(
             "Where a step fits best, with 95 % intervals",
             ("along", "at", "from", "to", "unit"),
-            [(str(each.axis), each.place, each.low, each.high, each.unit) for each in localised.changes],
+            [(str(each.axis), each.place, each.low, each.high, each.unit) for each in found.localisation.changes],
         )
 
 
@@ -131,6 +130,26 @@ def _next(each: NextMotion | None) -> Iterator[str]:
         "How far one more trial tells the effects apart; 1 is the lead that a name needs",
         ("if this is true", "against", "this motion", "probability that it is enough"),
         [(pair.true, pair.rival, pair.thresholds, f"{pair.resolves:.0%}") for pair in each.separations],
+    )
+
+
+def _described(found: Diagnosis, unit: str) -> Iterator[str]:
+    each = found.described
+    if each is None:
+        return
+    yield html.heading("What has no name looks like this")
+    if each.places:
+        low, high = min(each.values), max(each.values)
+        text = (
+            f"Course of what is missing along {each.axis}: {low:.3g} to {high:.3g} {unit}, with two standard deviations"
+        )
+        caption = "Mean over what the data visited, with two standard deviations; beyond it, nothing is said."
+        yield html.picture(pictures.course_figure(each, unit), text, caption)
+    if each.formula:
+        formula = " + ".join(f"{term.size:.3g} * {term.text}" for term in each.formula)
+        yield html.paragraph(f"A formula that describes it, and explains nothing: {formula}.")
+    yield html.paragraph(
+        "effect_to_name.py beside this page is an effect of this shape, for a person who knows its cause."
     )
 
 
