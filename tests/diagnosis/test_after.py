@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from needleplan.diagnosis.measurand import Axis
 from needleplan.diagnosis.noise import fit_noise
 from needleplan.diagnosis.space import Space
 from needleplan.models import simulate
-from needleplan.models.effects import SIZE, Effect, effect_named
+from needleplan.models.effects import SIZE, effect_named, known_effects, register_file
 from needleplan.signals import Record, insertion_cycles
 from tests.diagnosis.trials import BASE, motion, recordings
 
@@ -58,20 +60,17 @@ def test_phases() -> None:
     assert found[-100] == Phase.RETRACTION
 
 
-def test_a_gap_without_a_name_is_described_and_can_be_given_one() -> None:
+def test_a_gap_without_a_name_is_described_and_can_be_given_one(tmp_path: Path) -> None:
     data = recordings({"viscous": {SIZE: 3e-4}}, seed=1)
     found = diagnose(BASE, data, library=Library([effect_named("inertia")], BASE))
     assert found.verdict is Verdict.UNKNOWN
     assert found.decision.axis is Axis.SPEED
     assert found.described is not None
     assert any("velocity_mm_s" in each.text for each in found.described.formula)
-    made: dict[str, object] = {}
-    exec(compile(found.described.effect_file("speedy"), "effect.py", "exec", dont_inherit=True), made)
-    kind = made["Found"]
-    assert isinstance(kind, type)
-    effect = kind()
-    assert isinstance(effect, Effect)
-    with_it = effect.apply(found.calibration.model, {SIZE: 1.0})
+    (tmp_path / "speedy.py").write_text(found.described.effect_file("speedy"))
+    effect = register_file(str(tmp_path / "speedy.py"))
+    del known_effects()["speedy"]
+    with_it = effect.apply(found.calibration.model, {SIZE: found.described.rms})
     gained = simulate(with_it, motion(0)).output - simulate(found.calibration.model, motion(0)).output
     truth = (
         simulate(effect_named("viscous").apply(BASE, {SIZE: 3e-4}), motion(0)).output - simulate(BASE, motion(0)).output

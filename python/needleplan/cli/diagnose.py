@@ -37,6 +37,10 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--accept-units", action="store_true", help="use numbers of a size that no needle has, such as depths in metres"
     )
+    parser.add_argument(
+        "--effects", action="append", default=[], metavar="FILE",
+        help="also look for the effect of a Python file, which is run; may be given several times",
+    )  # fmt: skip
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -44,12 +48,15 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from needleplan.diagnosis import Verdict
+    from needleplan.models.effects import register_file
     from needleplan.workflow.diagnosis import diagnose_files, write_folder
 
-    found, file, library = diagnose_files(
+    for file in options.effects:
+        register_file(file)
+    found, model, library = diagnose_files(
         options.model, options.data, accept_units=options.accept_units, seed=options.seed
     )
-    written = write_folder(found, file, library, options.output, merge_anyway=options.merge_anyway)
+    written = write_folder(found, model, library, options.output, merge_anyway=options.merge_anyway)
     for each in written:
         note(f"wrote {each}")
     if options.json:

@@ -10,6 +10,7 @@ from typing import Any
 from needleplan.diagnosis.calibrate import Case
 from needleplan.diagnosis.diagnosis import Diagnosis, FoundEffect
 from needleplan.diagnosis.select import Step
+from needleplan.diagnosis.unknown import Described
 from needleplan.diagnosis.verify import Verified
 from needleplan.models import Estimate
 from needleplan.provenance import version
@@ -53,7 +54,7 @@ def document_of(found: Diagnosis) -> dict[str, Any]:
         "steps": [_step(each) for each in found.selection.steps],
         "where": [asdict(each) for each in found.localisation.bins],
         "changes": [asdict(each) | {"axis": str(each.axis)} for each in found.localisation.changes],
-        "described": asdict(found.described) | {"axis": str(found.described.axis)} if found.described else None,
+        "described": _described(found.described) if found.described else None,
         "smallest": [asdict(each) for each in found.smallest],
         "gates": asdict(found.gates),
     }
@@ -76,6 +77,23 @@ def _effect(each: FoundEffect) -> dict[str, Any]:
         "share": each.share,
         "balance": each.balance,
         "p_value": each.p_value,
+    }
+
+
+def _described(each: Described) -> dict[str, Any]:
+    sparse = each.sparse
+    return {
+        "axis": str(each.axis),
+        "unit": each.unit,
+        "prior_sd": each.curves.prior_sd,
+        "curves": [
+            {name: getattr(curve, name).tolist() for name in ("places", "mean", "sd", "inside")} | {"way": curve.way}
+            for curve in each.curves.curves
+        ],
+        "formula": [asdict(term) for term in each.formula],
+        "share": sparse.share if sparse else None,
+        "transfer": sparse.transfer if sparse else None,
+        "alike": list(sparse.alike) if sparse else [],
     }
 
 

@@ -57,11 +57,11 @@ def diagnose(
     decision = _limited(decision, checked)
     found = _found(selection.joint, selection) if decision.named else ()
     remarks = (*checked.remarks, *_strange(model, calibration))
+    place = _localisation(decision, selection, calibration, seed)
     parents = "".join(sorted(each.digest or digest(each["time_s"].tobytes()) for each in recordings))
     return Diagnosis(
         decision, model, checked, calibration, selection, found, selection.smallest, gates,
-        _localisation(decision, selection, calibration, seed),
-        _described(decision, selection, calibration), remarks,
+        place, _described(decision, selection, calibration, place, gates), remarks,
         digest(f"{model!r} {parents} {decision!r} {[each.added for each in found]!r}"),
     )  # fmt: skip
 
@@ -93,13 +93,17 @@ def _localisation(decision: Decision, selection: Selection, calibration: Calibra
     return localise(Space([case.block for case in selection.believed]), selection.believed, seed=seed)
 
 
-def _described(decision: Decision, selection: Selection, calibration: Calibration) -> Described | None:
+def _described(
+    decision: Decision, selection: Selection, calibration: Calibration, place: Localisation, gates: Gates
+) -> Described | None:
     if calibration.given.channel is not Channel.FORCE:  # its formulas are of forces
         return None
     if decision.verdict is Verdict.UNKNOWN:
-        return describe(selection.base, calibration.training, selection.steps[0].rivals[0])
+        rival = selection.steps[0].rivals[0]
+        return describe(selection.base, calibration.training, calibration.held_out, rival, place, gates)
     if decision.verdict is Verdict.INCOMPLETE and selection.joint:
-        return describe(selection.joint.space, selection.joint.cases, selection.steps[-1].rivals[0])
+        rival, joint = selection.steps[-1].rivals[0], selection.joint
+        return describe(joint.space, joint.cases, (), rival, localise(joint.space, joint.cases), gates)
     return None
 
 

@@ -12,7 +12,7 @@
 from needleplan.models.effects.augmented import AddedEffect, AugmentedModel, with_effect, without_effect
 from needleplan.models.effects.base import SIZE, Effect, Enters, Family, Reach, Term, WithTerm
 from needleplan.models.effects.catalogue import FORCE_EFFECTS, TermEffect, WrapEffect, presliding_of
-from needleplan.models.effects.registry import effect_named, effects_of, known_effects
+from needleplan.models.effects.registry import effect_named, effects_of, known_effects, register_file
 from needleplan.models.effects.tip_catalogue import TIP_EFFECTS
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "effects_of",
     "known_effects",
     "presliding_of",
+    "register_file",
     "with_effect",
     "without_effect",
 ]

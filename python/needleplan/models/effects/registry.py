@@ -5,6 +5,7 @@ An entry point names an object of a member of `Effect`, or a class that makes on
 
 from __future__ import annotations
 
+import runpy
 from difflib import get_close_matches
 from functools import lru_cache
 from importlib import metadata
@@ -14,8 +15,9 @@ from needleplan.models.base import Channel
 from needleplan.models.effects.base import SIZE, Effect
 from needleplan.models.effects.catalogue import FORCE_EFFECTS
 from needleplan.models.effects.tip_catalogue import TIP_EFFECTS
+from needleplan.models.parameter import Scale
 
-__all__ = ["GROUP", "effect_named", "effects_of", "known_effects"]
+__all__ = ["GROUP", "effect_named", "effects_of", "known_effects", "register_file"]
 
 GROUP = "needleplan.effects"
 
@@ -33,6 +35,32 @@ def known_effects() -> dict[str, Effect]:
             raise ModelError(Mistake(point.name, effect.name, "is the name of another effect"), GROUP)
         found[effect.name] = effect
     return found
+
+
+def register_file(path: str) -> Effect:
+    """Make the effect of a Python file known to this process, and return it: `EFFECT`, or a class of that name.
+
+    The file is run. Raises ModelError where it cannot be, holds no effect, or takes another one's name.
+    """
+    found: list[Mistake] = []
+    try:
+        made = runpy.run_path(path).get("EFFECT")
+        effect = made() if isinstance(made, type) else made
+        if not isinstance(effect, Effect) or SIZE not in effect.parameters:
+            found.append(Mistake("EFFECT", "", f"must be there, an Effect with a parameter {SIZE}"))
+        elif effect.name in known_effects() and known_effects()[effect.name] is not effect:
+            found.append(Mistake("EFFECT", effect.name, "is the name of another effect"))
+        elif effect.parameters[SIZE].scale is not Scale.LINEAR:
+            found.append(Mistake("EFFECT", effect.name, f"{SIZE} must be able to be 0: give it a typical value"))
+        else:
+            known_effects()[effect.name] = effect
+            return effect
+    except OSError as error:
+        found.append(Mistake("", "", f"cannot be read: {error.strerror}"))
+    except (Exception, SystemExit) as error:  # whatever a file of somebody else does
+        line = f"{type(error).__name__}: {error}"
+        raise ModelError(Mistake("EFFECT", "", f"cannot be made, {line}"), path) from error
+    raise ModelError(found, path)
 
 
 def effects_of(channel: Channel) -> tuple[Effect, ...]:
