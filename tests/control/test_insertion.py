@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 from dataclasses import replace
 
@@ -10,11 +11,12 @@ import pytest
 
 from needleplan.control import Ending, EventName, Insertion, Listener, Step
 from needleplan.control.safety import Order
-from needleplan.errors import InputError, MotionRefused
+from needleplan.devices import Clock, SystemClock, VirtualClock
+from needleplan.errors import DeviceFault, InputError, MotionRefused
 from needleplan.models import Torsion
 from needleplan.planning import Action, Outcome
 from needleplan.simulation import Effects, Entry
-from tests.control.scenes import FAST, NOISY, WIDE, a_lab, insertion_in, run_in, small_table
+from tests.control.scenes import FAST, NOISY, WIDE, a_lab, insertion_in, run_in, small_table, station_of
 
 
 def test_a_perfect_needle_goes_where_the_plan_says() -> None:
@@ -186,3 +188,17 @@ def test_a_known_torsional_lag_is_compensated(compensated: bool) -> None:
         assert off < 0.1 * lag
     else:
         assert off > 0.3 * lag
+
+
+@pytest.mark.parametrize(("clock", "kept_short"), [(VirtualClock(), False), (SystemClock(), True)])
+def test_in_real_time_no_collection_of_garbage_looks_at_all_of_the_program(clock: Clock, kept_short: bool) -> None:
+    lab = a_lab()
+
+    def bias() -> None:
+        raise DeviceFault(f"frozen: {gc.get_freeze_count() > 0}")
+
+    lab.force_sensor.bias = bias  # type: ignore[method-assign]
+    station = replace(station_of(lab), clock=clock)
+    report = Insertion(small_table(), station, FAST).run()
+    assert (report.ending, report.cause) == (Ending.REFUSED, f"frozen: {kept_short}")
+    assert gc.get_freeze_count() == 0

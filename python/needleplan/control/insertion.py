@@ -24,6 +24,7 @@ from needleplan.control.scene import Scene
 from needleplan.control.station import Station
 from needleplan.devices import VirtualClock
 from needleplan.devices.closing import Closing
+from needleplan.devices.garbage import no_long_collections
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipFilter, TipSettings
@@ -87,6 +88,8 @@ class Insertion(Closing):
         self._thread = threading.get_ident()
         with ExitStack() as closing:
             closing.callback(self._replanner.close)
+            if not isinstance(self._station.clock, VirtualClock):
+                closing.enter_context(no_long_collections())
             try:
                 ending, cause = self._run(closing)
             except Stopped as stopped:

@@ -13,6 +13,7 @@ from multiprocessing.connection import Connection
 from needleplan.devices.ati import NetFtBox, NetFtServer
 from needleplan.devices.base import ForceSample, PoseSample
 from needleplan.devices.endpoint import Endpoint, PtyEndpoint, TcpEndpoint
+from needleplan.devices.garbage import no_long_collections
 from needleplan.devices.ndi import AuroraDevice, SimulatedTool
 from needleplan.devices.ndi.frames import Seen
 from needleplan.devices.processes.feeds import FeedReader
@@ -44,7 +45,7 @@ def serve_force(boss: Connection, places: LabPlaces, feed: socket.socket) -> Non
         return
     ended = threading.Event()
     call_at_end(boss, ended.set)
-    with server, FeedReader(feed, hear, fall_silent, ForceSample):
+    with no_long_collections(), server, FeedReader(feed, hear, fall_silent, ForceSample):
         boss.send(Ready(server.address))
         ended.wait()
     tell(boss, Served())
@@ -80,7 +81,7 @@ def serve_tracker(boss: Connection, places: LabPlaces, feed: socket.socket) -> N
         return
     ended = threading.Event()
     call_at_end(boss, ended.set)
-    with endpoint, FeedReader(feed, hear, lambda: None, PoseSample):
+    with no_long_collections(), endpoint, FeedReader(feed, hear, lambda: None, PoseSample):
         boss.send(Ready(endpoint.address))
         ended.wait()
     tell(boss, Served())

@@ -6,6 +6,7 @@ import socket
 from multiprocessing.connection import Connection
 
 from needleplan.devices import ForceSample, PoseSample
+from needleplan.devices.garbage import no_long_collections
 from needleplan.devices.processes import FeedSender, LabPlaces, Ready, Served, call_at_end, place_or_tell, tell
 from needleplan.devices.robot import RobotLimits, RobotMachine, RobotServer
 from needleplan.simulation.lab import Lab
@@ -32,6 +33,7 @@ def serve_robot(
         return
     call_at_end(boss, server.stop)
     boss.send(Ready(server.address))
-    server.run()
+    with no_long_collections():
+        server.run()
     server.close()
     tell(boss, Served(server.ticks, machine.overruns, server.worst_overrun_s))
