@@ -1,6 +1,7 @@
 """Score the diagnosis on the blind campaign: confusion, power, calibration, false names, time; peers on the same data.
 
 PYTHONPATH=. python benches/python/diagnosis_benchmark.py --peers              # the report, with the reporting seeds
+PYTHONPATH=. python benches/python/diagnosis_benchmark.py --channel tip        # the path of the tip
 PYTHONPATH=. python benches/python/diagnosis_benchmark.py --tuning --small     # while developing: 165 data sets
 PYTHONPATH=. python benches/python/diagnosis_benchmark.py --peers --minutes 30 # as far as it gets; again, to go on
 
@@ -28,12 +29,13 @@ import diagnosis_goals
 import diagnosis_page
 import diagnosis_score
 import machine
+from diagnosis_subject import SUBJECTS, AnyCase, SubjectName
 
 import needleplan
 from needleplan.provenance import digest
-from tests.blind.campaign import SMALL, Case, Purpose, campaign
+from tests.blind.campaign import Purpose
 
-RESULTS = machine.ROOT / "benches" / "results" / "diagnosis"
+RESULTS = machine.ROOT / "benches" / "results"
 
 
 def main() -> None:
@@ -48,28 +50,31 @@ def main() -> None:
     parser.add_argument(
         "--prefix", type=Path, help="of what is written (benches/results/diagnosis; with --tuning, build/)"
     )
+    parser.add_argument("--channel", type=SubjectName, choices=list(SubjectName), default=SubjectName.FORCE)
     options = parser.parse_args()
+    subject, kind = SUBJECTS[options.channel], "" if options.channel is SubjectName.FORCE else f"_{options.channel}"
+    peers = options.peers and not kind  # their candidates are those of one axis
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"  # for the processes to come: they share the cores, and must not each take all of them
     purpose = Purpose.TUNING if options.tuning else Purpose.REPORTING
     build = machine.ROOT / "build"
-    outcomes = options.outcomes or build / f"diagnosis_{purpose}.jsonl"
-    prefix = options.prefix or (build / "diagnosis_tuning" if options.tuning else RESULTS)
+    outcomes = options.outcomes or build / f"diagnosis{kind}_{purpose}.jsonl"
+    prefix = options.prefix or (build / f"diagnosis{kind}_tuning" if options.tuning else RESULTS / f"diagnosis{kind}")
     for path in (outcomes, prefix):
         path.parent.mkdir(parents=True, exist_ok=True)
 
     engine = engine_digest()
     cases = mixed(
-        case for case in campaign(purpose, SMALL if options.small else None)
+        case for case in subject.cases(purpose, options.small)
         if not options.stratum or str(case.stratum) in options.stratum
     )  # fmt: skip
     known = diagnosis_case.read(outcomes, engine)
-    to_do = [case for case in cases if not _is_done(known.get(case.spec.seed), options.peers)]
+    to_do = [case for case in cases if not _is_done(known.get(case.spec.seed), peers)]
     end = monotonic() + 60 * options.minutes if options.minutes is not None else float("inf")
     if to_do and monotonic() < end:
         with outcomes.open("a", encoding="utf-8") as file:
             context = multiprocessing.get_context("spawn")
-            with context.Pool(options.processes, diagnosis_case.begin, (options.peers,)) as pool:
+            with context.Pool(options.processes, diagnosis_case.begin, (options.channel, peers)) as pool:
                 for count, line in enumerate(pool.imap_unordered(diagnosis_case.run, to_do), start=1):
                     line["engine"] = engine
                     known[line["seed"]] = line
@@ -83,10 +88,19 @@ def main() -> None:
     lines = [known[case.spec.seed] for case in cases if case.spec.seed in known]
     if not lines:
         sys.exit("no data set was diagnosed: nothing to report")
-    found = diagnosis_score.summary(lines)
+    found = diagnosis_score.summary(lines, large=subject.large)
     preparation = [line["prepared_s"] for line in lines if line.get("prepared_s") is not None]
-    judged = diagnosis_goals.goals(found, max(preparation, default=None))
-    run = {"purpose": str(purpose), "small": options.small, "engine": engine, "done": len(lines), "wanted": len(cases)}
+    judge = diagnosis_goals.tip_goals if kind else diagnosis_goals.goals
+    judged = judge(found, max(preparation, default=None))
+    run = {
+        "channel": str(options.channel),
+        "large": subject.large,
+        "purpose": str(purpose),
+        "small": options.small,
+        "engine": engine,
+        "done": len(lines),
+        "wanted": len(cases),
+    }
     report = {
         "machine": machine.description(),
         "run": run,
@@ -100,9 +114,9 @@ def main() -> None:
     print(text)
 
 
-def mixed(cases: Iterable[Case]) -> list[Case]:
+def mixed(cases: Iterable[AnyCase]) -> list[AnyCase]:
     """Return cases in an order in which every row of the campaign is done evenly."""
-    rows: dict[tuple[object, ...], list[Case]] = defaultdict(list)
+    rows: dict[tuple[object, ...], list[AnyCase]] = defaultdict(list)
     for case in cases:
         names = tuple(each.name for each in case.spec.effects) if len(case.spec.effects) == 1 else ()
         rows[case.stratum, case.variety, case.spec.heterogeneity, names].append(case)

@@ -9,51 +9,22 @@ from time import perf_counter, process_time
 from typing import Any
 
 import diagnosis_peers
+from diagnosis_subject import SUBJECTS, AnyCase, Subject, SubjectName
 
 from needleplan.diagnosis import Diagnosis, Library, diagnose
-from needleplan.errors import NeedleplanError
-from needleplan.models import ShaftAndTip
-from needleplan.models.effects import SIZE, effects_of
+from needleplan.models.effects import effects_of
 from needleplan.signals import Record, Role
-from tests.blind.campaign import Case, Purpose, Stratum, campaign
-from tests.blind.effect import ForceName
-from tests.blind.force import ForceSpec, generate
-from tests.blind.outside import AXES
+from tests.blind.campaign import Purpose, Stratum
 from tests.blind.recording import DataSet
-
-BASE = ShaftAndTip(friction=0.012, cutting=0.4, onset_mm=4.0, presliding_mm=0.05)
-"""The nominal values that an analyst is told."""
-
-CALLED = {ForceName.CUTTING_DEPTH: "cutting_with_depth", ForceName.GAIN: "gain_error", ForceName.BUMPS: "bump"}
-"""What the library calls effects that the blind data call otherwise."""
-
-COMPARABLE = {
-    "viscous": {SIZE: SIZE},
-    "bias": {SIZE: SIZE},
-    "drift": {SIZE: SIZE},
-    "latency": {SIZE: SIZE},
-    "inertia": {SIZE: SIZE},
-    "cutting_with_depth": {SIZE: SIZE},
-    "friction_layer": {SIZE: SIZE, "depth_mm": "depth_mm"},
-    "cutting_layer": {SIZE: SIZE, "depth_mm": "depth_mm"},
-    "puncture": {"depth_mm": "depth_mm"},
-    "thermal_drift": {SIZE: SIZE, "time_s": "settling_s"},
-    "respiration": {SIZE: SIZE},
-}
-"""Parameters that mean the same on both sides, by effect: ours, and the truth's."""
-
-
-def called(name: str) -> str:
-    """Return what the library calls a hidden effect."""
-    each = ForceName(name)
-    return CALLED.get(each, str(each))
 
 
 class Bench:
     """Diagnoses data sets one after the other; what the library computes for motions is kept."""
 
-    def __init__(self, *, peers: bool) -> None:
-        self.library = Library(effects_of(BASE.channel), BASE)
+    def __init__(self, name: SubjectName = SubjectName.FORCE, *, peers: bool = False) -> None:
+        self.subject = SUBJECTS[name]
+        self.base = self.subject.base
+        self.library = Library(effects_of(self.base.channel), self.base)
         self.peers = peers
         self.prepared_s = self._prepare()
 
@@ -61,19 +32,20 @@ class Bench:
         """Diagnose one data set without an effect for each kind of motions; return seconds, generation left out."""
         spent = 0.0
         seen = set()
-        for case in campaign(Purpose.TUNING):
+        for case in self.subject.cases(Purpose.TUNING, True):
             motions = case.spec.training + case.spec.held_out
             if motions not in seen:
                 seen.add(motions)
-                data, _ = generate(ForceSpec(7, (), 0.0, case.spec.training, case.spec.held_out))
+                data, _ = self.subject.generate(self.subject.empty(case))
                 begin = process_time()
-                diagnose(BASE, records(data), library=self.library)
+                diagnose(self.base, records(data), library=self.library)
                 spent += process_time() - begin
         return spent
 
-    def outcome(self, case: Case) -> dict[str, Any]:
+    def outcome(self, case: AnyCase) -> dict[str, Any]:
         """Return one line of results."""
-        data, truth = generate(case.spec)
+        data, truth = self.subject.generate(case.spec)
+        names = [self.subject.called.get(each.name, str(each.name)) for each in truth.effects]
         line: dict[str, Any] = {
             "seed": case.spec.seed,
             "purpose": str(case.purpose),
@@ -85,21 +57,21 @@ class Bench:
             "noise_rms": truth.noise_rms,
             "truth": [
                 {
-                    "name": called(each.name),
+                    "name": name,
                     "size": each.noise_multiple,
                     "rms": each.rms,
                     "noncentrality": each.noncentrality,
-                    "parameters": _comparable(called(each.name), each.parameters),
+                    "parameters": _comparable(self.subject, name, each.parameters),
                 }
-                for each in truth.effects
+                for name, each in zip(names, truth.effects, strict=True)
             ],
-            "true_axis": str(AXES[case.spec.effects[0].name]) if case.stratum is Stratum.OUTSIDE else None,
+            "true_axis": self.subject.axes[case.spec.effects[0].name] if case.stratum is Stratum.OUTSIDE else None,
         }
         begin, wall = process_time(), perf_counter()
         try:
-            found = diagnose(BASE, records(data), library=self.library, seed=case.spec.seed)
-        except NeedleplanError as error:
-            return line | {"failure": str(error), "cpu_s": process_time() - begin, "wall_s": perf_counter() - wall}
+            found = diagnose(self.base, records(data), library=self.library, seed=case.spec.seed)
+        except Exception as error:  # a crash is a finding, and no reason to lose the others
+            return line | {"failure": repr(error), "cpu_s": process_time() - begin, "wall_s": perf_counter() - wall}
         line |= {"cpu_s": process_time() - begin, "wall_s": perf_counter() - wall} | said(found)
         if self.peers and case.stratum in (Stratum.NULL, Stratum.SINGLE, Stratum.PAIR):
             line["peers"] = diagnosis_peers.named(found, self.library, case.spec.seed)
@@ -151,21 +123,21 @@ def said(found: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _comparable(name: str, parameters: dict[str, Any]) -> dict[str, float]:
-    return {ours: float(parameters[theirs]) for ours, theirs in COMPARABLE.get(name, {}).items()}
+def _comparable(subject: Subject, name: str, parameters: dict[str, Any]) -> dict[str, float]:
+    return {ours: float(parameters[theirs]) for ours, theirs in subject.comparable.get(name, {}).items()}
 
 
 _bench: Bench | None = None
 
 
-def begin(peers: bool) -> None:
+def begin(name: SubjectName, peers: bool) -> None:
     """Prepare a process."""
     global _bench
     os.nice(5)
-    _bench = Bench(peers=peers)
+    _bench = Bench(name, peers=peers)
 
 
-def run(case: Case) -> dict[str, Any]:
+def run(case: AnyCase) -> dict[str, Any]:
     """Diagnose one data set in a process that was prepared."""
     assert _bench is not None
     return _bench.outcome(case)

@@ -27,6 +27,18 @@ def goals(found: dict[str, Any], seconds_of_preparation: float | None) -> list[G
     return [*_named(found), *_others(found), *_costs(found, seconds_of_preparation), *_against_peers(found)]
 
 
+def tip_goals(found: dict[str, Any], seconds_of_preparation: float | None) -> list[Goal]:
+    """Judge a summary of the tip's path: the same, as far as it has goals."""
+    listed = []
+    for level in LEVELS:
+        null, single = found["null"][f"rich {level}"], found["single"][f"rich {level}"]
+        text = f"rich motion, {_percent(level)}"
+        listed.append(_share(f"no effect hidden, {text}: falsely named", null["falsely_named"], 0.01, at_most=True))
+        listed.append(_share(f"named and right, from 5 sigma of the tracker, {text}", single["right"], 0.90))
+        listed.append(_share(f"wrong name, from 5 sigma, {text}", single["wrong"], 0.04, at_most=True))
+    return [*listed, *_costs(found, seconds_of_preparation)]
+
+
 def _named(found: dict[str, Any]) -> Iterator[Goal]:
     for level, most in zip(LEVELS, (0.0, 0.0, 0.015), strict=True):
         yield _share(f"no effect hidden, {_percent(level)}: falsely named", found["null"][f"rich {level}"][
@@ -74,7 +86,7 @@ def _costs(found: dict[str, Any], seconds_of_preparation: float | None) -> Itera
 
 
 def _against_peers(found: dict[str, Any]) -> Iterator[Goal]:
-    for group in ("single of 1 noise RMS", "pair"):
+    for group in ("single", "pair"):
         if not found["peers"]:
             continue
         ours = found["peers"]["needleplan"][group]["exact"]

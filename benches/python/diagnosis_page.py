@@ -16,12 +16,15 @@ COLOURS = ("#0b5394", "#38761d", "#b45f06")
 
 def page(report: Mapping[str, Any], goals: list[Goal], figures: str) -> str:
     """Return the report as Markdown; `figures` is what the names of the figures begin with."""
-    return "\n".join([*_head(report), *_goals(goals), *_tables(report["summary"]), *_pictures(figures), ""])
+    return "\n".join(
+        [*_head(report), *_goals(goals), *_tables(report["summary"], report["run"]["large"]), *_pictures(figures), ""]
+    )
 
 
 def _head(report: Mapping[str, Any]) -> Iterator[str]:
     run, machine = report["run"], report["machine"]
-    yield "# Diagnosis: benchmark on blind data, axial force"
+    channel = "path of the tip" if run["channel"] == "tip" else "axial force"
+    yield f"# Diagnosis: benchmark on blind data, {channel}"
     yield ""
     yield (f"{run['done']} of {run['wanted']} data sets, seeds for {run['purpose']}, engine {run['engine']}, "
            f"commit {machine['commit']}, {machine['date']}, {machine['processor']}.")  # fmt: skip
@@ -43,7 +46,7 @@ def _goals(goals: list[Goal]) -> Iterator[str]:
     yield ""
 
 
-def _tables(found: Mapping[str, Any]) -> Iterator[str]:
+def _tables(found: Mapping[str, Any], large: float) -> Iterator[str]:
     yield "## Nothing hidden"
     yield ""
     yield "| motion, heterogeneity | falsely named | any flag | names |"
@@ -59,7 +62,7 @@ def _tables(found: Mapping[str, Any]) -> Iterator[str]:
     for level, each in found["p_values"].items():
         yield f"| {level} | " + " | ".join(_rate(one) for one in each.values()) + " |"
     yield ""
-    yield "## One effect, from 1 noise RMS"
+    yield f"## One effect, from {large:g} times the noise"
     yield ""
     yield "| motion, heterogeneity | right | right where the base leaves a noncentrality of 100 | wrong | verdicts | precision of a name, all sizes |"  # noqa: E501
     yield "|---|---|---|---|---|---|"
@@ -89,8 +92,9 @@ def _tables(found: Mapping[str, Any]) -> Iterator[str]:
         names = ", ".join(f"{effect} {count}" for effect, count in each["names"].items()) or "-"
         yield f"| {name} | {_rate(each['declined'])} | {_rate(each['right_axis'])} | {verdicts} | {names} |"
     yield ""
-    yield f"Gain errors, which friction and cutting take up: falsely named {_rate(found['absorbed'])}."
-    yield ""
+    if found["absorbed"]["of"]:
+        yield f"Gain errors, which friction and cutting take up: falsely named {_rate(found['absorbed'])}."
+        yield ""
     yield "## Sizes, places, time"
     yield ""
     yield "| 95 % intervals, heterogeneity | parameters | RMS of the contribution |"
@@ -119,7 +123,7 @@ def _tables(found: Mapping[str, Any]) -> Iterator[str]:
         yield ""
     yield "## Confusion"
     yield ""
-    yield "Hidden in the rows, 1 noise RMS and more; verdicts without a name in capitals."
+    yield f"Hidden in the rows, {large:g} times the noise and more; verdicts without a name in capitals."
     yield ""
     for what, each in found["confusion"].items():
         row = ", ".join(f"{answer} {count}" for answer, count in sorted(each.items(), key=lambda pair: -pair[1]))
@@ -155,7 +159,7 @@ def draw(found: Mapping[str, Any], prefix: Path) -> None:
 def _draw_power(found: Mapping[str, Any], path: Path) -> None:
     figure, axes = plt.subplots(2, 2, figsize=(10, 6.4), sharey=True, constrained_layout=True)
     for row, variety in zip(axes, ("rich", "poor"), strict=True):
-        for ax, (by, label) in zip(row, (("size", "size in noise RMS"), ("noncentrality", "noncentrality")),
+        for ax, (by, label) in zip(row, (("size", "size, multiple of the noise"), ("noncentrality", "noncentrality")),
                                    strict=True):  # fmt: skip
             for colour, level in zip(COLOURS, ("0", "0.03", "0.1"), strict=True):
                 bins = [each for each in found["power"][by][f"{variety} {level}"] if each["right"]["of"]]
@@ -172,7 +176,8 @@ def _draw_power(found: Mapping[str, Any], path: Path) -> None:
             ax.set(xscale="log", xlabel=label, title=f"{variety} motion", ylim=(-0.03, 1.03))
             ax.grid(alpha=0.3)
         row[0].set_ylabel("share named and right")
-    axes[0, 0].legend(fontsize=8)
+    if axes[0, 0].containers:
+        axes[0, 0].legend(fontsize=8)
     figure.savefig(path, dpi=130)
     plt.close(figure)
 

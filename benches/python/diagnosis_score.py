@@ -15,7 +15,7 @@ Lines = Sequence[Line]
 
 LEVELS = (0.0, 0.03, 0.10)
 VARIETIES = ("rich", "poor")
-SIZES = (0.0, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 30.0)
+SIZES = (0.0, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 50.0)
 NONCENTRALITIES = (0.0, 10.0, 30.0, 60.0, 100.0, 300.0, 1000.0, 3000.0, 1e9)
 QUIET = ("none", "underpowered")
 NAMING = ("named", "incomplete")
@@ -75,8 +75,8 @@ def pick(lines: Lines, stratum: str, **equal: Any) -> list[Line]:
     ]  # fmt: skip
 
 
-def summary(lines: Lines) -> dict[str, Any]:
-    """Return all figures of a run, whole or not."""
+def summary(lines: Lines, large: float = 1.0) -> dict[str, Any]:
+    """Return all figures of a run, whole or not; effects are expected to be named from the size `large` on."""
     failures = [line for line in lines if line["failure"]]
     lines = [line for line in lines if not line["failure"]]
     return {
@@ -85,7 +85,7 @@ def summary(lines: Lines) -> dict[str, Any]:
         "failures": [{"seed": line["seed"], "failure": line["failure"]} for line in failures],
         "null": {f"{variety} {level:g}": nulls(pick(lines, "null", heterogeneity=level, variety=variety))
                  for variety in VARIETIES for level in LEVELS},
-        "single": {f"{variety} {level:g}": singles(pick(lines, "single", heterogeneity=level, variety=variety))
+        "single": {f"{variety} {level:g}": singles(pick(lines, "single", heterogeneity=level, variety=variety), large)
                    for variety in VARIETIES for level in LEVELS},
         "pair": {f"{level:g}": pairs(pick(lines, "pair", heterogeneity=level)) for level in LEVELS},
         "outside": {
@@ -107,9 +107,9 @@ def summary(lines: Lines) -> dict[str, Any]:
         "depth_mm": depths(pick(lines, "single")),
         "seconds": {"cpu": spread([line["cpu_s"] for line in lines]),
                     "wall": spread([line["wall_s"] for line in lines])},
-        "confusion": confusion(lines),
-        "by_effect": by_effect(pick(lines, "single")),
-        "peers": peers(lines),
+        "confusion": confusion(lines, large),
+        "by_effect": by_effect(pick(lines, "single"), large),
+        "peers": peers(lines, large),
     }  # fmt: skip
 
 
@@ -123,17 +123,17 @@ def nulls(lines: Lines) -> dict[str, Any]:
     }
 
 
-def singles(lines: Lines) -> dict[str, Any]:
-    """Score data sets with one effect; from one noise RMS on, where nothing else is said."""
-    large = [line for line in lines if size(line) >= 1]
-    good = [line["shrink"] for line in large if right(line) and line["shrink"] is not None]
+def singles(lines: Lines, large: float) -> dict[str, Any]:
+    """Score data sets with one effect; from the size `large` on, where nothing else is said."""
+    kept = [line for line in lines if size(line) >= large]
+    good = [line["shrink"] for line in kept if right(line) and line["shrink"] is not None]
     return {
-        "right": share(large, right),
-        "wrong": share(large, wrong),
-        "detected": share(large, lambda line: line["verdict"] not in QUIET),
-        "right_where_left": share([line for line in large if noncentrality(line) >= 100], right),
+        "right": share(kept, right),
+        "wrong": share(kept, wrong),
+        "detected": share(kept, lambda line: line["verdict"] not in QUIET),
+        "right_where_left": share([line for line in kept if noncentrality(line) >= 100], right),
         "precision": share([line for line in lines if line["verdict"] == "named"], right),
-        "verdicts": dict(Counter(line["verdict"] for line in large)),
+        "verdicts": dict(Counter(line["verdict"] for line in kept)),
         "shrink": spread(good),
     }
 
@@ -231,11 +231,11 @@ def spread(values: Sequence[float | None]) -> dict[str, float | int | None]:
     return {"of": int(known.size), "q10": ten, "median": half, "q90": ninety, "most": float(known.max())}
 
 
-def confusion(lines: Lines) -> dict[str, dict[str, int]]:
-    """Return what was said about what: one effect or one outside of the library of 1 noise RMS and more, and none."""
+def confusion(lines: Lines, large: float) -> dict[str, dict[str, int]]:
+    """Return what was said about what: one effect or one outside of the library from a size on, and none."""
     counts: dict[str, Counter[str]] = {}
     for line in lines:
-        if line["stratum"] == "pair" or (line["stratum"] in ("single", "outside") and size(line) < 1):
+        if line["stratum"] == "pair" or (line["stratum"] in ("single", "outside") and size(line) < large):
             continue
         what = "nothing" if line["stratum"] == "null" else hidden(line)[0]
         answer = " + ".join(line["names"]) if line["verdict"] == "named" else line["verdict"].upper()
@@ -243,11 +243,11 @@ def confusion(lines: Lines) -> dict[str, dict[str, int]]:
     return {what: dict(each) for what, each in sorted(counts.items())}
 
 
-def by_effect(lines: Lines) -> dict[str, Any]:
-    """Return for each effect how many of 1 noise RMS and more are named rightly and wrongly, rich and poor."""
+def by_effect(lines: Lines, large: float) -> dict[str, Any]:
+    """Return for each effect how many from a size on are named rightly and wrongly, rich and poor."""
     found: dict[str, Any] = {}
     for name in sorted({hidden(line)[0] for line in lines}):
-        own = [line for line in lines if hidden(line)[0] == name and size(line) >= 1]
+        own = [line for line in lines if hidden(line)[0] == name and size(line) >= large]
         found[name] = {
             variety: {"right": share([line for line in own if line["variety"] == variety], right),
                       "wrong": share([line for line in own if line["variety"] == variety], wrong)}
@@ -256,7 +256,7 @@ def by_effect(lines: Lines) -> dict[str, Any]:
     return found
 
 
-def peers(lines: Lines) -> dict[str, Any]:
+def peers(lines: Lines, large: float) -> dict[str, Any]:
     """Return how the peers and we did on the same data sets."""
     known = [line for line in lines if line.get("peers")]
     if not known:
@@ -266,7 +266,7 @@ def peers(lines: Lines) -> dict[str, Any]:
         groups: dict[str, Any] = {}
         for name, kept in (
             ("null", [line for line in known if line["stratum"] == "null"]),
-            ("single of 1 noise RMS", [line for line in known if line["stratum"] == "single" and size(line) >= 1]),
+            ("single", [line for line in known if line["stratum"] == "single" and size(line) >= large]),
             ("pair", [line for line in known if line["stratum"] == "pair"]),
         ):
             sets = [(set(given(line)) if who == "needleplan" else set(line["peers"][who]), line) for line in kept]

@@ -96,7 +96,7 @@ def test_a_part_of_a_run_has_its_goals_and_its_page(score: ModuleType, tmp_path:
     reached = {each.what: each.reached for each in judged}
     assert reached["named and right, from 1 noise RMS, rich motion, 0 % heterogeneity"] is True
     assert reached["two effects, 0 %: exact set"] is None
-    run = {"done": 2, "wanted": 9, "purpose": "tuning", "engine": "e"}
+    run = {"done": 2, "wanted": 9, "purpose": "tuning", "engine": "e", "channel": "force", "large": 1.0}
     report = {"run": run, "machine": {"commit": "c", "date": "d", "processor": "p"}, "summary": found}
     assert "A part of the run" in page.page(report, judged, "x")
     page.draw(found, tmp_path / "x")
@@ -105,7 +105,7 @@ def test_a_part_of_a_run_has_its_goals_and_its_page(score: ModuleType, tmp_path:
 
 def test_blind_data_of_seeds_that_belong_to_nobody(score: ModuleType) -> None:
     """Few data sets, far above the noise or without an effect: the campaign itself takes hours."""
-    bench = importlib.import_module("diagnosis_case").Bench(peers=False)
+    bench = importlib.import_module("diagnosis_case").Bench()
     slip = Wanted(ForceName.SLIP_STEP, 2.0)
     wanted: list[tuple[Stratum, tuple[Wanted, ...], float]] = [
         (Stratum.NULL, (), 0.0),
