@@ -55,7 +55,7 @@ def _tables(found: Mapping[str, Any], large: float) -> Iterator[str]:
         names = ", ".join(f"{effect} {count}" for effect, count in each["names"].items()) or "-"
         yield f"| {name} | {_rate(each['falsely_named'])} | {_rate(each['flagged'])} | {names} |"
     yield ""
-    yield "p-values of the best effect where there is none: share at or below a level."
+    yield "p-values of the best effect where there is none: share at or below a level (those not worked out are above)."
     yield ""
     yield "| heterogeneity | " + " | ".join(next(iter(found["p_values"].values()))) + " |"
     yield "|---" * (1 + len(next(iter(found["p_values"].values())))) + "|"
@@ -189,7 +189,9 @@ def _draw_confusion(counts: Mapping[str, Mapping[str, int]], path: Path) -> None
         return
     shares = np.array([[counts[what].get(answer, 0) / sum(counts[what].values()) for answer in answers]
                        for what in rows])  # fmt: skip
-    figure, ax = plt.subplots(figsize=(1.8 + 0.42 * len(answers), 2.2 + 0.3 * len(rows)), constrained_layout=True)
+    figure, ax = plt.subplots(
+        figsize=(max(1.8 + 0.42 * len(answers), 6.0), 2.2 + 0.3 * len(rows)), constrained_layout=True
+    )
     ax.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
     for i, what in enumerate(rows):
         for j, answer in enumerate(answers):

@@ -48,6 +48,7 @@ def test_counts_are_those_by_hand(score: ModuleType) -> None:
         line("null", "named", ["bias"], [], p_value=0.001),
         line("single", "named", ["viscous"], [("viscous", 2.0)]),
         line("single", "named", ["bias"], [("viscous", 3.0)]),
+        line("single", "named", ["bump", "bump"], [("bump", 3.0)]),  # one hidden effect, several bumps
         line("single", "underpowered", [], [("viscous", 0.2)]),
         line("single", "incomplete", ["viscous"], [("viscous", 1.0)]),
         line("pair", "named", ["bias", "viscous"], [("viscous", 1.0), ("bias", 2.0)]),
@@ -70,14 +71,14 @@ def test_counts_are_those_by_hand(score: ModuleType) -> None:
 
     assert hits(nulls["falsely_named"]) == (1, 20)
     assert nulls["names"] == {"bias": 1}
-    assert hits(singles["right"]) == (1, 3)
-    assert hits(singles["wrong"]) == (1, 3)
-    assert hits(singles["detected"]) == (3, 3)
+    assert hits(singles["right"]) == (2, 4)
+    assert hits(singles["wrong"]) == (1, 4)
+    assert hits(singles["detected"]) == (4, 4)
     assert hits(pairs["exact"]) == (1, 2)
     assert hits(pairs["strongest"]) == (2, 2)
     assert hits(outside["declined"]) == (2, 3)
     assert hits(outside["right_axis"]) == (1, 2)
-    assert hits(found["coverage"]["0"]["parameters"]) == (1, 1)
+    assert hits(found["coverage"]["0"]["parameters"]) == (2, 2)
     assert hits(found["p_values"]["0"]["0.01"]) == (1, 20)
     assert found["confusion"]["viscous"] == {"viscous": 1, "bias": 1, "INCOMPLETE": 1}
 
