@@ -176,7 +176,7 @@ def fit_case(
     lag = start_lag_s if measurand.usual_lag_s else 0.0
     plain = output(coordinates)
     least = cost(plain, coordinates, lag)
-    moving = np.array([name not in hold for name in free] + [measurand.usual_lag_s > 0])
+    moving = np.array([name not in (*hold, *measurand.held) for name in free] + [measurand.usual_lag_s > 0])
     damping = 1e-4
     for _ in range(_STEPS):
         sensitivities = _sensitivities(output, coordinates, plain, motion, lag, noise, rows)

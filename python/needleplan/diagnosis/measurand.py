@@ -71,5 +71,11 @@ class Measurand:
     gates: Gates = Gates()
     """Thresholds."""
 
+    held: tuple[str, ...] = ()
+    """Parameters that are known closely, and in which the output is linear: calibrated by their sensitivities alone."""
+
+    rounds: int = 4
+    """How often base and effects are fitted in turn, at most: more where effects are far from linear."""
+
     usual_level: float = math.inf
     """Standard deviation of what tissues vary by: how far a gap may be laid to that; any level where it is infinite."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from needleplan.diagnosis.calibrate import Calibration, Case, fit_case
+from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.space import Space
 from needleplan.models import Model, Scale, simulate
 from needleplan.models.effects import SIZE, Effect
@@ -19,7 +20,6 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["Added", "Joint", "added_output", "cases_with", "refit", "whole_model"]
 
-_ROUNDS = 4
 _STEP = 1e-3
 _STEP_LINEAR = 0.05
 _DONE = 0.05
@@ -95,8 +95,6 @@ def refit(
     calibration: Calibration,
     base: Space,
     cases: Sequence[Case] | None = None,
-    *,
-    rounds: int = _ROUNDS,
 ) -> Joint:
     """Fit effects and base together from `start`; `base` is the space of the base alone.
 
@@ -107,7 +105,7 @@ def refit(
     added = _moved(added, names, np.zeros(len(names)))  # what was screened may lie outside of what can be
     cases = tuple(cases or calibration.training)
     best: Joint | None = None
-    for _ in range(rounds):
+    for _ in range(measurand_of(calibration.model.channel).rounds):
         cases = cases_with(added, calibration, cases)
         columns = [case.whiten(_columns(added, names, case.model, case.motion)) for case in cases]
         alone = Space([case.block for case in cases])

@@ -9,7 +9,7 @@ import numpy as np
 from needleplan.models.base import Channel
 from needleplan.models.effects import bending, tracking
 from needleplan.models.effects.altered import Altered
-from needleplan.models.effects.base import Effect, Enters, Family, Reach
+from needleplan.models.effects.base import SIZE, Effect, Enters, Family, Reach
 from needleplan.models.effects.catalogue import WrapEffect
 
 __all__ = ["TIP_EFFECTS"]
@@ -57,7 +57,8 @@ TIP_EFFECTS: tuple[Effect, ...] = (
     _of("torsional_lag", "tip that turns less than the base", Family.NEEDLE, Enters.SHAFT,
         "|phi_tip - phi_base| <= size l",
         "The tissue holds the shaft when it is turned, and the needle twists: the tip is behind the base.",
-        _THESIS + "1.2 and 6.5", bending.TwistedNeedle),
+        _THESIS + "1.2 and 6.5", bending.TwistedNeedle,
+        lambda reach: {SIZE: (5e-4, 2e-3, 8e-3, 0.032)}),  # noqa: ARG005
     _of("pre_bend", "needle that is bent", Family.NEEDLE, Enters.SHAFT,
         "(kn, kb) += size (cos, sin)(phi_base + direction)",
         "The needle was bent before it went in; the bend turns with the base.",
