@@ -45,7 +45,7 @@ CLEAR = (ForceName.PUNCTURE, ForceName.BUMPS, ForceName.LATENCY, ForceName.INERT
 """Effects that look like no other, or that poor motions do not show."""
 
 WAYS = ("proposed", "repeated", "fixed")
-SIZES = (0.2, 2.0)
+SIZES = (0.5, 3.0)
 HIDDEN = tuple(each for each in NAMEABLE if each not in UNSEEN[Variety.POOR] and each not in CLEAR)
 
 
