@@ -21,8 +21,9 @@ from typing import Any
 
 import machine
 import numpy as np
-from diagnosis_case import BASE, called, records
+from diagnosis_case import records
 from diagnosis_score import rate
+from diagnosis_subject import SUBJECTS, SubjectName
 
 from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
 from needleplan.diagnosis.next_motion import NextMotion, limits_of, next_motion
@@ -35,6 +36,8 @@ from tests.blind.force import ForceSpec, Wanted, another, generate
 from tests.blind.motions import MotionKind, Trajectory, from_depths, trajectory
 from tests.blind.recording import DataSet
 
+SUBJECT = SUBJECTS[SubjectName.FORCE]
+BASE = SUBJECT.base
 RESULTS = machine.ROOT / "benches" / "results" / "next_motion"
 OUTCOMES = machine.ROOT / "build" / "next_motion.jsonl"
 FIRST = SEEDS[Purpose.TUNING].start + 9_000_000
@@ -89,8 +92,9 @@ def outcome(spec: ForceSpec, library: Library) -> dict[str, Any]:
     trials = records(data)
     first = diagnose(BASE, trials, library=library, seed=spec.seed)
     (wanted,) = spec.effects
+    name = SUBJECT.called.get(wanted.name, str(wanted.name))
     line: dict[str, Any] = {
-        "seed": spec.seed, "hidden": called(wanted.name), "size": wanted.noise_multiple, "level": spec.heterogeneity,
+        "seed": spec.seed, "hidden": name, "size": wanted.noise_multiple, "level": spec.heterogeneity,
         "verdict": str(first.verdict), "tied": list(first.decision.tied),
     }  # fmt: skip
     if first.verdict is not Verdict.AMBIGUOUS:
