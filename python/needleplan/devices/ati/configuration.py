@@ -92,7 +92,9 @@ def fetch_configuration(host: str, port: int = 80, slot: int | None = None, time
         with opener.open(url, timeout=timeout_s) as answer:
             xml = answer.read(_LONGEST)
     except (OSError, ValueError, urllib.error.URLError) as error:
-        raise DeviceFault(f"{url}: the configuration of the force sensor cannot be read: {error}") from error
+        reason = getattr(error, "reason", error)  # of an URLError: what really happened
+        why = getattr(reason, "strerror", None) or reason
+        raise DeviceFault(f"{url}: the configuration of the force sensor cannot be read: {why}") from error
     return parse_configuration(xml, url)
 
 
