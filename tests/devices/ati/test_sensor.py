@@ -95,5 +95,5 @@ def test_wrong_addresses_are_refused_before_anything_is_sent(server: NetFtServer
 def test_nobody_at_the_address_is_a_fault(server: NetFtServer) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         http_port = free.getsockname()[1]
-    with pytest.raises(DeviceFault, match="configuration of the force sensor cannot be read: Connection refused$"):
+    with pytest.raises(DeviceFault, match=r"force sensor cannot be read: Connection refused$"):
         NetFt.open(f"udp://127.0.0.1:{server.port}?http_port={http_port}")
