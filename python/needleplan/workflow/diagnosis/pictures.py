@@ -178,9 +178,13 @@ def motion_figure(motion: Motion) -> str:
 def course_figure(described: Described, unit: str) -> str:
     """Return the course of a gap without a name, with two standard deviations."""
     figure, (ax,) = _sheet(1, 1, (7.4, 2.4))
-    values, sds = np.array(described.values), np.array(described.sds)
-    ax.fill_between(described.places, values - 2 * sds, values + 2 * sds, color=BLUE, alpha=0.25, lw=0)
-    ax.plot(described.places, values, color=BLUE, marker="o", ms=3)
+    for curve, colour in zip(described.curves.curves, (BLUE, ORANGE, VERMILLION, GREY), strict=False):
+        # Outside of what the data visited nothing is drawn.
+        mean, sd = (np.where(curve.inside, each, np.nan) for each in (curve.mean, curve.sd))
+        ax.fill_between(curve.places, mean - 2 * sd, mean + 2 * sd, color=colour, alpha=0.25, lw=0)
+        ax.plot(curve.places, mean, color=colour, label=str(curve.way))
+    if len(described.curves.curves) > 1:
+        ax.legend(fontsize=8)
     ax.axhline(0, color=BLACK, lw=0.6)
     ax.set(xlabel=f"{described.axis} ({described.unit})", ylabel=f"what is missing ({unit})")
     ax.grid(alpha=0.25)

@@ -148,6 +148,8 @@ def _described(found: Diagnosis, unit: str) -> Iterator[str]:
     if each.formula:
         formula = " + ".join(f"{term.size:.3g} * {term.text}" for term in each.formula)
         yield html.paragraph(f"A formula that describes it, and explains nothing: {formula}.")
+    if each.sparse and each.sparse.transfer is not None:
+        yield html.paragraph(f"In another motion it brings {each.sparse.transfer:.0%} of what it promises there.")
     yield html.paragraph(
         "effect_to_name.py beside this page is an effect of this shape, for a person who knows its cause."
     )
