@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.diagnosis.calibrate import Calibration, Case
 from needleplan.diagnosis.measurand import Axis
 from needleplan.diagnosis.rivals import omnibus
 from needleplan.diagnosis.select import Selection, Stop
-from needleplan.diagnosis.space import Space
 from needleplan.diagnosis.verdict import Gates, Verdict
 from needleplan.models.effects import SIZE
 
@@ -21,7 +18,7 @@ _STRONG = 3.0
 """Multiple of the threshold from which an effect that does not hold elsewhere still shows a gap."""
 
 _FEW = 40.0
-"""Gap that smooth functions must see for the share that is explained to mean something."""
+"""Gap from which on the share of it that is explained means something."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +34,12 @@ class Decision:
     """Along what the gap lies, where it has no name."""
 
     explained: float | None
-    """Part of the gap that smooth functions see which the named effects explain."""
+    """Part of the gap that the named effects explain: of what they bring and smooth functions still see beside them."""
 
     because: str
 
 
-def decide(selection: Selection, calibration: Calibration, gates: Gates, *, seen: float) -> Decision:
+def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     """Return the verdict. `seen` is the largest size, in noise RMS, that some effect could have unseen."""
     last, first = selection.steps[-1], selection.steps[0]
     rival = first.rivals[0]
@@ -65,7 +62,7 @@ def decide(selection: Selection, calibration: Calibration, gates: Gates, *, seen
     balance = sum(step.ranked[0].balance for step in selection.steps if step.stop is Stop.ACCEPTED)
     if _loses(joint.gain, balance, rival.gain, rival.balance, gates):
         return _unknown(rival.axis, f"{', '.join(names)} fits, but a smooth function without a name explains more")
-    share = _explained(selection, calibration)
+    share = _explained(selection)
     remaining = last.rivals[0]
     for index, each in enumerate(joint.added):
         what = each.effect.parameters[SIZE]
@@ -92,16 +89,16 @@ def _loses(gain: float, balance: float, rival_gain: float, rival_balance: float,
     return rival_balance - balance > gates.lead and gain < gates.share_of_rival * rival_gain
 
 
-def _explained(selection: Selection, calibration: Calibration) -> float | None:
+def _explained(selection: Selection) -> float | None:
+    """Return what the effects bring over that and what smooth functions then still see.
+
+    Both are of one likelihood, so the gap is their sum. What smooth functions see of the gap alone is not: a sharp
+    effect, a puncture, is nearly nothing to them.
+    """
     assert selection.joint is not None
-    before = _seen(selection.base, calibration.training)
-    if before < _FEW:
+    joint = selection.joint
+    columns = omnibus(joint.cases)
+    left = max(joint.space.basis_gains(columns) - columns[0].shape[1], 0.0)
+    if joint.gain + left < _FEW:
         return None
-    after = _seen(selection.joint.space, selection.joint.cases)
-    return float(np.clip(1 - after / before, 0.0, 1.0))
-
-
-def _seen(space: Space, cases: Sequence[Case]) -> float:
-    columns = omnibus(cases)
-    gain: float = space.basis_gains(columns)
-    return max(float(gain - columns[0].shape[1]), 0.0)
+    return float(np.clip(joint.gain / (joint.gain + left), 0.0, 1.0))

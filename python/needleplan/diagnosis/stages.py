@@ -53,7 +53,7 @@ def diagnose(
     calibration = calibrate(model, checked.training, checked.held_out, _noise(model, checked))
     selection = select(calibration, library, gates, seed=seed)
     hidden = [each.noise_multiple for each in selection.smallest if each.visible]
-    decision = decide(selection, calibration, gates, seen=float(np.quantile(hidden, 0.75)) if hidden else float("inf"))
+    decision = decide(selection, gates, seen=float(np.quantile(hidden, 0.75)) if hidden else float("inf"))
     decision = _limited(decision, checked)
     found = _found(selection.joint, selection) if decision.named else ()
     remarks = (*checked.remarks, *_strange(model, calibration))

@@ -50,7 +50,7 @@ class Gates:
     """Of the gain of a nameless competitor that leads: with more, the name stays."""
 
     explained: float = 0.5
-    """Of the gap that smooth functions see, at least, where these see something left."""
+    """Of the gap, at least, where smooth functions see something left."""
 
     complete: float = 0.7
     """With less of it, what was named is not all."""
