@@ -51,6 +51,8 @@ def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, floa
     for key, value in values.items():
         estimate = found.effects[0].added.estimates[key]
         assert abs(estimate.value - value) < 5 * max(estimate.sd, 0.02 * abs(value))
+    assert found.decision.explained is not None  # smooth functions see next to nothing of a puncture
+    assert found.decision.explained > 0.9
     assert found.verified is not None
     assert found.verified.after_n < found.verified.before_n
     assert found.verified.shrink > 0.8

@@ -17,6 +17,7 @@ from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.noise import Noise
 from needleplan.diagnosis.space import Block
 from needleplan.models import Channel, Model, Scale, simulate
+from needleplan.models.recurrence import recurrence
 from needleplan.signals import Array, Motion, Record
 
 __all__ = ["Calibration", "Case", "calibrate", "fit_case", "lag_taps", "late", "measured_of", "pooled", "with_measured"]
@@ -247,10 +248,7 @@ def late(force: Array, motion: Motion, lag_s: float) -> Array:
         behind[0], behind[1:] = 0.0, -lag_s * rise * (1 - decay)
         behind[2:] += decay[1:] * behind[1:-1]
         return force + behind
-    now = behind[0] = np.zeros(force.shape[1:])
-    for index in range(len(h)):
-        now = behind[index + 1] = decay[index] * now - lag_s * rise[index] * (1 - decay[index])
-    return force + behind
+    return force + recurrence(decay.ravel(), -lag_s * rise * (1 - decay), np.zeros(force.shape[1:]))
 
 
 def lag_taps(motion: Motion, lag_s: float) -> Array | None:

@@ -18,12 +18,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.base import LinearStateModel, Model, SelfIntegratingModel
+from needleplan.models.recurrence import recurrence
 from needleplan.signals import Array, Motion
 
 __all__ = ["Trajectory", "simulate"]
@@ -78,9 +78,7 @@ def _magnus(model: LinearStateModel, motion: Motion, start: float) -> Array:
     gain = step * (forcing_1 + forcing_2) / 2 + step**2 * (_GAUSS / 2) * (rate_1 * forcing_2 - rate_2 * forcing_1)
     small = np.abs(decay) < 1e-9
     phi = np.where(small, 1.0, -np.expm1(-decay) / np.where(small, 1.0, decay))
-    # The recurrence is serial; on plain floats it takes a tenth of what it takes on numpy's.
-    steps = zip(np.exp(-decay).tolist(), (gain * phi).tolist(), strict=True)
-    return np.array([list(accumulate(steps, lambda z, factors: factors[0] * z + factors[1], initial=start))])
+    return recurrence(np.exp(-decay), gain * phi, start)[None]
 
 
 def _kutta(model: Model, motion: Motion, start: Array, substeps: int) -> Array:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import accumulate
 from typing import ClassVar
 
 import numpy as np
 
 from needleplan.models.effects.base import Term
 from needleplan.models.parameter import constant
+from needleplan.models.recurrence import recurrence
 from needleplan.models.sliding import slid
 from needleplan.signals import Array, Motion
 
@@ -47,5 +47,4 @@ def reached(motion: Motion, start: float) -> Array:
 
 def decaying(decay: Array, target: Array, start: float) -> Array:
     """Return y, shape (n + 1,), of y[k+1] = target[k] + (y[k] - target[k]) decay[k]."""
-    pairs = zip(decay.tolist(), (target * (1 - decay)).tolist(), strict=True)
-    return np.array(list(accumulate(pairs, lambda y, each: each[0] * y + each[1], initial=start)))
+    return recurrence(decay, target * (1 - decay), start)
