@@ -61,7 +61,11 @@ def force_bases(cases: Sequence[Case]) -> dict[str, Basis]:
     powers = [_powers(case, force) for case in cases]
     add("force", Axis.FORCE, powers)
     add("force squared", Axis.FORCE, [each[:, 1:2] - each[:, 3:4] for each in powers])
-    add("pushing force squared", Axis.FORCE, [each[:, 1:2] for each in powers])
+    # What is left out at turns costs a power most of its gain. A single power of pushing mends no moment of turning
+    # by which the base is off; beside an effect, though, it mends what its fit leaves there.
+    push = [np.maximum(case.output / force, 0.0)[:, None] for case in cases]
+    for name, power in (("pushing force squared", 2), ("pushing force cubed", 3)):
+        found[name] = Basis(Axis.FORCE, tuple(each**power for each in push), beside_effects=False)
     return found
 
 

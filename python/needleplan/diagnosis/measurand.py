@@ -40,6 +40,8 @@ class Basis:
 
     axis: Axis
     columns: tuple[Array, ...]
+    beside_effects: bool = True
+    """Whether it is a competitor beside effects too; else of a name for the gap of the base alone."""
 
 
 @dataclass(frozen=True)

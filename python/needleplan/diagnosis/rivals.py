@@ -32,8 +32,8 @@ class RivalScore:
 
 
 def omnibus(cases: Sequence[Case]) -> list[Array]:
-    """Return all bases side by side, whitened, (n, df) for each trial."""
-    found = bases(cases).values()
+    """Return all bases that compete beside effects too, side by side, whitened, (n, df) for each trial."""
+    found = [basis for basis in bases(cases).values() if basis.beside_effects]
     raw = [np.column_stack(each) for each in zip(*(basis.columns for basis in found), strict=True)]
     return [case.whiten(each) for case, each in zip(cases, raw, strict=True)]
 
@@ -47,7 +47,10 @@ def score_rivals(space: Space, cases: Sequence[Case]) -> tuple[RivalScore, ...]:
     """Return what every competitor gains in a space, the best first."""
     price = float(np.log(space.samples))
     found = []
+    with_effects = space.blocks[0].shared.shape[1] > 0
     for name, basis in bases(cases).items():
+        if with_effects and not basis.beside_effects:
+            continue
         gain = space.basis_gains([case.whiten(each) for case, each in zip(cases, basis.columns, strict=True)])
         df = basis.columns[0].shape[1]
         found.append(RivalScore(name, basis.axis, gain, df, gain - df * price))
