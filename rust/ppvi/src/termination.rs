@@ -15,6 +15,9 @@ use std::time::{Duration, Instant};
 
 use crate::error::{Result, parameter};
 
+/// A residual near the least stage cost proves nothing, and all values zero have just that residual.
+const MOST_OF_LEAST_COST: f64 = 0.5;
+
 /// How a solve ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
@@ -104,7 +107,8 @@ impl Certificate {
         if self.discount < 1.0 {
             (1.0 - self.discount) * tolerance
         } else if self.least_stage_cost > 0.0 {
-            tolerance * self.least_stage_cost / (max_value.max(0.0) + tolerance)
+            let relative = tolerance / (max_value.max(0.0) + tolerance);
+            self.least_stage_cost * relative.min(MOST_OF_LEAST_COST)
         } else {
             tolerance
         }

@@ -144,6 +144,14 @@ fn an_unreachable_target_ends_the_solve() {
 }
 
 #[test]
+fn a_single_step_is_never_taken_for_free() {
+    // With all values zero the residual is the least stage cost, and the threshold may be that but for rounding.
+    for cost in (0..2000).map(|k| f64::from(k) * 0.000_731 + 0.499_540_352_207_309_5) {
+        assert_values(&tabular(&vec![vec![], vec![(cost, vec![(0, 1.0)])]], 1.0).unwrap(), 1e-3, &[0.0, cost]);
+    }
+}
+
+#[test]
 fn free_steps_converge_but_prove_nothing() {
     let mdp = tabular(&vec![vec![(0.0, vec![(1, 1.0)])], vec![(1.0, vec![(2, 1.0)])], vec![]], 1.0).unwrap();
     for solution in solve_all(&mdp, 1e-6, 1) {
