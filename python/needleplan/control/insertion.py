@@ -165,7 +165,8 @@ class Insertion(Closing):
         approach = Approach(scene, self._needle.tip.curvature_per_mm)
         ahead = self._remaining_mm() > NEARLY_MM
         inside, outside = approach.inside(pose), scene.outside(pose.x_mm, pose.y_mm)
-        decision = None if inside or outside else self.table.lookup(*pose)
+        asked = pose if outside else Pose(*scene.decided_at(*pose[:2]), pose.heading_rad, pose.bevel)
+        decision = None if inside or outside else self.table.lookup(*asked)
         hopeless = decision is not None and decision.success < options.least_success
         rotates = decision is not None and decision.action is Action.ROTATE
         if ahead and (inside or outside or hopeless or rotates):
@@ -185,7 +186,7 @@ class Insertion(Closing):
             turned = pose._replace(bevel=-pose.bevel) if rotates else pose
             room = max(options.longest_mm - self._needle.goal_mm, 0.0)
             length, last = approach.length_mm(turned, room)
-        self._record(pose, turned, decision, length)
+        self._record(pose, asked, turned, decision, length)
         self._consider(pose)
         self._carry_out(pose, turned, length, last=last)
         return None
@@ -220,13 +221,13 @@ class Insertion(Closing):
             return Ending.MISSED, f"the tip is {distance:.2f} mm from the centre of the target, beside it; {promise}"
         return Ending.UNREACHABLE, promise
 
-    def _record(self, pose: Pose, turned: Pose, decision: Decision | None, length_mm: float) -> None:
+    def _record(self, pose: Pose, asked: Pose, turned: Pose, decision: Decision | None, length_mm: float) -> None:
         needle, now_ns = self._needle, self._station.clock.now_ns()
         action = Action.INSERT if turned.bevel == pose.bevel else Action.ROTATE
         latency_s = (now_ns - needle.pose.stamp.received_ns) * 1e-9 if needle.pose else math.nan
         value, success = (decision.value, decision.success) if decision else (0.0, 1.0)
         step = Step(
-            self._number, now_ns, needle.goal_mm, pose, self._state(pose), action, value, success, length_mm,
+            self._number, now_ns, needle.goal_mm, pose, self._state(asked), action, value, success, length_mm,
             self._needle.tip, self.table.digest, latency_s,
         )  # fmt: skip
         self._number += 1
