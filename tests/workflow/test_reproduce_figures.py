@@ -109,7 +109,7 @@ ROWS = [
 
 
 def test_the_printed_table(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("needleplan.workflow.reproduce.reproduce", lambda *_: ROWS)
+    monkeypatch.setattr("needleplan.workflow.reproduce.reproduce", lambda *_, **__: ROWS)
     assert run_reproduce("ch6") == 0
     printed = capsys.readouterr()
     lines = printed.out.splitlines()
@@ -124,7 +124,7 @@ def test_the_printed_table(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
 
 
 def test_the_printed_json(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("needleplan.workflow.reproduce.reproduce", lambda *_: ROWS)
+    monkeypatch.setattr("needleplan.workflow.reproduce.reproduce", lambda *_, **__: ROWS)
     assert run_reproduce("ch6", "--json") == 0
     records = json.loads(capsys.readouterr().out)
     assert [list(record) for record in records] == [["id", "published", "ours", "unit", "verdict", "reason"]] * 4
