@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from typing import Any
 
 from needleplan.errors import Mistake
+from needleplan.scenario.document import document
 from needleplan.scenario.parts import (
     Grid,
     Layer,
@@ -23,7 +23,7 @@ from needleplan.scenario.parts import (
     Workspace,
     checked,
 )
-from needleplan.scenario.rules import Refused, Text, shown, suggestion
+from needleplan.scenario.rules import Refused, Text, shown
 
 __all__ = ["SCHEMA", "parse", "text"]
 
@@ -45,26 +45,22 @@ _ORDER = ("workspace", "obstacle", "target", "needle", "tissue", "motion", "grid
 
 def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
     """Return the parts that could be read, named as the fields of a scenario, and all mistakes."""
-    try:
-        document = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        return {}, [Mistake("", "", f"is not TOML: {error}")]
-    mistakes = [Mistake(key, "", f"unknown key{suggestion(key, _KEYS)}") for key in document if key not in _KEYS]
-    if document.get("schema") != SCHEMA:
-        mistakes.insert(0, Mistake("schema", shown(document.get("schema", "")), f'must be "{SCHEMA}"'))
+    given, mistakes = document(text, SCHEMA, _KEYS)
+    if given is None:
+        return {}, mistakes
     parts: dict[str, Any] = {}
     try:
-        parts["title"] = Text().read(document.get("title", ""))
+        parts["title"] = Text().read(given.get("title", ""))
     except Refused as refused:
-        mistakes.append(Mistake("title", shown(document["title"]), str(refused)))
+        mistakes.append(Mistake("title", shown(given["title"]), str(refused)))
     for name, part in _TABLES.items():
-        raw, found = _unnested(document.get(name, {})) if name == "needle" else (document.get(name, {}), [])
+        raw, found = _unnested(given.get(name, {})) if name == "needle" else (given.get(name, {}), [])
         made, more = _part(part, raw, name)
         mistakes += found + more
         if made and not found:
             parts[name] = made
     for name, (plural, part) in _LISTS.items():
-        parts[plural], found = _list(part, document.get(name, []), name)
+        parts[plural], found = _list(part, given.get(name, []), name)
         mistakes += found
     return parts, mistakes
 

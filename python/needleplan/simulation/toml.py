@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any
@@ -11,6 +10,7 @@ from needleplan.errors import InputError, Mistake, ModelError
 from needleplan.models.friction import AveragedLuGre, LumpedLuGre
 from needleplan.models.friction.lugre import LuGre
 from needleplan.scenario import Scenario
+from needleplan.scenario.document import document
 from needleplan.scenario.parts import checked
 from needleplan.scenario.rules import Integer, Refused, Text, shown, suggestion
 from needleplan.simulation.effects import Effects
@@ -31,28 +31,24 @@ _MOST_MOVES = 1000
 
 def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
     """Return what makes an experiment, named as its fields, and all mistakes; with mistakes only those count."""
-    try:
-        document = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        return {}, [Mistake("", "", f"is not TOML: {error}")]
-    mistakes = [Mistake(key, "", f"unknown key{suggestion(key, _KEYS)}") for key in document if key not in _KEYS]
-    if document.get("schema") != SCHEMA:
-        mistakes.insert(0, Mistake("schema", shown(document.get("schema", "")), f'must be "{SCHEMA}"'))
+    given, mistakes = document(text, SCHEMA, _KEYS)
+    if given is None:
+        return {}, mistakes
     parts: dict[str, Any] = {}
     for name, rule, default in (("title", Text(), ""), ("seed", Integer(0, 2**32 - 1), 0)):
         try:
-            parts[name] = rule.read(document.get(name, default))
+            parts[name] = rule.read(given.get(name, default))
         except Refused as refused:
-            mistakes.append(Mistake(name, shown(document[name]), str(refused)))
-    parts["scenario"] = _scenario(document.get("scenario"), mistakes)
-    tables = {name: _part(kind, document.get(name, {}), name, mistakes) for name, kind in _TABLES.items()}
-    layers = _rows(Layer, document.get("layer", []), "layer", mistakes)
-    moves = _rows(Move, document.get("move", []), "move", mistakes)
-    if "move" not in document:
+            mistakes.append(Mistake(name, shown(given[name]), str(refused)))
+    parts["scenario"] = _scenario(given.get("scenario"), mistakes)
+    tables = {name: _part(kind, given.get(name, {}), name, mistakes) for name, kind in _TABLES.items()}
+    layers = _rows(Layer, given.get("layer", []), "layer", mistakes)
+    moves = _rows(Move, given.get("move", []), "move", mistakes)
+    if "move" not in given:
         mistakes.append(Mistake("move", "", "is missing: an experiment has at least one [[move]]"))
-    friction = _friction(document.get("friction"), mistakes)
+    friction = _friction(given.get("friction"), mistakes)
     tissue = tables["tissue"]
-    if isinstance(tissue, Tissue) and tissue.curvature_per_mm is None and "scenario" not in document:
+    if isinstance(tissue, Tissue) and tissue.curvature_per_mm is None and "scenario" not in given:
         mistakes.append(Mistake("tissue.curvature_per_mm", "", "is missing: it is needed where there is no scenario"))
     made: Any = tables
     mistakes += disagreements(made["entry"], [each for each in layers if each], made["shaft"], made["robot"])

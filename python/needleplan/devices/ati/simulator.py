@@ -13,11 +13,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from types import TracebackType
-from typing import Self
 
 from needleplan.devices.ati.configuration import FORCE_UNITS, TORQUE_UNITS
 from needleplan.devices.ati.rdt import Command, RdtRecord, decode_request, encode_records
+from needleplan.devices.closing import Closing
 from needleplan.errors import ProtocolError
 
 __all__ = ["BoxFaults", "BoxSettings", "NetFtBox", "NetFtServer", "Peer"]
@@ -155,7 +154,7 @@ class NetFtBox:
         return [*before, record, *([record] if twice else []), *held]
 
 
-class NetFtServer:
+class NetFtServer(Closing):
     """A box on real sockets of this machine: RDT on `port`, its XML on `http_port`; a context manager."""
 
     def __init__(self, box: NetFtBox, host: str = "127.0.0.1", port: int = 0, http_port: int = 0) -> None:
@@ -206,14 +205,6 @@ class NetFtServer:
             thread.join()
         self._http.server_close()
         self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def _pages(box: NetFtBox) -> type[BaseHTTPRequestHandler]:

@@ -21,7 +21,7 @@ gear = 23.0
 from __future__ import annotations
 
 import math
-import tomllib
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field
 from enum import StrEnum
@@ -29,8 +29,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from needleplan.errors import ConfigurationError, Mistake
+from needleplan.scenario.document import document
 from needleplan.scenario.parts import Part, checked
-from needleplan.scenario.rules import Choice, Integer, Number, Rule, shown, suggestion
+from needleplan.scenario.rules import Choice, Integer, Number, Rule
 
 __all__ = ["SCHEMA", "AxisLimits", "AxisSetup", "DrivesSetup", "InsertionSetup", "RollSetup", "VelocityUnit"]
 
@@ -74,7 +75,7 @@ class AxisLimits:
 
 
 @dataclass(frozen=True)
-class AxisSetup(Part):
+class AxisSetup(Part, ABC):
     """One axis; abstract. Positions, velocities and accelerations are in mm or rad, by seconds."""
 
     node: int = _ruled(Integer(1, 126))
@@ -106,9 +107,9 @@ class AxisSetup(Part):
         return type(self).__name__.removesuffix("Setup").lower()
 
     @property
+    @abstractmethod
     def limits(self) -> AxisLimits:
         """What the axis may do."""
-        raise NotImplementedError
 
     @property
     def counts_per_unit(self) -> float:
@@ -216,16 +217,12 @@ class DrivesSetup:
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> Self:
         """Return what the text of a file says. Raises ConfigurationError with every mistake."""
-        try:
-            document = tomllib.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise ConfigurationError(f"is not TOML: {error}", source) from error
-        mistakes = [Mistake(key, "", f"unknown key{suggestion(key, _KEYS)}") for key in document if key not in _KEYS]
-        if document.get("schema") != SCHEMA:
-            mistakes.insert(0, Mistake("schema", shown(document.get("schema", "")), f'must be "{SCHEMA}"'))
+        given, mistakes = document(text, SCHEMA, _KEYS)
+        if given is None:
+            raise ConfigurationError(mistakes, source)
         tables: dict[str, Any] = {}
         for name, kind in (("insertion", InsertionSetup), ("roll", RollSetup)):
-            raw = document.get(name)
+            raw = given.get(name)
             if not isinstance(raw, Mapping):
                 mistakes.append(Mistake(name, "", f"is missing: a table [{name}]"))
                 continue

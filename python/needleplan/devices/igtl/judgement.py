@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 
 from needleplan.devices.base import Health, PoseSample, Stamp
 from needleplan.devices.igtl.poses import Pose
+from needleplan.devices.pose_samples import FARTHEST_MM, continuous, unseen
 from needleplan.errors import DeviceFault
 
 __all__ = ["PoseJudge", "PoseLimits"]
 
-_NAN = math.nan
-_FARTHEST_MM = 1e5
 _NANO = 1_000_000_000
 _IDENTITY = Pose((0.0, 0.0, 0.0))
 """What PLUS sends for a coil that it does not see, with a status that header version 1 has no place for."""
@@ -83,7 +82,7 @@ class PoseJudge:
         return (f"{late_s:.3g} s late",) if late_s > self.limits.late_s else ()
 
     def _sample(self, pose: Pose | None, status: str, stamp: Stamp, notes: tuple[str, ...]) -> PoseSample:
-        missing = PoseSample(stamp, (_NAN,) * 3, (_NAN,) * 4, _NAN, Health.MISSING, ("not seen", *notes))
+        missing = unseen(stamp, "not seen", *notes)
         if pose is None:
             return missing
         if status not in ("", "OK"):
@@ -92,7 +91,7 @@ class PoseJudge:
         if not status and pose == _IDENTITY:
             return replace(missing, notes=("not seen, or exactly at the origin", *notes))
         numbers = (*pose.position_mm, pose.distortion)
-        if not all(map(math.isfinite, numbers)) or max(map(abs, numbers)) > _FARTHEST_MM:
+        if not all(map(math.isfinite, numbers)) or max(map(abs, numbers)) > FARTHEST_MM:
             return replace(missing, notes=("not a pose", *notes))
         if not pose.oriented:
             notes += ("position without orientation",)
@@ -100,7 +99,7 @@ class PoseJudge:
             notes += (f"no rotation: off by {pose.distortion:.3g}",)
         notes += self._step(pose, stamp)
         health = Health.SUSPECT if notes else Health.GOOD
-        return self._continuous(PoseSample(stamp, pose.position_mm, pose.quaternion, _NAN, health, notes))
+        return continuous(PoseSample(stamp, pose.position_mm, pose.quaternion, math.nan, health, notes), self._last)
 
     def _step(self, pose: Pose, stamp: Stamp) -> tuple[str, ...]:
         last = self._last
@@ -113,13 +112,3 @@ class PoseJudge:
             passed_s = stamp.device_time_s - last.stamp.device_time_s
         # What comes within a millisecond was measured with some noise, and may seem fast.
         return (f"a step of {step_mm:.3g} mm",) if step_mm > self.limits.speed_mm_s * max(passed_s, 0.001) else ()
-
-    def _continuous(self, sample: PoseSample) -> PoseSample:
-        """Choose of q and -q, which are the same rotation, the one nearer to the last."""
-        last = self._last
-        if last is None or last.health is Health.MISSING:
-            return sample
-        if math.fsum(map(float.__mul__, sample.quaternion, last.quaternion)) >= 0:
-            return sample
-        w, x, y, z = (-each for each in sample.quaternion)
-        return replace(sample, quaternion=(w, x, y, z))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from needleplan.devices.base import Health, PoseSample, Stamp
 from needleplan.devices.ndi.frames import PORT_SUSPECT, SYSTEM_SUSPECT, Frames, Seen, ToolFrame, bits_of
+from needleplan.devices.pose_samples import FARTHEST_MM, continuous, unseen
 from needleplan.errors import DeviceFault
 
 __all__ = ["PoseJudge", "PoseLimits"]
@@ -14,8 +15,6 @@ __all__ = ["PoseJudge", "PoseLimits"]
 _WRAP = 1 << 32
 _HARDWARE_FAILURE, _HARDWARE_CHANGE, _PLUGGED = 0x10, 0x20, 0xC0
 _SOUND_PORT = 0x31 | 0x0E  # tool in port, initialised, enabled; switches
-_FARTHEST_MM = 1e5
-_NAN = math.nan
 
 
 @dataclass(frozen=True)
@@ -108,12 +107,12 @@ class PoseJudge:
         notes += bits_of(port, PORT_SUSPECT)
         if strange := port & ~_SOUND_PORT & ~sum(PORT_SUSPECT):
             notes += (f"port status {strange:08X}",)
-        missing = PoseSample(stamp, (_NAN,) * 3, (_NAN,) * 4, _NAN, Health.MISSING, ("not seen", *notes))
+        missing = unseen(stamp, "not seen", *notes)
         if tool.seen is Seen.MISSING:
             return missing
         norm = math.sqrt(math.fsum(each * each for each in tool.quaternion))
         numbers = (*tool.position_mm, tool.error_mm, norm)
-        if not all(map(math.isfinite, numbers)) or max(map(abs, numbers)) > _FARTHEST_MM or norm < 0.5:
+        if not all(map(math.isfinite, numbers)) or max(map(abs, numbers)) > FARTHEST_MM or norm < 0.5:
             return replace(missing, notes=("not a pose", *notes))
         if abs(norm - 1) > self.limits.norm_tolerance:
             notes += (f"quaternion of length {norm:.3g}",)
@@ -124,7 +123,7 @@ class PoseJudge:
         sample = PoseSample(
             stamp, tool.position_mm, (w, x, y, z), tool.error_mm, Health.SUSPECT if notes else Health.GOOD, notes
         )
-        return self._continuous(sample)
+        return continuous(sample, self._last)
 
     def _step(self, position_mm: tuple[float, float, float], frame: int) -> tuple[str, ...]:
         last = self._last
@@ -133,13 +132,3 @@ class PoseJudge:
         step_mm = math.dist(position_mm, last.position_mm)
         frames = (frame - last.stamp.sequence) % _WRAP
         return (f"a step of {step_mm:.3g} mm",) if step_mm > self.limits.step_mm * frames else ()
-
-    def _continuous(self, sample: PoseSample) -> PoseSample:
-        """Choose of q and -q, which are the same rotation, the one nearer to the last."""
-        last = self._last
-        if last is None or last.health is Health.MISSING:
-            return sample
-        if math.fsum(map(float.__mul__, sample.quaternion, last.quaternion)) >= 0:
-            return sample
-        w, x, y, z = (-each for each in sample.quaternion)
-        return replace(sample, quaternion=(w, x, y, z))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from needleplan.errors import Mistake, ModelError
 from needleplan.estimation.atlas.combination import Combination
 from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
+from needleplan.scenario.document import document
 from needleplan.scenario.rules import Number, Pair, Refused, Rule, Text, sequence, shown, suggestion
 
 __all__ = ["SCHEMA", "parse", "text"]
@@ -30,16 +30,11 @@ _KEYS = (*_REQUIRED, *_OPTIONAL, "model", "digests", "parameters", "intervals")
 
 def parse(content: str) -> tuple[str, tuple[Combination, ...], list[Mistake]]:
     """Return title, the combinations that could be read, and all mistakes."""
-    try:
-        document = tomllib.loads(content)
-    except (ValueError, RecursionError) as error:
-        return "", (), [Mistake("", "", f"is not TOML: {error}")]
-    keys = ("schema", "title", "combination")
-    mistakes = [Mistake(key, "", f"unknown key{suggestion(key, keys)}") for key in document if key not in keys]
-    if document.get("schema") != SCHEMA:
-        mistakes.insert(0, Mistake("schema", shown(document.get("schema", "")), f'must be "{SCHEMA}"'))
-    title = _read(Text(), document.get("title", ""), "title", mistakes)
-    raw = document.get("combination", [])
+    given, mistakes = document(content, SCHEMA, ("schema", "title", "combination"))
+    if given is None:
+        return "", (), mistakes
+    title = _read(Text(), given.get("title", ""), "title", mistakes)
+    raw = given.get("combination", [])
     if not isinstance(raw, list):
         return "", (), [*mistakes, Mistake("combination", shown(raw), "must be tables, each below [[combination]]")]
     made = [_combination(each, f"combination {number}", mistakes) for number, each in enumerate(raw, start=1)]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from needleplan.errors import Mistake
+from needleplan.scenario.document import document
 from needleplan.scenario.rules import Integer, Number, Refused, Rule, Text, sequence, shown, suggestion
 
 __all__ = ["SCHEMA", "Numbers", "Parent", "parse", "text"]
@@ -62,21 +62,17 @@ _PARENT: dict[str, tuple[str, Rule]] = {"name": ("name", Text()), "digest": ("di
 
 def parse(content: str) -> tuple[dict[str, Any], list[Mistake]]:
     """Return what could be read, named as the fields of a registration, and all mistakes."""
-    try:
-        document = tomllib.loads(content)
-    except (ValueError, RecursionError) as error:
-        return {}, [Mistake("", "", f"is not TOML: {error}")]
-    mistakes = [Mistake(key, "", f"unknown key{suggestion(key, _KEYS)}") for key in document if key not in _KEYS]
-    if document.get("schema") != SCHEMA:
-        mistakes.insert(0, Mistake("schema", shown(document.get("schema", "")), f'must be "{SCHEMA}"'))
+    given, mistakes = document(content, SCHEMA, _KEYS)
+    if given is None:
+        return {}, mistakes
     values: dict[str, Any] = {}
     for key in ("title", "made_by"):
-        if key in document:
-            values[key] = _value(Text(), document[key], key, mistakes)
-    values |= _table(document.get("coil"), _COIL, "coil", mistakes)
-    values |= _table(document.get("frame"), _FRAME, "frame", mistakes)
-    points = _rows(document.get("point", []), _POINT, "point", mistakes)
-    parents = _rows(document.get("parent", []), _PARENT, "parent", mistakes)
+        if key in given:
+            values[key] = _value(Text(), given[key], key, mistakes)
+    values |= _table(given.get("coil"), _COIL, "coil", mistakes)
+    values |= _table(given.get("frame"), _FRAME, "frame", mistakes)
+    points = _rows(given.get("point", []), _POINT, "point", mistakes)
+    parents = _rows(given.get("parent", []), _PARENT, "parent", mistakes)
     if not mistakes:
         values["points"] = tuple((each["tracker_mm"], each["plan_mm"]) for each in points)
         values["parents"] = tuple(Parent(**each) for each in parents)

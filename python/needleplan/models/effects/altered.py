@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,9 +46,9 @@ class Altered(SteeredModel):
 class Shifted(Altered):
     """A model whose tip, or what is shown of it, is somewhere else; abstract."""
 
+    @abstractmethod
     def shift(self, state: Array, motion: Motion) -> Array:
         """Return where to it is moved for size 1, shape (3, ...)."""
-        raise NotImplementedError
 
     def output(self, state: Array, motion: Motion) -> Array:
         """Return the output of the base, moved."""
