@@ -107,9 +107,8 @@ def _rests(case: Case) -> Array:
     motion: Motion = case.motion
     fastest = float(np.abs(motion.velocity_mm_s).max())
     still = np.abs(motion.velocity_mm_s) < _AT_REST * fastest
-    since = np.zeros(len(motion))
-    for index in range(1, len(motion)):
-        since[index] = since[index - 1] + motion.time_s[index] - motion.time_s[index - 1] if still[index] else 0.0
+    began = np.maximum.accumulate(np.where(still, 0, np.arange(len(motion))))
+    since = motion.time_s - motion.time_s[began]
     scale = np.where(still, case.output, 0.0)
     return np.column_stack([scale * -np.expm1(-since / tau) for tau in (0.15, 0.6, 2.5, 10.0)])
 

@@ -63,8 +63,9 @@ class Case:
         whitened = self.noise.whiten(read, taps)
         if not self.rows.all():
             whitened = whitened[self.rows]
-        more = self.block.samples - len(whitened)
-        return np.concatenate([whitened, np.zeros((more, *whitened.shape[1:]))])
+        found = np.zeros((self.block.samples, *whitened.shape[1:]))
+        found[: len(whitened)] = whitened
+        return found
 
     def samples(self) -> NDArray[np.intp]:
         """Return of which sample each whitened one that counts is, axis after axis."""

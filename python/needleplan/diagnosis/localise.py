@@ -154,7 +154,7 @@ def _binned(axis: str, labels: Array, basis: Array, coefficients: Array, drawn: 
     for name in names:
         part = basis[labels == name]
         gram = part.T @ part
-        by_chance = np.einsum("ij,ik,kj->j", drawn, gram, drawn)
+        by_chance = (drawn * (gram @ drawn)).sum(axis=0)
         mean, spread = float(np.trace(gram)), float(np.sqrt(2 * np.sum(gram**2))) + 1e-12
         energy = float(coefficients @ gram @ coefficients)
         found.append((name, energy, (energy - mean) / spread))

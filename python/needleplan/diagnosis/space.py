@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from needleplan.signals import Array
 
@@ -24,6 +23,9 @@ __all__ = ["LEVELS", "Block", "Scores", "Space"]
 
 LEVELS = np.array([0.0, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])
 """Levels of heterogeneity that are tried: standard deviation of the tissue's properties over their mean."""
+
+_SEEN = 1e-7
+"""Eigenvalue of a scaled basis from which on what it stands for counts."""
 
 
 @dataclass(frozen=True)
@@ -76,25 +78,75 @@ class Scores:
             return np.where(self.curvature > 1e-9, self.slope / self.curvature, 0.0)
 
 
+@dataclass(frozen=True)
+class _Trial:
+    """What a trial brings to every score, at all levels (t) at once; W weighs by the noise and by the tissue."""
+
+    known: Array
+    """Sensitivities J, shared nuisances G and residual r, side by side: (n, q + g + 1)."""
+
+    moved: Array
+    """Modes times these, (k, q + g + 1)."""
+
+    weights: Array
+    """How much of each mode is taken out, (t, k)."""
+
+    root: Array
+    """Inverse of the lower triangular factor of J'WJ, (t, q, q)."""
+
+    solved: Array
+    """(J'WJ)^-1 J'W [G r], (t, q, g + 1)."""
+
+    rest: Array
+    """Normal matrix of [G r] with J projected out, (t, g + 1, g + 1)."""
+
+    logs: Array
+    """Log determinants of J'WJ and of the tissue's covariance, (t,)."""
+
+    @classmethod
+    def of(cls, block: Block, levels: Array) -> _Trial:
+        q = block.sensitivities.shape[1]
+        known = np.column_stack([block.sensitivities, block.shared, block.residual])
+        moved = block.modes.T @ known
+        varied = levels[:, None] ** 2 * block.variances
+        weights = varied / (1 + varied)
+        whole = known.T @ known - moved.T @ (weights[:, :, None] * moved)
+        own, cross = whole[:, :q, :q], whole[:, :q, q:]
+        diagonal = np.einsum("tqq->tq", own)
+        factor = np.linalg.cholesky(own + (1e-10 * diagonal + 1e-12)[:, :, None] * np.eye(q))
+        root = np.linalg.inv(factor)
+        half = root @ cross
+        rest = whole[:, q:, q:] - half.swapaxes(1, 2) @ half
+        logs = 2 * np.log(np.einsum("tqq->tq", factor)).sum(axis=1) + np.log1p(varied).sum(axis=1)
+        return cls(known, moved, weights, root, root.swapaxes(1, 2) @ half, rest, logs)
+
+    def against(self, plain: Array, moved: Array, levels: slice = slice(None)) -> tuple[Array, Array]:
+        """Return, of columns, root J'W a, (t, q, m), and [G r]'W a with J projected out, (t, g + 1, m).
+
+        `plain` are the products of `known` with them, `moved` those of the modes.
+        """
+        q = self.root.shape[1]
+        products = plain - self.moved.T @ (self.weights[levels, :, None] * moved)
+        rest = products[:, q:] - self.solved[levels].swapaxes(1, 2) @ products[:, :q]
+        return self.root[levels] @ products[:, :q], rest
+
+
 class Space:
     """Trials that are judged together."""
 
     def __init__(self, blocks: Sequence[Block], levels: Array = LEVELS) -> None:
-        self.blocks, self.levels = tuple(blocks), levels
-        self._weights = [
-            [level**2 * block.variances / (1 + level**2 * block.variances) for level in levels] for block in blocks
-        ]
-        self._moved = [block.modes.T @ np.column_stack([block.sensitivities, block.shared, block.residual])
-                       for block in blocks]  # fmt: skip
-        self._plain = []
-        for block in blocks:
-            all_ = np.column_stack([block.sensitivities, block.shared, block.residual])
-            self._plain.append(all_.T @ all_)
-        self._factors = [
-            [self._factor(index, level) for level in range(len(levels))] for index in range(len(self.blocks))
-        ]
-        self._shared = [self._shared_factor(level) for level in range(len(levels))]
-        self.evidence = np.array([self._evidence(level) for level in range(len(levels))])
+        self.blocks, self.levels = tuple(blocks), np.asarray(levels, float)
+        self._trials = [_Trial.of(block, self.levels) for block in self.blocks]
+        rest = np.sum([each.rest for each in self._trials], axis=0)
+        g = rest.shape[1] - 1
+        diagonal = np.einsum("tgg->tg", rest)[:, :-1]
+        # What is shared: its matrix (t, g, g) and right side (t, g), and the energy that is left.
+        self._shared = rest[:, :-1, :-1] + 1e-9 * (diagonal + 1e-9)[:, :, None] * np.eye(g)
+        self._target = rest[:, :-1, -1]
+        fitted = np.linalg.solve(self._shared, self._target[:, :, None])[:, :, 0]
+        self._energy = rest[:, -1, -1] - np.einsum("tg,tg->t", self._target, fitted)
+        believed = (self.levels / self.blocks[0].usual_level) ** 2
+        self.evidence = -0.5 * (np.sum([each.logs for each in self._trials], axis=0) + self._energy + believed)
 
     @property
     def samples(self) -> int:
@@ -118,71 +170,54 @@ class Space:
 
     def energy(self, level: int | None = None) -> float:
         """Return the weighted sum of squares that the base leaves at a level, by default the one it takes."""
-        return self._shared[self.best if level is None else level][2]
+        return float(self._energy[self.best if level is None else level])
 
     def scores(self, columns: Sequence[Array]) -> Scores:
         """Score columns with one size for all trials; one array (n, m) for each trial."""
-        slope, curvature, cross = self._local(columns)
-        slope, curvature = slope.sum(axis=1), curvature.sum(axis=1)
-        for level in range(len(self.levels)):
-            matrix, target, _ = self._shared[level]
-            if target.size:
-                g = cross[level].sum(axis=0)
-                solved = np.linalg.solve(matrix, g)
-                slope[level] -= solved.T @ target
-                curvature[level] -= np.einsum("gm,gm->m", g, solved)
+        (t, g), m = self._target.shape, columns[0].shape[1]
+        slope, curvature, cross = np.zeros((t, m)), np.zeros((t, m)), np.zeros((t, g, m))
+        for block, trial, each in zip(self.blocks, self._trials, columns, strict=True):
+            moved = block.modes.T @ each
+            half, rest = trial.against(trial.known.T @ each, moved)
+            slope += rest[:, -1]
+            cross += rest[:, :-1]
+            curvature += np.einsum("nm,nm->m", each, each) - trial.weights @ moved**2 - (half**2).sum(axis=1)
+        if g:
+            solved = np.linalg.solve(self._shared, cross)
+            slope -= np.einsum("tgm,tg->tm", solved, self._target)
+            curvature -= (cross * solved).sum(axis=1)
         return Scores(slope, curvature, self.evidence)
-
-    def scores_apart(self, columns: Sequence[Array]) -> tuple[Array, Array]:
-        """Return slope and curvature for each trial by itself, shape (levels, trials, m); no shared nuisances."""
-        slope, curvature, _ = self._local(columns)
-        return slope, curvature
 
     def basis_gains(self, basis: Sequence[Array], *, ridge: float = 1e-9) -> float:
         """Return twice the gain in log likelihood of a whole basis, shape (n, df) for each trial, sizes shared."""
-        best = -np.inf
-        products = self._products(basis)
-        for level in range(len(self.levels)):
-            matrix, target = self.normal(basis, level, products)
-            scale = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
-            scaled = matrix / np.outer(scale, scale) + ridge * np.eye(len(scale))
-            values, vectors = np.linalg.eigh(scaled)
-            keep = values > 1e-7
-            part = vectors[:, keep].T @ (target / scale)
-            best = max(best, 2 * float(self.evidence[level]) + float((part**2 / values[keep]).sum()))
-        return float(best - 2 * self.evidence.max())
+        matrix, target = self._normals(basis, slice(None))
+        scale = np.sqrt(np.maximum(np.einsum("tdd->td", matrix), 1e-12))
+        scaled = matrix / (scale[:, :, None] * scale[:, None]) + ridge * np.eye(scale.shape[1])
+        values, vectors = np.linalg.eigh(scaled)
+        part = np.einsum("tdi,td->ti", vectors, target / scale)
+        keep = values > _SEEN
+        gains = (np.where(keep, part, 0.0) ** 2 / np.where(keep, values, 1.0)).sum(axis=1)
+        return float((2 * self.evidence + gains).max() - 2 * self.evidence.max())
 
-    def _products(self, basis: Sequence[Array]) -> list[tuple[Array, Array, Array]]:
-        found = []
-        for block, columns in zip(self.blocks, basis, strict=True):
-            known = np.column_stack([block.sensitivities, block.shared, block.residual])
-            found.append((known.T @ columns, block.modes.T @ columns, columns.T @ columns))
-        return found
-
-    def normal(
-        self, basis: Sequence[Array], level: int, products: Sequence[tuple[Array, Array, Array]] | None = None
-    ) -> tuple[Array, Array]:
+    def normal(self, basis: Sequence[Array], level: int) -> tuple[Array, Array]:
         """Return matrix (df, df) and right side (df,) of the normal equations of a basis at a level."""
-        df = basis[0].shape[1]
-        matrix, target = np.zeros((df, df)), np.zeros(df)
-        cross = np.zeros((self.blocks[0].shared.shape[1], df))
-        products = self._products(basis) if products is None else products
-        for index, block in enumerate(self.blocks):
-            q = block.sensitivities.shape[1]
-            weights = self._weights[index][level]
-            plain, moved, square = products[index]
-            with_known = plain - self._moved[index].T @ (weights[:, None] * moved)
-            factor, solved = self._factors[index][level][:2]
-            own = square - moved.T @ (weights[:, None] * moved)
-            matrix += own - with_known[:q].T @ cho_solve(factor, with_known[:q])
-            rest = with_known[q:] - solved.T @ with_known[:q]
-            target += rest[-1]
-            cross = cross + rest[:-1]
-        shared, right, _ = self._shared[level]
-        if right.size:
-            inner = np.linalg.solve(shared, cross)
-            matrix -= cross.T @ inner
-            target -= inner.T @ right
+        matrix, target = self._normals(basis, slice(level, level + 1))
+        return matrix[0], target[0]
+
+    def _normals(self, basis: Sequence[Array], levels: slice) -> tuple[Array, Array]:
+        (t, g), df = self._target[levels].shape, basis[0].shape[1]
+        matrix, target, cross = np.zeros((t, df, df)), np.zeros((t, df)), np.zeros((t, g, df))
+        for block, trial, each in zip(self.blocks, self._trials, basis, strict=True):
+            moved = block.modes.T @ each
+            half, rest = trial.against(trial.known.T @ each, moved, levels)
+            weighed = trial.weights[levels, :, None] * moved
+            matrix += each.T @ each - moved.T @ weighed - half.swapaxes(1, 2) @ half
+            target += rest[:, -1]
+            cross += rest[:, :-1]
+        if g:
+            inner = np.linalg.solve(self._shared[levels], cross)
+            matrix -= cross.swapaxes(1, 2) @ inner
+            target -= np.einsum("tgd,tg->td", inner, self._target[levels])
         return matrix, target
 
     def null_maxima(self, columns: Sequence[Array], penalty: Array, signs: Array, runs: int, seed: int) -> Array:
@@ -194,70 +229,22 @@ class Space:
         level = self.best
         slope: Array = np.zeros((columns[0].shape[1], runs))
         curvature: Array = np.zeros(columns[0].shape[1])
-        for index, (block, each) in enumerate(zip(self.blocks, columns, strict=True)):
-            weights = self._weights[index][level]
-            factor = self._factors[index][level][0]
+        for block, trial, each in zip(self.blocks, self._trials, columns, strict=True):
+            q = block.sensitivities.shape[1]
+            weights, root = trial.weights[level][:, None], trial.root[level]
             # W^(1/2) of white noise has the same law as W applied to noise with the modes in it.
             noise = generator.standard_normal((block.samples, runs))
             modes = np.sqrt(block.variances) * self.levels[level]
             noise += (block.modes * modes) @ generator.standard_normal((modes.size, runs))
-            weighed = noise - block.modes @ (weights[:, None] * (block.modes.T @ noise))
+            noise -= block.modes @ (weights * (block.modes.T @ noise))
             moved = block.modes.T @ each
-            j = block.sensitivities.T @ each - (block.modes.T @ block.sensitivities).T @ (weights[:, None] * moved)
-            solved = cho_solve(factor, j)
-            slope = slope + each.T @ weighed - solved.T @ (block.sensitivities.T @ weighed)
-            curvature = curvature + np.einsum("nm,nm->m", each, each) - np.einsum(
-                "km,k,km->m", moved, weights, moved) - np.einsum("qm,qm->m", j, solved)  # fmt: skip
+            half = root @ (block.sensitivities.T @ each - trial.moved[:, :q].T @ (weights * moved))
+            # The base takes its part of the noise first: then one product with the columns, the largest, is enough.
+            taken = block.sensitivities - block.modes @ (weights * trial.moved[:, :q])
+            noise -= taken @ (root.T @ (root @ (block.sensitivities.T @ noise)))
+            slope += each.T @ noise
+            curvature += np.einsum("nm,nm->m", each, each) - (weights * moved**2).sum(axis=0) - (half**2).sum(axis=0)
         good = curvature > 1e-9
         slope = np.where(signs[:, None] * slope < 0, 0.0, slope)
         gains = np.where(good[:, None], slope**2 / np.where(good, curvature, 1.0)[:, None], 0.0) - penalty[:, None]
         return np.asarray(gains.max(axis=0))
-
-    def _local(self, columns: Sequence[Array]) -> tuple[Array, Array, list[Array]]:
-        """Return slope and curvature (levels, trials, m), and products with what is shared, one a level."""
-        count, m = len(self.levels), columns[0].shape[1]
-        slope, curvature = np.empty((count, len(self.blocks), m)), np.empty((count, len(self.blocks), m))
-        g = self.blocks[0].shared.shape[1]
-        cross = [np.empty((len(self.blocks), g, m)) for _ in range(count)]
-        for index, (block, each) in enumerate(zip(self.blocks, columns, strict=True)):
-            q = block.sensitivities.shape[1]
-            known = np.column_stack([block.sensitivities, block.shared, block.residual])
-            plain, moved = known.T @ each, block.modes.T @ each
-            squares, moved_squares = np.einsum("nm,nm->m", each, each), moved**2
-            for level in range(count):
-                weights = self._weights[index][level]
-                products = plain - (self._moved[index] * weights[:, None]).T @ moved
-                factor, solved = self._factors[index][level][:2]
-                inner = cho_solve(factor, products[:q])
-                rest = products[q:] - solved.T @ products[:q]
-                slope[level, index] = rest[-1]
-                cross[level][index] = rest[:-1]
-                curvature[level, index] = squares - weights @ moved_squares - np.einsum(
-                    "qm,qm->m", products[:q], inner)  # fmt: skip
-        return slope, curvature, cross
-
-    def _factor(self, index: int, level: int) -> tuple[tuple[Array, bool], Array, Array, float]:
-        """Return the factor of J'WJ, (J'WJ)^-1 J'W [G r], the rest of the normal matrix of [G r], log determinants."""
-        block = self.blocks[index]
-        q = block.sensitivities.shape[1]
-        weights, moved = self._weights[index][level], self._moved[index]
-        all_ = self._plain[index] - moved.T @ (weights[:, None] * moved)
-        own = all_[:q, :q] + np.diag(1e-10 * np.diag(all_)[:q] + 1e-12)
-        factor = cho_factor(own)
-        solved = cho_solve(factor, all_[:q, q:])
-        rest = all_[q:, q:] - all_[q:, :q] @ solved
-        logs = 2 * float(np.log(np.diag(factor[0])).sum())
-        logs += float(np.log1p(self.levels[level] ** 2 * block.variances).sum())
-        return factor, solved, rest, logs
-
-    def _shared_factor(self, level: int) -> tuple[Array, Array, float]:
-        """Return matrix (g, g) and right side (g,) of what is shared, and the energy that is left."""
-        rest = np.sum([each[level][2] for each in self._factors], axis=0)
-        matrix = rest[:-1, :-1] + 1e-9 * np.diag(np.diag(rest)[:-1] + 1e-9)
-        target = rest[:-1, -1]
-        left = float(rest[-1, -1] - (target @ np.linalg.solve(matrix, target) if target.size else 0.0))
-        return matrix, target, left
-
-    def _evidence(self, level: int) -> float:
-        believed = (self.levels[level] / self.blocks[0].usual_level) ** 2
-        return -0.5 * float(sum(each[level][3] for each in self._factors) + self._shared[level][2] + believed)

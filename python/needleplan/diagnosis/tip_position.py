@@ -14,7 +14,7 @@ import numpy as np
 
 from needleplan.diagnosis.measurand import Axis, Basis, Measurand
 from needleplan.diagnosis.smooth import splines
-from needleplan.diagnosis.variation import CORRELATION_MM, functions_of_depth
+from needleplan.diagnosis.variation import CORRELATION_MM, at_depth, functions_of_depth
 from needleplan.diagnosis.verdict import Gates
 from needleplan.models import Channel, Model, simulate
 from needleplan.signals import Array, Motion
@@ -41,7 +41,7 @@ def heading_modes(model: Model, motion: Motion) -> Array:
     """Return what the place gains for every mode of the curvature at level 1, shape (3 samples, modes)."""
     depth = np.clip(np.asarray(motion.depth_mm, float), 0.0, None)
     modes, places = functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
-    at = np.column_stack([np.interp(depth, places, mode) for mode in modes.T])
+    at = at_depth(depth, places, modes)
     states = simulate(model, motion).states
     curvature = _curvature(model, motion)
     return np.column_stack([

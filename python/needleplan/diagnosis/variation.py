@@ -13,7 +13,7 @@ import numpy as np
 from needleplan.models import Model, simulate
 from needleplan.signals import Array, Motion
 
-__all__ = ["CORRELATION_MM", "functions_of_depth", "tissue_modes"]
+__all__ = ["CORRELATION_MM", "at_depth", "functions_of_depth", "tissue_modes"]
 
 CORRELATION_MM = 6.0
 _GRID_MM = 0.5
@@ -30,13 +30,20 @@ def tissue_modes(model: Model, motion: Motion) -> Array:
     run = simulate(model, motion)
     depth = np.clip(np.asarray(motion.depth_mm, float), 0.0, None)
     modes, places = functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
-    at_tip = np.column_stack([np.interp(depth, places, mode) for mode in modes.T])
     sums = np.concatenate([np.zeros((1, modes.shape[1])), np.cumsum((modes[1:] + modes[:-1]) / 2, axis=0)]) * _GRID_MM
-    along = np.column_stack([np.interp(depth, places, each) for each in sums.T])
+    at_tip, along = at_depth(depth, places, modes), at_depth(depth, places, sums)
     mean = along / np.maximum(depth, _GRID_MM)[:, None]
     shaft = model.shaft_n(run.states, motion) if hasattr(model, "shaft_n") else run.output
     tip = model.tip_n(run.states, motion) if hasattr(model, "tip_n") else run.output
     return np.column_stack([shaft[:, None] * mean, tip[:, None] * at_tip])
+
+
+def at_depth(depth_mm: Array, places: Array, rows: Array) -> Array:
+    """Return functions that are known at places of equal distance, (places, m), at depths, (samples, m), linearly."""
+    at = (depth_mm - places[0]) / (places[1] - places[0])
+    left = np.clip(at.astype(int), 0, len(places) - 2)
+    share = np.clip(at - left, 0.0, 1.0)[:, None]
+    return np.asarray(rows[left] * (1 - share) + rows[left + 1] * share)
 
 
 @lru_cache(maxsize=8)
