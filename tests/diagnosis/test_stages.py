@@ -54,7 +54,7 @@ def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, floa
     assert found.decision.explained is not None  # smooth functions see next to nothing of a puncture
     assert found.decision.explained > 0.9
     assert found.verified is not None
-    assert found.verified.after_n < found.verified.before_n
+    assert found.verified.after_rms < found.verified.before_rms
     assert found.verified.shrink > 0.8
     model = found.model
     assert isinstance(model, AugmentedModel)

@@ -10,22 +10,12 @@ from needleplan.diagnosis.document import document_of
 from needleplan.diagnosis.noise import fit_axes
 from needleplan.diagnosis.tip_position import bent
 from needleplan.errors import DataError
-from needleplan.models import ModelFile, simulate
+from needleplan.models import ModelFile, SpatialBeam, SpatialBicycle, simulate
 from needleplan.models.effects import AugmentedModel, effect_named
 from tests.diagnosis.tip_trials import BASE, NOISE_MM, motion, recordings
 
 NAMES = ("curvature_speed", "torsional_lag", "pre_bend", "misalignment", "tracker_bias", "entry_rupture")
 LIBRARY = Library([effect_named(name) for name in NAMES], BASE)
-
-
-def test_a_path_that_bends_more_moves_as_the_simulation_says() -> None:
-    path = motion(0)
-    states = simulate(BASE, path).states
-    direction = np.cos(states[9]) * states[6:9] + np.sin(states[9]) * np.cross(states[3:6], states[6:9], axis=0)
-    more = 1e-6
-    moved = simulate(BASE.with_values(curvature_per_mm=BASE.curvature_per_mm + more), path).output - states[:3]
-    linear = bent(states, path, np.full((len(path), 1), more), direction)[:, 0]
-    np.testing.assert_allclose(linear, moved.ravel(), atol=0.02 * np.abs(moved).max())
 
 
 def test_axes_of_a_tracker_share_a_colour_and_have_their_own_strength() -> None:
@@ -66,6 +56,31 @@ def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, floa
     np.testing.assert_array_equal(simulate(again, motion(0)).output, simulate(model, motion(0)).output)
     document = json.loads(json.dumps(document_of(found), allow_nan=False))
     assert (document["channel"], document["unit"]) == ("tip_mm", "mm")
+
+
+@pytest.mark.parametrize("base", [BASE, SpatialBeam(1 / 200, felt_mm=40.0)], ids=lambda each: each.name)
+def test_modes_and_simulation_move_the_tip_alike(base: SpatialBicycle) -> None:
+    path = motion(0)
+    more = 1e-6
+    plain = simulate(base, path)
+    moved = simulate(base.with_values(curvature_per_mm=base.curvature_per_mm + more), path).output - plain.output
+    states = plain.states
+    direction = np.cos(states[9]) * states[6:9] + np.sin(states[9]) * np.cross(states[3:6], states[6:9], axis=0)
+    bend = np.hypot(*base.bend_per_mm(path, states[9]))[:, None] / base.curvature_per_mm
+    linear = bent(states, path, more * bend, direction, getattr(base, "felt_mm", 0.0))[:, 0]
+    aside = slice(len(path), None)  # along the path a beam that turns as a whole is left out
+    np.testing.assert_allclose(linear[aside], moved.ravel()[aside], atol=0.02 * np.abs(moved).max())
+
+
+def test_a_beam_is_a_base_too() -> None:
+    beam = SpatialBeam(1 / 200)
+    library = Library([effect_named(name) for name in ("curvature_layer", "entry_rupture", "coil_offset")], beam)
+    data = recordings({"curvature_layer": {"size": 0.5, "depth_mm": 30.0}}, seed=3, base=beam)
+    found = diagnose(beam, data, library=library)
+    assert (found.verdict, found.names) == (Verdict.NAMED, ("curvature_layer",))
+    estimates = found.effects[0].added.estimates
+    assert estimates["size"].low < 0.5 < estimates["size"].high
+    assert estimates["depth_mm"].value == pytest.approx(30.0, abs=0.2)
 
 
 def test_every_axis_is_needed() -> None:

@@ -25,7 +25,9 @@ def motion(kind: int) -> Motion:
     return replace(path, angle_rad=start + np.interp(path.time_s, half, [0.0, np.pi]))
 
 
-def recordings(effects: Mapping[str, Mapping[str, float]] | None = None, seed: int = 0) -> list[Record]:
+def recordings(
+    effects: Mapping[str, Mapping[str, float]] | None = None, seed: int = 0, base: SpatialBicycle = BASE
+) -> list[Record]:
     """Return two training trials, a held-out one of another motion, and a noise record."""
     generator = np.random.default_rng(seed)
 
@@ -34,7 +36,7 @@ def recordings(effects: Mapping[str, Mapping[str, float]] | None = None, seed: i
 
     found = []
     for number, role in enumerate((Role.TRAIN, Role.TRAIN, Role.HOLDOUT)):
-        model: Model = BASE.with_values(curvature_per_mm=BASE.curvature_per_mm * generator.uniform(0.97, 1.03))
+        model: Model = base.with_values(curvature_per_mm=base.curvature_per_mm * generator.uniform(0.97, 1.03))
         for name, values in (effects or {}).items():
             model = effect_named(name).apply(model, values)
         path = motion(number)

@@ -79,7 +79,7 @@ def _lines(found: Diagnosis) -> Iterator[str]:
     if found.effects and found.verified:
         after = found.verified
         yield (
-            f"  held out: {after.before_n:.4g} -> {after.after_n:.4g} RMS, noise {after.floor_n:.4g}; "
+            f"  held out: {after.before_rms:.4g} -> {after.after_rms:.4g} RMS, noise {after.floor_rms:.4g}; "
             f"{after.transfer:.2f} of what was promised"
         )
     for part in found.localisation.where()[:4]:

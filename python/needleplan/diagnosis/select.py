@@ -15,6 +15,7 @@ from needleplan.diagnosis.minimal import Smallest, smallest_seen
 from needleplan.diagnosis.refit import Added, Joint, refit
 from needleplan.diagnosis.rivals import RivalScore, score_rivals
 from needleplan.diagnosis.screen import Screened, screen
+from needleplan.diagnosis.size import is_there
 from needleplan.diagnosis.space import Space
 from needleplan.diagnosis.verdict import Gates
 from needleplan.diagnosis.verify import Verified, verify
@@ -34,7 +35,7 @@ class Stop(StrEnum):
 
     ACCEPTED = "accepted"
     WEAK = "weak"
-    """The best one does not reach the threshold."""
+    """The best one does not reach the threshold, or its size may be zero."""
 
     CHANCE = "chance"
     """Simulated data without an effect reach as much too often."""
@@ -181,7 +182,7 @@ def _round(
     def ended(stop: Stop) -> Step:
         return Step(screened, rivals, tuple(ranked), p_value, gates.lead, verified, stop)
 
-    if best.balance < needed:
+    if best.balance < needed or not is_there(best.joint, len(taken)):
         return ended(Stop.WEAK)
     if p_value > gates.p_value:
         return ended(Stop.CHANCE)

@@ -16,6 +16,7 @@ from needleplan.diagnosis.localise import Localisation, localise
 from needleplan.diagnosis.noise import Noise, fit_axes, together
 from needleplan.diagnosis.refit import Joint, added_output
 from needleplan.diagnosis.select import Selection, Stop, select
+from needleplan.diagnosis.size import interval_of, is_there
 from needleplan.diagnosis.space import Space
 from needleplan.diagnosis.unknown import Described, describe
 from needleplan.diagnosis.verdict import Gates, Verdict
@@ -127,12 +128,8 @@ def _found(joint: Joint | None, selection: Selection) -> tuple[FoundEffect, ...]
         estimates = {}
         for name, value in each.values.items():
             sd = joint.sd(index, name) if what[name].free else 0.0
-            ends = [what[name].value(what[name].coordinate(value) + sign * 1.96 * sd / what[name].slope(value))
-                    for sign in (-1, 1)]  # fmt: skip
-            low, high = (float(np.clip(end, what[name].lower, what[name].upper)) for end in ends)
-            estimates[name] = Estimate(
-                value, sd, min(low, value), max(high, value), what[name].unit, name != SIZE or low * high > 0
-            )
+            low, high = interval_of(joint, index, name)
+            estimates[name] = Estimate(value, sd, low, high, what[name].unit, name != SIZE or is_there(joint, index))
         rows = [added_output([each], case.model, case.motion) for case in joint.cases]
         rms = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
         added = AddedEffect(each.effect.name, each.values, estimates, "", each.effect.version)

@@ -43,17 +43,18 @@ def heading_modes(model: Model, motion: Motion) -> Array:
     modes, places = functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
     at = at_depth(depth, places, modes)
     states = simulate(model, motion).states
-    curvature = _curvature(model, motion)
+    curvature, felt = _curvature(model), _felt_mm(model)
     return np.column_stack([
-        bent(states, motion, curvature * at, _bevel(states, 0.0)),
-        bent(states, motion, curvature * _ASIDE * at, _bevel(states, np.pi / 2)),
+        bent(states, motion, curvature * at, _bevel(states, 0.0), felt),
+        bent(states, motion, curvature * _ASIDE * at, _bevel(states, np.pi / 2), felt),
     ])  # fmt: skip
 
 
-def bent(states: Array, motion: Motion, more_per_mm: Array, direction: Array) -> Array:
+def bent(states: Array, motion: Motion, more_per_mm: Array, direction: Array, felt_mm: float = 0.0) -> Array:
     """Return how far places move for curvature `more_per_mm`, shape (samples, m): (3 samples, m).
 
-    `states` are those of the path, `direction`, shape (3, samples), says toward where it bends.
+    `states` are those of the path, `direction`, shape (3, samples), says toward where it bends. At the end of a beam
+    (see `deflection.spatial`) the tip is farther aside.
     """
     tangent, place = states[3:6], states[:3]
     step = np.append(np.diff(np.maximum(motion.depth_mm, 0.0)), 0.0)
@@ -62,7 +63,11 @@ def bent(states: Array, motion: Motion, more_per_mm: Array, direction: Array) ->
     turned = np.cumsum(turns, axis=1) - turns
     moments = np.cross(turns, place[..., None], axis=0)
     before = np.cumsum(moments, axis=1) - moments
-    return np.asarray((np.cross(turned, place[..., None], axis=0) - before).reshape(-1, more_per_mm.shape[1]))
+    moved = np.cross(turned, place[..., None], axis=0) - before
+    if felt_mm:
+        moved = moved + felt_mm * np.cross(turned, tangent[..., None], axis=0)
+        moved = moved + felt_mm**2 / 2 * direction[..., None] * more_per_mm
+    return np.asarray(moved.reshape(-1, more_per_mm.shape[1]))
 
 
 def tip_bases(cases: Sequence[Case]) -> dict[str, Basis]:
@@ -82,9 +87,9 @@ def tip_bases(cases: Sequence[Case]) -> dict[str, Basis]:
     def curved(name: str, axis: Axis, columns: Sequence[Array], *, turning: bool) -> None:
         parts = []
         for case, each, state in zip(cases, columns, states, strict=True):
-            more = _curvature(case.model, case.motion) * each
+            more = _curvature(case.model) * each
             ways = [_bevel(state, a) if turning else _fixed(state, a) for a in (0.0, np.pi / 2)]
-            parts.append(np.column_stack([bent(state, case.motion, more, way) for way in ways]))
+            parts.append(np.column_stack([bent(state, case.motion, more, way, _felt_mm(case.model)) for way in ways]))
         _add(found, name, axis, parts)
 
     shifted("place by depth", Axis.DEPTH, depth)
@@ -108,10 +113,14 @@ def _add(found: dict[str, Basis], name: str, axis: Axis, columns: list[Array]) -
         found[name] = Basis(axis, tuple(each[:, alive] for each in columns))
 
 
-def _curvature(model: Model, motion: Motion) -> float:
-    """Return how much the path bends at the begin."""
-    del motion
+def _curvature(model: Model) -> float:
+    """Return how much the path bends."""
     return abs(float(getattr(model, "curvature_per_mm", 1e-3)))
+
+
+def _felt_mm(model: Model) -> float:
+    """Return the length over which a needle that is a beam feels what is done to it; 0 for one that is none."""
+    return float(getattr(model, "felt_mm", 0.0))
 
 
 def _bevel(states: Array, more_rad: float) -> Array:

@@ -26,9 +26,9 @@ class Verified:
     kept: float
     """Gain that they bring."""
 
-    before_n: float
-    after_n: float
-    floor_n: float
+    before_rms: float
+    after_rms: float
+    floor_rms: float
     """RMS of what is left, with the base alone and with the effects, and of the noise."""
 
     shrink: float

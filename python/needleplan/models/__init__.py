@@ -5,7 +5,7 @@ Units: mm, N, s, rad. See `needleplan.models.base` for what a model is.
 
 from needleplan.models.base import Channel, LinearStateModel, Model, SelfIntegratingModel
 from needleplan.models.bicycle import Bicycle, arc_step
-from needleplan.models.deflection import InsertionForce, TipPath
+from needleplan.models.deflection import InsertionForce, SpatialBeam, TipPath
 from needleplan.models.fit import Estimate, Fit, FitStatus, fit
 from needleplan.models.force import ForceModel1, ForceModel2
 from needleplan.models.friction import (
@@ -66,6 +66,7 @@ __all__ = [
     "Scale",
     "SelfIntegratingModel",
     "ShaftAndTip",
+    "SpatialBeam",
     "SpatialBicycle",
     "SteeredModel",
     "TipFrame",

@@ -10,7 +10,7 @@ from difflib import get_close_matches
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.base import Model
 from needleplan.models.bicycle import Bicycle
-from needleplan.models.deflection import TipPath
+from needleplan.models.deflection import SpatialBeam, TipPath
 from needleplan.models.deflection.axial_force import InsertionForce
 from needleplan.models.force import ForceModel1, ForceModel2
 from needleplan.models.friction import AveragedLuGre, Karnopp, LumpedLuGre, QuasiStatic
@@ -32,6 +32,7 @@ MEMBERS: tuple[type[Model], ...] = (
     LumpedOnTissue,
     QuasiStatic,
     ShaftAndTip,
+    SpatialBeam,
     SpatialBicycle,
     TipPath,
 )

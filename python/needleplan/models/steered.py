@@ -83,8 +83,12 @@ class SteeredModel(SelfIntegratingModel):
         bend = self.bend_per_mm(motion.between(0.5), (roll[1:] + roll[:-1]) / 2)
         return self._arcs(start, bend, np.diff(np.maximum(motion.depth_mm, 0.0)), roll)
 
-    def output(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
+    def output(self, state: Array, motion: Motion) -> Array:
         """Return the position, shape (3, ...)."""
+        return self.shown(state, motion, self)
+
+    def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:  # noqa: ARG002
+        """Return the position, shape (3, ...), as a part of `whole`, which says how the path bends and begins."""
         return np.asarray(state[:3])
 
     @staticmethod

@@ -1,8 +1,9 @@
 """Bending of a flexible needle on its way into tissue (chapter 5 of the thesis): two coupled sub-beams.
 
 `Beam` is the equation of an instant, `solve_exact` and `solve_elements` solve it for many instants at once, `march`
-follows an insertion whose path the tissue remembers, `tip_path_mm` is that path in closed form, and `TipPath` the
-member of the family of models. u > 0 is towards the push of the bevel, everywhere.
+follows an insertion whose path the tissue remembers, and `tip_path_mm` is that path in closed form. `TipPath`, in a
+plane, and `SpatialBeam`, with a bevel that is turned, are members of the family of models. u > 0 is towards the push of
+the bevel, everywhere.
 """
 
 from needleplan.models.deflection.axial_force import InsertionForce
@@ -25,6 +26,7 @@ from needleplan.models.deflection.radius import (
     finite_depth_factor,
     radius_from_axial_mm,
 )
+from needleplan.models.deflection.spatial import SpatialBeam
 from needleplan.models.deflection.tip_path import TipPath
 
 __all__ = [
@@ -37,6 +39,7 @@ __all__ = [
     "Foundation",
     "FreePath",
     "InsertionForce",
+    "SpatialBeam",
     "TipPath",
     "Tissue",
     "circle_push_n",

@@ -37,9 +37,9 @@ class Altered(SteeredModel):
         """Return the roll in the base."""
         return self.base.rolls(motion, start_rad)
 
-    def output(self, state: Array, motion: Motion) -> Array:
+    def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:
         """Return what the base shows."""
-        return self.base.output(state, motion)
+        return self.base.shown(state, motion, whole)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,9 +50,9 @@ class Shifted(Altered):
     def shift(self, state: Array, motion: Motion) -> Array:
         """Return where to it is moved for size 1, shape (3, ...)."""
 
-    def output(self, state: Array, motion: Motion) -> Array:
-        """Return the output of the base, moved."""
-        return np.asarray(self.base.output(state, motion) + self.size * self.shift(state, motion))
+    def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:
+        """Return what the base shows, moved."""
+        return np.asarray(self.base.shown(state, motion, whole) + self.size * self.shift(state, motion))
 
 
 def direction_yz(angle_rad: float, like: Array) -> Array:

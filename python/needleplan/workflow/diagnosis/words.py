@@ -48,8 +48,9 @@ def answer(found: Diagnosis, unit: str) -> Iterator[str]:
     after = found.verified
     if found.effects and after:
         yield (
-            f"In the held-out trials, to which only the base was fitted, the model left {after.before_n:.3g} {unit} "
-            f"RMS before, and {after.after_n:.3g} {unit} with what was named; the noise is {after.floor_n:.3g} {unit}."
+            f"In the held-out trials, to which only the base was fitted, the model left {after.before_rms:.3g} {unit} "
+            f"RMS before, and {after.after_rms:.3g} {unit} with what was named; the noise is "
+            f"{after.floor_rms:.3g} {unit}."
         )
     if decision.axis:
         along = _ALONG.get(decision.axis, str(decision.axis))
