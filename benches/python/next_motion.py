@@ -2,11 +2,11 @@
 
 PYTHONPATH=. python benches/python/next_motion.py --minutes 10      # again, to go on
 
-Blind data with seeds for tuning: one hidden effect that poor motions leave to be mistaken for another, two trials at
-5 mm/s and a held-out one at 2.5 mm/s. Where the diagnosis is AMBIGUOUS, one more trial from the same tissue is added to
-the training data, and it is diagnosed again: of the motion that was proposed, of the last motion again, and of a fixed
-one (`rich`). Resolved: NAMED, and the hidden effect. Wrong: a name that was not hidden. Outcomes are appended to
-build/next_motion.jsonl; writes benches/results/next_motion.json and .md.
+Blind data with seeds for tuning: one hidden effect that poor motions leave to be mistaken for another, one trial at
+5 mm/s or two, and a held-out one at 2.5 mm/s. Where the diagnosis is AMBIGUOUS between two effects or more, one more
+trial from the same tissue is added to the training data, and it is diagnosed again: of the motion that was proposed, of
+the last motion again, and of a fixed one (`rich`). Resolved: NAMED, and the hidden effect. Wrong: a name that was not
+hidden. Outcomes are appended to build/next_motion.jsonl; writes benches/results/next_motion.json and .md.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from diagnosis_score import rate
 from diagnosis_subject import SUBJECTS, SubjectName
 
 from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
-from needleplan.diagnosis.next_motion import NextMotion, limits_of, next_motion
+from needleplan.diagnosis.next_motion import Separating, limits_of, next_motion
 from needleplan.diagnosis.program import programs
 from needleplan.models.effects import effects_of
 from needleplan.signals import Motion, Record
@@ -48,7 +48,7 @@ CLEAR = (ForceName.PUNCTURE, ForceName.BUMPS, ForceName.LATENCY, ForceName.INERT
 """Effects that look like no other, or that poor motions do not show."""
 
 WAYS = ("proposed", "repeated", "fixed")
-SIZES = (0.5, 3.0)
+SIZES = (1.0, 6.0)
 HIDDEN = tuple(each for each in NAMEABLE if each not in UNSEEN[Variety.POOR] and each not in CLEAR)
 
 
@@ -80,8 +80,9 @@ def specs() -> Iterator[ForceSpec]:
         name, level = HIDDEN[number % len(HIDDEN)], HETEROGENEITY[number // len(HIDDEN) % len(HETEROGENEITY)]
         generator = np.random.default_rng(seed)
         size = float(np.exp(generator.uniform(*np.log(SIZES))))
+        count = 1 + number % 2
         yield ForceSpec(
-            seed, (Wanted(name, size),), level, (MotionKind.CONSTANT,) * 2, (MotionKind.CONSTANT_SLOW,)
+            seed, (Wanted(name, size),), level, (MotionKind.CONSTANT,) * count, (MotionKind.CONSTANT_SLOW,)
         )  # fmt: skip
         number += 1
 
@@ -95,15 +96,15 @@ def outcome(spec: ForceSpec, library: Library) -> dict[str, Any]:
     name = SUBJECT.called.get(wanted.name, str(wanted.name))
     line: dict[str, Any] = {
         "seed": spec.seed, "hidden": name, "size": wanted.noise_multiple, "level": spec.heterogeneity,
-        "verdict": str(first.verdict), "tied": list(first.decision.tied),
+        "trials": len(spec.training), "verdict": str(first.verdict), "tied": list(first.decision.tied),
     }  # fmt: skip
-    if first.verdict is not Verdict.AMBIGUOUS:
+    if first.verdict is not Verdict.AMBIGUOUS or len(first.decision.tied) < 2:
         return line
-    proposed = next_motion(first)
-    if proposed is None:
+    proposed, limits = next_motion(first), limits_of(first)
+    if not isinstance(proposed, Separating) or limits is None:
         return line
     rate_hz = 1 / float(np.median(first.calibration.training[0].motion.interval_s))
-    (fixed,) = (each for each in programs(BASE.channel, limits_of(first)) if each.name == FIXED)
+    (fixed,) = (each for each in programs(BASE.channel, limits) if each.name == FIXED)
     paths = {
         "proposed": as_trajectory(proposed.program.name, proposed.motion),
         "repeated": trajectory(MotionKind.CONSTANT),
@@ -126,11 +127,12 @@ def extra(spec: ForceSpec, path: Trajectory) -> Record:
     return record
 
 
-def promised(proposed: NextMotion) -> dict[str, Any]:
+def promised(proposed: Separating) -> dict[str, Any]:
     """Return what was proposed, and what was expected of it."""
     return {
         "motion": proposed.program.name, "resolves": proposed.resolves, "least": proposed.least,
-        "repeated_resolves": proposed.repeated_resolves,
+        "repeated_resolves": proposed.repeated_resolves, "duration_s": float(proposed.motion.time_s[-1]),
+        "synonyms": [[each.first, each.second] for each in proposed.synonyms],
     }  # fmt: skip
 
 

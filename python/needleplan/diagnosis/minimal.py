@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,9 @@ class Smallest:
     visible: bool
     """Whether the base leaves anything of it."""
 
+    at: Mapping[str, float]
+    """The place that this is said of."""
+
 
 def smallest_seen(
     space: Space, raw: Sequence[Array], columns: Sequence[Array], candidates: Sequence[Candidates], noise_rms: float
@@ -50,6 +53,9 @@ def smallest_seen(
         rms = float(sizes[middle] * power[part][middle])
         unit = each.effect.parameters[SIZE].unit
         found.append(
-            Smallest(each.effect.name, float(sizes[middle]), unit, rms, rms / noise_rms, bool(visible[middle]))
-        )
+            Smallest(
+                each.effect.name, float(sizes[middle]), unit, rms, rms / noise_rms, bool(visible[middle]),
+                dict(each.grid[middle]),
+            )
+        )  # fmt: skip
     return tuple(found)

@@ -12,7 +12,10 @@ from needleplan.errors import DataError, Mistake
 from needleplan.models import Channel
 from needleplan.signals import Array, Motion, lspb
 
-__all__ = ["Dwell", "Insert", "Limits", "Program", "Rotate", "programs"]
+__all__ = ["LEAST_ROOM_MM", "Dwell", "Insert", "Limits", "Program", "Rotate", "programs"]
+
+LEAST_ROOM_MM = 5.0
+"""Between the shallowest and the deepest place."""
 
 _MOST_PECKS = 40
 
@@ -37,8 +40,8 @@ class Limits:
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0)
         ]
         ends = (self.shallowest_mm, self.deepest_mm)
-        if not all(map(math.isfinite, ends)) or self.deepest_mm < self.shallowest_mm + 5:
-            rule = "must be at least 5 mm below shallowest_mm: there is no room to move"
+        if not all(map(math.isfinite, ends)) or self.deepest_mm < self.shallowest_mm + LEAST_ROOM_MM:
+            rule = f"must be at least {LEAST_ROOM_MM:g} mm below shallowest_mm: there is no room to move"
             mistakes.append(Mistake("deepest_mm", f"{self.deepest_mm:g}", rule))
         if mistakes:
             raise DataError(mistakes, "limits")
@@ -141,6 +144,10 @@ def _axial(limits: Limits) -> Iterator[tuple[str, str, _Moves]]:
         "twice", "the first way a second time",
         _legs(limits, (0.6, 0.5, 0), (0, 0.8, 1), (0.9, 0.5, 0.5), (0, 0.8, 1)),
     )  # fmt: skip
+    yield (
+        "patient", "in and out, and a minute of rest in the air: what is slow is seen to end",
+        _legs(limits, (0.9, 0.55, 1), (0, 0.7, 60)),
+    )
     yield (
         "rich", "several speeds, rests and ways back",
         _legs(limits, (0.28, 0.55, 2), (0.2, 0.33, 0), (0.63, 0.27, 1.5), (0.85, 0.65, 0), (0.7, 0.33, 0),

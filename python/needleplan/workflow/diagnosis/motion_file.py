@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from textwrap import wrap
 
-from needleplan.diagnosis.next_motion import NextMotion, Separation
+from needleplan.diagnosis.next_motion import Exploring, NextMotion, Revealing, Separating, Separation
 from needleplan.diagnosis.program import Dwell, Insert, Program
 from needleplan.models import Model
 from needleplan.simulation import Experiment
@@ -14,24 +15,19 @@ __all__ = ["motion_text", "next_motion_document"]
 
 _HEAD = """\
 # The next motion to be measured: {about}.
-# {why}
+{why}
 #
 # In the lab twin:   needleplan simulate next_motion.toml -o next.csv
 # On the robot:      each [[move]] is one call of Stage.insert or Stage.rotate, and the next one begins when the stage
 #                    rests (docs/reference/diagnosis.md); begin with the tip at entry.depth_mm below the surface.
-# Give the trial the role train, and diagnose again with all recordings.
+# Give the trial the role {role}, and diagnose again with all recordings.
 """
+_WIDTH = 117
 
 
 def motion_text(next_: NextMotion, model: Model) -> str:
     """Return the text of an experiment file with the moves of a motion, in the tissue as far as `model` knows it."""
     program, limits = next_.program, next_.program.limits
-    least = min(next_.separations, key=lambda each: each.thresholds)
-    again = min(each.thresholds for each in next_.repeated)
-    why = (
-        f"It should move the balance of {least.true} and {least.rival} by {least.thresholds:.1f} times the lead that a "
-        f"name needs; the last motion again: {again:.1f} times."
-    )
     lines = [
         'schema = "needleplan.experiment/1"',
         f"title = {json.dumps(f'next motion: {program.name}')}",
@@ -49,21 +45,51 @@ def motion_text(next_: NextMotion, model: Model) -> str:
         f"deepest_mm = {max(limits.deepest_mm, 0.0)!r}",
         *_moves(program),
     ]
-    text = _HEAD.format(about=program.about, why=why) + "\n".join(lines) + "\n"
+    why = "\n".join(f"# {line}" for line in wrap(next_.why, _WIDTH))
+    text = _HEAD.format(about=program.about, why=why, role=next_.role) + "\n".join(lines) + "\n"
     Experiment.from_toml(text, "next_motion.toml")  # what is offered can be run
     return text
 
 
 def next_motion_document(next_: NextMotion) -> dict[str, object]:
     """Return what diagnosis.json says of it."""
-    return {
+    found: dict[str, object] = {
         "name": next_.program.name,
         "about": next_.program.about,
+        "why": next_.why,
+        "role": str(next_.role),
         "file": "next_motion.toml",
         "duration_s": float(next_.motion.time_s[-1]),
+    }
+    match next_:
+        case Separating():
+            return found | {"purpose": "separate"} | _separating(next_)
+        case Exploring():
+            return found | {
+                "purpose": "explore", "axis": str(next_.axis), "visited": list(next_.visited),
+                "reach": list(next_.reach), "bits": next_.bits, "repeated_bits": next_.repeated_bits,
+                "considered": [{"name": name, "bits": bits} for name, bits in next_.considered],
+            }  # fmt: skip
+        case Revealing():
+            return found | {
+                "purpose": "reveal", "shrinks_to": next_.shrinks_to, "repeated_shrinks_to": next_.repeated_shrinks_to,
+                "effects": [
+                    {"effect": each.effect, "unit": each.unit, "now": each.now, "after": each.after,
+                     "repeated": each.repeated}
+                    for each in next_.effects
+                ],
+                "considered": [{"name": name, "shrinks_to": share} for name, share in next_.considered],
+            }  # fmt: skip
+        case _:
+            return found
+
+
+def _separating(next_: Separating) -> dict[str, object]:
+    return {
         "resolves": next_.resolves,
         "pairs": [_pair(each) for each in next_.separations],
         "repeated": {"resolves": next_.repeated_resolves, "pairs": [_pair(each) for each in next_.repeated]},
+        "synonyms": [{"effects": [each.first, each.second], "trials": each.trials} for each in next_.synonyms],
         "considered": [
             {"name": name, "resolves": resolves, "least_thresholds": least}
             for name, resolves, least in next_.considered

@@ -13,6 +13,7 @@ from needleplan.models import ModelFile
 from needleplan.provenance import version
 from needleplan.signals.record import UNITS
 from needleplan.workflow.diagnosis import html, pictures
+from needleplan.workflow.diagnosis.report_next import next_part
 from needleplan.workflow.diagnosis.traces import Trace, correlation, gap_map, traces_of
 from needleplan.workflow.diagnosis.words import advice, answer, title_of
 
@@ -33,7 +34,7 @@ def report_of(found: Diagnosis, file: ModelFile, library: Library, next_: NextMo
         *_effects(found),
         *_gap(found, traces, unit),
         *_where(found, traces),
-        *_next(next_),
+        *next_part(next_),
         *_described(found, unit),
         *_trials(traces, unit),
         *_candidates(found),
@@ -111,26 +112,6 @@ def _where(found: Diagnosis, traces: Sequence[Trace]) -> Iterator[str]:
             ("along", "at", "from", "to", "unit"),
             [(str(each.axis), each.place, each.low, each.high, each.unit) for each in found.localisation.changes],
         )
-
-
-def _next(each: NextMotion | None) -> Iterator[str]:
-    if each is None:
-        return
-    program, least = each.program, min(each.separations, key=lambda pair: pair.thresholds)
-    yield html.heading("What to measure next")
-    yield html.paragraph(
-        f"One more trial: {program.about}. It decides between the effects in question with a probability of "
-        f"{each.resolves:.0%}; the last training motion, once more, with {each.repeated_resolves:.0%}. Hardest to tell "
-        f"apart are {least.true} and {least.rival}. It is next_motion.toml beside this page: its head says how it is "
-        "simulated, and how it is made on a robot."
-    )
-    text = f"Depth over time of the proposed motion, {program.name}: {program.about}"
-    yield html.picture(pictures.motion_figure(each.motion), text)
-    yield html.table(
-        "How far one more trial tells the effects apart; 1 is the lead that a name needs",
-        ("if this is true", "against", "this motion", "probability that it is enough"),
-        [(pair.true, pair.rival, pair.thresholds, f"{pair.resolves:.0%}") for pair in each.separations],
-    )
 
 
 def _described(found: Diagnosis, unit: str) -> Iterator[str]:

@@ -79,8 +79,9 @@ def advice(found: Diagnosis) -> Iterator[str]:
             yield f"Make the motion below, which tells these apart: {', '.join(found.decision.tied)}."
         case Verdict.UNKNOWN:
             yield "Look at the map and at the trials below; a cause that is known can be added as an effect of its own."
+            yield "Make the motion below, which shows most of the gap, and diagnose again."
         case Verdict.UNDERPOWERED:
-            yield "The table of smallest effects says what could hide; longer or richer motions make it shorter."
+            yield "The table of smallest effects says what could hide; the motion below makes it shorter."
         case Verdict.IMPLAUSIBLE:
             yield "Check units, the sensor and the kind of model before believing any name."
         case _:
