@@ -145,7 +145,8 @@ def _axial(limits: Limits) -> Iterator[tuple[str, str, _Moves]]:
         _legs(limits, (0.6, 0.5, 0), (0, 0.8, 1), (0.9, 0.5, 0.5), (0, 0.8, 1)),
     )  # fmt: skip
     yield (
-        "patient", "in and out, and a minute of rest in the air: what is slow is seen to end",
+        "patient",
+        "in and out, and a minute of rest in the air: what is slow is seen to end",
         _legs(limits, (0.9, 0.55, 1), (0, 0.7, 60)),
     )
     yield (
