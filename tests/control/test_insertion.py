@@ -135,6 +135,24 @@ def test_it_waits_while_the_tracker_does_not_see_its_coil() -> None:
     assert sum(event.name is EventName.RESUMED for event in report.events) == len(paused)
 
 
+def test_a_tracker_too_slow_for_its_age_limit_is_refused_before_anything_moves() -> None:
+    lab = a_lab()
+    report = run_in(lab, limits=replace(WIDE, pose_age_s=0.02))
+    assert report.ending is Ending.REFUSED
+    assert "every 25 ms" in report.cause
+    assert "safety.pose_age_s" in report.cause
+    assert lab.plant.insertion.position == 0
+
+
+def test_a_frame_that_is_missing_costs_a_pause_and_no_more() -> None:
+    """At 40 Hz the default age limit bears no missing frame: the stop must be on its way within 50 ms."""
+    blinking = replace(NOISY, tracker_dropout=0.02, tracker_dropout_s=0.01)
+    report = run_in(a_lab(blinking, 4), limits=replace(WIDE, pose_age_s=0.045))
+    assert report.ending is Ending.TARGET, report.cause
+    names = [event.name for event in report.events]
+    assert names.count(EventName.PAUSED) == names.count(EventName.RESUMED) > 0
+
+
 def test_it_ends_where_it_may_not_resume() -> None:
     unseen = replace(NOISY, tracker_dropout=0.02, tracker_dropout_s=0.5)
     report = run_in(a_lab(unseen, 2), replace(FAST, resume_s=0.0))

@@ -8,25 +8,35 @@ import numpy as np
 
 from needleplan.control.needle import Needle
 from needleplan.control.options import Options
-from needleplan.errors import Mistake, PoseError
+from needleplan.errors import DeviceFault, Mistake, PoseError
 from needleplan.estimation.registration import Registration
 
 __all__ = ["measured_entry", "require_expected"]
 
 
-def measured_entry(needle: Needle, registration: Registration, frames: int) -> tuple[float, float, float]:
+def measured_entry(
+    needle: Needle, registration: Registration, frames: int, oldest_s: float
+) -> tuple[float, float, float]:
     """Return the pose at which the needle enters, x_mm, y_mm and heading_rad: the mean over so many frames, at rest.
 
-    Raises DeviceFault where there are no good frames.
+    Raises DeviceFault where there are no good frames, or where they come so seldom that the last one would be
+    older than `oldest_s`, which is what the guard allows, before the next comes: the needle would do nothing but pause.
     """
-    rows = []
+    rows, times_ns = [], []
     for _ in range(frames):
         needle.settle(1)
         pose = needle.pose
         assert pose is not None
+        times_ns.append(pose.stamp.received_ns)
         position, direction = registration.place(pose.position_mm, pose.quaternion)
         ahead = registration.coil_offset_mm - needle.path_mm
         rows.append([*(at + ahead * along for at, along in zip(position, direction, strict=True)), *direction])
+    interval_s = float(np.median(np.diff(times_ns))) * 1e-9
+    if interval_s >= oldest_s:
+        raise DeviceFault(
+            f"tracker: its frames come every {1e3 * interval_s:.0f} ms, and a pose may be {1e3 * oldest_s:.0f} ms old: "
+            "ask it for more frames, or set safety.pose_age_s to more than the time between two"
+        )
     x, y, _, dx, dy, _ = np.mean(rows, axis=0).tolist()
     return x, y, math.atan2(dy, dx)
 

@@ -125,7 +125,7 @@ class Insertion(Closing):
         """Find out where the tip is, and turn the bevel to the better side."""
         needle, options = self._needle, self.options
         needle.listen_until(lambda: needle.stage is not None, options.silence_s, "stage: the first sample")
-        entry = measured_entry(needle, self.registration, _FIRST_FRAMES)
+        entry = measured_entry(needle, self.registration, _FIRST_FRAMES, self.guard.limits.pose_age_s)
         require_expected(entry, options)
         needle.filter = TipFilter.for_scenario(self._scene.scenario, self.registration, entry, self._tip_settings)
         needle.settle(_FIRST_FRAMES)

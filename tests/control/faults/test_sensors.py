@@ -12,6 +12,7 @@ from needleplan.control.safety import Cause, OperatingState, Order, Source
 from needleplan.errors import MotionRefused
 from tests.control.faults.rig import Rig
 from tests.control.faults.sensors import RUNNING, STARTING, Running, Starting, _biased_under_load
+from tests.devices.ndi.bench import plate
 
 
 @pytest.fixture
@@ -46,6 +47,15 @@ def test_while_it_inserts(fault: Running, rig: Rig) -> None:
     stops = [each for each in rig.recorded() if each["name"] == "stop"]
     assert fault.cause in stops[0]["cause"]
     assert int(stops[0]["sent_ns"]) in rig.stage.times_ns
+
+
+def test_24_another_tool_is_doubted_first_and_a_fault_with_the_next_frame(rig: Rig) -> None:
+    rig.begin()
+    rig.tip.pose = plate
+    rig.turns(0.1)
+    assert Cause.POSE_JUMPED in rig.guard.state.latched
+    told = [(each["before"], each["state"]) for each in rig.recorded() if each["name"] == "transition"]
+    assert ("PAUSED", "FAULT") in told
 
 
 @pytest.mark.parametrize("fault", STARTING, ids=lambda fault: f"{fault.number:02d} {fault.name}")

@@ -80,7 +80,7 @@ def inputs(**changed: Any) -> Inputs:
         ("force_n", 10.0, beyond(10.0, UP), Cause.FORCE_EXCEEDED),
         ("force_n", -10.0, beyond(-10.0, DOWN), Cause.FORCE_EXCEEDED),
         ("force_ns", NOW_NS - 30_000_000, NOW_NS - 30_000_001, Cause.FORCE_STALE),
-        ("pose_ns", NOW_NS - 100_000_000, NOW_NS - 100_000_001, Cause.POSE_STALE),
+        ("pose_ns", NOW_NS - 45_000_000, NOW_NS - 45_000_001, Cause.POSE_STALE),
         ("stage_ns", NOW_NS - 30_000_000, NOW_NS - 30_000_001, Cause.STAGE_STALE),
         ("force_ns", NOW_NS + 5_000_000, NOW_NS + 5_000_001, Cause.CLOCK_MISMATCH),
         ("pose_ns", NOW_NS + 5_000_000, NOW_NS + 5_000_001, Cause.CLOCK_MISMATCH),

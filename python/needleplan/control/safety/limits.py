@@ -1,8 +1,8 @@
 """What a run may do at most: the limits that are checked on the last value before the wire.
 
 The defaults are those of a needle robot in a phantom. Ages come from the rates of the sensors and from the goal that a
-stop is on its way 50 ms after a fault: a force at 200 Hz may miss five samples. A pose at 40 Hz may miss three, since
-trackers lose their coil for a moment every now and then, and the needle goes on along the arc that it is on.
+stop is on its way 50 ms after a fault: a force at 200 Hz may miss five samples, a pose at 40 Hz none. Trackers lose
+their coil for a moment every now and then; that is a pause, which the loop ends by itself as soon as it is seen again.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class SafetyLimits(Part):
     """Longest time from enabling to the end."""
 
     force_age_s: float = _ruled(_AGE, 0.03)
-    pose_age_s: float = _ruled(_AGE, 0.1)
+    pose_age_s: float = _ruled(_AGE, 0.045)
     stage_age_s: float = _ruled(_AGE, 0.03)
     loop_age_s: float = _ruled(_AGE, 0.045)
     """The loop says at least so often that it is alive."""

@@ -148,7 +148,7 @@ class NetFt(ForceSensor):
         """Take the present wrench as zero, and see that it has become zero.
 
         Raises DeviceFault where the force is not steady, where a sensor that was biased before is under load, where
-        samples are suspect, and where the box does not follow. The first bias cannot know of a constant load.
+        samples stay suspect, and where the box does not follow. The first bias cannot know of a constant load.
         """
         mean_n, deviation_n = self._look("bias")
         if max(deviation_n) > self.limits.steady_n:
@@ -185,16 +185,25 @@ class NetFt(ForceSensor):
             self._link.close()
 
     def _look(self, purpose: str, strict: bool = True) -> tuple[list[float], list[float]]:
-        """Return mean and standard deviation of the force over some samples."""
-        forces_n = []
-        for _ in range(self.limits.bias_samples):
+        """Return mean and standard deviation of the force over some samples in a row, all of them good where `strict`.
+
+        A suspect one lets it begin again, a few times: the first after a start may be one.
+        """
+        forces_n: list[tuple[float, float, float]] = []
+        why: tuple[str, ...] = ()
+        for _ in range(_ATTEMPTS * self.limits.bias_samples):
             sample = self.read(self.limits.silence_s)
-            if sample is None or (strict and sample.health is not Health.GOOD):
-                why = "no sample" if sample is None else ", ".join(sample.notes)
-                raise DeviceFault(f"{purpose} refused: {why}")
+            if sample is None:
+                raise DeviceFault(f"{purpose} refused: no sample")
+            if strict and sample.health is not Health.GOOD:
+                why = sample.notes
+                forces_n.clear()
+                continue
             forces_n.append(sample.force_n)
-        axes = list(zip(*forces_n, strict=True))
-        return [fmean(axis) for axis in axes], [pstdev(axis) for axis in axes]
+            if len(forces_n) == self.limits.bias_samples:
+                axes = list(zip(*forces_n, strict=True))
+                return [fmean(axis) for axis in axes], [pstdev(axis) for axis in axes]
+        raise DeviceFault(f"{purpose} refused: {', '.join(why)}")
 
     def _take(self, datagram: bytes) -> None:
         """Keep the records of a datagram until somebody reads them."""

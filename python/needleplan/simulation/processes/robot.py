@@ -22,9 +22,15 @@ def serve_robot(
 ) -> None:  # fmt: skip
     """Step the plant in real time, and be the robot."""
     forces, poses = FeedSender(to_force), FeedSender(to_tracker)
+    begun = False
 
     def measured(sample: ForceSample | PoseSample) -> None:
+        nonlocal begun
         (forces if isinstance(sample, ForceSample) else poses).send(sample)
+        if not begun:  # who opened a sensor earlier would find one that does not measure
+            begun = True
+            assert server is not None
+            boss.send(Ready(server.address))
 
     lab = Lab(setup, seed)
     machine = RobotMachine(PlantDrive(lab, measured), limits, limits_of(lab))
@@ -32,7 +38,6 @@ def serve_robot(
     if server is None:
         return
     call_at_end(boss, server.stop)
-    boss.send(Ready(server.address))
     with no_long_collections():
         server.run()
     server.close()
