@@ -21,6 +21,10 @@ _FEW = 40.0
 """Gap from which on the share of it that is explained means something."""
 
 
+_SURE = 5.0
+"""Standard deviations from which on a gap in held-out trials is beyond doubt."""
+
+
 @dataclass(frozen=True)
 class Decision:
     """The verdict, and what speaks for it."""
@@ -62,6 +66,10 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     balance = sum(step.ranked[0].balance for step in selection.steps if step.stop is Stop.ACCEPTED)
     if _loses(joint.gain, balance, rival.gain, rival.balance, gates):
         return _unknown(rival.axis, f"{', '.join(names)} fits, but a smooth function without a name explains more")
+    other = selection.verified
+    if other and other.gap_sds > _SURE and other.shrink < gates.closed:
+        text = f"{', '.join(names)} fits, but closes {max(other.shrink, 0.0):.0%} of the gap in another motion only"
+        return _unknown(rival.axis, text)
     share = _explained(selection)
     remaining = last.rivals[0]
     for index, each in enumerate(joint.added):

@@ -18,7 +18,7 @@ from needleplan.models import Model, Scale, simulate
 from needleplan.models.effects import SIZE, Effect
 from needleplan.signals import Array, Motion
 
-__all__ = ["Added", "Joint", "added_output", "cases_with", "refit", "whole_model"]
+__all__ = ["Added", "Joint", "added_output", "cases_with", "effect_columns", "refit", "whole_model"]
 
 _STEP = 1e-3
 _STEP_LINEAR = 0.05
@@ -107,7 +107,7 @@ def refit(
     best: Joint | None = None
     for _ in range(measurand_of(calibration.model.channel).rounds):
         cases = cases_with(added, calibration, cases)
-        columns = [case.whiten(_columns(added, names, case.model, case.motion)) for case in cases]
+        columns = [case.whiten(effect_columns(added, names, case.model, case.motion)) for case in cases]
         alone = Space([case.block for case in cases])
         shared = Space([replace(case.block, shared=each) for case, each in zip(cases, columns, strict=True)])
         level = shared.best
@@ -133,8 +133,8 @@ def _free(added: Added) -> tuple[str, ...]:
     return tuple(name for name, what in added.effect.parameters.items() if what.free)
 
 
-def _columns(added: Sequence[Added], names: Sequence[tuple[int, str]], model: Model, motion: Motion) -> Array:
-    """Return how the output depends on each coordinate, shape (samples, len(names))."""
+def effect_columns(added: Sequence[Added], names: Sequence[tuple[int, str]], model: Model, motion: Motion) -> Array:
+    """Return how the output depends on each coordinate, shape (samples, len(names)); `names` as in `Joint`."""
     plain = added_output(added, model, motion)
     found = []
     for index, name in names:
@@ -146,7 +146,7 @@ def _columns(added: Sequence[Added], names: Sequence[tuple[int, str]], model: Mo
             step = step if what.scale is Scale.LINEAR else _STEP
         moved = _moved(added, ((index, name),), np.array([step]))
         found.append((added_output(moved, model, motion) - plain) / step)
-    return np.column_stack(found)
+    return np.column_stack(found) if found else np.zeros((len(plain), 0))
 
 
 _LONGEST = 0.4

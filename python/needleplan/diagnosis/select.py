@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -27,6 +28,8 @@ __all__ = ["Ranked", "Selection", "Step", "Stop", "select", "whitened_columns"]
 _REFITTED = 4
 _NEAR = 40.0
 _NULLS = 200
+_SHORT = 15.0
+"""By how much columns beside the base may fall short of what a fit of both then reaches."""
 _FAR = 0.3
 
 
@@ -62,6 +65,17 @@ class Ranked:
     balance: float
     """Schwarz' balance of this effect over those before it."""
 
+    verified: Verified | None = None
+    """How it does in another motion; None where it was not asked, or there is none."""
+
+    kept: float = 0.0
+    """What it brings there over those before it: twice the log likelihood of data that it was not fitted to."""
+
+    @property
+    def support(self) -> float:
+        """What all data say for it: the balance of the fitted ones, and the gain in those that were held out."""
+        return self.balance + self.kept
+
 
 @dataclass(frozen=True)
 class Step:
@@ -78,7 +92,7 @@ class Step:
     @property
     def tied(self) -> tuple[str, ...]:
         """Effects that are as good as the best, itself among them."""
-        return tuple(each.name for each in self.ranked if each.balance > self.ranked[0].balance - self.lead)
+        return tuple(each.name for each in self.ranked if _rivals(self.ranked[0], each, self.lead))
 
 
 @dataclass(frozen=True)
@@ -155,7 +169,7 @@ def _round(
     if len(taken) >= gates.most:
         return Step(screened, rivals, (), None, gates.lead, None, Stop.ENOUGH)
     starts = [(each, cases) for each in screened if each.balance > screened[0].balance - _NEAR][:_REFITTED]
-    if screened[0].balance < needed - 5:
+    if screened[0].balance < needed - _SHORT:
         starts = []
     if other:
         believed = Space([case.block for case in other[0]])
@@ -165,19 +179,18 @@ def _round(
     if not starts:
         return Step(screened, rivals, (), None, gates.lead, None, Stop.WEAK)
     ranked = _fitted(known, starts, space)
-    judged = [(each, verify(each.joint, known.calibration)) for each in ranked if each.balance >= needed]
-    vetoed = {each.name for each, seen in judged if seen and not _transfers(each, seen, known)}
-    if len(vetoed) < len(judged):  # what another motion refutes is no rival of what it supports
-        ranked = sorted(ranked, key=lambda each: each.name in vetoed)
+    ranked = sorted(_judged(known, ranked, needed), key=lambda each: -each.support)
+    vetoed = {each.name for each in ranked if each.verified and not _transfers(each, each.verified, known)}
+    if len(vetoed) < sum(each.verified is not None for each in ranked):
+        # What another motion refutes is not named before what it supports.
+        ranked = sorted(ranked, key=lambda each: each.verified is None or each.name in vetoed)
     best = ranked[0]
     p_value = _chance(space, columns, left, best.balance, known.seed + len(taken))
     tried = {each.name for each in ranked}
-    others = [each.balance for each in ranked[1:] if each.name not in vetoed] + [
-        e.balance for e in screened if e.effect.name not in tried
-    ]
-    verified = {each.name: seen for each, seen in judged}.get(best.name)
-    if verified is None:
-        verified = verify(best.joint, known.calibration)
+    tied = any(_rivals(best, each, gates.lead) for each in ranked[1:]) or any(
+        e.balance > best.balance - gates.lead for e in screened if e.effect.name not in tried
+    )
+    verified = best.verified or verify(best.joint, known.calibration)
 
     def ended(stop: Stop) -> Step:
         return Step(screened, rivals, tuple(ranked), p_value, gates.lead, verified, stop)
@@ -188,11 +201,28 @@ def _round(
         return ended(Stop.CHANCE)
     if taken and best.joint.gain - before < gates.further * steps[0].ranked[0].joint.gain:
         return ended(Stop.SMALL)
-    if others and best.balance - max(others) < gates.lead:
+    if tied:
         return ended(Stop.TIE)
     if best.name in vetoed:
         return ended(Stop.NO_TRANSFER)
     return ended(Stop.ACCEPTED)
+
+
+def _rivals(best: Ranked, other: Ranked, lead: float) -> bool:
+    """Whether all data together do not tell two effects apart, or those that were fitted speak for the other one."""
+    return bool(other.support > best.support - lead or other.balance > best.balance + lead)
+
+
+def _judged(known: _Round, ranked: Sequence[Ranked], needed: float) -> list[Ranked]:
+    """Return effects with what they bring in another motion, those that could be named or are near the best."""
+    before = known.steps[-1].verified if known.taken else None
+    least = max(needed, ranked[0].balance - _NEAR)
+    found = []
+    for each in ranked:
+        seen = verify(each.joint, known.calibration) if each.balance >= least else None
+        kept = seen.gain - (before.gain if before else 0.0) if seen else 0.0
+        found.append(replace(each, verified=seen, kept=kept))
+    return found
 
 
 def _fitted(known: _Round, starts: Sequence[tuple[Screened, Sequence[Case]]], space: Space) -> list[Ranked]:
@@ -241,10 +271,10 @@ def _transfers(each: Ranked, verified: Verified, known: _Round) -> bool:
     if before is not None:
         samples = [sum(len(case.motion) for case in part) for part in (calibration.held_out, calibration.training)]
         hoped = (each.joint.gain - known.before) * samples[0] / samples[1]
-        return verified.kept - before.kept >= gates.further_transfer * hoped
-    if verified.promised < gates.transfer_from:
-        return verified.kept > 0
-    return verified.transfer >= gates.transfer
+        return verified.gain - before.gain >= gates.further_transfer * hoped
+    # What is kept is promised + 2 sqrt(promised) times a standard normal number, where the effect is there.
+    chance = verified.promised - gates.transfer_sds * 2 * math.sqrt(max(verified.promised, 0.0))
+    return verified.kept > max(0.0, min(gates.transfer * verified.promised, chance))
 
 
 def whitened_columns(

@@ -16,11 +16,13 @@ from needleplan.diagnosis.refit import Joint
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array
 
-__all__ = ["interval_of", "is_there"]
+__all__ = ["DIRECTION", "interval_of", "is_there"]
 
-_DIRECTION = "direction_rad"
+DIRECTION = "direction_rad"
 _TWO_SIDED = 1.959964
 _POINTS = 720
+_FURTHEST = 50.0
+"""Of a coordinate: beyond, nothing is known of it."""
 
 
 def interval_of(joint: Joint, which: int, name: str) -> tuple[float, float]:
@@ -34,12 +36,12 @@ def interval_of(joint: Joint, which: int, name: str) -> tuple[float, float]:
     if not what.free:
         return value, value
     if name != SIZE:
-        step = _TWO_SIDED * joint.sd(which, name) / what.slope(value)
+        step = min(_TWO_SIDED * joint.sd(which, name) / what.slope(value), _FURTHEST)
         ends = what.value(what.coordinate(value) - step), what.value(what.coordinate(value) + step)
     else:
         ends = _ends(joint.covariance, joint, which)
         if ends[0] * ends[1] <= 0 and is_there(joint, which):
-            factor = float(np.exp(max(abs(end - value) for end in ends) / abs(value)))
+            factor = float(np.exp(min(max(abs(end - value) for end in ends) / abs(value), _FURTHEST)))
             ends = value / factor, value * factor
     low, high = (float(np.clip(end, what.lower, what.upper)) for end in ends)
     return min(low, high, value), max(low, high, value)
@@ -47,7 +49,7 @@ def interval_of(joint: Joint, which: int, name: str) -> tuple[float, float]:
 
 def is_there(joint: Joint, which: int) -> bool:
     """Whether the size of an effect differs from zero, its places and times held: at zero there are none."""
-    kept = [row for row, (index, name) in enumerate(joint.names) if index != which or name in (SIZE, _DIRECTION)]
+    kept = [row for row, (index, name) in enumerate(joint.names) if index != which or name in (SIZE, DIRECTION)]
     precision = np.linalg.pinv(joint.covariance, hermitian=True)[np.ix_(kept, kept)]
     covariance = np.zeros_like(joint.covariance)
     covariance[np.ix_(kept, kept)] = np.linalg.pinv(precision, hermitian=True)
@@ -60,11 +62,11 @@ def _ends(covariance: Array, joint: Joint, which: int) -> tuple[float, float]:
     each = joint.added[which]
     size, unit = each.values[SIZE], each.effect.parameters[SIZE].typical
     row = joint.names.index((which, SIZE))
-    if _DIRECTION not in each.effect.parameters:
+    if DIRECTION not in each.effect.parameters:
         sd = unit * float(np.sqrt(max(covariance[row, row], 0.0)))
         return size - _TWO_SIDED * sd, size + _TWO_SIDED * sd
-    angle, rows = each.values[_DIRECTION], [row, joint.names.index((which, _DIRECTION))]
-    units = np.array([unit, each.effect.parameters[_DIRECTION].typical])
+    angle, rows = each.values[DIRECTION], [row, joint.names.index((which, DIRECTION))]
+    units = np.array([unit, each.effect.parameters[DIRECTION].typical])
     turn = np.array([[np.cos(angle), -size * np.sin(angle)], [np.sin(angle), size * np.cos(angle)]]) * units
     vector = size * np.array([np.cos(angle), np.sin(angle)])
     values, axes = np.linalg.eigh(turn @ covariance[np.ix_(rows, rows)] @ turn.T)

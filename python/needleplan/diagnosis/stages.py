@@ -6,23 +6,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from needleplan.diagnosis.amounts import found_effects
 from needleplan.diagnosis.calibrate import Calibration, calibrate
 from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.check import Checked, Lack, check_data
 from needleplan.diagnosis.decide import Decision, decide
-from needleplan.diagnosis.diagnosis import Diagnosis, FoundEffect
+from needleplan.diagnosis.diagnosis import Diagnosis
 from needleplan.diagnosis.library import Library
 from needleplan.diagnosis.localise import Localisation, localise
 from needleplan.diagnosis.noise import Noise, fit_axes, together
-from needleplan.diagnosis.refit import Joint, added_output
-from needleplan.diagnosis.select import Selection, Stop, select
-from needleplan.diagnosis.size import interval_of, is_there
+from needleplan.diagnosis.select import Selection, select
 from needleplan.diagnosis.space import Space
 from needleplan.diagnosis.unknown import Described, describe
 from needleplan.diagnosis.verdict import Gates, Verdict
 from needleplan.errors import Mistake, ModelError
-from needleplan.models import Channel, Estimate, Model
-from needleplan.models.effects import SIZE, AddedEffect, AugmentedModel, effects_of
+from needleplan.models import Channel, Model
+from needleplan.models.effects import AugmentedModel, effects_of
 from needleplan.provenance import digest
 from needleplan.signals import Record
 
@@ -56,7 +55,7 @@ def diagnose(
     hidden = [each.noise_multiple for each in selection.smallest if each.visible]
     decision = decide(selection, gates, seen=float(np.quantile(hidden, 0.75)) if hidden else float("inf"))
     decision = _limited(decision, checked)
-    found = _found(selection.joint, selection) if decision.named else ()
+    found = found_effects(selection) if decision.named else ()
     remarks = (*checked.remarks, *_strange(model, calibration))
     place = _localisation(decision, selection, calibration, seed)
     parents = "".join(sorted(each.digest or digest(each["time_s"].tobytes()) for each in recordings))
@@ -115,27 +114,6 @@ def _limited(decision: Decision, checked: Checked) -> Decision:
         return decision
     text = f"{', '.join(decision.named)} fits best, but cannot be named: {'; '.join(serious)}"
     return Decision(Verdict.AMBIGUOUS, (), decision.named, decision.axis, decision.explained, text)
-
-
-def _found(joint: Joint | None, selection: Selection) -> tuple[FoundEffect, ...]:
-    if joint is None:
-        return ()
-    accepted = [step for step in selection.steps if step.stop is Stop.ACCEPTED]
-    gains = np.diff([0.0, *(step.ranked[0].joint.gain for step in accepted)])
-    found = []
-    for index, (each, step) in enumerate(zip(joint.added, accepted, strict=True)):
-        what = each.effect.parameters
-        estimates = {}
-        for name, value in each.values.items():
-            sd = joint.sd(index, name) if what[name].free else 0.0
-            low, high = interval_of(joint, index, name)
-            estimates[name] = Estimate(value, sd, low, high, what[name].unit, name != SIZE or is_there(joint, index))
-        rows = [added_output([each], case.model, case.motion) for case in joint.cases]
-        rms = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
-        added = AddedEffect(each.effect.name, each.values, estimates, "", each.effect.version)
-        share = float(gains[index] / max(gains.sum(), 1e-12))
-        found.append(FoundEffect(each.effect, added, rms, share, step.ranked[0].balance, step.p_value))
-    return tuple(found)
 
 
 def _strange(model: Model, calibration: Calibration) -> list[str]:

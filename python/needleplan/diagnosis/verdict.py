@@ -56,8 +56,13 @@ class Gates:
     """With less of it, what was named is not all."""
 
     transfer: float = 0.5
-    transfer_from: float = 20.0
-    """Gain on held-out trials that must be promised for `transfer` to be asked for; below, it must be positive."""
+    """Of the gain that it promises on held-out trials that an effect must bring there."""
+
+    transfer_sds: float = 2.33
+    """Standard deviations by which it may fall short of the promise anyway, as one true effect in a hundred does."""
+
+    closed: float = 0.5
+    """Of the gap in held-out trials that must go, where that gap is beyond doubt."""
 
     further: float = 0.03
     """Of the first gain that a second or third effect must bring."""

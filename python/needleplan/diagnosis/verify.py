@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from needleplan.diagnosis.calibrate import Calibration, Case, fit_case, with_measured
 from needleplan.diagnosis.refit import Joint, cases_with
-from needleplan.diagnosis.space import Space
+from needleplan.diagnosis.space import Block, Space
 from needleplan.models import ljung_box
 from needleplan.signals import Array
 
 __all__ = ["Verified", "verify"]
+
+_STRENGTH = 0.03
+"""Standard deviation of the variance of the noise, as known from a record of a minute."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,9 @@ class Verified:
     kept: float
     """Gain that they bring."""
 
+    gain: float
+    """Twice the log likelihood over the base alone, where base and effects each take the tissue that suits them."""
+
     before_rms: float
     after_rms: float
     floor_rms: float
@@ -33,6 +39,9 @@ class Verified:
 
     shrink: float
     """Part of the energy above the floor that is gone; NaN where there was none."""
+
+    gap_sds: float
+    """Energy above the floor before, in standard deviations of what noise leaves, its strength not being known."""
 
     whiteness_before: float
     whiteness_after: float
@@ -51,7 +60,10 @@ def verify(joint: Joint, calibration: Calibration) -> Verified | None:
         return None
     after = cases_with(joint.added, calibration, before)
     level = joint.space.best
-    first, last = Space([case.block for case in before]), Space([case.block for case in after])
+    last = Space([case.block for case in after])
+    # With and without the effects, the tissue varies by as much: in a base that imitates an effect by cutting twice as
+    # hard, it would hide what is missing.
+    first = Space([_varied(case, like) for case, like in zip(before, after, strict=True)])
     # What the base alone would leave of these trials, were they exactly as base and effects say.
     channel = calibration.model.channel
     exact = [
@@ -61,20 +73,28 @@ def verify(joint: Joint, calibration: Calibration) -> Verified | None:
         )
         for case, each in zip(before, after, strict=True)
     ]  # fmt: skip
-    promised = max(Space([case.block for case in exact]).energy(level) - _pull(after), 0.0)
+    without = Space([_varied(case, like) for case, like in zip(exact, after, strict=True)])
+    promised = max(without.energy(level) - _pull(after), 0.0)
     kept = first.energy(level) - last.energy(level)
     floor = float(sum(case.block.samples - case.block.sensitivities.shape[1] for case in before))
     gap = first.energy(level) - floor
     return Verified(
         promised,
         kept,
+        2 * float(last.evidence.max() - Space([case.block for case in before]).evidence.max()),
         _rms(before),
         _rms(after),
         calibration.noise.rms,
         min(kept / gap, 1.0) if gap > 0 else float("nan"),
+        gap / (2 * floor + (_STRENGTH * floor) ** 2) ** 0.5,
         _whiteness(before),
         _whiteness(after),
     )
+
+
+def _varied(case: Case, like: Case) -> Block:
+    """Return a trial in which the tissue varies as in another one of the same motion."""
+    return replace(case.block, modes=like.block.modes, variances=like.block.variances)
 
 
 def _pull(cases: Sequence[Case]) -> float:

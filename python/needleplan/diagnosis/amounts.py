@@ -1,0 +1,120 @@
+"""How much of each effect there is: its parameters with 95 % intervals, what it adds, its share of the gap.
+
+The size enters the output almost linearly, and its interval is that of the linearised fit. Where, when and how fast do
+not: a layer that begins between two samples, a time constant longer than the trial. Their intervals are of the profile
+likelihood: the parameter is moved, the output simulated anew, all others follow, and where twice the log likelihood has
+fallen by 3.84 the interval ends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from needleplan.diagnosis.diagnosis import FoundEffect
+from needleplan.diagnosis.refit import Added, Joint, added_output, effect_columns
+from needleplan.diagnosis.select import Selection, Stop
+from needleplan.diagnosis.size import DIRECTION, interval_of, is_there
+from needleplan.diagnosis.space import Space
+from needleplan.models import Estimate
+from needleplan.models.effects import SIZE, AddedEffect
+from needleplan.models.parameter import Parameter, Scale
+
+__all__ = ["found_effects"]
+
+_FALL = 3.84
+_NORMAL = 1.96
+_TRIES = 5
+_NEAR = 0.15
+"""How near to the fall that is sought a profile must come, as a share of it."""
+
+_FURTHEST = 6.0
+"""Of a coordinate's interval on either side, in units of its linearised half width."""
+
+
+def found_effects(selection: Selection) -> tuple[FoundEffect, ...]:
+    """Return what was accepted, with its amounts; nothing where nothing was."""
+    joint = selection.joint
+    if joint is None:
+        return ()
+    accepted = [step for step in selection.steps if step.stop is Stop.ACCEPTED]
+    gains = np.diff([0.0, *(step.ranked[0].joint.gain for step in accepted)])
+    found = []
+    for index, (each, step) in enumerate(zip(joint.added, accepted, strict=True)):
+        estimates = {name: _estimate(joint, index, name) for name in each.values}
+        rows = [added_output([each], case.model, case.motion) for case in joint.cases]
+        rms = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
+        added = AddedEffect(each.effect.name, each.values, estimates, "", each.effect.version)
+        share = float(gains[index] / max(gains.sum(), 1e-12))
+        found.append(FoundEffect(each.effect, added, rms, share, step.ranked[0].balance, step.p_value))
+    return tuple(found)
+
+
+def _estimate(joint: Joint, index: int, name: str) -> Estimate:
+    what, value = joint.added[index].effect.parameters[name], joint.added[index].values[name]
+    sd = joint.sd(index, name) if what.free else 0.0
+    if not what.free or name in (SIZE, DIRECTION):
+        low, high = interval_of(joint, index, name)
+        return Estimate(value, sd, low, high, what.unit, name != SIZE or is_there(joint, index))
+    low, high = (_end(joint, index, name, sign) for sign in (-1, 1))
+    return Estimate(value, sd, min(low, value), max(high, value), what.unit, low > what.lower or high < what.upper)
+
+
+def _end(joint: Joint, index: int, name: str, sign: int) -> float:
+    """Return where the profile has fallen by enough, or how far it was followed.
+
+    The root of the fall is almost a straight line: two or three secants reach it.
+    """
+    added = joint.added[index]
+    what, value = added.effect.parameters[name], added.values[name]
+    centre = what.coordinate(value)
+    half = _NORMAL * min(joint.sd(index, name) / what.slope(value), 2.0)
+    bound = _coordinate(what, what.lower if sign < 0 else what.upper)
+    step, short, far = half, 0.0, math.inf
+    for _ in range(_TRIES):
+        here = centre + sign * step
+        beyond = sign * (here - bound) >= 0
+        here = bound if beyond else here
+        step = abs(here - centre)
+        fall = _fall(joint, index, name, _within(what, here))
+        if abs(fall - _FALL) < _NEAR * _FALL or (fall < _FALL and beyond):
+            break
+        if fall < _FALL:
+            short = max(short, step)
+        else:
+            far = min(far, step)
+        wanted = step * math.sqrt(_FALL / max(fall, 0.05 * _FALL))
+        step = wanted if short < wanted < far else (short + far) / 2 if far < math.inf else 2 * step
+        if step > _FURTHEST * half:
+            step = _FURTHEST * half
+            break
+    return _within(what, centre + sign * step)
+
+
+def _fall(joint: Joint, index: int, name: str, value: float) -> float:
+    """Return how much less likely the data are with one parameter at `value`, twice the log, all others best."""
+    level = np.array([joint.space.level])
+    values = {**joint.added[index].values, name: value}
+    moved: Sequence[Added] = [
+        replace(each, values=values) if place == index else each for place, each in enumerate(joint.added)
+    ]
+    others = tuple(each for each in joint.names if each != (index, name))
+    blocks = []
+    for case in joint.cases:
+        before = added_output(joint.added, case.model, case.motion)
+        more = case.whiten(added_output(moved, case.model, case.motion) - before)
+        columns = case.whiten(effect_columns(moved, others, case.model, case.motion))
+        blocks.append(replace(case.block, residual=case.block.residual - more, shared=columns))
+    return Space(blocks, level).energy() - joint.space.energy()
+
+
+def _within(what: Parameter, coordinate: float) -> float:
+    ends = [_coordinate(what, each) for each in (what.lower, what.upper)]
+    return float(np.clip(what.value(min(max(coordinate, ends[0]), ends[1])), what.lower, what.upper))
+
+
+def _coordinate(what: Parameter, bound: float) -> float:
+    return what.coordinate(max(bound, 1e-300) if what.scale is Scale.LOG else bound)
