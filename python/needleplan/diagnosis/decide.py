@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.diagnosis.measurand import Axis
-from needleplan.diagnosis.rivals import omnibus
+from needleplan.diagnosis.refit import Joint
+from needleplan.diagnosis.rivals import RivalScore, omnibus
 from needleplan.diagnosis.select import Selection, Stop
 from needleplan.diagnosis.verdict import Gates, Verdict
 from needleplan.models.effects import SIZE
@@ -49,7 +50,7 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     rival = first.rivals[0]
     if selection.joint is None:
         if last.stop is Stop.TIE:
-            if _loses(last.ranked[0].joint.gain, last.ranked[0].balance, rival.gain, rival.balance, gates):
+            if _loses(last.ranked[0].joint, last.ranked[0].balance, rival, gates):
                 return _unknown(rival.axis, "a smooth function without a name explains more than any known effect")
             text = "these effects explain the gap alike: " + ", ".join(last.tied)
             return Decision(Verdict.AMBIGUOUS, (), last.tied, None, None, text)
@@ -64,7 +65,7 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     joint = selection.joint
     names = tuple(each.effect.name for each in joint.added)
     balance = sum(step.ranked[0].balance for step in selection.steps if step.stop is Stop.ACCEPTED)
-    if _loses(joint.gain, balance, rival.gain, rival.balance, gates):
+    if _loses(joint, balance, rival, gates):
         return _unknown(rival.axis, f"{', '.join(names)} fits, but a smooth function without a name explains more")
     other = selection.verified
     if other and other.gap_sds > _SURE and other.shrink < gates.closed:
@@ -93,8 +94,11 @@ def _unknown(axis: Axis, text: str, share: float | None = None) -> Decision:
     return Decision(Verdict.UNKNOWN, (), (), axis, share, text)
 
 
-def _loses(gain: float, balance: float, rival_gain: float, rival_balance: float, gates: Gates) -> bool:
-    return rival_balance - balance > gates.lead and gain < gates.share_of_rival * rival_gain
+def _loses(joint: Joint, balance: float, rival: RivalScore, gates: Gates) -> bool:
+    """Whether a competitor without a name leads; what is as simple as the effects needs no other excuse to win."""
+    simple = rival.freedom <= len(joint.names)
+    ahead = rival.balance - balance > gates.lead
+    return ahead and (simple or joint.gain < gates.share_of_rival * rival.gain)
 
 
 def _explained(selection: Selection) -> float | None:
