@@ -25,6 +25,7 @@ from needleplan.control.station import Station
 from needleplan.devices import VirtualClock
 from needleplan.devices.closing import Closing
 from needleplan.devices.garbage import no_long_collections
+from needleplan.devices.turns import short_turns
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipFilter, TipSettings
@@ -90,6 +91,7 @@ class Insertion(Closing):
             closing.callback(self._replanner.close)
             if not isinstance(self._station.clock, VirtualClock):
                 closing.enter_context(no_long_collections())
+                closing.enter_context(short_turns())
             try:
                 ending, cause = self._run(closing)
             except Stopped as stopped:
