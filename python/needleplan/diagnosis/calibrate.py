@@ -29,6 +29,7 @@ _RELATIVE = 1e-3
 _DONE = 0.02
 _EARLIEST_S, _LONGEST_LAG_S = -0.001, 0.2
 _FORGOTTEN = 0.05
+_ROUNDING = math.log(1e-14)
 _BELIEF = 0.7
 """Standard deviation of a coordinate about that of the model as given: a factor of two, give or take."""
 
@@ -137,6 +138,8 @@ def fit_case(
 ) -> Case:
     """Calibrate `model` to one trial (Levenberg and Marquardt, whitened) and linearise it there.
 
+    Where the last step was too short to count, sensitivities are those before it.
+
     `whole` makes of the base the model with the effects that are held. Parameters are believed to be near those of
     `about`, by default `model`; those in `hold` stay as they are in `model`.
     """
@@ -158,8 +161,8 @@ def fit_case(
 
     def model_at(u: Array) -> Model:
         return model.with_values(**{
-            name: float(np.clip(what[name].value(float(each)), what[name].lower, what[name].upper))
-            for name, each in zip(free, u, strict=True)
+            name: min(max(what[name].value(each), what[name].lower), what[name].upper)
+            for name, each in zip(free, u.tolist(), strict=True)
         })  # fmt: skip
 
     def output(u: Array) -> Array:
@@ -185,7 +188,7 @@ def fit_case(
         normal = sensitivities.T @ sensitivities + np.diag(belief**-2)
         target = np.where(moving, sensitivities.T @ left(plain, lag) - off(coordinates, lag) / belief, 0.0)
         normal = np.where(np.outer(moving, moving), normal, np.diag(np.diag(normal)))
-        promised, found = 0.0, False
+        promised, found = 0.0, False  # whether there is more to be found
         for _ in range(_TRIES):
             move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), target)
             move *= min(1.0, _LONGEST_STEP / max(float(np.abs(move[:-1]).max(initial=0.0)), 1e-12))
@@ -195,7 +198,8 @@ def fit_case(
             there = output(trial)
             its_cost = cost(there, trial, its_lag)
             if its_cost < least:
-                coordinates, lag, plain, least, found = trial, its_lag, there, its_cost, True
+                found = least - its_cost > _DONE
+                coordinates, lag, plain, least = trial, its_lag, there, its_cost
                 damping = max(damping / 10, 1e-6)
                 break
             if promised < _DONE:
@@ -203,8 +207,9 @@ def fit_case(
             damping = max(damping * 20, 1e-2)
         if not found or promised < _DONE:
             break
+    else:
+        sensitivities = _sensitivities(output, coordinates, plain, motion, lag, noise, rows)
     predicted, residual = late(plain, motion, lag), left(plain, lag)
-    sensitivities = _sensitivities(output, coordinates, plain, motion, lag, noise, rows)
     best = model_at(coordinates)
     vectors, variances = (
         _modes(measurand.modes(best, motion), motion, lag, noise, rows)
@@ -253,16 +258,19 @@ def late(force: Array, motion: Motion, lag_s: float) -> Array:
 
 
 def lag_taps(motion: Motion, lag_s: float) -> Array | None:
-    """Return `late` as weights of the present and the past; None where the sampling is uneven or the memory long."""
+    """Return `late` as weights of the present and the past; None where the sampling is uneven."""
     h = motion.interval_s
     step = float(np.median(h))
     if lag_s == 0:
         return np.ones(1)
     decay = math.exp(-step / lag_s) if lag_s > 0 else 0.0
-    if decay > _FORGOTTEN or float(np.abs(h - step).max()) > 1e-3 * step:
+    if float(np.abs(h - step).max()) > 1e-3 * step:
         return None
-    rise = lag_s / step * (1 - decay) * decay ** np.arange(3)
-    return np.asarray(np.append(np.eye(1, 4)[0][:3] - rise, 0.0) + np.append(0.0, rise))
+    count = 3 if decay <= _FORGOTTEN else math.ceil(_ROUNDING / math.log(decay))
+    rise = lag_s / step * (1 - decay) * decay ** np.arange(count)
+    taps: Array = np.append(-rise, 0.0) + np.append(0.0, rise)
+    taps[0] += 1
+    return taps
 
 
 def _sensitivities(

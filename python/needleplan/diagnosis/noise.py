@@ -76,16 +76,17 @@ def _filtered(weights: Array, values: Array) -> Array:
     values = np.ascontiguousarray(values, float).reshape(len(values), -1)
     n, m = len(values) - order, values.shape[1]
     found = np.empty((n, m))
-    at = np.arange(_PART)
-    band = np.zeros((_PART, _PART + order))
+    part = max(_PART, order)
+    at = np.arange(part)
+    band = np.zeros((part, part + order))
     for lag, weight in enumerate(weights):
         band[at, at + order - lag] = weight
-    parts, rest = divmod(n, _PART)
+    parts, rest = divmod(n, part)
     row, column = values.strides
-    windows = as_strided(values, (parts, _PART + order, m), (_PART * row, row, column), writeable=False)
-    np.matmul(band, windows, out=found[: parts * _PART].reshape(parts, _PART, m))
+    windows = as_strided(values, (parts, part + order, m), (part * row, row, column), writeable=False)
+    np.matmul(band, windows, out=found[: parts * part].reshape(parts, part, m))
     if rest:
-        np.matmul(band[:rest, : rest + order], values[parts * _PART :], out=found[parts * _PART :])
+        np.matmul(band[:rest, : rest + order], values[parts * part :], out=found[parts * part :])
     return found
 
 

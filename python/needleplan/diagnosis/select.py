@@ -299,10 +299,10 @@ def _chance(
 ) -> float:
     """Return how often data without an effect reach such a balance: Gumbel's law, fitted to simulated data."""
     price = space.price
-    keep = np.concatenate([np.arange(each.first, each.last) for each in candidates])
-    penalty = np.concatenate([np.full(len(each.grid), each.count * price) for each in candidates])
-    signs = np.concatenate([np.full(len(each.grid), each.sign) for each in candidates])
-    maxima = space.null_maxima([each[:, keep] for each in columns], penalty, signs, _NULLS, seed)
+    penalty, signs = np.full(columns[0].shape[1], np.inf), np.zeros(columns[0].shape[1])
+    for each in candidates:
+        penalty[each.first : each.last], signs[each.first : each.last] = each.count * price, each.sign
+    maxima = space.null_maxima(columns, penalty, signs, _NULLS, seed)
     scale = float(maxima.std(ddof=1)) * np.sqrt(6) / np.pi
     place = float(maxima.mean()) - np.euler_gamma * scale
     return float(stats.gumbel_r.sf(balance, place, scale))

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from dataclasses import MISSING, dataclass
 from enum import StrEnum
+from functools import cache
 from typing import Any
 
 __all__ = ["Parameter", "Scale", "constant", "parameter", "parameters_of"]
@@ -73,8 +74,10 @@ def constant(unit: str, lower: float, upper: float, about: str, *, default: Any 
 
 def parameters_of(model: object) -> dict[str, Parameter]:
     """Return the parameters of a model or its class by name, in the order of its fields."""
-    return {
-        each.name: each.metadata["parameter"]
-        for each in dataclasses.fields(model)  # type: ignore[arg-type]
-        if "parameter" in each.metadata
-    }
+    return dict(_parameters_of(model if isinstance(model, type) else type(model)))
+
+
+@cache
+def _parameters_of(kind: type) -> dict[str, Parameter]:
+    fields = dataclasses.fields(kind)
+    return {each.name: each.metadata["parameter"] for each in fields if "parameter" in each.metadata}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -106,24 +107,32 @@ class PathDamage(PathTerm):
     def rate(self, state: Array, motion: Motion) -> Array:
         """Return the rates; every cell that the tip has left behind counts the travel."""
         depth, speed = np.asarray(motion.depth_mm, float), np.abs(np.asarray(motion.velocity_mm_s, float))
-        return np.asarray(np.concatenate([super().rate(state[:2], motion), _filled(depth) * speed]))
+        slid = np.zeros((_CELLS, *speed.shape))
+        filled = _filled(depth)
+        slid[: len(filled)] = filled * speed
+        return np.asarray(np.concatenate([super().rate(state[:2], motion), slid]))
 
     def states(self, motion: Motion, start: Array) -> Array:
         """Return the memory; every step counts in the cells that it leaves behind."""
+        states = np.empty((self.order, len(motion)))
+        states[:2] = super().states(motion, start[:2])
+        states[2:] = start[2:, None]
         filled = _filled(np.asarray(motion.depth_mm, float))
         steps = np.abs(np.diff(motion.depth_mm)) * (filled[:, 1:] + filled[:, :-1]) / 2
-        slid = np.concatenate([np.zeros((_CELLS, 1)), np.cumsum(steps, axis=1)], axis=1)
-        return np.asarray(np.vstack([super().states(motion, start[:2]), slid + start[2:, None]]))
+        states[2 : 2 + len(filled), 1:] += np.cumsum(steps, axis=1)
+        return states
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return minus the length of shaft that lies in worn tissue."""
-        worn = -np.expm1(-np.maximum(state[2:], 0.0) / self.sliding_mm)
-        return np.asarray(-(worn * _filled(_inserted(motion)) * _CELL_MM).sum(axis=0) * state[0])
+        filled = _filled(_inserted(motion))
+        worn = -np.expm1(-np.maximum(state[2 : 2 + len(filled)], 0.0) / self.sliding_mm)
+        return np.asarray(-(worn * filled * _CELL_MM).sum(axis=0) * state[0])
 
 
 def _filled(depth_mm: Array) -> Array:
-    """Return which part of every cell the shaft fills, shape (cells, ...)."""
-    edges = (np.arange(_CELLS) * _CELL_MM).reshape((-1,) + (1,) * np.ndim(depth_mm))
+    """Return which part of every cell the shaft fills, down to the deepest one that it reaches, shape (cells, ...)."""
+    count = math.ceil(min(max(1.0, float(np.max(depth_mm)) / _CELL_MM), _CELLS))
+    edges = (np.arange(count) * _CELL_MM).reshape((-1,) + (1,) * np.ndim(depth_mm))
     return np.asarray(np.clip((depth_mm - edges) / _CELL_MM, 0.0, 1.0))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from needleplan.models.base import Channel, Model, SelfIntegratingModel
 from needleplan.models.insertion import ShaftAndTip
 from needleplan.models.parameter import parameter
+from needleplan.models.recurrence import recurrence
 from needleplan.models.simulate import simulate
 from needleplan.signals import Array, Motion
 
@@ -188,9 +189,5 @@ class Lagging(SelfIntegratingModel):
         lag = max(self.size, _SHORTEST_S)
         h = motion.interval_s
         decay, slope = np.exp(-h / lag), np.diff(force) / h
-        behind = float(start[-1] - force[0])
-        late = [behind]
-        for factor, rise in zip(decay.tolist(), slope.tolist(), strict=True):
-            behind = -lag * rise + (behind + lag * rise) * factor
-            late.append(behind)
-        return np.vstack([states, force + np.array(late)])
+        late = recurrence(decay, -lag * slope * (1 - decay), float(start[-1] - force[0]))
+        return np.vstack([states, force + late])

@@ -1,0 +1,65 @@
+"""Fast ways to the same numbers, each beside its slow and obvious twin."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from needleplan.diagnosis.calibrate import lag_taps, late
+from needleplan.diagnosis.noise import Noise
+from needleplan.diagnosis.variation import at_depth
+from needleplan.models import simulate
+from needleplan.models.effects import effect_named
+from tests.diagnosis.trials import BASE, motion
+
+
+@pytest.mark.parametrize("lag_s", [-0.001, 0.0, 0.005, 0.012, 0.06, 0.19])
+def test_what_is_read_late_is_whitened_as_if_it_were_read_first(lag_s: float) -> None:
+    path = motion(0)
+    noise = Noise(np.array([0.4, 0.1]), 0.02, 0.03)
+    taps = lag_taps(path, lag_s)
+    assert taps is not None
+    values = simulate(BASE, path).output[:, None] * np.array([1.0, 2.0])
+    apart = noise.whiten(late(values, path, lag_s))
+    # A short memory is cut off, in either way, after a part in a thousand of the lag.
+    within = 1e-9 if lag_s > 0.007 or lag_s <= 0 else 0.02
+    np.testing.assert_allclose(noise.whiten(values, taps), apart, atol=within * np.abs(apart).max())
+
+
+def test_uneven_samples_have_no_taps() -> None:
+    path = motion(1)
+    assert lag_taps(path[np.flatnonzero(np.arange(len(path)) % 7)], 0.004) is None
+
+
+def test_a_late_reading_follows_the_force_step_by_step() -> None:
+    path, lag = motion(0), 0.03
+    force = simulate(BASE, path).output
+    read = [float(force[0])]
+    for k, h in enumerate(path.interval_s):
+        rise = (force[k + 1] - force[k]) / h
+        behind = -lag * rise + (read[-1] - force[k] + lag * rise) * math.exp(-h / lag)
+        read.append(float(force[k + 1] + behind))
+    found = simulate(effect_named("latency").apply(BASE, {"size": lag}), path).output
+    np.testing.assert_allclose(found, read, atol=1e-12)
+
+
+def test_wear_is_that_of_all_cells() -> None:
+    path, sliding = motion(1), 40.0
+    edges = 2.0 * np.arange(75)[:, None]
+    filled = np.clip((path.depth_mm - edges) / 2.0, 0.0, 1.0)
+    steps = np.abs(np.diff(path.depth_mm)) * (filled[:, 1:] + filled[:, :-1]) / 2
+    slid = np.concatenate([np.zeros((75, 1)), np.cumsum(steps, axis=1)], axis=1)
+    bristle = simulate(BASE, path).states[0]
+    wanted = -0.003 * (-np.expm1(-slid / sliding) * filled * 2.0).sum(axis=0) * bristle
+    whole = simulate(effect_named("path_damage").apply(BASE, {"size": 0.003, "sliding_mm": sliding}), path)
+    np.testing.assert_allclose(whole.output - simulate(BASE, path).output, wanted, atol=1e-12)
+
+
+def test_functions_of_depth_are_interpolated() -> None:
+    places = np.arange(0.0, 30.5, 0.5)
+    rows = np.random.default_rng(0).standard_normal((len(places), 5))
+    depth = np.append(np.random.default_rng(1).uniform(0, 30, 200), [0.0, 30.0])
+    wanted = np.column_stack([np.interp(depth, places, row) for row in rows.T])
+    np.testing.assert_allclose(at_depth(depth, places, rows), wanted, atol=1e-12)
