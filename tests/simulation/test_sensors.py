@@ -22,6 +22,9 @@ SETUP = Setup(
 SIZES: dict[str, tuple[float, set[str]]] = {
     "curvature_error": (0.2, {"position", "direction"}),
     "curvature_scatter": (0.1, {"position", "direction"}),
+    "curvature_speed_power": (0.5, {"position", "direction"}),
+    "pre_bend_per_mm": (0.002, {"position", "direction"}),
+    "sag_per_mm": (0.002, {"position", "direction"}),
     "heading_noise_rad_sqrt_mm": (0.01, {"position", "direction"}),
     "torsional_friction_n": (0.1, {"position", "direction", "torque"}),
     "tissue_compliance_mm_n": (2.0, {"position", "direction", "force"}),

@@ -63,10 +63,9 @@ def test_ratios() -> None:
 
 def test_chapters_that_are_not_there() -> None:
     with pytest.raises(InputError) as raised:
-        reproduce(["diagnosis", "ch7"], None, Effort.QUICK, print)
-    first, second = raised.value.mistakes
-    assert first.rule == "is not yet available"
-    assert second.rule == "must be one of ch2, ch3, ch4, ch5, ch6, diagnosis"
+        reproduce(["ch7"], None, Effort.QUICK, print)
+    (mistake,) = raised.value.mistakes
+    assert mistake.rule == "must be one of ch2, ch3, ch4, ch5, ch6, diagnosis"
 
 
 def test_a_folder_that_cannot_be(tmp_path: Path) -> None:
@@ -75,6 +74,6 @@ def test_a_folder_that_cannot_be(tmp_path: Path) -> None:
         reproduce(["ch6"], str(tmp_path / "file" / "figures"), Effort.QUICK, print)
 
 
-@pytest.mark.parametrize("chapter", ["diagnosis"])
-def test_the_command_says_what_is_not_yet_available(chapter: str) -> None:
-    refused(needleplan("reproduce", chapter), chapter, "is not yet available")
+@pytest.mark.parametrize(("chapters", "seeds"), [(["ch2"], "3"), ([], "3"), (["diagnosis"], "0")])
+def test_seeds_are_those_of_the_diagnosis(chapters: list[str], seeds: str) -> None:
+    refused(needleplan("reproduce", *chapters, "--seeds", seeds), "--seeds", "diagnosis" if seeds == "3" else "from 1")

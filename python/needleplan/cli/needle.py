@@ -60,12 +60,14 @@ def with_identified(scenario: Scenario, options: argparse.Namespace) -> tuple[Sc
     replaced = []
     for name, file in files:
         from needleplan.models import ModelFile
-        from needleplan.scenario import identified
+        from needleplan.scenario import identified, within
 
         found = identified(ModelFile.read(file), file)
         layers = len(scenario.needle.layers)
         try:
-            scenario = scenario.with_curvature(found.curvature_per_mm, tissue=name)
+            scenario = scenario.with_curvature(
+                within(found.pieces, scenario.workspace.width_mm) or found.curvature_per_mm, tissue=name
+            )
         except ScenarioError as error:
             raise ScenarioError(error.mistakes, options.scenario) from None
         place = f"tissue {name}" if name else "needle"

@@ -28,12 +28,16 @@ def add_to(commands: Any) -> None:
         "an answer too: the exit code is 0.",
     )
     parser.add_argument(
-        "chapters", nargs="*", metavar="CHAPTER", help="ch2, ch3, ch4, ch5, ch6; all where none is given"
+        "chapters",
+        nargs="*",
+        metavar="CHAPTER",
+        help="ch2, ch3, ch4, ch5, ch6, diagnosis; all where none is given",
     )
-    parser.add_argument("-o", "--figures", metavar="FOLDER", help="draw the figures into this folder")
+    parser.add_argument("-o", "--figures", metavar="FOLDER", help="write figures and results into this folder")
     parser.add_argument(
         "--experiments", action="store_true", help="ch6: repeat the experiments of section 6.5 in the lab twin"
     )
+    parser.add_argument("--seeds", type=int, metavar="N", help="diagnosis: insertions for each hidden effect (40)")
     parser.add_argument(
         "--json", action="store_true", help="print a list of {id, published, ours, unit, verdict, reason}"
     )
@@ -49,7 +53,9 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.workflow.reproduce import Effort, reproduce
 
     effort = Effort.QUICK if options.quick else Effort.FULL if options.full else Effort.DEFAULT
-    comparisons = reproduce(options.chapters, options.figures, effort, note, experiments=options.experiments)
+    comparisons = reproduce(
+        options.chapters, options.figures, effort, note, experiments=options.experiments, seeds=options.seeds
+    )
     if options.json:
         print_json([asdict(each) for each in comparisons])
     else:

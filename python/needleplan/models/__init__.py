@@ -21,6 +21,7 @@ from needleplan.models.friction import (
     distributed,
     into_fresh_tissue,
 )
+from needleplan.models.in_plane import InPlane, in_plane
 from needleplan.models.insertion import ShaftAndTip
 from needleplan.models.intervals import Intervals, bootstrap_intervals, profile_intervals
 from needleplan.models.model_file import ModelFile, Parent
@@ -48,6 +49,7 @@ __all__ = [
     "ForceModel1",
     "ForceModel2",
     "ForceParts",
+    "InPlane",
     "InsertionForce",
     "Intervals",
     "Karnopp",
@@ -80,6 +82,7 @@ __all__ = [
     "distributed",
     "fit",
     "fit_on_tissue",
+    "in_plane",
     "into_fresh_tissue",
     "kind_of",
     "ljung_box",

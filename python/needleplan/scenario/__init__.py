@@ -14,6 +14,7 @@ from needleplan.scenario.parts import (
     Tissue,
     Workspace,
 )
+from needleplan.scenario.pieces import Piece, pieces_of, within
 from needleplan.scenario.scenario import Scenario
 from needleplan.scenario.shipped import shipped
 
@@ -26,6 +27,7 @@ __all__ = [
     "Needle",
     "Objective",
     "Obstacle",
+    "Piece",
     "Priority",
     "Scenario",
     "Solver",
@@ -34,5 +36,7 @@ __all__ = [
     "Transition",
     "Workspace",
     "identified",
+    "pieces_of",
     "shipped",
+    "within",
 ]

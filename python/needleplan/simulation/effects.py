@@ -30,6 +30,15 @@ class Effects(Setting):
     curvature_scatter: float = _size("", 0.5)
     """Standard deviation of that share from one insertion (seed) to the next."""
 
+    curvature_speed_power: float = _size("", 1, signed=True)
+    """Power of the speed, over 5 mm/s, with which the curvature grows: rate-dependent tissue."""
+
+    pre_bend_per_mm: float = _size("1/mm", 0.1, signed=True)
+    """Curvature of a needle that was bent before, across its bevel; it turns with the tip."""
+
+    sag_per_mm: float = _size("1/mm", 0.1, signed=True)
+    """Curvature downwards at the entry by the weight of the needle outside; in proportion to what is still outside."""
+
     heading_noise_rad_sqrt_mm: float = _size("rad/sqrt(mm)", 0.1)
     """Standard deviation of the heading after 1 mm of fresh tissue, in the plane and out of it; grows as a root."""
 

@@ -12,6 +12,7 @@ from needleplan.errors import DeviceFault
 from needleplan.models import TipFrame, Torsion
 from needleplan.models.torsion import dragged
 from needleplan.simulation.axis import Axis
+from needleplan.simulation.modelled import ModelledForce, ModelledPath
 from needleplan.simulation.places import PlannedCurvature
 from needleplan.simulation.setup import Setup
 from needleplan.simulation.shaft_force import ShaftForce, TipForce
@@ -19,6 +20,12 @@ from needleplan.simulation.streams import Stream, random_for
 from needleplan.simulation.tip_path import TipPath3D, WanderingHeading
 
 __all__ = ["Plant"]
+
+_USUAL_MM_S = 5.0
+"""Speed at which the curvature is that of the tissue, where it depends on the speed."""
+
+_SLOWEST_MM_S = 0.25
+"""Below that speed it does not change any more."""
 
 
 class Plant:
@@ -48,7 +55,11 @@ class Plant:
         self._places = PlannedCurvature(setup.scenario) if setup.scenario and by_place else None
         wander = WanderingHeading(effects.heading_noise_rad_sqrt_mm, random_for(seed, Stream.HEADING))
         self._line = TipFrame.planar(entry.x_mm, entry.y_mm, entry.heading_rad)
-        self._path = TipPath3D(self._line, self._bend, wander)
+        self._model = ModelledPath(setup.path, self._line) if setup.path else None
+        self._start = self._model.start if self._model else self._line
+        odd = effects.pre_bend_per_mm or effects.sag_per_mm or self._model
+        self._path = TipPath3D(self._start, self._bend, wander, self._aside if odd else None)
+        self._force_model = ModelledForce(setup.force) if setup.force else None
         self._shaft = ShaftForce(
             setup.friction, robot.deepest_mm, effects.tissue_compliance_mm_n, effects.tissue_relaxation_s
         )
@@ -106,7 +117,10 @@ class Plant:
         self.path_mm = length = insertion.position - breath[0] - shaft.tissue_mm
         inserted = max(length, 0.0)
         lag = self._lag(inserted)
-        self.tip_roll_rad = dragged(self.tip_roll_rad, roll.position, lag)
+        if self._model:
+            self.tip_roll_rad = self._model.roll(self.tip_roll_rad, *self._moving_now())
+        else:
+            self.tip_roll_rad = dragged(self.tip_roll_rad, roll.position, lag)
         if lag:
             held = self._torsion.torque_per_length_n * inserted
             self.torque_n_mm = held * (roll.position - self.tip_roll_rad) / lag
@@ -116,10 +130,12 @@ class Plant:
             # Whatever the tissue is shifted by now, this is the point of it that the needle goes through.
             self._entered = True
             n, shift = self._line.normal, -breath[1]
-            self._path.begin(self._line.moved((shift * n[0], shift * n[1], shift * n[2])))
+            self._path.begin(self._start.moved((shift * n[0], shift * n[1], shift * n[2])))
         if self._path.step(length, self.tip_roll_rad):
             self._tip.turn_off(length)
         self.force_n = shaft.force_n + self._tip.step(length)
+        if self._force_model:
+            self.force_n += self._force_model.step(*self._moving_now())
 
     def tip(self) -> TipFrame:
         """Return where the tip is, in the frame of the lab: x along the insertion, y to the left, z up."""
@@ -144,6 +160,8 @@ class Plant:
         return self._shaft.tissue_mm
 
     def _bend(self, tip: TipFrame) -> float:
+        if self._model:
+            return 0.0
         x, y, _ = tip.position_mm
         (x0, y0, _), (tx, ty, _) = self._path.start.position_mm, self._line.tangent
         along = (x - x0) * tx + (y - y0) * ty
@@ -155,7 +173,27 @@ class Plant:
         if bend is None:
             assert self._places is not None
             bend = self._places.at(x, y)
+        power = self.setup.effects.curvature_speed_power
+        if power:
+            bend *= (max(abs(self.insertion.velocity), _SLOWEST_MM_S) / _USUAL_MM_S) ** power
         return bend * self.curvature_factor
+
+    def _aside(self, tip: TipFrame, roll_rad: float) -> tuple[float, float]:
+        """Return the curvature along n and b besides that of the bevel: of a bent needle, of its weight, of a model."""
+        if self._model:
+            n, b = self._model.bend(roll_rad, *self._moving_now())
+            return n * self.curvature_factor, b * self.curvature_factor
+        effects, length_mm = self.setup.effects, self.setup.shaft.length_mm
+        bent = effects.pre_bend_per_mm
+        sag = effects.sag_per_mm * max(1 - self.path_mm / length_mm, 0.0)
+        return (
+            -bent * math.sin(roll_rad) - sag * tip.normal[2],
+            bent * math.cos(roll_rad) - sag * tip.binormal[2],
+        )
+
+    def _moving_now(self) -> tuple[float, float, float, float]:
+        """Return the motion as a model has it: time, length of the path, speed, angle of the base."""
+        return self.now_s, self.path_mm, self.insertion.velocity, self.roll.position
 
     def _lag(self, inserted_mm: float) -> float:
         if not self._torsion.torque_per_length_n:

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from needleplan.errors import ExperimentError, Mistake
+from needleplan.models import Channel, Model
 from needleplan.models.friction.lugre import LuGre
 from needleplan.scenario import Scenario
 from needleplan.simulation.choices import FORCE_HZ
 from needleplan.simulation.effects import Effects
+from needleplan.simulation.modelled import require_simulated
 from needleplan.simulation.parts import Entry, Layer, Robot, Shaft, Tissue
 
 __all__ = ["Setup", "disagreements"]
@@ -21,8 +23,9 @@ class Setup:
     """Needle, tissue, robot and effects; the plan's curvature is `plan_curvature_per_mm`, positive to the left.
 
     Where neither tissue nor layers give a curvature, the needle bends as in the plan, or with a `scenario` whose
-    curvature differs from place to place, as in that. `friction` is Model II or III of
-    chapter 3, or None. Raises ExperimentError where the parts contradict each other.
+    curvature differs from place to place, as in that. `friction` is Model II or III of chapter 3, or None. A `path` is
+    a model of the path of a tip, which then says all about it, and `force` one of an axial force, which is added.
+    Raises ExperimentError where the parts contradict each other, ModelError for other models.
     """
 
     plan_curvature_per_mm: float = 0.0
@@ -34,9 +37,14 @@ class Setup:
     effects: Effects = Effects()
     friction: LuGre | None = None
     scenario: Scenario | None = None
+    path: Model | None = None
+    force: Model | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
+        for model, channel in ((self.path, Channel.TIP), (self.force, Channel.FORCE)):
+            if model is not None:
+                require_simulated(model, channel)
         mistakes = disagreements(self.entry, self.layers, self.shaft, self.robot)
         if mistakes:
             raise ExperimentError(mistakes)

@@ -50,11 +50,19 @@ class WanderingHeading:
 class TipPath3D:
     """The path of the tip in tissue that stands still, from the surface on.
 
-    `bend` says how strongly the bevel bends where the tip is (1/mm).
+    `bend` says how strongly the bevel bends where the tip is (1/mm), and `aside`, along n and b of its frame, by how
+    much more the path bends whatever the bevel does, where it has that roll.
     """
 
-    def __init__(self, start: TipFrame, bend: Callable[[TipFrame], float], wander: WanderingHeading) -> None:
+    def __init__(
+        self,
+        start: TipFrame,
+        bend: Callable[[TipFrame], float],
+        wander: WanderingHeading,
+        aside: Callable[[TipFrame, float], tuple[float, float]] | None = None,
+    ) -> None:
         self._bend = bend
+        self._aside = aside
         self._wander = wander
         self._length_mm = 0.0
         self.begin(start)
@@ -100,6 +108,9 @@ class TipPath3D:
         # A step ends where the curvature wanders, so that the path does not depend on the steps.
         bend = self._bend(self._newest)
         across_n, across_b = bend * math.cos(roll_rad), bend * math.sin(roll_rad)
+        if self._aside:
+            aside = self._aside(self._newest, roll_rad)
+            across_n, across_b = across_n + aside[0], across_b + aside[1]
         while self._cut_mm < length_mm:
             wander_n, wander_b, until_mm = self._wander.at(self._cut_mm)
             end_mm = min(until_mm, length_mm)

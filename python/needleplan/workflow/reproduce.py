@@ -10,7 +10,10 @@ from pathlib import Path
 from needleplan.errors import InputError, Mistake, OutputError
 from needleplan.workflow.comparison import Comparison
 
-__all__ = ["CHAPTERS", "Effort", "Request", "reproduce"]
+__all__ = ["Effort", "Request", "reproduce"]
+
+
+_MOST_SEEDS = 10_000
 
 
 class Effort(StrEnum):
@@ -36,9 +39,8 @@ class Request:
     experiments: bool = False
     """Whether the experiments of section 6.5 are repeated in the lab twin, in place of the chapter's computations."""
 
-
-CHAPTERS = ("ch2", "ch3", "ch4", "ch5", "ch6", "diagnosis")
-"""The chapters of the thesis with published results; not all are available yet."""
+    seeds: int = 0
+    """How many insertions for each hidden effect of the diagnosis; 0: as many as the effort has."""
 
 
 def _ch2(request: Request) -> list[Comparison]:
@@ -71,12 +73,19 @@ def _ch6(request: Request) -> list[Comparison]:
     return chapter.run(request)
 
 
+def _diagnosis(request: Request) -> list[Comparison]:
+    from needleplan.workflow.circle import chapter
+
+    return chapter.run(request)
+
+
 _AVAILABLE: dict[str, Callable[[Request], list[Comparison]]] = {
     "ch2": _ch2,
     "ch3": _ch3,
     "ch4": _ch4,
     "ch5": _ch5,
     "ch6": _ch6,
+    "diagnosis": _diagnosis,
 }
 
 
@@ -87,21 +96,24 @@ def reproduce(
     note: Callable[[str], None],
     *,
     experiments: bool = False,
+    seeds: int | None = None,
 ) -> list[Comparison]:
     """Run the chapters and return all comparisons; draw into the folder `figures` where one is given.
 
-    No chapters means all that are available. `experiments` is for chapter 6 alone. Raises InputError for a chapter that
-    is not available, OutputError for the folder.
+    No chapters means all. `experiments` is for chapter 6 alone, `seeds` for the diagnosis. Raises InputError for a
+    chapter that there is not, OutputError for the folder.
     """
     mistakes = [
-        Mistake(
-            "CHAPTER", f'"{chapter}"', "is not yet available" if chapter in CHAPTERS else f"must be one of {_names()}"
-        )
+        Mistake("CHAPTER", f'"{chapter}"', f"must be one of {', '.join(_AVAILABLE)}")
         for chapter in chapters
         if chapter not in _AVAILABLE
     ]
     if experiments and list(chapters) != ["ch6"]:
         mistakes.append(Mistake("--experiments", " ".join(chapters), "goes with the chapter ch6, and with no other"))
+    if seeds is not None and "diagnosis" not in chapters:
+        mistakes.append(Mistake("--seeds", " ".join(chapters), "goes with the chapter diagnosis, and with no other"))
+    if seeds is not None and not 1 <= seeds <= _MOST_SEEDS:
+        mistakes.append(Mistake("--seeds", f"{seeds}", f"must be a whole number from 1 to {_MOST_SEEDS}"))
     if mistakes:
         raise InputError(mistakes)
     folder = Path(figures) if figures else None
@@ -110,9 +122,5 @@ def reproduce(
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"cannot be made: {error.strerror}", str(folder)) from error
-    request = Request(folder, effort, note, experiments)
+    request = Request(folder, effort, note, experiments, seeds or 0)
     return [comparison for chapter in chapters or _AVAILABLE for comparison in _AVAILABLE[chapter](request)]
-
-
-def _names() -> str:
-    return ", ".join(CHAPTERS)

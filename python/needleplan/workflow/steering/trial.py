@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from needleplan.control import Insertion, Listener, Options
 from needleplan.control.report import drawn, path_distances_mm
 from needleplan.control.safety import SafetyLimits
-from needleplan.control.scene import Scene
 from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import PolicyTable
-from needleplan.scenario import Scenario
 from needleplan.signals import Array
 from needleplan.simulation import Plant
 from needleplan.workflow.steering.course import Guidance, Task
+from needleplan.workflow.steering.ended import ended
 from needleplan.workflow.steering.unguided import aimed_at_target, carried_out, planned_moves
 
 __all__ = ["Trial", "run_trial"]
@@ -126,12 +124,10 @@ def _judged(
     task: Task, table: PolicyTable, path: Array, planned: Array, turns_mm: Array, *, seen: tuple[float, float],
     counts: tuple[int, int], ending: tuple[str, str],
 ) -> Trial:  # fmt: skip
-    scene, places = _scene(table.scenario), path[:, :2].tolist()
-    touched = next((name for place in places if (name := scene.touches(*place))), "")
+    end = ended(table.scenario, path)
     return Trial(
-        task, path, planned, turns_mm, scene.target_distance_mm(*places[-1]), float(np.abs(path[:, 2]).max()),
-        _deviation_mm(planned, path), *seen, touched, any(scene.outside(*place) for place in places), *counts,
-        table.lookup(*task.course.pose).success, *ending,
+        task, path, planned, turns_mm, end.error_mm, float(np.abs(path[:, 2]).max()), _deviation_mm(planned, path),
+        *seen, end.touched, end.left, *counts, table.lookup(*task.course.pose).success, *ending,
     )  # fmt: skip
 
 
@@ -144,8 +140,3 @@ def _deviation_mm(planned: Array, path: Array) -> float:
     along = np.concatenate([[0.0], np.cumsum(lengths[1])])
     within = path[along <= lengths[0].sum(), :2]
     return float(path_distances_mm(planned, within).max(initial=0.0))
-
-
-@lru_cache(maxsize=16)
-def _scene(scenario: Scenario) -> Scene:
-    return Scene(scenario)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,17 +71,23 @@ def aimed_at_target(setup: Setup, table: PolicyTable, *, bending: bool) -> tuple
 
 
 def carried_out(
-    plant: Plant, moves: Moves, velocity_mm_s: float, velocity_rad_s: float, torsion: Torsion | None
+    plant: Plant,
+    moves: Moves,
+    velocity_mm_s: float,
+    velocity_rad_s: float,
+    torsion: Torsion | None,
+    roll: Callable[[int, float], float] = lambda bevel, depth_mm: 0.0 if bevel > 0 else math.pi,  # noqa: ARG005
 ) -> Array:
     """Carry out the moves, and return the true path of the tip in the tissue, [n, 3].
 
-    The lag of the tip is compensated as the loop does it.
+    The lag of the tip is compensated as the loop does it. `roll` says at which roll (rad) the needle bends to a side,
+    bevel +1 or -1, at a depth; it is asked for the middle of a move.
     """
     shaft_mm = plant.setup.shaft.length_mm
     path: list[tuple[float, float, float]] = []
     depth_mm = roll_rad = 0.0
     for length_mm, bevel in zip(moves.lengths_mm, moves.bevels, strict=True):
-        wanted = 0.0 if bevel > 0 else math.pi
+        wanted = roll(bevel, depth_mm + length_mm / 2)
         if wanted != roll_rad:
             goals = [wanted]
             if torsion is not None:
