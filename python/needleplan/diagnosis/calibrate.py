@@ -182,9 +182,13 @@ def fit_case(
     plain = output(coordinates)
     least = cost(plain, coordinates, lag)
     moving = np.array([name not in (*hold, *measurand.held) for name in free] + [measurand.usual_lag_s > 0])
+
+    def at(wanted: NDArray[np.bool_]) -> Array:
+        return _sensitivities(output, coordinates, plain, motion, lag, noise, rows, wanted)
+
     damping = 1e-4
     for _ in range(_STEPS):
-        sensitivities = _sensitivities(output, coordinates, plain, motion, lag, noise, rows)
+        sensitivities = at(moving)
         normal = sensitivities.T @ sensitivities + np.diag(belief**-2)
         target = np.where(moving, sensitivities.T @ left(plain, lag) - off(coordinates, lag) / belief, 0.0)
         normal = np.where(np.outer(moving, moving), normal, np.diag(np.diag(normal)))
@@ -208,7 +212,9 @@ def fit_case(
         if not found or promised < _DONE:
             break
     else:
-        sensitivities = _sensitivities(output, coordinates, plain, motion, lag, noise, rows)
+        sensitivities = at(moving)
+    if not moving.all():
+        sensitivities += at(~moving)
     predicted, residual = late(plain, motion, lag), left(plain, lag)
     best = model_at(coordinates)
     vectors, variances = (
@@ -242,19 +248,21 @@ def late(force: Array, motion: Motion, lag_s: float) -> Array:
     Several axes that follow one another, (axes * samples, ...), are late alike.
     """
     if len(force) > len(motion):
-        return np.concatenate([late(each, motion, lag_s) for each in np.split(force, len(force) // len(motion))])
+        axes = np.moveaxis(force.reshape(-1, len(motion), *force.shape[1:]), 0, -1)
+        return np.moveaxis(late(axes, motion, lag_s), -1, 0).reshape(force.shape)
     h = motion.interval_s.reshape((-1,) + (1,) * (force.ndim - 1))
     rise = np.diff(force, axis=0) / h
-    behind = np.empty_like(force)
+    found: Array = np.array(force, float)
     if lag_s <= 0:  # early instead: what a lag that is small goes over into
-        behind[0], behind[1:] = 0.0, -lag_s * rise
-        return force + behind
+        found[1:] -= lag_s * rise
+        return found
     decay = np.exp(-h / lag_s)
-    if float(decay.max()) < _FORGOTTEN:
-        behind[0], behind[1:] = 0.0, -lag_s * rise * (1 - decay)
-        behind[2:] += decay[1:] * behind[1:-1]
-        return force + behind
-    return force + recurrence(decay.ravel(), -lag_s * rise * (1 - decay), np.zeros(force.shape[1:]))
+    behind = -lag_s * rise * (1 - decay)
+    if float(decay.max()) >= _FORGOTTEN:
+        return force + recurrence(decay.ravel(), behind, np.zeros(force.shape[1:]))
+    found[1:] += behind
+    found[2:] += decay[1:] * behind[:-1]
+    return found
 
 
 def lag_taps(motion: Motion, lag_s: float) -> Array | None:
@@ -275,19 +283,23 @@ def lag_taps(motion: Motion, lag_s: float) -> Array | None:
 
 def _sensitivities(
     output: Callable[[Array], Array], coordinates: Array, plain: Array, motion: Motion, lag: float, noise: Noise,
-    rows: Array,
+    rows: Array, wanted: NDArray[np.bool_],
 ) -> Array:  # fmt: skip
-    """Return how what is measured depends on every coordinate and on the lag, whitened."""
-    raw = np.empty((len(plain), coordinates.size + 1))
-    for index in range(coordinates.size):
+    """Return how what is measured depends on coordinates and on the lag, whitened; 0 for those that are not wanted."""
+    chosen = np.flatnonzero(wanted)
+    raw = np.empty((len(plain), chosen.size))
+    for column, index in enumerate(chosen):
+        if index == coordinates.size:
+            step = 1e-4
+            raw[:, column] = (late(plain, motion, lag + step) - late(plain, motion, lag)) / step
+            continue
         moved = coordinates.copy()
         moved[index] += _RELATIVE
-        raw[:, index] = (output(moved) - plain) / _RELATIVE
-    raw[:, :-1] = late(raw[:, :-1], motion, lag)
-    step = 1e-4
-    raw[:, -1] = (late(plain, motion, lag + step) - late(plain, motion, lag)) / step
-    whitened: Array = noise.whiten(raw)[rows]
-    return whitened
+        raw[:, column] = late((output(moved) - plain) / _RELATIVE, motion, lag)
+    whitened = noise.whiten(raw)
+    found: Array = np.zeros((int(rows.sum()), wanted.size))
+    found[:, chosen] = whitened if rows.all() else whitened[rows]
+    return found
 
 
 def _modes(raw: Array, motion: Motion, lag: float, noise: Noise, rows: Array) -> tuple[Array, Array]:

@@ -23,8 +23,7 @@ def quaternions_along(turns_rad: Array, start: Array) -> Array:
     reach = 1
     while reach < a.size:
         a1, b1, a2, b2 = a[:-reach], b[:-reach], a[reach:], b[reach:]
-        joined = a1 * a2 - b1 * b2.conj(), a1 * b2 + b1 * a2.conj()
-        a, b = np.append(a[:reach], joined[0]), np.append(b[:reach], joined[1])
+        a[reach:], b[reach:] = a1 * a2 - b1 * b2.conj(), a1 * b2 + b1 * a2.conj()
         reach *= 2
     whole = np.array([a.real, a.imag, b.real, b.imag])
     return np.asarray(whole / np.sqrt((whole**2).sum(axis=0)))
