@@ -16,6 +16,8 @@ from needleplan.signals.record import UNITS
 __all__ = ["Checked", "Lack", "check_data"]
 
 _FEWEST = 200
+"""Numbers that a trial must have, of all axes together."""
+
 _NOISE_S = 5.0
 _SAME_RATE = 0.03
 _SAME_MOTION_MM = 0.5
@@ -96,8 +98,9 @@ def _unusable(record: Record, channel: Channel) -> list[Mistake]:
     mistakes = []
     for name in channel.columns:
         good = np.isfinite(record[name])
-        if good.sum() < _FEWEST:
-            rule = f"too short: at least {_FEWEST} samples of {name} are needed"
+        fewest = -(-_FEWEST // len(channel.columns))
+        if good.sum() < fewest:
+            rule = f"too short: at least {fewest} samples of {name} are needed"
             mistakes.append(Mistake(record.trial, f"{int(good.sum())} samples", rule))
         elif np.ptp(record[name][good]) == 0:
             rule = "is constant to the last bit: no sensor measures that"

@@ -74,6 +74,6 @@ def _ends(covariance: Array, joint: Joint, which: int) -> tuple[float, float]:
     round_ = np.linspace(0.0, 2 * np.pi, _POINTS, endpoint=False)
     edge = vector[:, None] + axes @ (radii[:, None] * np.array([np.cos(round_), np.sin(round_)]))
     lengths = np.hypot(*edge)
-    inside = bool(((axes.T @ vector / np.maximum(radii, 1e-300)) ** 2).sum() <= 1)
+    inside = bool(((axes.T @ vector / np.maximum(radii, 1e-9 * abs(size))) ** 2).sum() <= 1)
     low, high = (0.0 if inside else float(lengths.min())), float(lengths.max())
     return (low, high) if size >= 0 else (-high, -low)
