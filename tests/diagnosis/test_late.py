@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from needleplan.diagnosis import Library
 from needleplan.diagnosis.calibrate import lag_taps, late
 from needleplan.diagnosis.noise import Noise
 from needleplan.diagnosis.variation import at_depth
 from needleplan.models import simulate
 from needleplan.models.effects import effect_named
+from tests.diagnosis.tip_trials import BASE as TIP
+from tests.diagnosis.tip_trials import motion as tip_motion
 from tests.diagnosis.trials import BASE, motion
 
 
@@ -63,3 +67,15 @@ def test_functions_of_depth_are_interpolated() -> None:
     depth = np.append(np.random.default_rng(1).uniform(0, 30, 200), [0.0, 30.0])
     wanted = np.column_stack([np.interp(depth, places, row) for row in rows.T])
     np.testing.assert_allclose(at_depth(depth, places, rows), wanted, atol=1e-12)
+
+
+def test_columns_are_kept_by_the_whole_motion() -> None:
+    path = tip_motion(0)
+    turned = replace(path, angle_rad=path.angle_rad + 1.0)
+    library = Library([effect_named("pre_bend"), effect_named("coil_offset")], TIP)
+    candidates = library.candidates([path, turned])
+    for each in (path, turned, path):
+        wanted = np.column_stack([one.effect.columns(TIP, each, one.grid) for one in candidates])
+        np.testing.assert_array_equal(library.columns(TIP, each, candidates), wanted)
+    part = library.columns(TIP, path, candidates[1:])
+    np.testing.assert_array_equal(part, library.columns(TIP, path, candidates)[:, candidates[1].first :])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -27,6 +28,11 @@ class Candidates:
     grid: tuple[Mapping[str, float], ...]
     first: int
     """Where its columns begin."""
+
+    @cached_property
+    def words(self) -> str:
+        """Effect and grid: what its columns are kept by."""
+        return f"{self.effect.name} {self.grid}"
 
     @property
     def last(self) -> int:
@@ -88,14 +94,19 @@ class Library:
         Columns are for the nominal model unless `model` is far from it, so that data sets of one needle share them.
         """
         near = _near(model, self.nominal)
-        place = digest(motion.time_s.tobytes() + motion.depth_mm.tobytes() + motion.velocity_mm_s.tobytes())
-        parts = []
-        for each in candidates:
-            key = (place, f"{each.effect.name} {near} {each.grid}")
-            if key not in self._kept:
-                self._kept[key] = each.effect.columns(near, motion, each.grid)
-            parts.append(self._kept[key])
-        return np.column_stack(parts)
+        rows = motion.time_s, motion.depth_mm, motion.velocity_mm_s, motion.angle_rad
+        place = digest(b"".join(row.tobytes() for row in rows))
+        keys = [(place, f"{near} {each.words}") for each in candidates]
+        whole = (place, f"{near} {' '.join(each.words for each in candidates)}")
+        if whole not in self._kept:
+            for key, each in zip(keys, candidates, strict=True):
+                if key not in self._kept:
+                    self._kept[key] = each.effect.columns(near, motion, each.grid)
+            self._kept[whole] = stacked = np.column_stack([self._kept[key] for key in keys])
+            stacked.flags.writeable = False
+            ends = np.cumsum([len(each.grid) for each in candidates])
+            self._kept |= zip(keys, np.split(stacked, ends[:-1], axis=1), strict=True)  # so that all is kept once
+        return self._kept[whole]
 
 
 def _near(model: Model, nominal: Model) -> Model:

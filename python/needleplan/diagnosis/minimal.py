@@ -43,7 +43,7 @@ def smallest_seen(
     scores = space.scores(columns)
     curvature = scores.curvature[space.best]
     samples = sum(map(len, raw))
-    power = np.sqrt(sum((each**2).sum(axis=0) for each in raw) / samples)
+    power = np.sqrt(sum(np.einsum("nm,nm->m", each, each) for each in raw) / samples)
     found = []
     for each in candidates:
         part = slice(each.first, each.last)
