@@ -95,7 +95,8 @@ def test_a_held_out_trial_of_the_same_motion_proves_nothing() -> None:
     found = diagnose(BASE, data, library=LIBRARY)
     assert found.verdict is Verdict.AMBIGUOUS
     assert found.decision.tied == ("viscous",)
-    assert "repeat a motion" in found.decision.because
+    assert "no held-out trial of another motion" in found.decision.because
+    assert "repeat a motion" in " ".join(found.checked.lacks.values())
 
 
 def _short(data: list[Record]) -> list[Record]:

@@ -22,6 +22,8 @@ _NOISE_S = 5.0
 _SAME_RATE = 0.03
 _SAME_MOTION_MM = 0.5
 _GAP = 5.0
+_EVEN = 0.5
+_MOST_UNEVEN = 0.1
 
 
 class Lack(StrEnum):
@@ -110,6 +112,13 @@ def _unusable(record: Record, channel: Channel) -> list[Mistake]:
     steps = np.diff(record["time_s"])
     if steps.size and steps.max() > _GAP * np.median(steps):
         rule = f"has a gap of {steps.max():.3g} s between samples every {np.median(steps):.3g} s; cut the trial there"
+        mistakes.append(Mistake(f"time_s ({record.trial})", "", rule))
+    elif steps.size and (uneven := float(np.mean(np.abs(steps / np.median(steps) - 1) > _EVEN))) > _MOST_UNEVEN:
+        usual = f"from {np.median(steps):.3g} s"
+        rule = (
+            f"is sampled unevenly: {uneven:.0%} of the intervals differ by more than {_EVEN:.0%} {usual}, and noise "
+            "from sample to sample says nothing then. Record, or interpolate, at one rate"
+        )
         mistakes.append(Mistake(f"time_s ({record.trial})", "", rule))
     return mistakes
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needleplan.diagnosis.calibrate import Calibration, pooled
+from needleplan.diagnosis.calibrate import Calibration, Case, pooled
 from needleplan.diagnosis.check import Checked
 from needleplan.diagnosis.decide import Decision
 from needleplan.diagnosis.localise import Localisation
@@ -73,6 +73,11 @@ class Diagnosis:
         return tuple(each.added.name for each in self.effects)
 
     @property
+    def lacks_data(self) -> bool:
+        """Whether something fits that these data cannot carry as a name, rather than several effects alike."""
+        return self.verdict is Verdict.AMBIGUOUS and self.selection.joint is not None
+
+    @property
     def joint(self) -> Joint | None:
         """Base and effects, fitted together."""
         return self.selection.joint
@@ -85,9 +90,15 @@ class Diagnosis:
     @property
     def base(self) -> Model:
         """The base with the mean of its calibrated parameters, beside the effects where some were named."""
-        if self.selection.joint is None:
+        if not self.effects:
             return self.calibration.model
-        return pooled([case.model for case in self.selection.joint.cases], self.calibration.free)
+        return pooled([case.model for case in self._cases], self.calibration.free)
+
+    @property
+    def _cases(self) -> tuple[Case, ...]:
+        """The training trials, with the base beside the effects where some were named."""
+        joint = self.selection.joint
+        return joint.cases if joint and self.effects else self.calibration.training
 
     @property
     def model(self) -> Model:
@@ -105,7 +116,7 @@ class Diagnosis:
 
     def estimates(self) -> dict[str, Estimate]:
         """Return the base's parameters with 95 % intervals of their mean over the training trials."""
-        cases = self.selection.joint.cases if self.selection.joint else self.calibration.training
+        cases = self._cases
         found = {}
         for name in self.calibration.free:
             what = self.given.parameters()[name]

@@ -89,6 +89,8 @@ def localise(space: Space, cases: Sequence[Case], *, seed: int = 0) -> Localisat
     total = float(coefficients @ coefficients)
     for axis, labels in _labels(cases).items():
         whole = np.concatenate([np.asarray(each)[row] for each, row in zip(labels, rows, strict=True)])
+        if len(set(whole.tolist())) < 2:  # of one part it says nothing that it has all of the gap
+            continue
         bins += _binned(axis, whole, kept, coefficients, drawn, total)
     return Localisation(tuple(bins), tuple(_changes(space, cases)), total, kept.shape[1])
 

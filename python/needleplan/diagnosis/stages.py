@@ -7,16 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from needleplan.diagnosis.amounts import found_effects
-from needleplan.diagnosis.calibrate import Calibration, calibrate
+from needleplan.diagnosis.calibrate import Calibration, Case, calibrate
 from needleplan.diagnosis.channels import measurand_of
-from needleplan.diagnosis.check import Checked, Lack, check_data
+from needleplan.diagnosis.check import Checked, check_data
 from needleplan.diagnosis.decide import Decision, decide
 from needleplan.diagnosis.diagnosis import Diagnosis
 from needleplan.diagnosis.library import Library
 from needleplan.diagnosis.localise import Localisation, localise
 from needleplan.diagnosis.noise import Noise, fit_axes, together
 from needleplan.diagnosis.select import Selection, select
-from needleplan.diagnosis.space import Space
+from needleplan.diagnosis.space import LEVELS, Space
 from needleplan.diagnosis.unknown import Described, describe
 from needleplan.diagnosis.verdict import Gates, Verdict
 from needleplan.errors import Mistake, ModelError
@@ -26,6 +26,9 @@ from needleplan.provenance import digest
 from needleplan.signals import Record
 
 __all__ = ["diagnose"]
+
+_WORSE = 1.1
+"""Of the RMS that the base alone leaves: an effect that leaves more mends nothing."""
 
 
 def diagnose(
@@ -54,9 +57,14 @@ def diagnose(
     selection = select(calibration, library, gates, seed=seed)
     hidden = [each.noise_multiple for each in selection.smallest if each.visible]
     decision = decide(selection, gates, seen=float(np.quantile(hidden, 0.75)) if hidden else float("inf"))
-    decision = _limited(decision, checked)
+    decision = _limited(_helpful(decision, selection, calibration), checked)
     found = found_effects(selection) if decision.named else ()
     remarks = (*checked.remarks, *_strange(model, calibration))
+    if (selection.joint.space if selection.joint else selection.base).level >= LEVELS[-1]:
+        remarks += (
+            f"the tissue was taken to vary by {LEVELS[-1]:.0%} from place to place, the most that is considered: this "
+            "model is far from what was measured, or the noise is more than was taken for it",
+        )
     place = _localisation(decision, selection, calibration, seed)
     parents = "".join(sorted(each.digest or digest(each["time_s"].tobytes()) for each in recordings))
     return Diagnosis(
@@ -107,12 +115,34 @@ def _described(
     return None
 
 
+def _helpful(decision: Decision, selection: Selection, calibration: Calibration) -> Decision:
+    """Return the verdict, UNKNOWN where the base alone comes nearer to what was measured than with what was found.
+
+    Tissue that may vary takes up anything in the end, a wrong effect among it.
+    """
+    if not decision.named or selection.joint is None:
+        return decision
+    alone, both = _left_rms(calibration.training), _left_rms(selection.joint.cases)
+    if both <= _WORSE * alone:
+        return decision
+    text = (
+        f"beside tissue that varies by {selection.joint.space.level:.0%} the best of the known effects would be "
+        f"{' and '.join(decision.named)}, but the model alone comes nearer to what was measured"
+    )
+    return Decision(Verdict.UNKNOWN, (), (), selection.steps[0].rivals[0].axis, decision.explained, text)
+
+
+def _left_rms(cases: Sequence[Case]) -> float:
+    return float(np.sqrt(np.nanmean(np.concatenate([case.measured - case.predicted for case in cases]) ** 2)))
+
+
 def _limited(decision: Decision, checked: Checked) -> Decision:
     """Return the verdict that the data can carry: without noise, held-out motion or a second trial, no name is sure."""
-    serious = [why for lack, why in checked.lacks.items() if lack is not Lack.TRIALS or decision.named]
-    if decision.verdict not in (Verdict.NAMED, Verdict.INCOMPLETE) or not serious:
+    if decision.verdict not in (Verdict.NAMED, Verdict.INCOMPLETE) or not checked.lacks:
         return decision
-    text = f"{', '.join(decision.named)} fits best, but cannot be named: {'; '.join(serious)}"
+    fits = "fits" if len(decision.named) == 1 else "fit"
+    lack = ", ".join(f"no {lack}" for lack in checked.lacks)
+    text = f"{' and '.join(decision.named)} {fits} best, but these data cannot carry a name: {lack}"
     return Decision(Verdict.AMBIGUOUS, (), decision.named, decision.axis, decision.explained, text)
 
 

@@ -143,3 +143,16 @@ def test_an_effect_of_another_name_has_a_suggestion() -> None:
     assert effect_named("bias").title
     with pytest.raises(ModelError, match="must be one of"):
         effect_named("nothing like it")
+
+
+def test_it_can_be_added_beside_every_other(effect: Effect) -> None:
+    """A diagnosis takes one after the other, in any order."""
+    motion = path()
+    plain = simulate(base(effect), motion).output
+    for other in EFFECTS:
+        if other.channel is not effect.channel:
+            continue
+        both = other.apply(effect.apply(base(effect), values_of(effect)), values_of(other))
+        output = simulate(both, motion).output
+        assert output.shape == plain.shape
+        assert np.isfinite(output).all(), other.name

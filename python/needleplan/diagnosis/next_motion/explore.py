@@ -31,6 +31,11 @@ __all__ = ["Exploring", "exploring", "information_bits"]
 _SIZES = np.geomspace(0.03, 100.0, 15)
 """Of the noise's standard deviation."""
 
+_LONGEST_S = 45.0
+"""A motion is not longer than that, or than the recordings: of time that nobody asked about, anything says most."""
+
+_ALIKE = 0.99
+
 _INSTEAD = {Axis.PERIOD: Axis.DEPTH}
 """Where a wave of the position is missing, every place counts."""
 
@@ -45,6 +50,9 @@ class Exploring(NextMotion):
     """The motion from which most is learnt about a gap along its axis."""
 
     axis: Axis
+    also: Axis | None
+    """Another axis that the recordings cannot tell from it: at one speed and one way, time and depth are one."""
+
     unit: str
     visited: tuple[float, float]
     """Along the axis, by the recordings so far."""
@@ -65,21 +73,29 @@ class Exploring(NextMotion):
     def why(self) -> str:
         """Where it goes, and what is learnt there."""
         name = self.axis.replace("_", " ")
+        one = f" or {self.also}, which are one in these recordings" if self.also else ""
+        saw = _ends_words(self.visited, self.unit)
         return (
-            f"The gap lies along {name}, of which the recordings saw {self.visited[0]:.3g} to {self.visited[1]:.3g} "
-            f"{self.unit}; this motion goes from {self.reach[0]:.3g} to {self.reach[1]:.3g} {self.unit} and says "
-            f"{self.bits:.1f} bits of it, the last motion again {self.repeated_bits:.1f}."
+            f"The gap lies along {name}{one}; of {name} the recordings saw {saw}; this "
+            f"motion goes over {_ends_words(self.reach, self.unit)} and says {self.bits:.1f} bits of the gap, the last "
+            f"motion again {self.repeated_bits:.1f}."
         )
 
 
 def exploring(found: Diagnosis, axis: Axis, tried: Sequence[Tried], role: Role) -> Exploring | None:
     """Return the best of the motions for a gap along an axis; None where the channel has no functions along it."""
-    known = found.joint.cases if found.joint else found.calibration.training
+    known = found.joint.cases if found.effects and found.joint else found.calibration.training
+    longest = max(_LONGEST_S, *(float(np.ptp(case.motion.time_s)) for case in known))
+    tried = [each for each in tried if float(np.ptp(each[1].time_s)) <= longest] or tried
     level = np.array([found.selection.base.level])
     cases = [predicted_case(found.base, found.calibration, motion) for _, motion in tried]
+    also = _one_with(axis, known)
     columns = _columns(found, axis, [*known, *cases])
     if columns is None:
         return None
+    more = _columns(found, also, [*known, *cases]) if also else None
+    if more is not None:
+        columns = tuple(np.column_stack(each) for each in zip(columns, more, strict=True))
     whitened = [case.whiten(each) for case, each in zip([*known, *cases], columns, strict=True)]
     first = len(known)
     now, target = Space([case.block for case in known], level).normal(whitened[:first], 0)
@@ -89,8 +105,8 @@ def exploring(found: Diagnosis, axis: Axis, tried: Sequence[Tried], role: Role) 
     best = int(np.argmax(bits))
     program, motion = tried[best]
     return Exploring(
-        program, motion, role, axis, _UNITS[axis], _ends(axis, known), _ends(axis, [cases[best]]), bits[best], again,
-        tuple((each.name, value) for (each, _), value in zip(tried, bits, strict=True)),
+        program, motion, role, axis, also, _UNITS[axis], _ends(axis, known), _ends(axis, [cases[best]]), bits[best],
+        again, tuple((each.name, value) for (each, _), value in zip(tried, bits, strict=True)),
     )  # fmt: skip
 
 
@@ -109,11 +125,18 @@ def _more_bits(now: Array, case: Case, columns: Array, level: Array, size: float
 def _columns(found: Diagnosis, axis: Axis, cases: Sequence[Case]) -> tuple[Array, ...] | None:
     """Return the smooth function along the axis that gains most, or any; one array for each trial."""
     made = bases(cases)
-    rivals = found.selection.steps[-1 if found.joint else 0].rivals
+    rivals = found.selection.steps[-1 if found.effects else 0].rivals
     wanted = _INSTEAD.get(axis, axis)
     names = [each.name for each in rivals if each.name in made and made[each.name].axis is wanted]
     names += [name for name, basis in made.items() if basis.axis is wanted]
     return made[names[0]].columns if names else None
+
+
+def _one_with(axis: Axis, cases: Sequence[Case]) -> Axis | None:
+    """Return depth for time, and time for depth, where the two went along with each other in all trials."""
+    other = {Axis.TIME: Axis.DEPTH, Axis.DEPTH: Axis.TIME}.get(axis)
+    both = [np.corrcoef(case.motion.time_s, case.motion.depth_mm)[0, 1] for case in cases]
+    return other if other and min(both) > _ALIKE else None
 
 
 def _likeliest_size(matrix: Array, target: Array, noise_sd: float) -> float:
@@ -130,3 +153,7 @@ def _likeliest_size(matrix: Array, target: Array, noise_sd: float) -> float:
 def _ends(axis: Axis, cases: Sequence[Case]) -> tuple[float, float]:
     values = [axis_values(axis, case.motion, case.output) for case in cases]
     return min(float(each.min()) for each in values), max(float(each.max()) for each in values)
+
+
+def _ends_words(ends: tuple[float, float], unit: str) -> str:
+    return f"{ends[0]:.3g} to {ends[1]:.3g} {unit}"

@@ -68,5 +68,5 @@ def separations(found: Diagnosis, motion: Motion) -> tuple[Separation, ...]:
 def _role(found: Diagnosis) -> Role:
     """Return what one more trial is for: where only a trial of another motion lacks, it is the held-out one."""
     lacks = found.checked.lacks
-    waits = len(found.decision.tied) < 2 and Lack.TRIALS not in lacks
+    waits = found.lacks_data and Lack.TRIALS not in lacks
     return Role.HOLDOUT if waits and (Lack.HELD_OUT in lacks or Lack.OTHER_MOTION in lacks) else Role.TRAIN

@@ -96,6 +96,12 @@ class Separating(NextMotion):
     def why(self) -> str:
         """What it does for the pair that is hardest to tell apart, and which pairs nothing tells apart."""
         pair = min(self.separations, key=lambda each: each.thresholds)
+        if pair.rival == NOTHING or pair.true == NOTHING:
+            name = pair.true if pair.rival == NOTHING else pair.rival
+            return (
+                f"No two effects are left, but data lack. If {name} is what is missing, this motion shows it with "
+                f"{pair.thresholds:.0f} times the lead that a name needs."
+            )
         again = min(each.thresholds for each in self.repeated)
         text = (
             f"It should move the balance of {pair.true} and {pair.rival} by {pair.thresholds:.1f} times the lead that "

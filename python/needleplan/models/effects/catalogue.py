@@ -221,7 +221,7 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         _THESIS + "chapter 4",
         lambda reach: {SIZE: np.geomspace(0.1, 5.0, 10), "lag_s": (0.02, 0.07, 0.2, 0.6)},  # noqa: ARG005
         wrapper=GivingTissue,
-        beside=(ShaftAndTip,),
+        beside=(ShaftAndTip, SlowTurning),
     ),
     TermEffect(
         "path_damage", "path that wears with sliding", Family.TISSUE, Enters.SHAFT,

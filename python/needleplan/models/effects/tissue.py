@@ -51,6 +51,14 @@ class SlowTurning(SelfIntegratingModel):
         """Return the force."""
         return self.slow.output(state, motion)
 
+    def shaft_n(self, state: Array, motion: Motion) -> Array:
+        """Return the friction along the shaft."""
+        return self.slow.shaft_n(state, motion)
+
+    def tip_n(self, state: Array, motion: Motion) -> Array:
+        """Return the force on the tip."""
+        return self.slow.tip_n(state, motion)
+
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the states."""
         return self.slow.integrate(motion, start)
@@ -66,7 +74,7 @@ class GivingTissue(SelfIntegratingModel):
     State: that of the model, then u (mm).
     """
 
-    base: ShaftAndTip
+    base: ShaftAndTip | SlowTurning
     size: float = parameter("mm", 0, 50, "how far the tissue goes with the needle before it slides", typical=0.5)
     lag_s: float = parameter("s", 1e-3, 20, "damper over spring")
 

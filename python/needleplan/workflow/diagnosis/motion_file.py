@@ -66,7 +66,8 @@ def next_motion_document(next_: NextMotion) -> dict[str, object]:
             return found | {"purpose": "separate"} | _separating(next_)
         case Exploring():
             return found | {
-                "purpose": "explore", "axis": str(next_.axis), "visited": list(next_.visited),
+                "purpose": "explore", "axis": str(next_.axis),
+                "also": str(next_.also) if next_.also else None, "visited": list(next_.visited),
                 "reach": list(next_.reach), "bits": next_.bits, "repeated_bits": next_.repeated_bits,
                 "considered": [{"name": name, "bits": bits} for name, bits in next_.considered],
             }  # fmt: skip

@@ -91,26 +91,43 @@ def gap_figure(found: Diagnosis, traces: Sequence[Trace], unit: str) -> str:
 
 
 def map_figure(traces: Sequence[Trace]) -> str:
-    """Return where the gap lies, by depth and phase, before and after."""
+    """Return the whitened residual over the depth, and where its energy lies, by depth and phase; before and after."""
+    from matplotlib.colors import LogNorm
+
     both = traces[0].left_after is not None
-    figure, panels = _sheet(1 + both, 1, (7.4, 1.9 * (1 + both) + 0.4), sharex=True)
-    top = 2.0
-    for ax, after in zip(panels, (False, True), strict=False):
-        phases, edges, energy = gap_map(traces, after=after)
-        top = max(top, float(np.nanmax(energy))) if not after else top
-        image = ax.imshow(energy, cmap="viridis_r", vmin=0.5, vmax=min(top, 20.0), aspect="auto",
+    maps = [gap_map(traces, after=after) for after in (False, True)[: 1 + both]]
+    rows = len(maps[0][0])
+    heights = [1.4, 0.5 + 0.28 * rows] * len(maps)
+    figure, panels = _sheet(2 * len(maps), 1, (7.4, 0.6 + sum(heights)), sharex=True, height_ratios=heights)
+    top = max(20.0, *(float(np.nanmax(energy)) for _, _, energy in maps))
+    colours = LogNorm(0.5, top)
+    for index, (phases, edges, energy) in enumerate(maps):
+        _residual_panel(panels[2 * index], traces, after=index > 0)
+        ax = panels[2 * index + 1]
+        image = ax.imshow(energy, cmap="viridis_r", norm=colours, aspect="auto",
                           extent=(edges[0], edges[-1], len(phases) - 0.5, -0.5))  # fmt: skip
         middle = (edges[1:] + edges[:-1]) / 2
         for row, column in zip(*np.nonzero(np.isfinite(energy)), strict=True):
-            value = energy[row, column]
-            colour = "white" if value > 0.25 + 0.5 * min(top, 20.0) else "black"
-            ax.text(middle[column], row, f"{value:.2g}" if value < 100 else f"{value:.0f}", ha="center", va="center",
-                    fontsize=7, color=colour)  # fmt: skip
+            value = float(energy[row, column])
+            colour = "white" if colours(max(value, 0.5)) > 0.5 else "black"
+            text = f"{value:.2g}" if value < 100 else f"{value:.0f}" if value < 1e4 else f"{value:.0e}"
+            ax.text(middle[column], row, text, ha="center", va="center", fontsize=7, color=colour)
         ax.set_yticks(range(len(phases)), [str(each) for each in phases])
-        ax.set_title("model after" if after else "model before", loc="left", fontsize=9)
     panels[-1].set_xlabel("depth (mm)")
-    figure.colorbar(image, ax=panels, label="energy, 1: noise", shrink=0.9)
+    figure.colorbar(image, ax=panels[1::2], label="energy, 1: noise", shrink=0.9)
     return _svg(figure)
+
+
+def _residual_panel(ax: Axes, traces: Sequence[Trace], *, after: bool) -> None:
+    for each in traces:
+        left = each.left_after if after else each.left_before
+        if left is not None:
+            ax.plot(each.motion.depth_mm[each.sample], left, ".", ms=1.2, color=BLUE if after else VERMILLION,
+                    rasterized=True)  # fmt: skip
+    ax.axhspan(-2.576, 2.576, color=GREY, alpha=0.3, lw=0)
+    ax.set_title("model after" if after else "model before", loc="left", fontsize=9)
+    ax.set_ylabel("left, in\nnoise sd")
+    ax.grid(alpha=0.25)
 
 
 def candidates_figure(found: Diagnosis) -> str:
@@ -120,7 +137,7 @@ def candidates_figure(found: Diagnosis) -> str:
     rows = [(each.effect.name, fitted.get(each.effect.name, each.balance), True) for each in step.screened]
     rows += [(each.name, each.balance, False) for each in step.rivals]
     rows = sorted(rows, key=lambda each: -each[1])[: 2 * _MOST]
-    floor = min(-10.0, -0.04 * max(rows[0][1], 1.0))
+    floor = -10.0
     figure, (ax,) = _sheet(1, 1, (7.4, 0.8 + 0.19 * len(rows)))
     for place, (_, balance, named) in enumerate(rows):
         ax.barh(place, max(balance, floor), 0.7, color=BLUE if named else ORANGE, hatch="" if named else "//",
@@ -129,6 +146,7 @@ def candidates_figure(found: Diagnosis) -> str:
     ax.text(found.gates.balance, len(rows) - 0.3, f" threshold {found.gates.balance:g}", fontsize=8, va="bottom")
     ax.set_yticks(range(len(rows)), [name if named else f"({name})" for name, _, named in rows], fontsize=7.5)
     ax.set_xscale("symlog", linthresh=20)
+    ax.set_xlim(left=1.4 * floor)
     ax.set(ylim=(len(rows) - 0.3, -0.6), xlabel="balance: gain in likelihood less its price")
     ax.grid(axis="x", alpha=0.25)
     return _svg(figure)
@@ -196,14 +214,29 @@ def _rms(rows: Sequence[Any]) -> float:
 
 
 def _sheet(
-    rows: int, columns: int, size: tuple[float, float], *, sharex: bool = False, sharey: bool = False
+    rows: int,
+    columns: int,
+    size: tuple[float, float],
+    *,
+    sharex: bool = False,
+    sharey: bool = False,
+    height_ratios: Sequence[float] | None = None,
 ) -> tuple[Figure, list[Axes]]:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=size, layout="constrained")
-        return figure, list(figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey).flat)
+        return figure, list(
+            figure.subplots(
+                rows,
+                columns,
+                squeeze=False,
+                sharex=sharex,
+                sharey=sharey,
+                height_ratios=height_ratios,
+            ).flat
+        )
 
 
 def _svg(figure: Figure) -> str:
@@ -211,5 +244,5 @@ def _svg(figure: Figure) -> str:
 
     text = io.StringIO()
     with mpl.rc_context(_STYLE):
-        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+        figure.savefig(text, format="svg", dpi=200, metadata={"Date": None, "Creator": None})
     return text.getvalue()

@@ -15,7 +15,7 @@ from needleplan.signals.record import UNITS
 from needleplan.workflow.diagnosis import html, pictures
 from needleplan.workflow.diagnosis.report_next import next_part
 from needleplan.workflow.diagnosis.traces import Trace, correlation, gap_map, traces_of
-from needleplan.workflow.diagnosis.words import advice, answer, title_of
+from needleplan.workflow.diagnosis.words import STOPS, advice, answer, title_of
 
 __all__ = ["report_of"]
 
@@ -80,7 +80,7 @@ def _gap(found: Diagnosis, traces: Sequence[Trace], unit: str) -> Iterator[str]:
     yield html.heading("What the model leaves")
     text = f"Bars of what the model leaves, RMS in {unit}, for training and held-out trials, beside the noise"
     yield html.picture(pictures.gap_figure(found, traces, unit), text,
-                       "Before: the model, calibrated to each trial. After: with what was named.")  # fmt: skip
+                       f"Before: the model, calibrated to each trial. After: {_added(found)}.")  # fmt: skip
     rows = [(each.trial, "held out" if each.held_out else "training", _rms(each.measured - each.before),
              _rms(each.measured - each.after) if each.after is not None else None) for each in traces]  # fmt: skip
     yield html.table(f"RMS of what is left, {unit}; the noise is {found.calibration.noise.rms:.3g} {unit}",
@@ -93,8 +93,11 @@ def _where(found: Diagnosis, traces: Sequence[Trace]) -> Iterator[str]:
     row, column = np.unravel_index(np.nanargmax(energy), energy.shape)
     most = (f"before, most at {edges[column]:.3g} to {edges[column + 1]:.3g} mm, {phases[row]}: "
             f"{energy[row, column]:.3g} times the noise")  # fmt: skip
-    text = f"Map of the mean square of the whitened residual by depth and phase of the motion; {most}"
-    caption = f"Mean square of the whitened residual, all trials; 1 is noise alone. {most[0].upper()}{most[1:]}."
+    text = f"Whitened residual over depth, and a map of its mean square by depth and phase of the motion; {most}"
+    caption = (
+        "Whitened residual of all trials (grey: where 99 of 100 samples of noise lie), and its mean square by depth "
+        f"and phase; 1 is noise alone. {most[0].upper()}{most[1:]}."
+    )
     yield html.picture(pictures.map_figure(traces), text, caption)
     parts = found.localisation.where(_SMALL)
     if not parts:
@@ -168,7 +171,7 @@ def _candidates(found: Diagnosis) -> Iterator[str]:
         rows.append((
             str(number), first.name if first else "none", first.balance if first else None,
             f"{second.name} {second.balance:.3g}" if second else "none", each.p_value,
-            f"{each.rivals[0].name} {each.rivals[0].balance:.3g}", str(each.stop),
+            f"{each.rivals[0].name} {each.rivals[0].balance:.3g}", STOPS[each.stop],
         ))  # fmt: skip
     columns = ("round", "best effect", "balance", "next best", "p by chance", "best without a name", "how it ended")
     yield html.table("Round by round", columns, rows)
@@ -189,10 +192,15 @@ def _whiteness(found: Diagnosis, traces: Sequence[Trace]) -> Iterator[str]:
 
 def _smallest(found: Diagnosis, unit: str) -> Iterator[str]:
     yield html.heading("What would have been seen")
-    rows = [(each.effect, each.size if each.visible else None, each.unit or "1", each.rms if each.visible else None,
-             each.noise_multiple if each.visible else None,
-             "" if each.visible else "the model takes it up") for each in found.smallest]  # fmt: skip
-    columns = ("effect", "size", "unit", f"RMS ({unit})", "in noise RMS", "remark")
+    titles = {each.effect.name: each.effect.title for each in found.selection.steps[0].screened}
+    rows = [
+        (each.effect, titles.get(each.effect, ""), each.size, each.unit or "1", each.rms, each.noise_multiple, "")
+        if each.visible else
+        (each.effect, titles.get(each.effect, ""), None, each.unit or "1", None, None,
+         "not in these motions, or the model takes it up")
+        for each in found.smallest
+    ]  # fmt: skip
+    columns = ("effect", "what it is", "size", "unit", f"RMS ({unit})", "in noise RMS", "remark")
     yield html.table("The smallest effect that would have been named in these data", columns, rows)
 
 
@@ -224,6 +232,15 @@ def _provenance(found: Diagnosis, file: ModelFile) -> Iterator[str]:
     ]  # fmt: skip
     yield html.table("Model and program", ("fact", "value"), facts)
     yield html.table("Thresholds", ("gate", "value"), gates)
+
+
+def _added(found: Diagnosis) -> str:
+    """Return what `after` stands for in figures and tables."""
+    if found.effects:
+        return "with what was named"
+    if not found.lacks_data or found.joint is None:
+        return "nothing was added"
+    return f"with what fits best, {', '.join(each.effect.name for each in found.joint.added)}, which is no name yet"
 
 
 def _words(column: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from needleplan.diagnosis.next_motion import Exploring, NextMotion, Revealing, Separating
+from needleplan.diagnosis.next_motion import NOTHING, Exploring, NextMotion, Revealing, Separating
 from needleplan.workflow.diagnosis import html, pictures
 
 __all__ = ["next_part"]
@@ -23,7 +23,7 @@ def next_part(each: NextMotion | None) -> Iterator[str]:
     yield html.picture(pictures.motion_figure(each.motion), text,
                        f"The motion, {each.motion.time_s[-1]:.0f} s.")  # fmt: skip
     match each:
-        case Separating():
+        case Separating() if NOTHING not in {pair.rival for pair in each.separations}:
             yield html.table(
                 "How far one more trial tells the effects apart; 1 is the lead that a name needs",
                 ("if this is true", "against", "this motion", "the last one again", "this motion is enough"),
@@ -42,7 +42,7 @@ def next_part(each: NextMotion | None) -> Iterator[str]:
 
 
 def _promise(each: NextMotion) -> str:
-    if not isinstance(each, Separating):
+    if not isinstance(each, Separating) or NOTHING in {pair.rival for pair in each.separations}:
         return each.why
     odds = (
         f"It decides between the effects in question with a probability of {each.resolves:.0%}; the last training "

@@ -39,7 +39,8 @@ class Trace:
 
 def traces_of(found: Diagnosis) -> tuple[Trace, ...]:
     """Return the training trials, then those held out."""
-    calibration, joint = found.calibration, found.joint
+    calibration = found.calibration
+    joint = found.joint if found.effects or found.lacks_data else None  # what was turned down mends nothing
     training = joint.cases if joint else None
     held_out = cases_with(joint.added, calibration, calibration.held_out) if joint else None
     return (

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from needleplan.diagnosis import Axis, Diagnosis, Verdict
+from needleplan.diagnosis.select import Stop
 
-__all__ = ["advice", "answer", "title_of"]
+__all__ = ["STOPS", "advice", "answer", "title_of"]
 
 _ALONG = {
     Axis.TIME: "time: something changes from some moment on, or slowly",
@@ -16,6 +17,17 @@ _ALONG = {
     Axis.HOLD: "rest: something happens while the needle stands still",
     Axis.PERIOD: "position, again and again: a screw, a gear, a guide",
 }
+
+STOPS = {
+    Stop.ACCEPTED: "taken",
+    Stop.WEAK: "below the threshold",
+    Stop.CHANCE: "chance does as well too often",
+    Stop.TIE: "another does as well",
+    Stop.NO_TRANSFER: "does not hold in another motion",
+    Stop.SMALL: "too small beside the first",
+    Stop.ENOUGH: "no more are looked for",
+}
+"""How a round ended."""
 
 _TITLES = {
     Verdict.NONE: "nothing is missing that these data could show",
@@ -69,13 +81,15 @@ def _begun(text: str) -> str:
 def advice(found: Diagnosis) -> Iterator[str]:
     """Return what to do next."""
     for why in found.checked.lacks.values():
-        yield f"Record what is lacking: {why}."
+        yield f"Lacking: {why}."
     match found.verdict:
         case Verdict.NAMED:
             yield "Use model.toml beside this page from now on: it is the model with what was named."
         case Verdict.INCOMPLETE:
             yield "Diagnose again with more and other motions: what is left is too small or too unlike to be named."
-        case Verdict.AMBIGUOUS if len(found.decision.tied) > 1:
+        case Verdict.AMBIGUOUS if found.lacks_data:
+            yield "What fits best may be right: record what lacks, and diagnose again with all of it."
+        case Verdict.AMBIGUOUS:
             yield f"Make the motion below, which tells these apart: {', '.join(found.decision.tied)}."
         case Verdict.UNKNOWN:
             yield "Look at the map and at the trials below; a cause that is known can be added as an effect of its own."
@@ -87,4 +101,4 @@ def advice(found: Diagnosis) -> Iterator[str]:
         case _:
             pass
     for remark in found.remarks:
-        yield f"Remark: {remark}."
+        yield f"Remark: {remark}" + "." * (remark[-1:] not in "?!.")
