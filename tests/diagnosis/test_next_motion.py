@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from needleplan.diagnosis import Diagnosis, Library, diagnose
+from needleplan.diagnosis import Diagnosis, Gates, Library, Verdict, diagnose
 from needleplan.diagnosis.calibrate import fit_case
 from needleplan.diagnosis.next_motion import limits_of, next_motion, separations
 from needleplan.diagnosis.program import Limits, programs
@@ -43,7 +43,11 @@ def wavering() -> Diagnosis:
     time = np.arange(1500) / RATE_HZ
     still = {"time_s": time, "depth_mm": np.full(1500, -5.0), "force_n": coloured(generator, 1500)}
     library = Library([effect_named(name) for name in RIVALS], BASE)
-    return diagnose(BASE, [*found, Record(still, "noise", Role.NOISE)], library=library)
+    # With a lead that nothing has they are left beside each other, whatever the held-out trial says for one of them.
+    gates = Gates(lead=60.0)
+    diagnosis = diagnose(BASE, [*found, Record(still, "noise", Role.NOISE)], library=library, gates=gates)
+    assert diagnosis.verdict is Verdict.AMBIGUOUS
+    return diagnosis
 
 
 def test_the_linear_choice_is_that_of_fitting_the_rival_to_what_the_other_shows(wavering: Diagnosis) -> None:
