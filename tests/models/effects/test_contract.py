@@ -150,7 +150,7 @@ def test_it_can_be_added_beside_every_other(effect: Effect) -> None:
     motion = path()
     plain = simulate(base(effect), motion).output
     for other in EFFECTS:
-        if other.channel is not effect.channel:
+        if other.channel is not effect.channel or (other is effect and not effect.repeats):
             continue
         both = other.apply(effect.apply(base(effect), values_of(effect)), values_of(other))
         output = simulate(both, motion).output
