@@ -95,10 +95,10 @@ class Lab(Device):
         )
         if ticks % self._force_ticks == 0:
             stamp = Stamp(now_ns, ticks // self._force_ticks, 0, now_s)
-            self.force_sensor.put(self.forces.sample(stamp, plant.force_n, plant.torque_n_mm, now_s))
+            self.force_sensor.put(self.forces.sample(stamp, plant.felt_n, plant.torque_n_mm, now_s))
         if ticks % self._tracker_ticks == 0:
             stamp = Stamp(now_ns, ticks // self._tracker_ticks, 0, now_s)
-            self.tracker.put(self._poses.sample(stamp, plant.frame_behind(self._coil_mm)))
+            self.tracker.put(self._poses.sample(stamp, plant.seen_behind(self._coil_mm)))
 
 
 class _Reader(Generic[_Sample]):

@@ -1,6 +1,6 @@
 """A model from a file as the plant: the path of the tip, or the axial force, as a diagnosis has left it.
 
-What is of the sensor (`Enters.SENSOR`) is not in the plant: the tracker shows it.
+What is of the sensor (`Enters.SENSOR`) is not in the plant: the sensors show it.
 """
 
 from __future__ import annotations
@@ -18,28 +18,35 @@ __all__ = ["ModelledForce", "ModelledPath", "require_simulated"]
 
 def require_simulated(model: Model, channel: Channel) -> None:
     """Raise ModelError for a model that the lab twin cannot be, or of another channel."""
-    if model.channel is not channel or (channel is Channel.TIP and not isinstance(_plant(model), SteeredModel)):
+    usable = isinstance(_plant(model), SteeredModel) if channel is Channel.TIP else channel is Channel.FORCE
+    if model.channel is not channel or not usable:
         what = "the path of a tip in space" if channel is Channel.TIP else "the axial force"
         raise ModelError(Mistake("kind", model.name, f"must be of {what}"))
 
 
 class ModelledForce:
-    """An axial force that a model says, one tick at a time; positive where it resists insertion."""
+    """An axial force that a model says, one sample of its sensor at a time; positive where it resists insertion.
+
+    `force_n` is that of the plant, `shown_n` what the model says of the sensor besides.
+    """
 
     def __init__(self, model: Model) -> None:
-        self._model = _plant(model)
+        whole, plant = _whole(model), _plant(model)
+        self._models = (plant,) if whole == plant else (plant, whole)
         self._last: tuple[float, float, float, float] | None = None
-        self._state: Array | None = None
+        self._states: list[Array | None] = [None] * len(self._models)
+        self.force_n = self.shown_n = 0.0
 
-    def step(self, time_s: float, depth_mm: float, velocity_mm_s: float, angle_rad: float) -> float:
-        """Return the force (N) at a time that is later than the last one."""
-        now = (time_s, depth_mm, velocity_mm_s, angle_rad)
-        if self._last is None:
-            self._last = (time_s - 1e-3, depth_mm - 1e-3 * velocity_mm_s, velocity_mm_s, angle_rad)
-        motion = Motion.sampled(*np.array([self._last, now]).T)
-        gone = simulate(self._model, motion, self._state)
-        self._last, self._state = now, gone.states[:, -1]
-        return float(gone.output[-1])
+    def step(self, time_s: float, depth_mm: float, velocity_mm_s: float, base_rad: float) -> None:
+        """Go on to a time that is later than the last one."""
+        now = (time_s, depth_mm, velocity_mm_s, base_rad)
+        if self._last is not None:
+            motion = Motion.sampled(*np.array([self._last, now]).T)
+            gone = [simulate(model, motion, state) for model, state in zip(self._models, self._states, strict=True)]
+            self._states = [each.states[:, -1] for each in gone]
+            self.force_n = float(gone[0].output[-1])
+            self.shown_n = float(gone[-1].output[-1]) - self.force_n
+        self._last = now
 
 
 class ModelledPath:
@@ -49,9 +56,9 @@ class ModelledPath:
     """
 
     def __init__(self, model: Model, line: TipFrame) -> None:
-        plant, whole = _plant(model), model.whole if isinstance(model, AugmentedModel) else model
+        plant = _plant(model)
         assert isinstance(plant, SteeredModel)
-        self._plant, self._whole = plant, whole
+        self._plant, self._whole = plant, _whole(model)
         self._axes = np.array([line.tangent, line.normal, line.binormal]).T
         self._origin = np.array(line.position_mm)
         place, slopes = plant.entry(self._motion(0.0, 0.0, 0.0, 0.0))
@@ -97,6 +104,10 @@ class ModelledPath:
 def _plant(model: Model) -> Model:
     plant = model.plant if isinstance(model, AugmentedModel) else model
     return plant.whole if isinstance(plant, AugmentedModel) else plant
+
+
+def _whole(model: Model) -> Model:
+    return model.whole if isinstance(model, AugmentedModel) else model
 
 
 def _vector(array: Array) -> Vector:

@@ -12,6 +12,7 @@ from needleplan.errors import DeviceFault
 from needleplan.models import TipFrame, Torsion
 from needleplan.models.torsion import dragged
 from needleplan.simulation.axis import Axis
+from needleplan.simulation.choices import FORCE_HZ
 from needleplan.simulation.modelled import ModelledForce, ModelledPath
 from needleplan.simulation.places import PlannedCurvature
 from needleplan.simulation.setup import Setup
@@ -60,6 +61,7 @@ class Plant:
         odd = effects.pre_bend_per_mm or effects.sag_per_mm or self._model
         self._path = TipPath3D(self._start, self._bend, wander, self._aside if odd else None)
         self._force_model = ModelledForce(setup.force) if setup.force else None
+        self._force_ticks = robot.servo_hz // FORCE_HZ
         self._shaft = ShaftForce(
             setup.friction, robot.deepest_mm, effects.tissue_compliance_mm_n, effects.tissue_relaxation_s
         )
@@ -135,7 +137,9 @@ class Plant:
             self._tip.turn_off(length)
         self.force_n = shaft.force_n + self._tip.step(length)
         if self._force_model:
-            self.force_n += self._force_model.step(*self._moving_now())
+            if self.ticks % self._force_ticks == 0:
+                self._force_model.step(*self._moving_now())
+            self.force_n += self._force_model.force_n
 
     def tip(self) -> TipFrame:
         """Return where the tip is, in the frame of the lab: x along the insertion, y to the left, z up."""
@@ -147,7 +151,24 @@ class Plant:
         along = self._breath[0] + self._shaft.tissue_mm
         across = self._breath[1] if self._entered else 0.0
         t, n = self._line.tangent, self._line.normal
+        if self._model:
+            frame = frame.moved(self._model.shift(frame, self.tip_roll_rad, *self._moving_now(), shown=False))
         return frame.moved((along * t[0] + across * n[0], along * t[1] + across * n[1], along * t[2] + across * n[2]))
+
+    def seen_behind(self, distance_mm: float) -> TipFrame:
+        """Return where a tracker has that frame, but for its noise: there, or where a model of the path shows it."""
+        true = self.frame_behind(distance_mm)
+        if not self._model:
+            return true
+        frame = self._path.tip() if distance_mm == 0 else self._path.frame_at(self.path_mm - distance_mm)
+        shifts = [self._model.shift(frame, self.tip_roll_rad, *self._moving_now(), shown=one) for one in (True, False)]
+        x, y, z = (shown - own for shown, own in zip(*shifts, strict=True))
+        return true.moved((x, y, z))
+
+    @property
+    def felt_n(self) -> float:
+        """The force that a sensor without errors of the lab feels: the true one, or as a model says of it besides."""
+        return self.force_n + (self._force_model.shown_n if self._force_model else 0.0)
 
     @property
     def breath_mm(self) -> tuple[float, float]:

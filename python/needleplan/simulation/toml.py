@@ -7,6 +7,7 @@ from dataclasses import MISSING, fields
 from typing import Any
 
 from needleplan.errors import InputError, Mistake, ModelError
+from needleplan.models import Channel, Model, ModelFile
 from needleplan.models.friction import AveragedLuGre, LumpedLuGre
 from needleplan.models.friction.lugre import LuGre
 from needleplan.scenario import Scenario
@@ -14,6 +15,7 @@ from needleplan.scenario.document import document
 from needleplan.scenario.parts import checked
 from needleplan.scenario.rules import Integer, Refused, Text, shown, suggestion
 from needleplan.simulation.effects import Effects
+from needleplan.simulation.modelled import require_simulated
 from needleplan.simulation.parts import Entry, Layer, Move, Robot, Setting, Shaft, Tissue
 from needleplan.simulation.setup import Setup, disagreements
 
@@ -24,7 +26,7 @@ SCHEMA = "needleplan.experiment/1"
 _TABLES: dict[str, type[Setting]] = {
     "entry": Entry, "tissue": Tissue, "shaft": Shaft, "robot": Robot, "effects": Effects,
 }  # fmt: skip
-_KEYS = ("schema", "title", "seed", "scenario", *_TABLES, "layer", "friction", "move")
+_KEYS = ("schema", "title", "seed", "scenario", "model", *_TABLES, "layer", "friction", "move")
 _FRICTIONS: dict[str, type[LuGre]] = {each.name: each for each in (LumpedLuGre, AveragedLuGre)}
 _MOST_MOVES = 1000
 
@@ -48,17 +50,26 @@ def parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
         mistakes.append(Mistake("move", "", "is missing: an experiment has at least one [[move]]"))
     friction = _friction(given.get("friction"), mistakes)
     tissue = tables["tissue"]
-    if isinstance(tissue, Tissue) and tissue.curvature_per_mm is None and "scenario" not in given:
-        mistakes.append(Mistake("tissue.curvature_per_mm", "", "is missing: it is needed where there is no scenario"))
+    models = _models(given.get("model", []), mistakes)
+    path = models.get(Channel.TIP)
+    mistakes += _two_curvatures(path, tissue, layers, planned="scenario" in given)
     made: Any = tables
     mistakes += disagreements(made["entry"], [each for each in layers if each], made["shaft"], made["robot"])
     mistakes += unfit_moves(moves, made["robot"])
     if not mistakes:
         scenario = parts["scenario"]
         plan = 1 / scenario.needle.curvature_radius_mm if scenario else made["tissue"].curvature_per_mm
+        if plan is None and path:
+            plan = path.values()["curvature_per_mm"]
         parts["moves"] = tuple(moves)
         parts["setup"] = Setup(
-            plan, layers=tuple(each for each in layers if each), friction=friction, scenario=scenario, **made
+            plan,
+            layers=tuple(each for each in layers if each),
+            friction=friction,
+            scenario=scenario,
+            path=path,
+            force=models.get(Channel.FORCE),
+            **made,
         )
     return parts, mistakes
 
@@ -106,6 +117,40 @@ def _scenario(raw: object, mistakes: list[Mistake]) -> Scenario | None:
             Mistake(f"scenario {each.key}".strip(), each.value or shown(raw), each.rule) for each in error.mistakes
         ]
         return None
+
+
+def _models(raw: object, mistakes: list[Mistake]) -> dict[Channel, Model]:
+    """Return the models of model files by what they are of: a path of a tip, an axial force."""
+    files = [raw] if isinstance(raw, str) else raw
+    if not isinstance(files, list) or not all(isinstance(each, str) for each in files):
+        mistakes.append(Mistake("model", shown(raw), "must be the name of a model file, or a list of some"))
+        return {}
+    found: dict[Channel, Model] = {}
+    for file in files:
+        try:
+            model = ModelFile.read(file).model
+            require_simulated(model, model.channel)
+        except InputError as error:
+            mistakes += [Mistake(f"model {each.key}".strip(), each.value or file, each.rule) for each in error.mistakes]
+            continue
+        if model.channel in found:
+            mistakes.append(Mistake("model", file, f"must not be a second one of the {model.channel}"))
+        found[model.channel] = model
+    return found
+
+
+def _two_curvatures(
+    path: Model | None, tissue: Tissue | None, layers: Sequence[Layer | None], *, planned: bool
+) -> Iterator[Mistake]:
+    """Yield the mistakes of a curvature that nothing says, or that tissue and model say both."""
+    if tissue and tissue.curvature_per_mm is None and not path and not planned:
+        rule = "is missing: it is needed where there is neither scenario nor a model of the path"
+        yield Mistake("tissue.curvature_per_mm", "", rule)
+    named = {"tissue": tissue} | {f"layer {number}": each for number, each in enumerate(layers, start=1)}
+    for name, part in named.items():
+        if path and part and part.curvature_per_mm is not None:
+            rule = "must not be there: the model says how the path bends"
+            yield Mistake(f"{name}.curvature_per_mm", f"{part.curvature_per_mm:g}", rule)
 
 
 def _part(kind: type[Setting], raw: object, key: str, mistakes: list[Mistake]) -> Any:
