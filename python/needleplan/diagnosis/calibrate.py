@@ -20,7 +20,21 @@ from needleplan.models import Channel, Model, Scale, simulate
 from needleplan.models.recurrence import recurrence
 from needleplan.signals import Array, Motion, Record
 
-__all__ = ["Calibration", "Case", "calibrate", "fit_case", "lag_taps", "late", "measured_of", "pooled", "with_measured"]
+__all__ = [
+    "LAG",
+    "Calibration",
+    "Case",
+    "calibrate",
+    "fit_case",
+    "lag_taps",
+    "late",
+    "measured_of",
+    "pooled",
+    "with_measured",
+]
+
+LAG = "lag_s"
+"""Name of the lag among what is held."""
 
 _STEPS = 10
 _TRIES = 5
@@ -141,7 +155,7 @@ def fit_case(
     Where the last step was too short to count, sensitivities are those before it.
 
     `whole` makes of the base the model with the effects that are held. Parameters are believed to be near those of
-    `about`, by default `model`; those in `hold` stay as they are in `model`.
+    `about`, by default `model`; those in `hold` stay as they are in `model`, and `LAG` as it starts.
     """
     measurand = measurand_of(model.channel)
     usual_lag_s = max(measurand.usual_lag_s, 1e-9)
@@ -181,7 +195,9 @@ def fit_case(
     lag = start_lag_s if measurand.usual_lag_s else 0.0
     plain = output(coordinates)
     least = cost(plain, coordinates, lag)
-    moving = np.array([name not in (*hold, *measurand.held) for name in free] + [measurand.usual_lag_s > 0])
+    moving = np.array(
+        [name not in (*hold, *measurand.held) for name in free] + [measurand.usual_lag_s > 0 and LAG not in hold]
+    )
 
     def at(wanted: NDArray[np.bool_]) -> Array:
         return _sensitivities(output, coordinates, plain, motion, lag, noise, rows, wanted)

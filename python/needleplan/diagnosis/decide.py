@@ -55,7 +55,7 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
             text = "these effects explain the gap alike: " + ", ".join(last.tied)
             return Decision(Verdict.AMBIGUOUS, (), last.tied, None, None, text)
         unsupported = last.stop is Stop.NO_TRANSFER and last.ranked[0].balance > _STRONG * gates.balance
-        if rival.balance >= gates.balance or unsupported:
+        if rival.balance >= gates.needed(selection.base.level) or unsupported:
             if last.stop is Stop.NO_TRANSFER and last.ranked[0].balance > rival.balance:
                 return _unknown(rival.axis, f"{last.ranked[0].name} fits best, but does not hold in another motion")
             return _unknown(rival.axis, "a smooth function without a name explains what no known effect does")

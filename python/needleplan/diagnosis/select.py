@@ -10,7 +10,8 @@ from enum import StrEnum
 import numpy as np
 from scipy import stats
 
-from needleplan.diagnosis.calibrate import Calibration, Case, fit_case
+from needleplan.diagnosis.calibrate import LAG, Calibration, Case, fit_case
+from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.library import Candidates, Library
 from needleplan.diagnosis.minimal import Smallest, smallest_seen
 from needleplan.diagnosis.refit import Added, Joint, refit
@@ -21,15 +22,21 @@ from needleplan.diagnosis.space import Space
 from needleplan.diagnosis.verdict import Gates
 from needleplan.diagnosis.verify import Verified, verify
 from needleplan.models import Model
+from needleplan.models.effects import SIZE
 from needleplan.signals import Array
 
 __all__ = ["Ranked", "Selection", "Step", "Stop", "select", "whitened_columns"]
 
 _REFITTED = 4
 _NEAR = 40.0
+_NEAR_SHARE = 0.1
+"""How far behind the best an effect is still fitted: columns are not what a fit reaches."""
 _NULLS = 200
-_SHORT = 15.0
-"""By how much columns beside the base may fall short of what a fit of both then reaches."""
+_LAGS = 2.0
+"""Multiple of the usual lag from which on being late is an effect."""
+_IMITATED = 30.0
+_TRIED = 5.0
+"""Balance of its column from which on an effect is fitted: beside a base that imitates it, it shows only in part."""
 _FAR = 0.3
 
 
@@ -137,6 +144,13 @@ def select(calibration: Calibration, library: Library, gates: Gates, *, seed: in
     return Selection(base, tuple(steps), joint, verified, smallest, again)
 
 
+_Trials = tuple[Sequence[Case], Sequence[Array]]
+"""Cases, and the candidates' columns along them."""
+
+_Start = tuple[Screened, Sequence[Case]]
+"""From where an effect is fitted, beside which base."""
+
+
 @dataclass(frozen=True)
 class _Round:
     """What a round knows of those before it."""
@@ -156,29 +170,23 @@ def _round(
     space: Space,
     cases: Sequence[Case],
     columns: Sequence[Array],
-    other: tuple[Sequence[Case], Sequence[Array]] | None,
+    other: _Trials | None,
 ) -> Step:
     gates, taken, before, steps = known.gates, known.taken, known.before, known.steps
     names = {each.effect.name for each in taken if not each.effect.repeats}
     left = [each for each in known.candidates if each.effect.name not in names]
     screened = tuple(each for each in screen(space, columns, known.candidates) if each.effect.name not in names)
     rivals = score_rivals(space, cases)
-    needed = gates.balance_varied if space.level > gates.varied else gates.balance
+    needed = gates.needed(space.level)
     if not screened:
         return Step(screened, rivals, (), None, gates.lead, None, Stop.WEAK)
     if len(taken) >= gates.most:
         return Step(screened, rivals, (), None, gates.lead, None, Stop.ENOUGH)
-    starts = [(each, cases) for each in screened if each.balance > screened[0].balance - _NEAR][:_REFITTED]
-    if screened[0].balance < needed - _SHORT:
-        starts = []
-    if other:
-        believed = Space([case.block for case in other[0]])
-        behind = 2 * float(known.base.evidence.max() - believed.evidence.max())
-        found = [each for each in screen(believed, other[1], known.candidates) if each.balance - behind > needed - 30]
-        starts += [(each, other[0]) for each in found[: _REFITTED - 1]]
-    if not starts:
+    starts = _starts_as_believed(known, other, needed) if other else []
+    likely = screened if screened[0].balance >= _TRIED else ()
+    ranked = _fitted(known, starts, [(each, cases) for each in likely], space)
+    if not ranked:
         return Step(screened, rivals, (), None, gates.lead, None, Stop.WEAK)
-    ranked = _fitted(known, starts, space)
     ranked = sorted(_judged(known, ranked, needed), key=lambda each: -each.support)
     vetoed = {each.name for each in ranked if each.verified and not _transfers(each, each.verified, known)}
     if len(vetoed) < sum(each.verified is not None for each in ranked):
@@ -216,7 +224,7 @@ def _rivals(best: Ranked, other: Ranked, lead: float) -> bool:
 def _judged(known: _Round, ranked: Sequence[Ranked], needed: float) -> list[Ranked]:
     """Return effects with what they bring in another motion, those that could be named or are near the best."""
     before = known.steps[-1].verified if known.taken else None
-    least = max(needed, ranked[0].balance - _NEAR)
+    least = max(needed, ranked[0].balance - max(_NEAR, _NEAR_SHARE * ranked[0].balance))
     found = []
     for each in ranked:
         seen = verify(each.joint, known.calibration) if each.balance >= least else None
@@ -225,19 +233,50 @@ def _judged(known: _Round, ranked: Sequence[Ranked], needed: float) -> list[Rank
     return found
 
 
-def _fitted(known: _Round, starts: Sequence[tuple[Screened, Sequence[Case]]], space: Space) -> list[Ranked]:
-    """Return effects fitted from where they were screened, the best first and each once."""
+def _starts_as_believed(known: _Round, other: _Trials, needed: float) -> list[_Start]:
+    """Return where effects may be that the calibrated base imitates: seen from the base as it was believed to be."""
+    cases, columns = other
+    believed = Space([case.block for case in cases])
+    behind = 2 * float(known.base.evidence.max() - believed.evidence.max())
+    seen = screen(believed, columns, known.candidates)
+    found = [(each, cases) for each in seen if each.balance - behind > needed - _IMITATED][: _REFITTED - 1]
+    lag = _usual_late(known.calibration)
+    return found + [
+        (replace(each, values={**each.values, SIZE: lag}), cases) for each in seen if each.effect.is_lag and lag
+    ]
+
+
+def _fitted(known: _Round, certain: Sequence[_Start], screened: Sequence[_Start], space: Space) -> list[Ranked]:
+    """Return effects fitted from where they were screened, the best first and each once.
+
+    What is `certain` is fitted; of what was screened, the best, until the next one is far behind what a fit reached.
+    """
     price = space.price
+    usual_lag_s = measurand_of(known.calibration.given.channel).usual_lag_s
     found: dict[str, Ranked] = {}
-    for each, cases in starts:
+    for count, (each, cases) in enumerate([*certain, *screened]):
+        best = max((ranked.balance for ranked in found.values()), default=-math.inf)
+        if count >= len(certain) and (
+            each.balance < best - max(_NEAR, _NEAR_SHARE * best) or count >= len(certain) + _REFITTED
+        ):
+            break
         within = next(c.within() for c in known.candidates if c.effect is each.effect)
         start = [*known.taken, Added(each.effect, each.values, within)]
         joint = refit(start, known.calibration, known.base, cases if not known.taken else None)
+        if each.effect.is_lag and joint.added[-1].values[SIZE] < _LAGS * usual_lag_s:
+            continue  # any sensor may be as late as that
         gain = max(joint.gain - known.before, 0.0)
         ranked = Ranked(each.effect.name, joint, gain - len(each.effect.parameters) * price)
         if ranked.name not in found or ranked.balance > found[ranked.name].balance:
             found[ranked.name] = ranked
     return sorted(found.values(), key=lambda each: -each.balance)
+
+
+def _usual_late(calibration: Calibration) -> float:
+    """Return the lag that calibration found (s), 0 where it is one that any sensor may have."""
+    usual_lag_s = measurand_of(calibration.given.channel).usual_lag_s
+    found = float(np.median([case.lag_s for case in calibration.training]))
+    return found if usual_lag_s > 0 and found > _LAGS * usual_lag_s else 0.0
 
 
 def _believed(calibration: Calibration) -> tuple[Case, ...]:
@@ -253,12 +292,15 @@ def _believed(calibration: Calibration) -> tuple[Case, ...]:
         if abs(given.parameters()[name].coordinate(getattr(now, name))
                - given.parameters()[name].coordinate(getattr(given, name))) > _FAR
     }  # fmt: skip
-    if not far:
+    late = _usual_late(calibration) > 0
+    if not far and not late:
         return ()
+    held = {*far, LAG} if late else far
+    usual_lag_s = measurand_of(given.channel).usual_lag_s
     return tuple(
         fit_case(
             case.model.with_values(**{name: getattr(given, name) for name in far}), case.record, calibration.noise,
-            calibration.free, start_lag_s=case.lag_s, about=given, hold=far,
+            calibration.free, start_lag_s=usual_lag_s if late else case.lag_s, about=given, hold=held,
         )
         for case in calibration.training
     )  # fmt: skip

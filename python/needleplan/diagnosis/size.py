@@ -50,9 +50,12 @@ def interval_of(joint: Joint, which: int, name: str) -> tuple[float, float]:
 def is_there(joint: Joint, which: int) -> bool:
     """Whether the size of an effect differs from zero, its places and times held: at zero there are none."""
     kept = [row for row, (index, name) in enumerate(joint.names) if index != which or name in (SIZE, DIRECTION)]
-    precision = np.linalg.pinv(joint.covariance, hermitian=True)[np.ix_(kept, kept)]
+    # In units of the standard deviations: one that is vague must not hide one that is known.
+    scale = np.sqrt(np.maximum(np.diag(joint.covariance), 1e-300))
+    precision = np.linalg.pinv(joint.covariance / np.outer(scale, scale), hermitian=True)[np.ix_(kept, kept)]
     covariance = np.zeros_like(joint.covariance)
     covariance[np.ix_(kept, kept)] = np.linalg.pinv(precision, hermitian=True)
+    covariance *= np.outer(scale, scale)
     low, high = _ends(covariance, joint, which)
     return low * high > 0
 

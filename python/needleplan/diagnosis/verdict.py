@@ -75,3 +75,7 @@ class Gates:
 
     relevant: float = 1.0
     """Size, in noise RMS, that matters: where less than that would have been seen, no gap means that there is none."""
+
+    def needed(self, level: float) -> float:
+        """Return the balance that is needed in tissue that varies by `level`."""
+        return self.balance_varied if level > self.varied else self.balance

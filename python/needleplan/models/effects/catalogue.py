@@ -14,8 +14,9 @@ from needleplan.errors import Mistake, ModelError
 from needleplan.models.base import Channel, Model
 from needleplan.models.effects import cutting, sensor, shaft
 from needleplan.models.effects.base import SIZE, Effect, Enters, Family, Reach, Term, WithTerm
+from needleplan.models.effects.lagging import Lagging
 from needleplan.models.effects.path import PathTerm
-from needleplan.models.effects.tissue import BreathingTissue, GivingTissue, Lagging, SlowTurning
+from needleplan.models.effects.tissue import BreathingTissue, GivingTissue, SlowTurning
 from needleplan.models.insertion import ShaftAndTip
 from needleplan.models.parameter import Parameter, parameters_of
 from needleplan.models.simulate import simulate
@@ -270,7 +271,8 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
     ),
     WrapEffect(
         "latency", "reading that is late", Family.SENSOR, Enters.SENSOR,
-        "size y' = F - y", "The force arrives later than the position.", _THESIS + "appendix A",
+        "y = F(t - size), by 32 lags of size/32 in a row", "The force arrives later than the position.",
+        _THESIS + "appendix A",
         wrapper=Lagging,
         is_lag=True,
     ),

@@ -11,13 +11,10 @@ import numpy as np
 from needleplan.models.base import Channel, Model, SelfIntegratingModel
 from needleplan.models.insertion import ShaftAndTip
 from needleplan.models.parameter import parameter
-from needleplan.models.recurrence import recurrence
 from needleplan.models.simulate import simulate
 from needleplan.signals import Array, Motion
 
-__all__ = ["BreathingTissue", "GivingTissue", "Lagging", "SlowTurning"]
-
-_SHORTEST_S = 1e-9
+__all__ = ["BreathingTissue", "GivingTissue", "SlowTurning"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,45 +154,3 @@ class BreathingTissue(SelfIntegratingModel):
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the states of the base in the relative motion."""
         return simulate(self.base, self.relative(motion), start).states
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lagging(SelfIntegratingModel):
-    """A model as it is measured by a sensor that follows it, size y' = F - y: a delay of `size` at low frequencies.
-
-    State: that of the model, then the reading y.
-    """
-
-    base: Model
-    size: float = parameter("s", 0, 10, "time by which the reading is late", typical=0.01)
-
-    @property
-    def channel(self) -> Channel:  # type: ignore[override]
-        """What the base predicts."""
-        return self.base.channel
-
-    def initial_state(self, motion: Motion) -> Array:
-        """Return that of the base, and its output."""
-        own = self.base.initial_state(motion)
-        first = motion[0] if np.ndim(motion.depth_mm) else motion
-        return np.append(own, float(self.base.output(own, first)))
-
-    def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of the base and of the reading."""
-        own = state[:-1]
-        behind = (self.base.output(own, motion) - state[-1]) / max(self.size, _SHORTEST_S)
-        return np.concatenate([self.base.derivative(own, motion), np.asarray(behind)[None]])
-
-    def output(self, state: Array, motion: Motion) -> Array:
-        """Return the reading; the output of the base, where the size is 0."""
-        return np.asarray(state[-1]) if self.size else self.base.output(state[:-1], motion)
-
-    def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states; the reading exactly for a force that is linear between samples."""
-        states = simulate(self.base, motion, start[:-1]).states
-        force = np.asarray(self.base.output(states, motion), float)
-        lag = max(self.size, _SHORTEST_S)
-        h = motion.interval_s
-        decay, slope = np.exp(-h / lag), np.diff(force) / h
-        late = recurrence(decay, -lag * slope * (1 - decay), float(start[-1] - force[0]))
-        return np.vstack([states, force + late])
