@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,7 +51,7 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     rival = first.rivals[0]
     if selection.joint is None:
         if last.stop is Stop.TIE:
-            if _loses(last.ranked[0].joint, last.ranked[0].balance, rival, gates):
+            if _loses(last.ranked[0].joint, last.ranked[0].balance, first.rivals, gates):
                 return _unknown(rival.axis, "a smooth function without a name explains more than any known effect")
             text = "these effects explain the gap alike: " + ", ".join(last.tied)
             return Decision(Verdict.AMBIGUOUS, (), last.tied, None, None, text)
@@ -65,8 +66,9 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     joint = selection.joint
     names = tuple(each.effect.name for each in joint.added)
     balance = sum(step.ranked[0].balance for step in selection.steps if step.stop is Stop.ACCEPTED)
-    if _loses(joint, balance, rival, gates):
-        return _unknown(rival.axis, f"{', '.join(names)} fits, but a smooth function without a name explains more")
+    winner = _loses(joint, balance, first.rivals, gates)
+    if winner:
+        return _unknown(winner.axis, f"{', '.join(names)} fits, but so does what has no name: {winner.name}")
     other = selection.verified
     if other and other.gap_sds > _SURE and other.shrink < gates.closed:
         text = f"{', '.join(names)} fits, but closes {max(other.shrink, 0.0):.0%} of the gap in another motion only"
@@ -94,11 +96,19 @@ def _unknown(axis: Axis, text: str, share: float | None = None) -> Decision:
     return Decision(Verdict.UNKNOWN, (), (), axis, share, text)
 
 
-def _loses(joint: Joint, balance: float, rival: RivalScore, gates: Gates) -> bool:
-    """Whether a competitor without a name leads; what is as simple as the effects needs no other excuse to win."""
-    simple = rival.freedom <= len(joint.names)
-    ahead = rival.balance - balance > gates.lead
-    return ahead and (simple or joint.gain < gates.share_of_rival * rival.gain)
+def _loses(joint: Joint, balance: float, rivals: Sequence[RivalScore], gates: Gates) -> RivalScore | None:
+    """Return the competitor without a name that wins, if one does.
+
+    What is as simple as the effects is one more explanation, and a name must lead over it as over another effect. What
+    is more flexible fits a little of everything, and must lead itself, by what the effects miss too.
+    """
+    for rival in rivals:
+        simple = rival.freedom <= len(joint.names) + 1
+        if simple and rival.balance > balance - gates.lead:
+            return rival
+        if rival.balance > balance + gates.lead and joint.gain < gates.share_of_rival * rival.gain:
+            return rival
+    return None
 
 
 def _explained(selection: Selection) -> float | None:

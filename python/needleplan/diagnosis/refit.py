@@ -145,6 +145,9 @@ def effect_columns(added: Sequence[Added], names: Sequence[tuple[int, str]], mod
             step = _STEP * max(abs(added[index].values[SIZE]), 1e-3 * what.typical) / what.typical
             step = step if what.scale is Scale.LINEAR else _STEP
         moved = _moved(added, ((index, name),), np.array([step]))
+        if moved[index].values[name] == added[index].values[name]:  # at the end of its range
+            step = -step
+            moved = _moved(added, ((index, name),), np.array([step]))
         found.append((added_output(moved, model, motion) - plain) / step)
     return np.column_stack(found) if found else np.zeros((len(plain), 0))
 

@@ -20,6 +20,10 @@ from needleplan.signals import Array
 __all__ = ["RivalScore", "bases", "omnibus", "score_rivals"]
 
 
+_BEFORE = 0.05
+"""Part of a trial before the first step in time: one at its begin is no step."""
+
+
 @dataclass(frozen=True)
 class RivalScore:
     """A competitor: what it gains (twice the log likelihood), for how many degrees of freedom, and Schwarz' balance."""
@@ -60,7 +64,8 @@ def score_rivals(space: Space, cases: Sequence[Case]) -> tuple[RivalScore, ...]:
 
 def _best_step(space: Space, cases: Sequence[Case], price: float) -> RivalScore:
     """A step at one time of one trial: something slipped."""
-    grids = [np.arange(case.motion.time_s[0] + 0.5, case.motion.time_s[-1] - 0.4, 0.4) for case in cases]
+    begins = [float(case.motion.time_s[0] + max(0.5, _BEFORE * np.ptp(case.motion.time_s))) for case in cases]
+    grids = [np.arange(begin, case.motion.time_s[-1] - 0.4, 0.4) for begin, case in zip(begins, cases, strict=True)]
     total = sum(map(len, grids))
     columns, first = [], 0
     for case, grid in zip(cases, grids, strict=True):
@@ -69,7 +74,7 @@ def _best_step(space: Space, cases: Sequence[Case], price: float) -> RivalScore:
         first += len(grid)
         columns.append(case.whiten(case.spread(each)))
     gains, _ = space.scores(columns).gains()
-    together = np.arange(max(case.motion.time_s[0] for case in cases) + 0.5, cases[0].motion.time_s[-1] - 0.4, 0.4)
+    together = np.arange(max(begins), cases[0].motion.time_s[-1] - 0.4, 0.4)
     after = [np.asarray(case.motion.time_s[:, None] >= together, float) for case in cases]
     shared, _ = space.scores([case.whiten(case.spread(each)) for case, each in zip(cases, after, strict=True)]).gains()
     alone, all_ = float(gains.max()) - 3 * price, float(shared.max()) - 2 * price

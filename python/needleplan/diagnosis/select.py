@@ -78,6 +78,9 @@ class Ranked:
     kept: float = 0.0
     """What it brings there over those before it: twice the log likelihood of data that it was not fitted to."""
 
+    vetoed: bool = False
+    """Whether it does not hold there."""
+
     @property
     def support(self) -> float:
         """What all data say for it: the balance of the fitted ones, and the gain in those that were held out."""
@@ -188,10 +191,9 @@ def _round(
     if not ranked:
         return Step(screened, rivals, (), None, gates.lead, None, Stop.WEAK)
     ranked = sorted(_judged(known, ranked, needed), key=lambda each: -each.support)
-    vetoed = {each.name for each in ranked if each.verified and not _transfers(each, each.verified, known)}
-    if len(vetoed) < sum(each.verified is not None for each in ranked):
+    if any(each.verified and not each.vetoed for each in ranked):
         # What another motion refutes is not named before what it supports.
-        ranked = sorted(ranked, key=lambda each: each.verified is None or each.name in vetoed)
+        ranked = sorted(ranked, key=lambda each: each.verified is None or each.vetoed)
     best = ranked[0]
     p_value = _chance(space, columns, left, best.balance, known.seed + len(taken))
     tried = {each.name for each in ranked}
@@ -211,14 +213,15 @@ def _round(
         return ended(Stop.SMALL)
     if tied:
         return ended(Stop.TIE)
-    if best.name in vetoed:
+    if best.vetoed:
         return ended(Stop.NO_TRANSFER)
     return ended(Stop.ACCEPTED)
 
 
 def _rivals(best: Ranked, other: Ranked, lead: float) -> bool:
     """Whether all data together do not tell two effects apart, or those that were fitted speak for the other one."""
-    return bool(other.support > best.support - lead or other.balance > best.balance + lead)
+    fits_better = not other.vetoed and other.balance > best.balance + lead
+    return bool(other.support > best.support - lead or fits_better)
 
 
 def _judged(known: _Round, ranked: Sequence[Ranked], needed: float) -> list[Ranked]:
@@ -229,7 +232,8 @@ def _judged(known: _Round, ranked: Sequence[Ranked], needed: float) -> list[Rank
     for each in ranked:
         seen = verify(each.joint, known.calibration) if each.balance >= least else None
         kept = seen.gain - (before.gain if before else 0.0) if seen else 0.0
-        found.append(replace(each, verified=seen, kept=kept))
+        vetoed = seen is not None and not _transfers(each, seen, known)
+        found.append(replace(each, verified=seen, kept=kept, vetoed=vetoed))
     return found
 
 
