@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, print_json
 from needleplan.cli.options import add_json
+from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
     from needleplan.diagnosis import Diagnosis
+    from needleplan.scenario import Scenario
 
 __all__ = ["add_to", "run"]
 
@@ -41,6 +44,12 @@ def add_to(commands: Any) -> None:
         "--effects", action="append", default=[], metavar="FILE",
         help="also look for the effect of a Python file, which is run; may be given several times",
     )  # fmt: skip
+    parser.add_argument(
+        "--scenario",
+        metavar="SCENARIO.toml",
+        help="of a tip's path: also write this scenario with the diagnosed curvature",
+    )
+    parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="of the next insertion, mm/s (5)")
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -50,20 +59,40 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.diagnosis import Verdict
     from needleplan.models.effects import register_file
     from needleplan.workflow.diagnosis import diagnose_files, write_folder
+    from needleplan.workflow.diagnosis.scenario_file import remedy_lines, write_scenario
 
     for file in options.effects:
         register_file(file)
+    scenario = _scenario(options)
     found, model, library = diagnose_files(
         options.model, options.data, accept_units=options.accept_units, seed=options.seed
     )
     written = write_folder(found, model, library, options.output, merge_anyway=options.merge_anyway)
+    lines = list(_lines(found))
+    if scenario and found.verdict in (Verdict.NAMED, Verdict.NONE):
+        name, what = write_scenario(found, scenario, options.output, options.speed)
+        written, lines = (*written, name), [*lines, *remedy_lines(what)]
     for each in written:
         note(f"wrote {each}")
     if options.json:
         print_json(json.loads(Path(written[0]).read_text(encoding="utf-8")) | {"written": list(written)})
     else:
-        print("\n".join(_lines(found)))
+        print("\n".join(lines))
     return 0 if found.verdict in (Verdict.NONE, Verdict.NAMED) else 1
+
+
+def _scenario(options: argparse.Namespace) -> Scenario | None:
+    """Return the scenario that is to be changed, before anything takes its time."""
+    from needleplan.models import ModelFile
+    from needleplan.scenario import Scenario
+    from needleplan.workflow.diagnosis.scenario_file import require_path
+
+    if not options.scenario:
+        return None
+    if not 0 < options.speed < math.inf:
+        raise InputError(Mistake("--speed", f"{options.speed:g}", "must be a number above 0"))
+    require_path(ModelFile.read(options.model).model.channel)
+    return Scenario.read(options.scenario)
 
 
 def _lines(found: Diagnosis) -> Iterator[str]:

@@ -1,0 +1,83 @@
+"""From a diagnosis of a tip's path to all that loads its model: planner, tip filter, lab twin."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needleplan.cli import main
+from needleplan.cli.needle import with_identified
+from needleplan.estimation.registration import Registration
+from needleplan.estimation.tip import TipFilter
+from needleplan.models import ModelFile, ShaftAndTip, simulate
+from needleplan.recording import write_records
+from needleplan.scenario import Scenario
+from needleplan.simulation import Experiment, run_experiment
+from tests.diagnosis.tip_trials import BASE, recordings
+
+EXPERIMENT = """schema = "needleplan.experiment/1"
+model = "found/model.toml"
+[robot]
+servo_hz = 200
+[[move]]
+insert_to_mm = 60.0
+velocity_mm_s = 20.0
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("path")
+    ModelFile(BASE).write(place / "base.toml")
+    hidden = {"curvature_layer": {"size": 0.6, "depth_mm": 30.0}}
+    write_records(recordings(hidden, seed=3), place / "data.csv")
+    ModelFile(ShaftAndTip(friction=0.012, cutting=0.4, onset_mm=4.0, presliding_mm=0.05)).write(place / "force.toml")
+    return place
+
+
+def test_what_was_diagnosed_is_planned_estimated_and_simulated(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    assert main(["diagnose", "base.toml", "data.csv", "-o", "found", "--scenario", "prostate"]) == 0
+    shown = capsys.readouterr().out
+    assert "layers behind it: 1" in shown
+    scenario = Scenario.read("found/scenario.toml")
+    (layer,) = scenario.needle.layers
+    assert 27 < layer.from_mm < 32
+    assert scenario.needle.curvature_radius_mm / layer.curvature_radius_mm == pytest.approx(1.6, abs=0.2)
+
+    options = argparse.Namespace(needle="found/model.toml", tissue=[], scenario="prostate")
+    planned, (replaced,) = with_identified(Scenario.read("prostate"), options)
+    assert len(replaced.found.pieces) == 2
+    assert planned.needle.layers[0].from_mm == pytest.approx(layer.from_mm, abs=1.5)
+
+    model = ModelFile.read("found/model.toml").model
+    record = run_experiment(Experiment.from_toml(EXPERIMENT)).record()
+    seen = record.select(np.isfinite(record["x_mm"]))
+    said = simulate(model, seen.motion()).output
+    assert np.array([seen[name] for name in ("x_mm", "y_mm", "z_mm")]) == pytest.approx(said, abs=0.1)
+
+    expected = TipFilter.for_scenario(scenario, Registration(), (0.0, 35.0, 0.0))._planned
+    assert callable(expected)
+    assert expected(50.0, 35.0) / expected(10.0, 35.0) == pytest.approx(1.6, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["force.toml", "--scenario", "prostate"], "path of a tip in space"),
+        (["base.toml", "--scenario", "nowhere"], "nowhere"),
+        (["base.toml", "--scenario", "prostate", "--speed", "0"], "--speed"),
+    ],
+)
+def test_what_no_plan_follows_from_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], says: str
+) -> None:
+    model, *rest = arguments
+    assert main(["diagnose", str(folder / model), str(folder / "data.csv"), "-o", str(folder / "no"), *rest]) == 2
+    assert says in capsys.readouterr().err
+    assert not (folder / "no").exists()
