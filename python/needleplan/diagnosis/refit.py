@@ -23,6 +23,8 @@ __all__ = ["Added", "Joint", "added_output", "cases_with", "effect_columns", "re
 _STEP = 1e-3
 _STEP_LINEAR = 0.05
 _DONE = 0.05
+_WORTH = 0.5
+"""Gain that a step must promise to be tried again, shorter, where it led downhill."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,7 @@ def refit(
     added = _moved(added, names, np.zeros(len(names)))  # what was screened may lie outside of what can be
     cases = tuple(cases or calibration.training)
     best: Joint | None = None
+    move, share, promised = np.zeros(len(names)), 1.0, 0.0
     for _ in range(measurand_of(calibration.model.channel).rounds):
         cases = cases_with(added, calibration, cases)
         columns = [case.whiten(effect_columns(added, names, case.model, case.motion)) for case in cases]
@@ -118,13 +121,14 @@ def refit(
         gain = 2 * float(alone.evidence.max() - base.evidence.max())
         if best is None or gain > best.gain:
             best = Joint(added, cases, shared, gain, covariance, names)
-            improving = True
+            move, share = _allowed(added, names, matrix + ridge, target), 1.0
+            promised = float(move @ target)
         else:
-            improving = False
-        move = covariance @ target
-        if float(move @ target) < _DONE or not improving:
+            share /= 3
+            promised /= 3
+        if promised < (_DONE if share == 1 else _WORTH):
             break
-        added = _moved(added, names, move)
+        added, cases = _moved(best.added, names, share * move), best.cases
     assert best is not None
     return best
 
@@ -150,6 +154,30 @@ def effect_columns(added: Sequence[Added], names: Sequence[tuple[int, str]], mod
             moved = _moved(added, ((index, name),), np.array([step]))
         found.append((added_output(moved, model, motion) - plain) / step)
     return np.column_stack(found) if found else np.zeros((len(plain), 0))
+
+
+def _allowed(added: Sequence[Added], names: Sequence[tuple[int, str]], matrix: Array, target: Array) -> Array:
+    """Return the step of Gauss and Newton, shortened as a whole, in which what is at a bound does not go beyond it.
+
+    Parameters trade with one another: to shorten or end the step of one alone would spoil what the others do.
+    """
+    free = np.ones(len(names), bool)
+    while True:
+        move = np.zeros(len(names))
+        move[free] = np.linalg.solve(matrix[np.ix_(free, free)], target[free])
+        there = _moved(added, names, 1e-6 * np.sign(move))
+        stuck = np.array([
+            there[index].values[name] == added[index].values[name] and move[row] != 0
+            for row, (index, name) in enumerate(names)
+        ], bool)  # fmt: skip
+        if not stuck.any():
+            break
+        free &= ~stuck
+    logs = [
+        abs(float(each)) for each, (index, name) in zip(move, names, strict=True)
+        if added[index].effect.parameters[name].scale is Scale.LOG
+    ]  # fmt: skip
+    return np.asarray(move * min(1.0, _LONGEST / max(max(logs, default=0.0), 1e-12)))
 
 
 _LONGEST = 0.4

@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import pytest
+
+from needleplan.diagnosis.calibrate import Calibration, calibrate
+from needleplan.diagnosis.noise import fit_axes
+from needleplan.diagnosis.refit import Added, refit
+from needleplan.diagnosis.space import Space
+from needleplan.models import Channel
+from needleplan.models.effects import effect_named
+from needleplan.signals import Role
+from tests.diagnosis.tip_trials import BASE, recordings
+
+TRUTH = {"size": 1e-3, "direction_rad": 1.6, "fading_mm": 60.0}
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    data = recordings({"gravity": TRUTH}, seed=5)
+    noise = [each for each in data if each.role is Role.NOISE]
+    training = [each for each in data if each.role is Role.TRAIN]
+    return calibrate(BASE, training, [], fit_axes([[each[name] for each in noise] for name in Channel.TIP.columns]))
+
+
+@pytest.mark.parametrize("start", [20.0, 400.0])
+def test_parameters_that_trade_with_one_another_arrive_together(calibration: Calibration, start: float) -> None:
+    base = Space([case.block for case in calibration.training])
+    effect = effect_named("gravity")
+    far = refit([Added(effect, {**TRUTH, "fading_mm": start})], calibration, base)
+    near = refit([Added(effect, TRUTH)], calibration, base)
+    assert far.gain == pytest.approx(near.gain, abs=1.0)
+    assert far.added[0].values["fading_mm"] == pytest.approx(TRUTH["fading_mm"], rel=0.25)
+
+
+def test_a_bound_holds_one_parameter_and_the_others_go_on(calibration: Calibration) -> None:
+    base = Space([case.block for case in calibration.training])
+    effect = effect_named("gravity")
+    within = {"fading_mm": (100.0, 400.0)}
+    held = refit([Added(effect, {**TRUTH, "size": 1e-4, "fading_mm": 100.0}, within)], calibration, base)
+    assert held.added[0].values["fading_mm"] == pytest.approx(100.0)
+    assert 3e-4 < held.added[0].values["size"] < 1.2e-3
