@@ -238,7 +238,7 @@ def lines(results: dict[str, Any]) -> Iterator[str]:
     yield "# From a sample to the command, and minutes of traffic"
     yield ""
     yield f"{of['processor']}, {of['threads']} threads, commit {of['commit']}, {of['date']}; load before and after:"
-    yield f"{of['load_before']}, {results['load_after']:.2f}."
+    yield f"{of['load_before']}, {results['load_after']:.2f}; priority {of['priority']}."
     if "latency" in results:
         yield from _latency(results["latency"])
     if "traffic" in results:

@@ -52,7 +52,6 @@ AGES = {
 VELOCITY_MM_S = 5.0
 NEEDS_MS = {
     "18 tracker: damage without end": 1e3 * LIMITS.pose_age_s,  # or ten damaged replies, which come before
-    "24 tracker: another tool": 50.0,  # two frames: the first is only doubted
     "30 robot: axis stuck": 1e3 * 0.2 / VELOCITY_MM_S,  # the robot's own limit of following, 0.2 mm
     "33 loop: hangs": 30.0,  # the robot's own watchdog
     "33 loop: process stopped for 200 ms": 30.0,
@@ -300,7 +299,8 @@ def report(runs: list[Run], disturbed: int, about: dict[str, object]) -> str:
         "# From a fault to the stop",
         "",
         f"Times in ms on {about['processor']}, {about['threads']} threads, load {about['load_before']} before the run, "
-        f"commit {about['commit']}. {disturbed} runs did not come so far as the fault, because the machine paused.",
+        f"priority {about['priority']}, commit {about['commit']}. {disturbed} runs did not come so far as the fault, "
+        "because the machine paused.",
         "",
         "| fault | ends in | for | runs | stop, median | worst | worst, calm | waited for | reaction, worst, calm |",
         "|---|---|---|--:|--:|--:|--:|--:|--:|",

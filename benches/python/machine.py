@@ -31,6 +31,7 @@ def description() -> dict[str, object]:
         "processor": processor(),
         "threads": os.cpu_count(),
         "load_before": round(os.getloadavg()[0], 2),
+        "priority": priority(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "rustc": said("rustc", "--version"),
@@ -42,6 +43,13 @@ def commit() -> str:
     """Return the commit, with a plus where the tree differs from it."""
     dirty = "+" if said("git", "status", "--porcelain", "--untracked-files=no") else ""
     return (said("git", "rev-parse", "--short=10", "HEAD") or "unknown") + dirty
+
+
+def priority() -> str:
+    """Return how this process is scheduled, and the processes that it starts."""
+    policies = {os.SCHED_FIFO: "real-time, SCHED_FIFO", os.SCHED_RR: "real-time, SCHED_RR"}
+    policy = policies.get(os.sched_getscheduler(0))
+    return f"{policy} {os.sched_getparam(0).sched_priority}" if policy else f"normal, nice {os.nice(0)}"
 
 
 def processor() -> str:
