@@ -12,6 +12,7 @@ from scipy import stats
 
 from needleplan.diagnosis.calibrate import LAG, Calibration, Case, fit_case
 from needleplan.diagnosis.channels import measurand_of
+from needleplan.diagnosis.fair import fitted_rival
 from needleplan.diagnosis.library import Candidates, Library
 from needleplan.diagnosis.minimal import Smallest, smallest_seen
 from needleplan.diagnosis.refit import Added, Joint, refit
@@ -201,6 +202,10 @@ def _round(
         e.balance > best.balance - gates.lead for e in screened if e.effect.name not in tried
     )
     verified = best.verified or verify(best.joint, known.calibration)
+
+    if not taken and best.balance >= needed:
+        rival = fitted_rival(best.joint, known.calibration, known.base)
+        rivals = tuple(sorted([*rivals, *([rival] if rival else [])], key=lambda each: -each.balance))
 
     def ended(stop: Stop) -> Step:
         return Step(screened, rivals, tuple(ranked), p_value, gates.lead, verified, stop)
