@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleplan.diagnosis.calibrate import Case
+from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.measurand import Axis
 from needleplan.diagnosis.rivals import omnibus
 from needleplan.diagnosis.space import Space
@@ -118,18 +119,30 @@ def _projected(space: Space, cases: Sequence[Case]) -> tuple[Array, Array, list[
     rows: list[NDArray[np.intp]] = []
     level = space.levels[space.best]
     for case, each in zip(cases, omnibus(cases), strict=True):
-        block = case.block
+        block, sure = case.block, _sure(case)
         share = 1 - 1 / np.sqrt(1 + level**2 * block.variances)
         weighed = [
-            values - block.modes @ ((share[:, None] if values.ndim == 2 else share) * (block.modes.T @ values))
-            for values in (block.sensitivities, each, block.residual)
+            (values - block.modes @ (share[:, None] * (block.modes.T @ values))) * sure[:, None]
+            for values in (block.sensitivities, each, block.residual[:, None])
         ]
         basis = np.linalg.qr(weighed[0])[0]
         count = int(case.rows.sum())
         smooth.append((weighed[1] - basis @ (basis.T @ weighed[1]))[:count])
-        residual.append((weighed[2] - basis @ (basis.T @ weighed[2]))[:count])
+        residual.append((weighed[2] - basis @ (basis.T @ weighed[2]))[:count, 0])
         rows.append(case.samples())
     return np.vstack(smooth), np.concatenate(residual), rows
+
+
+def _sure(case: Case) -> Array:
+    """Return 1 for the whitened samples of a trial, 0 for those at which the moment of a sudden change is not known.
+
+    What is left there is large and says nothing of a place; it would make the greatest bin by far too certain.
+    """
+    moved = measurand_of(case.model.channel).moments(case.predicted, case.motion)
+    raw = np.any(moved != 0, axis=1) if moved.shape[1] else np.zeros(len(case.predicted), bool)
+    axes = np.split(raw, len(raw) // len(case.motion))
+    whitened = np.concatenate([axis[case.noise.order :] for axis in axes])[case.rows]
+    return np.append(~whitened, np.ones(case.block.samples - len(whitened), bool)).astype(float)
 
 
 def _labels(cases: Sequence[Case]) -> dict[str, list[Array]]:
