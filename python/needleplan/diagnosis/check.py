@@ -10,10 +10,10 @@ import numpy as np
 
 from needleplan.errors import DataError, Mistake
 from needleplan.models import Channel
-from needleplan.signals import Record, Role
+from needleplan.signals import Array, Record, Role
 from needleplan.signals.record import UNITS
 
-__all__ = ["Checked", "Lack", "check_data"]
+__all__ = ["Checked", "Lack", "check_data", "scatter"]
 
 _FEWEST = 200
 """Numbers that a trial must have, of all axes together."""
@@ -22,6 +22,9 @@ _NOISE_S = 5.0
 _SAME_RATE = 0.03
 _SAME_MOTION_MM = 0.5
 _GAP = 5.0
+_SHALLOWEST_MM = 3.0
+_MOVED_MM = 1.0
+_SAME_NOISE = 5.0
 _EVEN = 0.5
 _MOST_UNEVEN = 0.1
 
@@ -33,6 +36,7 @@ class Lack(StrEnum):
     HELD_OUT = "held-out trial"
     OTHER_MOTION = "held-out trial of another motion"
     TRIALS = "second training trial"
+    NEEDLE = "recording of the needle of the model"
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,9 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> Checked:
         raise DataError(mistakes, "diagnose")
     lacks: dict[Lack, str] = {}
     long_enough = sum(float(np.ptp(each["time_s"])) for each in noise) >= _NOISE_S
+    other = _other_noise(training, noise, channel) if long_enough else ""
+    if other:
+        lacks[Lack.NOISE] = other
     if not long_enough:
         lacks[Lack.NOISE] = (
             f"no noise record of at least {_NOISE_S:g} s (role noise: the sensor with nothing happening): the noise is "
@@ -90,7 +97,7 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> Checked:
     if len(training) < 2:
         lacks[Lack.TRIALS] = "one training trial: what differs from place to place cannot be told from what is missing"
     remarks = [f"{each.trial}: {note}" for each in recordings for note in each.notes]
-    return Checked(training, held_out, noise if long_enough else (), lacks, tuple(remarks))
+    return Checked(training, held_out, noise if long_enough and not other else (), lacks, tuple(remarks))
 
 
 def _unusable(record: Record, channel: Channel) -> list[Mistake]:
@@ -109,6 +116,9 @@ def _unusable(record: Record, channel: Channel) -> list[Mistake]:
             mistakes.append(Mistake(f"{name} ({record.trial})", "", rule))
     if np.ptp(record["depth_mm"]) == 0:
         mistakes.append(Mistake(f"depth_mm ({record.trial})", "", "is constant: a needle at rest shows nothing"))
+    elif (deepest := float(record["depth_mm"].max())) < _SHALLOWEST_MM:
+        rule = f"must reach {_SHALLOWEST_MM:g} mm: the tip is not in the tissue. Depth counts inwards from its surface"
+        mistakes.append(Mistake(f"depth_mm ({record.trial})", f"{deepest:.3g} mm at most", rule))
     steps = np.diff(record["time_s"])
     if steps.size and steps.max() > _GAP * np.median(steps):
         rule = f"has a gap of {steps.max():.3g} s between samples every {np.median(steps):.3g} s; cut the trial there"
@@ -131,7 +141,29 @@ def _unusable_noise(record: Record, channel: Channel) -> list[Mistake]:
         elif not np.isfinite(record[name]).all() or np.ptp(record[name]) == 0:
             rule = f"a noise record must have a number in {UNITS[name]} in every row, and they must not all be equal"
             mistakes.append(Mistake(f"{name} ({record.trial})", "", rule))
+    moved = float(np.ptp(record["depth_mm"])) if "depth_mm" in record.columns else 0.0
+    if moved > _MOVED_MM:
+        rule = f"moves by {moved:.3g} mm, and a noise record is of a needle at rest in the air"
+        mistakes.append(Mistake(f"depth_mm ({record.trial})", "", rule))
     return mistakes
+
+
+def _other_noise(training: Sequence[Record], noise: Sequence[Record], channel: Channel) -> str:
+    """Return why a noise record cannot be of the sensor of the trials; empty where it can."""
+    for name in channel.columns:
+        quiet, busy = (float(np.median([scatter(each[name]) for each in part])) for part in (noise, training))
+        if quiet > 0 and busy > 0 and not 1 / _SAME_NOISE < busy / quiet < _SAME_NOISE:
+            unit = UNITS[name]
+            return (
+                f"the noise record is not of this sensor as it was in the trials: from sample to sample {name} "
+                f"scatters by {quiet:.2g} {unit} in it, and by {busy:.2g} {unit} in them; the noise is taken from the trials"
+            )
+    return ""
+
+
+def scatter(values: Array) -> float:
+    """Return the standard deviation from sample to sample: twice differenced, motion is gone."""
+    return float(np.nanmedian(np.abs(np.diff(values, n=2))) / 0.6745 / np.sqrt(6))
 
 
 def _interval_s(record: Record) -> float:

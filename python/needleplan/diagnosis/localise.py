@@ -190,6 +190,8 @@ def _changes(space: Space, cases: Sequence[Case]) -> list[ChangePoint]:
         (Axis.DEPTH, "mm", np.arange(2.0, deepest - 1, 0.5)),
         (Axis.TIME, "s", np.arange(0.5, longest - 0.5, 0.25)),
     ):
+        if not grid.size:
+            continue
         columns = []
         for case in cases:
             motion = case.motion

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from needleplan.diagnosis.amounts import found_effects
-from needleplan.diagnosis.calibrate import Calibration, Case, calibrate
+from needleplan.diagnosis.calibrate import Calibration, Case, calibrate, measured_of
 from needleplan.diagnosis.channels import measurand_of
-from needleplan.diagnosis.check import Checked, check_data
+from needleplan.diagnosis.check import Checked, Lack, check_data, scatter
 from needleplan.diagnosis.decide import Decision, decide
 from needleplan.diagnosis.diagnosis import Diagnosis
 from needleplan.diagnosis.library import Library
@@ -20,12 +21,15 @@ from needleplan.diagnosis.space import LEVELS, Space
 from needleplan.diagnosis.unknown import Described, describe
 from needleplan.diagnosis.verdict import Gates, Verdict
 from needleplan.errors import Mistake, ModelError
-from needleplan.models import Channel, Model
+from needleplan.models import Channel, Model, simulate
 from needleplan.models.effects import AugmentedModel, effects_of
 from needleplan.provenance import digest
 from needleplan.signals import Record
 
 __all__ = ["diagnose"]
+
+_OTHER = 5.0
+"""Factor between readings and model beyond which they are not of one needle."""
 
 _WORSE = 1.1
 """Of the RMS that the base alone leaves: an effect that leaves more mends nothing."""
@@ -52,7 +56,7 @@ def diagnose(
     library = library or Library(effects_of(model.channel), model)
     if not library.effects:
         raise ModelError(Mistake("channel", model.channel, "has no effects that could be looked for"), model.name)
-    checked = check_data(recordings, model.channel)
+    checked = _of_this_needle(check_data(recordings, model.channel), model)
     calibration = calibrate(model, checked.training, checked.held_out, _noise(model, checked))
     selection = select(calibration, library, gates, seed=seed)
     hidden = [each.noise_multiple for each in selection.smallest if each.visible]
@@ -80,15 +84,30 @@ def _plain(model: AugmentedModel) -> Model:
     raise ModelError(Mistake("effect", names, rule), model.name)
 
 
+def _of_this_needle(checked: Checked, model: Model) -> Checked:
+    """Return what was checked, with what lacks where readings are of another size than the model's.
+
+    Calibration mends that, and what fits then is a difference from another needle than the one that was asked about.
+    """
+    given = np.concatenate([simulate(model, each.motion()).output.ravel() for each in checked.training])
+    measured = np.concatenate([measured_of(each, model.channel) for each in checked.training])
+    ratio = float(np.sqrt(np.nanmean(measured**2)) / max(float(np.sqrt(np.mean(given**2))), 1e-12))
+    if 1 / _OTHER < ratio < _OTHER:
+        return checked
+    why = (
+        f"the readings are {ratio:.2g} times as large as the model says (RMS): another needle or tissue, or a wrong "
+        "unit? Identify the base from recordings of this needle first"
+    )
+    return replace(checked, lacks={**checked.lacks, Lack.NEEDLE: why})
+
+
 def _noise(model: Model, checked: Checked) -> Noise:
     if checked.noise:
         return fit_axes([[each[name] for each in checked.noise] for name in model.channel.columns])
     # Without a record of it, noise is what changes from sample to sample: twice differenced, motion is gone.
     found = []
     for name in model.channel.columns:
-        rows = [each[name] for each in checked.training]
-        spread = [np.nanmedian(np.abs(np.diff(row, n=2))) / 0.6745 / np.sqrt(6) for row in rows]
-        sd = float(np.median(spread)) or 1e-9
+        sd = float(np.median([scatter(each[name]) for each in checked.training])) or 1e-9
         found.append(Noise(np.zeros(0), sd, sd))
     return together(found)
 

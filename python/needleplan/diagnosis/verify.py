@@ -68,7 +68,7 @@ def verify(joint: Joint, calibration: Calibration) -> Verified | None:
     channel = calibration.model.channel
     exact = [
         fit_case(
-            case.model, with_measured(case.record, channel, each.predicted),
+            case.model, with_measured(case.record, channel, _seen(case, each.predicted)),
             calibration.noise, calibration.free, start_lag_s=case.lag_s, about=calibration.given,
         )
         for case, each in zip(before, after, strict=True)
@@ -95,6 +95,11 @@ def verify(joint: Joint, calibration: Calibration) -> Verified | None:
 def _varied(case: Case, like: Case) -> Block:
     """Return a trial in which the tissue varies as in another one of the same motion."""
     return replace(case.block, modes=like.block.modes, variances=like.block.variances)
+
+
+def _seen(case: Case, values: Array) -> Array:
+    """Return values where there was a measurement, NaN elsewhere."""
+    return np.where(np.isfinite(case.measured), values, np.nan)
 
 
 def _pull(cases: Sequence[Case]) -> float:
