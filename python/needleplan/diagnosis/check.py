@@ -156,7 +156,7 @@ def _other_noise(training: Sequence[Record], noise: Sequence[Record], channel: C
             unit = UNITS[name]
             return (
                 f"the noise record is not of this sensor as it was in the trials: from sample to sample {name} "
-                f"scatters by {quiet:.2g} {unit} in it, and by {busy:.2g} {unit} in them; the noise is taken from the trials"
+                f"scatters by {quiet:.2g} {unit} in it, by {busy:.2g} {unit} in them; the noise is that of the trials"
             )
     return ""
 
