@@ -67,3 +67,14 @@ def test_simulated_gains_of_one_column_are_chi_squared() -> None:
     drawn = space.null_maxima([each[:, :1] for each in columns], np.zeros(1), np.zeros(1), 4000, 1)
     assert np.mean(drawn) == pytest.approx(1.0, abs=0.1)
     assert np.mean(drawn > 3.841) == pytest.approx(0.05, abs=0.015)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e5])
+def test_a_column_that_the_base_takes_up_explains_nothing_however_long_it_is(scale: float) -> None:
+    """What rounding leaves of it would otherwise be divided by what rounding leaves of its square."""
+    made, _ = blocks(5, 1)
+    space = Space(made, LEVELS)
+    taken = [scale * each.sensitivities @ [[1.0, 0.3], [-2.0, 1.0]] for each in made]
+    gains, _ = space.scores(taken).gains()
+    np.testing.assert_allclose(gains, 0.0, atol=1e-9)
+    assert space.null_maxima(taken, np.zeros(2), np.zeros(2), 50, 2).max() == 0

@@ -27,6 +27,9 @@ LEVELS = np.array([0.0, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.17, 0.
 _SEEN = 1e-7
 """Eigenvalue of a scaled basis from which on what it stands for counts."""
 
+_ABSORBED = 1e-8
+"""Share of a column's energy, left beside what the base takes up, below which it is rounding."""
+
 
 @dataclass(frozen=True)
 class Block:
@@ -176,17 +179,20 @@ class Space:
         """Score columns with one size for all trials; one array (n, m) for each trial."""
         (t, g), m = self._target.shape, columns[0].shape[1]
         slope, curvature, cross = np.zeros((t, m)), np.zeros((t, m)), np.zeros((t, g, m))
+        energy = np.zeros(m)
         for block, trial, each in zip(self.blocks, self._trials, columns, strict=True):
             moved = block.modes.T @ each
             half, rest = trial.against(trial.known.T @ each, moved)
             slope += rest[:, -1]
             cross += rest[:, :-1]
-            curvature += np.einsum("nm,nm->m", each, each) - trial.weights @ moved**2 - (half**2).sum(axis=1)
+            squares = np.einsum("nm,nm->m", each, each)
+            energy += squares
+            curvature += squares - trial.weights @ moved**2 - (half**2).sum(axis=1)
         if g:
             solved = np.linalg.solve(self._shared, cross)
             slope -= np.einsum("tgm,tg->tm", solved, self._target)
             curvature -= (cross * solved).sum(axis=1)
-        return Scores(slope, curvature, self.evidence)
+        return Scores(slope, np.where(curvature > _ABSORBED * energy, curvature, 0.0), self.evidence)
 
     def basis_gains(self, basis: Sequence[Array], *, ridge: float = 1e-9) -> float:
         """Return twice the gain in log likelihood of a whole basis, shape (n, df) for each trial, sizes shared."""
@@ -229,6 +235,7 @@ class Space:
         level = self.best
         slope: Array = np.zeros((columns[0].shape[1], runs))
         curvature: Array = np.zeros(columns[0].shape[1])
+        energy: Array = np.zeros(columns[0].shape[1])
         for block, trial, each in zip(self.blocks, self._trials, columns, strict=True):
             q = block.sensitivities.shape[1]
             weights, root = trial.weights[level][:, None], trial.root[level]
@@ -243,8 +250,10 @@ class Space:
             taken = block.sensitivities - block.modes @ (weights * trial.moved[:, :q])
             noise -= taken @ (root.T @ (root @ (block.sensitivities.T @ noise)))
             slope += each.T @ noise
-            curvature += np.einsum("nm,nm->m", each, each) - (weights * moved**2).sum(axis=0) - (half**2).sum(axis=0)
-        good = curvature > 1e-9
+            squares = np.einsum("nm,nm->m", each, each)
+            energy += squares
+            curvature += squares - (weights * moved**2).sum(axis=0) - (half**2).sum(axis=0)
+        good = curvature > np.maximum(_ABSORBED * energy, 1e-9)
         slope = np.where(signs[:, None] * slope < 0, 0.0, slope)
         gains = np.where(good[:, None], slope**2 / np.where(good, curvature, 1.0)[:, None], 0.0) - penalty[:, None]
         return np.asarray(gains.max(axis=0))
