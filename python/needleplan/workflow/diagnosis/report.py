@@ -21,6 +21,7 @@ __all__ = ["report_of"]
 
 _SMALL = 0.05
 _MOST = 12
+_SMALLEST_P = 1e-6
 
 
 def report_of(found: Diagnosis, file: ModelFile, library: Library, next_: NextMotion | None) -> str:
@@ -144,7 +145,7 @@ def _trials(traces: Sequence[Trace], unit: str) -> Iterator[str]:
     for each in traces:
         role = "held out" if each.held_out else "training"
         yield html.heading(f"{each.trial} ({role})", 3)
-        names = ("x", "y", "z") if len(each.measured) == 3 else ("measured",)
+        names = ("x", "y", "z") if len(each.measured) == 3 else ("force",)
         after = "" if each.after is None else f", after {_rms(each.measured - each.after):.3g}"
         text = (f"Trial {each.trial}: measured against model over time, with the depth; left before "
                 f"{_rms(each.measured - each.before):.3g}{after} {unit} RMS")  # fmt: skip
@@ -170,11 +171,16 @@ def _candidates(found: Diagnosis) -> Iterator[str]:
         second = each.ranked[1] if len(each.ranked) > 1 else None
         rows.append((
             str(number), first.name if first else "none", first.balance if first else None,
-            f"{second.name} {second.balance:.3g}" if second else "none", each.p_value,
+            f"{second.name} {second.balance:.3g}" if second else "none", _chance(each.p_value),
             f"{each.rivals[0].name} {each.rivals[0].balance:.3g}", STOPS[each.stop],
         ))  # fmt: skip
     columns = ("round", "best effect", "balance", "next best", "p by chance", "best without a name", "how it ended")
     yield html.table("Round by round", columns, rows)
+
+
+def _chance(p_value: float | None) -> float | str | None:
+    """Return a p-value as it can be told: it is extrapolated from simulations, and far out it is only a bound."""
+    return f"below {_SMALLEST_P:g}" if p_value is not None and p_value < _SMALLEST_P else p_value
 
 
 def _whiteness(found: Diagnosis, traces: Sequence[Trace]) -> Iterator[str]:
