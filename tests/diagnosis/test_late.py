@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -38,15 +39,22 @@ def test_uneven_samples_have_no_taps() -> None:
 
 
 def test_a_late_reading_follows_the_force_step_by_step() -> None:
-    path, lag = motion(0), 0.03
+    """32 lags in a row, each of a 32nd, in an eighth of a sample at a time; the force is straight between samples."""
+    path, lag, parts = motion(0), 0.03 / 32, 8
     force = simulate(BASE, path).output
-    read = [float(force[0])]
-    for k, h in enumerate(path.interval_s):
-        rise = (force[k + 1] - force[k]) / h
-        behind = -lag * rise + (read[-1] - force[k] + lag * rise) * math.exp(-h / lag)
-        read.append(float(force[k + 1] + behind))
-    found = simulate(effect_named("latency").apply(BASE, {"size": lag}), path).output
-    np.testing.assert_allclose(found, read, atol=1e-12)
+    entering = np.interp(np.arange(parts * (len(path) - 1) + 1) / parts, np.arange(len(path)), force).tolist()
+    h = float(path.interval_s[0]) / parts
+    for _ in range(32):
+        read = [entering[0]]
+        for before, after in pairwise(entering):
+            behind = lag * (after - before) / h
+            read.append(after - behind + (read[-1] - before + behind) * math.exp(-h / lag))
+        entering = read
+    found = simulate(effect_named("latency").apply(BASE, {"size": 0.03}), path).output
+    assert np.ptp(path.interval_s) < 1e-9
+    np.testing.assert_allclose(found, entering[::parts], atol=1e-9)
+    delayed = np.interp(path.time_s - 0.03, path.time_s, force)
+    assert np.abs(found - delayed).max() < 0.35 * np.abs(force - delayed).max()
 
 
 def test_wear_is_that_of_all_cells() -> None:

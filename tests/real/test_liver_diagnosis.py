@@ -58,8 +58,8 @@ def test_no_name_is_given_and_what_lacks_is_said(run: tuple[str, dict[str, Any]]
 
 
 def test_it_points_at_the_deepest_drop(run: tuple[str, dict[str, Any]]) -> None:
-    (step,) = [each for each in run[1]["changes"] if each["axis"] == "depth"]
-    assert abs(step["place"] - 36.8) < 0.5
+    (step,) = [each for each in run[1]["changes"] if each["axis"] == "time"]
+    assert abs(3.0 * step["place"] - 36.8) < 0.5  # mm, at 3 mm/s
 
 
 def test_the_next_motion_tells_depth_from_time(run: tuple[str, dict[str, Any]]) -> None:
