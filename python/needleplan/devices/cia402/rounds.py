@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 
 from needleplan.devices.base import StageSample, Stamp
@@ -15,6 +16,8 @@ _NANO = 1_000_000_000
 _PATIENCE = 4
 """So many times the time between two rounds a round waits for its answers."""
 
+_MOST_OPEN = 8
+
 
 class Rounds:
     """One round at a time, by `axes`: insertion and roll. A round that is not answered is lost, and counted."""
@@ -27,16 +30,24 @@ class Rounds:
         """When the round under way began; None where there is none."""
 
         self._due_ns = self._heard_ns = 0
+        self._open: deque[int] = deque(maxlen=_MOST_OPEN)
+
+    @property
+    def earliest_ns(self) -> int | None:
+        """When what is answered now was asked at the earliest: a round that was given up may be answered late."""
+        return self._open[0] if self._open else None
 
     def begin_anew(self) -> None:
         """Forget the round under way, and what was lost before."""
         self.asked_ns, self._due_ns, self._lost = None, 0, 0
+        self._open.clear()
         self._heard_ns = self._clock.now_ns()
 
     def forget(self) -> None:
         """Give the round under way up: what it asked is not told any more."""
         self._lost += self.asked_ns is not None
         self.asked_ns, self._due_ns = None, 0
+        self._open.clear()
         for axis in self._axes:
             axis.expect()
 
@@ -57,6 +68,7 @@ class Rounds:
             axis.expect()
         self._number += 1
         self.asked_ns = now_ns
+        self._open.append(now_ns)
         self._bus.sync()
 
     def sample(self) -> StageSample | None:
@@ -64,6 +76,7 @@ class Rounds:
         if self.asked_ns is None or not all(axis.complete for axis in self._axes):
             return None
         self._heard_ns, self._due_ns, self.asked_ns = self._clock.now_ns(), self.asked_ns + self._sync_ns, None
+        self._open.popleft()
         insertion, roll = self._axes
         stamp = Stamp(max(insertion.received_ns, roll.received_ns), self._number, self._lost)
         self._lost = 0

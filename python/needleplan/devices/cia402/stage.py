@@ -260,11 +260,12 @@ class CanopenStage(Stage):
         if frame.service is Service.HEARTBEAT:
             state = frame.data[0] & 0x7F if frame.data else -1
             return "" if state == _OPERATIONAL or not self._running else f"is not operational: NMT state {state}"
-        if self._rounds.asked_ns is None:
+        earliest_ns = self._rounds.earliest_ns
+        if self._rounds.asked_ns is None or earliest_ns is None:
             return ""
         if frame.service is Service.VELOCITY:
             return axis.take_velocity(frame.data)
-        return axis.take_status(frame.data, self._rounds.asked_ns, frame.received_ns)
+        return axis.take_status(frame.data, earliest_ns, frame.received_ns)
 
     def _require_sound(self) -> None:
         if self._closed:
