@@ -5,7 +5,8 @@
 | check the data | `needleplan.diagnosis.check` |
 | noise, and every parameter of the base | `noise`, `calibrate`, `variation` |
 | every effect over its grid, and competitors without a name | `library`, `screen`, `rivals`; their algebra is `space` |
-| one effect after the other, through all gates | `select`, `refit`, `verify` |
+| one effect after the other, through all gates | `rounds`, `step`, `refit`, `verify` |
+| the set of them, each judged beside the others | `select` |
 | the verdict | `decide`, `verdict` |
 | what would have been seen | `minimal` |
 """

@@ -16,7 +16,7 @@ import numpy as np
 
 from needleplan.diagnosis.diagnosis import FoundEffect
 from needleplan.diagnosis.refit import Added, Joint, added_output, effect_columns
-from needleplan.diagnosis.select import Selection, Stop
+from needleplan.diagnosis.select import Selection
 from needleplan.diagnosis.size import DIRECTION, interval_of, is_there
 from needleplan.diagnosis.space import Space
 from needleplan.models import Estimate
@@ -40,16 +40,17 @@ def found_effects(selection: Selection) -> tuple[FoundEffect, ...]:
     joint = selection.joint
     if joint is None:
         return ()
-    accepted = [step for step in selection.steps if step.stop is Stop.ACCEPTED]
-    gains = np.diff([0.0, *(step.ranked[0].joint.gain for step in accepted)])
+    whole = sum(member.gain for member in selection.members)
     found = []
-    for index, (each, step) in enumerate(zip(joint.added, accepted, strict=True)):
+    for index, (each, member) in enumerate(zip(joint.added, selection.members, strict=True)):
+        if member.rivals:
+            continue
         estimates = {name: _estimate(joint, index, name) for name in each.values}
         rows = [added_output([each], case.model, case.motion) for case in joint.cases]
         rms = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
         added = AddedEffect(each.effect.name, each.values, estimates, "", each.effect.version)
-        share = float(gains[index] / max(gains.sum(), 1e-12))
-        found.append(FoundEffect(each.effect, added, rms, share, step.ranked[0].balance, step.p_value))
+        share = float(member.gain / max(whole, 1e-12))
+        found.append(FoundEffect(each.effect, added, rms, share, member.balance, member.p_value))
     return tuple(found)
 
 

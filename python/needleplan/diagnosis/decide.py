@@ -10,7 +10,9 @@ import numpy as np
 from needleplan.diagnosis.measurand import Axis
 from needleplan.diagnosis.refit import Joint
 from needleplan.diagnosis.rivals import RivalScore, omnibus
-from needleplan.diagnosis.select import Selection, Stop
+from needleplan.diagnosis.select import Selection
+from needleplan.diagnosis.size import is_possible
+from needleplan.diagnosis.step import Stop
 from needleplan.diagnosis.verdict import Gates, Verdict
 from needleplan.models.effects import SIZE
 
@@ -64,31 +66,31 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
             return Decision(Verdict.UNDERPOWERED, (), (), None, None, "no gap, but an effect that matters could hide")
         return Decision(Verdict.NONE, (), (), None, None, "no gap: what the model leaves is noise")
     joint = selection.joint
-    names = tuple(each.effect.name for each in joint.added)
-    balance = sum(step.ranked[0].balance for step in selection.steps if step.stop is Stop.ACCEPTED)
-    winner = _loses(joint, balance, first.rivals, gates)
+    # One effect may be at several places, and has one name.
+    names = tuple(dict.fromkeys(each.effect.name for each in selection.sure))
+    all_ = ", ".join(dict.fromkeys(each.effect.name for each in joint.added))
+    winner = _loses(joint, selection.balance, first.rivals, gates)
     if winner:
-        return _unknown(winner.axis, f"{', '.join(names)} fits, but so does what has no name: {winner.name}")
+        return _unknown(winner.axis, f"{all_} fits, but so does what has no name: {winner.name}")
     other = selection.verified
     if other and other.gap_sds > _SURE and other.shrink < gates.closed:
-        text = f"{', '.join(names)} fits, but closes {max(other.shrink, 0.0):.0%} of the gap in another motion only"
+        text = f"{all_} fits, but closes {max(other.shrink, 0.0):.0%} of the gap in another motion only"
         return _unknown(rival.axis, text)
     share = _explained(selection)
     remaining = last.rivals[0]
     for index, each in enumerate(joint.added):
-        what = each.effect.parameters[SIZE]
-        sd = joint.sd(index, SIZE)
-        if not what.lower - 2 * sd <= each.values[SIZE] <= what.upper + 2 * sd or each.values[SIZE] in (
-            what.lower, what.upper,
-        ):  # fmt: skip
+        if not is_possible(joint, index):
+            what = each.effect.parameters[SIZE]
             text = f"{each.effect.name} would have to be as large as it can be, {each.values[SIZE]:.3g} {what.unit}"
             return Decision(Verdict.IMPLAUSIBLE, names, (), None, share, text)
     if share is not None and share < gates.explained and remaining.balance > gates.balance:
-        return _unknown(remaining.axis, f"{', '.join(names)} explains {share:.0%} of the gap only", share)
+        return _unknown(remaining.axis, f"{all_} explains {share:.0%} of the gap only", share)
     left = remaining.balance > gates.balance and share is not None and share < gates.complete
+    if not names:
+        text = "more than one effect is missing, and others explain as much: " + ", ".join(last.tied)
+        return Decision(Verdict.AMBIGUOUS, (), last.tied, None, share, text)
     if left or last.stop is Stop.TIE:
-        return Decision(Verdict.INCOMPLETE, names, last.tied if last.stop is Stop.TIE else (), remaining.axis, share,
-                        "something else is missing too")  # fmt: skip
+        return Decision(Verdict.INCOMPLETE, names, last.tied, remaining.axis, share, "something else is missing too")
     return Decision(Verdict.NAMED, names, (), None, share, "passes all gates")
 
 

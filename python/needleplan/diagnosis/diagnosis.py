@@ -33,7 +33,7 @@ class FoundEffect:
     """RMS of what it adds to the training data, in the channel's unit."""
 
     share: float
-    """Of the gain of all that was found."""
+    """Of the sum of what each effect brings beside the others."""
 
     balance: float
     p_value: float | None
@@ -69,13 +69,13 @@ class Diagnosis:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The effects that were named."""
-        return tuple(each.added.name for each in self.effects)
+        """The effects that were named; one that is at several places has one name."""
+        return tuple(dict.fromkeys(each.added.name for each in self.effects))
 
     @property
     def lacks_data(self) -> bool:
         """Whether something fits that these data cannot carry as a name, rather than several effects alike."""
-        return self.verdict is Verdict.AMBIGUOUS and self.selection.joint is not None
+        return self.verdict is Verdict.AMBIGUOUS and self.selection.joint is not None and bool(self.checked.lacks)
 
     @property
     def joint(self) -> Joint | None:

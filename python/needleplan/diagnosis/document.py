@@ -9,7 +9,7 @@ from typing import Any
 
 from needleplan.diagnosis.calibrate import Case
 from needleplan.diagnosis.diagnosis import Diagnosis, FoundEffect
-from needleplan.diagnosis.select import Step
+from needleplan.diagnosis.step import Step
 from needleplan.diagnosis.unknown import Described
 from needleplan.diagnosis.verify import Verified
 from needleplan.models import Estimate
@@ -126,7 +126,7 @@ def _step(step: Step) -> dict[str, Any]:
         ],
         "fitted": [{"name": each.name, "balance": each.balance} for each in step.ranked],
         "rivals": [asdict(each) | {"axis": str(each.axis)} for each in step.rivals],
-        "held_out": _verified(step.verified) if step.verified else None,
+        "held_out": _verified(step.ranked[0].verified) if step.ranked and step.ranked[0].verified else None,
     }
 
 

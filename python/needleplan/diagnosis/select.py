@@ -1,109 +1,50 @@
-"""Which effects are missing: one after the other, each against all others and against competitors without a name."""
+"""Which effects are missing: a set of them, in which each is needed beside the others and none could be another one.
+
+Effects are added one after the other. How the best one does while another one is missing may mislead: it seems to fail
+in another motion, or one that acts like it and like the missing one together does better. So a first effect that fails
+alone is tried together with a second one, and at the end each effect of a set is judged again beside the others.
+"""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
-
-import numpy as np
-from scipy import stats
 
 from needleplan.diagnosis.calibrate import LAG, Calibration, Case, fit_case
 from needleplan.diagnosis.channels import measurand_of
-from needleplan.diagnosis.fair import fitted_rival
-from needleplan.diagnosis.library import Candidates, Library
+from needleplan.diagnosis.library import Library
 from needleplan.diagnosis.minimal import Smallest, smallest_seen
 from needleplan.diagnosis.refit import Added, Joint, refit
-from needleplan.diagnosis.rivals import RivalScore, score_rivals
-from needleplan.diagnosis.screen import Screened, screen
-from needleplan.diagnosis.size import is_there
+from needleplan.diagnosis.rivals import score_rivals
+from needleplan.diagnosis.rounds import Search, one_round, transfers, usual_late, whitened_columns
+from needleplan.diagnosis.screen import screen
+from needleplan.diagnosis.size import is_possible
 from needleplan.diagnosis.space import Space
+from needleplan.diagnosis.step import Ranked, Step, Stop
 from needleplan.diagnosis.verdict import Gates
 from needleplan.diagnosis.verify import Verified, verify
-from needleplan.models import Model
-from needleplan.models.effects import SIZE
-from needleplan.signals import Array
 
-__all__ = ["Ranked", "Selection", "Step", "Stop", "select", "whitened_columns"]
+__all__ = ["Member", "Selection", "select"]
 
-_REFITTED = 4
-_NEAR = 40.0
-_NEAR_SHARE = 0.1
-"""How far behind the best an effect is still fitted: columns are not what a fit reaches."""
-_NULLS = 200
-_LAGS = 2.0
-"""Multiple of the usual lag from which on being late is an effect."""
-_IMITATED = 30.0
-_TRIED = 5.0
-"""Balance of its column from which on an effect is fitted: beside a base that imitates it, it shows only in part."""
 _FAR = 0.3
-
-
-class Stop(StrEnum):
-    """Why no further effect was taken."""
-
-    ACCEPTED = "accepted"
-    WEAK = "weak"
-    """The best one does not reach the threshold, or its size may be zero."""
-
-    CHANCE = "chance"
-    """Simulated data without an effect reach as much too often."""
-
-    TIE = "tie"
-    """Another effect explains it as well."""
-
-    NO_TRANSFER = "no_transfer"
-    """It does not hold in another motion."""
-
-    SMALL = "small"
-    """It is a small part of what the first one brought."""
-
-    ENOUGH = "enough"
-    """As many as are looked for were found."""
+_IN_PLACE = 0.5
+"""Of the balance of an effect that another one must have to be tried in its place."""
+_MOST_IN_PLACE = 3
 
 
 @dataclass(frozen=True)
-class Ranked:
-    """An effect, fitted together with the base and the effects before it."""
+class Member:
+    """What one effect is worth in a set: beside all others of it."""
 
-    name: str
-    joint: Joint
+    gain: float
+    """Twice the log likelihood over the others without it."""
+
     balance: float
-    """Schwarz' balance of this effect over those before it."""
-
-    verified: Verified | None = None
-    """How it does in another motion; None where it was not asked, or there is none."""
-
-    kept: float = 0.0
-    """What it brings there over those before it: twice the log likelihood of data that it was not fitted to."""
-
-    vetoed: bool = False
-    """Whether it does not hold there."""
-
-    @property
-    def support(self) -> float:
-        """What all data say for it: the balance of the fitted ones, and the gain in those that were held out."""
-        return self.balance + self.kept
-
-
-@dataclass(frozen=True)
-class Step:
-    """One round: what was screened, what was fitted, and how it ended."""
-
-    screened: tuple[Screened, ...]
-    rivals: tuple[RivalScore, ...]
-    ranked: tuple[Ranked, ...]
     p_value: float | None
-    lead: float
-    verified: Verified | None
-    stop: Stop
+    """Of the round in which it was taken."""
 
-    @property
-    def tied(self) -> tuple[str, ...]:
-        """Effects that are as good as the best, itself among them."""
-        return tuple(each.name for each in self.ranked if _rivals(self.ranked[0], each, self.lead))
+    rivals: tuple[Added, ...] = ()
+    """Effects that do as well in its place."""
 
 
 @dataclass(frozen=True)
@@ -113,179 +54,147 @@ class Selection:
     base: Space
     steps: tuple[Step, ...]
     joint: Joint | None
+    members: tuple[Member, ...]
+    """One for each effect of `joint`."""
+
     verified: Verified | None
+    """How they do in another motion together, over the base alone."""
+
     smallest: tuple[Smallest, ...]
     believed: tuple[Case, ...] = ()
     """The trials with parameters held that calibration moved far from what was believed of them; empty otherwise."""
 
+    @property
+    def sure(self) -> tuple[Added, ...]:
+        """The effects of the set in whose place no other one does as well."""
+        added = self.joint.added if self.joint else ()
+        return tuple(each for each, member in zip(added, self.members, strict=True) if not member.rivals)
+
+    @property
+    def balance(self) -> float:
+        """Schwarz' balance of all that was accepted."""
+        return _balance(self.joint, self.base) if self.joint else 0.0
+
 
 def select(calibration: Calibration, library: Library, gates: Gates, *, seed: int = 0) -> Selection:
-    """Take effects as long as one passes all gates."""
+    """Take effects as long as one passes all gates, then judge each beside the others."""
     base = Space([case.block for case in calibration.training])
     candidates = library.candidates([case.motion for case in calibration.training])
     first = whitened_columns(calibration, library, calibration.training, candidates)
     raw = [library.columns(calibration.model, case.motion, candidates) for case in calibration.training]
     smallest = smallest_seen(base, raw, first, candidates, calibration.noise.rms)
-    again = _believed(calibration)
-    cases, space = calibration.training, base
-    joint: Joint | None = None
-    verified: Verified | None = None
-    steps: list[Step] = []
-    while True:
-        taken = joint.added if joint else ()
-        before = joint.gain if joint else 0.0
-        columns = first if joint is None else whitened_columns(calibration, library, cases, candidates)
-        round_ = _Round(calibration, gates, base, candidates, taken, before, tuple(steps), seed)
-        other = None
-        if joint is None and again:
-            other = (again, whitened_columns(calibration, library, again, candidates, calibration.given))
-        step = _round(round_, space, cases, columns, other)
-        steps.append(step)
-        if step.stop is not Stop.ACCEPTED:
-            break
-        joint, verified = step.ranked[0].joint, step.verified
-        cases, space = joint.cases, joint.space
-    return Selection(base, tuple(steps), joint, verified, smallest, again)
+    believed = _believed(calibration)
+    search = Search(calibration, library, candidates, base, first, believed, gates, seed)
+    steps, last = _grown(search)
+    if not steps:
+        return Selection(base, (last,), None, (), None, smallest, believed)
+    joint, members = _settled(search, steps)
+    if any(each.rivals for each in members):
+        last = _contest(search, joint, members, last)
+    elif joint is not steps[-1].ranked[0].joint:
+        last = replace(last, rivals=score_rivals(joint.space, joint.cases))
+    alone = len(steps) == 1
+    verified = (alone and steps[0].ranked[0].verified) or verify(joint, calibration)
+    failed_alone = steps[0].ranked[0].vetoed
+    if failed_alone and (len(joint.added) == 1 or (verified and not transfers(verified, gates))):
+        return Selection(base, (replace(steps[0], stop=Stop.NO_TRANSFER),), None, (), None, smallest, believed)
+    return Selection(base, (*steps, last), joint, members, verified, smallest, believed)
 
 
-_Trials = tuple[Sequence[Case], Sequence[Array]]
-"""Cases, and the candidates' columns along them."""
+def _grown(search: Search) -> tuple[list[Step], Step]:
+    """Return the rounds in which an effect was accepted, and the one in which none was.
 
-_Start = tuple[Screened, Sequence[Case]]
-"""From where an effect is fitted, beside which base."""
-
-
-@dataclass(frozen=True)
-class _Round:
-    """What a round knows of those before it."""
-
-    calibration: Calibration
-    gates: Gates
-    base: Space
-    candidates: tuple[Candidates, ...]
-    taken: tuple[Added, ...]
-    before: float
-    steps: tuple[Step, ...]
-    seed: int
-
-
-def _round(
-    known: _Round,
-    space: Space,
-    cases: Sequence[Case],
-    columns: Sequence[Array],
-    other: _Trials | None,
-) -> Step:
-    gates, taken, before, steps = known.gates, known.taken, known.before, known.steps
-    names = {each.effect.name for each in taken if not each.effect.repeats}
-    left = [each for each in known.candidates if each.effect.name not in names]
-    screened = tuple(each for each in screen(space, columns, known.candidates) if each.effect.name not in names)
-    rivals = score_rivals(space, cases)
-    needed = gates.needed(space.level)
-    if not screened:
-        return Step(screened, rivals, (), None, gates.lead, None, Stop.WEAK)
-    if len(taken) >= gates.most:
-        return Step(screened, rivals, (), None, gates.lead, None, Stop.ENOUGH)
-    starts = _starts_as_believed(known, other, needed) if other else []
-    likely = screened if screened[0].balance >= _TRIED else ()
-    ranked = _fitted(known, starts, [(each, cases) for each in likely], space)
-    if not ranked:
-        return Step(screened, rivals, (), None, gates.lead, None, Stop.WEAK)
-    ranked = sorted(_judged(known, ranked, needed), key=lambda each: -each.support)
-    if any(each.verified and not each.vetoed for each in ranked):
-        # What another motion refutes is not named before what it supports.
-        ranked = sorted(ranked, key=lambda each: each.verified is None or each.vetoed)
-    best = ranked[0]
-    p_value = _chance(space, columns, left, best.balance, known.seed + len(taken))
-    tried = {each.name for each in ranked}
-    tied = any(_rivals(best, each, gates.lead) for each in ranked[1:]) or any(
-        e.balance > best.balance - gates.lead for e in screened if e.effect.name not in tried
-    )
-    verified = best.verified or verify(best.joint, known.calibration)
-
-    if not taken and best.balance >= needed:
-        rival = fitted_rival(best.joint, known.calibration, known.base)
-        rivals = tuple(sorted([*rivals, *([rival] if rival else [])], key=lambda each: -each.balance))
-
-    def ended(stop: Stop) -> Step:
-        return Step(screened, rivals, tuple(ranked), p_value, gates.lead, verified, stop)
-
-    if best.balance < needed or not is_there(best.joint, len(taken)):
-        return ended(Stop.WEAK)
-    if p_value > gates.p_value:
-        return ended(Stop.CHANCE)
-    if taken and best.joint.gain - before < gates.further * steps[0].ranked[0].joint.gain:
-        return ended(Stop.SMALL)
-    if tied:
-        return ended(Stop.TIE)
-    if best.vetoed:
-        return ended(Stop.NO_TRANSFER)
-    return ended(Stop.ACCEPTED)
-
-
-def _rivals(best: Ranked, other: Ranked, lead: float) -> bool:
-    """Whether all data together do not tell two effects apart, or those that were fitted speak for the other one."""
-    fits_better = not other.vetoed and other.balance > best.balance + lead
-    return bool(other.support > best.support - lead or fits_better)
-
-
-def _judged(known: _Round, ranked: Sequence[Ranked], needed: float) -> list[Ranked]:
-    """Return effects with what they bring in another motion, those that could be named or are near the best."""
-    before = known.steps[-1].verified if known.taken else None
-    least = max(needed, ranked[0].balance - max(_NEAR, _NEAR_SHARE * ranked[0].balance))
-    found = []
-    for each in ranked:
-        seen = verify(each.joint, known.calibration) if each.balance >= least else None
-        kept = seen.gain - (before.gain if before else 0.0) if seen else 0.0
-        vetoed = seen is not None and not _transfers(each, seen, known)
-        found.append(replace(each, verified=seen, kept=kept, vetoed=vetoed))
-    return found
-
-
-def _starts_as_believed(known: _Round, other: _Trials, needed: float) -> list[_Start]:
-    """Return where effects may be that the calibrated base imitates: seen from the base as it was believed to be."""
-    cases, columns = other
-    believed = Space([case.block for case in cases])
-    behind = 2 * float(known.base.evidence.max() - believed.evidence.max())
-    seen = screen(believed, columns, known.candidates)
-    found = [(each, cases) for each in seen if each.balance - behind > needed - _IMITATED][: _REFITTED - 1]
-    lag = _usual_late(known.calibration)
-    return found + [
-        (replace(each, values={**each.values, SIZE: lag}), cases) for each in seen if each.effect.is_lag and lag
-    ]
-
-
-def _fitted(known: _Round, certain: Sequence[_Start], screened: Sequence[_Start], space: Space) -> list[Ranked]:
-    """Return effects fitted from where they were screened, the best first and each once.
-
-    What is `certain` is fitted; of what was screened, the best, until the next one is far behind what a fit reached.
+    A first effect that does not hold in another motion is accepted with a second one beside which it may.
     """
-    price = space.price
-    usual_lag_s = measurand_of(known.calibration.given.channel).usual_lag_s
-    found: dict[str, Ranked] = {}
-    for count, (each, cases) in enumerate([*certain, *screened]):
-        best = max((ranked.balance for ranked in found.values()), default=-math.inf)
-        if count >= len(certain) and (
-            each.balance < best - max(_NEAR, _NEAR_SHARE * best) or count >= len(certain) + _REFITTED
-        ):
-            break
-        within = next(c.within() for c in known.candidates if c.effect is each.effect)
-        start = [*known.taken, Added(each.effect, each.values, within)]
-        joint = refit(start, known.calibration, known.base, cases if not known.taken else None)
-        if each.effect.is_lag and joint.added[-1].values[SIZE] < _LAGS * usual_lag_s:
-            continue  # any sensor may be as late as that
-        gain = max(joint.gain - known.before, 0.0)
-        ranked = Ranked(each.effect.name, joint, gain - len(each.effect.parameters) * price)
-        if ranked.name not in found or ranked.balance > found[ranked.name].balance:
-            found[ranked.name] = ranked
-    return sorted(found.values(), key=lambda each: -each.balance)
+    accepted: list[Step] = []
+    on_trial: Step | None = None
+    joint: Joint | None = None
+    while True:
+        first = accepted[0] if accepted else on_trial
+        step = one_round(search, joint, first.ranked[0].joint.gain if first else 0.0)
+        if step.stop is Stop.ACCEPTED:
+            accepted += [replace(on_trial, stop=Stop.ACCEPTED), step] if on_trial else [step]
+            on_trial = None
+        elif step.stop is Stop.NO_TRANSFER and joint is None:
+            on_trial = step
+        else:
+            return accepted, on_trial or step
+        joint = step.ranked[0].joint
 
 
-def _usual_late(calibration: Calibration) -> float:
-    """Return the lag that calibration found (s), 0 where it is one that any sensor may have."""
-    usual_lag_s = measurand_of(calibration.given.channel).usual_lag_s
-    found = float(np.median([case.lag_s for case in calibration.training]))
-    return found if usual_lag_s > 0 and found > _LAGS * usual_lag_s else 0.0
+def _settled(search: Search, steps: Sequence[Step]) -> tuple[Joint, tuple[Member, ...]]:
+    """Return the set with each effect the best of those that fit in its place, and needed beside the others."""
+    joint = steps[-1].ranked[0].joint
+    chances = [step.p_value for step in steps]
+    if len(steps) == 1:
+        return joint, (Member(joint.gain, steps[0].ranked[0].balance, chances[0]),)
+    rivals: list[tuple[Added, ...]] = [()] * len(steps)
+    for index in range(len(steps)):
+        joint, rivals[index] = _in_place(search, joint, index)
+    while True:
+        rests = [_without(search, joint, index) for index in range(len(joint.added))]
+        members = tuple(
+            Member(joint.gain - rest.gain, _balance(joint, search.base) - _balance(rest, search.base), chance, others)
+            for rest, chance, others in zip(rests, chances, rivals, strict=True)
+        )
+        weakest = min(range(len(members)), key=lambda index: members[index].balance)
+        if members[weakest].balance >= search.gates.needed(joint.space.level):
+            return joint, members
+        joint = rests[weakest]
+        del chances[weakest], rivals[weakest]
+        if len(joint.added) == 1:
+            return joint, (Member(joint.gain, _balance(joint, search.base), chances[0], rivals[0]),)
+
+
+def _without(search: Search, joint: Joint, index: int) -> Joint:
+    rest = [each for place, each in enumerate(joint.added) if place != index]
+    return refit(rest, search.calibration, search.base, joint.cases)
+
+
+def _in_place(search: Search, joint: Joint, index: int) -> tuple[Joint, tuple[Added, ...]]:
+    """Return the set with the best effect in one place, and the effects that do as well there."""
+    rest = _without(search, joint, index)
+    names = {each.effect.name for each in joint.added}
+    least = _IN_PLACE * (_balance(joint, search.base) - _balance(rest, search.base))
+    sets = [joint]
+    for other in screen(rest.space, search.columns_beside(rest), search.candidates):
+        if other.effect.name in names or other.balance < least or len(sets) > _MOST_IN_PLACE:
+            continue
+        added = [*joint.added]
+        added[index] = Added(other.effect, other.values, search.within(other.effect))
+        sets.append(refit(added, search.calibration, search.base, joint.cases))
+    if len(sets) == 1:
+        return joint, ()
+    supports = []
+    for each in sets:
+        seen = verify(each, search.calibration)
+        holds = (seen is None or transfers(seen, search.gates)) and is_possible(each, index)
+        supports.append((holds, _balance(each, search.base) + (seen.gain if seen else 0.0)))
+    best = max(range(len(sets)), key=lambda place: supports[place])
+    holds, support = supports[best]
+    return sets[best], tuple(
+        each.added[index] for place, each in enumerate(sets)
+        if place != best and (supports[place][0] or not holds) and supports[place][1] > support - search.gates.lead
+    )  # fmt: skip
+
+
+def _contest(search: Search, joint: Joint, members: Sequence[Member], last: Step) -> Step:
+    """Return the round that was not decided after all: an effect of the set, and those that do as well in its place."""
+    index = next(place for place, each in enumerate(members) if each.rivals)
+    rest = _without(search, joint, index)
+    ranked = []
+    for each in (joint.added[index], *members[index].rivals):
+        whole = refit([*rest.added, each], search.calibration, search.base, joint.cases)
+        balance = _balance(whole, search.base) - _balance(rest, search.base)
+        ranked.append(Ranked(each.effect.name, whole, whole.gain - rest.gain, balance))
+    return Step(
+        last.screened, score_rivals(joint.space, joint.cases), tuple(ranked), members[index].p_value, Stop.TIE,
+        tuple(each.name for each in ranked),
+    )  # fmt: skip
+
+
+def _balance(joint: Joint, base: Space) -> float:
+    return joint.gain - base.price * sum(len(each.effect.parameters) for each in joint.added)
 
 
 def _believed(calibration: Calibration) -> tuple[Case, ...]:
@@ -301,7 +210,7 @@ def _believed(calibration: Calibration) -> tuple[Case, ...]:
         if abs(given.parameters()[name].coordinate(getattr(now, name))
                - given.parameters()[name].coordinate(getattr(given, name))) > _FAR
     }  # fmt: skip
-    late = _usual_late(calibration) > 0
+    late = usual_late(calibration) > 0
     if not far and not late:
         return ()
     held = {*far, LAG} if late else far
@@ -313,47 +222,3 @@ def _believed(calibration: Calibration) -> tuple[Case, ...]:
         )
         for case in calibration.training
     )  # fmt: skip
-
-
-def _transfers(each: Ranked, verified: Verified, known: _Round) -> bool:
-    """Whether an effect holds in another motion; a further one must bring there part of what it brought in training."""
-    gates, calibration = known.gates, known.calibration
-    before = known.steps[-1].verified if known.taken else None
-    if before is not None:
-        samples = [sum(len(case.motion) for case in part) for part in (calibration.held_out, calibration.training)]
-        hoped = (each.joint.gain - known.before) * samples[0] / samples[1]
-        return verified.gain - before.gain >= gates.further_transfer * hoped
-    # What is kept is promised + 2 sqrt(promised) times a standard normal number, where the effect is there.
-    chance = verified.promised - gates.transfer_sds * 2 * math.sqrt(max(verified.promised, 0.0))
-    return verified.kept > max(0.0, min(gates.transfer * verified.promised, chance))
-
-
-def whitened_columns(
-    calibration: Calibration,
-    library: Library,
-    cases: Sequence[Case],
-    candidates: Sequence[Candidates],
-    about: Model | None = None,
-) -> list[Array]:
-    """Return every candidate along every trial, whitened; beside the calibrated base, or one like `about`."""
-    model = about or calibration.model
-    columns = [case.whiten(library.columns(model, case.motion, candidates)) for case in cases]
-    for each in candidates:
-        if each.effect.is_lag:  # the lag that was calibrated and one more are not the same as one that is longer
-            for case, whitened in zip(cases, columns, strict=True):
-                whitened[:, each.first] = case.lag_column
-    return columns
-
-
-def _chance(
-    space: Space, columns: Sequence[Array], candidates: Sequence[Candidates], balance: float, seed: int
-) -> float:
-    """Return how often data without an effect reach such a balance: Gumbel's law, fitted to simulated data."""
-    price = space.price
-    penalty, signs = np.full(columns[0].shape[1], np.inf), np.zeros(columns[0].shape[1])
-    for each in candidates:
-        penalty[each.first : each.last], signs[each.first : each.last] = each.count * price, each.sign
-    maxima = space.null_maxima(columns, penalty, signs, _NULLS, seed)
-    scale = float(maxima.std(ddof=1)) * np.sqrt(6) / np.pi
-    place = float(maxima.mean()) - np.euler_gamma * scale
-    return float(stats.gumbel_r.sf(balance, place, scale))

@@ -16,7 +16,7 @@ from needleplan.diagnosis.refit import Joint
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array
 
-__all__ = ["DIRECTION", "interval_of", "is_there"]
+__all__ = ["DIRECTION", "interval_of", "is_possible", "is_there"]
 
 DIRECTION = "direction_rad"
 _TWO_SIDED = 1.959964
@@ -58,6 +58,15 @@ def is_there(joint: Joint, which: int) -> bool:
     covariance *= np.outer(scale, scale)
     low, high = _ends(covariance, joint, which)
     return low * high > 0
+
+
+def is_possible(joint: Joint, which: int) -> bool:
+    """Whether the size of an effect is within its bounds, and not at one of them."""
+    each = joint.added[which]
+    what, size = each.effect.parameters[SIZE], each.values[SIZE]
+    sd = joint.sd(which, SIZE)
+    within = what.lower - 2 * sd <= size <= what.upper + 2 * sd
+    return bool(within and size not in (what.lower, what.upper))
 
 
 def _ends(covariance: Array, joint: Joint, which: int) -> tuple[float, float]:

@@ -67,11 +67,8 @@ class Gates:
     further: float = 0.03
     """Of the first gain that a second or third effect must bring."""
 
-    further_transfer: float = 0.3
-    """Of what it brought in training that a further effect must bring on held-out trials, sample for sample."""
-
     most: int = 3
-    """How many effects are looked for."""
+    """How many names are looked for."""
 
     relevant: float = 1.0
     """Size, in noise RMS, that matters: where less than that would have been seen, no gap means that there is none."""

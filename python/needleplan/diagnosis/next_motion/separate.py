@@ -19,8 +19,8 @@ from needleplan.diagnosis.calibrate import pooled
 from needleplan.diagnosis.diagnosis import Diagnosis
 from needleplan.diagnosis.next_motion.proposal import NextMotion, Tried, predicted_case
 from needleplan.diagnosis.refit import Added, Joint, added_output
-from needleplan.diagnosis.select import Step, Stop
 from needleplan.diagnosis.space import Space
+from needleplan.diagnosis.step import Step, Stop
 from needleplan.diagnosis.verdict import Verdict
 from needleplan.models import Model
 from needleplan.signals import Array, Motion, Role

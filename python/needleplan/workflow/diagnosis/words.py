@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from needleplan.diagnosis import Axis, Diagnosis, Verdict
-from needleplan.diagnosis.select import Stop
+from needleplan.diagnosis.step import Stop
 
 __all__ = ["STOPS", "advice", "answer", "title_of"]
 
