@@ -51,8 +51,11 @@ class Candidates:
         return 1 if what.lower >= 0 else -1 if what.upper <= 0 else 0
 
     def within(self) -> dict[str, tuple[float, float]]:
-        """Return the hull of the grid, by parameter, and a little more."""
-        names = [name for name in self.effect.parameters if name != SIZE and any(name in each for each in self.grid)]
+        """Return the hull of the grid, by parameter, and a little more. An angle comes round and has none."""
+        names = [
+            name for name, what in self.effect.parameters.items()
+            if name != SIZE and what.unit != "rad" and any(name in each for each in self.grid)
+        ]  # fmt: skip
         found = {}
         for name in names:
             values = sorted({each[name] for each in self.grid})

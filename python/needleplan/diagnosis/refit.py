@@ -15,7 +15,7 @@ from needleplan.diagnosis.calibrate import Calibration, Case, fit_case
 from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.space import Space
 from needleplan.models import Model, Scale, simulate
-from needleplan.models.effects import SIZE, Effect
+from needleplan.models.effects import SIZE, Effect, Reach
 from needleplan.signals import Array, Motion
 
 __all__ = ["Added", "Joint", "added_output", "cases_with", "effect_columns", "refit", "whole_model"]
@@ -106,9 +106,13 @@ def refit(
     names = tuple((index, name) for index, each in enumerate(added) for name in _free(each))
     added = _moved(added, names, np.zeros(len(names)))  # what was screened may lie outside of what can be
     cases = tuple(cases or calibration.training)
+    rounds = measurand_of(calibration.model.channel).rounds
+    tried = _tried(added, cases)
+    if tried != added:
+        added, rounds = tried, 2 * rounds
     best: Joint | None = None
     move, share, promised = np.zeros(len(names)), 1.0, 0.0
-    for _ in range(measurand_of(calibration.model.channel).rounds):
+    for _ in range(rounds):
         cases = cases_with(added, calibration, cases)
         columns = [case.whiten(effect_columns(added, names, case.model, case.motion)) for case in cases]
         alone = Space([case.block for case in cases])
@@ -131,6 +135,40 @@ def refit(
         added, cases = _moved(best.added, names, share * move), best.cases
     assert best is not None
     return best
+
+
+def _tried(added: tuple[Added, ...], cases: Sequence[Case]) -> tuple[Added, ...]:
+    """Return effects with the last one moved to where it fits best of what it wants to have tried, the base linear.
+
+    As large as it is tried, and not as large as the column would want it: such effects are not linear in their size.
+    """
+    *before, last = added
+    reach = Reach.of([case.motion for case in cases])
+    space: Space | None = None
+    for scale in _SCALES:
+        grid = last.effect.nearby(last.values, reach, scale)
+        if not grid:
+            break
+        if space is None:
+            space = Space([replace(case.block, residual=_beside(before, case)) for case in cases])
+        columns = [
+            case.whiten(last.effect.columns(whole_model(before, case.model), case.motion, grid)) for case in cases
+        ]
+        scores, sizes = space.scores(columns), np.array([each[SIZE] for each in grid])
+        evidence = 2 * space.evidence[:, None] + 2 * scores.slope * sizes - scores.curvature * sizes**2
+        last = replace(last, values=grid[int(evidence.max(axis=0).argmax())])
+    return (*before, last)
+
+
+_SCALES = (1.0, 0.5, 0.25)
+"""From far to near."""
+
+
+def _beside(added: Sequence[Added], case: Case) -> Array:
+    """Return the whitened residual of a base without effects, once there are some."""
+    if not added:
+        return case.block.residual
+    return np.asarray(case.block.residual - case.whiten(added_output(added, case.model, case.motion)))
 
 
 def _free(added: Added) -> tuple[str, ...]:

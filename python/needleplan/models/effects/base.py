@@ -112,6 +112,18 @@ class Effect(ABC):
         """Return where its other parameters are looked for: values by name, without the size. Default: nowhere else."""
         return [{}]
 
+    def nearby(
+        self,
+        values: Mapping[str, float],  # noqa: ARG002
+        reach: Reach,  # noqa: ARG002
+        scale: float,  # noqa: ARG002
+    ) -> list[dict[str, float]]:
+        """Return what to try about where a fit is to start, the size too, from far (scale 1) to near. Default: nothing.
+
+        For effects that are far from linear: between two places of a grid there may be more than one hill.
+        """
+        return []
+
     def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
         """Return what the output gains for a unit of size, shape (samples, len(grid)).
 

@@ -24,7 +24,10 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["FORCE_EFFECTS", "TermEffect", "WrapEffect", "presliding_of"]
 
-Grid = Callable[[Reach], Mapping[str, Sequence[float] | Array]]
+Grid = Callable[[Reach], Mapping[str, Sequence[float] | Array] | Sequence[Mapping[str, float]]]
+"""The axes of a grid, or all of its places."""
+
+Nearby = Callable[[Mapping[str, float], Reach, float], list[dict[str, float]]]
 _THESIS = "Needle steering thesis, "
 
 
@@ -40,6 +43,7 @@ class _Described(Effect):
     meaning: str
     source: str
     looked_for: Grid = lambda reach: {}  # noqa: ARG005
+    tried: Nearby = lambda values, reach, scale: []  # noqa: ARG005
     channel: Channel = Channel.FORCE
     repeats: bool = False
     is_lag: bool = False
@@ -56,7 +60,17 @@ class _Described(Effect):
     def grid(self, reach: Reach) -> list[dict[str, float]]:
         """Return the product of the axes of the grid."""
         axes = self.looked_for(reach)
+        if not isinstance(axes, Mapping):
+            return [dict(each) for each in axes]
         return [dict(zip(axes, map(float, each), strict=True)) for each in product(*axes.values())]
+
+    def nearby(self, values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:
+        """Return what to try, within the bounds of the parameters."""
+        bounds = self.parameters
+        return [
+            {name: min(max(value, bounds[name].lower), bounds[name].upper) for name, value in each.items()}
+            for each in self.tried(values, reach, scale)
+        ]
 
 
 @dataclass(frozen=True)
@@ -142,6 +156,45 @@ def _depths(step_mm: float) -> Callable[[Reach], np.ndarray]:
 def _speeds(reach: Reach) -> np.ndarray:
     low, high = max(reach.speed_mm_s[0], 1e-2), max(reach.speed_mm_s[1], 2e-2)
     return np.geomspace(0.3 * low, max(0.5 * high, 0.6 * low), 8)
+
+
+def _breaths(reach: Reach) -> list[dict[str, float]]:
+    """Return breaths that show in rests, and those that turn the movement round even where the needle advances."""
+    slowest = max(reach.speed_mm_s[0], 1e-2)
+    found = []
+    for frequency_hz in np.arange(0.12, 0.5, 0.03):
+        turning = slowest / (_STEEPEST * 2 * np.pi * frequency_hz)
+        sizes = [0.02, 0.1, *(min(share * turning, 30.0) for share in (1.15, 1.8, 3.5))]
+        found += [
+            {"frequency_hz": frequency_hz, "phase_rad": phase, "rest": 1.0, SIZE: size}
+            for phase, size in product(np.arange(6) * np.pi / 3, sizes)
+        ]
+    return found
+
+
+_STEEPEST = 0.65
+"""Greatest velocity of a breath, in parts of way times angular frequency."""
+
+
+def _other_breaths(values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:
+    """Return breaths with another frequency, whose phase is told in the middle of a trial, phase and way."""
+    if not values[SIZE]:
+        return []
+    begin, apart = values["phase_rad"], 0.3 / reach.duration_s
+    middle = np.pi * reach.duration_s
+    reached = (-2, -1, 0, 1, 2) if scale == 1 else (-1, 0, 1)
+    steps = product((0.5, 1.0, 2.0), reached, reached)
+    found = [
+        {
+            **values,
+            SIZE: values[SIZE] * share**scale,
+            "frequency_hz": values["frequency_hz"] + scale * faster * apart,
+            "phase_rad": begin + scale * 0.45 * later - middle * scale * faster * apart,
+        }
+        for share, later, faster in steps
+    ]
+    dwells = product((-1.0, 0.0), np.arange(6) * np.pi / 3) if scale == 1 else ()
+    return found + [{**values, "rest": rest, "phase_rad": begin + later} for rest, later in dwells]
 
 
 FORCE_EFFECTS: tuple[Effect, ...] = (
@@ -278,13 +331,10 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
     ),
     WrapEffect(
         "respiration", "breathing", Family.TISSUE, Enters.TISSUE,
-        "v - u', L - u with u = size sin(2 pi f t + phase)",
-        "The tissue moves along the needle by itself, with the breath.", _THESIS + "1.2 and 2.1",
-        lambda reach: {  # noqa: ARG005
-            "frequency_hz": np.arange(0.12, 0.5, 0.02),
-            "phase_rad": np.arange(6) * np.pi / 3,
-            SIZE: (0.02, 0.1, 0.6),
-        },
+        "v - u', L - u with u = size/2 (sin a - rest/2 cos(a)^2 + rest), a = 2 pi f t + phase",
+        "The tissue moves along the needle by itself, with the breath.", _THESIS + "1.2 and 2.1; Lujan et al., 1999",
+        _breaths,
+        _other_breaths,
         wrapper=BreathingTissue,
     ),
 )  # fmt: skip

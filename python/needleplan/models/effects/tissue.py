@@ -118,12 +118,19 @@ class GivingTissue(SelfIntegratingModel):
 
 @dataclass(frozen=True, kw_only=True)
 class BreathingTissue(SelfIntegratingModel):
-    """A model whose tissue moves along the needle, u = size sin(2 pi f t + phase); the state is that of the model."""
+    """A model whose tissue moves along the needle with the breath; the state is that of the model.
+
+    u = size/2 (sin a - rest/2 cos^2 a + rest), a = 2 pi f t + phase: from one end to the other and back. At rest 0 this
+    is a sine. At 1 it is size ((1 + sin a)/2)^2, which dwells where the breath is out, u = 0, and is the form that is
+    usual for organs (Lujan et al., Med. Phys. 26 (1999) 715, n = 2). At -1 it dwells at the other end: the needle comes
+    from the other side.
+    """
 
     base: Model
-    size: float = parameter("mm", 0, 30, "amplitude of the tissue", typical=0.5)
+    size: float = parameter("mm", 0, 30, "way of the tissue from one end to the other", typical=0.5)
     frequency_hz: float = parameter("Hz", 0.02, 5, "frequency of the breathing")
     phase_rad: float = parameter("rad", -20, 20, "phase at the begin of a trial", typical=1.0)
+    rest: float = parameter("", -1, 1, "how much longer it dwells at one end: 0 a sine, 1 where u = 0", typical=1.0)
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
@@ -134,9 +141,11 @@ class BreathingTissue(SelfIntegratingModel):
         """Return the motion of the needle relative to the tissue; `motion` itself, where the size is 0."""
         if not self.size:
             return motion
-        angle = 2 * np.pi * self.frequency_hz * np.asarray(motion.time_s) + self.phase_rad
-        velocity = motion.velocity_mm_s - self.size * 2 * np.pi * self.frequency_hz * np.cos(angle)
-        depth = motion.depth_mm - self.size * np.sin(angle)
+        rate = 2 * np.pi * self.frequency_hz
+        angle = rate * np.asarray(motion.time_s) + self.phase_rad
+        sine, cosine = np.sin(angle), np.cos(angle)
+        velocity = motion.velocity_mm_s - self.size / 2 * rate * cosine * (1 + self.rest * sine)
+        depth = motion.depth_mm - self.size / 2 * (sine + self.rest * (1 - cosine**2 / 2))
         return Motion(motion.time_s, depth, velocity, np.sign(velocity), motion.angle_rad)
 
     def initial_state(self, motion: Motion) -> Array:
