@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from needleplan.estimation.tip import TipFilter
 from needleplan.models import ModelFile, ShaftAndTip, simulate
 from needleplan.recording import write_records
 from needleplan.scenario import Scenario
+from needleplan.signals import Role
 from needleplan.simulation import Experiment, run_experiment
 from tests.diagnosis.tip_trials import BASE, recordings
 
@@ -45,6 +47,10 @@ def test_what_was_diagnosed_is_planned_estimated_and_simulated(
     assert main(["diagnose", "base.toml", "data.csv", "-o", "found", "--scenario", "prostate"]) == 0
     shown = capsys.readouterr().out
     assert "layers behind it: 1" in shown
+    assert "with what was named: curvature_layer" in shown
+    assert (
+        Path("found/scenario.toml").read_text().startswith("# The curvature with what was named: curvature_layer. Diag")
+    )
     scenario = Scenario.read("found/scenario.toml")
     (layer,) = scenario.needle.layers
     assert 27 < layer.from_mm < 32
@@ -64,6 +70,24 @@ def test_what_was_diagnosed_is_planned_estimated_and_simulated(
     expected = TipFilter.for_scenario(scenario, Registration(), (0.0, 35.0, 0.0))._planned
     assert callable(expected)
     assert expected(50.0, 35.0) / expected(10.0, 35.0) == pytest.approx(1.6, abs=0.2)
+
+
+def test_without_a_name_the_scenario_has_the_calibrated_curvature(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    hidden = {"curvature_layer": {"size": 0.6, "depth_mm": 30.0}}
+    write_records([each for each in recordings(hidden, seed=3) if each.role is not Role.HOLDOUT], "few.csv")
+    assert main(["diagnose", "base.toml", "few.csv", "-o", "open", "--scenario", "prostate"]) == 1
+    assert "plan: Calibrated only" in capsys.readouterr().out
+    text = Path("open/scenario.toml").read_text()
+    assert text.startswith(
+        "# Calibrated only: the curvature of these recordings, without any effect (verdict: ambiguous)"
+    )
+    needle = Scenario.read("open/scenario.toml").needle
+    assert not needle.layers
+    said = json.loads(Path("open/diagnosis.json").read_text())["base"]["curvature_per_mm"]
+    assert needle.curvature_radius_mm == pytest.approx(1 / said["value"], rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_it_reaches_the_target_and_the_recording_replays(file: Path, quick: Path, tmp_path: Path) -> None:
     run, figure = tmp_path / "run.mcap", tmp_path / "run.svg"
-    arguments = ("--speed", 10, "--rotation-speed", 10, "-o", run, "--figure", figure, "--json")
+    arguments = ("--speed", 10, "--rotation-speed", 10, "--roll-left", 0.02, "-o", run, "--figure", figure, "--json")
     done = needleplan("insert", file, "--robot", f"sim://{quick}?seed=4", *map(str, arguments))
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
@@ -53,7 +53,8 @@ def test_it_reaches_the_target_and_the_recording_replays(file: Path, quick: Path
     assert "<svg" in figure.read_text()
     session = Recording.read(run).session
     assert session.force_axis == (0.0, 0.0, 1.0)
-    assert json.loads(session.texts["options.json"])["torsion"]["torque_per_length_n"] == 0.02
+    used = json.loads(session.texts["options.json"])
+    assert (used["torsion"]["torque_per_length_n"], used["roll_left_rad"]) == (0.02, 0.02)
     again = needleplan("recording", "replay", run, "--table", file, "--json")
     assert again.returncode == 0, again.stderr
     assert json.loads(again.stdout) == {
@@ -86,6 +87,7 @@ def test_without_a_way_to_the_target_it_does_not_begin(file: Path, quick: Path) 
         (["--speed", "nan"], ["--speed = nan", "mm/s above 0"]),
         (["--rotation-speed", "100"], ["--rotation-speed = 100", "at most the limit of the run, 12 rad/s"]),
         (["--entry-depth", "1000"], ["--entry-depth = 1000", "from -100 to 150 mm"]),
+        (["--roll-left", "nan"], ["--roll-left = nan", "number of rad"]),
         (["--needle-length", "0"], ["--needle-length = 0", "above 0"]),
         (["--start", "0,20,0,2"], ["--start = 0,20,0,2", "X,Y,DEG"]),
         (["--figure", "run.bmp"], ["run.bmp", "must end in .png"]),

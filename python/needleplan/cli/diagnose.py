@@ -47,7 +47,8 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--scenario",
         metavar="SCENARIO.toml",
-        help="of a tip's path: also write this scenario with the diagnosed curvature",
+        help="of a tip's path: also write this scenario with the curvature that was found (the calibrated one, where "
+        "nothing was named)",
     )
     parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="of the next insertion, mm/s (5)")
     add_json(parser)
@@ -68,16 +69,17 @@ def run(options: argparse.Namespace) -> int:
         options.model, options.data, accept_units=options.accept_units, seed=options.seed
     )
     written = write_folder(found, model, library, options.output, merge_anyway=options.merge_anyway)
-    lines = list(_lines(found))
-    if scenario and found.verdict in (Verdict.NAMED, Verdict.NONE):
+    if not options.json:
+        print("\n".join(_lines(found)))
+    if scenario:
         name, what = write_scenario(found, scenario, options.output, options.speed)
-        written, lines = (*written, name), [*lines, *remedy_lines(what)]
+        written = (*written, name)
+        if not options.json:
+            print("\n".join(remedy_lines(found, what)))
     for each in written:
         note(f"wrote {each}")
     if options.json:
         print_json(json.loads(Path(written[0]).read_text(encoding="utf-8")) | {"written": list(written)})
-    else:
-        print("\n".join(lines))
     return 0 if found.verdict in (Verdict.NONE, Verdict.NAMED) else 1
 
 

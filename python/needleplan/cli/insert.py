@@ -51,6 +51,9 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="of insertion, mm/s (5)")
     parser.add_argument("--rotation-speed", type=float, metavar="RAD_S", default=3.0, help="rad/s (3)")
     parser.add_argument("--entry-depth", type=float, metavar="MM", default=0.0, help="of the stage at the entry (0)")
+    parser.add_argument(
+        "--roll-left", type=float, metavar="RAD", default=0.0, help="of the stage where the needle bends left (0)"
+    )
     parser.add_argument("--torsion", metavar="GJ,TAU", help="N mm^2 and N mm/mm: compensate the lag of the tip's roll")
     parser.add_argument("--needle-length", type=float, metavar="MM", help="of the shaft, for the torsion (200)")
     parser.add_argument("--force-axis", metavar="X,Y,Z", default="0,0,1", help="in which resistance counts (0,0,1)")
@@ -169,7 +172,7 @@ def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any
     _require_numbers(options, limits)
     how = Options(
         velocity_mm_s=options.speed, velocity_rad_s=options.rotation_speed, entry_depth_mm=options.entry_depth,
-        longest_mm=limits.deepest_mm - options.entry_depth, torsion=torsion,
+        roll_left_rad=options.roll_left, longest_mm=limits.deepest_mm - options.entry_depth, torsion=torsion,
         stops=options.stops, replan=not options.no_replan, force_axis=(x / length, y / length, z / length),
         expected_start=(wanted[0], wanted[1], wanted[2]) if wanted else None,
     )  # fmt: skip
@@ -197,6 +200,8 @@ def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
     if not limits.shallowest_mm <= options.entry_depth < limits.deepest_mm:
         rule = f"must be in the limits of the run, from {limits.shallowest_mm:g} to {limits.deepest_mm:g} mm"
         mistakes.append(Mistake("--entry-depth", f"{options.entry_depth:g}", rule))
+    if not math.isfinite(options.roll_left):
+        mistakes.append(Mistake("--roll-left", f"{options.roll_left:g}", "must be a number of rad"))
     if options.needle_length is not None and not 0 < options.needle_length < math.inf:
         mistakes.append(Mistake("--needle-length", f"{options.needle_length:g}", "must be a number of mm above 0"))
     if mistakes:

@@ -66,6 +66,16 @@ def test_a_lag_goes_to_the_torsion_and_a_tilt_to_the_robot() -> None:
     assert (tilted.torsion, tilted.scenario.needle.layers) == (None, ())
 
 
+def test_a_needle_that_is_bent_goes_to_the_roll_of_the_stage() -> None:
+    needle = model("pre_bend", size=0.002, direction_rad=1.0)
+    bent = remedy(needle, SCENARIO)
+    assert bent.options() == {"--roll-left": f"{bent.bends.roll_rad(1, 20.0):.4f}"}
+    assert bent.bends.roll_rad(-1, 20.0) == pytest.approx(math.pi + bent.turned_rad)
+    assert straight_after(needle, bent.turned_rad)[1] == pytest.approx(0, abs=1e-3)
+    sagging = remedy(model("gravity", size=0.002, direction_rad=math.pi / 2, fading_mm=1e4), SCENARIO)
+    assert sagging.options() == {}, "one angle for both sides does not help against what pulls to one"
+
+
 @given(size=st.floats(-0.006, 0.006), direction=st.floats(-3, 3), name=st.sampled_from(["pre_bend", "gravity"]))
 def test_rolled_as_it_says_the_needle_stays_in_its_plane(size: float, direction: float, name: str) -> None:
     fading = {"fading_mm": 1e4} if name == "gravity" else {}

@@ -19,6 +19,8 @@ from needleplan.signals import Record
 __all__ = ["Remedy", "along_mm", "remedy"]
 
 _NOTHING_RAD = 1e-12
+_TURNED_RAD = 1e-4
+"""No robot turns to a finer angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +39,18 @@ class Remedy:
         """How the path goes in beside the direction that the robot is told, in the plane, to the left."""
         return self.bends.heading_rad
 
+    @property
+    def turned_rad(self) -> float:
+        """The roll at the entry by which left and right are both turned: the mean of the two."""
+        return (self.bends.roll_rad(1, 0.0) + self.bends.roll_rad(-1, 0.0) - math.pi) / 2
+
     def options(self) -> dict[str, str]:
         """Return what `needleplan insert` is to be told, by option."""
         found = {}
         if self.torsion:
             found["--torsion"] = f"{self.torsion.stiffness_n_mm2:.6g},{self.torsion.torque_per_length_n:.6g}"
+        if abs(self.turned_rad) > _TURNED_RAD:
+            found["--roll-left"] = f"{self.turned_rad:.4f}"
         return found
 
 
