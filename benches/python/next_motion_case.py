@@ -1,0 +1,141 @@
+"""Blind data that leave effects to be mistaken for each other, of either channel, and more trials of their tissue."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count
+from typing import Any
+
+import numpy as np
+from diagnosis_case import records
+from diagnosis_subject import SUBJECTS, Subject, SubjectName
+
+from needleplan.signals import Motion, Record
+from tests.blind import force, path
+from tests.blind.campaign import HETEROGENEITY, NAMEABLE, SEEDS, UNSEEN, Purpose, Variety
+from tests.blind.effect import ForceName
+from tests.blind.motions import MotionKind, from_depths, trajectory
+from tests.blind.path_campaign import UNSEEN_PATH
+from tests.blind.recording import DataSet, Trial
+from tests.blind.steering import STEP_S, SteeringKind, from_rates, steering
+
+__all__ = ["SOURCES", "Source", "Spec"]
+
+Spec = Any
+"""That of a data set: ForceSpec or PathSpec."""
+
+_BEHIND = 9_000_000
+"""Behind the seeds of the campaigns of the same purpose."""
+
+_CLEAR = (ForceName.PUNCTURE, ForceName.BUMPS, ForceName.LATENCY, ForceName.INERTIA, ForceName.RELAXATION)
+"""Effects that look like no other, or that poor motions do not show."""
+
+
+@dataclass(frozen=True)
+class Source(ABC):
+    """A channel of which there are data sets without end, effects, levels and lengths one after the other."""
+
+    subject: Subject
+
+    @abstractmethod
+    def specs(self, purpose: Purpose) -> Iterator[Spec]:
+        """Yield data sets of poor motions with one hidden effect."""
+
+    @abstractmethod
+    def hidden(self, spec: Spec) -> tuple[str, float]:
+        """Return what the library calls the hidden effect, and its size in units of the noise."""
+
+    @abstractmethod
+    def extra(self, spec: Spec, motion: Motion) -> Record:
+        """Return one more training trial of the same tissue, of a motion that somebody designed."""
+
+    @abstractmethod
+    def again(self, spec: Spec) -> Record:
+        """Return one more training trial of the same tissue, of the last motion."""
+
+    def generate(self, spec: Spec) -> list[Record]:
+        """Return the recordings."""
+        data, _ = self.subject.generate(spec)
+        return records(data)
+
+    def called(self, name: Any) -> str:
+        """Return what the library calls an effect."""
+        return self.subject.called.get(name, str(name))
+
+
+class _Force(Source):
+    """One to three trials at 5 mm/s, and a held-out one, slower or faster."""
+
+    def specs(self, purpose: Purpose) -> Iterator[force.ForceSpec]:
+        names = [each for each in NAMEABLE if each not in UNSEEN[Variety.POOR] and each not in _CLEAR]
+        for number in count():
+            seed = SEEDS[purpose].start + _BEHIND + number
+            name, level, turn = _mixed(number, names)
+            wanted = force.Wanted(name, _log_uniform(seed, 0.5, 6.0))
+            training = (MotionKind.CONSTANT,) * (1 + turn % 3)
+            held_out = (MotionKind.CONSTANT_SLOW, MotionKind.CONSTANT_FAST)[turn // 3 % 2]
+            yield force.ForceSpec(seed, (wanted,), level, training, (held_out,))
+
+    def hidden(self, spec: Spec) -> tuple[str, float]:
+        (wanted,) = spec.effects
+        return self.called(wanted.name), wanted.noise_multiple
+
+    def extra(self, spec: Spec, motion: Motion) -> Record:
+        run = from_depths("extra", np.asarray(motion.time_s), np.asarray(motion.depth_mm))
+        return _record(force.another(spec, run))
+
+    def again(self, spec: Spec) -> Record:
+        return _record(force.another(spec, trajectory(spec.training[-1])))
+
+
+class _Tip(Source):
+    """One to three insertions at one speed without a turn, and a held-out one that turns once."""
+
+    def specs(self, purpose: Purpose) -> Iterator[path.PathSpec]:
+        names = [each for each in path.INSIDE_PATH if each not in UNSEEN_PATH[Variety.POOR]]
+        for number in count():
+            seed = SEEDS[purpose].start + _BEHIND + number
+            name, level, turn = _mixed(number, names)
+            wanted = path.Moves(name, _log_uniform(seed, 3.0, 20.0))
+            training = (SteeringKind.ONE_SPEED,) * (1 + turn % 3)
+            yield path.PathSpec(seed, (wanted,), level, training, (SteeringKind.LATE_TURN,))
+
+    def hidden(self, spec: Spec) -> tuple[str, float]:
+        (wanted,) = spec.effects
+        return self.called(wanted.name), wanted.sigmas
+
+    def extra(self, spec: Spec, motion: Motion) -> Record:
+        time_s = np.asarray(motion.time_s)
+        steps = np.arange(round(float(time_s[-1] - time_s[0]) / STEP_S) + 1) * STEP_S + time_s[0]
+        depth, angle = (np.interp(steps, time_s, each) for each in (motion.depth_mm, motion.angle_rad))
+        rates = (np.diff(each, prepend=each[0]) / STEP_S for each in (depth, angle))
+        run = from_rates("extra", *rates, start_rad=float(angle[0]))
+        return _record(path.another(spec, run))
+
+    def again(self, spec: Spec) -> Record:
+        return _record(path.another(spec, steering(spec.training[-1])))
+
+
+def _record(trial: Trial) -> Record:
+    (record,) = records(DataSet((trial,)))
+    return record
+
+
+def _mixed(number: int, names: list[Any]) -> tuple[Any, float, int]:
+    """Return name and level, one after the other, and how often all of them were there before."""
+    levels, turn = divmod(number, len(names))
+    name = names[turn]
+    turn, level = divmod(levels, len(HETEROGENEITY))
+    return name, HETEROGENEITY[level], turn + levels
+
+
+def _log_uniform(seed: int, low: float, high: float) -> float:
+    return float(np.exp(np.random.default_rng(seed).uniform(np.log(low), np.log(high))))
+
+
+SOURCES = {
+    SubjectName.FORCE: _Force(SUBJECTS[SubjectName.FORCE]),
+    SubjectName.TIP: _Tip(SUBJECTS[SubjectName.TIP]),
+}
