@@ -11,7 +11,7 @@ from needleplan.models.effects import effect_named
 from needleplan.signals import Role
 from tests.diagnosis.tip_trials import BASE, recordings
 
-TRUTH = {"size": 1e-3, "direction_rad": 1.6, "fading_mm": 60.0}
+TRUTH = {"size": -1e-3, "fading_mm": 60.0}
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +36,6 @@ def test_a_bound_holds_one_parameter_and_the_others_go_on(calibration: Calibrati
     base = Space([case.block for case in calibration.training])
     effect = effect_named("gravity")
     within = {"fading_mm": (100.0, 400.0)}
-    held = refit([Added(effect, {**TRUTH, "size": 1e-4, "fading_mm": 100.0}, within)], calibration, base)
+    held = refit([Added(effect, {**TRUTH, "size": -1e-4, "fading_mm": 100.0}, within)], calibration, base)
     assert held.added[0].values["fading_mm"] == pytest.approx(100.0)
-    assert 3e-4 < held.added[0].values["size"] < 1.2e-3
+    assert -1.2e-3 < held.added[0].values["size"] < -3e-4

@@ -72,14 +72,14 @@ def test_a_needle_that_is_bent_goes_to_the_roll_of_the_stage() -> None:
     assert bent.options() == {"--roll-left": f"{bent.bends.roll_rad(1, 20.0):.4f}"}
     assert bent.bends.roll_rad(-1, 20.0) == pytest.approx(math.pi + bent.turned_rad)
     assert straight_after(needle, bent.turned_rad)[1] == pytest.approx(0, abs=1e-3)
-    sagging = remedy(model("gravity", size=0.002, direction_rad=math.pi / 2, fading_mm=1e4), SCENARIO)
+    sagging = remedy(model("gravity", size=0.002, fading_mm=1e4), SCENARIO)
     assert sagging.options() == {}, "one angle for both sides does not help against what pulls to one"
 
 
 @given(size=st.floats(-0.006, 0.006), direction=st.floats(-3, 3), name=st.sampled_from(["pre_bend", "gravity"]))
 def test_rolled_as_it_says_the_needle_stays_in_its_plane(size: float, direction: float, name: str) -> None:
-    fading = {"fading_mm": 1e4} if name == "gravity" else {}
-    bent = model(name, size=size, direction_rad=direction, **fading)
+    where = {"fading_mm": 1e4} if name == "gravity" else {"direction_rad": direction}
+    bent = model(name, size=size, **where)
     found = in_plane(bent, 40.0)
     for bevel, side in ((1, found.left_per_mm), (-1, found.right_per_mm)):
         heading, elevation = straight_after(bent, found.roll_rad(bevel, 20.0))
@@ -97,7 +97,7 @@ def test_other_models_have_no_path() -> None:
     with pytest.raises(ModelError, match="spatial_bicycle"):
         remedy(ShaftAndTip(friction=0.01, cutting=0.4, onset_mm=4.0, presliding_mm=0.05), SCENARIO)
     with pytest.raises(ModelError, match="bend to both sides"):
-        remedy(model("gravity", size=0.019, direction_rad=0.0, fading_mm=1e3), SCENARIO)
+        remedy(model("entry_rupture", size=-5.0, length_mm=20.0), SCENARIO)
 
 
 @given(st.lists(st.tuples(st.floats(3, 20), st.floats(0.2, 2)), min_size=1, max_size=5))

@@ -102,16 +102,21 @@ class PreBend(Altered):
 
 @dataclass(frozen=True, kw_only=True)
 class Sagging(Altered):
-    """The weight bends the path to one side, wherever the bevel looks; less, as less of the needle is outside."""
+    """The weight bends the path downwards, wherever the bevel looks; less, as less of the needle is outside.
 
-    size: float = parameter("1/mm", -0.02, 0.02, "curvature that it makes at the entry", typical=1e-4)
-    direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
+    Weight has no other direction than down, along -z as in the lab twin. With one to choose it would be, but for its
+    fading, what a bent field of the tracker shows.
+    """
+
+    size: float = parameter(
+        "1/mm", -0.02, 0.02, "curvature down at the entry; below 0 where z is down", typical=1e-4
+    )
     fading_mm: float = parameter("mm", 5, 1e4, "inserted length over which it fades")
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
         """Return the curvature of the base, and that of the weight."""
-        one = np.exp(-np.maximum(motion.depth_mm, 0.0) / self.fading_mm) + 0 * np.asarray(roll_rad, float)
-        aside = np.array([np.cos(self.direction_rad) * one, np.sin(self.direction_rad) * one])
+        down = np.exp(-np.maximum(motion.depth_mm, 0.0) / self.fading_mm) + 0 * np.asarray(roll_rad, float)
+        aside = np.array([0 * down, -down])
         return np.asarray(self.base.bend_per_mm(motion, roll_rad) + self.size * aside)
 
 

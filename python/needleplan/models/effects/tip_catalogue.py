@@ -64,10 +64,10 @@ TIP_EFFECTS: tuple[Effect, ...] = (
         "The needle was bent before it went in; the bend turns with the base.",
         _THESIS + "5", bending.PreBend, _around),
     _of("gravity", "weight of the needle", Family.NEEDLE, Enters.SHAFT,
-        "(kn, kb) += size (cos, sin)(direction) exp(-l / fading)",
-        "The needle sags outside and goes in bent to one side, wherever the bevel looks.",
+        "(kn, kb) += size (0, -1) exp(-l / fading)",
+        "The needle sags outside and goes in bent downwards, along -z, wherever the bevel looks.",
         "beam theory: sag of a cantilever under its weight", bending.Sagging,
-        lambda reach: {"direction_rad": _HALF_ROUND, "fading_mm": (20.0, 60.0, 180.0, 2000.0)}),  # noqa: ARG005
+        lambda reach: {"fading_mm": (20.0, 60.0, 180.0, 2000.0)}),  # noqa: ARG005
     _of("misalignment", "base that is not aligned", Family.DRIVE, Enters.SHAFT,
         "dp/dl (0) = t + size (0, cos, sin)(direction)",
         "The needle goes in along another direction than the robot thinks.",
