@@ -18,9 +18,9 @@ from scipy.stats import norm
 from needleplan.diagnosis.calibrate import pooled
 from needleplan.diagnosis.diagnosis import Diagnosis
 from needleplan.diagnosis.next_motion.proposal import NextMotion, Tried, predicted_case
-from needleplan.diagnosis.refit import Added, Joint, added_output
+from needleplan.diagnosis.refit import Added, added_output
 from needleplan.diagnosis.space import Space
-from needleplan.diagnosis.step import Step, Stop
+from needleplan.diagnosis.step import Ranked, Step, Stop
 from needleplan.diagnosis.verdict import Verdict
 from needleplan.models import Model
 from needleplan.signals import Array, Motion, Role
@@ -47,7 +47,7 @@ class Separation:
     true: str
     rival: str
     lead: float
-    """Of the first over the second so far, in the units of the balance."""
+    """Of the first over the second so far, by all data, in the units of the balance."""
 
     expected: float
     """By how much the lead is expected to grow."""
@@ -124,7 +124,12 @@ class Rival:
     """An effect that may be what is missing, as it was fitted."""
 
     name: str
-    balance: float
+    support: float
+    """What all data say for it, in the units of the balance."""
+
+    level: float
+    """By how much the tissue varies beside it."""
+
     base: Model
     added: tuple[Added, ...]
     names: tuple[tuple[int, str], ...]
@@ -151,20 +156,22 @@ def rivals_of(found: Diagnosis) -> tuple[Rival, ...]:
     step = _deciding(found)
     if step is None:
         return ()
-    behind = max(each.balance for each in step.ranked) - _NEAR * found.gates.lead
-    near = [_fitted(each.joint, each.name, each.balance, found) for each in step.ranked if each.balance > behind]
+    behind = max(each.support for each in step.ranked) - _NEAR * found.gates.lead
+    near = [
+        _fitted(each, found) for each in step.ranked
+        if (each.name in step.tied if step.tied else each.support > behind and not each.vetoed)
+    ]  # fmt: skip
     tried = {each.name for each in step.ranked}
     taken = step.ranked[0].joint.added[:-1]
     for screened in step.screened:
-        if screened.effect.name not in tried and screened.balance > behind:
+        name = screened.effect.name
+        if name not in tried and (name in step.tied if step.tied else screened.balance > behind):
             added = (*taken, Added(screened.effect, screened.values))
-            near.append(
-                Rival(screened.effect.name, screened.balance, found.calibration.model, added, (), np.zeros((0, 0)))
-            )
+            near.append(_unfitted(name, screened.balance, added, found))
     if len(near) == 1 and found.verdict is Verdict.AMBIGUOUS:
         # What lacks is not a rival but data: then what shows the one effect best, beside none.
-        near.append(Rival(NOTHING, 0.0, found.calibration.model, (), (), np.zeros((0, 0))))
-    return tuple(sorted(near, key=lambda each: -each.balance)[:_MOST])
+        near.append(_unfitted(NOTHING, 0.0, (), found))
+    return tuple(sorted(near, key=lambda each: -each.support)[:_MOST])
 
 
 def separations_by(found: Diagnosis, rivals: Sequence[Rival], motion: Motion) -> tuple[Separation, ...]:
@@ -173,16 +180,17 @@ def separations_by(found: Diagnosis, rivals: Sequence[Rival], motion: Motion) ->
     shown = {each.name: added_output(each.added, each.base, motion).ravel() for each in rivals}
     pairs = []
     case = predicted_case(found.calibration.model, found.calibration, motion)
-    space = Space([case.block], np.array([found.selection.base.level]))
+    # The tissue varies as it does beside the effect that is true: beside the base alone it takes up the gap as well.
+    spaces = {true.name: Space([case.block], np.array([true.level])) for true in rivals}
     for rival in rivals:
         moved = case.whiten(_derivatives(rival, motion)) if rival.names else np.zeros((case.block.samples, 0))
         for true in rivals:
             if true is rival:
                 continue
             gap = case.whiten((shown[true.name] - shown[rival.name])[:, None])
-            matrix, _ = space.normal([np.column_stack([gap, moved])], 0)
+            matrix, _ = spaces[true.name].normal([np.column_stack([gap, moved])], 0)
             expected = _left(matrix, rival.covariance)
-            now = true.balance - rival.balance
+            now = true.support - rival.support
             sure = norm.cdf((now + expected - lead) / (2 * sqrt(expected) + 1e-9))
             pairs.append(Separation(true.name, rival.name, now, expected, expected / lead, float(sure)))
     return tuple(pairs)
@@ -196,9 +204,15 @@ def _deciding(found: Diagnosis) -> Step | None:
     return accepted[-1] if found.verdict is Verdict.NAMED else None
 
 
-def _fitted(joint: Joint, name: str, balance: float, found: Diagnosis) -> Rival:
+def _fitted(each: Ranked, found: Diagnosis) -> Rival:
+    joint = each.joint
     base = pooled([case.model for case in joint.cases], found.calibration.free)
-    return Rival(name, balance, base, joint.added, joint.names, joint.covariance)
+    return Rival(each.name, each.support, joint.space.level, base, joint.added, joint.names, joint.covariance)
+
+
+def _unfitted(name: str, balance: float, added: tuple[Added, ...], found: Diagnosis) -> Rival:
+    level = found.selection.base.level
+    return Rival(name, balance, level, found.calibration.model, added, (), np.zeros((0, 0)))
 
 
 def _synonyms(made: Sequence[Sequence[Separation]], lead: float) -> tuple[Synonyms, ...]:
@@ -229,8 +243,8 @@ def _least(pairs: Sequence[Separation]) -> float:
 
 
 def _resolves(rivals: Sequence[Rival], pairs: Sequence[Separation], synonyms: Sequence[Synonyms]) -> float:
-    best = max(each.balance for each in rivals)
-    weights = np.array([np.exp((each.balance - best) / 2) for each in rivals])
+    best = max(each.support for each in rivals)
+    weights = np.array([np.exp((each.support - best) / 2) for each in rivals])
     left = _separable(pairs, synonyms)
     each = [min([pair.resolves for pair in left if pair.true == rival.name] or [0.0]) for rival in rivals]
     return float(weights @ each / weights.sum())

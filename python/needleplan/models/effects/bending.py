@@ -108,9 +108,7 @@ class Sagging(Altered):
     fading, what a bent field of the tracker shows.
     """
 
-    size: float = parameter(
-        "1/mm", -0.02, 0.02, "curvature down at the entry; below 0 where z is down", typical=1e-4
-    )
+    size: float = parameter("1/mm", -0.02, 0.02, "curvature down at the entry; below 0 where z is down", typical=1e-4)
     fading_mm: float = parameter("mm", 5, 1e4, "inserted length over which it fades")
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
