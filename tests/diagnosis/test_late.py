@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from needleplan.diagnosis import Library
 from needleplan.diagnosis.calibrate import lag_taps, late
@@ -38,23 +37,34 @@ def test_uneven_samples_have_no_taps() -> None:
     assert lag_taps(path[np.flatnonzero(np.arange(len(path)) % 7)], 0.004) is None
 
 
-def test_a_late_reading_follows_the_force_step_by_step() -> None:
-    """32 lags in a row, each of a 32nd, in an eighth of a sample at a time; the force is straight between samples."""
-    path, lag, parts = motion(0), 0.03 / 32, 8
+def test_a_late_reading_is_the_mean_of_the_force_over_how_late_it_is() -> None:
+    """256 lags in a row are late by a sum of 256 waiting times; the force is straight between samples."""
+    path = motion(0)[:600]
     force = simulate(BASE, path).output
-    entering = np.interp(np.arange(parts * (len(path) - 1) + 1) / parts, np.arange(len(path)), force).tolist()
-    h = float(path.interval_s[0]) / parts
-    for _ in range(32):
-        read = [entering[0]]
-        for before, after in pairwise(entering):
-            behind = lag * (after - before) / h
-            read.append(after - behind + (read[-1] - before + behind) * math.exp(-h / lag))
-        entering = read
-    found = simulate(effect_named("latency").apply(BASE, {"size": 0.03}), path).output
+    waits = stats.gamma(256, scale=0.03 / 256).ppf((np.arange(4000) + 0.5) / 4000)
+    wanted = np.mean([np.interp(path.time_s - wait, path.time_s, force) for wait in waits], axis=0)
+    late_model = effect_named("latency").apply(BASE, {"size": 0.03})
+    found = simulate(late_model, path)
     assert np.ptp(path.interval_s) < 1e-9
-    np.testing.assert_allclose(found, entering[::parts], atol=1e-9)
+    np.testing.assert_allclose(found.output, wanted, atol=2e-5)
     delayed = np.interp(path.time_s - 0.03, path.time_s, force)
-    assert np.abs(found - delayed).max() < 0.35 * np.abs(force - delayed).max()
+    assert np.abs(found.output - delayed).max() < 0.12 * np.abs(force - delayed).max()
+
+
+def test_a_late_reading_of_uneven_samples_is_nearly_that_of_even_ones() -> None:
+    path = motion(0)[:600]
+    jitter = 0.004 * np.sin(np.arange(600) * 1.7)
+    jitter[[0, -1]] = 0.0
+    times = path.time_s + jitter
+    uneven = replace(
+        path, time_s=times, depth_mm=np.interp(times, path.time_s, path.depth_mm),
+        velocity_mm_s=np.interp(times, path.time_s, path.velocity_mm_s),
+        angle_rad=np.interp(times, path.time_s, path.angle_rad),
+    )  # fmt: skip
+    late_model = effect_named("latency").apply(BASE, {"size": 0.03})
+    even, found = simulate(late_model, path).output, simulate(late_model, uneven).output
+    wrong = np.abs(found - np.interp(times, path.time_s, even))
+    assert wrong.mean() < 0.01 * np.abs(even - simulate(BASE, path).output).max()
 
 
 def test_wear_is_that_of_all_cells() -> None:

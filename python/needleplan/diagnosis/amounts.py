@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.diagnosis import FoundEffect
 from needleplan.diagnosis.refit import Added, Joint, added_output, effect_columns
 from needleplan.diagnosis.select import Selection
@@ -27,6 +28,9 @@ __all__ = ["found_effects"]
 
 _FALL = 3.84
 _NORMAL = 1.96
+_USUAL = 2.0
+"""Multiple of the usual lag that any sensor may have."""
+
 _TRIES = 5
 _NEAR = 0.15
 """How near to the fall that is sought a profile must come, as a share of it."""
@@ -59,6 +63,9 @@ def _estimate(joint: Joint, index: int, name: str) -> Estimate:
     sd = joint.sd(index, name) if what.free else 0.0
     if not what.free or name in (SIZE, DIRECTION):
         low, high = interval_of(joint, index, name)
+        if name == SIZE and joint.added[index].effect.is_lag:
+            # As late as that is many a sensor by its own filter, which delays as a line does: the two are one.
+            low = max(low - _USUAL * measurand_of(joint.cases[0].model.channel).usual_lag_s, what.lower)
         return Estimate(value, sd, low, high, what.unit, name != SIZE or is_there(joint, index))
     low, high = (_end(joint, index, name, sign) for sign in (-1, 1))
     return Estimate(value, sd, min(low, value), max(high, value), what.unit, low > what.lower or high < what.upper)

@@ -106,7 +106,7 @@ def _loses(joint: Joint, balance: float, rivals: Sequence[RivalScore], gates: Ga
     """
     for rival in rivals:
         simple = rival.freedom <= len(joint.names) + 1
-        if simple and rival.balance > balance - gates.lead:
+        if simple and rival.support > balance - gates.lead:
             return rival
         if rival.balance > balance + gates.lead and joint.gain < gates.share_of_rival * rival.gain:
             return rival

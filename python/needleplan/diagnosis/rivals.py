@@ -17,11 +17,12 @@ from needleplan.diagnosis.measurand import Axis, Basis
 from needleplan.diagnosis.space import Space
 from needleplan.signals import Array
 
-__all__ = ["RivalScore", "bases", "omnibus", "score_rivals"]
+__all__ = ["BEGIN_S", "RivalScore", "bases", "omnibus", "score_rivals"]
 
 
+BEGIN_S = 0.5
 _BEFORE = 0.05
-"""Part of a trial before the first step in time: one at its begin is no step."""
+"""Time (s), and part of a trial, before the first step in time: one at its begin is no step."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,16 @@ class RivalScore:
     gain: float
     freedom: int
     balance: float
+    time_s: float | None = None
+    """When, where that was chosen: the same time in all trials."""
+
+    elsewhere: float = 0.0
+    """What it brings in another motion beyond the effect that leads (twice the log likelihood); 0 where not asked."""
+
+    @property
+    def support(self) -> float:
+        """What all data say for it, as far as it is compared with the effect that leads."""
+        return self.balance + self.elsewhere
 
 
 def omnibus(cases: Sequence[Case]) -> list[Array]:
@@ -64,7 +75,7 @@ def score_rivals(space: Space, cases: Sequence[Case]) -> tuple[RivalScore, ...]:
 
 def _best_step(space: Space, cases: Sequence[Case], price: float) -> RivalScore:
     """A step at one time of one trial: something slipped."""
-    begins = [float(case.motion.time_s[0] + max(0.5, _BEFORE * np.ptp(case.motion.time_s))) for case in cases]
+    begins = [float(case.motion.time_s[0] + max(BEGIN_S, _BEFORE * np.ptp(case.motion.time_s))) for case in cases]
     grids = [np.arange(begin, case.motion.time_s[-1] - 0.4, 0.4) for begin, case in zip(begins, cases, strict=True)]
     total = sum(map(len, grids))
     columns, first = [], 0
@@ -79,7 +90,8 @@ def _best_step(space: Space, cases: Sequence[Case], price: float) -> RivalScore:
     shared, _ = space.scores([case.whiten(case.spread(each)) for case, each in zip(cases, after, strict=True)]).gains()
     alone, all_ = float(gains.max()) - 3 * price, float(shared.max()) - 2 * price
     if all_ >= alone:
-        return RivalScore("step in time", Axis.TIME, float(shared.max()), 2, all_)
+        time_s = float(together[shared.argmax() % len(together)])
+        return RivalScore("step in time", Axis.TIME, float(shared.max()), 2, all_, time_s)
     return RivalScore("step in one trial", Axis.TIME, float(gains.max()), 3, alone)
 
 

@@ -11,7 +11,7 @@ from scipy import stats
 
 from needleplan.diagnosis.calibrate import Calibration, Case
 from needleplan.diagnosis.channels import measurand_of
-from needleplan.diagnosis.fair import fitted_rival
+from needleplan.diagnosis.fair import fitted_rivals
 from needleplan.diagnosis.library import Candidates, Library
 from needleplan.diagnosis.refit import Added, Joint, refit
 from needleplan.diagnosis.rivals import score_rivals
@@ -119,8 +119,7 @@ def one_round(search: Search, taken: Joint | None, first_gain: float) -> Step:
     left = [each for each in search.candidates if each.effect.name not in closed]
     p_value = _chance(space, columns, left, best.balance, search.seed + count)
     if not taken and best.balance >= needed:
-        rival = fitted_rival(best.joint, search.calibration, search.base)
-        rivals = tuple(sorted([*rivals, *([rival] if rival else [])], key=lambda each: -each.balance))
+        rivals = fitted_rivals(best.joint, best.verified, rivals, search.calibration, search.base)
 
     def ended(stop: Stop) -> Step:
         return Step(screened, rivals, tuple(ranked), p_value, stop, tied if stop is Stop.TIE else ())

@@ -324,7 +324,7 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
     ),
     WrapEffect(
         "latency", "reading that is late", Family.SENSOR, Enters.SENSOR,
-        "y = F(t - size), by 32 lags of size/32 in a row", "The force arrives later than the position.",
+        "y = F(t - size), by 256 lags of size/256 in a row", "The force arrives later than the position.",
         _THESIS + "appendix A",
         wrapper=Lagging,
         is_lag=True,

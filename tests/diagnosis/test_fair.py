@@ -1,0 +1,41 @@
+"""Competitors without a name on equal terms with effects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from needleplan.diagnosis import Diagnosis, Verdict, diagnose
+from needleplan.diagnosis.rivals import RivalScore
+from needleplan.signals import Record, Role
+from tests.diagnosis.trials import BASE, recordings
+
+SLIP_S = 14.5
+
+
+def slipped(each: Record, by_n: float) -> Record:
+    force = each["force_n"] + by_n * (each["time_s"] >= SLIP_S)
+    return each if each.role is Role.NOISE else replace(each, columns={**each.columns, "force_n": force})
+
+
+def step_of(found: Diagnosis) -> RivalScore:
+    return next(each for each in found.selection.steps[0].rivals if each.name == "step in time")
+
+
+@pytest.mark.parametrize("by_n", [0.04, -0.25])
+def test_a_slip_has_no_name_however_large(by_n: float) -> None:
+    found = diagnose(BASE, [slipped(each, by_n) for each in recordings(seed=3)])
+    assert found.verdict is Verdict.UNKNOWN
+    step, best = step_of(found), found.selection.steps[0].ranked[0]
+    assert step.balance > best.balance
+    assert step.elsewhere > 0
+
+
+def test_a_drift_is_no_step_in_another_motion() -> None:
+    found = diagnose(BASE, recordings({"drift": {"size": 0.0025}}, seed=4))
+    assert found.names == ("drift",)
+    step = step_of(found)
+    assert step.elsewhere < 0
+    assert np.isclose(step.support, step.balance + step.elsewhere)
