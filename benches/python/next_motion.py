@@ -4,8 +4,8 @@ PYTHONPATH=. python benches/python/next_motion.py --minutes 10                  
 PYTHONPATH=. python benches/python/next_motion.py --channel tip --minutes 10
 PYTHONPATH=. python benches/python/next_motion.py --reporting --ambiguous 60    # the report, with the reporting seeds
 
-Blind data: one hidden effect that poor motions leave to be mistaken for another, one to three trials of one motion, and
-a held-out one (`next_motion_case`). Where the diagnosis is AMBIGUOUS between two effects or more, one more trial from
+Blind data: one hidden effect that poor motions leave to be mistaken for another, a few trials of one motion, and a
+held-out one (`next_motion_case`). Where the diagnosis is AMBIGUOUS between two effects or more, one more trial from
 the same tissue is added to the training data, and it is diagnosed again: of the motion that was proposed, of the last
 motion again, and of a fixed one. Resolved: NAMED, and the hidden effect. Wrong: a name that was not hidden. Outcomes
 are appended to build/next_motion_PURPOSE.jsonl; those of another state of the engine are not used. Writes

@@ -66,16 +66,16 @@ class Source(ABC):
 
 
 class _Force(Source):
-    """One to three trials at 5 mm/s, and a held-out one, slower or faster."""
+    """Two or three trials at 5 mm/s, and a held-out one, slower or faster; of one trial, hardly anything is said."""
 
     def specs(self, purpose: Purpose) -> Iterator[force.ForceSpec]:
         names = [each for each in NAMEABLE if each not in UNSEEN[Variety.POOR] and each not in _CLEAR]
         for number in count():
             seed = SEEDS[purpose].start + _BEHIND + number
             name, level, turn = _mixed(number, names)
-            wanted = force.Wanted(name, _log_uniform(seed, 0.5, 6.0))
-            training = (MotionKind.CONSTANT,) * (1 + turn % 3)
-            held_out = (MotionKind.CONSTANT_SLOW, MotionKind.CONSTANT_FAST)[turn // 3 % 2]
+            wanted = force.Wanted(name, _log_uniform(seed, 0.7, 6.0))
+            training = (MotionKind.CONSTANT,) * (2 + turn % 2)
+            held_out = (MotionKind.CONSTANT_SLOW, MotionKind.CONSTANT_FAST)[turn // 2 % 2]
             yield force.ForceSpec(seed, (wanted,), level, training, (held_out,))
 
     def hidden(self, spec: Spec) -> tuple[str, float]:

@@ -176,6 +176,10 @@ def _steered(limits: Limits) -> Iterator[tuple[str, str, _Moves]]:
         [half, *_legs(limits, (0.5, 0.7, 0), (1, 0.3, 1))],
     )  # fmt: skip
     yield (
+        "turned_and_back", "the bevel to the other side from the entry on, and back on the way, with several speeds",
+        [half, *_legs(limits, (0.25, 0.7, 0), (0.5, 0.25, 1)), back, *_legs(limits, (0.75, 0.7, 0), (1, 0.3, 1))],
+    )  # fmt: skip
+    yield (
         "half_turns", "half a turn, and back, with several speeds and a rest",
         [*_legs(limits, (0.3, 0.7, 0)), half, *_legs(limits, (0.65, 0.25, 2)), back, *_legs(limits, (1, 0.7, 1))],
     )  # fmt: skip

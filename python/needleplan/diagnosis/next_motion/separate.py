@@ -138,12 +138,18 @@ class Rival:
 
 def separating(found: Diagnosis, rivals: Sequence[Rival], tried: Sequence[Tried], role: Role) -> Separating:
     """Return the best of the motions for a decision between two rivals and more."""
-    made = [(*each, separations_by(found, rivals, each[1])) for each in tried]
+    all_ = [*rivals, *_close_behind(found, rivals)]
+    every = [separations_by(found, all_, motion) for _, motion in tried]
+    made = [(*each, _among(rivals, pairs)) for each, pairs in zip(tried, every, strict=True)]
     again = separations_by(found, rivals, found.calibration.training[-1].motion)
-    synonyms = _synonyms([pairs for _, _, pairs in made], found.gates.lead)
+    synonyms, all_synonyms = (_synonyms(each, found.gates.lead) for each in ([pairs for *_, pairs in made], every))
     judged = [(*each, _resolves(rivals, each[2], synonyms)) for each in made]
-    # Probabilities that are all but the same are no choice: then the farther apart, the better.
-    program, motion, pairs, _ = max(judged, key=lambda each: (round(each[3], 2), _least(_separable(each[2], synonyms))))
+    # Probabilities that are all but the same are no choice: then the farther apart the better, and apart from what is
+    # close behind too, which one of them may be mistaken for when the other one is gone.
+    order = [
+        (round(each[3], 2), _least(_separable(pairs, all_synonyms))) for each, pairs in zip(judged, every, strict=True)
+    ]
+    program, motion, pairs, _ = judged[order.index(max(order))]
     considered = tuple((each[0].name, each[3], _least(each[2])) for each in judged)
     return Separating(
         program, motion, role, pairs, _resolves(rivals, pairs, ()), again, _resolves(rivals, again, ()), considered,
@@ -172,6 +178,22 @@ def rivals_of(found: Diagnosis) -> tuple[Rival, ...]:
         # What lacks is not a rival but data: then what shows the one effect best, beside none.
         near.append(_unfitted(NOTHING, 0.0, (), found))
     return tuple(sorted(near, key=lambda each: -each.support)[:_MOST])
+
+
+def _close_behind(found: Diagnosis, rivals: Sequence[Rival]) -> list[Rival]:
+    """Return effects that fit nearly as well as the rivals, whatever another motion says of them."""
+    step = _deciding(found)
+    assert step is not None, "there are rivals of it"
+    names = {each.name for each in rivals}
+    least = max(each.balance for each in step.ranked) - _NEAR * found.gates.lead
+    near = [each for each in step.ranked if each.name not in names and each.balance > least]
+    near.sort(key=lambda each: -each.balance)
+    return [_fitted(each, found) for each in near[: max(_MOST - len(rivals), 1)]]
+
+
+def _among(rivals: Sequence[Rival], pairs: Sequence[Separation]) -> tuple[Separation, ...]:
+    names = {each.name for each in rivals}
+    return tuple(each for each in pairs if each.true in names and each.rival in names)
 
 
 def separations_by(found: Diagnosis, rivals: Sequence[Rival], motion: Motion) -> tuple[Separation, ...]:
