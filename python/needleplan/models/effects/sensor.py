@@ -15,7 +15,8 @@ from needleplan.signals import Array, Motion
 __all__ = ["Bias", "Drift", "GainError", "Inertia", "ThermalDrift"]
 
 _N_PER_KG_MM_S2 = 1e-3
-_DIFFERENCE_S = 0.02
+_DIFFERENCE_S = 0.005
+"""Over which an acceleration is taken: shorter than the lag of a sensor, which the calibration finds for all forces."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +103,7 @@ class Inertia(Term):
         return np.asarray((np.asarray(motion.velocity_mm_s, float) - state) / _DIFFERENCE_S)
 
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return the velocity, smoothed over a fiftieth of a second; exact for a velocity that is linear in time."""
+        """Return the velocity, smoothed over 5 ms; exact for a velocity that is linear in time."""
         step, slope = motion.interval_s, np.diff(motion.velocity_mm_s) / motion.interval_s
         decay = np.exp(-step / _DIFFERENCE_S)
         velocity = motion.velocity_mm_s
