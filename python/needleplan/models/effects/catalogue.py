@@ -15,7 +15,6 @@ from needleplan.models.base import Channel, Model
 from needleplan.models.effects import cutting, sensor, shaft
 from needleplan.models.effects.base import SIZE, Effect, Enters, Family, Reach, Term, WithTerm
 from needleplan.models.effects.lagging import Lagging
-from needleplan.models.effects.path import PathTerm
 from needleplan.models.effects.tissue import BreathingTissue, GivingTissue, SlowTurning
 from needleplan.models.insertion import ShaftAndTip
 from needleplan.models.parameter import Parameter, parameters_of
@@ -102,8 +101,9 @@ class TermEffect(_Described):
         return found
 
     def _term(self, model: Model, values: Mapping[str, float]) -> Term:
-        known = {"presliding_mm": presliding_of(model)} if issubclass(self.term, PathTerm) else {}
-        return self.term(**known, **values)
+        constants = (name for name, what in self.term.parameters().items() if not what.free)
+        known = {name: _of_base(model, name) for name in constants}
+        return self.term(**{name: value for name, value in known.items() if value is not None}, **values)
 
 
 _REMEMBERED = {
@@ -144,9 +144,15 @@ class WrapEffect(_Described):
 
 def presliding_of(model: Model) -> float:
     """Return the travel over which friction turns round in a model (mm), 0.05 where it does not say."""
-    while not hasattr(model, "presliding_mm") and hasattr(model, "base"):
+    return _of_base(model, "presliding_mm") or 0.05
+
+
+def _of_base(model: Model, name: str) -> float | None:
+    """Return a parameter of a model, or of the one that it is put around; None where none has it."""
+    while not hasattr(model, name) and hasattr(model, "base"):
         model = model.base
-    return float(getattr(model, "presliding_mm", 0.05))
+    value = getattr(model, name, None)
+    return None if value is None else float(value)
 
 
 def _depths(step_mm: float) -> Callable[[Reach], np.ndarray]:
@@ -216,7 +222,7 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
     ),
     TermEffect(
         "fresh_cutting", "cutting in fresh tissue only", Family.CUTTING, Enters.TIP,
-        "F -= size (1 - exp(-(L_max - L)/margin)) while the tip is pushed in",
+        "F -= size F_tip (1 - exp(-(L_max - L)/margin)) while the tip is pushed in",
         "Where the tip has been before it does not cut again.",
         _THESIS + "3.4.2",
         lambda reach: {"margin_mm": (0.1, 0.5, 2.0)},  # noqa: ARG005

@@ -53,16 +53,23 @@ class CuttingLayer(PathTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class FreshCutting(PathTerm):
-    """What was cut once is not cut again: the tip meets less where it has been before."""
+    """What was cut once is not cut again: the tip meets less where it has been before.
+
+    A share of what the model has for cutting, which differs from trial to trial and comes up with the depth.
+    """
 
     name: ClassVar[str] = "fresh_cutting"
-    size: float = parameter("N", 0, 20, "cutting force that is missing in tissue that is cut already", typical=0.1)
+    size: float = parameter("", 0, 1.5, "share of the cutting that is missing in tissue that is cut", typical=0.2)
     margin_mm: float = parameter("mm", 0.01, 10, "how near to the end of the old path the tip cuts in full again")
+    cutting: float = constant("N", 0, 100, "cutting force of the model", default=1.0)
+    onset_mm: float = constant("mm", 1e-2, 50, "depth over which it comes up in the model", default=1e-2)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return minus the share of the tip that is in its old path."""
-        behind = np.maximum(state[1] - np.asarray(motion.depth_mm), 0.0)
-        return np.asarray(np.expm1(-behind / self.margin_mm) * _pushed(state))
+        """Return minus the cutting of a tip that is in its old path."""
+        depth = np.asarray(motion.depth_mm)
+        full = -self.cutting * np.expm1(-np.maximum(depth, 0.0) / self.onset_mm)
+        behind = np.maximum(state[1] - depth, 0.0)
+        return np.asarray(full * np.expm1(-behind / self.margin_mm) * _pushed(state))
 
 
 @dataclass(frozen=True, kw_only=True)
