@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -59,6 +61,29 @@ def test_gains_are_those_of_the_whole_likelihood(seed: int, shared: int) -> None
         assert gains[column] == pytest.approx(2 * (whole - max(plain)), abs=1e-4)
     whole = max(likelihood(made, level, columns) for level in LEVELS)
     assert space.basis_gains(columns) == pytest.approx(2 * (whole - max(plain)), abs=1e-3)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 3))
+def test_what_is_shared_is_known_as_in_a_space_without_it(seed: int, shared: int) -> None:
+    made, _ = blocks(seed, shared)
+    space = Space(made, LEVELS)
+    alone = Space([replace(each, shared=np.zeros((each.samples, 0))) for each in made], LEVELS)
+    np.testing.assert_allclose(space.evidence_alone, alone.evidence, rtol=1e-9)
+    for level in range(len(LEVELS)):
+        for found, slow in zip(
+            space.shared_normal(level), alone.normal([each.shared for each in made], level), strict=True
+        ):
+            np.testing.assert_allclose(found, slow, rtol=1e-7, atol=1e-8)
+
+
+def test_scores_are_those_of_the_columns_that_are_asked_for() -> None:
+    made, columns = blocks(5, 1)
+    space, others = Space(made, LEVELS), [2 * each for each in columns]
+    first = space.scores(columns)
+    assert space.scores(columns) is first
+    np.testing.assert_allclose(space.scores(others).slope, 2 * first.slope)
+    np.testing.assert_allclose(space.scores(columns).slope, first.slope)
 
 
 def test_simulated_gains_of_one_column_are_chi_squared() -> None:

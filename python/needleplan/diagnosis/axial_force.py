@@ -78,13 +78,12 @@ def turns(predicted: Array, motion: Motion) -> Array:
     slope = np.gradient(predicted, motion.time_s)
     curve = np.gradient(slope, motion.time_s)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], turning(motion).astype(int), [0]])))
-    found = []
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        for values, sd in ((slope, _TURN_S), (curve, _TURN_S * float(np.median(motion.interval_s)) / 2)):
-            each = np.zeros(len(predicted))
-            each[begin:end] = sd * values[begin:end]
-            found.append(each)
-    return np.column_stack(found) if found else np.zeros((len(predicted), 0))
+    sds = (_TURN_S, _TURN_S * float(np.median(motion.interval_s)) / 2)
+    found = np.zeros((len(predicted), len(edges)))
+    for first, (begin, end) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
+        for which, (values, sd) in enumerate(zip((slope, curve), sds, strict=True)):
+            found[begin:end, 2 * first + which] = sd * values[begin:end]
+    return found
 
 
 def turning(motion: Motion) -> Array:

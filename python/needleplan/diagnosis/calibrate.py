@@ -75,11 +75,13 @@ class Case:
         """Return what is new in forces, (samples, ...), once they are read; zeros for what is known already."""
         taps = lag_taps(self.motion, self.lag_s)
         read = values if taps is not None else late(values, self.motion, self.lag_s)
-        whitened = self.noise.whiten(read, taps)
-        if not self.rows.all():
-            whitened = whitened[self.rows]
-        found = np.zeros((self.block.samples, *whitened.shape[1:]))
-        found[: len(whitened)] = whitened
+        count = int(self.rows.sum())
+        found = np.empty((self.block.samples, *values.shape[1:]))
+        if count == len(self.rows):
+            self.noise.whiten_into(found[:count], read, taps)
+        else:
+            found[:count] = self.noise.whiten(read, taps)[self.rows]
+        found[count:] = 0.0
         return found
 
     def samples(self) -> NDArray[np.intp]:
@@ -304,14 +306,16 @@ def _sensitivities(
     """Return how what is measured depends on coordinates and on the lag, whitened; 0 for those that are not wanted."""
     chosen = np.flatnonzero(wanted)
     raw = np.empty((len(plain), chosen.size))
-    for column, index in enumerate(chosen):
-        if index == coordinates.size:
-            step = 1e-4
-            raw[:, column] = (late(plain, motion, lag + step) - late(plain, motion, lag)) / step
-            continue
+    count = int((chosen < coordinates.size).sum())
+    for column, index in enumerate(chosen[:count]):
         moved = coordinates.copy()
         moved[index] += _RELATIVE
-        raw[:, column] = late((output(moved) - plain) / _RELATIVE, motion, lag)
+        raw[:, column] = output(moved) - plain
+    if count:
+        raw[:, :count] = late(raw[:, :count] / _RELATIVE, motion, lag)
+    if count < chosen.size:
+        step = 1e-4
+        raw[:, count] = (late(plain, motion, lag + step) - late(plain, motion, lag)) / step
     whitened = noise.whiten(raw)
     found: Array = np.zeros((int(rows.sum()), wanted.size))
     found[:, chosen] = whitened if rows.all() else whitened[rows]
@@ -319,7 +323,9 @@ def _sensitivities(
 
 
 def _modes(raw: Array, motion: Motion, lag: float, noise: Noise, rows: Array) -> tuple[Array, Array]:
-    whitened = noise.whiten(late(raw, motion, lag))[rows]
+    whitened = noise.whiten(late(raw, motion, lag))
+    if not rows.all():
+        whitened = whitened[rows]
     gram = whitened.T @ whitened
     values, vectors = np.linalg.eigh(gram)
     keep = values > 1e-6 * values[-1]

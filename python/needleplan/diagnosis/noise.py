@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
@@ -42,11 +43,21 @@ class Noise:
         `taps` weigh present and past of the values before that, as a sensor does that is late. Before the first sample
         the values are taken as those of the first.
         """
+        found = np.empty((max(len(values) - self.order, 0), *values.shape[1:]))
+        self.whiten_into(found, values, taps)
+        return found
+
+    def whiten_into(self, found: Array, values: Array, taps: Array | None = None) -> None:
+        """Write it, as `whiten` returns it, into rows that are there."""
         whole = np.concatenate([[1.0], -self.weights]) / self.sd
         if taps is not None:
             whole = np.convolve(whole, taps)
-        before = np.broadcast_to(values[:1], (len(whole) - 1 - self.order, *values.shape[1:]))
-        return _filtered(whole, np.concatenate([before, values]) if len(before) else np.asarray(values, float))
+        early = min(len(whole) - 1 - self.order, len(found))  # for which values before the first count
+        if early:
+            before = np.broadcast_to(values[:1], (len(whole) - 1 - self.order, *values.shape[1:]))
+            _filter(found[:early], whole, np.concatenate([before, values[: early + self.order]]))
+        if early < len(found):
+            _filter(found[early:], whole, np.asarray(values, float))
 
 
 @dataclass(frozen=True)
@@ -60,34 +71,54 @@ class AxesNoise(Noise):
 
     def whiten(self, values: Array, taps: Array | None = None) -> Array:
         """Return what is new on each axis, one after the other, shape (axes * (samples - order), ...)."""
-        parts = zip(self.axes, np.split(values, len(self.axes)), strict=True)
-        return np.concatenate([axis.whiten(part, taps)[self.order - axis.order :] for axis, part in parts])
+        each = max(len(values) // len(self.axes) - self.order, 0)
+        found = np.empty((each * len(self.axes), *values.shape[1:]))
+        self.whiten_into(found, values, taps)
+        return found
+
+    def whiten_into(self, found: Array, values: Array, taps: Array | None = None) -> None:
+        """Write it, as `whiten` returns it, into rows that are there."""
+        count = len(self.axes)
+        for axis, rows, part in zip(self.axes, np.split(found, count), np.split(values, count), strict=True):
+            if axis.order == self.order:
+                axis.whiten_into(rows, part, taps)
+            else:
+                rows[...] = axis.whiten(part, taps)[self.order - axis.order :]
 
 
-def _filtered(weights: Array, values: Array) -> Array:
-    """Return sum_j weights[j] values[k - j] for every k that has all of them, shape (n - order, ...).
+def _filter(found: Array, weights: Array, values: Array) -> None:
+    """Write sum_j weights[j] values[k - j] for every k that has all of them, shape (n - order, ...), into `found`.
 
     Many rows are taken in parts, each the product of one band matrix with what the part needs: several times as many
     sums as there are, at a speed that is many times that of one pass over all values for each weight.
     """
     if values.ndim == 1:
-        return np.convolve(values, weights, "valid")
+        found[:] = np.convolve(values, weights, "valid")
+        return
     order = len(weights) - 1
     values = np.ascontiguousarray(values, float).reshape(len(values), -1)
     n, m = len(values) - order, values.shape[1]
-    found = np.empty((n, m))
-    part = max(_PART, order)
-    at = np.arange(part)
-    band = np.zeros((part, part + order))
-    for lag, weight in enumerate(weights):
-        band[at, at + order - lag] = weight
+    found = found.reshape(n, m)
+    band = _band(weights.tobytes())
+    part = len(band)
     parts, rest = divmod(n, part)
     row, column = values.strides
     windows = as_strided(values, (parts, part + order, m), (part * row, row, column), writeable=False)
     np.matmul(band, windows, out=found[: parts * part].reshape(parts, part, m))
     if rest:
         np.matmul(band[:rest, : rest + order], values[parts * part :], out=found[parts * part :])
-    return found
+
+
+@lru_cache(maxsize=16)
+def _band(weights: bytes) -> Array:
+    row = np.frombuffer(weights)
+    order = len(row) - 1
+    part = max(_PART, order)
+    at = np.arange(part)
+    band = np.zeros((part, part + order))
+    for lag, weight in enumerate(row):
+        band[at, at + order - lag] = weight
+    return band
 
 
 def together(axes: Sequence[Noise]) -> Noise:

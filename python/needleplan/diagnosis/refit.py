@@ -115,14 +115,12 @@ def refit(
     for _ in range(rounds):
         cases = cases_with(added, calibration, cases)
         columns = [case.whiten(effect_columns(added, names, case.model, case.motion)) for case in cases]
-        alone = Space([case.block for case in cases])
         shared = Space([replace(case.block, shared=each) for case, each in zip(cases, columns, strict=True)])
-        level = shared.best
-        matrix, target = alone.normal(columns, level)
+        matrix, target = shared.shared_normal(shared.best)
         ridge = 1e-6 * np.diag(np.diag(matrix) + 1e-12)
         covariance = np.asarray(np.linalg.inv(matrix + ridge), float)
         # The likelihood where the fit stands now, not where a step would lead to by the linearisation.
-        gain = 2 * float(alone.evidence.max() - base.evidence.max())
+        gain = 2 * float(shared.evidence_alone.max() - base.evidence.max())
         if best is None or gain > best.gain:
             best = Joint(added, cases, shared, gain, covariance, names)
             move, share = _allowed(added, names, matrix + ridge, target), 1.0

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from weakref import ref
 
 import numpy as np
 
@@ -129,7 +130,9 @@ class _Trial:
         `plain` are the products of `known` with them, `moved` those of the modes.
         """
         q = self.root.shape[1]
-        products = plain - self.moved.T @ (self.weights[levels, :, None] * moved)
+        # Weights times what is small, and one product for all levels.
+        weighed = self.moved.T * self.weights[levels, None, :]
+        products = plain - (weighed.reshape(-1, len(moved)) @ moved).reshape(*weighed.shape[:2], -1)
         rest = products[:, q:] - self.solved[levels].swapaxes(1, 2) @ products[:, :q]
         return self.root[levels] @ products[:, :q], rest
 
@@ -139,8 +142,9 @@ class Space:
 
     def __init__(self, blocks: Sequence[Block], levels: Array = LEVELS) -> None:
         self.blocks, self.levels = tuple(blocks), np.asarray(levels, float)
+        self._scored: tuple[tuple[ref[Array], ...], Scores] | None = None
         self._trials = [_Trial.of(block, self.levels) for block in self.blocks]
-        rest = np.sum([each.rest for each in self._trials], axis=0)
+        self._rest = rest = np.sum([each.rest for each in self._trials], axis=0)
         g = rest.shape[1] - 1
         diagonal = np.einsum("tgg->tg", rest)[:, :-1]
         # What is shared: its matrix (t, g, g) and right side (t, g), and the energy that is left.
@@ -149,7 +153,10 @@ class Space:
         fitted = np.linalg.solve(self._shared, self._target[:, :, None])[:, :, 0]
         self._energy = rest[:, -1, -1] - np.einsum("tg,tg->t", self._target, fitted)
         believed = (self.levels / self.blocks[0].usual_level) ** 2
-        self.evidence = -0.5 * (np.sum([each.logs for each in self._trials], axis=0) + self._energy + believed)
+        logs = np.sum([each.logs for each in self._trials], axis=0)
+        self.evidence = -0.5 * (logs + self._energy + believed)
+        self.evidence_alone = -0.5 * (logs + rest[:, -1, -1] + believed)
+        """Where what is shared stays as it is."""
 
     @property
     def samples(self) -> int:
@@ -176,7 +183,15 @@ class Space:
         return float(self._energy[self.best if level is None else level])
 
     def scores(self, columns: Sequence[Array]) -> Scores:
-        """Score columns with one size for all trials; one array (n, m) for each trial."""
+        """Score columns with one size for all trials, one array (n, m) for each; the last ones asked for are kept."""
+        kept = self._scored
+        if kept and len(kept[0]) == len(columns) and all(a() is b for a, b in zip(kept[0], columns, strict=True)):
+            return kept[1]
+        scores = self._scores(columns)
+        self._scored = tuple(map(ref, columns)), scores
+        return scores
+
+    def _scores(self, columns: Sequence[Array]) -> Scores:
         (t, g), m = self._target.shape, columns[0].shape[1]
         slope, curvature, cross = np.zeros((t, m)), np.zeros((t, m)), np.zeros((t, g, m))
         energy = np.zeros(m)
@@ -187,7 +202,7 @@ class Space:
             cross += rest[:, :-1]
             squares = np.einsum("nm,nm->m", each, each)
             energy += squares
-            curvature += squares - trial.weights @ moved**2 - (half**2).sum(axis=1)
+            curvature += squares - trial.weights @ moved**2 - np.einsum("tqm,tqm->tm", half, half)
         if g:
             solved = np.linalg.solve(self._shared, cross)
             slope -= np.einsum("tgm,tg->tm", solved, self._target)
@@ -204,6 +219,10 @@ class Space:
         keep = values > _SEEN
         gains = (np.where(keep, part, 0.0) ** 2 / np.where(keep, values, 1.0)).sum(axis=1)
         return float((2 * self.evidence + gains).max() - 2 * self.evidence.max())
+
+    def shared_normal(self, level: int) -> tuple[Array, Array]:
+        """Return matrix (g, g) and right side (g,) of the normal equations of what is shared, at a level."""
+        return self._rest[level, :-1, :-1], self._rest[level, :-1, -1]
 
     def normal(self, basis: Sequence[Array], level: int) -> tuple[Array, Array]:
         """Return matrix (df, df) and right side (df,) of the normal equations of a basis at a level."""
@@ -249,7 +268,8 @@ class Space:
             # The base takes its part of the noise first: then one product with the columns, the largest, is enough.
             taken = block.sensitivities - block.modes @ (weights * trial.moved[:, :q])
             noise -= taken @ (root.T @ (root @ (block.sensitivities.T @ noise)))
-            slope += each.T @ noise
+            # What is drawn needs no more than seven digits.
+            slope += each.astype(np.float32).T @ noise.astype(np.float32)
             squares = np.einsum("nm,nm->m", each, each)
             energy += squares
             curvature += squares - (weights * moved**2).sum(axis=0) - (half**2).sum(axis=0)

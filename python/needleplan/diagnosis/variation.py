@@ -28,14 +28,23 @@ def tissue_modes(model: Model, motion: Motion) -> Array:
     taken as the one and as the other.
     """
     run = simulate(model, motion)
-    depth = np.clip(np.asarray(motion.depth_mm, float), 0.0, None)
-    modes, places = functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
-    sums = np.concatenate([np.zeros((1, modes.shape[1])), np.cumsum((modes[1:] + modes[:-1]) / 2, axis=0)]) * _GRID_MM
-    at_tip, along = at_depth(depth, places, modes), at_depth(depth, places, sums)
-    mean = along / np.maximum(depth, _GRID_MM)[:, None]
+    mean, at_tip = _along_path(np.asarray(motion.depth_mm, float).tobytes())
     shaft = model.shaft_n(run.states, motion) if hasattr(model, "shaft_n") else run.output
     tip = model.tip_n(run.states, motion) if hasattr(model, "tip_n") else run.output
-    return np.column_stack([shaft[:, None] * mean, tip[:, None] * at_tip])
+    count = mean.shape[1]
+    found = np.empty((len(mean), 2 * count))
+    np.multiply(shaft[:, None], mean, out=found[:, :count])
+    np.multiply(tip[:, None], at_tip, out=found[:, count:])
+    return found
+
+
+@lru_cache(maxsize=8)
+def _along_path(depth_mm: bytes) -> tuple[Array, Array]:
+    """Return the functions of depth along a path, as their mean along the shaft and at the tip: (samples, modes)."""
+    depth = np.clip(np.frombuffer(depth_mm), 0.0, None)
+    modes, places = functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
+    sums = np.concatenate([np.zeros((1, modes.shape[1])), np.cumsum((modes[1:] + modes[:-1]) / 2, axis=0)]) * _GRID_MM
+    return at_depth(depth, places, sums) / np.maximum(depth, _GRID_MM)[:, None], at_depth(depth, places, modes)
 
 
 def at_depth(depth_mm: Array, places: Array, rows: Array) -> Array:

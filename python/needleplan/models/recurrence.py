@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
@@ -19,7 +21,7 @@ def recurrence(factor: Array, offset: Array, start: Array | float) -> Array:
     n = len(factor) + 1
     band = np.zeros((2, n), order="F")
     band[0], band[1, :-1] = 1.0, -factor
-    width = int(np.prod(offset.shape[1:]))
+    width = math.prod(offset.shape[1:])
     right = np.empty((n, width), order="F")
     right[0] = np.ravel(start)
     right[1:] = offset.reshape((n - 1, width))

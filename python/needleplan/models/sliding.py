@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from needleplan.models.recurrence import recurrence
 from needleplan.signals import Array, Motion
@@ -27,15 +28,29 @@ def slid(motion: Motion, length_mm: float, start: float = 0.0) -> Array:
 @lru_cache(maxsize=32)
 def _slid(velocity_mm_s: bytes, time_s: bytes, length_mm: float, start: float) -> Array:
     """Return it for the bytes of a motion: a fit asks for it many times with the same length, term after term."""
+    way, back, turns = _ways(velocity_mm_s, time_s)
+    e1 = np.exp(-np.abs(way) / length_mm)
+    offset = np.sign(way) * (1 - e1)
+    if turns.size:
+        e2 = np.exp(-np.abs(back) / length_mm)
+        offset[turns] = offset[turns] * e2 + np.sign(back) * (1 - e2)
+        e1[turns] *= e2
+    found = recurrence(e1, offset, start)
+    found.flags.writeable = False
+    return found
+
+
+@lru_cache(maxsize=16)
+def _ways(velocity_mm_s: bytes, time_s: bytes) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Return the way of every step, up to a reversal within it; the way back after each reversal; and in which steps.
+
+    They do not depend on the length, of which a fit tries many.
+    """
     velocity = np.frombuffer(velocity_mm_s)
     first, last = velocity[:-1], velocity[1:]
     h = np.diff(np.frombuffer(time_s))
-    turns = first * last < 0
-    share = np.where(turns, first / np.where(turns, first - last, 1.0), 1.0)  # of the step, before the reversal
-    way = np.where(turns, first * share / 2, (first + last) / 2) * h
-    back = np.where(turns, last * (1 - share) / 2, 0.0) * h
-    e1, e2 = np.exp(-np.abs(way) / length_mm), np.exp(-np.abs(back) / length_mm)
-    offset = np.sign(way) * (1 - e1) * e2 + np.sign(back) * (1 - e2)
-    found = recurrence(e1 * e2, offset, start)
-    found.flags.writeable = False
-    return found
+    way = (first + last) / 2 * h
+    turns = np.flatnonzero(first * last < 0)
+    share = first[turns] / (first[turns] - last[turns])  # of the step, before the reversal
+    way[turns] = first[turns] * share / 2 * h[turns]
+    return way, last[turns] * (1 - share) / 2 * h[turns], turns

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -82,8 +83,8 @@ class Relaxation(PathTerm):
 
     def states(self, motion: Motion, start: Array) -> Array:
         """Return all three; exact for the mean speed between two samples."""
-        rate = 1 / self.time_s + np.abs(np.diff(motion.depth_mm)) / motion.interval_s / self.recovery_mm
-        share = decaying(np.exp(-rate * motion.interval_s), 1 / (self.time_s * rate), float(start[2]))
+        rows = (np.asarray(row, float).tobytes() for row in (motion.depth_mm, motion.time_s))
+        share = _relaxed(*rows, self.time_s, self.recovery_mm, float(start[2]))
         return np.asarray(np.vstack([super().states(motion, start[:2]), share]))
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
@@ -117,9 +118,8 @@ class PathDamage(PathTerm):
         states = np.empty((self.order, len(motion)))
         states[:2] = super().states(motion, start[:2])
         states[2:] = start[2:, None]
-        filled = _filled(np.asarray(motion.depth_mm, float))
-        steps = np.abs(np.diff(motion.depth_mm)) * (filled[:, 1:] + filled[:, :-1]) / 2
-        states[2 : 2 + len(filled), 1:] += np.cumsum(steps, axis=1)
+        slid = _slid_past(np.asarray(motion.depth_mm, float).tobytes())
+        states[2 : 2 + len(slid), 1:] += slid
         return states
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
@@ -127,6 +127,22 @@ class PathDamage(PathTerm):
         filled = _filled(_inserted(motion))
         worn = -np.expm1(-np.maximum(state[2 : 2 + len(filled)], 0.0) / self.sliding_mm)
         return np.asarray(-(worn * filled * _CELL_MM).sum(axis=0) * state[0])
+
+
+@lru_cache(maxsize=8)
+def _slid_past(depth_mm: bytes) -> Array:
+    """Return how far the shaft slid past each cell by the end of each step, for the bytes of depths: (cells, steps)."""
+    depth = np.frombuffer(depth_mm)
+    filled = _filled(depth)
+    return np.asarray(np.cumsum(np.abs(np.diff(depth)) * (filled[:, 1:] + filled[:, :-1]) / 2, axis=1))
+
+
+@lru_cache(maxsize=16)
+def _relaxed(depth_mm: bytes, time_s: bytes, relaxing_s: float, recovery_mm: float, start: float) -> Array:
+    """Return what has relaxed, (samples,), for the bytes of a motion: whatever base a fit tries, it is the same."""
+    step = np.diff(np.frombuffer(time_s))
+    rate = 1 / relaxing_s + np.abs(np.diff(np.frombuffer(depth_mm))) / step / recovery_mm
+    return decaying(np.exp(-rate * step), 1 / (relaxing_s * rate), start)
 
 
 def _filled(depth_mm: Array) -> Array:

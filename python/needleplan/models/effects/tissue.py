@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -102,18 +102,26 @@ class GivingTissue(SelfIntegratingModel):
 
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the states; the tissue step by step, at the mean velocity of each."""
-        moved, places = float(start[1]), [float(start[1])]
-        h = motion.interval_s
-        steps = (motion.velocity_mm_s[1:] + motion.velocity_mm_s[:-1]) / 2 * h
-        for step, seconds in zip(steps.tolist(), h.tolist(), strict=True):
-            pull = moved + self.lag_s * step / seconds
-            if abs(pull) <= self.size:
-                moved += step
-            else:
-                target = math.copysign(self.size, pull)
-                moved = target + (moved - target) * math.exp(-seconds / self.lag_s)
-            places.append(moved)
+        rows = (np.asarray(row, float).tobytes() for row in (motion.velocity_mm_s, motion.time_s))
+        places = _given_way(*rows, self.size, self.lag_s, float(start[1]))
         return np.vstack([self.base.integrate(motion, start[:1]), places])
+
+
+@lru_cache(maxsize=16)
+def _given_way(velocity_mm_s: bytes, time_s: bytes, size_mm: float, lag_s: float, start_mm: float) -> Array:
+    """Return where the tissue is, (samples,), for the bytes of a motion: whatever base a fit tries, it moves alike."""
+    velocity, h = np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s))
+    moved, places = start_mm, [start_mm]
+    steps = (velocity[1:] + velocity[:-1]) / 2 * h
+    for step, seconds in zip(steps.tolist(), h.tolist(), strict=True):
+        pull = moved + lag_s * step / seconds
+        if abs(pull) <= size_mm:
+            moved += step
+        else:
+            target = math.copysign(size_mm, pull)
+            moved = target + (moved - target) * math.exp(-seconds / lag_s)
+        places.append(moved)
+    return np.array(places)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,11 +149,11 @@ class BreathingTissue(SelfIntegratingModel):
         """Return the motion of the needle relative to the tissue; `motion` itself, where the size is 0."""
         if not self.size:
             return motion
-        rate = 2 * np.pi * self.frequency_hz
-        angle = rate * np.asarray(motion.time_s) + self.phase_rad
-        sine, cosine = np.sin(angle), np.cos(angle)
-        velocity = motion.velocity_mm_s - self.size / 2 * rate * cosine * (1 + self.rest * sine)
-        depth = motion.depth_mm - self.size / 2 * (sine + self.rest * (1 - cosine**2 / 2))
+        times = np.asarray(motion.time_s, float).tobytes()
+        moved, speed = _breath(times, self.frequency_hz, self.phase_rad, self.rest)
+        shape = np.shape(motion.time_s)
+        depth = motion.depth_mm - self.size * moved.reshape(shape)
+        velocity = motion.velocity_mm_s - self.size * speed.reshape(shape)
         return Motion(motion.time_s, depth, velocity, np.sign(velocity), motion.angle_rad)
 
     def initial_state(self, motion: Motion) -> Array:
@@ -163,3 +171,12 @@ class BreathingTissue(SelfIntegratingModel):
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the states of the base in the relative motion."""
         return simulate(self.base, self.relative(motion), start).states
+
+
+@lru_cache(maxsize=16)
+def _breath(time_s: bytes, frequency_hz: float, phase_rad: float, rest: float) -> tuple[Array, Array]:
+    """Return place and velocity for size 1, for the bytes of times: a fit asks for them with one base after another."""
+    rate = 2 * np.pi * frequency_hz
+    angle = rate * np.frombuffer(time_s) + phase_rad
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return (sine + rest * (1 - cosine**2 / 2)) / 2, rate / 2 * cosine * (1 + rest * sine)
