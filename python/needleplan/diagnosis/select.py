@@ -7,7 +7,7 @@ alone is tried together with a second one, and at the end each effect of a set i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from needleplan.diagnosis.calibrate import LAG, Calibration, Case, fit_case
@@ -86,32 +86,47 @@ def select(calibration: Calibration, library: Library, gates: Gates, *, seed: in
     believed = _believed(calibration)
     search = Search(calibration, library, candidates, base, first, believed, gates, seed)
     steps, last = _grown(search)
-    if not steps:
+    found = _settled(search, steps, last) if steps else None
+    first_step = steps[0] if steps else last
+    tied = first_step.ranked[0] if first_step.stop is Stop.TIE else None
+    for begin in _other_beginnings(search, first_step, found):
+        other = _settled(search, *_grown(search, begin))
+        least = found.support if found else tied.support if tied else 0.0
+        if other and len(other.joint.added) > 1 and other.support > least + gates.lead:
+            found = other
+    if found is None:
+        last = replace(steps[0], stop=Stop.NO_TRANSFER) if steps else last
         return Selection(base, (last,), None, (), None, smallest, believed)
-    joint, members = _settled(search, steps)
-    if any(each.rivals for each in members):
-        last = _contest(search, joint, members, last)
-    elif joint is not steps[-1].ranked[0].joint:
-        last = replace(last, rivals=score_rivals(joint.space, joint.cases))
-    alone = len(steps) == 1
-    verified = (alone and steps[0].ranked[0].verified) or verify(joint, calibration)
-    failed_alone = steps[0].ranked[0].vetoed
-    if failed_alone and (len(joint.added) == 1 or (verified and not transfers(verified, gates))):
-        return Selection(base, (replace(steps[0], stop=Stop.NO_TRANSFER),), None, (), None, smallest, believed)
-    return Selection(base, (*steps, last), joint, members, verified, smallest, believed)
+    return Selection(base, (*found.steps, found.last), found.joint, found.members, found.verified, smallest, believed)
 
 
-def _grown(search: Search) -> tuple[list[Step], Step]:
-    """Return the rounds in which an effect was accepted, and the one in which none was.
+@dataclass(frozen=True)
+class _Set:
+    """Effects that were accepted together, and the rounds that led to them."""
+
+    steps: tuple[Step, ...]
+    last: Step
+    joint: Joint
+    members: tuple[Member, ...]
+    verified: Verified | None
+    balance: float
+
+    @property
+    def support(self) -> float:
+        """What all data say for it: the balance of the fitted ones, and the gain in those that were held out."""
+        return self.balance + (self.verified.gain if self.verified else 0.0)
+
+
+def _grown(search: Search, begin: Step | None = None) -> tuple[list[Step], Step]:
+    """Return the rounds in which an effect was accepted, and the one in which none was; `begin` is the first.
 
     A first effect that does not hold in another motion is accepted with a second one beside which it may.
     """
     accepted: list[Step] = []
     on_trial: Step | None = None
     joint: Joint | None = None
+    step = begin or one_round(search, None, 0.0)
     while True:
-        first = accepted[0] if accepted else on_trial
-        step = one_round(search, joint, first.ranked[0].joint.gain if first else 0.0)
         if step.stop is Stop.ACCEPTED:
             accepted += [replace(on_trial, stop=Stop.ACCEPTED), step] if on_trial else [step]
             on_trial = None
@@ -120,10 +135,51 @@ def _grown(search: Search) -> tuple[list[Step], Step]:
         else:
             return accepted, on_trial or step
         joint = step.ranked[0].joint
+        step = one_round(search, joint, (on_trial or accepted[0]).ranked[0].gain)
 
 
-def _settled(search: Search, steps: Sequence[Step]) -> tuple[Joint, tuple[Member, ...]]:
-    """Return the set with each effect the best of those that fit in its place, and needed beside the others."""
+def _other_beginnings(search: Search, first: Step, found: _Set | None) -> Iterator[Step]:
+    """Return the first round with another effect taken, where that one and a second promise more than what was found.
+
+    One effect can look like two others: a sensor that warms up like a bias and a drift. Where the first one was not
+    decided, two may be.
+    """
+    if not found and first.stop is not Stop.TIE:
+        return
+    names = {each.effect.name for each in found.joint.added} if found else set()
+    balance = found.balance if found else first.ranked[0].balance
+    for each in first.ranked:
+        if each.name in names:
+            continue
+        beside = screen(each.joint.space, search.columns_beside(each.joint), search.candidates)
+        second = max((other.balance for other in beside if other.effect.name not in (each.name, *names)), default=0.0)
+        if second < search.gates.needed(each.joint.space.level) or each.balance + second < balance:
+            continue
+        order = (each, *(other for other in first.ranked if other is not each))
+        yield replace(first, ranked=order, stop=Stop.NO_TRANSFER if each.vetoed else Stop.ACCEPTED)
+
+
+def _settled(search: Search, steps: Sequence[Step], last: Step) -> _Set | None:
+    """Return the set with each effect the best of those that fit in its place, and needed beside the others.
+
+    None where the first effect does not hold in another motion, and the others do not help it.
+    """
+    if not steps:
+        return None
+    joint, members = _pruned(search, steps)
+    if any(each.rivals for each in members):
+        last = _contest(search, joint, members, last)
+    elif joint is not steps[-1].ranked[0].joint:
+        last = replace(last, rivals=score_rivals(joint.space, joint.cases))
+    alone = len(steps) == 1
+    verified = (alone and steps[0].ranked[0].verified) or verify(joint, search.calibration)
+    if steps[0].ranked[0].vetoed and (len(joint.added) == 1 or (verified and not transfers(verified, search.gates))):
+        return None
+    return _Set(tuple(steps), last, joint, members, verified, _balance(joint, search.base))
+
+
+def _pruned(search: Search, steps: Sequence[Step]) -> tuple[Joint, tuple[Member, ...]]:
+    """Return the effects that are needed, each the best in its place, and what each is worth."""
     joint = steps[-1].ranked[0].joint
     chances = [step.p_value for step in steps]
     if len(steps) == 1:
