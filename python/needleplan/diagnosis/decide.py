@@ -89,7 +89,7 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     if not names:
         text = "more than one effect is missing, and others explain as much: " + ", ".join(last.tied)
         return Decision(Verdict.AMBIGUOUS, (), last.tied, None, share, text)
-    if left or last.stop is Stop.TIE:
+    if left or last.stop in (Stop.TIE, Stop.NAMELESS):
         return Decision(Verdict.INCOMPLETE, names, last.tied, remaining.axis, share, "something else is missing too")
     return Decision(Verdict.NAMED, names, (), None, share, "passes all gates")
 

@@ -170,7 +170,9 @@ def _settled(search: Search, steps: Sequence[Step], last: Step) -> _Set | None:
     if any(each.rivals for each in members):
         last = _contest(search, joint, members, last)
     elif joint is not steps[-1].ranked[0].joint:
-        last = replace(last, rivals=score_rivals(joint.space, joint.cases))
+        # What was taken and is no more left a gap that has no name.
+        stop = Stop.NAMELESS if len(joint.added) < len(steps) else last.stop
+        last = replace(last, rivals=score_rivals(joint.space, joint.cases), stop=stop, tied=())
     alone = len(steps) == 1
     verified = (alone and steps[0].ranked[0].verified) or verify(joint, search.calibration)
     if steps[0].ranked[0].vetoed and (len(joint.added) == 1 or (verified and not transfers(verified, search.gates))):
@@ -195,11 +197,28 @@ def _pruned(search: Search, steps: Sequence[Step]) -> tuple[Joint, tuple[Member,
         )
         weakest = min(range(len(members)), key=lambda index: members[index].balance)
         if members[weakest].balance >= search.gates.needed(joint.space.level):
-            return joint, members
+            beaten = [
+                index for index, rest in enumerate(rests) if _is_beaten(members[index], joint, index, rest, search)
+            ]
+            if not beaten:
+                return joint, members
+            weakest = min(beaten, key=lambda index: members[index].balance)
         joint = rests[weakest]
         del chances[weakest], rivals[weakest]
         if len(joint.added) == 1:
             return joint, (Member(joint.gain, _balance(joint, search.base), chances[0], rivals[0]),)
+
+
+def _is_beaten(member: Member, joint: Joint, index: int, rest: Joint, search: Search) -> bool:
+    """Whether what has no name does better than a member beside the others: as it may not than a single effect."""
+    freedom = len(joint.added[index].effect.parameters) + 1
+    for rival in score_rivals(rest.space, rest.cases):
+        if rival.freedom <= freedom and rival.balance > member.balance:
+            return True
+        flexible = rival.balance > member.balance + search.gates.lead
+        if flexible and member.gain < search.gates.share_of_rival * rival.gain:
+            return True
+    return False
 
 
 def _without(search: Search, joint: Joint, index: int) -> Joint:

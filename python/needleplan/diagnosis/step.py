@@ -32,6 +32,9 @@ class Stop(StrEnum):
     SMALL = "small"
     """It is a small part of what the first one brought."""
 
+    NAMELESS = "nameless"
+    """What has no name does better in its place, beside the others."""
+
     ENOUGH = "enough"
     """As many as are looked for were found."""
 

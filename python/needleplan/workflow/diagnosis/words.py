@@ -25,6 +25,7 @@ STOPS = {
     Stop.TIE: "another does as well",
     Stop.NO_TRANSFER: "does not hold in another motion",
     Stop.SMALL: "too small beside the first",
+    Stop.NAMELESS: "what has no name does better beside the others",
     Stop.ENOUGH: "no more are looked for",
 }
 """How a round ended."""
