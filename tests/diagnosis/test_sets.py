@@ -85,6 +85,18 @@ def test_every_member_is_worth_its_place() -> None:
     assert sum(each.share for each in found.effects) == pytest.approx(1.0)
 
 
+def test_what_has_no_name_does_not_get_one_beside_others() -> None:
+    data = [
+        each if each.role is Role.NOISE else each.with_column(
+            "force_n", each["force_n"] + 0.05 * (each["time_s"] > each["time_s"][0] + 9.0)
+        )
+        for each in recordings({"viscous": {"size": 3e-4}}, seed=12)
+    ]  # fmt: skip
+    found = diagnose(BASE, data, library=LIBRARY)
+    assert set(found.names) <= {"viscous"}
+    assert found.verdict in (Verdict.INCOMPLETE, Verdict.UNKNOWN)
+
+
 def test_a_tie_is_not_broken_by_an_order() -> None:
     # Of two names for the same columns neither is better; the third effect is found beside whichever.
     same = replace(effect_named("bias"), name="offset")

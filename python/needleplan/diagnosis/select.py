@@ -166,13 +166,13 @@ def _settled(search: Search, steps: Sequence[Step], last: Step) -> _Set | None:
     """
     if not steps:
         return None
-    joint, members = _pruned(search, steps)
+    joint, members, beaten = _pruned(search, steps)
     if any(each.rivals for each in members):
         last = _contest(search, joint, members, last)
     elif joint is not steps[-1].ranked[0].joint:
-        # What was taken and is no more left a gap that has no name.
-        stop = Stop.NAMELESS if len(joint.added) < len(steps) else last.stop
-        last = replace(last, rivals=score_rivals(joint.space, joint.cases), stop=stop, tied=())
+        last = replace(last, rivals=score_rivals(joint.space, joint.cases))
+    if beaten:
+        last = replace(last, stop=Stop.NAMELESS, tied=())
     alone = len(steps) == 1
     verified = (alone and steps[0].ranked[0].verified) or verify(joint, search.calibration)
     if steps[0].ranked[0].vetoed and (len(joint.added) == 1 or (verified and not transfers(verified, search.gates))):
@@ -180,12 +180,16 @@ def _settled(search: Search, steps: Sequence[Step], last: Step) -> _Set | None:
     return _Set(tuple(steps), last, joint, members, verified, _balance(joint, search.base))
 
 
-def _pruned(search: Search, steps: Sequence[Step]) -> tuple[Joint, tuple[Member, ...]]:
-    """Return the effects that are needed, each the best in its place, and what each is worth."""
+def _pruned(search: Search, steps: Sequence[Step]) -> tuple[Joint, tuple[Member, ...], bool]:
+    """Return the effects that are needed, each the best in its place, and what each is worth.
+
+    And whether what has no name did better in the place of one that is no longer among them.
+    """
     joint = steps[-1].ranked[0].joint
     chances = [step.p_value for step in steps]
     if len(steps) == 1:
-        return joint, (Member(joint.gain, steps[0].ranked[0].balance, chances[0]),)
+        return joint, (Member(joint.gain, steps[0].ranked[0].balance, chances[0]),), False
+    beaten = False
     rivals: list[tuple[Added, ...]] = [()] * len(steps)
     for index in range(len(steps)):
         joint, rivals[index] = _in_place(search, joint, index)
@@ -197,22 +201,20 @@ def _pruned(search: Search, steps: Sequence[Step]) -> tuple[Joint, tuple[Member,
         )
         weakest = min(range(len(members)), key=lambda index: members[index].balance)
         if members[weakest].balance >= search.gates.needed(joint.space.level):
-            beaten = [
-                index for index, rest in enumerate(rests) if _is_beaten(members[index], joint, index, rest, search)
-            ]
-            if not beaten:
-                return joint, members
-            weakest = min(beaten, key=lambda index: members[index].balance)
+            lost = [index for index in range(len(rests)) if _is_beaten(members[index], joint, index, rests, search)]
+            if not lost:
+                return joint, members, beaten
+            weakest, beaten = min(lost, key=lambda index: members[index].balance), True
         joint = rests[weakest]
         del chances[weakest], rivals[weakest]
         if len(joint.added) == 1:
-            return joint, (Member(joint.gain, _balance(joint, search.base), chances[0], rivals[0]),)
+            return joint, (Member(joint.gain, _balance(joint, search.base), chances[0], rivals[0]),), beaten
 
 
-def _is_beaten(member: Member, joint: Joint, index: int, rest: Joint, search: Search) -> bool:
+def _is_beaten(member: Member, joint: Joint, index: int, rests: Sequence[Joint], search: Search) -> bool:
     """Whether what has no name does better than a member beside the others: as it may not than a single effect."""
     freedom = len(joint.added[index].effect.parameters) + 1
-    for rival in score_rivals(rest.space, rest.cases):
+    for rival in score_rivals(rests[index].space, rests[index].cases):
         if rival.freedom <= freedom and rival.balance > member.balance:
             return True
         flexible = rival.balance > member.balance + search.gates.lead
