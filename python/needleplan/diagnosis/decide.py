@@ -53,7 +53,7 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     rival = first.rivals[0]
     if selection.joint is None:
         if last.stop is Stop.TIE:
-            if _loses(last.ranked[0].joint, last.ranked[0].balance, first.rivals, gates):
+            if _loses(last.ranked[0].joint, last.ranked[0].balance, 0.0, first.rivals, gates):
                 return _unknown(rival.axis, "a smooth function without a name explains more than any known effect")
             text = "these effects explain the gap alike: " + ", ".join(last.tied)
             return Decision(Verdict.AMBIGUOUS, (), last.tied, None, None, text)
@@ -69,7 +69,7 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     # One effect may be at several places, and has one name.
     names = tuple(dict.fromkeys(each.effect.name for each in selection.sure))
     all_ = ", ".join(dict.fromkeys(each.effect.name for each in joint.added))
-    winner = _loses(joint, selection.balance, first.rivals, gates)
+    winner = _loses(joint, selection.balance, _more_elsewhere(selection), first.rivals, gates)
     if winner:
         return _unknown(winner.axis, f"{all_} fits, but so does what has no name: {winner.name}")
     other = selection.verified
@@ -98,15 +98,23 @@ def _unknown(axis: Axis, text: str, share: float | None = None) -> Decision:
     return Decision(Verdict.UNKNOWN, (), (), axis, share, text)
 
 
-def _loses(joint: Joint, balance: float, rivals: Sequence[RivalScore], gates: Gates) -> RivalScore | None:
-    """Return the competitor without a name that wins, if one does.
+def _more_elsewhere(selection: Selection) -> float:
+    """Return what all effects bring in another motion beyond the first one, with which competitors were compared."""
+    best, whole = selection.steps[0].ranked[0].verified, selection.verified
+    return whole.gain - best.gain if whole and best else 0.0
+
+
+def _loses(
+    joint: Joint, balance: float, elsewhere: float, rivals: Sequence[RivalScore], gates: Gates
+) -> RivalScore | None:
+    """Return the competitor without a name that wins, if one does; `elsewhere` is what the effects bring there.
 
     What is as simple as the effects is one more explanation, and a name must lead over it as over another effect. What
     is more flexible fits a little of everything, and must lead itself, by what the effects miss too.
     """
     for rival in rivals:
         simple = rival.freedom <= len(joint.names) + 1
-        if simple and rival.support > balance - gates.lead:
+        if simple and rival.support > balance + (elsewhere if rival.elsewhere else 0.0) - gates.lead:
             return rival
         if rival.balance > balance + gates.lead and joint.gain < gates.share_of_rival * rival.gain:
             return rival
