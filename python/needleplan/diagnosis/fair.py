@@ -101,7 +101,7 @@ def fitted_rivals(
     if calibration.given.channel is not Channel.FORCE:
         return tuple(rivals)
     found = [_fitted_step(each, best, seen, calibration, base) for each in rivals]
-    squared = _fitted_square(best, calibration, base)
+    squared = _fitted_square(best, seen, calibration, base)
     return tuple(sorted([*found, *([squared] if squared else [])], key=lambda each: -each.support))
 
 
@@ -121,9 +121,14 @@ def _fitted_step(
         moved = refit([_step_at(_better_time_s(joint, near, levels))], calibration, base, joint.cases)
         joint = max(joint, moved, key=lambda each: each.gain)
     gain = max(joint.gain, rival.gain)
-    there = verify(joint, calibration) if seen else None
-    elsewhere = there.gain - seen.gain if there and seen else 0.0
+    elsewhere = _elsewhere(joint, seen, calibration)
     return replace(rival, gain=gain, balance=gain - rival.freedom * base.price, elsewhere=elsewhere)
+
+
+def _elsewhere(joint: Joint, seen: Verified | None, calibration: Calibration) -> float:
+    """Return what a competitor brings in another motion beyond the effect; 0 where there is none."""
+    there = verify(joint, calibration) if seen else None
+    return there.gain - seen.gain if there and seen else 0.0
 
 
 def _step_at(time_s: float) -> Added:
@@ -146,7 +151,7 @@ def _better_time_s(joint: Joint, times_s: Array, levels: Array) -> float:
     return float(times_s[gains.argmax()])
 
 
-def _fitted_square(best: Joint, calibration: Calibration, base: Space) -> RivalScore | None:
+def _fitted_square(best: Joint, seen: Verified | None, calibration: Calibration, base: Space) -> RivalScore | None:
     """Return how the square of the pushing force does where the one effect of `best` is; None where they differ."""
     named = np.concatenate([added_output(best.added, case.model, case.motion) for case in best.cases])
     plain = np.concatenate([simulate(case.model, case.motion).output for case in best.cases])
@@ -159,4 +164,5 @@ def _fitted_square(best: Joint, calibration: Calibration, base: Space) -> RivalS
         return None
     start = Added(_SQUARED, {SIZE: both / energies[0]})
     joint = refit([start], calibration, base, best.cases)
-    return RivalScore("pushing force squared", Axis.FORCE, joint.gain, 1, joint.gain - base.price)
+    elsewhere = _elsewhere(joint, seen, calibration)
+    return RivalScore("pushing force squared", Axis.FORCE, joint.gain, 1, joint.gain - base.price, elsewhere=elsewhere)
