@@ -29,8 +29,15 @@ Spec = Any
 _BEHIND = 9_000_000
 """Behind the seeds of the campaigns of the same purpose."""
 
-_CLEAR = (ForceName.PUNCTURE, ForceName.BUMPS, ForceName.LATENCY, ForceName.INERTIA, ForceName.RELAXATION)
+_CLEAR = (
+    ForceName.PUNCTURE, ForceName.BUMPS, ForceName.LATENCY, ForceName.INERTIA, ForceName.RELAXATION,
+    ForceName.FRICTION_LAYER, ForceName.CUTTING_LAYER, ForceName.PATH_DAMAGE,
+)  # fmt: skip
 """Effects that look like no other, or that poor motions do not show."""
+
+
+_SIZES, _SIGMAS = (0.5, 3.0), (2.0, 12.0)
+"""From where effects are seen at all to where most are told apart at once: between, they are mistaken."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +80,7 @@ class _Force(Source):
         for number in count():
             seed = SEEDS[purpose].start + _BEHIND + number
             name, level, turn = _mixed(number, names)
-            wanted = force.Wanted(name, _log_uniform(seed, 0.7, 6.0))
+            wanted = force.Wanted(name, _log_uniform(seed, *_SIZES))
             training = (MotionKind.CONSTANT,) * (2 + turn % 2)
             held_out = (MotionKind.CONSTANT_SLOW, MotionKind.CONSTANT_FAST)[turn // 2 % 2]
             yield force.ForceSpec(seed, (wanted,), level, training, (held_out,))
@@ -98,7 +105,7 @@ class _Tip(Source):
         for number in count():
             seed = SEEDS[purpose].start + _BEHIND + number
             name, level, turn = _mixed(number, names)
-            wanted = path.Moves(name, _log_uniform(seed, 3.0, 20.0))
+            wanted = path.Moves(name, _log_uniform(seed, *_SIGMAS))
             training = (SteeringKind.ONE_SPEED,) * (1 + turn % 3)
             yield path.PathSpec(seed, (wanted,), level, training, (SteeringKind.LATE_TURN,))
 
