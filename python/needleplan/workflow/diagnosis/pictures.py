@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,7 +39,7 @@ _MOST = 12
 def trial_figure(trace: Trace, unit: str, axes_names: Sequence[str]) -> str:
     """Return one trial: depth, measured against model, and what is left."""
     rows = len(trace.measured)
-    figure, panels = _sheet(2 * rows + 1, 1, (7.4, 1.4 + 2.8 * rows), sharex=True)
+    figure, panels = _sheet(2 * rows + 1, 1, (7.4, 1.4 + 2.8 * rows), _Margins(top=0.3, between=0.12), sharex=True)
     time = trace.motion.time_s
     for ax, name, measured, before, after in zip(
         panels[:rows], axes_names, trace.measured, trace.before,
@@ -63,6 +64,7 @@ def trial_figure(trace: Trace, unit: str, axes_names: Sequence[str]) -> str:
     panels[-1].plot(time, trace.motion.depth_mm, color=BLACK, lw=0.9)
     panels[-1].set(xlabel="time (s)", ylabel="depth (mm)")
     panels[-1].grid(alpha=0.25)
+    _aligned(panels)
     return _svg(figure)
 
 
@@ -98,7 +100,10 @@ def map_figure(traces: Sequence[Trace]) -> str:
     maps = [gap_map(traces, after=after) for after in (False, True)[: 1 + both]]
     rows = len(maps[0][0])
     heights = [1.4, 0.5 + 0.28 * rows] * len(maps)
-    figure, panels = _sheet(2 * len(maps), 1, (7.4, 0.6 + sum(heights)), sharex=True, height_ratios=heights)
+    size = 7.4, 0.6 + sum(heights)
+    words = max(len(str(each)) for each in maps[0][0])
+    margins = _Margins(left=max(0.95, 0.2 + 0.066 * words), right=1.0, top=0.25, between=0.25)
+    figure, panels = _sheet(2 * len(maps), 1, size, margins, sharex=True, height_ratios=heights)
     top = max(20.0, *(float(np.nanmax(energy)) for _, _, energy in maps))
     colours = LogNorm(0.5, top)
     for index, (phases, edges, energy) in enumerate(maps):
@@ -114,7 +119,9 @@ def map_figure(traces: Sequence[Trace]) -> str:
             ax.text(middle[column], row, text, ha="center", va="center", fontsize=7, color=colour)
         ax.set_yticks(range(len(phases)), [str(each) for each in phases])
     panels[-1].set_xlabel("depth (mm)")
-    figure.colorbar(image, ax=panels[1::2], label="energy, 1: noise", shrink=0.9)
+    _aligned(panels)
+    scale = figure.add_axes((1 - 0.85 / size[0], 0.15, 0.14 / size[0], 0.7))
+    figure.colorbar(image, cax=scale, label="energy, 1: noise", format=_plain)
     return _svg(figure)
 
 
@@ -138,7 +145,8 @@ def candidates_figure(found: Diagnosis) -> str:
     rows += [(each.name, each.balance, False) for each in step.rivals]
     rows = sorted(rows, key=lambda each: -each[1])[: 2 * _MOST]
     floor = -10.0
-    figure, (ax,) = _sheet(1, 1, (7.4, 0.8 + 0.19 * len(rows)))
+    longest = max(len(name) + 2 * (not named) for name, _, named in rows)
+    figure, (ax,) = _sheet(1, 1, (7.4, 0.8 + 0.19 * len(rows)), _Margins(left=0.2 + 0.06 * longest, top=0.1))
     for place, (_, balance, named) in enumerate(rows):
         ax.barh(place, max(balance, floor), 0.7, color=BLUE if named else ORANGE, hatch="" if named else "//",
                 edgecolor="white")  # fmt: skip
@@ -146,6 +154,7 @@ def candidates_figure(found: Diagnosis) -> str:
     ax.text(found.gates.balance, len(rows) - 0.3, f" threshold {found.gates.balance:g}", fontsize=8, va="bottom")
     ax.set_yticks(range(len(rows)), [name if named else f"({name})" for name, _, named in rows], fontsize=7.5)
     ax.set_xscale("symlog", linthresh=20)
+    ax.xaxis.set_major_formatter(_plain)
     ax.set_xlim(left=1.4 * floor)
     ax.set(ylim=(len(rows) - 0.3, -0.6), xlabel="balance: gain in likelihood less its price")
     ax.grid(axis="x", alpha=0.25)
@@ -155,7 +164,7 @@ def candidates_figure(found: Diagnosis) -> str:
 def correlation_figure(traces: Sequence[Trace]) -> str:
     """Return the autocorrelation of the whitened residual with the 99 % band of white noise."""
     both = traces[0].left_after is not None
-    figure, panels = _sheet(1, 1 + both, (7.4 if both else 4.2, 2.2), sharey=True)
+    figure, panels = _sheet(1, 1 + both, (7.4 if both else 4.2, 2.2), _Margins(top=0.25, between=0.2), sharey=True)
     for ax, after in zip(panels, (False, True), strict=False):
         values, bound = correlation(traces, _LAGS, after=after)
         ax.axhspan(-bound, bound, color=GREY, alpha=0.3, lw=0)
@@ -170,7 +179,10 @@ def correlation_figure(traces: Sequence[Trace]) -> str:
 def isolability_figure(matrix: Isolability) -> str:
     """Return which effect imitates which."""
     names, count = matrix.effects, len(matrix.effects)
-    figure, (ax,) = _sheet(1, 1, (1.9 + 0.29 * count, 1.7 + 0.26 * count))
+    words = 0.058 * max(map(len, names))
+    margins = _Margins(left=0.4 + words, bottom=0.45 + 0.87 * words)
+    across, down = 0.29 * count + margins.left + margins.right, 0.26 * count + margins.bottom + margins.top
+    figure, (ax,) = _sheet(1, 1, (across, down), margins)
     ax.imshow(matrix.imitated, cmap="Blues", vmin=0, vmax=1, aspect="auto")
     for i in range(count):
         for j in range(count):
@@ -213,10 +225,22 @@ def _rms(rows: Sequence[Any]) -> float:
     return float(np.sqrt(np.nanmean(np.concatenate([np.ravel(each) for each in rows]) ** 2)))
 
 
+@dataclass(frozen=True)
+class _Margins:
+    """About the panels, and between them, in inches: to measure every text of a sheet takes as long as to draw it."""
+
+    left: float = 0.75
+    right: float = 0.1
+    bottom: float = 0.45
+    top: float = 0.1
+    between: float = 0.1
+
+
 def _sheet(
     rows: int,
     columns: int,
     size: tuple[float, float],
+    margins: _Margins = _Margins(),
     *,
     sharex: bool = False,
     sharey: bool = False,
@@ -225,18 +249,33 @@ def _sheet(
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
+    width, height = size
+    inner = width - margins.left - margins.right, height - margins.bottom - margins.top
+    between = margins.between
+    panel = [(whole - (n - 1) * between) / n for whole, n in zip(inner, (columns, rows), strict=True)]
+    place = {
+        "left": margins.left / width, "right": 1 - margins.right / width,
+        "bottom": margins.bottom / height, "top": 1 - margins.top / height,
+        "wspace": between / panel[0], "hspace": between / panel[1],
+    }  # fmt: skip
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=size, layout="constrained")
-        return figure, list(
-            figure.subplots(
-                rows,
-                columns,
-                squeeze=False,
-                sharex=sharex,
-                sharey=sharey,
-                height_ratios=height_ratios,
-            ).flat
+        figure = Figure(figsize=size)
+        panels = figure.subplots(
+            rows, columns, squeeze=False, sharex=sharex, sharey=sharey, height_ratios=height_ratios, gridspec_kw=place
         )
+        return figure, list(panels.flat)
+
+
+def _aligned(panels: Sequence[Axes]) -> None:
+    """Set the names of the axes one below the other."""
+    for ax in panels:
+        figure = ax.figure
+        ax.yaxis.set_label_coords(-0.55 / (ax.get_position().width * float(figure.bbox.width) / figure.dpi), 0.5)
+
+
+def _plain(value: float, _: float | None = None) -> str:
+    """Return a number for a tick: those of powers go through a typesetter of formulas that takes its time."""
+    return f"{value:g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _svg(figure: Figure) -> str:
