@@ -59,6 +59,8 @@ def _others(found: dict[str, Any]) -> Iterator[Goal]:
     )
     yield _share("outside the library, called unknown: right axis", found["outside"]["all"]["right_axis"], 0.78)
     yield _share("two effects, 0 %: exact set", found["pair"]["0"]["exact"], 0.82)
+    text = "two effects, 0 %, the base leaves a noncentrality of 100 of both: exact set"
+    yield _share(text, found["pair"]["0"]["exact_where_left"], 0.82)
     yield _share("two effects, 0 %: strongest named", found["pair"]["0"]["strongest"], 0.97)
     yield _share("two effects, 0 %: false extra", found["pair"]["0"]["false_extra"], 0.04, at_most=True)
     for level in LEVELS:
