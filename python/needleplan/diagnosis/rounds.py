@@ -33,7 +33,7 @@ _NEAR_SHARE = 0.1
 """How far behind the best an effect is still fitted: columns are not what a fit reaches."""
 _NULLS = 200
 _LAGS = 2.0
-"""Multiple of the usual lag from which on being late is an effect."""
+"""Multiple of the usual lag from which on being late is an effect: by so much later than the usual."""
 _IMITATED = 30.0
 _TRIED = 5.0
 """Balance of its column from which on an effect is fitted: beside a base that imitates it, it shows only in part."""
@@ -227,13 +227,18 @@ def _fitted(search: Search, taken: Joint | None, certain: Sequence[_Start], scre
             break
         start = [*(taken.added if taken else ()), Added(each.effect, each.values, search.within(each.effect))]
         joint = refit(start, search.calibration, search.base, cases if not taken else None)
-        if each.effect.is_lag and joint.added[-1].values[SIZE] < _LAGS * usual_lag_s:
+        if each.effect.is_lag and _lateness(joint) < (1 + _LAGS) * usual_lag_s:
             continue  # any sensor may be as late as that
         gain = max(joint.gain - before, 0.0)
         ranked = Ranked(each.effect.name, joint, gain, gain - len(each.effect.parameters) * search.price)
         if ranked.name not in found or ranked.balance > found[ranked.name].balance:
             found[ranked.name] = ranked
     return sorted(found.values(), key=lambda each: -each.balance)
+
+
+def _lateness(joint: Joint) -> float:
+    """Return how late readings are (s), by the last effect and by what the base takes for its sensor's own lag."""
+    return joint.added[-1].values[SIZE] + float(np.median([case.lag_s for case in joint.cases]))
 
 
 def usual_late(calibration: Calibration) -> float:

@@ -64,7 +64,7 @@ class Gates:
     closed: float = 0.5
     """Of the gap in held-out trials that must go, where that gap is beyond doubt."""
 
-    further: float = 0.01
+    further: float = 0.03
     """Of the first gain that a second or third effect must bring."""
 
     most: int = 3
