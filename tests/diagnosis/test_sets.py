@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from needleplan.diagnosis import Library, Verdict, diagnose
+from needleplan.diagnosis import Library, Verdict, diagnose, select
 from needleplan.diagnosis.calibrate import Calibration, calibrate
 from needleplan.diagnosis.noise import fit_axes
 from needleplan.diagnosis.refit import Added, refit
@@ -95,6 +95,19 @@ def test_what_has_no_name_does_not_get_one_beside_others() -> None:
     found = diagnose(BASE, data, library=LIBRARY)
     assert set(found.names) <= {"viscous"}
     assert found.verdict in (Verdict.INCOMPLETE, Verdict.UNKNOWN)
+
+
+def test_one_that_is_left_may_still_be_another_one(calibration: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Two were found, one of them needless, and the other one has a rival: then neither name is given.
+    joint = fitted(calibration, "bias")
+    rival = Added(effect_named("drift"), {"size": 1e-3})
+    members = (select.Member(joint.gain, 20.0, 1e-6, (rival,)),)
+    monkeypatch.setattr(select, "_pruned", lambda search, steps: (joint, members, False))  # noqa: ARG005
+    found = diagnose(BASE, recordings(TRUE, seed=11), library=LIBRARY)
+    assert found.verdict is not Verdict.NAMED
+    assert found.names == ()
+    assert found.selection.steps[-1].stop is Stop.TIE
+    assert set(found.selection.steps[-1].tied) == {"bias", "drift"}
 
 
 def test_a_tie_is_not_broken_by_an_order() -> None:

@@ -258,12 +258,12 @@ def _in_place(search: Search, joint: Joint, index: int) -> tuple[Joint, tuple[Ad
 def _contest(search: Search, joint: Joint, members: Sequence[Member], last: Step) -> Step:
     """Return the round that was not decided after all: an effect of the set, and those that do as well in its place."""
     index = next(place for place, each in enumerate(members) if each.rivals)
-    rest = _without(search, joint, index)
+    rest = _without(search, joint, index) if len(joint.added) > 1 else None
+    added, gain, before = (rest.added, rest.gain, _balance(rest, search.base)) if rest else ((), 0.0, 0.0)
     ranked = []
     for each in (joint.added[index], *members[index].rivals):
-        whole = refit([*rest.added, each], search.calibration, search.base, joint.cases)
-        balance = _balance(whole, search.base) - _balance(rest, search.base)
-        ranked.append(Ranked(each.effect.name, whole, whole.gain - rest.gain, balance))
+        whole = refit([*added, each], search.calibration, search.base, joint.cases)
+        ranked.append(Ranked(each.effect.name, whole, whole.gain - gain, _balance(whole, search.base) - before))
     return Step(
         last.screened, score_rivals(joint.space, joint.cases), tuple(ranked), members[index].p_value, Stop.TIE,
         tuple(each.name for each in ranked),
