@@ -166,9 +166,9 @@ def _draw_power(found: Mapping[str, Any], path: Path) -> None:
                 bins = [each for each in found["power"][by][f"{variety} {level}"] if each["right"]["of"]]
                 if not bins:
                     continue
-                # A bin that is open on a side is drawn at a factor of two from its other end.
-                at = [np.sqrt(max(each["from"], each["to"] / 4) * min(each["to"], 4 * max(each["from"], 1e-9) + (
-                    each["to"] if each["from"] == 0 else 0))) for each in bins]  # fmt: skip
+                # A bin that is open on a side, or nearly, is drawn at a factor of two from its other end.
+                at = [np.sqrt((each["from"] or each["to"] / 4) * min(each["to"], 4 * (each["from"] or each["to"])))
+                      for each in bins]  # fmt: skip
                 rates = np.array([each["right"]["rate"] for each in bins])
                 low = rates - [each["right"]["low"] for each in bins]
                 high = np.array([each["right"]["high"] for each in bins]) - rates
