@@ -13,7 +13,7 @@ from needleplan.diagnosis.calibrate import lag_taps, late
 from needleplan.diagnosis.noise import Noise
 from needleplan.diagnosis.variation import at_depth
 from needleplan.models import simulate
-from needleplan.models.effects import effect_named
+from needleplan.models.effects import Effect, Reach, effect_named
 from tests.diagnosis.tip_trials import BASE as TIP
 from tests.diagnosis.tip_trials import motion as tip_motion
 from tests.diagnosis.trials import BASE, motion
@@ -97,3 +97,17 @@ def test_columns_are_kept_by_the_whole_motion() -> None:
         np.testing.assert_array_equal(library.columns(TIP, each, candidates), wanted)
     part = library.columns(TIP, path, candidates[1:])
     np.testing.assert_array_equal(part, library.columns(TIP, path, candidates)[:, candidates[1].first :])
+
+
+def test_many_breaths_are_those_of_one_after_the_other() -> None:
+    effect = effect_named("respiration")
+    for path in (motion(0), motion(2)):
+        grid = effect.grid(Reach.of([path]))[::7]
+        np.testing.assert_allclose(
+            effect.columns(BASE, path, grid), Effect.columns(effect, BASE, path, grid), rtol=1e-9, atol=1e-9
+        )
+    # Beside an effect that is there already, and for a breath that says no more than its size, it is one by one.
+    beside = effect_named("bristle").apply(BASE, {"size": 0.3})
+    np.testing.assert_array_equal(
+        effect.columns(beside, path, grid[:2]), Effect.columns(effect, beside, path, grid[:2])
+    )

@@ -57,15 +57,14 @@ def isolability(calibration: Calibration, library: Library, level: float) -> Iso
     energy = (left**2).sum(axis=0)
     seen = energy > _INVISIBLE * raw
     unit = left / np.sqrt(np.where(seen, energy, 1.0))
-    likeness = np.where(seen[:, None] & seen, (unit.T @ unit) ** 2, 0.0)
     imitated = np.full((len(candidates), len(candidates)), np.nan)
-    for i, each in enumerate(candidates):
-        visible = [place for place in range(each.first, each.last) if seen[place]]
-        if not visible:
-            continue
-        middle = sorted(visible, key=lambda place: energy[place])[len(visible) // 2]
+    visible = [np.arange(each.first, each.last)[seen[each.first : each.last]] for each in candidates]
+    shown = [i for i, places in enumerate(visible) if places.size]
+    middles = [int(visible[i][np.argsort(energy[visible[i]], kind="stable")[visible[i].size // 2]]) for i in shown]
+    likeness = np.where(seen, (unit[:, middles].T @ unit) ** 2, 0.0)
+    for i, alike in zip(shown, likeness, strict=True):
         for j, other in enumerate(candidates):
-            imitated[i, j] = 1.0 if i == j else _best(likeness[middle], other.first, other.last)
+            imitated[i, j] = 1.0 if i == j else _best(alike, other.first, other.last)
     return Isolability(tuple(each.effect.name for each in candidates), imitated)
 
 

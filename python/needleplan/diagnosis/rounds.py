@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import stats
 
 from needleplan.diagnosis.calibrate import Calibration, Case
 from needleplan.diagnosis.channels import measurand_of
@@ -283,4 +282,4 @@ def _chance(
     maxima = space.null_maxima(columns, penalty, signs, _NULLS, seed)
     scale = float(maxima.std(ddof=1)) * np.sqrt(6) / np.pi
     place = float(maxima.mean()) - np.euler_gamma * scale
-    return float(stats.gumbel_r.sf(balance, place, scale))
+    return -math.expm1(-math.exp(min((place - balance) / scale, 700.0)))

@@ -15,6 +15,7 @@ shaft and tip. What the tissue or the sensor does besides is an effect (`needlep
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -58,9 +59,20 @@ class ShaftAndTip(SelfIntegratingModel):
 
     def tip_n(self, state: Array, motion: Motion) -> Array:
         """Return the force of the tip (N), shape (...)."""
-        grown = -np.expm1(-np.maximum(motion.depth_mm, 0.0) / self.onset_mm)
+        depth = np.asarray(motion.depth_mm, float)
+        grown = _grown(depth.tobytes(), self.onset_mm) if depth.ndim == 1 else _growing(depth, self.onset_mm)
         return np.asarray(self.cutting * grown * (1 + state[0]) / 2)
 
     def output(self, state: Array, motion: Motion) -> Array:
         """Return the axial force (N), shape (...)."""
         return self.shaft_n(state, motion) + self.tip_n(state, motion)
+
+
+def _growing(depth_mm: Array, onset_mm: float) -> Array:
+    return np.asarray(-np.expm1(-np.maximum(depth_mm, 0.0) / onset_mm))
+
+
+@lru_cache(maxsize=32)
+def _grown(depth_mm: bytes, onset_mm: float) -> Array:
+    """Return it for the bytes of depths: a fit asks for the same ones with one friction or cutting after another."""
+    return _growing(np.frombuffer(depth_mm), onset_mm)

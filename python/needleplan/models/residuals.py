@@ -89,7 +89,7 @@ def ljung_box(residuals: Sequence[Array], lags: int | None = None) -> tuple[floa
     most a fifth of the shortest record and 20 by default. No correction for fitted parameters: they are few beside
     the samples.
     """
-    from scipy import stats
+    from scipy.special import chdtrc  # scipy.stats takes as long to load as a whole diagnosis
 
     most = min(20, min(map(len, residuals)) // 5) if lags is None else lags
     most = max(most, 1)
@@ -101,7 +101,7 @@ def ljung_box(residuals: Sequence[Array], lags: int | None = None) -> tuple[floa
         if power > 0:
             ratios = [float(centred[lag:] @ centred[:-lag]) / power for lag in range(1, most + 1)]
             total += n * (n + 2) * sum(ratio**2 / (n - lag) for lag, ratio in enumerate(ratios, start=1))
-    return total, float(stats.chi2.sf(total, most * len(residuals))), most
+    return total, float(chdtrc(most * len(residuals), total)), most
 
 
 def _whiteness(left: Sequence[Array]) -> Finding:

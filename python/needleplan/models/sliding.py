@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from needleplan.models.recurrence import recurrence
 from needleplan.signals import Array, Motion
 
-__all__ = ["slid"]
+__all__ = ["slid", "slid_along"]
 
 
 def slid(motion: Motion, length_mm: float, start: float = 0.0) -> Array:
@@ -25,32 +25,53 @@ def slid(motion: Motion, length_mm: float, start: float = 0.0) -> Array:
     return _slid(velocity.tobytes(), time.tobytes(), float(length_mm), float(start))
 
 
+def slid_along(velocity_mm_s: Array, time_s: Array, length_mm: float) -> Array:
+    """Return z of many motions at the same times, (motions, samples), that starts at 0; `velocity_mm_s` has its shape.
+
+    One recurrence for all: what takes the end of a motion to the begin of the next one forgets it.
+    """
+    factor, offset = np.zeros(velocity_mm_s.shape), np.zeros(velocity_mm_s.shape)
+    factor[:, :-1], offset[:, :-1] = _steps(*_ways_of(velocity_mm_s, np.diff(time_s)), length_mm)
+    return recurrence(factor.ravel()[:-1], offset.ravel()[:-1], 0.0).reshape(velocity_mm_s.shape)
+
+
 @lru_cache(maxsize=32)
 def _slid(velocity_mm_s: bytes, time_s: bytes, length_mm: float, start: float) -> Array:
     """Return it for the bytes of a motion: a fit asks for it many times with the same length, term after term."""
-    way, back, turns = _ways(velocity_mm_s, time_s)
-    e1 = np.exp(-np.abs(way) / length_mm)
-    offset = np.sign(way) * (1 - e1)
-    if turns.size:
-        e2 = np.exp(-np.abs(back) / length_mm)
-        offset[turns] = offset[turns] * e2 + np.sign(back) * (1 - e2)
-        e1[turns] *= e2
-    found = recurrence(e1, offset, start)
+    found = recurrence(*_steps(*_ways(velocity_mm_s, time_s), length_mm), start)
     found.flags.writeable = False
     return found
 
 
+_Turns = tuple[NDArray[np.intp], ...]
+
+
+def _steps(way: Array, back: Array, turns: _Turns, length_mm: float) -> tuple[Array, Array]:
+    """Return how much of z is left after every step, and what is added to it."""
+    e1 = np.exp(-np.abs(way) / length_mm)
+    offset = np.sign(way) * (1 - e1)
+    if back.size:
+        e2 = np.exp(-np.abs(back) / length_mm)
+        offset[turns] = offset[turns] * e2 + np.sign(back) * (1 - e2)
+        e1[turns] *= e2
+    return e1, offset
+
+
 @lru_cache(maxsize=16)
-def _ways(velocity_mm_s: bytes, time_s: bytes) -> tuple[Array, Array, NDArray[np.intp]]:
+def _ways(velocity_mm_s: bytes, time_s: bytes) -> tuple[Array, Array, _Turns]:
+    """Return it for the bytes of a motion: it does not depend on the length, of which a fit tries many."""
+    return _ways_of(np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s)))
+
+
+def _ways_of(velocity: Array, h: Array) -> tuple[Array, Array, _Turns]:
     """Return the way of every step, up to a reversal within it; the way back after each reversal; and in which steps.
 
-    They do not depend on the length, of which a fit tries many.
+    The last axis of `velocity` is that of the samples, one more than `h` has.
     """
-    velocity = np.frombuffer(velocity_mm_s)
-    first, last = velocity[:-1], velocity[1:]
-    h = np.diff(np.frombuffer(time_s))
+    first, last = velocity[..., :-1], velocity[..., 1:]
     way = (first + last) / 2 * h
-    turns = np.flatnonzero(first * last < 0)
-    share = first[turns] / (first[turns] - last[turns])  # of the step, before the reversal
-    way[turns] = first[turns] * share / 2 * h[turns]
-    return way, last[turns] * (1 - share) / 2 * h[turns], turns
+    turns = np.nonzero(first * last < 0)
+    before, after, seconds = first[turns], last[turns], h[turns[-1]]
+    share = before / (before - after)  # of the step, before the reversal
+    way[turns] = before * share / 2 * seconds
+    return way, after * (1 - share) / 2 * seconds, turns

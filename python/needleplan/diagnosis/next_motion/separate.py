@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from math import ceil, inf, sqrt
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from needleplan.diagnosis.calibrate import pooled
 from needleplan.diagnosis.diagnosis import Diagnosis
@@ -213,7 +213,7 @@ def separations_by(found: Diagnosis, rivals: Sequence[Rival], motion: Motion) ->
             matrix, _ = spaces[true.name].normal([np.column_stack([gap, moved])], 0)
             expected = _left(matrix, rival.covariance)
             now = true.support - rival.support
-            sure = norm.cdf((now + expected - lead) / (2 * sqrt(expected) + 1e-9))
+            sure = ndtr((now + expected - lead) / (2 * sqrt(expected) + 1e-9))
             pairs.append(Separation(true.name, rival.name, now, expected, expected / lead, float(sure)))
     return tuple(pairs)
 

@@ -15,7 +15,7 @@ from needleplan.models.base import Channel, Model
 from needleplan.models.effects import cutting, sensor, shaft
 from needleplan.models.effects.base import SIZE, Effect, Enters, Family, Reach, Term, WithTerm
 from needleplan.models.effects.lagging import Lagging
-from needleplan.models.effects.tissue import BreathingTissue, GivingTissue, SlowTurning
+from needleplan.models.effects.tissue import BreathingTissue, GivingTissue, SlowTurning, breathing_forces
 from needleplan.models.insertion import ShaftAndTip
 from needleplan.models.parameter import Parameter, parameters_of
 from needleplan.models.simulate import simulate
@@ -131,6 +131,18 @@ class WrapEffect(_Described):
             return self._inside(model, values)
         made: Model = self.wrapper(base=model, **values)  # type: ignore[call-arg]
         return made
+
+    def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
+        """Return what the output gains for a unit of size; of many breaths about the plain base, all at once."""
+        names = set(self.parameters)
+        if not (
+            self.wrapper is BreathingTissue
+            and isinstance(model, ShaftAndTip)
+            and all(each.keys() == names and each[SIZE] for each in grid)
+        ):
+            return super().columns(model, motion, grid)
+        gained = breathing_forces(model, motion, grid) - simulate(model, motion).output
+        return np.asarray((gained / np.array([[each[SIZE]] for each in grid])).T)
 
     def _inside(self, model: Model, values: Mapping[str, float]) -> Model:
         """Return a model that has effects already with this one put around its innermost base."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +14,12 @@ from needleplan.models.base import Channel, Model, SelfIntegratingModel
 from needleplan.models.insertion import ShaftAndTip
 from needleplan.models.parameter import parameter
 from needleplan.models.simulate import simulate
+from needleplan.models.sliding import slid_along
 from needleplan.signals import Array, Motion
 
-__all__ = ["BreathingTissue", "GivingTissue", "SlowTurning"]
+__all__ = ["BreathingTissue", "GivingTissue", "SlowTurning", "breathing_forces"]
+
+_AT_ONCE = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,8 +180,33 @@ class BreathingTissue(SelfIntegratingModel):
 
 @lru_cache(maxsize=16)
 def _breath(time_s: bytes, frequency_hz: float, phase_rad: float, rest: float) -> tuple[Array, Array]:
-    """Return place and velocity for size 1, for the bytes of times: a fit asks for them with one base after another."""
+    """Return it for the bytes of times: a fit asks for it with one base after another."""
+    return _breathing(np.frombuffer(time_s), frequency_hz, phase_rad, rest)
+
+
+def _breathing(time_s: Array, frequency_hz: Any, phase_rad: Any, rest: Any) -> tuple[Array, Array]:
+    """Return place and velocity of the tissue for size 1; numbers, or arrays of one shape with the times."""
     rate = 2 * np.pi * frequency_hz
-    angle = rate * np.frombuffer(time_s) + phase_rad
+    angle = rate * time_s + phase_rad
     sine, cosine = np.sin(angle), np.cos(angle)
     return (sine + rest * (1 - cosine**2 / 2)) / 2, rate / 2 * cosine * (1 + rest * sine)
+
+
+def breathing_forces(base: ShaftAndTip, motion: Motion, breaths: Sequence[Mapping[str, float]]) -> Array:
+    """Return the force in tissue that breathes, (breaths, samples), for breaths with all of their parameters.
+
+    What `BreathingTissue` simulates for each, for as many at once as stay in fast memory.
+    """
+    found = np.empty((len(breaths), len(motion)))
+    sizes = np.array([[each["size"]] for each in breaths])
+    rows = np.array([[each[name] for name in ("frequency_hz", "phase_rad", "rest")] for each in breaths])
+    kinds, which = np.unique(rows, axis=0, return_inverse=True)  # many differ in size only
+    moved, speed = _breathing(motion.time_s, *kinds.T[..., None])
+    for first in range(0, len(breaths), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        kind, size = which.ravel()[part], sizes[part]
+        depth, velocity = motion.depth_mm - size * moved[kind], motion.velocity_mm_s - size * speed[kind]
+        bristle = slid_along(velocity, motion.time_s, base.presliding_mm)
+        along = Motion(motion.time_s, depth, velocity, np.sign(velocity), motion.angle_rad)
+        found[part] = base.output(bristle[None], along)
+    return found
