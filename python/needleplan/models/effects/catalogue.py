@@ -288,10 +288,10 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
     ),
     WrapEffect(
         "tissue_motion", "tissue that moves with the needle", Family.TISSUE, Enters.TISSUE,
-        "z = clip((u + lag u')/size, -1, 1), u' = v until it slides",
+        "lag u' = size z - u, z' = (w - |w| z)/presliding, w = v - u'",
         "The tissue is held by a spring and a damper: it goes with the needle before the needle slides in it.",
         _THESIS + "chapter 4",
-        lambda reach: {SIZE: np.geomspace(0.1, 5.0, 10), "lag_s": (0.02, 0.07, 0.2, 0.6)},  # noqa: ARG005
+        lambda reach: {SIZE: np.geomspace(0.1, 5.0, 10), "lag_s": (0.02, 0.08, 0.25, 0.8)},  # noqa: ARG005
         wrapper=GivingTissue,
         beside=(ShaftAndTip, SlowTurning),
     ),

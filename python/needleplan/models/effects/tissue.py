@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -70,14 +70,12 @@ class SlowTurning(SelfIntegratingModel):
 class GivingTissue(SelfIntegratingModel):
     """A model in tissue that a spring and a damper hold (Kelvin and Voigt), and that gives way by `size`.
 
-    The tissue goes with the needle until spring and damper, k u + c u', reach the friction; then it stays at u = size.
-    In parts of the friction y = (u + lag u') / size, from -1 to 1: along the shaft y is what the bristle of the base is
-    otherwise. The tip, which cuts, feels nothing of it.
-    State: that of the model, then u (mm).
+    Friction, from -1 to 1 in z, pulls the tissue along: lag u' = size z - u. Shaft and tip slide relative to it, with
+    the velocity v - u', and that is what bends the bristle of the base. State: that of the model, then u (mm).
     """
 
     base: ShaftAndTip | SlowTurning
-    size: float = parameter("mm", 0, 50, "how far the tissue goes with the needle before it slides", typical=0.5)
+    size: float = parameter("mm", 0, 50, "how far the tissue goes with the needle", typical=0.5)
     lag_s: float = parameter("s", 1e-3, 20, "damper over spring")
 
     @property
@@ -90,43 +88,60 @@ class GivingTissue(SelfIntegratingModel):
         return np.append(self.base.initial_state(motion), 0.0)
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates; the tissue has the velocity of the needle, or that with which it sinks back."""
-        velocity, moved = np.asarray(motion.velocity_mm_s, float), state[1]
-        pull = moved + self.lag_s * velocity
-        sinking = (np.sign(pull) * self.size - moved) / self.lag_s
-        tissue = np.where(np.abs(pull) <= self.size, velocity, sinking)
-        return np.concatenate([self.base.derivative(state[:1], motion), np.asarray(tissue)[None]])
+        """Return the rates: of the base in its motion relative to the tissue, and of the tissue."""
+        tissue = (self.size * state[0] - state[1]) / self.lag_s
+        sliding = replace(motion, velocity_mm_s=np.asarray(motion.velocity_mm_s - tissue))
+        return np.concatenate([self.base.derivative(state[:1], sliding), np.asarray(tissue)[None]])
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the force; that of the base, where the size is 0."""
-        if not self.size:
-            return self.base.output(state[:1], motion)
-        pull = (state[1] + self.lag_s * np.asarray(motion.velocity_mm_s)) / self.size
-        shaft = self.base.shaft_n(np.clip(pull, -1.0, 1.0)[None], motion)
-        return shaft + self.base.tip_n(state[:1], motion)
+        """Return the force."""
+        return self.base.output(state[:1], motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states; the tissue step by step, at the mean velocity of each."""
-        rows = (np.asarray(row, float).tobytes() for row in (motion.velocity_mm_s, motion.time_s))
-        places = _given_way(*rows, self.size, self.lag_s, float(start[1]))
-        return np.vstack([self.base.integrate(motion, start[:1]), places])
+        """Return the states; the base's own, and tissue at rest, where the size is 0."""
+        if not self.size:
+            return np.vstack([self.base.integrate(motion, start[:1]), np.full(len(motion), float(start[1]))])
+        inner = self.base.slow if isinstance(self.base, SlowTurning) else self.base
+        velocity, time = np.asarray(motion.velocity_mm_s, float), np.asarray(motion.time_s, float)
+        given = self.size, self.lag_s, inner.presliding_mm, float(start[0]), float(start[1])
+        return _dragged(velocity.tobytes(), time.tobytes(), *given)
 
 
-@lru_cache(maxsize=16)
-def _given_way(velocity_mm_s: bytes, time_s: bytes, size_mm: float, lag_s: float, start_mm: float) -> Array:
-    """Return where the tissue is, (samples,), for the bytes of a motion: whatever base a fit tries, it moves alike."""
+@lru_cache(maxsize=64)
+def _dragged(
+    velocity_mm_s: bytes, time_s: bytes, size: float, lag_s: float, presliding_mm: float, bristle: float, moved: float
+) -> Array:
+    """Return bristle and tissue at the samples, shape (2, samples), not to be written to; kept as `slid` is.
+
+    Step by step, with the trapezoidal rule for the tissue. The bristle z goes exponentially with the way s that is slid
+    in a step, so that s solves one equation, whose left side falls and is convex: Newton's steps come from below.
+    """
     velocity, h = np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s))
-    moved, places = start_mm, [start_mm]
-    steps = (velocity[1:] + velocity[:-1]) / 2 * h
-    for step, seconds in zip(steps.tolist(), h.tolist(), strict=True):
-        pull = moved + lag_s * step / seconds
-        if abs(pull) <= size_mm:
-            moved += step
-        else:
-            target = math.copysign(size_mm, pull)
-            moved = target + (moved - target) * math.exp(-seconds / lag_s)
-        places.append(moved)
-    return np.array(places)
+    ways = (velocity[1:] + velocity[:-1]) / 2 * h
+    z, u, found = bristle, moved, [(bristle, moved)]
+    for way, seconds in zip(ways.tolist(), h.tolist(), strict=True):
+        stiff = lag_s / seconds + 0.5
+        pull = u + stiff * way - size * z
+        sign = math.copysign(1.0, pull)
+        pull, bent = abs(pull), sign * z
+        loose = size * (1 - bent) / 2  # the pull that is needed to slide for ever
+        slid = max((pull - loose) / stiff, 0.0)
+        for _ in range(_MOST_STEPS if pull else 0):
+            rest = math.exp(-slid / presliding_mm)
+            more = (pull - stiff * slid - loose * (1 - rest)) / (stiff + loose * rest / presliding_mm)
+            slid += more
+            if abs(more) < _SLID_MM:
+                break
+        z = sign * (1 - (1 - bent) * math.exp(-slid / presliding_mm))
+        u += way - sign * slid
+        found.append((z, u))
+    states = np.array(found).T
+    states.flags.writeable = False
+    return states
+
+
+_SLID_MM = 1e-9
+_MOST_STEPS = 50
 
 
 @dataclass(frozen=True, kw_only=True)
