@@ -75,7 +75,7 @@ def test_wear_is_that_of_all_cells() -> None:
     slid = np.concatenate([np.zeros((75, 1)), np.cumsum(steps, axis=1)], axis=1)
     bristle = simulate(BASE, path).states[0]
     wanted = -0.003 * (-np.expm1(-slid / sliding) * filled * 2.0).sum(axis=0) * bristle
-    whole = simulate(effect_named("path_damage").apply(BASE, {"size": 0.003, "sliding_mm": sliding}), path)
+    whole = simulate(effect_named("path_damage").apply(BASE, {"size": 0.25, "sliding_mm": sliding}), path)
     np.testing.assert_allclose(whole.output - simulate(BASE, path).output, wanted, atol=1e-12)
 
 

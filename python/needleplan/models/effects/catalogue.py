@@ -257,7 +257,7 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
     ),
     TermEffect(
         "stribeck", "friction that depends on low speed (Stribeck)", Family.FRICTION, Enters.SHAFT,
-        "F += size L exp(-|v|/speed)",
+        "F += size F_shaft exp(-|v|/speed)",
         "Friction is higher when the needle goes slowly.",
         _THESIS + "(3.2) and 3.4.3",
         lambda reach: {"speed_mm_s": _speeds(reach)},
@@ -297,7 +297,7 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
     ),
     TermEffect(
         "path_damage", "path that wears with sliding", Family.TISSUE, Enters.SHAFT,
-        "F -= size int_0^L (1 - exp(-slid(x)/sliding)) dx",
+        "F -= size F_shaft/L int_0^L (1 - exp(-slid(x)/sliding)) dx",
         "Tissue along which the shaft has slid, there and back, rubs less.",
         _THESIS + "3.4.2 and 3.4.3",
         lambda reach: {"sliding_mm": (10.0, 40.0, 160.0)},  # noqa: ARG005

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from needleplan.models.effects.path import PathTerm, decaying
-from needleplan.models.parameter import parameter
+from needleplan.models.parameter import constant, parameter
 from needleplan.signals import Array, Motion
 
 __all__ = ["Bump", "FrictionLayer", "PathDamage", "Relaxation", "Stribeck", "Viscous"]
@@ -38,15 +38,17 @@ class FrictionLayer(PathTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class Stribeck(PathTerm):
-    """Friction is larger at low speed."""
+    """Friction is larger at low speed: by a share of what the model has, which differs from trial to trial."""
 
     name: ClassVar[str] = "stribeck"
-    size: float = parameter("N/mm", 0, 1, "friction per length at rest, above that at speed", typical=1e-3)
+    size: float = parameter("", 0, 20, "share of the friction that comes to it at rest", typical=0.1)
     speed_mm_s: float = parameter("mm/s", 1e-2, 100, "speed over which it goes")
+    friction: float = constant("N/mm", 0, 10, "friction per inserted length of the model", default=1.0)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return the length of the shaft times exp(-|v|/speed)."""
-        return np.asarray(_inserted(motion) * state[0] * np.exp(-np.abs(motion.velocity_mm_s) / self.speed_mm_s))
+        """Return the friction of the shaft times exp(-|v|/speed)."""
+        shaft = self.friction * _inserted(motion) * state[0]
+        return np.asarray(shaft * np.exp(-np.abs(motion.velocity_mm_s) / self.speed_mm_s))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,8 +100,9 @@ class PathDamage(PathTerm):
 
     name: ClassVar[str] = "path_damage"
     order: ClassVar[int] = 2 + _CELLS
-    size: float = parameter("N/mm", 0, 1, "friction per length that wears away", typical=1e-3)
+    size: float = parameter("", 0, 1.5, "share of the friction that wears away", typical=0.2)
     sliding_mm: float = parameter("mm", 0.5, 5000, "way of sliding over which it does")
+    friction: float = constant("N/mm", 0, 10, "friction per inserted length of the model", default=1.0)
 
     def initial(self, motion: Motion) -> Array:
         """Return a path along which nothing has slid."""
@@ -123,10 +126,10 @@ class PathDamage(PathTerm):
         return states
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return minus the length of shaft that lies in worn tissue."""
+        """Return minus the friction of the shaft that lies in worn tissue."""
         filled = _filled(_inserted(motion))
         worn = -np.expm1(-np.maximum(state[2 : 2 + len(filled)], 0.0) / self.sliding_mm)
-        return np.asarray(-(worn * filled * _CELL_MM).sum(axis=0) * state[0])
+        return np.asarray(-self.friction * (worn * filled * _CELL_MM).sum(axis=0) * state[0])
 
 
 @lru_cache(maxsize=8)
