@@ -180,6 +180,14 @@ def _steered(limits: Limits) -> Iterator[tuple[str, str, _Moves]]:
         [half, *_legs(limits, (0.25, 0.7, 0), (0.5, 0.25, 1)), back, *_legs(limits, (0.75, 0.7, 0), (1, 0.3, 1))],
     )  # fmt: skip
     yield (
+        "turned_early", "half a turn just behind the entry: what is only there is to one side, the rest to the other",
+        [*_legs(limits, (0.06, 0.2, 0)), half, *_legs(limits, (0.5, 0.7, 0), (1, 0.3, 1))],
+    )  # fmt: skip
+    yield (
+        "patient", "half a turn on the way, and half a minute of rest at the end: what moves by itself is seen to",
+        [*_legs(limits, (0.5, 0.5, 0)), half, *_legs(limits, (1, 0.5, 30))],
+    )  # fmt: skip
+    yield (
         "half_turns", "half a turn, and back, with several speeds and a rest",
         [*_legs(limits, (0.3, 0.7, 0)), half, *_legs(limits, (0.65, 0.25, 2)), back, *_legs(limits, (1, 0.7, 1))],
     )  # fmt: skip
