@@ -17,6 +17,7 @@ import numpy as np
 from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.diagnosis import FoundEffect
 from needleplan.diagnosis.refit import Added, Joint, added_output, effect_columns
+from needleplan.diagnosis.rounds import USUAL_LAGS
 from needleplan.diagnosis.select import Selection
 from needleplan.diagnosis.size import DIRECTION, interval_of, is_there
 from needleplan.diagnosis.space import Space
@@ -28,9 +29,6 @@ __all__ = ["found_effects"]
 
 _FALL = 3.84
 _NORMAL = 1.96
-_USUAL = 2.0
-"""Multiple of the usual lag that any sensor may have."""
-
 _TRIES = 5
 _NEAR = 0.15
 """How near to the fall that is sought a profile must come, as a share of it."""
@@ -65,7 +63,7 @@ def _estimate(joint: Joint, index: int, name: str) -> Estimate:
         low, high = interval_of(joint, index, name)
         if name == SIZE and joint.added[index].effect.is_lag:
             # As late as that is many a sensor by its own filter, which delays as a line does: the two are one.
-            low = max(low - _USUAL * measurand_of(joint.cases[0].model.channel).usual_lag_s, what.lower)
+            low = max(low - USUAL_LAGS * measurand_of(joint.cases[0].model.channel).usual_lag_s, what.lower)
         return Estimate(value, sd, low, high, what.unit, name != SIZE or is_there(joint, index))
     low, high = (_end(joint, index, name, sign) for sign in (-1, 1))
     return Estimate(value, sd, min(low, value), max(high, value), what.unit, low > what.lower or high < what.upper)

@@ -9,7 +9,7 @@ import numpy as np
 
 from needleplan.diagnosis.measurand import Axis
 from needleplan.diagnosis.refit import Joint
-from needleplan.diagnosis.rivals import RivalScore, omnibus
+from needleplan.diagnosis.rivals import RivalScore, omnibus, winner
 from needleplan.diagnosis.select import Selection
 from needleplan.diagnosis.size import is_possible
 from needleplan.diagnosis.step import Stop
@@ -53,7 +53,7 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     rival = first.rivals[0]
     if selection.joint is None:
         if last.stop is Stop.TIE:
-            if _loses(last.ranked[0].joint, last.ranked[0].balance, 0.0, first.rivals, gates):
+            if _winner(last.ranked[0].joint, last.ranked[0].balance, 0.0, first.rivals, gates):
                 return _unknown(rival.axis, "a smooth function without a name explains more than any known effect")
             text = "these effects explain the gap alike: " + ", ".join(last.tied)
             return Decision(Verdict.AMBIGUOUS, (), last.tied, None, None, text)
@@ -69,9 +69,9 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     # One effect may be at several places, and has one name.
     names = tuple(dict.fromkeys(each.effect.name for each in selection.sure))
     all_ = ", ".join(dict.fromkeys(each.effect.name for each in joint.added))
-    winner = _loses(joint, selection.balance, _more_elsewhere(selection), first.rivals, gates)
-    if winner:
-        return _unknown(winner.axis, f"{all_} fits, but so does what has no name: {winner.name}")
+    better = _winner(joint, selection.balance, _more_elsewhere(selection), first.rivals, gates)
+    if better:
+        return _unknown(better.axis, f"{all_} fits, but so does what has no name: {better.name}")
     other = selection.verified
     if other and other.gap_sds > _SURE and other.shrink < gates.closed:
         text = f"{all_} fits, but closes {max(other.shrink, 0.0):.0%} of the gap in another motion only"
@@ -104,21 +104,13 @@ def _more_elsewhere(selection: Selection) -> float:
     return whole.gain - best.gain if whole and best else 0.0
 
 
-def _loses(
+def _winner(
     joint: Joint, balance: float, elsewhere: float, rivals: Sequence[RivalScore], gates: Gates
 ) -> RivalScore | None:
-    """Return the competitor without a name that wins, if one does; `elsewhere` is what the effects bring there.
-
-    What is as simple as the effects is one more explanation, and a name must lead over it as over another effect. What
-    is more flexible fits a little of everything, and must lead itself, by what the effects miss too.
-    """
-    for rival in rivals:
-        simple = rival.freedom <= len(joint.names) + 1
-        if simple and rival.support > balance + (elsewhere if rival.elsewhere else 0.0) - gates.lead:
-            return rival
-        if rival.balance > balance + gates.lead and joint.gain < gates.share_of_rival * rival.gain:
-            return rival
-    return None
+    """Return the competitor without a name that wins over effects; a name must lead over it as over another effect."""
+    return winner(
+        rivals, gates, gain=joint.gain, balance=balance, freedom=len(joint.names), lead=gates.lead, elsewhere=elsewhere
+    )
 
 
 def _explained(selection: Selection) -> float | None:

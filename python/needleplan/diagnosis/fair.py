@@ -24,7 +24,7 @@ from needleplan.diagnosis.rivals import BEGIN_S, RivalScore
 from needleplan.diagnosis.space import Space
 from needleplan.diagnosis.verify import Verified, verify
 from needleplan.models import Channel, simulate
-from needleplan.models.effects import SIZE, Enters, Family, Term, TermEffect
+from needleplan.models.effects import SIZE, Enters, Family, Memoryless, TermEffect
 from needleplan.models.parameter import constant, parameter
 from needleplan.signals import Array, Motion
 
@@ -41,19 +41,9 @@ _EVERYWHERE_ALIKE = np.zeros(1)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _PushSquared(Term):
+class _PushSquared(Memoryless):
     name: ClassVar[str] = "pushing_force_squared"
-    order: ClassVar[int] = 0
     size: float = parameter("1/N", -10, 10, "what is added for the square of the pushing force", typical=0.01)
-
-    def initial(self, motion: Motion) -> Array:  # noqa: ARG002
-        return np.zeros(0)
-
-    def rate(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        return state
-
-    def states(self, motion: Motion, start: Array) -> Array:  # noqa: ARG002
-        return np.zeros((0, len(motion)))
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         return np.asarray(np.maximum(plain, 0.0) ** 2)
@@ -66,20 +56,10 @@ _SQUARED = TermEffect(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Step(Term):
+class _Step(Memoryless):
     name: ClassVar[str] = "step_in_time"
-    order: ClassVar[int] = 0
     size: float = parameter("N", -20, 20, "what is added from some time on", typical=0.01)
     time_s: float = constant("s", 0, 1e6, "from when on, in each trial")
-
-    def initial(self, motion: Motion) -> Array:  # noqa: ARG002
-        return np.zeros(0)
-
-    def rate(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        return state
-
-    def states(self, motion: Motion, start: Array) -> Array:  # noqa: ARG002
-        return np.zeros((0, len(motion)))
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         return np.asarray(motion.time_s >= self.time_s, float)

@@ -15,9 +15,10 @@ from needleplan.diagnosis.calibrate import Case
 from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.measurand import Axis, Basis
 from needleplan.diagnosis.space import Space
+from needleplan.diagnosis.verdict import Gates
 from needleplan.signals import Array
 
-__all__ = ["BEGIN_S", "RivalScore", "bases", "omnibus", "score_rivals"]
+__all__ = ["BEGIN_S", "RivalScore", "bases", "omnibus", "score_rivals", "winner"]
 
 
 BEGIN_S = 0.5
@@ -44,6 +45,25 @@ class RivalScore:
     def support(self) -> float:
         """What all data say for it, as far as it is compared with the effect that leads."""
         return self.balance + self.elsewhere
+
+
+def winner(
+    rivals: Sequence[RivalScore], gates: Gates, *, gain: float, balance: float, freedom: int, lead: float,
+    elsewhere: float = 0.0,
+) -> RivalScore | None:  # fmt: skip
+    """Return the competitor that wins over effects with so much gain, balance and freedom, if one does.
+
+    What is as simple as they are is one more explanation, and they must lead over it by `lead`. What is more flexible
+    fits a little of everything, and must lead itself, by what the effects miss too. `elsewhere` is what they bring in
+    another motion, for those competitors that were asked there.
+    """
+    for rival in rivals:
+        simple = rival.freedom <= freedom + 1
+        if simple and rival.support > balance + (elsewhere if rival.elsewhere else 0.0) - lead:
+            return rival
+        if rival.balance > balance + gates.lead and gain < gates.share_of_rival * rival.gain:
+            return rival
+    return None
 
 
 def omnibus(cases: Sequence[Case]) -> list[Array]:

@@ -24,15 +24,17 @@ from needleplan.models import Model
 from needleplan.models.effects import SIZE, Effect
 from needleplan.signals import Array
 
-__all__ = ["Search", "one_round", "transfers", "usual_late", "whitened_columns"]
+__all__ = ["USUAL_LAGS", "Search", "one_round", "transfers", "usual_late", "whitened_columns"]
 
 _REFITTED = 4
 _NEAR = 40.0
 _NEAR_SHARE = 0.1
 """How far behind the best an effect is still fitted: columns are not what a fit reaches."""
 _NULLS = 200
-_LAGS = 2.0
-"""Multiple of the usual lag from which on being late is an effect: by so much later than the usual."""
+
+USUAL_LAGS = 2.0
+"""Multiple of the usual lag that any sensor may have; being late is an effect where it is so much later."""
+
 _IMITATED = 30.0
 _TRIED = 5.0
 """Balance of its column from which on an effect is fitted: beside a base that imitates it, it shows only in part."""
@@ -60,6 +62,7 @@ class Search:
     gates: Gates
     seed: int
     _columns: dict[int, tuple[Joint, list[Array]]] = field(default_factory=dict)
+    _rests: dict[tuple[int, int], tuple[Joint, Joint]] = field(default_factory=dict)
 
     @property
     def price(self) -> float:
@@ -74,6 +77,14 @@ class Search:
             made = whitened_columns(self.calibration, self.library, joint.cases, self.candidates)
             self._columns[id(joint)] = joint, made  # the joint is kept, so that no other one takes its id
         return self._columns[id(joint)][1]
+
+    def without(self, joint: Joint, index: int) -> Joint:
+        """Return effects fitted again without one of them."""
+        key = id(joint), index
+        if key not in self._rests:
+            rest = [each for place, each in enumerate(joint.added) if place != index]
+            self._rests[key] = joint, refit(rest, self.calibration, self.base, joint.cases)
+        return self._rests[key][1]
 
     def within(self, effect: Effect) -> dict[str, tuple[float, float]]:
         """Return where the parameters of an effect are looked for."""
@@ -142,7 +153,6 @@ def _least_contested(
     Where two rival each other, a third one that both leave as it is comes first: beside it they may differ.
     """
     tied = _tied(search, ranked, screened)
-
     least = search.gates.further * max(first_gain, ranked[0].gain)
     for place, each in enumerate(ranked if tied else ()):
         fits = each.balance >= needed and not each.vetoed and each.gain >= least
@@ -226,7 +236,7 @@ def _fitted(search: Search, taken: Joint | None, certain: Sequence[_Start], scre
             break
         start = [*(taken.added if taken else ()), Added(each.effect, each.values, search.within(each.effect))]
         joint = refit(start, search.calibration, search.base, cases if not taken else None)
-        if each.effect.is_lag and _lateness(joint) < (1 + _LAGS) * usual_lag_s:
+        if each.effect.is_lag and _lateness(joint) < (1 + USUAL_LAGS) * usual_lag_s:
             continue  # any sensor may be as late as that
         gain = max(joint.gain - before, 0.0)
         ranked = Ranked(each.effect.name, joint, gain, gain - len(each.effect.parameters) * search.price)
@@ -244,7 +254,7 @@ def usual_late(calibration: Calibration) -> float:
     """Return the lag that calibration found (s), 0 where it is one that any sensor may have."""
     usual_lag_s = measurand_of(calibration.given.channel).usual_lag_s
     found = float(np.median([case.lag_s for case in calibration.training]))
-    return found if usual_lag_s > 0 and found > _LAGS * usual_lag_s else 0.0
+    return found if usual_lag_s > 0 and found > USUAL_LAGS * usual_lag_s else 0.0
 
 
 def transfers(verified: Verified, gates: Gates) -> bool:

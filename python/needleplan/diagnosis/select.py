@@ -15,7 +15,7 @@ from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.library import Library
 from needleplan.diagnosis.minimal import Smallest, smallest_seen
 from needleplan.diagnosis.refit import Added, Joint, refit
-from needleplan.diagnosis.rivals import score_rivals
+from needleplan.diagnosis.rivals import score_rivals, winner
 from needleplan.diagnosis.rounds import Search, one_round, transfers, usual_late, whitened_columns
 from needleplan.diagnosis.screen import screen
 from needleplan.diagnosis.size import is_possible
@@ -194,14 +194,14 @@ def _pruned(search: Search, steps: Sequence[Step]) -> tuple[Joint, tuple[Member,
     for index in range(len(steps)):
         joint, rivals[index] = _in_place(search, joint, index)
     while True:
-        rests = [_without(search, joint, index) for index in range(len(joint.added))]
+        rests = [search.without(joint, index) for index in range(len(joint.added))]
         members = tuple(
             Member(joint.gain - rest.gain, _balance(joint, search.base) - _balance(rest, search.base), chance, others)
             for rest, chance, others in zip(rests, chances, rivals, strict=True)
         )
         weakest = min(range(len(members)), key=lambda index: members[index].balance)
         if members[weakest].balance >= search.gates.needed(joint.space.level):
-            lost = [index for index in range(len(rests)) if _is_beaten(members[index], joint, index, rests, search)]
+            lost = [index for index, member in enumerate(members) if _is_beaten(search, joint, member, index)]
             if not lost:
                 return joint, members, beaten
             weakest, beaten = min(lost, key=lambda index: members[index].balance), True
@@ -211,26 +211,17 @@ def _pruned(search: Search, steps: Sequence[Step]) -> tuple[Joint, tuple[Member,
             return joint, (Member(joint.gain, _balance(joint, search.base), chances[0], rivals[0]),), beaten
 
 
-def _is_beaten(member: Member, joint: Joint, index: int, rests: Sequence[Joint], search: Search) -> bool:
+def _is_beaten(search: Search, joint: Joint, member: Member, index: int) -> bool:
     """Whether what has no name does better than a member beside the others: as it may not than a single effect."""
-    freedom = len(joint.added[index].effect.parameters) + 1
-    for rival in score_rivals(rests[index].space, rests[index].cases):
-        if rival.freedom <= freedom and rival.balance > member.balance:
-            return True
-        flexible = rival.balance > member.balance + search.gates.lead
-        if flexible and member.gain < search.gates.share_of_rival * rival.gain:
-            return True
-    return False
-
-
-def _without(search: Search, joint: Joint, index: int) -> Joint:
-    rest = [each for place, each in enumerate(joint.added) if place != index]
-    return refit(rest, search.calibration, search.base, joint.cases)
+    rest = search.without(joint, index)
+    freedom = len(joint.added[index].effect.parameters)
+    rivals = score_rivals(rest.space, rest.cases)
+    return winner(rivals, search.gates, gain=member.gain, balance=member.balance, freedom=freedom, lead=0.0) is not None
 
 
 def _in_place(search: Search, joint: Joint, index: int) -> tuple[Joint, tuple[Added, ...]]:
     """Return the set with the best effect in one place, and the effects that do as well there."""
-    rest = _without(search, joint, index)
+    rest = search.without(joint, index)
     names = {each.effect.name for each in joint.added}
     least = _IN_PLACE * (_balance(joint, search.base) - _balance(rest, search.base))
     sets = [joint]
@@ -258,7 +249,7 @@ def _in_place(search: Search, joint: Joint, index: int) -> tuple[Joint, tuple[Ad
 def _contest(search: Search, joint: Joint, members: Sequence[Member], last: Step) -> Step:
     """Return the round that was not decided after all: an effect of the set, and those that do as well in its place."""
     index = next(place for place, each in enumerate(members) if each.rivals)
-    rest = _without(search, joint, index) if len(joint.added) > 1 else None
+    rest = search.without(joint, index) if len(joint.added) > 1 else None
     added, gain, before = (rest.added, rest.gain, _balance(rest, search.base)) if rest else ((), 0.0, 0.0)
     ranked = []
     for each in (joint.added[index], *members[index].rivals):

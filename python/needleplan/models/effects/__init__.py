@@ -4,13 +4,14 @@
 |---|---|
 | `Effect` | an effect that can be looked for and added; what a plug-in is |
 | `Term`, `WithTerm` | a force that is added, with a memory of its own |
+| `Memoryless` | a term without one |
 | `FORCE_EFFECTS`, `TIP_EFFECTS` | the effects of the axial force, and of the path of the tip |
 | `known_effects`, `effect_named` | all of them, plug-ins too |
 | `with_effect`, `AugmentedModel` | a model with effects, for model files, planner, twin and estimators |
 """
 
 from needleplan.models.effects.augmented import AddedEffect, AugmentedModel, with_effect, without_effect
-from needleplan.models.effects.base import SIZE, Effect, Enters, Family, Reach, Term, WithTerm
+from needleplan.models.effects.base import SIZE, Effect, Enters, Family, Memoryless, Reach, Term, WithTerm
 from needleplan.models.effects.catalogue import FORCE_EFFECTS, TermEffect, WrapEffect, presliding_of
 from needleplan.models.effects.registry import effect_named, effects_of, known_effects, register_file
 from needleplan.models.effects.tip_catalogue import TIP_EFFECTS
@@ -24,6 +25,7 @@ __all__ = [
     "Effect",
     "Enters",
     "Family",
+    "Memoryless",
     "Reach",
     "Term",
     "TermEffect",

@@ -24,7 +24,7 @@ from needleplan.models.parameter import Parameter, parameters_of
 from needleplan.models.simulate import simulate
 from needleplan.signals import Array, Motion
 
-__all__ = ["SIZE", "Effect", "Enters", "Family", "Reach", "Term", "WithTerm"]
+__all__ = ["SIZE", "Effect", "Enters", "Family", "Memoryless", "Reach", "Term", "WithTerm"]
 
 SIZE = "size"
 """Name of the parameter that is 0 where an effect is absent."""
@@ -178,6 +178,25 @@ class Term(ABC):
         """Return the term with some parameters changed."""
         changed: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)} | values
         return type(self)(**changed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Memoryless(Term):
+    """A term without a memory; abstract. Only `shape` must be written."""
+
+    order: ClassVar[int] = 0
+
+    def initial(self, motion: Motion) -> Array:  # noqa: ARG002
+        """Return nothing, shape (0,)."""
+        return np.zeros(0)
+
+    def rate(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
+        """Return nothing, shape (0, ...)."""
+        return state
+
+    def states(self, motion: Motion, start: Array) -> Array:  # noqa: ARG002
+        """Return nothing, shape (0, samples)."""
+        return np.zeros((0, len(motion)))
 
 
 @dataclass(frozen=True)

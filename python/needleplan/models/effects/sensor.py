@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from needleplan.models.effects.base import Term
+from needleplan.models.effects.base import Memoryless, Term
 from needleplan.models.effects.path import decaying
 from needleplan.models.parameter import parameter
 from needleplan.signals import Array, Motion
@@ -20,21 +20,7 @@ _DIFFERENCE_S = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Memoryless(Term):
-    order: ClassVar[int] = 0
-
-    def initial(self, motion: Motion) -> Array:  # noqa: ARG002
-        return np.zeros(0)
-
-    def rate(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        return state
-
-    def states(self, motion: Motion, start: Array) -> Array:  # noqa: ARG002
-        return np.zeros((0, len(motion)))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bias(_Memoryless):
+class Bias(Memoryless):
     """The sensor shows a force where there is none."""
 
     name: ClassVar[str] = "bias"
@@ -46,7 +32,7 @@ class Bias(_Memoryless):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drift(_Memoryless):
+class Drift(Memoryless):
     """The zero of the sensor moves evenly, from the begin of each trial."""
 
     name: ClassVar[str] = "drift"
@@ -58,7 +44,7 @@ class Drift(_Memoryless):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThermalDrift(_Memoryless):
+class ThermalDrift(Memoryless):
     """The zero of the sensor moves to another value while it warms up, from the begin of each trial."""
 
     name: ClassVar[str] = "thermal_drift"
@@ -71,7 +57,7 @@ class ThermalDrift(_Memoryless):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GainError(_Memoryless):
+class GainError(Memoryless):
     """The sensor shows forces too large, or too small.
 
     Friction and cutting take it up wherever they are free: from forces alone it can be seen only beside a base whose

@@ -137,7 +137,7 @@ def _slid_past(depth_mm: bytes) -> Array:
     """Return how far the shaft slid past each cell by the end of each step, for the bytes of depths: (cells, steps)."""
     depth = np.frombuffer(depth_mm)
     filled = _filled(depth)
-    return np.asarray(np.cumsum(np.abs(np.diff(depth)) * (filled[:, 1:] + filled[:, :-1]) / 2, axis=1))
+    return _kept(np.cumsum(np.abs(np.diff(depth)) * (filled[:, 1:] + filled[:, :-1]) / 2, axis=1))
 
 
 @lru_cache(maxsize=16)
@@ -145,7 +145,13 @@ def _relaxed(depth_mm: bytes, time_s: bytes, relaxing_s: float, recovery_mm: flo
     """Return what has relaxed, (samples,), for the bytes of a motion: whatever base a fit tries, it is the same."""
     step = np.diff(np.frombuffer(time_s))
     rate = 1 / relaxing_s + np.abs(np.diff(np.frombuffer(depth_mm))) / step / recovery_mm
-    return decaying(np.exp(-rate * step), 1 / (relaxing_s * rate), start)
+    return _kept(decaying(np.exp(-rate * step), 1 / (relaxing_s * rate), start))
+
+
+def _kept(values: Array) -> Array:
+    """Return an array that several callers get, not to be written to."""
+    values.flags.writeable = False
+    return values
 
 
 def _filled(depth_mm: Array) -> Array:

@@ -196,7 +196,9 @@ class BreathingTissue(SelfIntegratingModel):
 @lru_cache(maxsize=16)
 def _breath(time_s: bytes, frequency_hz: float, phase_rad: float, rest: float) -> tuple[Array, Array]:
     """Return it for the bytes of times: a fit asks for it with one base after another."""
-    return _breathing(np.frombuffer(time_s), frequency_hz, phase_rad, rest)
+    place, velocity = _breathing(np.frombuffer(time_s), frequency_hz, phase_rad, rest)
+    place.flags.writeable = velocity.flags.writeable = False
+    return place, velocity
 
 
 def _breathing(time_s: Array, frequency_hz: Any, phase_rad: Any, rest: Any) -> tuple[Array, Array]:
