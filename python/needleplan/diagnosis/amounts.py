@@ -33,6 +33,12 @@ _TRIES = 5
 _NEAR = 0.15
 """How near to the fall that is sought a profile must come, as a share of it."""
 
+_FORMULA = 0.04
+"""Standard deviation of a size, as a share of it, for what lumped formulas and sampled motions are only nearly."""
+
+_PLACE = "depth_mm"
+_ABOUT_MM = 1.0
+
 _FURTHEST = 6.0
 """Of a coordinate's interval on either side, in units of its linearised half width."""
 
@@ -61,12 +67,38 @@ def _estimate(joint: Joint, index: int, name: str) -> Estimate:
     sd = joint.sd(index, name) if what.free else 0.0
     if not what.free or name in (SIZE, DIRECTION):
         low, high = interval_of(joint, index, name)
+        if name == SIZE:
+            low, high = _widened(value, (low, high), what)
         if name == SIZE and joint.added[index].effect.is_lag:
             # As late as that is many a sensor by its own filter, which delays as a line does: the two are one.
             low = max(low - USUAL_LAGS * measurand_of(joint.cases[0].model.channel).usual_lag_s, what.lower)
         return Estimate(value, sd, low, high, what.unit, name != SIZE or is_there(joint, index))
     low, high = (_end(joint, index, name, sign) for sign in (-1, 1))
+    if name == _PLACE:
+        grain = _grain_mm(joint, value)
+        low, high = max(low - grain, what.lower), min(high + grain, what.upper)
     return Estimate(value, sd, min(low, value), max(high, value), what.unit, low > what.lower or high < what.upper)
+
+
+def _widened(value: float, ends: tuple[float, float], what: Parameter) -> tuple[float, float]:
+    """Return the interval of a size with the uncertainty of its formula, which is apart from that of the noise."""
+    more = _NORMAL * _FORMULA * abs(value)
+    low, high = value - math.hypot(value - ends[0], more), value + math.hypot(ends[1] - value, more)
+    if ends[0] * ends[1] > 0 >= low * high:  # that it is there is not of its formula
+        low, high = (ends[0], high) if value > 0 else (low, ends[1])
+    return max(low, what.lower), min(high, what.upper)
+
+
+def _grain_mm(joint: Joint, depth_mm: float) -> float:
+    """Return half the way from one sample to the next where the tip is at a depth: between the two nobody looks."""
+    ways = []
+    for case in joint.cases:
+        depth = case.motion.depth_mm
+        near = np.abs(depth[1:] - depth_mm) < _ABOUT_MM
+        ways.append(np.abs(np.diff(depth))[near])
+    every = np.concatenate(ways)
+    moving = every[every > 0]
+    return float(np.median(moving)) / 2 if moving.size else 0.0
 
 
 def _end(joint: Joint, index: int, name: str, sign: int) -> float:

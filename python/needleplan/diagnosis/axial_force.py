@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 __all__ = ["AXIAL_FORCE", "force_bases", "turning", "turns"]
 
 _USUAL_LAG_S = 0.004
-_BELIEFS = {"presliding_mm": 0.3}
-"""How well friction turns round is a matter of the surfaces, and known better than its amount: to a third."""
+_BELIEFS = {"presliding_mm": 0.2}
+"""How well friction turns round is a matter of the surfaces, and known better than its amount: to a fifth."""
 
 _TURN_S = 0.002
 _TURN_SAMPLES = 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from needleplan.diagnosis.select import Selection
 from needleplan.diagnosis.size import is_possible
 from needleplan.diagnosis.step import Stop
 from needleplan.diagnosis.verdict import Gates, Verdict
+from needleplan.diagnosis.verify import Verified
 from needleplan.models.effects import SIZE
 
 __all__ = ["Decision", "decide"]
@@ -24,6 +26,9 @@ _STRONG = 3.0
 _FEW = 40.0
 """Gap from which on the share of it that is explained means something."""
 
+
+_WORD = 0.3
+"""Of what is promised that may be missing, or come on top, where nothing but the named effects speaks."""
 
 _SURE = 5.0
 """Standard deviations from which on a gap in held-out trials is beyond doubt."""
@@ -75,7 +80,9 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     other = selection.verified
     if other and other.gap_sds > _SURE and other.shrink < gates.closed:
         text = f"{all_} fits, but closes {max(other.shrink, 0.0):.0%} of the gap in another motion only"
-        return _unknown(rival.axis, text)
+        if not (names and _keeps_its_word(other)):
+            return _unknown(rival.axis, text)
+        return Decision(Verdict.INCOMPLETE, names, last.tied, last.rivals[0].axis, _explained(selection), text)
     share = _explained(selection)
     remaining = last.rivals[0]
     for index, each in enumerate(joint.added):
@@ -92,6 +99,11 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     if left or last.stop in (Stop.TIE, Stop.NAMELESS):
         return Decision(Verdict.INCOMPLETE, names, last.tied, remaining.axis, share, "something else is missing too")
     return Decision(Verdict.NAMED, names, (), None, share, "passes all gates")
+
+
+def _keeps_its_word(seen: Verified) -> bool:
+    """Whether effects bring in another motion what they promise there, neither less nor more."""
+    return bool(abs(seen.kept - seen.promised) < max(_WORD * seen.promised, 4 * math.sqrt(seen.promised)))
 
 
 def _unknown(axis: Axis, text: str, share: float | None = None) -> Decision:

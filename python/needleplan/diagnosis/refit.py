@@ -23,6 +23,10 @@ __all__ = ["Added", "Joint", "added_output", "cases_with", "effect_columns", "re
 _STEP = 1e-3
 _STEP_LINEAR = 0.05
 _DONE = 0.05
+_CLIMBS = 3.0
+_LONG = 4
+"""A fit that still climbs by so much a round may take so many times as many rounds."""
+
 _WORTH = 0.5
 """Gain that a step must promise to be tried again, shorter, where it led downhill."""
 
@@ -112,7 +116,7 @@ def refit(
         added, rounds = tried, 2 * rounds
     best: Joint | None = None
     move, share, promised = np.zeros(len(names)), 1.0, 0.0
-    for _ in range(rounds):
+    for count in range(_LONG * rounds):
         cases = cases_with(added, calibration, cases)
         columns = [case.whiten(effect_columns(added, names, case.model, case.motion)) for case in cases]
         shared = Space([replace(case.block, shared=each) for case, each in zip(cases, columns, strict=True)])
@@ -121,14 +125,15 @@ def refit(
         covariance = np.asarray(np.linalg.inv(matrix + ridge), float)
         # The likelihood where the fit stands now, not where a step would lead to by the linearisation.
         gain = 2 * float(shared.evidence_alone.max() - base.evidence.max())
-        if best is None or gain > best.gain:
+        rise = gain - best.gain if best else np.inf
+        if best is None or rise > 0:
             best = Joint(added, cases, shared, gain, covariance, names)
             move, share = _allowed(added, names, matrix + ridge, target), 1.0
             promised = float(move @ target)
         else:
             share /= 3
             promised /= 3
-        if promised < (_DONE if share == 1 else _WORTH):
+        if promised < (_DONE if share == 1 else _WORTH) or (count + 1 >= rounds and rise < _CLIMBS):
             break
         added, cases = _moved(best.added, names, share * move), best.cases
     assert best is not None

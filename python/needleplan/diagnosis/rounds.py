@@ -41,6 +41,13 @@ _TRIED = 5.0
 _MOST_OTHERS = 2
 _APART = 0.5
 """Of its balance that an effect keeps beside another one from which on they do not explain the same."""
+_STRONGLY = 3.0
+"""Multiple of what an effect needs that it must promise in another motion to be confirmed there."""
+
+_ASKED = 1.0
+_HARM = 4.0
+"""A motion in which an effect promises less than the one does not ask for it; it must not cost more than the other."""
+
 _MOST_PLACES = 2
 """How many more effects than names: one name may stand for several places."""
 
@@ -138,11 +145,20 @@ def one_round(search: Search, taken: Joint | None, first_gain: float) -> Step:
         return ended(Stop.WEAK)
     if p_value > gates.p_value:
         return ended(Stop.CHANCE)
-    if taken and best.gain < gates.further * first_gain:
+    if taken and best.gain < (gates.further_elsewhere if _is_confirmed(best, needed) else gates.further) * first_gain:
         return ended(Stop.SMALL)
     if tied:
         return ended(Stop.TIE)
     return ended(Stop.NO_TRANSFER if best.vetoed else Stop.ACCEPTED)
+
+
+def _is_confirmed(best: Ranked, needed: float) -> bool:
+    """Whether another motion speaks for an effect whose family is not that of the first one."""
+    first, seen = best.joint.added[0].effect, best.verified
+    return (
+        seen is not None and not best.vetoed
+        and seen.promised >= _STRONGLY * needed and best.joint.added[-1].effect.family is not first.family
+    )  # fmt: skip
 
 
 def _least_contested(
@@ -259,6 +275,8 @@ def usual_late(calibration: Calibration) -> float:
 
 def transfers(verified: Verified, gates: Gates) -> bool:
     """Whether what was found holds in another motion."""
+    if verified.promised < _ASKED:
+        return verified.kept > -_HARM
     # What is kept is promised + 2 sqrt(promised) times a standard normal number, where the effect is there.
     chance = verified.promised - gates.transfer_sds * 2 * math.sqrt(max(verified.promised, 0.0))
     return verified.kept > max(0.0, min(gates.transfer * verified.promised, chance))

@@ -36,17 +36,15 @@ class Screened:
 def screen(space: Space, columns: Sequence[Array], candidates: Sequence[Candidates]) -> tuple[Screened, ...]:
     """Return all effects, the best first. `columns` are whitened, one array for each trial."""
     scores = space.scores(columns)
-    sizes = scores.sizes()
-    gains, levels = scores.gains(allowed_sizes(sizes, candidates))
+    sizes = allowed_sizes(scores.sizes(), candidates)
+    gains, levels = scores.gains(sizes)
     price = space.price
     found = []
     for each in candidates:
         index = each.first + int(gains[each.first : each.last].argmax())
         level = int(levels[index])
         curvature = float(scores.curvature[level, index])
-        what = each.effect.parameters[SIZE]
-        size = float(np.clip(sizes[level, index], what.lower, what.upper))
-        values = {**each.grid[index - each.first], SIZE: size}
+        values = {**each.grid[index - each.first], SIZE: float(sizes[level, index])}
         sd = curvature**-0.5 if curvature > 0 else float("inf")
         gain = float(gains[index])
         found.append(Screened(each.effect, values, gain, gain - each.count * price, sd, float(space.levels[level])))
@@ -54,15 +52,18 @@ def screen(space: Space, columns: Sequence[Array], candidates: Sequence[Candidat
 
 
 def allowed_sizes(sizes: Array, candidates: Sequence[Candidates]) -> Array:
-    """Return which sizes, shape (levels, m), have the sign that their effect must have and belong to their column."""
-    allowed = np.ones_like(sizes, bool)
+    """Return sizes, shape (levels, m), within the bounds of their effect; 0 where they do not belong to their column.
+
+    A share of more than the whole explains nothing, however well its column fits: what counts is what the bound allows.
+    """
+    found = np.array(sizes, float)
     for each in candidates:
         part = sizes[:, each.first : each.last]
-        if each.sign:
-            allowed[:, each.first : each.last] &= part * each.sign > 0
+        what = each.effect.parameters[SIZE]
         guessed = each.guessed()
-        linear = np.isnan(guessed)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = part / guessed
-        allowed[:, each.first : each.last] &= linear | ((ratio > _NEAR[0]) & (ratio < _NEAR[1]))
-    return allowed
+        least = np.where(guessed > np.nanmin(guessed, initial=np.inf), _NEAR[0], 0.0)  # what is small is nearly linear
+        belongs = np.isnan(guessed) | ((ratio > least) & (ratio < _NEAR[1]))
+        found[:, each.first : each.last] = np.where(belongs, np.clip(part, what.lower, what.upper), 0.0)
+    return found

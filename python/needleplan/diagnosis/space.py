@@ -66,12 +66,16 @@ class Scores:
     evidence: Array
     """Of the base at every level, shape (t,)."""
 
-    def gains(self, allowed: Array | None = None) -> tuple[Array, Array]:
-        """Return twice the gain in log likelihood of every column over the base, and the level it takes, (m,) each."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            each = np.where(self.curvature > 1e-9, self.slope**2 / self.curvature, 0.0)
-        if allowed is not None:
-            each = np.where(allowed, each, 0.0)
+    def gains(self, sizes: Array | None = None) -> tuple[Array, Array]:
+        """Return twice the gain in log likelihood of every column over the base, and the level it takes, (m,) each.
+
+        Of `sizes`, (t, m), and not of the best ones, if they are given.
+        """
+        if sizes is not None:
+            each = (2 * self.slope - self.curvature * sizes) * sizes
+        else:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                each = np.where(self.curvature > 1e-9, self.slope**2 / self.curvature, 0.0)
         total = 2 * self.evidence[:, None] + each
         level = total.argmax(axis=0)
         return total.max(axis=0) - 2 * self.evidence.max(), level

@@ -55,7 +55,7 @@ class Gates:
     complete: float = 0.7
     """With less of it, what was named is not all."""
 
-    transfer: float = 0.5
+    transfer: float = 0.4
     """Of the gain that it promises on held-out trials that an effect must bring there."""
 
     transfer_sds: float = 2.33
@@ -66,6 +66,10 @@ class Gates:
 
     further: float = 0.03
     """Of the first gain that a second or third effect must bring."""
+
+    further_elsewhere: float = 0.005
+    """The same for one of another family, where another motion confirms it: what the first one's formula misses looks
+    like effects of its own family."""
 
     most: int = 3
     """How many names are looked for."""
