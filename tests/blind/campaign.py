@@ -43,7 +43,7 @@ class Variety(StrEnum):
     POOR = "poor"
 
 
-SEEDS = {Purpose.TUNING: range(10_000_000, 20_000_000), Purpose.REPORTING: range(50_000_000, 60_000_000)}
+SEEDS = {Purpose.TUNING: range(10_000_000, 20_000_000), Purpose.REPORTING: range(60_000_000, 70_000_000)}
 MOTIONS = {Variety.RICH: (RICH, RICH_HELD_OUT), Variety.POOR: (POOR, POOR_HELD_OUT)}
 ABSORBED = (ForceName.GAIN,)
 NAMEABLE = tuple(name for name in INSIDE if name not in ABSORBED)

@@ -27,6 +27,9 @@ _FEW = 40.0
 """Gap from which on the share of it that is explained means something."""
 
 
+_PART = 0.1
+"""Of a gap in another motion that a name must close there at least, however well it keeps its word."""
+
 _WORD = 0.3
 """Of what is promised that may be missing, or come on top, where nothing but the named effects speaks."""
 
@@ -80,7 +83,7 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> Decision:
     other = selection.verified
     if other and other.gap_sds > _SURE and other.shrink < gates.closed:
         text = f"{all_} fits, but closes {max(other.shrink, 0.0):.0%} of the gap in another motion only"
-        if not (names and _keeps_its_word(other)):
+        if not names or other.shrink < _PART or not _keeps_its_word(other):
             return _unknown(rival.axis, text)
         return Decision(Verdict.INCOMPLETE, names, last.tied, last.rivals[0].axis, _explained(selection), text)
     share = _explained(selection)

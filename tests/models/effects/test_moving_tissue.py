@@ -1,0 +1,49 @@
+"""Tissue that moves with the needle, held against its rates integrated by a slow twin and against a closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from needleplan.models import ShaftAndTip, simulate
+from needleplan.models.effects import effect_named
+from needleplan.models.effects.tissue import GivingTissue, SlowTurning
+from needleplan.models.simulate import _kutta
+from needleplan.signals import Motion, lspb
+
+BASE = ShaftAndTip(friction=0.012, cutting=0.4, onset_mm=4.0, presliding_mm=0.2)
+
+
+def path(rate_hz: float) -> Motion:
+    return lspb([0, 12, 9, 25, 0], [8, 5, 6, 10], dwells_s=[1, 0.5, 1, 0], rate_hz=rate_hz)
+
+
+@pytest.mark.parametrize("lag_s", [0.02, 0.3, 2.0])
+@pytest.mark.parametrize("inner", [BASE, SlowTurning(base=BASE, size=0.3)], ids=["plain", "slow"])
+def test_it_is_its_rates_integrated(inner: ShaftAndTip | SlowTurning, lag_s: float) -> None:
+    model = GivingTissue(base=inner, size=0.8, lag_s=lag_s)
+    fine, coarse = path(2000.0), path(100.0)
+    slow = _kutta(model, fine, model.initial_state(fine), 1)
+    np.testing.assert_allclose(simulate(model, fine).states, slow, atol=2e-3)
+    seen = [np.interp(coarse.time_s, fine.time_s, row) for row in slow]
+    np.testing.assert_allclose(simulate(model, coarse).states, seen, atol=0.03)
+
+
+def test_without_a_damper_tissue_goes_along_by_its_share_of_the_friction() -> None:
+    # z' = (v - size z')(1 - z)/presliding: the way to z is -presliding log(1 - z) + size z.
+    model = GivingTissue(base=BASE, size=0.5, lag_s=1e-3)
+    motion = lspb([0, 3], [2], rate_hz=1000.0)
+    bristle, moved = simulate(model, motion).states
+    way = -BASE.presliding_mm * np.log(1 - bristle) + 0.5 * bristle
+    early = bristle < 0.95
+    np.testing.assert_allclose(way[early], motion.depth_mm[early], atol=0.01)
+    assert moved[-1] == pytest.approx(0.5, abs=1e-3)
+
+
+def test_the_tip_feels_it_too() -> None:
+    # Behind the entry there is hardly a shaft yet: what a reversal changes there is the tip's force.
+    motion = lspb([0, 2, 1.8, 2.2], [2, 2, 2], rate_hz=200.0)
+    given = effect_named("tissue_motion").apply(BASE, {"size": 0.5, "lag_s": 0.05})
+    change = simulate(given, motion).output - simulate(BASE, motion).output
+    shaft = BASE.friction * 2.2
+    assert np.abs(change).max() > 3 * shaft
