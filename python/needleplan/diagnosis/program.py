@@ -145,10 +145,9 @@ def _axial(limits: Limits) -> Iterator[tuple[str, str, _Moves]]:
         _legs(limits, (0.6, 0.5, 0), (0, 0.8, 1), (0.9, 0.5, 0.5), (0, 0.8, 1)),
     )  # fmt: skip
     yield (
-        "patient",
-        "in and out, and a minute of rest in the air: what is slow is seen to end",
-        _legs(limits, (0.9, 0.55, 1), (0, 0.7, 60)),
-    )
+        "patient", "half a minute of rest in the air before and behind: what is slow is seen to begin and to end",
+        [Dwell(30), *_legs(limits, (0.9, 0.55, 1), (0, 0.7, 30))],
+    )  # fmt: skip
     yield (
         "rich", "several speeds, rests and ways back",
         _legs(limits, (0.28, 0.55, 2), (0.2, 0.33, 0), (0.63, 0.27, 1.5), (0.85, 0.65, 0), (0.7, 0.33, 0),
