@@ -50,6 +50,11 @@ class Candidates:
         what = self.effect.parameters[SIZE]
         return 1 if what.lower >= 0 else -1 if what.upper <= 0 else 0
 
+    @property
+    def is_hilly(self) -> bool:
+        """Whether it is far from linear, in its size and in others: between two places there may be a valley."""
+        return self.count > 2 and any(SIZE in each for each in self.grid)
+
     def within(self) -> dict[str, tuple[float, float]]:
         """Return the hull of the grid, by parameter, and a little more. An angle comes round and has none."""
         names = [

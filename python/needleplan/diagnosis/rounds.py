@@ -14,7 +14,7 @@ from needleplan.diagnosis.fair import fitted_rivals
 from needleplan.diagnosis.library import Candidates, Library
 from needleplan.diagnosis.refit import Added, Joint, refit
 from needleplan.diagnosis.rivals import score_rivals
-from needleplan.diagnosis.screen import Screened, screen
+from needleplan.diagnosis.screen import Screened, hills, screen
 from needleplan.diagnosis.size import is_there
 from needleplan.diagnosis.space import Space
 from needleplan.diagnosis.step import Ranked, Step, Stop, as_good
@@ -29,7 +29,10 @@ __all__ = ["USUAL_LAGS", "Search", "one_round", "transfers", "usual_late", "whit
 _REFITTED = 4
 _NEAR = 40.0
 _NEAR_SHARE = 0.1
-"""How far behind the best an effect is still fitted: columns are not what a fit reaches."""
+_NEAR_SHARE_HILLY = 0.5
+"""How far behind the best an effect is still fitted: columns are not what a fit reaches, least of all among hills."""
+
+_MOST_HILLS = 5
 _NULLS = 200
 
 USUAL_LAGS = 2.0
@@ -44,7 +47,7 @@ _APART = 0.5
 _STRONGLY = 3.0
 """Multiple of what an effect needs that it must promise in another motion to be confirmed there."""
 
-_ASKED = 1.0
+_ASKED = 2.0
 _HARM = 4.0
 """A motion in which an effect promises less than the one does not ask for it; it must not cost more than the other."""
 
@@ -93,6 +96,10 @@ class Search:
             self._rests[key] = joint, refit(rest, self.calibration, self.base, joint.cases)
         return self._rests[key][1]
 
+    def is_hilly(self, effect: Effect) -> bool:
+        """Whether an effect may fit as well at one place as at another."""
+        return next(each.is_hilly for each in self.candidates if each.effect is effect)
+
     def within(self, effect: Effect) -> dict[str, tuple[float, float]]:
         """Return where the parameters of an effect are looked for."""
         return next(each.within() for each in self.candidates if each.effect is effect)
@@ -122,7 +129,7 @@ def one_round(search: Search, taken: Joint | None, first_gain: float) -> Step:
     ranked = _fitted(search, taken, starts, [(each, cases) for each in likely])
     if not ranked:
         return Step(screened, rivals, (), None, Stop.WEAK)
-    ranked = _ordered(_judged(search, taken, ranked, needed))
+    ranked = _ordered(_on_other_hills(search, taken, _ordered(_judged(search, taken, ranked, needed)), needed))
     tied: tuple[str, ...] = ()
     if ranked[0].balance >= needed:
         before = first_gain if taken else 0.0
@@ -200,6 +207,26 @@ def _tied(search: Search, ranked: Sequence[Ranked], screened: Sequence[Screened]
     return (best.name, *rivals) if rivals else ()
 
 
+def _on_other_hills(search: Search, taken: Joint | None, ranked: list[Ranked], needed: float) -> list[Ranked]:
+    """Return effects, the best one where another motion does not refute it, if it fits as well at such a place.
+
+    A breath that shows in a few seconds of rest only has many frequencies, and all data together choose among them.
+    """
+    best = ranked[0]
+    each = next(each for each in search.candidates if each.effect is best.joint.added[-1].effect)
+    places = [name for name in each.effect.parameters if name != SIZE]
+    if not best.vetoed or best.balance < needed or not each.is_hilly:
+        return ranked
+    space, columns = (taken.space if taken else search.base), search.columns_beside(taken)
+    found = hills(space, columns, search.candidates, each.effect, places[0])
+    starts = [hill for hill in found[: _MOST_HILLS + 1] if hill.balance > (1 - _NEAR_SHARE) * found[0].balance]
+    cases = taken.cases if taken else search.calibration.training
+    others = [other for hill in starts for other in _fitted(search, taken, [(hill, cases)], ())]
+    as_well = [other for other in others if other.balance > best.balance - search.gates.lead]
+    held = [other for other in _judged(search, taken, as_well, needed) if other.verified and not other.vetoed]
+    return [max(held, key=lambda other: other.support), *ranked[1:]] if held else ranked
+
+
 _Start = tuple[Screened, Sequence[Case]]
 """From where an effect is fitted, beside which base."""
 
@@ -246,10 +273,11 @@ def _fitted(search: Search, taken: Joint | None, certain: Sequence[_Start], scre
     found: dict[str, Ranked] = {}
     for count, (each, cases) in enumerate([*certain, *screened]):
         best = max((ranked.balance for ranked in found.values()), default=-math.inf)
-        if count >= len(certain) and (
-            each.balance < best - max(_NEAR, _NEAR_SHARE * best) or count >= len(certain) + _REFITTED
-        ):
+        if count >= len(certain) + _REFITTED:
             break
+        far = max(_NEAR, (_NEAR_SHARE_HILLY if search.is_hilly(each.effect) else _NEAR_SHARE) * best)
+        if count >= len(certain) and each.balance < best - far:
+            continue
         start = [*(taken.added if taken else ()), Added(each.effect, each.values, search.within(each.effect))]
         joint = refit(start, search.calibration, search.base, cases if not taken else None)
         if each.effect.is_lag and _lateness(joint) < (1 + USUAL_LAGS) * usual_lag_s:

@@ -12,7 +12,7 @@ from needleplan.diagnosis.space import Space
 from needleplan.models.effects import SIZE, Effect
 from needleplan.signals import Array
 
-__all__ = ["Screened", "allowed_sizes", "screen"]
+__all__ = ["Screened", "allowed_sizes", "hills", "screen"]
 
 _NEAR = (0.4, 2.5)
 """How far the size of an effect that is not linear in it may be from the one that its column was made for."""
@@ -35,20 +35,49 @@ class Screened:
 
 def screen(space: Space, columns: Sequence[Array], candidates: Sequence[Candidates]) -> tuple[Screened, ...]:
     """Return all effects, the best first. `columns` are whitened, one array for each trial."""
-    scores = space.scores(columns)
-    sizes = allowed_sizes(scores.sizes(), candidates)
-    gains, levels = scores.gains(sizes)
-    price = space.price
-    found = []
-    for each in candidates:
-        index = each.first + int(gains[each.first : each.last].argmax())
-        level = int(levels[index])
-        curvature = float(scores.curvature[level, index])
-        values = {**each.grid[index - each.first], SIZE: float(sizes[level, index])}
-        sd = curvature**-0.5 if curvature > 0 else float("inf")
-        gain = float(gains[index])
-        found.append(Screened(each.effect, values, gain, gain - each.count * price, sd, float(space.levels[level])))
+    scored = _Scored.of(space, columns, candidates)
+    found = [scored.at(each, each.first + int(scored.gains[each.first : each.last].argmax())) for each in candidates]
     return tuple(sorted(found, key=lambda each: -each.balance))
+
+
+def hills(
+    space: Space, columns: Sequence[Array], candidates: Sequence[Candidates], effect: Effect, name: str
+) -> tuple[Screened, ...]:
+    """Return one effect where it fits best for each value of one of its parameters, the best first."""
+    scored = _Scored.of(space, columns, candidates)
+    each = next(each for each in candidates if each.effect is effect)
+    best: dict[float, int] = {}
+    for index in range(each.first, each.last):
+        value = each.grid[index - each.first][name]
+        if value not in best or scored.gains[index] > scored.gains[best[value]]:
+            best[value] = index
+    return tuple(sorted((scored.at(each, index) for index in best.values()), key=lambda found: -found.balance))
+
+
+@dataclass(frozen=True)
+class _Scored:
+    """All columns, each with the size that it may have."""
+
+    space: Space
+    curvature: Array
+    sizes: Array
+    gains: Array
+    levels: Array
+
+    @classmethod
+    def of(cls, space: Space, columns: Sequence[Array], candidates: Sequence[Candidates]) -> _Scored:
+        scores = space.scores(columns)
+        sizes = allowed_sizes(scores.sizes(), candidates)
+        return cls(space, scores.curvature, sizes, *scores.gains(sizes))
+
+    def at(self, each: Candidates, index: int) -> Screened:
+        level = int(self.levels[index])
+        curvature = float(self.curvature[level, index])
+        values = {**each.grid[index - each.first], SIZE: float(self.sizes[level, index])}
+        sd = curvature**-0.5 if curvature > 0 else float("inf")
+        gain = float(self.gains[index])
+        balance = gain - each.count * self.space.price
+        return Screened(each.effect, values, gain, balance, sd, float(self.space.levels[level]))
 
 
 def allowed_sizes(sizes: Array, candidates: Sequence[Candidates]) -> Array:
