@@ -141,10 +141,11 @@ def wrong(line: dict[str, Any], way: str) -> bool:
 
 
 def write(lines: Sequence[dict[str, Any]], purpose: Purpose, engine: str, prefix: Path) -> None:
-    """Write the summary, for both channels and each, for all levels and each."""
+    """Write the summary, for each channel that was run and for both, for all levels and each."""
     open_ = [line for line in lines if "proposed" in line]
     table: dict[str, Any] = {}
-    for channel in (None, *SubjectName):
+    present = [channel for channel in SubjectName if any(line["channel"] == channel for line in open_)]
+    for channel in present if len(present) == 1 else (None, *present):
         for level in (None, *HETEROGENEITY):
             part = [line for line in open_ if channel in (None, line["channel"]) and level in (None, line["level"])]
             # Where the hidden effect is not among those left, no motion that tells them apart can name it.
