@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from needleplan import provenance
+from needleplan.artifacts import files as provenance
 from needleplan.errors import OutputError
 
 

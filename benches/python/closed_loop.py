@@ -22,7 +22,7 @@ import machine
 
 from needleplan.scenario import Scenario
 from needleplan.simulation import Experiment
-from needleplan.workflow.steering import Course, Guidance, Task, Trial, gap_closed, run_all, summarized
+from needleplan_thesis.steering import Course, Guidance, Task, Trial, gap_closed, run_all, summarized
 
 SCENARIOS = ("phantom", "four_obstacles", "layered")
 OFF = (-0.2, 0.2)

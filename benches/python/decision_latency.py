@@ -53,8 +53,8 @@ from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import PolicyTable, plan
 from needleplan.scenario import Scenario
 from needleplan.simulation import Experiment
+from needleplan.simulation.bench import open_bench, simulated_bench
 from needleplan.simulation.processes import RealTimeLab
-from needleplan.workflow.insertion import open_bench, simulated_bench
 
 GOAL_MS, GOAL_REPLANNING_MS = 5.0, 40.0
 PATIENT = SafetyLimits(

@@ -32,7 +32,7 @@ import machine
 from diagnosis_subject import SUBJECTS, AnyCase, SubjectName
 
 import needleplan
-from needleplan.provenance import digest
+from needleplan.artifacts import digest
 from tests.blind.campaign import Purpose
 
 RESULTS = machine.ROOT / "benches" / "results"

@@ -29,8 +29,7 @@ import machine
 from fault_lab import FAULTS, OF_THE_LOOP, serve
 
 from needleplan.control.safety import Cause, EventName, GuardedStage, Order, SafetyEvent, SafetyLimits, Watchdog
-from needleplan.control.station import Station, ThreadedFeed
-from needleplan.devices import ForceSample, Health, PoseSample, Stamp, SystemClock
+from needleplan.devices import ForceSample, Health, PoseSample, Stamp, Station, SystemClock, ThreadedFeed
 from needleplan.devices.ati import NetFt
 from needleplan.devices.ndi import NdiTracker
 from needleplan.devices.robot import RobotStage

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from needleplan.cli import main
+from needleplan.control.agreement import require_fitting
 from needleplan.errors import TableError
 from needleplan.estimation.registration import Registration
 from needleplan.recording.mcap import Recording
 from needleplan.scenario import Identified
-from needleplan.workflow.insertion import require_fitting
 from tests.cli.commands import needleplan
 from tests.control.scenes import small_table
 

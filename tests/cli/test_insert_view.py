@@ -14,8 +14,8 @@ from rich.live import Live
 
 from needleplan.cli.insert_view import LiveView, PlainView, view
 from needleplan.control import Ending
+from needleplan.control.slicer import SlicerView
 from needleplan.devices.igtl import SlicerServer, StatusCode
-from needleplan.workflow.insertion import SlicerView
 from tests.control.scenes import FAST, NOISY, a_lab, insertion_in, small_table
 
 

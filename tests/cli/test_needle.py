@@ -13,7 +13,7 @@ from needleplan.models import Bicycle, Estimate, ModelFile, Parent
 from needleplan.recording import write_records
 from needleplan.scenario import Needle, Scenario
 from tests.conftest import SMALL
-from tests.workflow.test_scenario_part import insertions
+from tests.identification.test_scenario_part import insertions
 
 TISSUE = '[[tissue]]\nname = "tumour"\npolygon_mm = [[40, 10], [55, 10], [50, 35]]\ncurvature_radius_mm = 70\n'
 

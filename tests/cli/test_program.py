@@ -65,7 +65,7 @@ def test_nothing_is_imported_while_the_needle_moves(tmp_path: Path) -> None:
         from needleplan.control import Insertion, Options, RunRecorder, RunSetup
         from needleplan.planning import PolicyTable
         from needleplan.simulation import Experiment
-        from needleplan.workflow.insertion import simulated_bench
+        from needleplan.simulation.bench import simulated_bench
         table, steering = PolicyTable.read("table.h5"), Experiment.read("steering")
         bent = replace(steering.setup, effects=replace(steering.setup.effects, curvature_error=0.3))
         bench = simulated_bench(replace(steering, setup=bent), table, table.best_entry().pose)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from needleplan.control import Insertion, Options, Report, Station
+from needleplan.control import Insertion, Options, Report
 from needleplan.control.safety import SafetyLimits
+from needleplan.devices import Station
 from needleplan.estimation.registration import Registration
 from needleplan.planning import PolicyTable, plan
 from needleplan.scenario import Grid, Motion, Needle, Obstacle, Scenario, Target, Workspace

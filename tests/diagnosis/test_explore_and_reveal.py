@@ -15,9 +15,9 @@ from needleplan.diagnosis.next_motion import Exploring, NextMotion, Revealing, n
 from needleplan.diagnosis.next_motion.explore import information_bits
 from needleplan.models import simulate
 from needleplan.models.effects import effect_named
+from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
 from needleplan.signals import Array, Record, Role
 from needleplan.simulation import Experiment, run_experiment
-from needleplan.workflow.diagnosis.motion_file import motion_text, next_motion_document
 from tests.diagnosis.trials import BASE, coloured, recordings
 
 LIBRARY = Library([effect_named(name) for name in ("bias", "drift", "viscous", "inertia")], BASE)

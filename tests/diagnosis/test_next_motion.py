@@ -17,9 +17,9 @@ from needleplan.diagnosis.refit import added_output
 from needleplan.errors import DataError
 from needleplan.models import Channel, simulate
 from needleplan.models.effects import effect_named
+from needleplan.reports.diagnosis.motion_file import motion_text
 from needleplan.signals import Motion, Record, Role, lspb
 from needleplan.simulation import Experiment, run_experiment
-from needleplan.workflow.diagnosis.motion_file import motion_text
 from tests.diagnosis.trials import BASE, NOISE_N, RATE_HZ, coloured
 
 RIVALS = ("bias", "drift", "viscous", "friction_layer")

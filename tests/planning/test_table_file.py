@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import needleplan as npl
-from needleplan import provenance
+from needleplan.artifacts import files as provenance
 from needleplan.errors import ChecksumError, OutputError, TableError
 from needleplan.planning import Stats, Status
 from needleplan.planning.table_file import FORMAT, _seal

@@ -7,9 +7,9 @@ import pytest
 
 from needleplan.errors import DataError
 from needleplan.estimation import agreement
+from needleplan.identification import Identification, curvature
 from needleplan.recording import read_stepwise_insertion
 from needleplan.signals import Record
-from needleplan.workflow.identify import Identification, curvature
 from tests.real.shared import require
 
 FOLDER = require("real_insertions")

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from needleplan.artifacts import digest
 from needleplan.errors import DataError, OutputError
-from needleplan.provenance import digest
 from needleplan.recording import parse_records, read_records, write_records
 from needleplan.signals import Record, Role
 

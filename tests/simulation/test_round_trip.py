@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from needleplan.identification import curvature, friction
 from needleplan.models.friction import LumpedLuGre
 from needleplan.recording import read_records, write_records
 from needleplan.signals import MovingAverage
 from needleplan.simulation import Effects, Experiment, run_experiment
-from needleplan.workflow.identify import curvature, friction
 
 
 def test_the_curvature_of_the_plant_is_found_and_not_that_of_the_plan(tmp_path: Path) -> None:

@@ -59,8 +59,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from needleplan.diagnosis import Verdict
     from needleplan.models.effects import register_file
-    from needleplan.workflow.diagnosis import diagnose_files, write_folder
-    from needleplan.workflow.diagnosis.scenario_file import remedy_lines, write_scenario
+    from needleplan.reports.diagnosis import diagnose_files, write_folder
+    from needleplan.reports.diagnosis.scenario_file import remedy_lines, write_scenario
 
     for file in options.effects:
         register_file(file)
@@ -86,8 +86,8 @@ def run(options: argparse.Namespace) -> int:
 def _scenario(options: argparse.Namespace) -> Scenario | None:
     """Return the scenario that is to be changed, before anything takes its time."""
     from needleplan.models import ModelFile
+    from needleplan.reports.diagnosis.scenario_file import require_path
     from needleplan.scenario import Scenario
-    from needleplan.workflow.diagnosis.scenario_file import require_path
 
     if not options.scenario:
         return None

@@ -17,11 +17,11 @@ from needleplan.errors import InputError, Mistake
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from needleplan.identification import Identification
+    from needleplan.identification.scenario_part import ScenarioPart
     from needleplan.models import ModelFile
     from needleplan.scenario import Scenario
     from needleplan.signals import Record
-    from needleplan.workflow.identify import Identification
-    from needleplan.workflow.identify.scenario_part import ScenarioPart
 
 __all__ = ["KINDS", "add_to", "run"]
 
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     if options.figure:
         from matplotlib.figure import Figure
 
-        from needleplan.workflow.figures import save
+        from needleplan.plotting import save
 
         figure = Figure(figsize=(8.0, 6.0), layout="constrained")
         found.draw(figure)
@@ -107,7 +107,7 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
 
 
 def _part(scenario: Scenario, records: Sequence[Record], options: argparse.Namespace) -> ScenarioPart:
-    from needleplan.workflow.identify.scenario_part import scenario_part
+    from needleplan.identification.scenario_part import scenario_part
 
     part = scenario_part(records, scenario, layers=options.layers)
     if options.scenario_out:
@@ -118,7 +118,7 @@ def _part(scenario: Scenario, records: Sequence[Record], options: argparse.Names
 
 def _identifier(kind: str) -> Any:
     """Return the module that identifies a kind. Raises InputError where there is none."""
-    name = f"needleplan.workflow.identify.{kind.replace('-', '_')}"
+    name = f"needleplan.identification.{kind.replace('-', '_')}"
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

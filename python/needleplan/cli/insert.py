@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from needleplan.control import Insertion, Report, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.planning import PolicyTable
-    from needleplan.workflow.insertion import Bench
+    from needleplan.simulation.bench import Bench
 
 __all__ = ["add_to", "run"]
 
@@ -71,7 +71,7 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from needleplan.planning import PolicyTable
-    from needleplan.workflow.insertion import are_simulated, open_bench
+    from needleplan.simulation.bench import are_simulated, open_bench
 
     read = (options.table, options.registration, options.scenario, options.needle, options.limits)
     require_outputs([each for each in read if each], options.figure, options.output)
@@ -108,8 +108,8 @@ def _insert(table: PolicyTable, bench: Bench, setup: RunSetup, options: argparse
     from needleplan.cli.insert_view import view
     from needleplan.control import Insertion, Listener, RunRecorder
     from needleplan.control.safety import Watchdog
+    from needleplan.control.slicer import SlicerView
     from needleplan.devices.igtl import SlicerServer
-    from needleplan.workflow.insertion import SlicerView
 
     recorder: RunRecorder | None = None
     with ExitStack() as stack:
@@ -146,9 +146,9 @@ def _stopped_by_signals(insertion: Insertion) -> Iterator[None]:
 
 
 def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
+    from needleplan.control.agreement import require_fitting
     from needleplan.models import ModelFile
     from needleplan.scenario import Scenario, identified
-    from needleplan.workflow.insertion import require_fitting
 
     scenario = Scenario.read(options.scenario) if options.scenario else None
     needle = identified(ModelFile.read(options.needle), options.needle) if options.needle else None
@@ -228,8 +228,8 @@ def _answer(
     if options.output:
         note(f"wrote {options.output}")
     if options.figure:
-        from needleplan.workflow.figures import save
-        from needleplan.workflow.insertion import insertion_figure
+        from needleplan.plotting import save
+        from needleplan.reports.insertion import insertion_figure
 
         save(insertion_figure(table, report, true_tip), options.figure)
         note(f"drew {options.figure}")

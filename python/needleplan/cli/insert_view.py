@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.control import Event, EventName, Listener, Options, Sample, Step
+from needleplan.control import Event, EventName, Listener, Options, Step
 from needleplan.control.report import drawn, path_distances_mm
 from needleplan.control.safety import SafetyEvent
-from needleplan.devices import ForceSample, PoseSample, StageSample
+from needleplan.devices import ForceSample, PoseSample, Sample, StageSample
 from needleplan.estimation.tip import TipEstimate
 
 if TYPE_CHECKING:

@@ -98,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
 def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
     """Return the setup with the needle where an insertion by the table begins."""
     from needleplan.planning import PolicyTable
-    from needleplan.workflow.insertion import simulated_bench
+    from needleplan.simulation.bench import simulated_bench
 
     table = PolicyTable.read(options.table)
     start = table.start(start_pose(options.start)) if options.start is not None else table.best_entry().pose

@@ -12,8 +12,8 @@ from needleplan.cli.answer import note
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
+    from needleplan.identification.scenario_part import ScenarioPart
     from needleplan.scenario import Identified, Scenario
-    from needleplan.workflow.identify.scenario_part import ScenarioPart
 
 __all__ = ["Replaced", "add_identified", "part_lines", "part_record", "with_identified"]
 

@@ -82,14 +82,14 @@ def start_pose(text: str) -> tuple[float, ...]:
 
 def require_outputs(inputs: Iterable[str], figure: str | None, *others: str | None) -> None:
     """Raise OutputError, before the work, for what could not be written after it."""
-    from needleplan.provenance import require_different, require_writable
+    from needleplan.artifacts import require_different, require_writable
 
     outputs = [output for output in (*others, figure) if output]
     require_different(inputs, outputs)
     for output in outputs:
         require_writable(output)
     if figure:
-        from needleplan.workflow.figures import require_drawable
+        from needleplan.plotting import require_drawable
 
         require_drawable(figure)
 

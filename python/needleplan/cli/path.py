@@ -45,7 +45,8 @@ def run(options: argparse.Namespace) -> int:
     path = table.path(start or table.best_entry().pose, greedy=options.greedy)
     decision = table.lookup(*path.start)
     if options.figure:
-        from needleplan.workflow.figures import path_figure, save
+        from needleplan.planning.drawing import path_figure
+        from needleplan.plotting import save
 
         save(path_figure(table, path), options.figure)
         note(f"drew {options.figure}")

@@ -127,7 +127,8 @@ def _lines(table: PolicyTable, best: Entry, options: argparse.Namespace) -> dict
 
 
 def _draw(table: PolicyTable, best: Entry, file: str) -> None:
-    from needleplan.workflow.figures import plan_figure, save
+    from needleplan.planning.drawing import plan_figure
+    from needleplan.plotting import save
 
     noisy = [table.path(best.pose, noise_seed=seed) for seed in range(_NOISY_PATHS)]
     save(plan_figure(table, table.path(best.pose), noisy), file)

@@ -74,7 +74,7 @@ class _Version(argparse.Action):
     """Prints the version; looks it up only then."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        from needleplan.provenance import version
+        from needleplan.artifacts import version
 
         print(f"needleplan {version()}")
         parser.exit()

@@ -11,7 +11,7 @@ from needleplan.cli.options import add_json, require_outputs
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
-    from needleplan.workflow.register import Registered
+    from needleplan.identification.registration import Registered
 
 __all__ = ["add_to", "run"]
 
@@ -38,7 +38,7 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from needleplan.workflow.register import register_needle
+    from needleplan.identification.registration import register_needle
 
     target = _target(options.target)
     require_outputs([options.pivot, options.points], None, options.output)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from needleplan.cli.answer import note, print_json
 
 if TYPE_CHECKING:
-    from needleplan.workflow.comparison import Comparison
+    from needleplan.reports.comparison import Comparison
 
 __all__ = ["add_to", "run"]
 
@@ -49,8 +49,8 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from needleplan.workflow.comparison import Verdict
-    from needleplan.workflow.reproduce import Effort, reproduce
+    from needleplan.reports.comparison import Verdict
+    from needleplan_thesis.reproduce import Effort, reproduce
 
     effort = Effort.QUICK if options.quick else Effort.FULL if options.full else Effort.DEFAULT
     comparisons = reproduce(

@@ -8,7 +8,6 @@ from needleplan.control.replay import Comparison, RecordedStation, replay
 from needleplan.control.report import Ending, Report
 from needleplan.control.run_recorder import RunRecorder
 from needleplan.control.run_setup import RunSetup
-from needleplan.control.station import Feed, Sample, Station, ThreadedFeed, TurnFeed
 
 __all__ = [
     "Command",
@@ -17,7 +16,6 @@ __all__ = [
     "Ending",
     "Event",
     "EventName",
-    "Feed",
     "Insertion",
     "Listener",
     "Options",
@@ -26,11 +24,7 @@ __all__ = [
     "Report",
     "RunRecorder",
     "RunSetup",
-    "Sample",
-    "Station",
     "Step",
     "ThreadReplanner",
-    "ThreadedFeed",
-    "TurnFeed",
     "replay",
 ]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from needleplan.control.safety import SafetyEvent
-from needleplan.control.station import Sample
+from needleplan.devices import Sample
 from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import Action, Pose
 from needleplan.recording.mcap import RecorderStatus

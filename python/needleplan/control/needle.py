@@ -13,8 +13,7 @@ from dataclasses import replace
 from needleplan.control.listening import Command, CommandKind, Listener
 from needleplan.control.options import Options
 from needleplan.control.safety import GuardedStage, OperatingState, Order, SafetyState
-from needleplan.control.station import Feed, Sample
-from needleplan.devices import Clock, ForceSample, Health, PoseSample, StageSample
+from needleplan.devices import Clock, Feed, ForceSample, Health, PoseSample, Sample, StageSample
 from needleplan.errors import DeviceFault
 from needleplan.estimation.tip import PoseUse, TipEstimate, TipFilter, TipStatus
 

@@ -17,16 +17,18 @@ from needleplan.control.replanning import ThreadReplanner
 from needleplan.control.report import Ending, Report
 from needleplan.control.run_recorder import decision_of
 from needleplan.control.run_setup import RunSetup
-from needleplan.control.safety import Source
-from needleplan.control.station import Feed, Sample, Station
 from needleplan.devices import (
+    Feed,
     ForceSample,
     ForceSensor,
     Health,
     PoseSample,
+    Sample,
+    Source,
     Stage,
     StageSample,
     Stamp,
+    Station,
     Tracker,
     VirtualClock,
 )

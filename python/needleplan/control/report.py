@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from needleplan.control.listening import Event, EventName, Listener, Step
-from needleplan.control.station import Sample
-from needleplan.devices import ForceSample
+from needleplan.devices import ForceSample, Sample
 from needleplan.estimation.tip import TipEstimate
 from needleplan.models.bicycle import arc_step
 from needleplan.planning import Action, Path, PolicyTable

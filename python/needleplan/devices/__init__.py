@@ -17,25 +17,32 @@ from needleplan.devices.link import Link, MemoryLink, memory_pair
 from needleplan.devices.network import TcpLink, UdpLink
 from needleplan.devices.opening import open_link
 from needleplan.devices.serial_port import SerialLink
+from needleplan.devices.station import Feed, Sample, Source, Station, ThreadedFeed, TurnFeed
 
 __all__ = [
     "Address",
     "Clock",
     "Deadline",
     "Device",
+    "Feed",
     "ForceSample",
     "ForceSensor",
     "Health",
     "Link",
     "MemoryLink",
     "PoseSample",
+    "Sample",
     "SerialLink",
+    "Source",
     "Stage",
     "StageSample",
     "Stamp",
+    "Station",
     "SystemClock",
     "TcpLink",
+    "ThreadedFeed",
     "Tracker",
+    "TurnFeed",
     "UdpLink",
     "VirtualClock",
     "memory_pair",

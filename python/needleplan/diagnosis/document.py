@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from needleplan.artifacts import version
 from needleplan.diagnosis.calibrate import Case
 from needleplan.diagnosis.diagnosis import Diagnosis, FoundEffect
 from needleplan.diagnosis.step import Step
 from needleplan.diagnosis.unknown import Described
 from needleplan.diagnosis.verify import Verified
 from needleplan.models import Estimate
-from needleplan.provenance import version
 from needleplan.signals.record import UNITS
 
 __all__ = ["SCHEMA", "document_of"]

@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
+from needleplan.artifacts import digest
 from needleplan.models import Model, Scale
 from needleplan.models.effects import SIZE, Effect, Reach
-from needleplan.provenance import digest
 from needleplan.signals import Array, Motion
 
 __all__ = ["Candidates", "Library"]

@@ -1,4 +1,4 @@
-"""The workflow: check, calibrate, screen, decide, verify; each a function of its own."""
+"""The stages: check, calibrate, screen, decide, verify; each a function of its own."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from needleplan.artifacts import digest
 from needleplan.diagnosis.amounts import found_effects
 from needleplan.diagnosis.calibrate import Calibration, Case, calibrate, measured_of
 from needleplan.diagnosis.channels import measurand_of
@@ -23,7 +24,6 @@ from needleplan.diagnosis.verdict import Gates, Verdict
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Channel, Model, simulate
 from needleplan.models.effects import AugmentedModel, effects_of
-from needleplan.provenance import digest
 from needleplan.signals import Record
 
 __all__ = ["diagnose"]

@@ -41,6 +41,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from needleplan.artifacts import digest, version, write_whole
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.base import Model
 from needleplan.models.effect_file import effect_lines, read_effects
@@ -48,7 +49,6 @@ from needleplan.models.effects.augmented import AugmentedModel
 from needleplan.models.fit import Estimate
 from needleplan.models.parameter import Parameter
 from needleplan.models.registry import kind_of
-from needleplan.provenance import digest, version, write_whole
 
 __all__ = ["SCHEMA", "ModelFile", "Parent"]
 

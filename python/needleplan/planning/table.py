@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from needleplan import _ppvi
+from needleplan.artifacts import digest
 from needleplan.errors import Mistake, PoseError, TableError
 from needleplan.planning import entry, execution, table_file
 from needleplan.planning.lattice import lattice_of
 from needleplan.planning.pose import Action, Pose
 from needleplan.planning.stats import Stats
-from needleplan.provenance import digest
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:

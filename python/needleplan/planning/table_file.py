@@ -17,9 +17,9 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from needleplan.artifacts import digest, version, write_whole
 from needleplan.errors import ChecksumError, InputError, Mistake, TableError
 from needleplan.planning.stats import Stats, Status
-from needleplan.provenance import digest, version, write_whole
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:

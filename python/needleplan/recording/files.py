@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from needleplan.artifacts import digest, write_whole
 from needleplan.errors import DataError, Mistake, OutputError
-from needleplan.provenance import digest, write_whole
 from needleplan.recording.csv_file import parse_csv, to_csv
 from needleplan.recording.hdf5_file import parse_hdf5, to_hdf5
 from needleplan.recording.plausible import questionable_units

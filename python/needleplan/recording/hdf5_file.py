@@ -10,8 +10,8 @@ import io
 from collections.abc import Sequence
 from typing import Any
 
+from needleplan.artifacts import version
 from needleplan.errors import DataError, Mistake
-from needleplan.provenance import version
 from needleplan.recording.columns import NUMBERS, TEXTS, judge_names
 from needleplan.recording.table import Table
 from needleplan.signals import Record

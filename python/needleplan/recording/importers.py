@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from needleplan.artifacts import digest
 from needleplan.errors import DataError, Mistake
-from needleplan.provenance import digest
 from needleplan.recording.files import PathLike
 from needleplan.signals import Record
 

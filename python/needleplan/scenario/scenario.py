@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+from needleplan.artifacts import digest, write_whole
 from needleplan.errors import Mistake, ScenarioError
-from needleplan.provenance import digest, write_whole
 from needleplan.scenario import toml
 from needleplan.scenario.agreement import disagreements
 from needleplan.scenario.identified import Bend

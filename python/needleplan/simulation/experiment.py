@@ -6,8 +6,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from needleplan.artifacts import digest
 from needleplan.errors import ExperimentError, Mistake
-from needleplan.provenance import digest
 from needleplan.scenario import Scenario
 from needleplan.scenario.shipped import text_of
 from needleplan.simulation import toml

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from needleplan.control.safety import EventName, GuardedStage, OperatingState, Order, SafetyEvent, SafetyLimits, Source
-from needleplan.devices import ForceSensor, PoseSample, Tracker, VirtualClock
+from needleplan.control.safety import EventName, GuardedStage, OperatingState, Order, SafetyEvent, SafetyLimits
+from needleplan.devices import ForceSensor, PoseSample, Source, Tracker, VirtualClock
 from needleplan.devices.ati import BoxLink, NetFt, NetFtBox, parse_configuration
 from needleplan.devices.ndi import AuroraDevice, DeviceLink, NdiTracker, SimulatedTool
 from needleplan.errors import DeviceFault, NeedleplanError

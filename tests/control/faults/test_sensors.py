@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from needleplan.control.safety import Cause, OperatingState, Order, Source
+from needleplan.control.safety import Cause, OperatingState, Order
+from needleplan.devices import Source
 from needleplan.errors import MotionRefused
 from tests.control.faults.rig import Rig
 from tests.control.faults.sensors import RUNNING, STARTING, Running, Starting, _biased_under_load

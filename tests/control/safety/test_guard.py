@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleplan.control.safety import Cause, EventName, GuardedStage, OperatingState, Order, SafetyLimits, Source
-from needleplan.devices import Health
+from needleplan.control.safety import Cause, EventName, GuardedStage, OperatingState, Order, SafetyLimits
+from needleplan.devices import Health, Source
 from needleplan.errors import DeviceFault, MotionRefused
 from tests.control.safety.bench import NAN, Bench
 

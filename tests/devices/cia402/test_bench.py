@@ -12,7 +12,7 @@ from needleplan.devices.ati import NetFtBox, NetFtServer
 from needleplan.devices.cia402 import CanopenStage
 from needleplan.devices.igtl import IgtlTracker, PlusServer
 from needleplan.errors import AddressError
-from needleplan.workflow.insertion.bench import open_bench
+from needleplan.simulation.bench import open_bench
 from tests.control.scenes import small_table
 from tests.devices.cia402.bench import drives, setup_file
 from tests.devices.igtl.bench import TIP, plus

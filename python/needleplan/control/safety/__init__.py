@@ -2,7 +2,7 @@
 
 from needleplan.control.safety.causes import Cause, Severity
 from needleplan.control.safety.events import EventName, Listener, SafetyEvent
-from needleplan.control.safety.guard import GuardedStage, Source
+from needleplan.control.safety.guard import GuardedStage
 from needleplan.control.safety.inputs import Inputs, judge
 from needleplan.control.safety.limits import SafetyLimits
 from needleplan.control.safety.machine import Action, OperatingState, Order, Report, SafetyState, Step, advance
@@ -22,7 +22,6 @@ __all__ = [
     "SafetyLimits",
     "SafetyState",
     "Severity",
-    "Source",
     "Step",
     "Watchdog",
     "advance",

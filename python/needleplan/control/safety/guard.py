@@ -22,7 +22,6 @@ import math
 import threading
 from collections.abc import Collection, Iterator
 from dataclasses import replace
-from enum import StrEnum
 from weakref import WeakSet
 
 from needleplan.control.safety.causes import Cause
@@ -34,11 +33,11 @@ from needleplan.control.safety.machine import Action, OperatingState, Order, Rep
 from needleplan.control.safety.motion import MotionWatch
 from needleplan.control.safety.record import RecordWatch
 from needleplan.control.safety.stopping import Stopping, Vouching
-from needleplan.devices import Clock, ForceSample, PoseSample, Stage, StageSample, SystemClock
+from needleplan.devices import Clock, ForceSample, PoseSample, Source, Stage, StageSample, SystemClock
 from needleplan.errors import DeviceFault, MotionRefused
 from needleplan.recording.mcap import RecorderStatus
 
-__all__ = ["GuardedStage", "Source"]
+__all__ = ["GuardedStage"]
 
 _NANO = 1e-9
 _PATIENCE_S = 0.02
@@ -47,14 +46,6 @@ _PATIENCE_S = 0.02
 _RUNNING = (OperatingState.ENABLED, OperatingState.PAUSED)
 _ENDS_RETRACTION = frozenset({Cause.WRONG_WAY, Cause.STAGE_JUMPED})
 _GUARDED: WeakSet[Stage] = WeakSet()
-
-
-class Source(StrEnum):
-    """Which device has given up."""
-
-    FORCE = "force"
-    POSE = "pose"
-    STAGE = "stage"
 
 
 class GuardedStage(Stage):

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from needleplan.artifacts import write_whole
 from needleplan.errors import Mistake, ModelError
 from needleplan.estimation.atlas.combination import Combination
 from needleplan.estimation.atlas.toml import parse, text
 from needleplan.models.force import PUBLISHED_FORCES
-from needleplan.provenance import write_whole
 
 __all__ = ["Atlas", "Match", "published_atlas"]
 

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from needleplan.artifacts import digest
 from needleplan.errors import DataError, Mistake
-from needleplan.provenance import digest
 from needleplan.recording.cells import number_in, rows_of_cells
 from needleplan.scenario.rules import suggestion
 from needleplan.signals import Array

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from needleplan.artifacts import digest, version, write_whole
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration import toml
 from needleplan.estimation.registration.rigid import RigidMotion, register
-from needleplan.provenance import digest, version, write_whole
 from needleplan.scenario.rules import Integer, Number, Refused, Rule, Text, shown
 
 __all__ = ["CoilPose", "Registration"]

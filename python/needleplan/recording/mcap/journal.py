@@ -17,7 +17,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from needleplan.provenance import version
+from needleplan.artifacts import version
 from needleplan.recording.mcap.kinds import Json, Kind
 from needleplan.recording.mcap.session import FORMAT, Session
 

@@ -20,8 +20,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from needleplan.artifacts import require_writable
 from needleplan.errors import InputError, Mistake, OutputError
-from needleplan.provenance import require_writable
 from needleplan.recording.files import PathLike
 from needleplan.recording.mcap.journal import Journal
 from needleplan.recording.mcap.kinds import STATUS, Kind

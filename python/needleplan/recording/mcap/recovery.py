@@ -19,8 +19,8 @@ from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
+from needleplan.artifacts import require_writable, version
 from needleplan.errors import DataError, InputError, Mistake, OutputError
-from needleplan.provenance import require_writable, version
 from needleplan.recording.files import PathLike
 from needleplan.recording.mcap.journal import PROFILE
 from needleplan.recording.mcap.kinds import STATUS

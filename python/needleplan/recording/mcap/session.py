@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Self
 
+from needleplan.artifacts import version
 from needleplan.errors import DataError, Mistake
-from needleplan.provenance import version
 
 __all__ = ["FORMAT", "Session"]
 

@@ -14,8 +14,8 @@ from typing import Any
 
 from mcap.writer import MCAP0_MAGIC
 
+from needleplan.artifacts import digest, require_writable, write_whole
 from needleplan.errors import Mistake, OutputError
-from needleplan.provenance import digest, require_writable, write_whole
 from needleplan.recording.csv_file import to_csv
 from needleplan.recording.files import PathLike
 from needleplan.recording.hdf5_file import to_hdf5

@@ -1,0 +1,251 @@
+"""Curvature of insertions from tracked tips: each trial, whether they agree, and whether it changes with depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+
+from needleplan.errors import DataError, Mistake
+from needleplan.estimation import Change, Curvature, Heterogeneity, TrackerNoise, agreement, path_curvature
+from needleplan.estimation.circle import fit_circle
+from needleplan.identification.identification import Identification
+from needleplan.identification.trials import trials_by_role
+from needleplan.models import Bicycle, Estimate, Finding
+from needleplan.models.residuals import findings_of
+from needleplan.signals import Array, Motion, Record
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Insertion", "identify", "insertion_of"]
+
+_POINTS_A_SEGMENT = 10
+_BACK = 1.0
+"""A trial is taken up to its greatest depth; it counts as drawn back from where it is this far (mm) above."""
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """One trial: its points (n, 2) in mm on the way in, its curvature, that of each segment, and the changes."""
+
+    name: str
+    points_mm: Array
+    whole: Curvature
+    segments: tuple[Curvature, ...]
+    changes: tuple[Change, ...]
+    motion: Motion
+    """How the needle moved, a sample a point."""
+
+    remarks: tuple[str, ...]
+
+
+def identify(
+    records: Sequence[Record],
+    *,
+    segments: int = 2,
+    plane: str = "xy",
+    skip_mm: float = 0.0,
+    noise: TrackerNoise = TrackerNoise.CORRELATED,
+    correlation_mm: float | None = None,
+) -> Identification:
+    """Fit circles to the tip positions of insertions without rotation.
+
+    Columns: time_s, x_mm (along the insertion; depth_mm where it is missing) and y_mm, or z_mm with `plane` "xz". The
+    part from `skip_mm` to the greatest depth counts. Trials with the role holdout judge: whether their curvature is one
+    of those to expect; those of noise are left out. `segments` equal parts of the path have a curvature each, to see
+    whether it changes. Raises DataError for records that cannot be used.
+    """
+    if plane not in ("xy", "xz") or not 1 <= segments <= 10:
+        raise DataError(Mistake("plane, segments", f"{plane}, {segments}", "must be xy or xz, and 1 to 10"))
+    trials = trials_by_role(records)
+    options = {"segments": segments, "plane": plane, "skip_mm": skip_mm, "noise": noise}
+    found, held = (
+        [insertion_of(record, correlation_mm=correlation_mm, **options) for record in some]  # type: ignore[arg-type]
+        for some in (trials.train, trials.holdout)
+    )
+    together = agreement([each.whole for each in found]) if len(found) > 1 else None
+    estimate = _estimate(found[0].whole, together)
+    remarks = [*trials.remarks, *(remark for each in (*found, *held) for remark in each.remarks)]
+    remarks += _remarks(found, together, estimate)
+    left = findings_of([_distances(each) for each in found], [each.motion for each in found], "mm")
+    return Identification(
+        "curvature", Bicycle(estimate.value), {"curvature_per_mm": estimate}, tuple(_scores([*found, *held], together)),
+        (*_findings(found, together), *(_judged(each, estimate, together) for each in held), *left), tuple(remarks),
+        partial(_draw, found=[*found, *held], plane=plane),
+    )  # fmt: skip
+
+
+def insertion_of(
+    record: Record,
+    *,
+    segments: int = 2,
+    plane: str = "xy",
+    skip_mm: float = 0.0,
+    noise: TrackerNoise = TrackerNoise.CORRELATED,
+    correlation_mm: float | None = None,
+) -> Insertion:
+    """Return the curvature of one trial. Raises DataError, with the name of the trial."""
+    points, motion, remarks = _points(record, plane, skip_mm)
+    options = {"noise": noise, "correlation_mm": correlation_mm}
+    try:
+        (whole,), _ = path_curvature(points, **options)  # type: ignore[arg-type]
+        parts: tuple[Curvature, ...] = ()
+        changes: tuple[Change, ...] = ()
+        if segments > 1 and len(points) >= segments * _POINTS_A_SEGMENT:
+            edges = np.linspace(0, whole.high_mm, segments + 1)[1:-1]
+            parts, changes = path_curvature(points, edges, **options)  # type: ignore[arg-type]
+        elif segments > 1:
+            remarks.append(f"{len(points)} points are too few for {segments} segments")
+    except DataError as error:
+        raise DataError(error.mistakes, record.trial) from None
+    prefix = f"{record.trial}: " if record.trial else ""
+    return Insertion(record.trial, points, whole, parts, changes, motion, tuple(prefix + each for each in remarks))
+
+
+def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, Motion, list[str]]:
+    """Return the points on the way in that count, how the needle moved there, and what was left out."""
+    along = record["x_mm"] if "x_mm" in record.columns else record["depth_mm"]
+    across = record["y_mm" if plane == "xy" else "z_mm"]
+    depth = record.columns.get("depth_mm", along)
+    remarks: list[str] = []
+    known = np.isfinite(along) & np.isfinite(across) & np.isfinite(depth)
+    if not known.any():
+        raise DataError(Mistake(f"{plane[1]}_mm", "", "has no number beside one of x_mm or depth_mm"), record.trial)
+    if not np.ptp(across[known]):
+        rule = "is constant to the last bit: no tracker measures that, and nothing can be identified from it"
+        raise DataError(Mistake(f"{plane[1]}_mm", f"{across[known][0]:g}", rule), record.trial)
+    deepest = int(np.argmax(np.where(known, depth, -np.inf)))
+    way_in = np.arange(len(record)) <= deepest
+    back = int((known & ~way_in & (depth < depth[deepest] - _BACK)).sum())
+    if back:
+        remarks.append(f"{back} samples after the greatest depth, drawn back, do not count")
+    shallow = known & way_in & (depth < skip_mm)
+    if shallow.any():
+        remarks.append(f"{int(shallow.sum())} samples above {skip_mm:g} mm do not count")
+    kept = known & (way_in | (depth >= depth[deepest] - _BACK)) & ~shallow
+    if kept.sum() < 2:
+        raise DataError(Mistake("skip_mm", f"{skip_mm:g}", "leaves no path on the way in"), record.trial)
+    motion = Motion.sampled(record["time_s"][kept], depth[kept])
+    return np.column_stack([along[kept], across[kept]]), motion, remarks
+
+
+def _estimate(first: Curvature, together: Heterogeneity | None) -> Estimate:
+    if together is None:
+        return Estimate(
+            first.curvature_per_mm, first.sd_per_mm, first.low_per_mm, first.high_per_mm, "1/mm", first.bends
+        )
+    low, high = together.low_per_mm, together.high_per_mm
+    return Estimate(together.mean_per_mm, together.sd_per_mm, low, high, "1/mm", low > 0 or high < 0)
+
+
+def _scores(found: Sequence[Insertion], together: Heterogeneity | None) -> list[tuple[str, float, str]]:
+    scores: list[tuple[str, float, str]] = []
+    for each in found:
+        name = each.name or "trial"
+        scores += [
+            (f"{name}: curvature", each.whole.curvature_per_mm, "1/mm"),
+            (f"{name}: lower end", each.whole.low_per_mm, "1/mm"),
+            (f"{name}: upper end", each.whole.high_per_mm, "1/mm"),
+            (f"{name}: radius", each.whole.radius_mm, "mm"),
+            (f"{name}: RMS distance", each.whole.rms_mm, "mm"),
+        ]
+        scores += [
+            (f"{name}: curvature {part.low_mm:.0f} to {part.high_mm:.0f} mm", part.curvature_per_mm, "1/mm")
+            for part in each.segments
+        ]
+    if together:
+        scores.append(("scatter between trials", together.between_sd_per_mm, "1/mm"))
+    return scores
+
+
+def _findings(found: Sequence[Insertion], together: Heterogeneity | None) -> list[Finding]:
+    findings = []
+    if together:
+        says = (
+            "the intervals of the trials agree with one curvature"
+            if together.agree
+            else "the trials do not have one curvature: they differ by more than their intervals"
+        )
+        findings.append(Finding("agreement of trials", together.q, together.p_value, says))
+    for each in found:
+        for number, change in enumerate(each.changes):
+            place = each.segments[number].high_mm
+            says = f"the curvature changes at {place:.0f} mm by {change.value_per_mm:.2g} 1/mm"
+            if change.p_value >= 0.05:
+                says = f"no change of the curvature at {place:.0f} mm was found"
+            findings.append(Finding(f"change, {each.name}".rstrip(", "), change.value_per_mm, change.p_value, says))
+    return findings
+
+
+def _distances(insertion: Insertion) -> Array:
+    """Return the signed distances of the points from their circle (mm), shape (n,)."""
+    return fit_circle(insertion.points_mm).distances(insertion.points_mm)
+
+
+def _judged(held: Insertion, estimate: Estimate, together: Heterogeneity | None) -> Finding:
+    """Return whether the curvature of a trial held out is one to expect: scatter, and errors of both, as they are."""
+    variance = held.whole.sd_per_mm**2 + estimate.sd**2 + (together.between_sd_per_mm**2 if together else 0.0)
+    score = (held.whole.curvature_per_mm - estimate.value) / float(np.sqrt(variance))
+    p_value = float(2 * stats.norm.sf(abs(score)))
+    says = (
+        "its curvature is one to expect" if p_value >= 0.05 else "its curvature is not one to expect after the others"
+    )
+    return Finding(f"held out, {held.name}".rstrip(", "), score, p_value, says)
+
+
+def _remarks(found: Sequence[Insertion], together: Heterogeneity | None, estimate: Estimate) -> list[str]:
+    remarks = []
+    if not estimate.identified:
+        remarks.append("the interval of the curvature contains zero: a straight path is possible")
+    if together is None:
+        remarks.append("one insertion says nothing about the scatter between insertions: repeat it")
+    elif not together.agree:
+        remarks.append("the interval is that of the mean of such insertions; the next one may lie outside of it")
+    far = [each.name for each in found if each.whole.correlation_mm > 0.2 * (each.whole.high_mm - each.whole.low_mm)]
+    if far:
+        remarks.append(
+            f"errors correlated over more than a fifth of the path in {len(far)} trials ({', '.join(far)}): an arc may "
+            "not be its shape, or the tracker's field is distorted"
+        )
+    return remarks
+
+
+def _draw(figure: Figure, found: Sequence[Insertion], plane: str) -> None:
+    from needleplan.plotting.canvas import BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, title
+
+    colours = (BLUE, VERMILLION, GREEN, ORANGE, SKY, GREY)
+    paths, left, bends = figure.subplots(3, 1, gridspec_kw={"height_ratios": (3, 2, 2)})
+    for number, each in enumerate(found):
+        colour = colours[number % len(colours)]
+        circle = fit_circle(each.points_mm)
+        order = np.argsort(each.points_mm[:, 0], kind="stable")
+        x, y = each.points_mm[order].T
+        distance = circle.distances(each.points_mm)[order]
+        normal = (-np.sin(circle.heading_rad), np.cos(circle.heading_rad))
+        paths.plot(x, y, ".", color=colour, markersize=3, alpha=0.6, label=each.name or "trial")
+        paths.plot(x, y - distance * normal[1], "-", color=colour, linewidth=1)
+        left.plot(x, distance, ".-", color=colour, markersize=3, linewidth=0.6)
+        _draw_interval(bends, each.whole, number, colour)
+    title(paths, f"Tip positions and fitted circles ({plane} plane)")
+    paths.set_ylabel(f"{plane[1]} (mm)")
+    if len(found) <= len(colours):
+        paths.legend(fontsize=7, loc="best")
+    title(left, "What the circle leaves")
+    left.axhline(0, color=GREY, linewidth=0.8)
+    left.set_xlabel("x (mm)")
+    left.set_ylabel("distance (mm)")
+    title(bends, "Curvature with 95 % interval")
+    bends.axvline(0, color=GREY, linewidth=0.8)
+    bends.set_yticks(range(len(found)), [each.name or "trial" for each in found], fontsize=7)
+    bends.set_ylim(len(found) - 0.5, -0.5)
+    bends.set_xlabel("curvature (1/mm)")
+
+
+def _draw_interval(axes: object, bend: Curvature, row: int, colour: str) -> None:
+    reach = [[bend.curvature_per_mm - bend.low_per_mm], [bend.high_per_mm - bend.curvature_per_mm]]
+    axes.errorbar([bend.curvature_per_mm], [row], xerr=reach, fmt="o", color=colour, capsize=3)  # type: ignore[attr-defined]

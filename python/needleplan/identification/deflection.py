@@ -1,0 +1,210 @@
+"""What records of lateral deflection (and axial force) say about needle and tissue.
+
+One record of an insertion without a flip says one number, the curvature, beside offset and slope of the track:
+stiffness of needle and tissue, cutting force, pre-bend and the rest all make a parabola. So this is identified:
+
+1. the curvature of every record by `TipPath`, with its entry left out; their mean over the records, whose interval is
+   widened where the records disagree;
+2. the cutting force that makes this curvature with the kf that is *given*, in a needle of its length; its interval has
+   room for how the force came up at the entry, which changes it by a tenth at 80 mm; kf itself only where the base was
+   turned within a record (a flip), or by the axial force with an offset that is *given*;
+3. from an axial force: vf by its growth with depth times velocity, and the offset F0 that is left when the cutting
+   force of 2 is subtracted. F0 is as good as kf: Fc goes with kf^(1/4).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from scipy import stats
+
+from needleplan.errors import DataError
+from needleplan.identification.axial_offset import axial_estimates
+from needleplan.identification.bending_figure import draw
+from needleplan.identification.bent_path import PathFit, beyond, depth_factor, mean_of, path_fit
+from needleplan.identification.identification import Finding, Identification
+from needleplan.identification.trials import trials_by_role
+from needleplan.models import Estimate, Fit, Needle, TipPath, fit
+from needleplan.models.deflection import AxialOffset, Tissue
+from needleplan.models.residuals import findings_of
+from needleplan.signals import Record
+
+__all__ = ["NEEDLE", "TISSUE", "identify"]
+
+NEEDLE = Needle(0.718, 0.413, 203.0, math.radians(24.8))
+"""The 22-gauge needle of chapter 5, where none is given."""
+
+TISSUE = Tissue(3.87e-3, 123.9e-6)
+"""The soft gel of chapter 5, where no tissue is given."""
+
+
+def identify(
+    records: Sequence[Record],
+    *,
+    needle: Needle | None = None,
+    tissue: Tissue | None = None,
+    axial_offset: AxialOffset | None = None,
+    tracked_mm: float = 0.0,
+    skip_mm: float = 20.0,
+) -> Identification:
+    """Identify curvature, cutting force, F0 and kf as far as the records go; see above.
+
+    Records need depth_mm and y_mm, in the plane of bending, and may have force_n and angle_rad. `axial_offset` is F0
+    where it was measured, with the same needle without a bevel; `tracked_mm` the distance of the tracked point behind
+    the tip; the first `skip_mm` of depth do not count. Raises DataError where no record can be used.
+    """
+    trials = trials_by_role(records)
+    own, gel = needle or NEEDLE, tissue or TISSUE
+    start = replace(TipPath.of(own, gel.stiffness_n_mm2, 0.05), tracked=tracked_mm)
+    paths, remarks = _paths(trials.train, start, skip_mm)
+    curvature, chi_square, p_value = mean_of([each.curvature for each in paths])
+    estimates = {"curvature": curvature}
+    findings = [_bends_evenly(paths)]
+    if p_value is not None:
+        agree = "agree" if p_value > 0.05 else "disagree by more than their noise; the interval is widened"
+        findings.append(
+            Finding("agreement of records", chi_square, p_value, f"curvatures of {len(paths)} records {agree}")
+        )
+    turned = [each.fit.estimates["stiffness"] for each in paths if each.turned]
+    if turned:
+        estimates["stiffness"] = mean_of(turned)[0]
+        start = replace(start, stiffness=estimates["stiffness"].value)
+
+    def factor(stiffness_n_mm2: float) -> tuple[float, float]:
+        return depth_factor(paths[0], own, replace(gel, stiffness_n_mm2=stiffness_n_mm2))
+
+    g, sd = factor(start.stiffness)
+    model = _model(paths, replace(start, depth_factor=g), curvature)
+    estimates["cutting_force"] = _force(model, curvature, sd / g)
+    if len(paths) == 1:
+        estimates |= {name: paths[0].fit.estimates[name] for name in ("slope", "offset")}
+    with_force = [each.record for each in paths if "force_n" in each.record.columns]
+    axial: Fit | None = None
+    if with_force:
+        more, axial = axial_estimates(
+            with_force, model, estimates["cutting_force"], curvature, factor, skip_mm, axial_offset
+        )
+        estimates |= more
+        if "stiffness" in more and more["stiffness"].identified:
+            value = more["stiffness"].value
+            model = _model(paths, replace(start, stiffness=value, depth_factor=factor(value)[0]), curvature)
+    remarks = [*trials.remarks, *remarks]
+    remarks += _what_it_rests_on(needle, tissue, bool(turned), bool(with_force), axial_offset, curvature)
+    scores = (
+        ("RMSE", math.sqrt(np.mean([each.fit.rmse**2 for each in paths])), "mm"),
+        *_held_out(trials.holdout, model, skip_mm),
+    )
+    left = findings_of([each.fit.residuals[0] for each in paths], [each.record.motion() for each in paths], "mm")
+    figure = partial(draw, paths=paths, axial=axial, records=with_force, skip_mm=skip_mm)
+    return Identification("deflection", model, estimates, scores, (*findings, *left), tuple(remarks), figure)
+
+
+def _paths(records: Sequence[Record], start: TipPath, skip_mm: float) -> tuple[list[PathFit], list[str]]:
+    paths, mistakes = [], []
+    for record in records:
+        try:
+            paths.append(path_fit(record, start, skip_mm))
+        except DataError as error:
+            mistakes.append((record.trial, error))
+    if len(records) == len(mistakes) == 1:
+        raise mistakes[0][1]
+    if not paths:
+        named = [replace(each, key=f"{trial}, {each.key}") for trial, error in mistakes for each in error.mistakes]
+        raise DataError(named)
+    remarks = [f"left out, {trial or 'a record'}: {error.mistakes[0]}" for trial, error in mistakes]
+    masked = sum(each.fit.masked for each in paths)
+    total = sum(len(each.record) for each in paths)
+    remarks.append(f"{masked} of {total} samples do not count: the first {skip_mm:g} mm, at rest, or not on the way in")
+    return paths, remarks
+
+
+def _model(paths: Sequence[PathFit], start: TipPath, curvature: Estimate) -> TipPath:
+    """Return the path with the curvature; slope and offset are those of one record, or their mean."""
+    side = 1.0 if curvature.value >= 0 else -1.0
+    limits = start.parameters()["cutting_force"]
+    force = abs(curvature.value) * start.bending * start.decay_1_mm * start.depth_factor / math.cos(start.bevel)
+    slope, offset = (float(np.mean([getattr(each.model, name) for each in paths])) for name in ("slope", "offset"))
+    return replace(
+        start, cutting_force=float(np.clip(force, limits.lower, limits.upper)), side=side, slope=slope, offset=offset
+    )
+
+
+def _force(model: TipPath, curvature: Estimate, factor_error: float) -> Estimate:
+    """Return Fc = EI lam g curvature/cos a, positive to the side to which the needle bends."""
+    scale = model.bending * model.decay_1_mm * model.depth_factor / math.cos(model.bevel)
+    value, own = abs(curvature.value) * scale, (curvature.high - curvature.low) / 2 * scale
+    reach = math.hypot(own, float(stats.norm.ppf(0.975)) * factor_error * value)
+    sd = math.hypot(curvature.sd * scale, factor_error * value)
+    return Estimate(value, sd, max(value - reach, 0.0), value + reach, "N", curvature.identified)
+
+
+def _bends_evenly(paths: Sequence[PathFit]) -> Finding:
+    """Test whether the curvature changes with depth: what is left, against the cube of the depth."""
+    chi_square = 0.0
+    for each in paths:
+        left = each.fit.residuals[0]
+        counts = np.isfinite(left)
+        depth = each.record["depth_mm"][counts]
+        place = (depth - depth.mean()) / np.ptp(depth)
+        cube = place**3 - np.polyval(np.polyfit(place, place**3, 2), place)
+        score = cube * left[counts]
+        most = round(3 * score.size ** (1 / 3))
+        spread = score @ score + sum(
+            2 * (1 - lag / (most + 1)) * (score[lag:] @ score[:-lag]) for lag in range(1, min(most, score.size - 1) + 1)
+        )
+        chi_square += float(score.sum() ** 2 / max(spread, 1e-300))
+    p_value = float(stats.chi2.sf(chi_square, len(paths)))
+    says = (
+        "no change of the curvature with depth is seen"
+        if p_value > 0.05
+        else ("the curvature changes with depth: a layer, a drift of the force, the base still felt, or partial memory")
+    )
+    return Finding("one curvature over the depth", chi_square, p_value, says)
+
+
+def _held_out(records: Sequence[Record], model: TipPath, skip_mm: float) -> list[tuple[str, float, str]]:
+    squares: list[float] = []
+    for record in records:
+        own = fit(model, record, free=["slope", "offset"], mask=lambda each: beyond(each, skip_mm))
+        squares += own.residuals[0][np.isfinite(own.residuals[0])].tolist()
+    if not squares:
+        return []
+    name = f"RMSE on {len(records)} held-out records, their own slope and offset"
+    return [(name, float(np.sqrt(np.mean(np.square(squares)))), "mm")]
+
+
+def _what_it_rests_on(
+    needle: Needle | None,
+    tissue: Tissue | None,
+    turned: bool,
+    with_force: bool,
+    axial_offset: AxialOffset | None,
+    curvature: Estimate,
+) -> list[str]:
+    remarks = []
+    if needle is None:
+        remarks.append(
+            "no needle given: the 22-gauge needle of chapter 5 is assumed; only the curvature stands without it"
+        )
+    if turned:
+        remarks.append(
+            "kf is from the jump and turn of the path at a flip, which the model predicts and nobody has tested"
+        )
+    elif not (with_force and axial_offset):
+        given = "given" if tissue else "of the soft gel of chapter 5, assumed"
+        remarks.append(
+            f"kf is {given}, not identified: one record without a flip says one number, the curvature, beside slope "
+            "and offset; cutting force and F0 go with kf^(1/4)"
+        )
+    if not with_force:
+        remarks.append("no axial force: F0 and vf are not identified")
+    if not curvature.identified:
+        remarks.append("the curvature cannot be told from zero")
+    remarks.append(
+        "intervals hold for noise that is correlated over few samples; for a distorted tracker see curvature"
+    )
+    return remarks

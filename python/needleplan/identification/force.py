@@ -1,0 +1,209 @@
+"""Axial force by depth from recorded insertions: batch fit, joint filter beside it, and what the data cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from needleplan.errors import DataError, Mistake
+from needleplan.estimation import FilterRun, JointForce, force_drops, identify_by_passes, mean_absolute_error
+from needleplan.estimation.force_start import has_retraction, starting_force
+from needleplan.identification.force_figure import draw_force
+from needleplan.identification.identification import Finding, Identification
+from needleplan.identification.trials import averaged, trials_by_role
+from needleplan.models import Fit, FitStatus, fit
+from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
+from needleplan.models.residuals import residual_findings
+from needleplan.signals import Array, MovingAverage, Record
+
+__all__ = ["fit_force", "identify", "settled"]
+
+_LEAST_DEPTH_MM = 5.0
+_DROP, _DROP_MM = 0.15, 2.0
+"""Share of the range of the force by which it drops, and within which depth, to be called a puncture.
+
+The peak that the model has of its own falls over 5 mm and more.
+"""
+
+_EDGE = 1.01
+"""How far f1 stays from -f2: g at the surface is at least a hundredth of what it is deep down."""
+
+
+def identify(
+    records: Sequence[Record],
+    *,
+    start: DepthForce | None = None,
+    average: int = 5,
+    starts: int = 4,
+    filtered: bool = True,
+) -> Identification:
+    """Fit a force-depth model to the trials for training, and judge it by those held out.
+
+    Columns: time_s, depth_mm, force_n, and velocity_mm_s where measured. `start` chooses the model and where to begin:
+    Model I from the data by default; a Model II keeps its f2 and alpha. `average` is the number of samples that the
+    sensor averages, 1 for none: the model is averaged in the same way before it is compared, and samples around
+    reversals do not count. `filtered` runs the joint filter from the same start beside the fit. Raises DataError for
+    records that cannot be used.
+    """
+    trials = trials_by_role(records, noise_is_used=True)
+    train, holdout, noise = trials.train, trials.holdout, trials.noise
+    deepest = max(float(np.max(record["depth_mm"])) for record in train)
+    if not deepest > _LEAST_DEPTH_MM:
+        rule = f"goes to {deepest:g} mm; a force-depth model needs more than {_LEAST_DEPTH_MM:g} mm"
+        raise DataError(Mistake("depth_mm", "", rule))
+    sensor = MovingAverage(average)
+    begin = start or starting_force(train)
+    found = fit_force(begin, train, sensor, starts)
+    run = identify_by_passes(JointForce(begin), begin, train, smooth=sensor) if filtered and begin.proper else None
+    model = found.model
+    assert isinstance(model, DepthForce)
+    remarks = [*trials.remarks, *_limits(found, model, train), *_punctures(train, sensor.samples), averaged(average)]
+    return Identification(
+        "force", model if found.status is not FitStatus.DIVERGED and model.proper else None, dict(found.estimates),
+        tuple(_scores(found, run, train, holdout, sensor)),
+        (*_findings(found, run, train, noise, sensor), *residual_findings(found, train)), tuple(remarks),
+        partial(
+            draw_force, model=model, records=[*train, *holdout], sensor=sensor,
+            counts=partial(settled, samples=sensor.samples),
+        ),
+    )  # fmt: skip
+
+
+def _punctures(train: Sequence[Record], samples: int) -> list[str]:
+    """Return a sentence for every trial whose force drops faster than this model lets it."""
+    remarks = []
+    for record in train:
+        inward = record.select(np.asarray(np.logical_and(settled(record, samples), record.motion().direction > 0)))
+        force = inward["force_n"][np.isfinite(inward["force_n"])]
+        if not force.size or not np.ptp(force):
+            continue
+        drops = force_drops(inward, least_n=_DROP * float(np.ptp(force)), within_mm=_DROP_MM)
+        if drops:
+            where = ", ".join(f"{each.drop_n:.2g} N at {each.peak_mm:.1f} mm" for each in drops[:5])
+            more = f" and {len(drops) - 5} more" * (len(drops) > 5)
+            remarks.append(
+                f"{record.trial}: the force drops at once, by {where}{more}, as where a membrane gives way: this model "
+                "has no punctures, and its parameters suffer; identify from the depths without"
+            )
+    return remarks
+
+
+def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage, starts: int = 4) -> Fit:
+    """Return the least-squares fit with the sensor's average, from `begin` and further starts around it.
+
+    Where Model I wants g to vanish at the surface, its fit has no edge to stop at that is a range of one parameter. It
+    is done again with f2 in the place of beta as the fixed scale of z: then f1 > -f2 is such a range, and the fit ends
+    on it and says so. The result is a Model II, with alpha among what was fitted.
+    """
+    mask = partial(settled, samples=sensor.samples)
+
+    def fitted(model: DepthForce, free: tuple[str, ...] | None) -> Fit:
+        known = model.parameters()["f1"]
+        bounds = {"f1": (max(-_EDGE * model.f2, known.lower), known.upper)} if isinstance(model, ForceModel2) else None
+        return fit(model, train, free=free, bounds=bounds, smooth=sensor.apply, mask=mask, starts=starts, spread=0.7)
+
+    found = fitted(begin, None)
+    model = found.model
+    if isinstance(model, ForceModel1) and model.f1 + model.f2 < (_EDGE - 1) * model.f1:
+        inside = {**model.values(), "f1": max(model.f1, -1.1 * model.f2)}
+        return fitted(ForceModel2(**inside), ("sigma0", "sigma1", "sigma2", "f1", "alpha", "beta"))
+    return found
+
+
+def settled(record: Record, samples: int) -> Array:
+    """Return which samples are not next to a reversal, where the sensor's average mixes both directions."""
+    direction = record.motion().direction
+    keep = np.ones(direction.size, bool)
+    if samples > 1:
+        for turn in np.flatnonzero(np.diff(direction) * direction[:-1] < 0):
+            keep[max(turn, 0) : turn + 1 + samples] = False
+    return np.asarray(keep)
+
+
+def _scores(
+    found: Fit, run: FilterRun | None, train: Sequence[Record], holdout: Sequence[Record], sensor: MovingAverage
+) -> list[tuple[str, float, str]]:
+    rows: list[tuple[str, float, str]] = [
+        ("RMSE of the fit", found.rmse, "N"),
+        ("MAE of the open loop", mean_absolute_error(found.model, train, smooth=sensor), "N"),
+    ]
+    if holdout:
+        rows.append(("MAE of the open loop, held out", mean_absolute_error(found.model, holdout, smooth=sensor), "N"))
+    if run is not None:
+        last = (run.innovation_rmse[-1], run.replay_mae[-1]) if run.ok else (float("nan"), float("inf"))
+        rows += [
+            ("joint filter: RMSE of the innovations", last[0], "N"),
+            ("joint filter: MAE of the open loop", last[1], "N"),
+        ]
+    return [*rows, ("samples", found.samples, ""), ("samples that do not count", found.masked, "")]
+
+
+def _findings(
+    found: Fit, run: FilterRun | None, train: Sequence[Record], noise: Sequence[Record], sensor: MovingAverage
+) -> list[Finding]:
+    findings = []
+    if run is not None:
+        batch = mean_absolute_error(found.model, train, smooth=sensor)
+        alone = run.replay_mae[-1] if run.ok else float("inf")
+        agree = alone < 1.5 * batch + 1e-4
+        says = "the joint filter reaches what the fit reaches" if agree else (
+            f"the joint filter ends elsewhere, at {1e3 * alone:.1f} mN in the open loop instead of {1e3 * batch:.1f}: "
+            "prefer the fit"
+        )  # fmt: skip
+        findings.append(Finding("joint filter beside the fit", alone / batch if batch else 1.0, None, says))
+    if noise:
+        sd = float(np.nanstd(np.concatenate([record["force_n"] - np.nanmean(record["force_n"]) for record in noise])))
+        ratio = found.rmse / sd if sd else float("inf")
+        says = "what is left is the sensor's noise" if ratio < 1.2 else "more is left than the sensor's noise"
+        findings.append(Finding("residuals over the sensor's noise", ratio, None, says))
+    first, second = _halves(found, train)
+    says = "the model is as good deep as shallow" if max(first, second) < 2 * min(first, second) else (
+        f"RMSE {1e3 * first:.1f} mN in the shallower half of the way, {1e3 * second:.1f} mN in the deeper"
+    )  # fmt: skip
+    findings.append(Finding("RMSE deep over shallow", second / first if first else 1.0, None, says))
+    return findings
+
+
+def _halves(found: Fit, train: Sequence[Record]) -> tuple[float, float]:
+    left = np.concatenate(found.residuals)
+    depth = np.concatenate([record["depth_mm"] for record in train])
+    good = np.isfinite(left)
+    deep = depth > np.median(depth[good])
+    return tuple(float(np.sqrt(np.mean(left[good & half] ** 2))) for half in (~deep, deep))  # type: ignore[return-value]
+
+
+def _limits(found: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]:
+    remarks = [
+        f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
+        for name, each in found.estimates.items()
+        if not each.identified
+    ]
+    if not has_retraction(train):
+        remarks.append(
+            "there is no retraction: the data tell beta g + sigma2, but hardly how it is shared out; do not predict a "
+            "retraction from this model"
+        )
+    if not found.ok:
+        remarks.append(
+            f"the fit ended with: {found.status}; where it crawls along a valley, the force is well fitted "
+            "and the parameters are one set of many"
+        )
+    if model.f1 + model.f2 < 1.02 * (_EDGE - 1) * model.f1:
+        remarks.append(
+            "g vanishes at the surface as far as it may: the record has no peak of the shape of this model; what is "
+            "fitted is the rise of the force alone"
+        )
+    fixed = "beta" if "beta" not in found.free else "f2"
+    remarks.append(
+        f"{fixed} = {getattr(model, fixed):g} is not measured: it fixes the scale of z, and so of beta, "
+        "f1, f2, sigma0 and sigma1"
+    )
+    speeds = [float(np.percentile(np.abs(record.motion().velocity_mm_s), 90)) for record in train]
+    if max(speeds) > 1.1 * min(speeds):
+        remarks.append(
+            f"the trials differ in speed, {min(speeds):.1f} to {max(speeds):.1f} mm/s, and this model has no "
+            "speed in it: fit them one by one"
+        )
+    return remarks

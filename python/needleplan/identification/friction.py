@@ -1,0 +1,168 @@
+"""Friction from recorded motion: which model, with which parameters, and what the data cannot tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.errors import DataError, Mistake
+from needleplan.identification.identification import Finding, Identification
+from needleplan.identification.shaft_figure import draw_friction
+from needleplan.identification.shaft_models import EXPONENTS, Mask, Score, candidates, fit_all, split
+from needleplan.identification.trials import trials_by_role
+from needleplan.models import Fit, fit
+from needleplan.models.friction import Friction
+from needleplan.models.friction.periodic import steady
+from needleplan.models.residuals import residual_findings
+from needleplan.signals import Array, Record, cycles
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["identify", "traded"]
+
+_TRADED = 0.95
+"""Share of the variance of sigma2 that mu_c and alpha explain, from which on they are said to trade off."""
+
+_SAME_RMSE = 0.1
+"""Relative change of the RMSE over lambda below which lambda is said to rest on little."""
+
+
+def identify(
+    records: Sequence[Record],
+    *,
+    thickness_mm: float = 76.0,
+    skip_cycles: int = 1,
+    phases: Sequence[str] = (),
+    exponents: Sequence[float] = EXPONENTS,
+    models: Sequence[str] = (),
+    smooth: Callable[[Array], Array] | None = None,
+) -> Identification:
+    """Fit the friction models to records of a needle that moves in tissue, and choose by Schwarz' criterion.
+
+    Columns: time_s, depth_mm, force_n, and velocity_mm_s where measured. A needle that passes through tissue of
+    `thickness_mm` has a constant patch. The first `skip_cycles` cycles do not count. Trials with the role holdout
+    judge; without any, the last cycle does, and the chosen model is fitted once more to everything. `models` keeps
+    only those of "Karnopp", "I", "II", "II, Fn(L)", "III-A", "III-B". `smooth` is what the sensor did to the force,
+    such as `MovingAverage(5).centred`; without it reversals seem rounder than they are, and the bristles softer. Raises
+    DataError for records that cannot be used.
+    """
+    trials = trials_by_role(records)
+    train, holdout, remarks = trials.train, trials.holdout, list(trials.remarks)
+    mask: Mask = partial(steady, skip_cycles=_skipped(train, skip_cycles, remarks), phases=phases)
+    chosen = candidates(train, exponents, models=models, thickness_mm=thickness_mm, reference_mm=thickness_mm)
+    if not chosen:
+        rule = "names no model: Karnopp, I, II, III-B, and where the length varies, II, Fn(L) and III-A"
+        raise DataError(Mistake("models", ", ".join(models), rule))
+    if holdout:
+        scores = fit_all(chosen, train, mask, holdout, partial(steady, skip_cycles=0), smooth)
+        final = scores[0].fit
+    else:
+        before, last = split(mask)
+        if not all(before(record).any() for record in train):
+            remarks.append("one cycle alone: it is fitted and scored, and nothing is held out")
+            before = last = mask
+        scores = fit_all(chosen, train, before, train, last, smooth)
+        final = fit(scores[0].fit.model, train, free=scores[0].candidate.free, mask=mask, smooth=smooth)
+    remarks += [_patch(train, final, thickness_mm), *_limits(scores, final)]
+    return Identification(
+        "friction", final.model if final.ok else None, dict(final.estimates),
+        tuple(_scores(scores, final)), (*_findings(scores), *residual_findings(final, train)), tuple(remarks),
+        partial(_draw, train=train, scores=scores, mask=mask),
+    )  # fmt: skip
+
+
+def _skipped(train: Sequence[Record], skip_cycles: int, remarks: list[str]) -> int:
+    """Return how many cycles to skip: fewer where the shortest trial does not have as many."""
+    fewest = min(int(cycles(record.motion()).max()) for record in train)
+    if fewest >= skip_cycles:
+        return skip_cycles
+    remarks.append(f"the shortest trial has {fewest + 1} cycles: {fewest} instead of {skip_cycles} are skipped")
+    return fewest
+
+
+def _patch(train: Sequence[Record], final: Fit, thickness_mm: float) -> str:
+    """Return what was taken for the patch: the numbers depend on it."""
+    assert isinstance(final.model, Friction)
+    lengths = np.concatenate([final.model.inserted_mm(record.motion()) for record in train])
+    return (
+        f"the tissue was taken as {thickness_mm:g} mm thick, with a normal force of 1 N there; inserted were "
+        f"{lengths.min():.0f} to {lengths.max():.0f} mm"
+    )
+
+
+def _scores(scores: Sequence[Score], final: Fit) -> list[tuple[str, float, str]]:
+    rows: list[tuple[str, float, str]] = [("RMSE of the model", final.rmse, "N"), ("samples", final.samples, "")]
+    rows.append(("samples that do not count", final.masked, ""))
+    for each in scores:
+        rows += [
+            (f"{each.candidate.label}: RMSE", each.fit.rmse, "N"),
+            (f"{each.candidate.label}: RMSE held out", each.held_out_rmse_n, "N"),
+            (f"{each.candidate.label}: criterion above the best", each.bic - scores[0].bic, ""),
+        ]
+    return rows
+
+
+def _findings(scores: Sequence[Score]) -> list[Finding]:
+    best = scores[0]
+    held = min(scores, key=lambda each: (math.isnan(each.held_out_rmse_n), each.held_out_rmse_n))
+    same = held.candidate.label == best.candidate.label
+    says = f"Schwarz' criterion chooses {best.candidate.label}, the held-out error " + (
+        "as well" if same else f"{held.candidate.label}: {1e3 * held.held_out_rmse_n:.1f} mN"
+    )
+    findings = [Finding("choice of the model", best.held_out_rmse_n, None, says)]
+    if len(scores) > 1:
+        gap = scores[1].bic - best.bic
+        strength = "decisive" if gap > 10 else "weak" if gap > 2 else "none"
+        says = f"evidence against {scores[1].candidate.label}, the next best: {strength}"
+        findings.append(Finding("gap to the next best", gap, None, says))
+    return findings
+
+
+def _limits(scores: Sequence[Score], final: Fit) -> list[str]:
+    """Return sentences about what the data cannot tell."""
+    remarks = [
+        f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
+        for name, each in final.estimates.items()
+        if not each.identified
+    ]
+    if not final.ok:
+        remarks.append(f"the fit of {scores[0].candidate.label} ended with: {final.status}")
+    share = traded(final)
+    if share > _TRADED:
+        remarks.append(
+            f"sigma2 and (mu_c, alpha) trade off: the last two explain {100 * share:.0f} % of the variance of sigma2; "
+            "a higher top speed would separate them"
+        )
+    averaged = [each for each in scores if hasattr(each.candidate.model, "exponent")]
+    if len(averaged) > 1:
+        errors = [each.fit.rmse for each in averaged]
+        slopes = [each.fit.estimates["mu_c"].value for each in averaged]
+        if max(errors) < (1 + _SAME_RMSE) * min(errors):
+            remarks.append(
+                f"lambda rests on little: over the values tried the RMSE goes from {1e3 * min(errors):.1f} to "
+                f"{1e3 * max(errors):.1f} mN, and mu_c from {min(slopes):.2g} to {max(slopes):.2g}"
+            )
+    return remarks
+
+
+def traded(found: Fit) -> float:
+    """Return the share of the variance of sigma2 that mu_c and alpha explain; 0 where they were not fitted together."""
+    if not {"sigma2", "mu_c", "alpha"} <= set(found.free):
+        return 0.0
+    rows = [found.free.index(name) for name in ("sigma2", "mu_c", "alpha")]
+    covariance = found.covariance[np.ix_(rows, rows)]
+    if not np.isfinite(covariance).all() or covariance[0, 0] <= 0:
+        return 1.0
+    scale = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(scale, scale)
+    cross = correlation[0, 1:]
+    return float(np.clip(cross @ np.linalg.pinv(correlation[1:, 1:]) @ cross, 0, 1))
+
+
+def _draw(figure: Figure, train: Sequence[Record], scores: Sequence[Score], mask: Mask) -> None:
+    draw_friction(figure, train, scores, mask)

@@ -1,0 +1,160 @@
+"""From insertions to the part of a scenario that they identify: the needle, and the tip noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.errors import DataError, Mistake
+from needleplan.estimation import (
+    Curvature,
+    TipNoise,
+    agreement,
+    fit_circle,
+    headings_at,
+    path_curvature,
+    tip_noise,
+)
+from needleplan.identification.curvature import insertion_of
+from needleplan.models import arc_step
+from needleplan.scenario import Scenario
+from needleplan.signals import Array, Record, Role
+
+__all__ = ["Piece", "ScenarioPart", "scenario_part"]
+
+_MOST_WINDOWS = 6
+_POINTS_A_WINDOW = 4
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Curvature of a piece of the path, 1/mm, the mean of all insertions, with its 95 % interval.
+
+    `low_mm` is the x at which the piece begins.
+    """
+
+    curvature_per_mm: float
+    low_per_mm: float
+    high_per_mm: float
+    low_mm: float
+
+
+@dataclass(frozen=True)
+class ScenarioPart:
+    """A scenario with what insertions say about its needle and its tip noise, and where that came from.
+
+    `noise` is None for a single insertion, which says nothing about it.
+    """
+
+    scenario: Scenario
+    pieces: tuple[Piece, ...]
+    noise: TipNoise | None
+    remarks: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """Return the tables [needle], [[needle.layer]] and [motion] of the scenario file."""
+        tables = self.scenario.to_toml().strip().split("\n\n")
+        wanted = ("[needle]", "[[needle.layer]]", "[motion]")
+        return "\n\n".join(each for each in tables if each.startswith(wanted)).splitlines()
+
+
+def scenario_part(
+    records: Sequence[Record], scenario: Scenario, *, layers: int = 1, plane: str = "xy", skip_mm: float = 0.0
+) -> ScenarioPart:
+    """Return the scenario with the curvature and the heading scatter of repeated insertions without rotation.
+
+    `records`, `plane` and `skip_mm` are those of `curvature.identify`; x along the insertion, from the entry, which the
+    scenario has at x = 0. With more than one of `layers` the range of x that all insertions have is cut into as many
+    equal parts, each with a radius of its own; the last one holds from there on. The noise is that of the scenario's
+    headings at the radius of the whole path. Raises DataError for records that cannot be used and where a part of the
+    path may be straight, ScenarioError where the scenario cannot take the numbers.
+    """
+    used = [record for record in records if record.role is not Role.NOISE]
+    if not used:
+        raise DataError(Mistake("role", "", "there is no trial to identify from"))
+    insertions = [insertion_of(record, segments=1, plane=plane, skip_mm=skip_mm) for record in used]
+    paths = [each.points_mm for each in insertions]
+    if not 1 <= layers <= 10:
+        raise DataError(Mistake("layers", f"{layers}", "must be 1 to 10"))
+    low, high = max(path[:, 0].min() for path in paths), min(path[:, 0].max() for path in paths)
+    if low >= high:
+        raise DataError(Mistake("x_mm", "", "the insertions have no common range of depth"))
+    whole = _mean([each.whole for each in insertions], 0.0)
+    edges = np.linspace(low, high, layers + 1)[1:-1]
+    pieces = _pieces(paths, edges) if layers > 1 else (whole,)
+    changed = scenario.with_curvature(pieces)
+    remarks = ["the layers of the scenario were replaced"] if scenario.needle.layers else []
+    if scenario.tissues:
+        remarks.append("the radii of the tissues of the scenario stay what they were")
+    noise = _noise(used, paths, (low, high), scenario, 1 / abs(whole.curvature_per_mm))
+    if noise is None:
+        remarks.append("one insertion says nothing about the tip noise, which stays that of the scenario")
+    elif noise.ok:
+        changed = changed.with_tip_noise(noise.probabilities)
+        remarks.append(f"tip noise: {noise.says}")
+    else:
+        remarks.append(f"tip noise: {noise.says}; it stays that of the scenario")
+    return ScenarioPart(changed, pieces, noise, tuple(remarks))
+
+
+def _pieces(paths: Sequence[Array], edges_mm: Array) -> tuple[Piece, ...]:
+    """Return the pieces between edges in x."""
+    found = [path_curvature(path, _along(path, edges_mm))[0] for path in paths]
+    starts = [0.0, *edges_mm.tolist()]
+    return tuple(_mean(each, start) for each, start in zip(zip(*found, strict=True), starts, strict=True))
+
+
+def _mean(trials: Sequence[Curvature], low_mm: float) -> Piece:
+    """Return the mean of a piece over trials. Raises DataError where it may be straight."""
+    if len(trials) == 1:
+        only = trials[0]
+        piece = Piece(only.curvature_per_mm, only.low_per_mm, only.high_per_mm, low_mm)
+    else:
+        together = agreement(trials)
+        piece = Piece(together.mean_per_mm, together.low_per_mm, together.high_per_mm, low_mm)
+    if piece.low_per_mm <= 0 <= piece.high_per_mm:
+        value = f"{piece.low_per_mm:.3g} to {piece.high_per_mm:.3g} from x = {low_mm:.4g} mm on"
+        rule = "contains a straight path, and a plan needs a radius; take fewer layers, or longer insertions"
+        raise DataError(Mistake("curvature_per_mm", value, rule))
+    return piece
+
+
+def _along(path: Array, x_mm: Array) -> list[float]:
+    """Return how far along its circle from its first point a path has come at places x."""
+    circle = fit_circle(path)
+    reach = np.hypot(*np.ptp(path, axis=0))
+    distance = np.linspace(-2 * reach, 2 * reach, 4001)
+    x, _, heading = arc_step(*circle.point_mm, circle.heading_rad, circle.curvature_per_mm, distance)
+    forward = np.abs(heading) < np.pi / 2
+    at = np.interp([path[:, 0].min(), *x_mm], x[forward], distance[forward])
+    return [float(each) for each in at[1:] - at[0]]
+
+
+def _noise(
+    records: Sequence[Record],
+    paths: Sequence[Array],
+    ends_mm: tuple[float, float],
+    scenario: Scenario,
+    radius_mm: float,
+) -> TipNoise | None:
+    if len(paths) < 2:
+        return None
+    tracked = [
+        Record({"time_s": np.arange(len(path), dtype=float), "x_mm": path[:, 0], "y_mm": path[:, 1]}, record.trial)
+        for record, path in zip(records, paths, strict=True)
+    ]
+    edges = np.linspace(*ends_mm, _windows(paths, ends_mm) + 1)
+    middles, width = (edges[1:] + edges[:-1]) / 2, float(edges[1] - edges[0]) * (1 - 1e-9)
+    headings, sd = headings_at(tracked, middles, width)
+    return tip_noise(headings, middles, headings=scenario.motion.headings, radius_mm=radius_mm, measurement_sd_rad=sd)
+
+
+def _windows(paths: Sequence[Array], ends_mm: tuple[float, float]) -> int:
+    """Return in how many windows all paths have enough points for a heading, at least two."""
+    for windows in range(_MOST_WINDOWS, 2, -1):
+        counts = [np.histogram(path[:, 0], windows, ends_mm)[0].min() for path in paths]
+        if min(counts) > _POINTS_A_WINDOW:
+            return windows
+    return 2

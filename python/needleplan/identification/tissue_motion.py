@@ -1,0 +1,236 @@
+"""Tissue motion from a record of force: the slow observer of chapter 4, and the spring and damper instead of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import stats
+
+from needleplan.errors import DataError, Mistake
+from needleplan.identification.identification import Finding, Identification
+from needleplan.identification.tissue_figure import draw_tissue_motion
+from needleplan.identification.trials import averaged, trials_by_role
+from needleplan.models import Fit, LumpedLuGre, LumpedOnTissue, fit, residual_findings, simulate
+from needleplan.models.tissue import SlowObserver, TuningStatus, fit_on_tissue, lag_with_sd, tune_slow_observer
+from needleplan.signals import (
+    Array,
+    MovingAverage,
+    Record,
+    VelocityMethod,
+    dominant_frequency_hz,
+    lag_rad,
+    sine_at,
+    velocity_without_delay,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Excitation", "identify"]
+
+_LATE_S = 0.01
+"""Delay of a velocity column from which on it is said to be late."""
+
+_FEWEST = 15
+"""Samples that a velocity without delay needs."""
+
+_SAME = 1.25
+"""Amplitudes or frequencies that differ by less than this factor count as one."""
+
+_NEEDED = 0.05
+"""Share of the RMSE that tissue has to explain to be worth its two parameters."""
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """The sine of a record's motion."""
+
+    frequency_hz: float
+    amplitude_mm: float
+
+    @classmethod
+    def of(cls, record: Record) -> Excitation:
+        """Return the dominant sine of the depth. Raises DataError where it does not change."""
+        frequency = dominant_frequency_hz(record["time_s"], record["depth_mm"])
+        return cls(frequency, sine_at(frequency, record["time_s"], record["depth_mm"]).amplitude)
+
+
+def identify(
+    records: Sequence[Record], *, average: int = 5, starts: int = 2, marker: str | None = None
+) -> Identification:
+    """Identify lag, slow observer, stiffness and damping of tissue around a needle that swings in it.
+
+    Columns: time_s, depth_mm, force_n. The velocity is made from the depth, whose delay is none; a column velocity_mm_s
+    is only compared with it. `average` is the number of samples that the force sensor averages (the thesis: 5),
+    `starts` the number of starts of the fit, `marker` a column with the displacement of a sensor in the tissue along
+    the needle (mm), whose lag is then reported too. Trials with the role holdout judge. Raises DataError for records
+    that cannot be used.
+    """
+    trials = trials_by_role(records)
+    remarks = list(trials.remarks)
+    train, holdout = ([_prepared(each, remarks) for each in some] for some in (trials.train, trials.holdout))
+    excitations = [Excitation.of(each) for each in train]
+    largest = int(np.argmax([each.amplitude_mm * each.frequency_hz for each in excitations]))
+    record, excitation = train[largest], excitations[largest]
+
+    tuned = _tuned(record)
+    found = fit_on_tissue(train, average=average, starts=starts)
+    model = found.model
+    assert isinstance(model, LumpedOnTissue)
+    rigid = _rigid(train, model, average)
+    lag, lag_sd = lag_with_sd(found, record, excitation.frequency_hz)
+    scores = [
+        ("frequency of the motion", excitation.frequency_hz, "Hz"),
+        ("amplitude of the motion", excitation.amplitude_mm, "mm"),
+        ("lag, fitted tissue", float(np.degrees(lag)), "deg"),
+        ("lag, fitted tissue, standard deviation", float(np.degrees(lag_sd)), "deg"),
+        *_observed(tuned, excitation),
+        ("RMSE, friction on tissue", found.rmse, "N"),
+        ("RMSE, friction on rigid tissue", rigid.rmse, "N"),
+        *((f"RMSE on {each.trial or 'held-out trial'}", _rmse(model, each, average), "N") for each in holdout),
+        *_marked(record, excitation, marker),
+    ]
+    findings = [
+        _agreement(tuned, excitation, lag, lag_sd),
+        _moves(found, rigid),
+        *residual_findings(found, train),
+    ]
+    remarks += [*_limits(found, tuned, excitations), averaged(average)]
+    return Identification(
+        "tissue-motion", model if found.ok else None, dict(found.estimates), tuple(scores), tuple(findings),
+        tuple(remarks), partial(_draw, record=record, model=model, tuned=tuned, average=average),
+    )  # fmt: skip
+
+
+def _tuned(record: Record) -> SlowObserver:
+    try:
+        return tune_slow_observer(record["time_s"], record["depth_mm"], record["force_n"])
+    except DataError as error:
+        raise DataError(error.mistakes, record.trial) from None
+
+
+def _prepared(record: Record, remarks: list[str]) -> Record:
+    """Return the record with a velocity that is not late, and say what was found."""
+    time, depth, trial = record["time_s"], record["depth_mm"], record.trial or "the record"
+    if not np.ptp(depth) > 0:
+        raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest identifies nothing"), record.trial)
+    if not np.isfinite(record["force_n"]).all():
+        raise DataError(Mistake("force_n", "", "must be finite numbers: the tuning filters it"), record.trial)
+    if len(record) < _FEWEST:
+        rule = f"too short: at least {_FEWEST} are needed"
+        raise DataError(Mistake("depth_mm", f"{len(record)} samples", rule), record.trial)
+    made = velocity_without_delay(time, depth)
+    given = record.columns.get("velocity_mm_s")
+    if given is not None and np.isfinite(given).all():
+        frequency = dominant_frequency_hz(time, depth)
+        late = lag_rad(frequency, time, given, made.velocity_mm_s) / (2 * np.pi * frequency)
+        if abs(late) > _LATE_S:
+            remarks.append(f"{trial}: velocity_mm_s is {late:.3f} s later than the depth says; it is not used")
+    if made.method is VelocityMethod.SMOOTHER:
+        remarks.append(f"{trial}: the depth has {made.noise_mm:.2g} mm of noise, as of a tracker, or uneven times")
+    return record.with_column("velocity_mm_s", made.velocity_mm_s)
+
+
+def _rigid(train: Sequence[Record], model: LumpedOnTissue, average: int) -> Fit:
+    """Fit the same friction to tissue that does not move."""
+    start = LumpedLuGre(
+        sigma0=model.sigma0,
+        sigma1=model.sigma1,
+        sigma2=model.sigma2,
+        mu_c=model.mu_c,
+        mu_s=model.mu_s,
+        alpha=model.alpha,
+    )
+    return fit(start, train, smooth=MovingAverage(average).apply)
+
+
+def _rmse(model: LumpedOnTissue, record: Record, average: int) -> float:
+    simulated = MovingAverage(average).apply(simulate(model, record.motion()).output)
+    return float(np.sqrt(np.nanmean((record["force_n"] - simulated) ** 2)))
+
+
+def _observed(tuned: SlowObserver, excitation: Excitation) -> list[tuple[str, float, str]]:
+    if tuned.projection is None or tuned.alpha1 is None:
+        return []
+    lag = float(np.degrees(tuned.projection.lag_rad(excitation.frequency_hz)))
+    lost = 100 * float(tuned.projection.attenuation(excitation.frequency_hz))
+    return [
+        ("alpha1 of the slow observer", tuned.alpha1, "1/s"),
+        ("lag, slow observer", lag, "deg"),
+        ("attenuation, slow observer", lost, "%"),
+    ]
+
+
+def _marked(record: Record, excitation: Excitation, marker: str | None) -> list[tuple[str, float, str]]:
+    """Return the lag of needle minus marker, as the thesis has it from its sensors in the tissue."""
+    if marker is None:
+        return []
+    seen = np.isfinite(record[marker])
+    time, velocity = record["time_s"][seen], record["velocity_mm_s"][seen]
+    relative: Array = velocity - velocity_without_delay(time, record[marker][seen]).velocity_mm_s
+    lag = lag_rad(excitation.frequency_hz, time, relative, velocity)
+    return [(f"lag, marker {marker}", float(np.degrees(lag)), "deg")]
+
+
+def _agreement(tuned: SlowObserver, excitation: Excitation, lag: float, lag_sd: float) -> Finding:
+    """Return whether observer and tissue tell the same lag."""
+    name = "slow observer against fitted tissue"
+    fitted = f"the fitted tissue lags by {np.degrees(lag):.2f} +- {1.96 * np.degrees(lag_sd):.2f} deg"
+    if tuned.projection is None:
+        words = {
+            TuningStatus.NO_COMPENSATION: "no slow observer closes the loop",
+            TuningStatus.TOO_FEW_CROSSINGS: "the force does not cross zero both ways",
+        }
+        return Finding(name, float("nan"), None, f"{words[tuned.status]}; {fitted}")
+    observed = float(tuned.projection.lag_rad(excitation.frequency_hz))
+    sd = float(np.hypot(lag_sd, tuned.lag_sd_rad(excitation.frequency_hz)))
+    if not np.isfinite(sd):
+        untested = "too few zeros of the force, or tissue that is not identified: whether they agree cannot be tested"
+        says = f"the observer lags by {np.degrees(observed):.2f} deg, {fitted}; {untested}"
+        return Finding(name, float("nan"), None, says)
+    score = (observed - lag) / sd if sd > 0 else float("inf")
+    p_value = float(2 * stats.norm.sf(abs(score)))
+    apart = "they disagree: to the observer dry friction is a delay too, and damping of the bristles an advance"
+    verdict = "they agree" if p_value > 0.05 else apart
+    return Finding(name, score, p_value, f"the observer lags by {np.degrees(observed):.2f} deg, {fitted}; {verdict}")
+
+
+def _moves(found: Fit, rigid: Fit) -> Finding:
+    """Return whether tissue that moves explains more than tissue that does not."""
+    gain = 1 - found.rmse / rigid.rmse if rigid.rmse > 0 else 0.0
+    says = f"letting the tissue move takes the RMSE from {1e3 * rigid.rmse:.1f} to {1e3 * found.rmse:.1f} mN"
+    if gain < _NEEDED:
+        says += ": the data hardly need it, and stiffness is at best bounded from below"
+    return Finding("does the tissue move", gain, None, says)
+
+
+def _limits(found: Fit, tuned: SlowObserver, excitations: Sequence[Excitation]) -> list[str]:
+    """Return sentences about what these records cannot tell, and what would."""
+    remarks = [
+        f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
+        for name, each in found.estimates.items()
+        if not each.identified
+    ]
+    if not found.ok:
+        remarks.append(f"the fit ended with: {found.status}")
+    amplitudes = [each.amplitude_mm for each in excitations]
+    frequencies = [each.frequency_hz for each in excitations]
+    if max(amplitudes) < _SAME * min(amplitudes) and max(frequencies) < _SAME * min(frequencies):
+        bristles = {name: found.estimates[name] for name in ("sigma0", "sigma1") if name in found.estimates}
+        known = ", ".join(f"{name} to {100 * each.sd / each.value:.0f} %" for name, each in bristles.items())
+        remarks.append(
+            f"one amplitude and one frequency ({amplitudes[0]:.0f} mm, {frequencies[0]:.2g} Hz): compliance of the "
+            f"tissue, bending of the bristles ({known}) and delays of sensors open the same loop; a second amplitude "
+            "(10 mm), a second frequency, or a marker in the tissue separates them"
+        )
+    if tuned.status is TuningStatus.NO_COMPENSATION:
+        remarks.append("no slow observer: the tissue is too stiff for one, or the force is early")
+    return remarks
+
+
+def _draw(figure: Figure, record: Record, model: LumpedOnTissue, tuned: SlowObserver, average: int) -> None:
+    draw_tissue_motion(figure, record, model, tuned.projection, average)

@@ -1,0 +1,64 @@
+"""What `needleplan diagnose` reads and writes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from needleplan.artifacts import write_whole
+from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
+from needleplan.diagnosis.document import document_of
+from needleplan.diagnosis.next_motion import next_motion
+from needleplan.errors import Mistake, OutputError
+from needleplan.models import ModelFile, Parent
+from needleplan.models.effects import effects_of
+from needleplan.recording import read_records
+from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
+from needleplan.reports.diagnosis.report import report_of
+
+__all__ = ["diagnose_files", "write_folder"]
+
+
+def diagnose_files(
+    model: str, data: Sequence[str], *, accept_units: bool = False, seed: int = 0
+) -> tuple[Diagnosis, ModelFile, Library]:
+    """Diagnose a model file with data files; the library keeps what a report needs. Raises ModelError and DataError."""
+    file = ModelFile.read(model)
+    records = read_records(list(data), accept_units=accept_units)
+    library = Library(effects_of(file.model.channel), file.model)
+    return diagnose(file.model, records, library=library, seed=seed), file, library
+
+
+def write_folder(
+    found: Diagnosis, file: ModelFile, library: Library, folder: str, *, merge_anyway: bool = False
+) -> tuple[str, ...]:
+    """Write `diagnosis.json` and `report.html`, and return what was written.
+
+    Besides `model.toml`, where an effect was named or `merge_anyway`, and `next_motion.toml`, where effects are left
+    between which another trial would decide, and `effect_to_name.py`, where a gap has no name. Raises OutputError.
+    """
+    place = Path(folder)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(Mistake("", "", f"cannot be made: {error.strerror}"), folder) from error
+    written = [place / "diagnosis.json", place / "report.html"]
+    next_ = next_motion(found)
+    document = document_of(found) | {"next_motion": next_motion_document(next_) if next_ else None}
+    write_whole(written[0], (json.dumps(document, indent=1) + "\n").encode())
+    write_whole(written[1], report_of(found, file, library, next_).encode())
+    if next_:
+        written.append(place / "next_motion.toml")
+        write_whole(written[-1], motion_text(next_, found.base).encode())
+    if found.verdict is Verdict.NAMED or (merge_anyway and found.effects):
+        model = found.merged(anyway=merge_anyway)
+        digests = {each.trial: each.digest for each in (*found.checked.training, *found.checked.held_out)}
+        parents = (Parent("base", file.digest), *(Parent(name, digest) for name, digest in digests.items()))
+        remark = f"verdict of the diagnosis {found.digest}: {found.verdict}"
+        written.append(place / "model.toml")
+        ModelFile(model, found.estimates(), parents, (*file.remarks, remark), file.title).write(written[-1])
+    if found.described:
+        written.append(place / "effect_to_name.py")
+        write_whole(written[-1], found.described.effect_file().encode())
+    return tuple(map(str, written))

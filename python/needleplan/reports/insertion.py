@@ -1,0 +1,69 @@
+"""An insertion as a figure: the path that was planned and the one that was taken, how far they are apart, the force."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.control import Report
+from needleplan.planning import Action, PolicyTable
+from needleplan.planning.drawing.scene import draw_scene
+from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, title
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["insertion_figure"]
+
+_FLAT = 2.2
+
+
+def insertion_figure(
+    table: PolicyTable, report: Report, true_tip_mm: tuple[float, float, float] | None = None
+) -> Figure:
+    """Return the figure; `table` is the first one of the run, `true_tip_mm` where the tip ended, if somebody knows."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({"font.size": 9, "axes.linewidth": 0.8, "svg.fonttype": "none", "pdf.fonttype": 42}):
+        workspace = table.scenario.workspace
+        if workspace.width_mm > _FLAT * workspace.height_mm:
+            figure = Figure(figsize=(9.5, 5.4), layout="constrained")
+            grid = figure.add_gridspec(2, 2)
+            places = (grid[0, :], grid[1, 0], grid[1, 1])
+        else:
+            figure = Figure(figsize=(10.5, 4.8), layout="constrained")
+            grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1))
+            places = (grid[:, 0], grid[0, 1], grid[1, 1])
+        scene, apart, force = (figure.add_subplot(place) for place in places)
+    draw_scene(scene, table.scenario)
+    if len(report.planned_mm):
+        scene.plot(*report.planned_mm.T, color=GREY, linestyle="--", linewidth=1.3, zorder=4, label="planned")
+    scene.plot(*report.executed_mm[:, :2].T, color=BLUE, linewidth=1.6, zorder=5, label="executed (estimated tip)")
+    turns = np.array([step.pose[:2] for step in report.steps if step.action is Action.ROTATE]).reshape(-1, 2)
+    scene.plot(*turns.T, linestyle="none", marker="o", markersize=5, markerfacecolor="white", markeredgecolor=GREEN,
+               markeredgewidth=1.4, zorder=7, label=f"turns ({report.turns})")  # fmt: skip
+    if true_tip_mm is not None:
+        scene.plot(*true_tip_mm[:2], linestyle="none", marker="x", color=VERMILLION, markersize=7, zorder=8,
+                   label="true tip at the end")  # fmt: skip
+    title(scene, f"{table.scenario.title or 'insertion'}: {report.ending}, {report.error_mm:.2f} mm from the centre")
+    figure.legend(*scene.get_legend_handles_labels(), loc="outside lower left", ncols=4, frameon=False)
+    along = report.path_mm
+    if len(report.deviations_mm):
+        apart.plot(along, report.deviations_mm, color=BLUE, linewidth=1.0, label="from the planned path")
+    apart.plot(along, np.abs(report.executed_mm[:, 2]), color=ORANGE, linewidth=1.0, label="out of the plane")
+    apart.set_ylabel("distance (mm)")
+    title(apart, "deviation")
+    apart.legend(frameon=False)
+    force.plot(*report.forces.T, color=BLACK, linewidth=0.7)
+    force.set_ylabel("axial force (N)")
+    title(force, f"force, at most {report.largest_force_n:.2f} N")
+    for axes in (apart, force):
+        axes.set_xlabel("length of the path (mm)")
+        axes.set_xlim(min(float(along.min(initial=0.0)), 0.0), max(float(along.max(initial=1.0)), 1.0))
+        axes.spines[["top", "right"]].set_visible(False)
+    for event in report.events:
+        if event.digest and event.step < len(report.steps) and event.step:
+            apart.axvline(report.steps[event.step].path_mm, color=GREY, linewidth=0.7, linestyle=":")
+    return figure

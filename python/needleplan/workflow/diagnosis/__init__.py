@@ -1,5 +1,0 @@
-"""The discrepancy workflow on files: model and data in, a folder with the diagnosis out."""
-
-from needleplan.workflow.diagnosis.folder import diagnose_files, write_folder
-
-__all__ = ["diagnose_files", "write_folder"]

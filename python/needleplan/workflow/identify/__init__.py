@@ -1,5 +1,0 @@
-"""Identification of models from data files, one file a kind."""
-
-from needleplan.workflow.identify.identification import Finding, Identification
-
-__all__ = ["Finding", "Identification"]

@@ -1,0 +1,37 @@
+"""Everything of chapter 2, in the order of the chapter."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from needleplan_thesis.chapter2.bank_table import tables_2_1_and_2_2
+from needleplan_thesis.chapter2.forward import forward
+from needleplan_thesis.chapter2.loops import loops, robust_starts, table_2_3_and_loops
+from needleplan_thesis.chapter2.panels import draw_all
+from needleplan_thesis.reproduce import Effort
+
+if TYPE_CHECKING:
+    from needleplan.reports.comparison import Comparison
+    from needleplan_thesis.reproduce import Request
+
+__all__ = ["run"]
+
+_STARTS = {Effort.QUICK: 2, Effort.DEFAULT: 8, Effort.FULL: 32}
+_ROBUST = {Effort.QUICK: 0, Effort.DEFAULT: 2, Effort.FULL: 32}
+
+
+def run(request: Request) -> list[Comparison]:
+    """Reproduce the chapter; figures where there is a folder."""
+    comparisons = forward()
+    request.note("chapter 2: the bank of filters as published")
+    comparisons += tables_2_1_and_2_2(_STARTS[request.effort])
+    request.note("chapter 2: identification of the five combinations")
+    made = loops()
+    comparisons += table_2_3_and_loops(made)
+    if count := _ROBUST[request.effort]:
+        request.note("chapter 2: starts that are far off")
+        comparisons += robust_starts(count)
+    if request.folder:
+        request.note("chapter 2: figures")
+        draw_all(made, request.folder)
+    return comparisons

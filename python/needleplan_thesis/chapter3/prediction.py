@@ -1,0 +1,158 @@
+"""Table 3.6 and Fig. 3.6: friction predicted with the tip inside of the tissue, and the cutting force that is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleplan.models import AveragedLuGre, Model, Profile, cutting_force, into_fresh_tissue, simulate
+from needleplan.models.friction import Friction
+from needleplan.models.friction.published import CASES, NEEDLE_MASS_KG, model_i, model_ii, model_iii_b
+from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.signals import Array, Motion, Record, Start, sinusoid
+from needleplan_thesis.chapter3.generator import NOISE_N, Generator, generated, recorded
+from needleplan_thesis.chapter3.insertion_figure import draw_prediction
+from needleplan_thesis.chapter3.published import TABLE_3_6
+
+__all__ = ["Insertion", "inside", "prediction", "predictors"]
+
+_MIDDLE_MM, _AMPLITUDE_MM = 38.0, 25.0
+_CUTTING_N, _CUTTING_PER_MM_S = 0.10, 0.01
+_MINOR_N, _MINOR_PER_S, _MINOR_S = 0.06, 0.15, 1.0
+_BUBBLES, _BUBBLE_N, _BUBBLE_MM = 20, 0.05, 1.5
+
+_HIDDEN = (
+    "data from III-B with the inserted length, and effects that no friction model has: cutting (excluded), minor "
+    "cutting, air bubbles, noise; their sizes are ours"
+)
+_FROZEN = "the printed errors come about with Fn frozen at the length in the middle of the stroke, which the text omits"
+_CASES = "cases 1 and 2 are needles A and B in tissue A, as Fig. 3.6 and Table 3.1 have it, not tissues A and B"
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """One record of Fig. 3.6: what was measured, what of it was friction and cutting, and where major cutting was."""
+
+    case: int
+    profile: str
+    record: Record
+    friction_n: Array
+    cutting_n: Array
+    major: NDArray[np.bool_]
+
+    @property
+    def motion(self) -> Motion:
+        """The motion of the needle."""
+        return self.record.motion()
+
+    def error_mn(self, model: Model) -> float:
+        """Return the RMSE of a prediction (mN), major cutting excluded."""
+        error = self.record["force_n"] - simulate(model, self.motion).output
+        return 1e3 * float(np.sqrt(np.mean(error[~self.major] ** 2)))
+
+
+def inside(case: int, profile: str, hidden: bool = True, rate_hz: float = 200.0, seed: int = 0) -> Insertion:
+    """Return four cycles about the middle of the phantom, in first (`solid`) or out first (`dashed`).
+
+    Hidden effects: cutting of fresh tissue (0.10 N + 0.01 N s/mm v); minor cutting, 60 mN for 1 s at random on the way
+    in, 0.15 times a second; 20 air bubbles at fixed depths, +-50 mN (standard deviation) over 1.5 mm; 15 mN of noise.
+    """
+    motion = sinusoid(
+        offset_mm=_MIDDLE_MM, amplitude_mm=_AMPLITUDE_MM, frequency_hz=CASES[case].frequency_hz, rate_hz=rate_hz,
+        start=Start.MIDDLE, outward=profile == "dashed",
+    )  # fmt: skip
+    random = np.random.default_rng((seed, case, profile == "dashed"))
+    friction = generated(case, Generator.III_B, motion)
+    major = into_fresh_tissue(motion)
+    cutting, other = np.zeros(len(motion)), np.zeros(len(motion))
+    if hidden:
+        cutting = np.where(major, _CUTTING_N + _CUTTING_PER_MM_S * motion.velocity_mm_s, 0.0)
+        starts = random.random(len(motion)) < _MINOR_PER_S / rate_hz
+        minor = np.convolve(starts, np.ones(round(_MINOR_S * rate_hz)))[: len(motion)] > 0
+        cutting += np.where(minor & (motion.velocity_mm_s > 0) & ~major, _MINOR_N, 0.0)
+        places = random.uniform(0, _MIDDLE_MM + _AMPLITUDE_MM, _BUBBLES)
+        sizes = random.normal(0, _BUBBLE_N, _BUBBLES)
+        bumps = np.exp(-(((motion.depth_mm[:, None] - places) / _BUBBLE_MM) ** 2))
+        other = np.sign(motion.velocity_mm_s) * (bumps @ sizes)
+    record = recorded(motion, friction + cutting + other, seed, NOISE_N if hidden else 0.0)
+    return Insertion(case, profile, record, friction, cutting, major)
+
+
+def predictors(case: int) -> dict[str, Friction]:
+    """Return the models with the printed values: I and II with Fn frozen at the middle, as is, and with Fn(L); III."""
+    three = model_iii_b(case)
+    middle = Motion.sampled(np.arange(2.0), np.full(2, _MIDDLE_MM))
+    frozen = float(three.total_normal_force_n(middle)[0])
+    return {
+        "I": model_i(case).with_values(normal_force_n=frozen),
+        "II": model_ii(case).with_values(normal_force_n=frozen),
+        "III-A": AveragedLuGre(**{**vars(three), "profile": Profile.RIGHT}),
+        "III-B": three,
+        "I, Fn = 1 N": model_i(case),
+        "II, Fn = 1 N": model_ii(case),
+        "II, Fn(L)": type(model_ii(case))(**{**vars(model_ii(case)), "profile": Profile.ISOSCELES}),
+    }
+
+
+def prediction(folder: Path | None, note: Callable[[str], None], rate_hz: float) -> list[Comparison]:
+    """Compare Table 3.6, the same without hidden effects, and the cutting force; draw Fig. 3.6."""
+    note("friction: prediction with the tip inside")
+    rows, cutting, drawn = [], [], []
+    for profile, printed in TABLE_3_6.items():
+        for case in (1, 2):
+            insertion = inside(case, profile, rate_hz=rate_hz)
+            clean = inside(case, profile, hidden=False, rate_hz=rate_hz)
+            models = predictors(case)
+            ours = {label: insertion.error_mn(model) for label, model in models.items()}
+            bare = {label: clean.error_mn(model) for label, model in models.items()}
+            for label in models:
+                rows += _rows(profile, case, label, printed, ours[label], bare[label])
+            better = max(ours["III-A"], ours["III-B"]) < min(ours["I"], ours["II"])
+            rows.append(Comparison(
+                f"ch3/Table 3.6/{profile}, case {case}: both Models III better than I and II", "yes",
+                "yes" if better else "no", "", Verdict.REPRODUCED if better else Verdict.NOT_REPRODUCED,
+                "what helps is Fn(L): II with it is as good" if ours["II, Fn(L)"] < min(ours["I"], ours["II"]) else "",
+            ))  # fmt: skip
+            cutting.append(_cutting(insertion, models["III-B"]))
+            if case == 2:
+                drawn.append(insertion)
+    if folder:
+        models = predictors(2)
+        shown = {label: models[label] for label in ("II", "III-B", "III-A")}
+        draw_prediction(
+            [(each.profile, each.record, each.major) for each in drawn], shown,
+            folder / "fig_3_6_prediction.png",
+        )  # fmt: skip
+    return [*rows, *cutting]
+
+
+def _rows(
+    profile: str, case: int, label: str, printed: dict[str, tuple[float, float]], ours: float, bare: float
+) -> list[Comparison]:
+    """Return a cell of the table, and the same without hidden effects."""
+    identity = f"ch3/Table 3.6/{profile}, case {case}, {label}"
+    reason = f"{_HIDDEN}; {_CASES}"
+    plain = Comparison(f"{identity}, no hidden effects", None, bare, "mN", Verdict.OURS)
+    if label not in printed:
+        return [Comparison(identity, None, ours, "mN", Verdict.OURS, reason), plain]
+    if label in ("I", "II"):
+        reason = f"{_FROZEN}; {reason}"
+    return [measured(identity, printed[label][case - 1], ours, "mN", reason), plain]
+
+
+def _cutting(insertion: Insertion, friction: Friction) -> Comparison:
+    """Return how well measured - friction - inertia finds the cutting force that was put in."""
+    mass = NEEDLE_MASS_KG[CASES[insertion.case].needle]
+    parts = cutting_force(insertion.record, friction, mass)
+    error = (parts.cutting_n - insertion.cutting_n)[insertion.major]
+    size = insertion.cutting_n[insertion.major]
+    return Comparison(
+        f"ch3/section 3.4.2/error of the cutting force, {insertion.profile}, case {insertion.case}", None,
+        1e3 * float(np.sqrt(np.mean(error**2))), "mN", Verdict.OURS,
+        f"measured less friction (III-B) less inertia, where fresh tissue was cut with {1e3 * size.mean():.0f} mN on "
+        f"average; inertia at most {1e3 * np.abs(parts.inertia_n).max():.2f} mN; bubbles and noise remain",
+    )  # fmt: skip

@@ -1,0 +1,157 @@
+"""The observers by themselves: equations (4.1) to (4.3), Figure 4.6 and its numbers; no data are needed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import brentq
+
+from needleplan.plotting import save
+from needleplan.plotting.canvas import BLUE, GREEN, ORANGE, title
+from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.signals import FAST_ALPHA1, HighGainObserver, ObserverForm, Projection, sinusoid
+from needleplan_thesis.chapter4.published import AGAR, FAST, FREQUENCY_HZ, GELATIN, Tuned
+
+__all__ = ["draw_bode", "response"]
+
+_INTERVALS_S = (0.001, 0.005, 0.025)
+_EPSILON = 0.5
+_ALPHAS = (5.0, GELATIN.alpha1, AGAR.alpha1)
+
+
+def response() -> list[Comparison]:
+    """Return all that follows from the equations alone."""
+    return [
+        *_damping(),
+        *_equations(),
+        *(each for tuned in (GELATIN, AGAR) for each in _at_a_tenth_of_a_hertz(tuned)),
+        _monotone(),
+        *_inverse(),
+    ]
+
+
+def draw_bode(folder: Path) -> None:
+    """Draw Figure 4.6."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    magnitude, phase = figure.subplots(1, 2)
+    frequency = np.geomspace(0.01, 99.0, 500)
+    for alpha1, colour in zip(_ALPHAS, (ORANGE, BLUE, GREEN), strict=True):
+        gain = Projection.critically_damped(alpha1, 0.005).transfer.response(frequency)
+        label = f"alpha1 = {alpha1:g}"
+        magnitude.semilogx(frequency, 20 * np.log10(np.abs(gain)), color=colour, label=label)
+        phase.semilogx(frequency, np.degrees(np.angle(gain)), color=colour, label=label)
+    for axes, heading, unit in ((magnitude, "(a) magnitude", "|H| (dB)"), (phase, "(b) phase", "phase of H (deg)")):
+        axes.axvline(FREQUENCY_HZ, color="#8c8c8c", linewidth=0.8, linestyle=":")
+        axes.set_xlabel("frequency (Hz)")
+        axes.set_ylabel(unit)
+        title(axes, heading)
+    magnitude.annotate(
+        "0.1 Hz", (FREQUENCY_HZ, magnitude.get_ylim()[0]), (3, 4), textcoords="offset points", fontsize=8
+    )
+    magnitude.legend(frameon=False, fontsize=8)
+    save(figure, folder / "figure_4_6.png")
+
+
+def _damping() -> list[Comparison]:
+    rows = [("fast", *FAST), ("gelatin", GELATIN.alpha1, GELATIN.alpha2), ("agar", AGAR.alpha1, AGAR.alpha2)]
+    return [
+        Comparison(
+            f"ch4/section 4.3/alpha2 of the critically damped observer, {name}", alpha2,
+            HighGainObserver.critically_damped(alpha1, 0.005).alpha2, "1/s^2",
+            Verdict.REPRODUCED if alpha1**2 / 4 == alpha2 else Verdict.DIFFERS,
+        )
+        for name, alpha1, alpha2 in rows
+    ]  # fmt: skip
+
+
+def _equations() -> list[Comparison]:
+    depth = sinusoid(offset_mm=100, amplitude_mm=40, frequency_hz=FREQUENCY_HZ, cycles=1).depth_mm
+    frequency = np.geomspace(0.01, 50, 60)
+    rows = []
+    for epsilon in (1.0, _EPSILON):
+        right = HighGainObserver(*FAST, 0.005, epsilon)
+        printed = HighGainObserver(*FAST, 0.005, epsilon, ObserverForm.PRINTED)
+        gain, wrong = (each.transfer.response(frequency) for each in (right, printed))
+        apart = float(np.max(np.abs(wrong / gain - 1)))
+        recursion = float(np.max(np.abs(right.observe(depth) - right.transfer.apply(depth))))
+        rows.append(
+            Comparison(
+                f"ch4/equation 4.2/transfer function of the recursion, epsilon {epsilon:g}",
+                "(4.2) for any epsilon", f"(4.2) is off by up to {100 * apart:.2g} %; ours by {recursion:.1g} mm/s", "",
+                Verdict.REPRODUCED if apart < 1e-9 else Verdict.NOT_REPRODUCED,
+                "" if apart < 1e-9 else "(4.1) and (4.2) divide alpha2 by epsilon once; the observer needs it twice",
+            )
+        )  # fmt: skip
+    longest = HighGainObserver.critically_damped(FAST_ALPHA1, 0.005).longest_interval_s
+    rows.append(Comparison("ch4/equation 4.1/stable below", None, longest, "s", Verdict.OURS, "fast observer"))
+    return rows
+
+
+def _at_a_tenth_of_a_hertz(tuned: Tuned) -> list[Comparison]:
+    rows = []
+    name = f"ch4/figure 4.6/{tuned.phantom}"
+    for interval in _INTERVALS_S:
+        projection = Projection.critically_damped(tuned.alpha1, interval)
+        lost = 100 * float(projection.attenuation(FREQUENCY_HZ))
+        late = float(np.degrees(projection.lag_rad(FREQUENCY_HZ)))
+        at = f"{1e3 * interval:g} ms"
+        rows += [
+            measured(
+                f"{name}/attenuation at 0.1 Hz, {at}", tuned.attenuation_percent, round(lost, 3), "%",
+                "the sampling interval is not printed; 25 ms, that of the tracker, comes nearest",
+            ),
+            measured(
+                f"{name}/lag at 0.1 Hz, {at}", tuned.lag_deg, round(late, 3), "deg",
+                "no sampling interval gives the printed phase; 0.1005 to 0.1017 Hz instead of 0.1 Hz would",
+            ),
+        ]  # fmt: skip
+
+    def excess(interval: float) -> float:
+        return 100 * float(Projection.critically_damped(tuned.alpha1, interval).attenuation(FREQUENCY_HZ)) - (
+            tuned.attenuation_percent
+        )
+
+    implied = 1e3 * float(brentq(excess, 1e-3, 0.1))
+    why = "both attenuations agree on it; of the rates named, the 40 Hz of the tracker (25 ms) is nearest"
+    rows.append(Comparison(f"{name}/interval that the attenuation implies", None, implied, "ms", Verdict.OURS, why))
+    return rows
+
+
+def _monotone() -> Comparison:
+    alphas = np.arange(2.0, 40.0)
+    pairs = [Projection.critically_damped(each, 0.005) for each in alphas.tolist()]
+    lost = np.array([float(each.attenuation(FREQUENCY_HZ)) for each in pairs])
+    late = np.array([float(each.lag_rad(FREQUENCY_HZ)) for each in pairs])
+    holds = bool((np.diff(lost) < 0).all() and (np.diff(late) < 0).all())
+    ours = f"at each of {alphas.size} values" if holds else "no"
+    return Comparison(
+        "ch4/figure 4.6/a smaller alpha1 attenuates and delays more", "yes", ours, "",
+        Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED,
+    )  # fmt: skip
+
+
+def _inverse() -> list[Comparison]:
+    velocity = np.random.default_rng(4).normal(0, 10, 4000)
+    rows = []
+    for tuned in (GELATIN, AGAR):
+        projection = Projection.critically_damped(tuned.alpha1, 0.005)
+        back = projection.inverse.apply(projection.transfer.apply(velocity))
+        error = float(np.max(np.abs(back - velocity)))
+        causal = projection.transfer.minimum_phase
+        rows += [
+            Comparison(
+                f"ch4/equation 4.3/{tuned.phantom}/back to the fast velocity", "inverse z-transform",
+                f"causal and stable, round trip {error:.1g} mm/s", "",
+                Verdict.REPRODUCED if causal and error < 1e-8 else Verdict.NOT_REPRODUCED,
+                "a round trip says nothing of the friction model: the fast velocity is known",
+            ),
+            Comparison(
+                f"ch4/equation 4.3/{tuned.phantom}/gain of the inverse at Nyquist", None,
+                float(np.abs(projection.inverse.response(100.0))), "", Verdict.OURS,
+                "what noise in v_s is amplified by",
+            ),
+        ]  # fmt: skip
+    return rows

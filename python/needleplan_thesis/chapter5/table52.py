@@ -1,0 +1,192 @@
+"""Table 5.2: radii and errors, and whether they fit each other."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.signals import Array
+from needleplan_thesis.chapter5.published import CASES, END_MM, NEEDLE, NO_FORCE, Case
+from needleplan_thesis.chapter5.runs import (
+    MEMORY,
+    PRINTED,
+    Course,
+    coil_path,
+    depths_mm,
+    radius_mm,
+    required_force_n,
+    tip_force_n,
+)
+
+__all__ = ["arcs_apart_mm", "mean_offset_n", "memory_path", "missing_force_n", "table52"]
+
+_SECTION = "ch5/Table 5.2"
+_TRACKER_MM, _RATE_HZ = 0.1, 40.0
+
+
+def table52(step_mm: float) -> list[Comparison]:
+    """Compare radii, errors and percentages."""
+    return [
+        *(each for case in CASES for each in _radii(case, step_mm)),
+        *(_percentage(case, printed) for case, printed in zip(CASES, (None, None, 8.7, 18.72), strict=True)),
+        *(each for case in CASES for each in _errors(case)),
+        *_axial_balance(step_mm),
+        *_with_one_offset(step_mm),
+        *_velocity(),
+    ]
+
+
+def arcs_apart_mm(case: Case) -> tuple[float, float]:
+    """Return how far arcs of the two radii are apart at most: both tangent at the entry, and with the best offset."""
+    depth = np.linspace(0, END_MM, 801)
+    apart = _arc(case.estimated_mm, depth) - _arc(case.measured_mm, depth)
+    return float(np.abs(apart).max()), float(np.ptp(apart) / 2)
+
+
+def missing_force_n(case: Case, step_mm: float) -> float:
+    """Return what vf and the force that memory needs for the estimated radius leave of the greatest axial force."""
+    _, force = required_force_n(MEMORY, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm)
+    friction = case.tissue.friction_n_s_mm2 * case.velocity_mm_s * END_MM
+    return float((case.greatest_n or math.nan) - friction - force[-1] * math.sin(NEEDLE.bevel_angle_rad))
+
+
+def _radii(case: Case, step_mm: float) -> list[Comparison]:
+    depth = depths_mm(step_mm)
+    known = next(each for each in CASES if each.greatest_n and each.tissue == case.tissue)
+    end = tip_force_n(known.greatest_n or 0.0, known.tissue, known.velocity_mm_s, 0.0)
+    forces = np.stack([end * course.of(depth) for course in Course])
+    _, paths = coil_path(PRINTED, case.tissue, case.velocity_mm_s, forces, step_mm)
+    ours = [f"{radius_mm(depth, path):.0f} {course}" for course, path in zip(Course, paths, strict=True)]
+    why = f"{NO_FORCE}; ours end at Fc = {end:.3f} N, by the greatest axial force at 15 mm/s with F0 = 0"
+    return [
+        Comparison(
+            f"{_SECTION}/{case.name}/estimated radius", case.estimated_mm, ", ".join(ours), "mm", Verdict.IMPOSSIBLE,
+            f"{why}; negative: bent away from the push",
+        ),
+        Comparison(
+            f"{_SECTION}/{case.name}/measured radius", case.measured_mm, None, "mm", Verdict.IMPOSSIBLE,
+            "a measurement; the curve was not published as numbers",
+        ),
+    ]  # fmt: skip
+
+
+def _percentage(case: Case, printed: float | None) -> Comparison:
+    ours = round(case.error_percent, 2)
+    name = f"{_SECTION}/{case.name}/error of the radius"
+    if printed is None:
+        return Comparison(name, None, ours, "%", Verdict.OURS, "not printed; by the printed radii")
+    same = abs(ours - printed) <= 0.01
+    verdict = Verdict.REPRODUCED if same else Verdict.NOT_REPRODUCED
+    return Comparison(name, printed, ours, "%", verdict, "by the printed radii: |estimated - measured|/measured")
+
+
+def _errors(case: Case) -> list[Comparison]:
+    tangent, shifted = arcs_apart_mm(case)
+    if shifted > case.max_error_mm:
+        says = "impossible for arcs of these radii, with any offset"
+    elif tangent > case.max_error_mm:
+        says = "impossible for arcs of these radii that are tangent at the entry"
+    else:
+        says = "possible"
+    reason = f"{says}; the radii come from circles with a free centre, or the curves are no arcs; {NO_FORCE}"
+    return [
+        Comparison(
+            f"{_SECTION}/{case.name}/greatest error", case.max_error_mm,
+            f"{tangent:.3f} between tangent arcs of the printed radii, {shifted:.3f} with the best offset", "mm",
+            Verdict.IMPOSSIBLE, reason,
+        ),
+        Comparison(
+            f"{_SECTION}/{case.name}/mean error", case.mean_error_mm, None, "mm", Verdict.IMPOSSIBLE,
+            "the measured curve was not published as numbers",
+        ),
+    ]  # fmt: skip
+
+
+def memory_path(case: Case, offset_n: float, step_mm: float) -> tuple[Array, Array]:
+    """Return depth and path of the coil with memory, for the force that an offset leaves of the axial force.
+
+    Its course is that which makes a circle from the entry. The greatest axial force is known at 15 mm/s; the same force
+    on the bevel is assumed at 10 mm/s.
+    """
+    known = next(each for each in CASES if each.greatest_n and each.tissue == case.tissue)
+    end = tip_force_n(known.greatest_n or 0.0, known.tissue, known.velocity_mm_s, offset_n)
+    _, needed = required_force_n(MEMORY, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm)
+    force = np.concatenate([[0.0], needed]) / needed[-1] * end
+    return coil_path(MEMORY, case.tissue, case.velocity_mm_s, force, step_mm)
+
+
+def mean_offset_n(step_mm: float) -> float:
+    """Return the mean of what the cases with a known axial force leave over."""
+    return float(np.mean([missing_force_n(case, step_mm) for case in CASES if case.greatest_n]))
+
+
+def _with_one_offset(step_mm: float) -> list[Comparison]:
+    offset = mean_offset_n(step_mm)
+    why = f"F0 = {offset:.3f} N for all, the mean of what the radii at 15 mm/s leave over: no prediction"
+    return [
+        Comparison(
+            f"{_SECTION}/{case.name}/radius by the memory model", case.estimated_mm,
+            round(radius_mm(*memory_path(case, offset, step_mm))), "mm", Verdict.OURS, why,
+        )
+        for case in CASES
+    ]  # fmt: skip
+
+
+def _axial_balance(step_mm: float) -> list[Comparison]:
+    known = [case for case in CASES if case.greatest_n]
+    missing = {case.name: missing_force_n(case, step_mm) for case in known}
+    needed = {}
+    for case in known:
+        _, force = required_force_n(PRINTED, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm, behind_mm=9.3)
+        friction = case.tissue.friction_n_s_mm2 * case.velocity_mm_s * END_MM
+        needed[case.name] = friction + float(force[-1]) * math.sin(NEEDLE.bevel_angle_rad)
+    rows = [
+        Comparison(
+            f"{_SECTION}/{case.name}/axial force that the printed model needs for its radius", case.greatest_n,
+            round(needed[case.name], 3), "N",
+            Verdict.NOT_REPRODUCED if needed[case.name] > (case.greatest_n or 0) else Verdict.REPRODUCED,
+            "published: the greatest that was measured; the printed model needs more than there was"
+            if needed[case.name] > (case.greatest_n or 0) else "published: the greatest that was measured",
+        )
+        for case in known
+    ]  # fmt: skip
+    told = ", ".join(f"{value:.3f} ({name[0]})" for name, value in missing.items())
+    rows.append(
+        Comparison(
+            f"{_SECTION}/axial force left over by the memory model at 15 mm/s",
+            None,
+            told,
+            "N",
+            Verdict.OURS,
+            "one constant F0 (Coulomb friction, rupture, zero) would explain both tissues; two numbers, so no proof",
+        )
+    )
+    return rows
+
+
+def _velocity() -> list[Comparison]:
+    rows = []
+    for slow, fast in ((CASES[0], CASES[2]), (CASES[1], CASES[3])):
+        apart = slow.measured_mm - fast.measured_mm
+        spread = math.hypot(*(_circle_sd_mm(each) for each in (slow, fast)))
+        rows.append(
+            Comparison(
+                f"{_SECTION}/{slow.name[0]}/measured radius falls with velocity", round(apart, 1),
+                f"{apart / spread:.1f} standard deviations", "mm", Verdict.OURS,
+                "if the tracker has white noise of 0.1 mm at 40 Hz (assumed) and circles have a free centre: one "
+                "insertion a case does not establish it",
+            )
+        )  # fmt: skip
+    return rows
+
+
+def _circle_sd_mm(case: Case) -> float:
+    """Return the least standard deviation of a radius by a circle of free centre: R^2 sigma sqrt(720/n)/L^2."""
+    samples = END_MM / case.velocity_mm_s * _RATE_HZ
+    return case.measured_mm**2 * _TRACKER_MM * math.sqrt(720 / samples) / END_MM**2
+
+
+def _arc(radius: float, depth: np.ndarray) -> np.ndarray:
+    return np.asarray(radius - np.sqrt(radius**2 - depth**2))

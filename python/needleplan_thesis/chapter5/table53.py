@@ -1,0 +1,122 @@
+"""Table 5.3: what wrong values of kf and vf do to the radius, and what the text says of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from needleplan.reports.comparison import Comparison, Verdict
+from needleplan_thesis.chapter5.published import (
+    CASES,
+    CHANGES,
+    NO_FORCE,
+    SENSITIVITY,
+    Case,
+    Change,
+)
+from needleplan_thesis.chapter5.runs import (
+    MEMORY,
+    PRINTED,
+    Reading,
+    coil_path,
+    depths_mm,
+    radius_mm,
+    required_force_n,
+)
+
+__all__ = ["radius_change", "table53"]
+
+_SECTION = "ch5/Table 5.3"
+
+
+def radius_change(
+    reading: Reading, case: Case, changes: tuple[Change, ...], speed: float, step_mm: float
+) -> list[float]:
+    """Return by which factor the radius of the coil's path changes, the cutting force held, for every change.
+
+    `speed` multiplies the velocity of all. The force is the one that the reading needs for the printed estimated
+    radius.
+    """
+    _, force = required_force_n(reading, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm, behind_mm=0.0)
+    force = np.concatenate([[0.0], force])
+    depth = depths_mm(step_mm)
+
+    def radius(change: Change, factor: float) -> float:
+        _, path = coil_path(reading, change.of(case.tissue), factor * case.velocity_mm_s, force, step_mm)
+        return radius_mm(depth, path)
+
+    nominal = radius(Change("", 1.0, 1.0), 1.0)
+    return [radius(change, speed) / nominal for change in changes]
+
+
+def table53(step_mm: float) -> list[Comparison]:
+    """Compare the cells, the statements of the text, and the signs."""
+    factors = {
+        reading.name: np.array([radius_change(reading, case, CHANGES, 1.0, step_mm) for case in CASES]).T
+        for reading in (MEMORY, PRINTED)
+    }
+    cells = [
+        Comparison(
+            f"{_SECTION}/{case.name}/{change.name}", SENSITIVITY[row][column],
+            ", ".join(
+                f"{_error(case, values[row, column]):.2f} ({100 * (values[row, column] - 1):+.1f} %, {name})"
+                for name, values in factors.items()
+            ),
+            "%", Verdict.IMPOSSIBLE,
+            f"{NO_FORCE}; ours: our change of the radius at a fixed force, applied to the printed radius",
+        )
+        for row, change in enumerate(CHANGES)
+        for column, case in enumerate(CASES)
+    ]  # fmt: skip
+    return [*cells, *_statements(), *_signs(factors, step_mm)]
+
+
+def _error(case: Case, factor: float) -> float:
+    return 100 * abs(factor * case.estimated_mm - case.measured_mm) / case.measured_mm
+
+
+def _statements() -> list[Comparison]:
+    nominal = CASES[1].error_percent
+    better = [nominal - SENSITIVITY[row][1] for row in (0, 3)]
+    over, under = (
+        [abs(SENSITIVITY[row][column] - case.error_percent) for column, case in enumerate(CASES)] for row in (0, 1)
+    )
+    holds = sum(a < b for a, b in zip(over, under, strict=True))
+    return [
+        Comparison(
+            f"{_SECTION}/kf +20 % or vf -20 % is better by almost 5 % (B, 10 mm/s)", "almost 5",
+            f"{better[0]:.2f}, {better[1]:.2f}", "%",
+            Verdict.REPRODUCED if all(4.5 < each < 5 for each in better) else Verdict.NOT_REPRODUCED,
+            "so a cell is |R' - R_measured|/R_measured",
+        ),
+        Comparison(
+            f"{_SECTION}/more robust to kf too high than too low", "yes", f"in {holds} of 4 cases", "",
+            Verdict.REPRODUCED if holds == len(CASES) else Verdict.NOT_REPRODUCED,
+            "by the printed numbers; no property of the model: the nominal radius is too small, a higher kf makes it "
+            "larger, and the error passes through zero",
+        ),
+    ]  # fmt: skip
+
+
+def _signs(factors: dict[str, np.ndarray], step_mm: float) -> list[Comparison]:
+    rows = []
+    for name, values in factors.items():
+        rows += [
+            _sign(f"kf -20 %: smaller radius, {name}", 100 * (values[1] - 1)),
+            _sign(f"vf +20 % at the same force: smaller radius, {name}", 100 * (values[2] - 1)),
+        ]
+    same = (Change("", 1.0, 1.0),)
+    for reading in (MEMORY, PRINTED):
+        faster = [radius_change(reading, case, same, 1.5, step_mm)[0] for case in CASES[:2]]
+        rows.append(
+            _sign(f"15 for 10 mm/s at the same force: smaller radius, {reading.name}", 100 * (np.array(faster) - 1))
+        )
+    return rows
+
+
+def _sign(what: str, percent: np.ndarray) -> Comparison:
+    holds = bool((percent < 0).all())
+    told = ", ".join(f"{each:+.2f}" for each in percent)
+    return Comparison(
+        f"ch5/signs/{what}", "yes", told, "%", Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED,
+        "" if holds else "the sign depends on the course of the force, which was not published",
+    )  # fmt: skip

@@ -1,0 +1,163 @@
+"""Section 6.5, Figs. 6.7 to 6.9: the three experiments in a phantom, on our rods and with our target.
+
+Radius 646.83 mm, 1800 headings of alpha = 0.2 degrees, a grid of 3 x 0.15 mm: the thesis'. Its costs are those of
+section 6.4 with a rotation of 100, then 40; with its discount and failures every plan would give up, so failures cost
+1,000 here, without discount, which leaves the weight of a rotation to be seen. Only the plans are compared: the
+measurements in gel are not ours to repeat.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from needleplan.planning import Outcome, PolicyTable, plan
+from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.scenario import Scenario, Transition
+from needleplan_thesis.chapter6.panels import Panel, draw_panels, ending
+
+__all__ = ["EXPERIMENTS", "Experiment", "miss_mm", "phantom", "with_rotation"]
+
+_SECTION = "ch6/section 6.5"
+_FAILURE = 1000.0
+_WHY = "rods and target are ours, the thesis prints no coordinates; failures 1,000, no discount"
+_RUNS = 10_000
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A plan of section 6.5: figure, start, cost of a rotation, published number of turns.
+
+    `alphas` is the heading in heading steps; None means the best one of the table.
+    """
+
+    figure: str
+    y_mm: float
+    alphas: int | None
+    rotation: float
+    turns: int | None
+
+
+EXPERIMENTS = (
+    Experiment("6.7", 1.0, -5, 100.0, 1),
+    Experiment("6.8a", 1.5, -5, 100.0, 1),
+    Experiment("6.8b", 1.5, -5, 40.0, 4),
+    Experiment("6.8c", 1.5, 5, 100.0, 1),
+    Experiment("6.9, no path", 1.8, 5, 100.0, None),
+    Experiment("6.9a", 1.8, 3, 100.0, 2),
+    Experiment("6.9b", 1.8, None, 100.0, 0),
+)
+
+
+def phantom(folder: Path | None, note: Callable[[str], None], fine: bool) -> list[Comparison]:
+    """Plan, draw where there is a folder, and compare; `fine` halves the spacing, which is not the thesis' then."""
+    note("Figs. 6.7 to 6.9")
+    scenario = Scenario.read("phantom")
+    if fine:
+        dx, dy = scenario.grid.spacing_mm
+        scenario = replace(scenario, grid=replace(scenario.grid, spacing_mm=(dx / 2, dy / 2)))
+    tables = {rotation: plan(with_rotation(scenario, rotation)) for rotation in (100.0, 40.0)}
+    panels = {each.figure: _panel(each, tables[each.rotation]) for each in EXPERIMENTS}
+    if folder:
+        _draw(panels, folder)
+    turns = [
+        measured(f"{_SECTION}/{each.figure} turns", each.turns, panels[each.figure].turns, "turns", _WHY)
+        for each in EXPERIMENTS
+        if each.turns is not None
+    ]
+    return [*turns, *_statements(panels), *_promises(scenario)]
+
+
+def miss_mm(panel: Panel) -> float:
+    """Return the least distance of a path's poses from the edge of the target, mm; negative inside."""
+    target = panel.table.scenario.target
+    x, y = target.center_mm
+    return min(math.hypot(*(pose[:2] - (x, y))) for pose in panel.path.poses) - target.radius_mm
+
+
+def with_rotation(scenario: Scenario, rotation: float) -> Scenario:
+    """Return the scenario with the costs of section 6.5 as they are used here."""
+    objective = replace(scenario.objective, rotation=rotation, collision=_FAILURE, exit=_FAILURE)
+    return replace(scenario, objective=objective)
+
+
+def _panel(experiment: Experiment, table: PolicyTable) -> Panel:
+    alpha = 2 * math.pi / table.scenario.motion.headings
+    if experiment.alphas is None:
+        start = tuple(table.best_entry(y_mm=experiment.y_mm).pose)
+    else:
+        start = (0.0, experiment.y_mm, experiment.alphas * alpha)
+    panel = Panel.of("", table, start)
+    realised = table.rollout(panel.start, _RUNS).success
+    heading = (
+        f"{experiment.figure}: from (0, {experiment.y_mm:g}), {round(start[2] / alpha):+d} alpha, Cr = "
+        f"{experiment.rotation:g}: {panel.turns} turns, success {realised:.2f}"
+    )
+    return replace(panel, heading=heading)
+
+
+def _draw(panels: dict[str, Panel], folder: Path) -> None:
+    ours = (
+        "Alpha = 0.2 deg; rods and target are ours, the thesis prints no coordinates. Failures 1,000, no "
+        "discount; success realised in 10,000 executions."
+    )
+    told = {
+        "6.7": "The thesis has one turn, at (9, 0.75) mm.",
+        "6.8": "The thesis has 1, 4 and 1 turns, and misses the target with the last.",
+        "6.9": "The thesis finds no path with +5 alpha, 2 turns with +3 alpha, none with the best heading, -16 alpha.",
+    }
+    for figure, published in told.items():
+        chosen = [panel for name, panel in panels.items() if name.startswith(figure)]
+        draw_panels(chosen, f"Fig. {figure}. {published} {ours}", folder / f"fig_{figure.replace('.', '_')}.png")
+
+
+def _statements(panels: dict[str, Panel]) -> list[Comparison]:
+    alpha = 2 * math.pi / 1800
+    dear, cheap, late = panels["6.8a"], panels["6.8b"], panels["6.8c"]
+    blocked, steered, best = panels["6.9, no path"], panels["6.9a"], panels["6.9b"]
+
+    def said(what: str, published: str, ours: str, holds: bool) -> Comparison:
+        verdict = Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED
+        return Comparison(f"{_SECTION}/{what}", published, ours, "", verdict, _WHY)
+
+    beside = miss_mm(late)
+    return [
+        said("6.8 cheaper rotations, more turns", "4 > 1", f"{cheap.turns}, {dear.turns}", cheap.turns > dear.turns),
+        said(
+            "6.8c from +5 alpha the target is just missed",
+            "0.248 mm beside its edge",
+            f"{ending(late.path)}, {beside:+.2f} mm from its edge",
+            0 < beside < 1,
+        ),
+        said(
+            "6.9 from (0, 1.8) with +5 alpha a collision is unavoidable",
+            "no path",
+            f"{ending(blocked.path)}, predicted success {blocked.success:.2f}",
+            blocked.path.outcome is Outcome.COLLISION,
+        ),
+        said(
+            "6.9a with +3 alpha the target is reached",
+            "after 2 turns",
+            f"{ending(steered.path)} after {steered.turns} turns",
+            steered.path.outcome is Outcome.TARGET,
+        ),
+        measured(f"{_SECTION}/6.9b best heading", -16, round(best.start.heading_rad / alpha), "alpha", _WHY),
+    ]
+
+
+def _promises(scenario: Scenario) -> list[Comparison]:
+    """Compare what the grid of the thesis promises of the best entry with what comes of it, for both transitions."""
+    comparisons = []
+    for transition in Transition:
+        table = plan(replace(scenario, grid=replace(scenario.grid, transition=transition)))
+        best = table.best_entry()
+        nearest, greedy = (table.rollout(best.pose, _RUNS, greedy=greedy).success for greedy in (False, True))
+        dx, dy = scenario.grid.spacing_mm
+        ours = f"predicted {best.success:.3f}, realised {nearest:.3f}, greedy {greedy:.3f}"
+        name = f"{_SECTION}/best entry, {transition} {dx:g} x {dy:g} mm"
+        rounded = transition is Transition.NEAREST and dx > scenario.step_mm
+        why = f"a step of {scenario.step_mm:.2f} mm, rounded to the nearest point, counts as {dx:g}" if rounded else ""
+        comparisons.append(Comparison(name, None, ours, "", Verdict.OURS, why))
+    return comparisons

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from needleplan.errors import DataError
+from needleplan.identification import curvature
+from needleplan.models import arc_step
+from needleplan.signals import Array, Record, Role
+from tests.estimation.arcs import arc, white
+
+
+def trial(name: str, points: Array, **columns: Array) -> Record:
+    time = np.arange(len(points)) / 40
+    return Record({"time_s": time, "x_mm": points[:, 0], "y_mm": points[:, 1], **columns}, name)
+
+
+def test_insertions_that_differ_are_said_to_differ() -> None:
+    random = np.random.default_rng(1)
+    same = [trial(str(number), arc(1 / 300) + white(random)) for number in range(3)]
+    found = curvature.identify(same)
+    assert found.ok
+    assert found.estimates["curvature_per_mm"].identified
+    assert found.findings[0].p_value is not None
+    assert found.findings[0].p_value > 0.05
+    other = trial("other", arc(1 / 200) + white(random))
+    apart = curvature.identify([*same, other])
+    assert apart.findings[0].p_value is not None
+    assert apart.findings[0].p_value < 1e-6
+    assert any("the next one may lie outside" in each for each in apart.remarks)
+
+
+def test_a_change_with_depth_is_found() -> None:
+    random = np.random.default_rng(2)
+    pose = arc_step(0.0, 0.0, 0.0, 1 / 100, 40.0)
+    x, y, _ = arc_step(*pose, 1 / 400, np.linspace(0.2, 40, 160))
+    points = np.concatenate([arc(1 / 100, 160, 40.0), np.column_stack([x, y])]) + white(random)
+    change = curvature.identify([trial("kink", points)]).findings[0]
+    assert change.p_value is not None
+    assert change.p_value < 1e-3
+    assert change.statistic == pytest.approx(1 / 400 - 1 / 100, rel=0.2)
+
+
+def test_what_does_not_count_is_counted() -> None:
+    random = np.random.default_rng(3)
+    there = arc(1 / 300) + white(random)
+    back = np.concatenate([there, there[::-4]])
+    depth = np.concatenate([np.linspace(0, 80, 320), np.linspace(79, 0, 80)])
+    quiet = Record({"time_s": np.arange(9.0), "y_mm": np.zeros(9)}, "quiet", Role.NOISE)
+    found = curvature.identify([trial("a", back, depth_mm=depth), quiet], skip_mm=10.0)
+    assert any("drawn back, do not count" in each for each in found.remarks)
+    assert any("samples above 10 mm do not count" in each for each in found.remarks)
+    assert "trials of noise are not used here, 1 left out" in found.remarks
+    assert found.estimates["curvature_per_mm"].value == pytest.approx(1 / 300, rel=0.1)
+
+
+def test_a_straight_path_is_said_to_be_possible() -> None:
+    found = curvature.identify([trial("a", arc(0.0) + white(np.random.default_rng(4)))], segments=1)
+    assert not found.estimates["curvature_per_mm"].identified
+    assert any("a straight path is possible" in each for each in found.remarks)
+
+
+def test_records_that_cannot_be_used() -> None:
+    with pytest.raises(DataError, match="y_mm: is missing"):
+        curvature.identify([Record({"time_s": np.arange(30.0), "depth_mm": np.arange(30.0)}, "a")])
+    with pytest.raises(DataError, match="there is no trial"):
+        curvature.identify([])
+    with pytest.raises(DataError, match=r"short: .*too short"):
+        curvature.identify([trial("short", arc(points=5))])
+
+
+def test_a_trial_held_out_judges_and_does_not_count() -> None:
+    random = np.random.default_rng(5)
+    train = [trial(name, arc(1 / 300) + white(random)) for name in ("a", "b", "c")]
+    like, unlike = (
+        replace(trial(name, arc(bend) + white(random)), role=Role.HOLDOUT)
+        for name, bend in (("like", 1 / 300), ("unlike", 1 / 150))
+    )
+    alone, judged = curvature.identify(train), curvature.identify([*train, like, unlike])
+    assert judged.estimates == alone.estimates
+    verdicts = {each.name: each.p_value for each in judged.findings}
+    assert (verdicts["held out, like"] or 0) > 0.05 > (verdicts["held out, unlike"] or 0)
+    with pytest.raises(DataError, match="no trial to identify from: 1 held out"):
+        curvature.identify([like])
+
+
+def test_what_an_arc_leaves_is_tested_like_every_residual() -> None:
+    random = np.random.default_rng(6)
+    found = curvature.identify([trial("arc", arc(1 / 300) + white(random))])
+    bumpy = arc(1 / 300) + white(random)
+    bumpy[:, 1] += 0.3 * np.sin(bumpy[:, 0])
+    p_values = [
+        next(each.p_value for each in some.findings if each.name == "whiteness")
+        for some in (found, curvature.identify([trial("bumpy", bumpy)]))
+    ]
+    assert (p_values[0] or 0) > 0.01
+    assert p_values[1] is not None
+    assert p_values[1] < 1e-6
+
+
+def test_a_path_that_is_constant_to_the_last_bit_is_refused() -> None:
+    with pytest.raises(DataError, match=r"y_mm = 0\.3: is constant to the last bit"):
+        curvature.identify([trial("dead", np.column_stack([np.linspace(0, 80, 320), np.full(320, 0.3)]))])

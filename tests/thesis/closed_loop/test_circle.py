@@ -1,0 +1,79 @@
+"""Once around: that it runs, what it says, and that a layer is found, planned for and hit."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needleplan.diagnosis import Verdict
+from needleplan.models import Estimate
+from needleplan.reports.comparison import Verdict as Compared
+from needleplan.signals import Role
+from needleplan_thesis.closed_loop.chapter import circle_scenario
+from needleplan_thesis.closed_loop.hidden import HIDDEN, laboratory
+from needleplan_thesis.closed_loop.loop import Inserted, Named, Round
+from needleplan_thesis.closed_loop.summary import shrink, summarized, total
+from needleplan_thesis.closed_loop.trials import recordings
+from needleplan_thesis.reproduce import Effort, reproduce
+
+SCENARIO = circle_scenario()
+
+
+def test_a_layer_is_named_planned_for_and_no_longer_missed(tmp_path: Path) -> None:
+    found = {each.id: each for each in reproduce(["diagnosis"], str(tmp_path), Effort.QUICK, str, seeds=2)}
+    assert found["diagnosis/soft_layer/named"].ours == "1 curvature_layer"
+    assert found["diagnosis/together/median error, shrink"].verdict is Compared.MET
+    assert found["diagnosis/together/gap of success, shrink"].ours == pytest.approx(1.0, abs=0.01)
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["diagnosis.json", "diagnosis.md", "diagnosis.png"]
+    document = json.loads((tmp_path / "diagnosis.json").read_text())
+    (only,) = document["rounds"]
+    assert (only["seeds"], only["verdicts"], only["motions"]) == ([0, 1], ["named"], [])
+    size = only["named"][0]["estimates"]["size"]
+    assert -0.3 < size["low"] < size["value"] < size["high"] < -0.2
+    assert min(each["error_mm"] for each in only["before"]) > 3 > 1.5 > max(each["error_mm"] for each in only["after"])
+    assert "| from 25 mm on the path bends 25 % less |" in (tmp_path / "diagnosis.md").read_text()
+
+
+def test_recordings_of_a_lab_have_what_a_diagnosis_asks_for() -> None:
+    data = recordings(HIDDEN[0].hide(laboratory(SCENARIO)), 0)
+    assert [each.role for each in data] == [Role.TRAIN] * 3 + [Role.HOLDOUT] * 2 + [Role.NOISE]
+    for each in data[:5]:
+        assert np.ptp(each["angle_rad"]) == pytest.approx(np.pi, abs=0.01)
+        assert np.isfinite(each["z_mm"]).all()
+        assert np.diff(each["time_s"]) == pytest.approx(0.025)
+
+
+def a_round(seed: int, before_mm: float, after_mm: float) -> Round:
+    def inserted(error_mm: float) -> tuple[Inserted, ...]:
+        return (Inserted(0.9, error_mm <= 1.5, error_mm),)
+
+    size = Estimate(0.1 * (seed + 1), 0.01, 0.05, 0.5, "", identified=True)
+    return Round(
+        HIDDEN[0].name, (seed,), (Verdict.AMBIGUOUS, Verdict.NAMED), ("fast",), (Named("gravity", {"size": size}),),
+        inserted(before_mm), inserted(after_mm), inserted(0.4),
+    )  # fmt: skip
+
+
+def test_what_rounds_have_in_common() -> None:
+    rounds = [a_round(0, 4.0, 0.5), a_round(1, 6.0, 2.5), a_round(2, 1.0, 0.6)]
+    found = summarized(HIDDEN[0], rounds)
+    assert (found.verdicts, found.named, found.motions) == ({Verdict.NAMED: 3}, {("gravity",): 3}, {"fast": 3})
+    assert found.sizes["gravity.size"].value == pytest.approx(0.2)
+    assert (found.before.error_mm, found.after.error_mm, found.known.error_mm) == (4.0, 0.6, 0.4)
+    assert (found.before.gap, found.after.gap) == pytest.approx((0.9 - 1 / 3, 0.9 - 2 / 3))
+    whole = total([found, replace(found, after=found.before)], rounds)
+    assert whole.gap == pytest.approx((2 * found.before.gap, found.before.gap + found.after.gap, 2 * found.known.gap))
+    assert whole.error_mm == (4.0, 0.6, 0.4)
+
+
+def test_a_shrink_is_of_what_there_was() -> None:
+    assert shrink(4.0, 1.0) == 0.75
+    assert shrink(4.0, 1.0, 0.5) == pytest.approx(1 - 0.5 / 3.5)
+    assert shrink(4.0, 6.0) == -0.5
+    assert shrink(0.0, 1.0) is None
+    assert math.isclose(shrink(0.9, 0.9) or 0.0, 0.0)

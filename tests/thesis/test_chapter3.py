@@ -1,0 +1,136 @@
+"""Chapter 3: what can be checked in seconds; the tables themselves take a minute."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needleplan.models import simulate
+from needleplan.models.friction import Profile
+from needleplan.models.friction.published import CASES, MODEL_III_B, model_ii, passing_through
+from needleplan.reports.comparison import Verdict
+from needleplan_thesis.chapter3 import chapter
+from needleplan_thesis.chapter3.errors import statements
+from needleplan_thesis.chapter3.fits import CaseFits, errors_mn, fit_case
+from needleplan_thesis.chapter3.generator import NOISE_N, Generator, periodic
+from needleplan_thesis.chapter3.lag import velocity_lag
+from needleplan_thesis.chapter3.prediction import inside, predictors
+from needleplan_thesis.chapter3.published import TABLE_3_5, Errors, pooled_mn
+from needleplan_thesis.chapter3.tissue import opening
+from needleplan_thesis.reproduce import Effort, Request
+
+
+def test_the_columns_of_table_3_5_are_put_back_right() -> None:
+    for cases in TABLE_3_5.values():
+        for each in cases.values():
+            assert pooled_mn(each) == pytest.approx(each.total, abs=0.5)
+
+
+def test_pooling_finds_columns_that_were_exchanged() -> None:
+    """The identity is no tautology: low errors of one case do not fit the totals of another."""
+    wrong = [
+        abs(pooled_mn(Errors(cases[a].total, cases[b].low, cases[b].high)) - cases[a].total)
+        for cases in TABLE_3_5.values()
+        for a in cases
+        for b in cases
+        if a != b
+    ]
+    assert np.mean(np.array(wrong) > 0.5) > 0.9
+
+
+def test_the_text_is_held_against_its_table() -> None:
+    verdicts = [each.verdict for each in statements()]
+    assert verdicts == [Verdict.REPRODUCED, Verdict.NOT_REPRODUCED, Verdict.NOT_REPRODUCED, Verdict.REPRODUCED]
+
+
+@pytest.fixture(scope="module")
+def fits() -> list[CaseFits]:
+    return [fit_case(case, Generator.III_B, 20.0, (0.5, 5.0), case) for case in CASES]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_order_of_the_errors(fits: list[CaseFits], case: int) -> None:
+    total = {label: fits[case - 1].errors(label).total for label in TABLE_3_5}
+    assert total["III-B"] < total["II"] < total["I"] <= total["Karnopp"] + 0.01
+    assert 14 < total["III-B"] < 25
+    assert 14 < total["II"] < 25
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_parameters_come_back(fits: list[CaseFits], case: int) -> None:
+    assert fits[case - 1].exponent == 5.0
+    for name, each in fits[case - 1].fits["III-B"].estimates.items():
+        assert each.low <= MODEL_III_B[case][name].mean <= each.high or each.value == pytest.approx(
+            MODEL_III_B[case][name].mean, abs=4 * each.sd
+        )
+
+
+def test_the_errors_of_the_parts_pool(fits: list[CaseFits]) -> None:
+    for each in fits:
+        errors = each.errors("Karnopp")
+        assert pooled_mn(errors) == pytest.approx(errors.total, rel=0.02)
+
+
+def test_data_from_the_lumped_model_prefer_it() -> None:
+    found = fit_case(2, Generator.II, 20.0, (5.0,), 0)
+    assert found.errors("II").total <= found.errors("III-B").total
+
+
+@pytest.mark.parametrize("generator", Generator)
+def test_the_noise_is_what_it_is_said_to_be(generator: Generator) -> None:
+    record = periodic(2, generator, 50.0, 3)
+    residual = record["force_n"] - simulate(model_ii(2), passing_through(2, rate_hz=50.0)).output
+    assert residual.std() >= 0.95 * NOISE_N
+    if generator is Generator.II:
+        assert residual.std() == pytest.approx(NOISE_N, rel=0.05)
+        assert errors_mn(model_ii(2), record).total == pytest.approx(1e3 * NOISE_N, rel=0.05)
+
+
+@pytest.mark.parametrize("profile", ["solid", "dashed"])
+@pytest.mark.parametrize("case", [1, 2])
+def test_friction_that_is_frozen_at_the_middle_has_the_published_error(case: int, profile: str) -> None:
+    clean = inside(case, profile, hidden=False, rate_hz=100.0)
+    errors = {label: clean.error_mn(model) for label, model in predictors(case).items()}
+    assert 55 < errors["II"] < 85
+    assert 55 < errors["I"] < 85
+    assert errors["II, Fn = 1 N"] > 150
+    assert max(errors["III-A"], errors["III-B"], errors["II, Fn(L)"]) < errors["II"] / 2
+
+
+def test_hidden_effects_are_where_they_are_said_to_be() -> None:
+    insertion = inside(2, "solid", rate_hz=100.0)
+    force, friction = insertion.record["force_n"], insertion.friction_n
+    left = force - friction - insertion.cutting_n
+    assert left.std() > NOISE_N
+    assert insertion.cutting_n[insertion.major].min() >= 0.1
+    assert not insertion.cutting_n[insertion.motion.velocity_mm_s <= 0].any()
+
+
+def test_a_late_velocity_stiffens_the_bristles() -> None:
+    bias = [each.ours for each in velocity_lag(lambda _: None)]
+    none, averaged, late, both = (float(each) for each in bias if isinstance(each, float))
+    assert abs(none) < 3
+    assert -20 < averaged < -5
+    assert late > 100
+    assert -30 < both < -5
+
+
+def test_the_opening_of_a_loop() -> None:
+    angle = np.linspace(0, 6 * np.pi, 3000)
+    assert opening(np.sin(angle), np.cos(angle)) == pytest.approx(2, abs=1e-3)
+    assert opening(np.sin(angle), np.sin(angle)) == pytest.approx(0, abs=1e-3)
+
+
+def test_the_chapter_runs_and_draws(tmp_path: Path) -> None:
+    told: list[str] = []
+    rows = chapter.run(Request(tmp_path, Effort.QUICK, told.append))
+    assert len({each.id for each in rows}) == len(rows) > 150
+    assert {each.id.split("/")[1].split(",")[0] for each in rows} >= {f"Table 3.{n}" for n in range(1, 7)}
+    assert all(each.reason for each in rows if each.verdict in (Verdict.DIFFERS, Verdict.NOT_REPRODUCED))
+    assert {each.name for each in tmp_path.iterdir()} == {
+        "fig_3_3_profiles.png", "fig_3_5_loops.png", "fig_3_6_prediction.png", "fig_3_7_tissue.png",
+    }  # fmt: skip
+    assert told
+    assert predictors(1)["III-A"].profile is Profile.RIGHT

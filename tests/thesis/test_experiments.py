@@ -1,0 +1,32 @@
+"""The experiments of section 6.5 in the lab twin: that they run, and what is put beside the thesis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from needleplan.errors import InputError
+from needleplan.reports.comparison import Verdict
+from needleplan_thesis.chapter6.experiments import experiments
+from needleplan_thesis.reproduce import Effort, reproduce
+
+
+def test_every_experiment_is_carried_out_and_drawn(tmp_path: Path) -> None:
+    found = {each.id.removeprefix("ch6/experiments/"): each for each in experiments(tmp_path, str, seeds=1)}
+    assert {name.split()[0] for name in found} == {"6.7", "6.8a", "6.8b", "6.8c", "6.9a", "6.9b"}
+    deviation = found["6.7 largest deviation, by the tip filter, median"]
+    assert deviation.published == 0.176
+    assert isinstance(deviation.ours, float)
+    assert 0 < deviation.ours < 3
+    assert found["6.8c beyond the rim, median"].published == 0.248
+    assert {each.verdict for each in found.values()} <= {Verdict.OURS, Verdict.SAME_ORDER, Verdict.DIFFERS}
+    assert sorted(each.name for each in tmp_path.iterdir()) == [
+        "fig_6_7_lab.png", "fig_6_8_lab.png", "fig_6_9_lab.png",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("chapters", [[], ["ch2"], ["ch6", "ch2"]])
+def test_experiments_are_those_of_chapter_6(chapters: list[str]) -> None:
+    with pytest.raises(InputError, match="--experiments"):
+        reproduce(chapters, None, Effort.QUICK, str, experiments=True)

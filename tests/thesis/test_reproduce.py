@@ -1,0 +1,79 @@
+"""Published results beside ours: what can be checked without solving for minutes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import needleplan as npl
+from needleplan.errors import InputError, OutputError
+from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.scenario import Method, Scenario
+from needleplan_thesis.chapter6.claims import in_obstacles
+from needleplan_thesis.chapter6.problem import formula_states, problem
+from needleplan_thesis.chapter6.published import TABLE_6_2, TABLE_6_3
+from needleplan_thesis.chapter6.solves import processed_states
+from needleplan_thesis.reproduce import Effort, reproduce
+from tests.cli.commands import needleplan, refused
+
+
+def test_the_size_of_the_problem_is_the_published_one() -> None:
+    thesis = Scenario.read("four_obstacles_thesis")
+    verdicts = {each.id: each.verdict for each in problem(thesis)}
+    assert len(verdicts) == 5
+    assert [each for each, verdict in verdicts.items() if verdict is not Verdict.REPRODUCED] == [
+        "ch6/problem/deviation of the noise"
+    ]
+    assert formula_states(thesis) == pytest.approx(1_152_000)
+
+
+def test_the_published_tables_are_copied_right() -> None:
+    for row in TABLE_6_2:
+        # The thesis' own totals of (12, 8) are off: 1850.6 for 1805.6, and by a second.
+        off = {((12, 8), "H1"): -45.0, ((12, 8), "H2"): 1.0}.get((row.partitions, row.priority), 0.0)
+        assert row.solving_s + row.priorities_s - off == pytest.approx(row.total_s)
+    for (columns, rows), (processed, states) in TABLE_6_3.items():
+        assert states / processed == pytest.approx(1_152_000 / (columns * rows))
+
+
+def test_states_of_processed_partitions_are_counted(small: Scenario) -> None:
+    solver = replace(small.solver, method=Method.PPVI, partitions=(6, 4))
+    table = npl.plan(replace(small, solver=solver))
+    # Column 2 of 6, row 0 of 4: x 21 to 30, y 0 to 10, wholly within the rod.
+    assert in_obstacles(table) == {8} == set(range(24)) - set(table.stats.order)
+    assert processed_states(table) == small.states - 10 * 11 * 36 * 2
+
+
+@pytest.mark.parametrize(
+    ("ours", "verdict"),
+    [(10.0, Verdict.REPRODUCED), (29.9, Verdict.SAME_ORDER), (3.4, Verdict.SAME_ORDER), (31.0, Verdict.DIFFERS)],
+)
+def test_the_same_order_is_a_factor_of_three(ours: float, verdict: Verdict) -> None:
+    assert measured("a/b/c", 10.0, ours, "s", "why").verdict is verdict
+
+
+def test_ratios() -> None:
+    assert Comparison("a", 4, 1.0, "s", Verdict.DIFFERS).ratio == 0.25
+    assert Comparison("a", None, 1.0, "s", Verdict.OURS).ratio is None
+    assert Comparison("a", 0, 1.0, "s", Verdict.DIFFERS).ratio is None
+    assert Comparison("a", "four", "five", "", Verdict.DIFFERS).ratio is None
+
+
+def test_chapters_that_are_not_there() -> None:
+    with pytest.raises(InputError) as raised:
+        reproduce(["ch7"], None, Effort.QUICK, print)
+    (mistake,) = raised.value.mistakes
+    assert mistake.rule == "must be one of ch2, ch3, ch4, ch5, ch6, diagnosis"
+
+
+def test_a_folder_that_cannot_be(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot be made"):
+        reproduce(["ch6"], str(tmp_path / "file" / "figures"), Effort.QUICK, print)
+
+
+@pytest.mark.parametrize(("chapters", "seeds"), [(["ch2"], "3"), ([], "3"), (["diagnosis"], "0")])
+def test_seeds_are_those_of_the_diagnosis(chapters: list[str], seeds: str) -> None:
+    refused(needleplan("reproduce", *chapters, "--seeds", seeds), "--seeds", "diagnosis" if seeds == "3" else "from 1")
