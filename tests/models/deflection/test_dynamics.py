@@ -23,9 +23,9 @@ def analytic_hz(bending: float, line_mass: float) -> float:
 def test_the_free_cantilever() -> None:
     own = natural_frequencies_hz(NEEDLE, SOFT, 0.0, 2, element_mm=2.03)
     analytic = analytic_hz(NEEDLE.bending_stiffness_n_mm2, NEEDLE.line_mass_t_mm)
-    assert own[0] == pytest.approx(analytic, rel=1e-6)
+    assert own[0] == pytest.approx(analytic, rel=1e-9)
     assert analytic_hz(2324.0, 8000e-12 * 0.2709) == pytest.approx(14.0620, abs=5e-4)  # with the printed A and I
-    assert own[1] / own[0] == pytest.approx((4.694091132974174 / FIRST_ROOT) ** 2, rel=1e-6)
+    assert own[1] / own[0] == pytest.approx((4.694091132974174 / FIRST_ROOT) ** 2, rel=1e-8)
 
 
 @pytest.mark.parametrize(
