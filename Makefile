@@ -1,4 +1,5 @@
-# `make plan` and `make test` are the two commands of the README; both install what they need into .venv first.
+# `make plan` and `make test` are the two commands of the README; `make test-slow` runs the tests that `make test` leaves
+# out. All three install what they need into .venv first.
 
 VENV ?= .venv
 OUT ?= out
@@ -13,7 +14,7 @@ endif
 export PATH := $(abspath $(VENV))/bin:$(abspath $(VENV))/rust/cargo/bin:$(PATH)
 export PYO3_PYTHON := $(abspath $(VENV))/bin/python
 
-.PHONY: plan test rust python guard install install-test clean
+.PHONY: plan test test-slow processors rust python guard install install-test clean
 
 plan: install
 	mkdir -p $(OUT)
@@ -22,6 +23,11 @@ plan: install
 test: install-test
 	$(MAKE) rust
 	$(MAKE) python
+
+# The tests marked slow, instruction counts, and the numerical tests once for each kind of processor.
+test-slow: install-test
+	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal
+	$(MAKE) processors
 	$(MAKE) guard
 
 rust:
@@ -35,7 +41,11 @@ python:
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -m "not slow" -n 2 --dist worksteal
+
+# OpenBLAS has kernels of its own for each kind of processor, and they round differently.
+processors:
+	PATH="$(abspath $(BIN)):$(PATH)" scripts/processors
 
 # Instruction counts of the solver's hot paths, by valgrind. CI sets CI=true and must have it.
 guard:

@@ -18,6 +18,7 @@ OTHER_PAGES = [pages.ROOT / name for name in ("README.md", "CHANGELOG.md", "rust
 PARTS = ("workspace", "obstacle", "target", "needle", "layer", "tissue", "motion", "grid", "objective", "solver")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

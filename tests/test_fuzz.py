@@ -12,6 +12,7 @@ PROGRAM = Path(__file__).parents[1] / "benches" / "python" / "fuzz_parsers.py"
 RUNS = {"robot": 5000, "machine": 100, "ati": 5000, "ndi": 2000, "igtl": 2000, "recording": 100}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", RUNS)
 def test_no_input_gives_anything_but_a_value_or_its_error(target: str, tmp_path: Path) -> None:
     pytest.importorskip("atheris", reason="the fuzzer is installed with the tests on Linux only")

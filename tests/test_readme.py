@@ -49,6 +49,7 @@ def test_the_two_commands_are_there() -> None:
     assert [command for command in commands() if command.startswith("make")] == ["make plan", "make test"]
 
 
+@pytest.mark.slow
 def test_make_plan(tmp_path: Path) -> None:
     done = make("plan", f"OUT={tmp_path}")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -65,9 +66,10 @@ def test_make_test_runs_everything() -> None:
 
 
 def test_continuous_integration_runs_the_test_command() -> None:
-    assert (pages.ROOT / ".ci" / "run").read_text().splitlines()[-1] == "make test"
+    assert (pages.ROOT / ".ci" / "run").read_text().splitlines()[-2:] == ["make test", "make test-slow"]
 
 
+@pytest.mark.slow
 def test_the_rest_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     page = tmp_path / "README.md"

@@ -118,6 +118,7 @@ def test_size_zero_is_the_base_to_the_last_bit(name: ForceName) -> None:
     assert np.array_equal(force._force_n(trials, (drawn,)), force._force_n(trials, ()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ForceName)
 def test_sizes_are_reached(name: ForceName) -> None:
     spec = ForceSpec(17, (Wanted(name, 0.5),), 0.0)
@@ -128,6 +129,7 @@ def test_sizes_are_reached(name: ForceName) -> None:
     assert 0 < abs(hidden.parameters["size"]) <= FORCE_EFFECTS[name].LARGEST
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("multiple", [0.05, 6.0])
 def test_sizes_are_reached_far_below_and_above_the_noise(multiple: float) -> None:
     for name in (ForceName.TISSUE_MOTION, ForceName.CUTTING_LAYER):

@@ -40,6 +40,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_what_was_diagnosed_is_planned_estimated_and_simulated(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -72,6 +73,7 @@ def test_what_was_diagnosed_is_planned_estimated_and_simulated(
     assert expected(50.0, 35.0) / expected(10.0, 35.0) == pytest.approx(1.6, abs=0.2)
 
 
+@pytest.mark.slow
 def test_without_a_name_the_scenario_has_the_calibrated_curvature(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

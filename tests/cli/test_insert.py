@@ -39,6 +39,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_it_reaches_the_target_and_the_recording_replays(file: Path, quick: Path, tmp_path: Path) -> None:
     run, figure = tmp_path / "run.mcap", tmp_path / "run.svg"
     arguments = ("--speed", 10, "--rotation-speed", 10, "--roll-left", 0.02, "-o", run, "--figure", figure, "--json")
@@ -125,6 +126,7 @@ def test_a_table_for_another_needle_is_refused(file: Path) -> None:
     require_fitting(small_table(), str(file), needle=without_interval)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_who_stops_it_leaves_the_needle_and_a_whole_recording(
     number: signal.Signals, file: Path, quick: Path, tmp_path: Path

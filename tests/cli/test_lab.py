@@ -88,6 +88,7 @@ def start() -> Iterator[Callable[..., Running]]:
                 stream.close()
 
 
+@pytest.mark.slow
 def test_three_clients_see_one_needle_go_in(start: Callable[..., Running]) -> None:
     lab = start("insertion")
     with (
@@ -117,6 +118,7 @@ def test_three_clients_see_one_needle_go_in(start: Callable[..., Running]) -> No
     assert not any(map(runs, lab.pids.values()))
 
 
+@pytest.mark.slow
 def test_with_a_table_the_needle_is_where_its_insertion_begins_and_a_kill_leaves_nothing(
     start: Callable[..., Running], table: PolicyTable, table_file: Path, tmp_path: Path
 ) -> None:
@@ -153,6 +155,7 @@ def _pose(tracker: NdiTracker, seen: list[PoseSample]) -> PoseSample:
     return sample
 
 
+@pytest.mark.slow
 def test_one_that_is_killed_leaves_the_others_and_all_end_with_the_program(start: Callable[..., Running]) -> None:
     lab = start("--tracker", "tcp")
     with (
@@ -178,6 +181,7 @@ def test_one_that_is_killed_leaves_the_others_and_all_end_with_the_program(start
     assert not any(map(runs, lab.pids.values()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("option", "kind", "device"),
     [("--robot-port", socket.SOCK_DGRAM, "robot"), ("--http-port", socket.SOCK_STREAM, "force sensor"),
@@ -192,6 +196,7 @@ def test_a_port_that_is_taken_is_one_clear_error(option: str, kind: socket.Socke
         refused(needleplan("lab", option, str(port), "--tracker", "tcp"), device, str(port), "already in use")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [(("insertoin",), ("did you mean",)), (("--robot-port", "70000"), ("--robot-port = 70000", "from 1 to 65535")),
@@ -204,6 +209,7 @@ def test_what_cannot_be_is_refused(arguments: tuple[str, ...], words: tuple[str,
     refused(needleplan("lab", *arguments), *words)
 
 
+@pytest.mark.slow
 def test_it_ends_by_itself_after_a_time() -> None:
     done = needleplan("lab", "friction", "--for", "0.2")
     assert done.returncode == 0

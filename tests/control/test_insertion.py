@@ -184,6 +184,7 @@ def test_a_stage_has_one_controller() -> None:
     first.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_a_pause_anywhere_in_a_step_is_only_a_pause(seed: int) -> None:
     """A needle that was paused just before the end of a step goes on from where it stands."""

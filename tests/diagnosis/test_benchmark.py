@@ -104,6 +104,7 @@ def test_a_part_of_a_run_has_its_goals_and_its_page(score: ModuleType, tmp_path:
     assert {each.name for each in tmp_path.iterdir()} == {"x_power.png", "x_confusion.png"}
 
 
+@pytest.mark.slow
 def test_blind_data_of_seeds_that_belong_to_nobody(score: ModuleType) -> None:
     """Few data sets, far above the noise or without an effect: the campaign itself takes hours."""
     bench = importlib.import_module("diagnosis_case").Bench()

@@ -22,6 +22,7 @@ def found() -> Diagnosis:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kept", "shrink", "verdict"),
     [
@@ -43,6 +44,7 @@ def test_an_effect_that_keeps_its_word_stays_a_name(
     assert decision.named == (("viscous",) if verdict in (Verdict.NAMED, Verdict.INCOMPLETE) else ())
 
 
+@pytest.mark.slow
 def test_a_small_effect_of_another_family_is_found_beside_a_large_one() -> None:
     hidden = {"inertia": {"size": 8.0}, "bump": {"size": 0.085, "depth_mm": 33.0, "width_mm": 2.0}}
     made = diagnose(BASE, recordings(hidden, seed=5), library=LIBRARY)

@@ -46,6 +46,7 @@ def quiet() -> Diagnosis:
     return found
 
 
+@pytest.mark.slow
 def test_a_gap_without_a_name_is_explored_along_its_axis(nameless: Diagnosis) -> None:
     proposed = next_motion(nameless)
     assert isinstance(proposed, Exploring)
@@ -56,6 +57,7 @@ def test_a_gap_without_a_name_is_explored_along_its_axis(nameless: Diagnosis) ->
     assert "speed" in proposed.why
 
 
+@pytest.mark.slow
 def test_what_would_be_seen_after_the_motion_is_what_is_seen_after_it(quiet: Diagnosis) -> None:
     """Slow twin: the motion made, and everything diagnosed again."""
     proposed = next_motion(quiet)
@@ -72,6 +74,7 @@ def test_what_would_be_seen_after_the_motion_is_what_is_seen_after_it(quiet: Dia
     assert proposed.shrinks_to == min(share for _, share in proposed.considered) <= proposed.repeated_shrinks_to
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["nameless", "quiet"])
 def test_their_files_run_in_the_lab_twin(which: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     found = request.getfixturevalue(which)

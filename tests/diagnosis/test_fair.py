@@ -24,6 +24,7 @@ def step_of(found: Diagnosis) -> RivalScore:
     return next(each for each in found.selection.steps[0].rivals if each.name == "step in time")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by_n", [0.04, -0.25])
 def test_a_slip_has_no_name_however_large(by_n: float) -> None:
     found = diagnose(BASE, [slipped(each, by_n) for each in recordings(seed=3)])
@@ -33,6 +34,7 @@ def test_a_slip_has_no_name_however_large(by_n: float) -> None:
     assert step.elsewhere > 0
 
 
+@pytest.mark.slow
 def test_a_drift_is_no_step_in_another_motion() -> None:
     found = diagnose(BASE, recordings({"drift": {"size": 0.0025}}, seed=4))
     assert found.names == ("drift",)

@@ -48,6 +48,7 @@ def wavering() -> Diagnosis:
     return diagnosis
 
 
+@pytest.mark.slow
 def test_the_linear_choice_is_that_of_fitting_the_rival_to_what_the_other_shows(wavering: Diagnosis) -> None:
     """Slow twin: the whitened square that a full calibration of the rival leaves of the other's prediction."""
     ranked = {each.name: each.joint for step in wavering.selection.steps[-1:] for each in step.ranked}

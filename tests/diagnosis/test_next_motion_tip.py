@@ -51,6 +51,7 @@ def undecided(trials: list[Record], library: Library) -> Diagnosis:
     return found
 
 
+@pytest.mark.slow
 def test_it_turns_the_bevel_before_the_entry_and_decides(
     undecided: Diagnosis, trials: list[Record], library: Library
 ) -> None:

@@ -35,6 +35,7 @@ def fitted(calibration: Calibration, *names: str):  # type: ignore[no-untyped-de
     return refit([Added(effect_named(name), TRUE[name]) for name in names], calibration, base)
 
 
+@pytest.mark.slow
 def test_two_effects_that_bring_as_much_are_no_rivals() -> None:
     # One effect is at two places, and as strong at each: neither explains the other.
     hidden = {"bump": {"size": 0.12, "depth_mm": 20.0, "width_mm": 1.5}, "bias": {"size": 0.05}}
@@ -43,6 +44,7 @@ def test_two_effects_that_bring_as_much_are_no_rivals() -> None:
     assert set(found.names) == set(hidden)
 
 
+@pytest.mark.slow
 def test_one_effect_at_two_places_has_one_name() -> None:
     data = recordings({"bump": {"size": 0.15, "depth_mm": 20.0, "width_mm": 1.5}}, seed=8)
     twice = recordings({"bump": {"size": 0.15, "depth_mm": 48.0, "width_mm": 1.5}}, seed=8)
@@ -70,6 +72,7 @@ def test_what_holds_beside_another_effect_is_weighed_beside_it(calibration: Cali
     assert further.before_rms == pytest.approx(first.after_rms, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_every_member_is_worth_its_place() -> None:
     hidden = {"viscous": {"size": 3e-4}, "puncture": {"size": 0.4, "depth_mm": 40.0, "bulge_mm": 2.0}}
     found = diagnose(BASE, recordings(hidden, seed=1), library=LIBRARY)
@@ -85,6 +88,7 @@ def test_every_member_is_worth_its_place() -> None:
     assert sum(each.share for each in found.effects) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_what_has_no_name_does_not_get_one_beside_others() -> None:
     data = [
         each if each.role is Role.NOISE else each.with_column(
@@ -97,6 +101,7 @@ def test_what_has_no_name_does_not_get_one_beside_others() -> None:
     assert found.verdict in (Verdict.INCOMPLETE, Verdict.UNKNOWN)
 
 
+@pytest.mark.slow
 def test_one_that_is_left_may_still_be_another_one(calibration: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
     # Two were found, one of them needless, and the other one has a rival: then neither name is given.
     joint = fitted(calibration, "bias")
@@ -110,6 +115,7 @@ def test_one_that_is_left_may_still_be_another_one(calibration: Calibration, mon
     assert set(found.selection.steps[-1].tied) == {"bias", "drift"}
 
 
+@pytest.mark.slow
 def test_a_tie_is_not_broken_by_an_order() -> None:
     # Of two names for the same columns neither is better; the third effect is found beside whichever.
     same = replace(effect_named("bias"), name="offset")

@@ -63,6 +63,7 @@ def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, floa
     np.testing.assert_array_equal(simulate(again, motion(0)).output, simulate(model, motion(0)).output)
 
 
+@pytest.mark.slow
 def test_two_effects_are_named_one_after_the_other() -> None:
     hidden = {"viscous": {"size": 3e-4}, "puncture": {"size": 0.4, "depth_mm": 40.0, "bulge_mm": 2.0}}
     found = diagnose(BASE, recordings(hidden, seed=1), library=LIBRARY)

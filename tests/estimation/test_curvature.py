@@ -50,6 +50,7 @@ def coverage(
 
 
 # The study over 1,000 trials is benches/python/curvature.py; these are its limits widened for fewer trials.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("disturbance", "options"),
     [

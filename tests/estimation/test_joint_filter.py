@@ -56,6 +56,7 @@ def test_the_filter_is_that_of_the_textbook() -> None:
     np.testing.assert_allclose(filtered.covariance, covariance, rtol=1e-4, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "corner", "factor"), [(0, 0, 6.0), (2, 31, 3.0)])
 def test_starts_that_are_far_off_end_at_the_noise(number: int, corner: int, factor: float) -> None:
     chosen = PUBLISHED_FORCES[number]
@@ -88,6 +89,7 @@ def test_tracks_hold_the_truth_within_three_sigma() -> None:
     assert track.innovation_rmse() == pytest.approx(run.innovation_rmse[-1])
 
 
+@pytest.mark.slow
 def test_model_1_is_filtered_too() -> None:
     truth = with_gauge(ForceModel1(**MODEL.values()), 0.02)
     start = moved(truth, {"sigma0": 0.5, "sigma1": 2.0, "sigma2": 0.6, "f1": 1.5, "alpha": 0.7}).with_values(f2=0.01)

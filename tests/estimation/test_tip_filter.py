@@ -55,6 +55,7 @@ def inserted(
 LEGS = ((20.0, 0.0), (15.0, math.pi), (15.0, 0.0))
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_the_filter_says() -> None:
     ends, nis = [], []
     for seed in range(20):

@@ -88,6 +88,7 @@ def mean(values: list[float]) -> float:
     return float(np.mean(values))
 
 
+@pytest.mark.slow
 def test_deviations_are_honest_and_the_arc_beats_the_line() -> None:
     found = watched(range(3))
     assert mean([each.nis for each in found]) == pytest.approx(5, abs=0.3)
@@ -100,6 +101,7 @@ def test_deviations_are_honest_and_the_arc_beats_the_line() -> None:
     assert last.curvature_factor - 1 > 3 * last.curvature_factor_sd
 
 
+@pytest.mark.slow
 def test_a_tracker_that_wanders_and_loses_sight() -> None:
     settings = replace(SETTINGS, wander_sd_mm=0.2)
     effects = {"tracker_wander_mm": 0.2, "tracker_dropout": 0.02, "tracker_dropout_s": 0.5}
@@ -110,6 +112,7 @@ def test_a_tracker_that_wanders_and_loses_sight() -> None:
     assert mean([each.nees for each in untold]) > 2 * mean([each.nees for each in found])
 
 
+@pytest.mark.slow
 def test_a_needle_that_twists_is_seen_to() -> None:
     found = watched(range(2), torsional_friction_n=0.3)
     assert mean([each.nis for each in found]) == pytest.approx(5, abs=0.4)

@@ -17,6 +17,7 @@ def trial(name: str, points: Array, **columns: Array) -> Record:
     return Record({"time_s": time, "x_mm": points[:, 0], "y_mm": points[:, 1], **columns}, name)
 
 
+@pytest.mark.slow
 def test_insertions_that_differ_are_said_to_differ() -> None:
     random = np.random.default_rng(1)
     same = [trial(str(number), arc(1 / 300) + white(random)) for number in range(3)]

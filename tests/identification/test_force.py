@@ -21,6 +21,7 @@ def inward(record: Record) -> Record:
     return record.select(record.motion().direction > 0)
 
 
+@pytest.mark.slow
 def test_a_model_is_found_and_judged() -> None:
     held = replace(recorded(MODEL, seed=5), role=Role.HOLDOUT, trial="other")
     rest = replace(RECORD, role=Role.NOISE).with_column("force_n", recorded(MODEL, seed=3)["force_n"] - AVERAGE.apply(
@@ -93,6 +94,7 @@ def test_the_figure_is_drawn() -> None:
     assert [axes.get_ylabel() for axes in figure.axes] == ["force (N)", "left over (mN)"]
 
 
+@pytest.mark.slow
 def test_a_rise_without_a_peak_ends_at_the_edge_and_says_so() -> None:
     depth = np.linspace(0, 50, 1000)
     bent = Record({

@@ -29,6 +29,7 @@ def recorded(model: Friction, motion: Motion, seed: int = 0, role: Role = Role.T
 THROUGH = recorded(model_iii_b(2), passing_through(2, 3, 50))
 
 
+@pytest.mark.slow
 def test_the_model_that_made_the_data_is_chosen() -> None:
     found = identify([THROUGH], exponents=(0.5, 5.0))
     assert isinstance(found.model, AveragedLuGre)

@@ -24,6 +24,7 @@ def reference(model: Lag | SteppedLag, motion: Motion) -> Array:
     return np.asarray(solution.y[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("time_constant", "error"), [(0.003, 2e-4), (0.1, 3e-5), (3.0, 3e-5)])
 def test_a_linear_state_is_integrated_to_the_solution(time_constant: float, error: float) -> None:
     model = Lag(0.2, time_constant, 0.1)

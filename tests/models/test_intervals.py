@@ -24,6 +24,7 @@ def test_the_profile_of_a_linear_model_is_its_interval() -> None:
     assert solution[1] + 0.99 * reach < high < solution[1] + 1.2 * reach
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlated", [False, True])
 def test_profile_intervals_hold_the_truth(correlated: bool) -> None:
     random, held, trials = np.random.default_rng(1), np.zeros(2), 25
@@ -34,6 +35,7 @@ def test_profile_intervals_hold_the_truth(correlated: bool) -> None:
     assert (held / trials >= 0.8).all()
 
 
+@pytest.mark.slow
 def test_bootstrap_intervals_hold_the_truth() -> None:
     random, held, trials = np.random.default_rng(2), np.zeros(2), 25
     for trial in range(trials):

@@ -214,6 +214,7 @@ def test_the_number_of_threads_changes_nothing(scenario: dict[str, Any], method:
     assert_identical(planned(scenario, method=method, threads=1), planned(scenario, method=method, threads=threads))
 
 
+@pytest.mark.slow
 @given(scenario=scenarios(), method=st.sampled_from(METHODS))
 @random_cases
 def test_a_mirrored_scenario_has_the_mirrored_table(scenario: dict[str, Any], method: str) -> None:

@@ -82,6 +82,7 @@ def test_layers_and_tissues_are_tinted_and_labelled() -> None:
     assert axes[0].get_xlim() == axes[1].get_xlim() == (0, 110)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "start"), [("a.png", b"\x89PNG"), ("a.pdf", b"%PDF"), ("a.svg", b"<?xml")])
 def test_files(table: npl.PolicyTable, tmp_path: Path, name: str, start: bytes) -> None:
     plotting.save(drawing.path_figure(table, table.path((0, 25, 0))), tmp_path / name)

@@ -23,6 +23,7 @@ def with_grid(scenario: dict[str, Any], **grid: Any) -> dict[str, Any]:
     return scenario | {"grid": scenario["grid"] | grid}
 
 
+@pytest.mark.slow
 @given(scenario=plain.scenarios(), times=st.sampled_from([3, 5]))
 @settings(plain.random_cases, max_examples=10)
 def test_it_is_what_the_policy_of_the_nearest_grid_point_does_on_the_finer_grid(

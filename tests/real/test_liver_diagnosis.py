@@ -45,6 +45,7 @@ def run(shown: tuple[str, list[str], str], tmp_path_factory: pytest.TempPathFact
     return output.getvalue(), json.loads((folder / "liver" / "diagnosis.json").read_text())
 
 
+@pytest.mark.slow
 def test_the_page_shows_what_is_printed(shown: tuple[str, list[str], str], run: tuple[str, dict[str, Any]]) -> None:
     agrees = doctest.OutputChecker().check_output(shown[2], run[0], doctest.ELLIPSIS)
     assert agrees, run[0]

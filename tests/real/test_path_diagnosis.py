@@ -5,6 +5,8 @@ from __future__ import annotations
 from contextlib import redirect_stdout
 from io import StringIO
 
+import pytest
+
 from tests import pages
 from tests.real.shared import require
 
@@ -12,6 +14,7 @@ FOLDER = require("real_insertions")
 PAGE = pages.ROOT / "docs/explanation/diagnosis.md"
 
 
+@pytest.mark.slow
 def test_the_page_says_what_is_said_of_them() -> None:
     blocks = list(pages.blocks(PAGE))
     (index,) = [i for i, each in enumerate(blocks) if "read_stepwise_insertion" in each.text]

@@ -53,6 +53,7 @@ def recovered(content: bytes, folder: Path) -> tuple[int, int, dict[str, int]]:
     return found.by_topic.get("/force", 0), found.damaged_bytes, dict(found.missing)
 
 
+@pytest.mark.slow
 def test_cut_anywhere_loses_only_the_last_chunk(partial: bytes, tmp_path: Path) -> None:
     assert recovered(partial, tmp_path) == (200, 0, {})
     ends = [each for each in range(0, len(partial), 97) if each > 4000]

@@ -1,10 +1,9 @@
 """The oracle against paper and pencil, against a second reading of the definition, and against reference solutions.
 
-NEEDLEPLAN_SLOW=1 adds the checks that need several full solves of 1.2 million states (two to three minutes).
+The checks that need several full solves of 1.2 million states are marked slow.
 """
 
 import math
-import os
 from dataclasses import replace
 from typing import Any
 
@@ -28,7 +27,6 @@ from oracle_rollout import rollout
 
 STEP = math.pi / 2  # rho = 1, four headings: quarter circles that end exactly on the grid
 CORNERS = ([[0, 1.9], [0.1, 1.9], [0.1, 2], [0, 2]], [[2, 0], [2, 0.1], [1.9, 0.1], [1.9, 0]])
-slow = pytest.mark.skipif(not os.environ.get("NEEDLEPLAN_SLOW"), reason="several full solves: set NEEDLEPLAN_SLOW=1")
 
 
 def solved(scenario: dict[str, Any], residual: float = 1e-11) -> tuple[Mdp, Solution]:
@@ -225,7 +223,8 @@ def reference() -> Any:
     return np.load(path)
 
 
-@pytest.mark.parametrize("variant", ["success_arc4", *(pytest.param(v, marks=slow) for v in VARIANTS[:2])])
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ["success_arc4", *(pytest.param(v, marks=pytest.mark.slow) for v in VARIANTS[:2])])
 def test_the_sampled_reference_solutions(variant: str) -> None:
     data = reference()
     _, solution = solved(four_obstacles(variant), residual=1e-9)
@@ -237,7 +236,7 @@ def test_the_sampled_reference_solutions(variant: str) -> None:
     assert np.array_equal(solution.policy[at][gap > 1e-9], data[f"{variant}_policy"][gap > 1e-9])
 
 
-@slow
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("transition", "landing", "published"),
     [

@@ -52,6 +52,7 @@ def driven(plant: Plant) -> tuple[Motion, Array, Array, Array]:
     return Motion.sampled(*np.array(rows).T), np.array(true).T, np.array(seen).T, np.array(force)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", effects_of(Channel.TIP), ids=lambda each: each.name)
 def test_the_tip_is_where_the_model_says(effect: Effect) -> None:
     model = with_one(effect, BASE)

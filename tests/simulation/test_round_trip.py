@@ -15,6 +15,7 @@ from needleplan.signals import MovingAverage
 from needleplan.simulation import Effects, Experiment, run_experiment
 
 
+@pytest.mark.slow
 def test_the_curvature_of_the_plant_is_found_and_not_that_of_the_plan(tmp_path: Path) -> None:
     experiment = Experiment.read("insertion")
     file = tmp_path / "run.h5"
@@ -25,6 +26,7 @@ def test_the_curvature_of_the_plant_is_found_and_not_that_of_the_plan(tmp_path: 
     assert found.low > planned
 
 
+@pytest.mark.slow
 def test_the_friction_of_the_plant_is_found() -> None:
     experiment = Experiment.read("friction")
     true = experiment.setup.friction

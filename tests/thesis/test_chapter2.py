@@ -17,6 +17,8 @@ from needleplan_thesis.chapter2.loops import Loop, table_2_3_and_loops
 from needleplan_thesis.chapter2.panels import draw_all
 from needleplan_thesis.chapter2.starts import corners
 
+pytestmark = pytest.mark.slow
+
 FAST = PUBLISHED_FORCES[0]
 
 

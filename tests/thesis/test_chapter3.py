@@ -21,6 +21,8 @@ from needleplan_thesis.chapter3.published import TABLE_3_5, Errors, pooled_mn
 from needleplan_thesis.chapter3.tissue import opening
 from needleplan_thesis.reproduce import Effort, Request
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_columns_of_table_3_5_are_put_back_right() -> None:
     for cases in TABLE_3_5.values():

@@ -10,6 +10,8 @@ from needleplan_thesis.chapter4.phantoms import AGAR_PHANTOM, GELATIN_PHANTOM, S
 from needleplan_thesis.chapter4.response import response
 from needleplan_thesis.reproduce import Effort, reproduce
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def figures(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -16,6 +16,8 @@ from needleplan_thesis.chapter5.table51 import residual_n, singular_force_n
 from needleplan_thesis.chapter5.table52 import arcs_apart_mm
 from needleplan_thesis.reproduce import Effort, Request
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Comparison], Path]:

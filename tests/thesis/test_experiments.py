@@ -11,6 +11,8 @@ from needleplan.reports.comparison import Verdict
 from needleplan_thesis.chapter6.experiments import experiments
 from needleplan_thesis.reproduce import Effort, reproduce
 
+pytestmark = pytest.mark.slow
+
 
 def test_every_experiment_is_carried_out_and_drawn(tmp_path: Path) -> None:
     found = {each.id.removeprefix("ch6/experiments/"): each for each in experiments(tmp_path, str, seeds=1)}

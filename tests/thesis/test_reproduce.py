@@ -18,6 +18,8 @@ from needleplan_thesis.chapter6.solves import processed_states
 from needleplan_thesis.reproduce import Effort, reproduce
 from tests.cli.commands import needleplan, refused
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_size_of_the_problem_is_the_published_one() -> None:
     thesis = Scenario.read("four_obstacles_thesis")

@@ -23,6 +23,8 @@ from needleplan_thesis.chapter6.panels import Panel, draw_panels, ending
 from needleplan_thesis.chapter6.paths import clearance_mm, nearest_heading
 from needleplan_thesis.chapter6.phantom import EXPERIMENTS, miss_mm
 
+pytestmark = pytest.mark.slow
+
 
 def test_dependents_lie_a_step_around_the_partition(table: npl.PolicyTable) -> None:
     scenario = table.scenario

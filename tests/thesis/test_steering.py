@@ -13,6 +13,8 @@ from needleplan_thesis.steering import Course, Guidance, Task, Trial, gap_closed
 from needleplan_thesis.steering.unguided import planned_moves
 from tests.control.scenes import NOISY, SLOW_SERVO, small_table
 
+pytestmark = pytest.mark.slow
+
 
 def course(effects: Effects) -> Course:
     lab = Experiment(Setup(1 / 40, effects=effects, robot=SLOW_SERVO), ())

@@ -52,6 +52,7 @@ def depth_mm(server: RobotServer) -> float:
     return last.depth_mm
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", [signal.SIGSTOP, signal.SIGKILL])
 def test_a_control_side_that_is_gone_leaves_a_robot_that_stops(
     server: RobotServer, controller: subprocess.Popen[str], by: signal.Signals

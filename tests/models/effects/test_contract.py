@@ -80,6 +80,7 @@ def test_columns_are_what_the_simulation_gains(effect: Effect) -> None:
     np.testing.assert_allclose(size * column, gained.ravel(), atol=0.06 * scale)
 
 
+@pytest.mark.slow
 def test_memories_are_their_rates_integrated(effect: Effect) -> None:
     if not isinstance(effect, TermEffect):
         pytest.skip("has no memory of its own")

@@ -18,6 +18,7 @@ def path(rate_hz: float) -> Motion:
     return lspb([0, 12, 9, 25, 0], [8, 5, 6, 10], dwells_s=[1, 0.5, 1, 0], rate_hz=rate_hz)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag_s", [0.02, 0.3, 2.0])
 @pytest.mark.parametrize("inner", [BASE, SlowTurning(base=BASE, size=0.3)], ids=["plain", "slow"])
 def test_it_is_its_rates_integrated(inner: ShaftAndTip | SlowTurning, lag_s: float) -> None:

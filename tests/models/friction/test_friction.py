@@ -61,6 +61,7 @@ def test_model_i_is_the_integral_of_its_bending(case: int, length: float) -> Non
         assert simulate(model, moved).output[0] == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", [
     model_ii(1).with_values(profile=Profile.UNIFORM),
     model_iii_b(4),

@@ -14,6 +14,7 @@ from needleplan.signals import Record
 from tests.diagnosis import tip_trials, trials
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("base", "records"),
     [

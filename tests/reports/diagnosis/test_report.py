@@ -81,6 +81,7 @@ def page(folder: Path) -> Page:
     return Page((folder / "report.html").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_nothing_is_fetched_and_nothing_runs(page: Page) -> None:
     assert not {"script", "link", "iframe", "object", "form"} & {tag for tag, _ in page.tags}
     for _, attributes in page.tags:

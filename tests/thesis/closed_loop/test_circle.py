@@ -21,6 +21,8 @@ from needleplan_thesis.closed_loop.summary import shrink, summarized, total
 from needleplan_thesis.closed_loop.trials import recordings
 from needleplan_thesis.reproduce import Effort, reproduce
 
+pytestmark = pytest.mark.slow
+
 SCENARIO = circle_scenario()
 
 
