@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from needleplan.cli import main
-from needleplan.cli.needle import with_identified
+from needleplan.cli.plan import with_identified
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipFilter
 from needleplan.models import ModelFile, ShaftAndTip, simulate

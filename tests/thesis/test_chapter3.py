@@ -10,6 +10,7 @@ import pytest
 from needleplan.models import simulate
 from needleplan.models.friction import Profile
 from needleplan.models.friction.published import CASES, MODEL_III_B, model_ii, passing_through
+from needleplan.reports.chapters import Effort, Request
 from needleplan.reports.comparison import Verdict
 from needleplan_thesis.chapter3 import chapter
 from needleplan_thesis.chapter3.errors import statements
@@ -19,7 +20,6 @@ from needleplan_thesis.chapter3.lag import velocity_lag
 from needleplan_thesis.chapter3.prediction import inside, predictors
 from needleplan_thesis.chapter3.published import TABLE_3_5, Errors, pooled_mn
 from needleplan_thesis.chapter3.tissue import opening
-from needleplan_thesis.reproduce import Effort, Request
 
 pytestmark = pytest.mark.slow
 

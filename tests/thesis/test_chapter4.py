@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from needleplan.reports.chapters import Effort, Request, reproduce
 from needleplan.reports.comparison import Comparison, Verdict
+from needleplan_thesis.chapter4 import chapter
 from needleplan_thesis.chapter4.phantoms import AGAR_PHANTOM, GELATIN_PHANTOM, SHARES
 from needleplan_thesis.chapter4.response import response
-from needleplan_thesis.reproduce import Effort, reproduce
 
 pytestmark = pytest.mark.slow
 
@@ -20,7 +21,7 @@ def figures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def comparisons(figures: Path) -> dict[str, Comparison]:
-    rows = reproduce(["ch4"], str(figures), Effort.QUICK, lambda _: None)
+    rows = reproduce(["ch4"], Request(figures, Effort.QUICK, lambda _: None))
     assert len({each.id for each in rows}) == len(rows)
     return {each.id: each for each in rows}
 
@@ -29,6 +30,7 @@ def test_every_figure_is_drawn(comparisons: dict[str, Comparison], figures: Path
     assert comparisons
     drawn = {each.name for each in figures.glob("*.png")}
     assert drawn == {"figure_4_3.png", "figure_4_4.png", "figure_4_5.png", "figure_4_6.png"}
+    assert drawn == {*chapter.files(Request(figures, Effort.QUICK, str))}
 
 
 def test_every_difference_has_its_reason(comparisons: dict[str, Comparison]) -> None:

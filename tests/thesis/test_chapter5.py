@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from needleplan.reports.chapters import Effort, Request
 from needleplan.reports.comparison import Comparison, Verdict
 from needleplan.scenario import Scenario
 from needleplan_thesis.chapter5 import chapter
@@ -14,7 +15,6 @@ from needleplan_thesis.chapter5.published import CASES, CHANGES, SENSITIVITY
 from needleplan_thesis.chapter5.runs import MEMORY, PRINTED, required_force_n
 from needleplan_thesis.chapter5.table51 import residual_n, singular_force_n
 from needleplan_thesis.chapter5.table52 import arcs_apart_mm
-from needleplan_thesis.reproduce import Effort, Request
 
 pytestmark = pytest.mark.slow
 

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from needleplan.errors import InputError
+from needleplan.reports.chapters import Effort, Request, reproduce
 from needleplan.reports.comparison import Verdict
+from needleplan_thesis.chapter6 import chapter
 from needleplan_thesis.chapter6.experiments import experiments
-from needleplan_thesis.reproduce import Effort, reproduce
 
 pytestmark = pytest.mark.slow
 
@@ -23,12 +24,12 @@ def test_every_experiment_is_carried_out_and_drawn(tmp_path: Path) -> None:
     assert 0 < deviation.ours < 3
     assert found["6.8c beyond the rim, median"].published == 0.248
     assert {each.verdict for each in found.values()} <= {Verdict.OURS, Verdict.SAME_ORDER, Verdict.DIFFERS}
-    assert sorted(each.name for each in tmp_path.iterdir()) == [
-        "fig_6_7_lab.png", "fig_6_8_lab.png", "fig_6_9_lab.png",
-    ]  # fmt: skip
+    written = [each.name for each in sorted(tmp_path.iterdir())]
+    assert written == ["fig_6_7_lab.png", "fig_6_8_lab.png", "fig_6_9_lab.png"]
+    assert written == [*chapter.files(Request(tmp_path, Effort.QUICK, str, experiments=True))]
 
 
 @pytest.mark.parametrize("chapters", [[], ["ch2"], ["ch6", "ch2"]])
 def test_experiments_are_those_of_chapter_6(chapters: list[str]) -> None:
     with pytest.raises(InputError, match="--experiments"):
-        reproduce(chapters, None, Effort.QUICK, str, experiments=True)
+        reproduce(chapters, Request(None, Effort.QUICK, str, experiments=True))

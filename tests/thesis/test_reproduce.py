@@ -9,13 +9,13 @@ import pytest
 
 import needleplan as npl
 from needleplan.errors import InputError, OutputError
+from needleplan.reports.chapters import Effort, Request, reproduce
 from needleplan.reports.comparison import Comparison, Verdict, measured
 from needleplan.scenario import Method, Scenario
 from needleplan_thesis.chapter6.claims import in_obstacles
 from needleplan_thesis.chapter6.problem import formula_states, problem
 from needleplan_thesis.chapter6.published import TABLE_6_2, TABLE_6_3
 from needleplan_thesis.chapter6.solves import processed_states
-from needleplan_thesis.reproduce import Effort, reproduce
 from tests.cli.commands import needleplan, refused
 
 pytestmark = pytest.mark.slow
@@ -65,7 +65,7 @@ def test_ratios() -> None:
 
 def test_chapters_that_are_not_there() -> None:
     with pytest.raises(InputError) as raised:
-        reproduce(["ch7"], None, Effort.QUICK, print)
+        reproduce(["ch7"], Request(None, Effort.QUICK, print))
     (mistake,) = raised.value.mistakes
     assert mistake.rule == "must be one of ch2, ch3, ch4, ch5, ch6, diagnosis"
 
@@ -73,7 +73,7 @@ def test_chapters_that_are_not_there() -> None:
 def test_a_folder_that_cannot_be(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="cannot be made"):
-        reproduce(["ch6"], str(tmp_path / "file" / "figures"), Effort.QUICK, print)
+        reproduce(["ch6"], Request(tmp_path / "file" / "figures", Effort.QUICK, print))
 
 
 @pytest.mark.parametrize(("chapters", "seeds"), [(["ch2"], "3"), ([], "3"), (["diagnosis"], "0")])

@@ -112,7 +112,7 @@ ROWS = [
 
 
 def test_the_printed_table(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("needleplan_thesis.reproduce.reproduce", lambda *_, **__: ROWS)
+    monkeypatch.setattr("needleplan.reports.chapters.reproduce", lambda *_, **__: ROWS)
     assert run_reproduce("ch6") == 0
     printed = capsys.readouterr()
     lines = printed.out.splitlines()
@@ -127,7 +127,7 @@ def test_the_printed_table(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
 
 
 def test_the_printed_json(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("needleplan_thesis.reproduce.reproduce", lambda *_, **__: ROWS)
+    monkeypatch.setattr("needleplan.reports.chapters.reproduce", lambda *_, **__: ROWS)
     assert run_reproduce("ch6", "--json") == 0
     records = json.loads(capsys.readouterr().out)
     assert [list(record) for record in records] == [["id", "published", "ours", "unit", "verdict", "reason"]] * 4

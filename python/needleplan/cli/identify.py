@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json
 from needleplan.cli.identify_options import add_knowledge, knowledge
-from needleplan.cli.needle import part_lines, part_record
 from needleplan.cli.options import add_figure, add_json, require_outputs
 from needleplan.errors import InputError, Mistake
 
@@ -86,9 +85,9 @@ def run(options: argparse.Namespace) -> int:
         note(f"drew {options.figure}")
     part = _part(scenario, records, options) if scenario and found.ok else None
     if options.json:
-        print_json(_record(found, records, file, options) | part_record(part, options.scenario_out))
+        print_json(_record(found, records, file, options) | _part_record(part, options.scenario_out))
     else:
-        for line in (*_lines(found), *part_lines(part)):
+        for line in (*_lines(found), *_part_lines(part)):
             print(line)
     return 0 if found.ok else complain("nothing could be identified from these data; the remarks say why")
 
@@ -183,4 +182,35 @@ def _record(
         "digest": file.digest if file else None,
         "output": options.output if file else None,
         "figure": options.figure,
+    }
+
+
+def _part_lines(part: ScenarioPart | None) -> Iterator[str]:
+    """Yield the tables of the scenario that were identified, below the remarks on them."""
+    if part is None:
+        return
+    yield "scenario"
+    for piece in part.pieces:
+        low, high = sorted((1 / abs(piece.high_per_mm), 1 / abs(piece.low_per_mm)))
+        radius = 1 / abs(piece.curvature_per_mm)
+        yield f"  from x = {piece.low_mm:.4g} mm on: radius {radius:.4g} mm (95 % interval {low:.4g} to {high:.4g})"
+    yield from (f"  {remark}" for remark in part.remarks)
+    yield ""
+    yield from part.lines()
+
+
+def _part_record(part: ScenarioPart | None, output: str | None) -> dict[str, Any]:
+    """Return the same for JSON; nothing where no scenario was asked for."""
+    if part is None:
+        return {}
+    noise = {"status": part.noise.status, "sd_rad": part.noise.sd_rad} if part.noise else None
+    return {
+        "scenario": {
+            "pieces": [asdict(piece) for piece in part.pieces],
+            "tip_noise": part.scenario.motion.tip_noise,
+            "noise": noise,
+            "remarks": part.remarks,
+            "digest": part.scenario.digest,
+            "output": output,
+        }
     }

@@ -3,24 +3,39 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
+import math
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import ProgressLine, complain, note, percent, print_json, print_lines
-from needleplan.cli.needle import add_identified, with_identified
 from needleplan.cli.options import add_edge, add_figure, add_json, entry_record, require_outputs
-from needleplan.errors import ScenarioError
+from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
     from needleplan.planning import Entry, PolicyTable
-    from needleplan.scenario import Scenario
+    from needleplan.scenario import Identified, Scenario
 
-__all__ = ["add_to", "run"]
+__all__ = ["UNREACHABLE_SUCCESS", "Replaced", "add_to", "run", "with_identified"]
 
 _POOR_SUCCESS = 0.8
 UNREACHABLE_SUCCESS = 0.001
 _NOISY_PATHS = 40
 _DETERRENT = 10
+
+
+@dataclass(frozen=True)
+class Replaced:
+    """A radius of the scenario that was replaced: of which place, by what, out of which file."""
+
+    place: str
+    found: Identified
+    file: str
+
+    def record(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        low, high = self.found.interval_mm
+        found = {"radius_mm": self.found.radius_mm, "interval_mm": [_finite(low), _finite(high)]}
+        return {"place": self.place, **found, "kind": self.found.kind, "model": self.file, "digest": self.found.digest}
 
 
 def add_to(commands: Any) -> None:
@@ -32,7 +47,18 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("scenario", metavar="SCENARIO.toml", help="a scenario file, or the name of a shipped scenario")
     parser.add_argument("-o", "--output", metavar="TABLE.h5", help="write the table")
-    add_identified(parser)
+    parser.add_argument(
+        "--needle",
+        metavar="MODEL.toml",
+        help="take the radius of the needle from this model, in place of that of the scenario and of its layers",
+    )
+    parser.add_argument(
+        "--tissue",
+        action="append",
+        default=[],
+        metavar="NAME=MODEL.toml",
+        help="take the radius of the tissue of that name from this model; may be given more than once",
+    )
     add_edge(parser)
     add_figure(parser, "the path from the best entry and the success map")
     add_json(parser)
@@ -132,3 +158,35 @@ def _draw(table: PolicyTable, best: Entry, file: str) -> None:
 
     noisy = [table.path(best.pose, noise_seed=seed) for seed in range(_NOISY_PATHS)]
     save(plan_figure(table, table.path(best.pose), noisy), file)
+
+
+def with_identified(scenario: Scenario, options: argparse.Namespace) -> tuple[Scenario, list[Replaced]]:
+    """Return the scenario with the radii of the model files, and what was replaced. Raises InputError."""
+    files = [("", options.needle)] if options.needle else []
+    for each in options.tissue:
+        name, equals, file = each.partition("=")
+        if not (name and equals and file):
+            raise ScenarioError(Mistake("--tissue", each, "must be NAME=MODEL.toml"))
+        files.append((name, file))
+    replaced = []
+    for name, file in files:
+        from needleplan.models import ModelFile
+        from needleplan.scenario import identified, within
+
+        found = identified(ModelFile.read(file), file)
+        layers = len(scenario.needle.layers)
+        try:
+            scenario = scenario.with_curvature(
+                within(found.pieces, scenario.workspace.width_mm) or found.curvature_per_mm, tissue=name
+            )
+        except ScenarioError as error:
+            raise ScenarioError(error.mistakes, options.scenario) from None
+        place = f"tissue {name}" if name else "needle"
+        also = f"; it replaces {layers} layer{'s' * (layers != 1)} too" if layers and not name else ""
+        note(f"{place}: {found}, {file}{also}")
+        replaced.append(Replaced(place, found, file))
+    return scenario, replaced
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -11,21 +11,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from needleplan.cli import (
-    diagnose,
-    entry,
-    evaluate,
-    identify,
-    info,
-    insert,
-    lab,
-    path,
-    plan,
-    recording,
-    register,
-    reproduce,
-    simulate,
-)
+from needleplan.cli import diagnose, identify, insert, lab, plan, recording, register, reproduce, simulate, table
 from needleplan.errors import InputError
 
 __all__ = ["main"]
@@ -63,9 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in (
-        plan, path, evaluate, entry, info, identify, register, simulate, lab, insert, diagnose, recording, reproduce,
-    ):  # fmt: skip
+    for command in (plan, table, identify, register, simulate, lab, insert, diagnose, recording, reproduce):
         command.add_to(commands)
     return parser
 

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from itertools import groupby
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, print_json
@@ -49,13 +50,12 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
+    from needleplan.reports.chapters import Effort, Request, reproduce
     from needleplan.reports.comparison import Verdict
-    from needleplan_thesis.reproduce import Effort, reproduce
 
     effort = Effort.QUICK if options.quick else Effort.FULL if options.full else Effort.DEFAULT
-    comparisons = reproduce(
-        options.chapters, options.figures, effort, note, experiments=options.experiments, seeds=options.seeds
-    )
+    folder = Path(options.figures) if options.figures else None
+    comparisons = reproduce(options.chapters, Request(folder, effort, note, options.experiments, options.seeds))
     if options.json:
         print_json([asdict(each) for each in comparisons])
     else:

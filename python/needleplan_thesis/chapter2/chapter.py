@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from needleplan.reports.chapters import Effort
 from needleplan_thesis.chapter2.bank_table import tables_2_1_and_2_2
 from needleplan_thesis.chapter2.forward import forward
 from needleplan_thesis.chapter2.loops import loops, robust_starts, table_2_3_and_loops
 from needleplan_thesis.chapter2.panels import draw_all
-from needleplan_thesis.reproduce import Effort
 
 if TYPE_CHECKING:
+    from needleplan.reports.chapters import Request
     from needleplan.reports.comparison import Comparison
-    from needleplan_thesis.reproduce import Request
 
-__all__ = ["run"]
+__all__ = ["files", "run"]
 
 _STARTS = {Effort.QUICK: 2, Effort.DEFAULT: 8, Effort.FULL: 32}
 _ROBUST = {Effort.QUICK: 0, Effort.DEFAULT: 2, Effort.FULL: 32}
+
+
+def files(_: Request) -> tuple[str, ...]:
+    """Return the names of the files that `run` writes into its folder."""
+    return tuple(f"fig_2_{number}.png" for number in range(2, 10))
 
 
 def run(request: Request) -> list[Comparison]:

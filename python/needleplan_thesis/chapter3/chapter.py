@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from needleplan.identification.shaft_models import EXPONENTS
+from needleplan.reports.chapters import Effort
 from needleplan_thesis.chapter3.claims import averaging, peaks
 from needleplan_thesis.chapter3.errors import errors, orders, printed_output, statements
 from needleplan_thesis.chapter3.figures import draw_loops, draw_profiles
@@ -15,16 +16,20 @@ from needleplan_thesis.chapter3.lag import velocity_lag
 from needleplan_thesis.chapter3.prediction import prediction
 from needleplan_thesis.chapter3.tables import parameters, recovered
 from needleplan_thesis.chapter3.tissue import deforming_tissue
-from needleplan_thesis.reproduce import Effort
 
 if TYPE_CHECKING:
+    from needleplan.reports.chapters import Request
     from needleplan.reports.comparison import Comparison
-    from needleplan_thesis.reproduce import Request
 
-__all__ = ["run"]
+__all__ = ["files", "run"]
 
 _RATE_HZ = {Effort.QUICK: 12.5, Effort.DEFAULT: 50.0, Effort.FULL: 200.0}
 """Samples a second of the records that models are fitted to; noise of the same size is more of it at fewer."""
+
+
+def files(_: Request) -> tuple[str, ...]:
+    """Return the names of the files that `run` writes into its folder."""
+    return ("fig_3_3_profiles.png", "fig_3_5_loops.png", "fig_3_6_prediction.png", "fig_3_7_tissue.png")
 
 
 def run(request: Request) -> list[Comparison]:

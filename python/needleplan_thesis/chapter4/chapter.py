@@ -5,19 +5,24 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from needleplan.reports.chapters import Effort
 from needleplan_thesis.chapter4.loops import compensated, draw_loops, loop_rows
 from needleplan_thesis.chapter4.phantoms import AGAR_PHANTOM, GELATIN_PHANTOM, PHANTOMS
 from needleplan_thesis.chapter4.published import AGAR, FORCE_HZ, GELATIN
 from needleplan_thesis.chapter4.response import draw_bode, response
 from needleplan_thesis.chapter4.sensors import draw_sensors, sensor_rows
 from needleplan_thesis.chapter4.tissues import tissue_rows
-from needleplan_thesis.reproduce import Effort
 
 if TYPE_CHECKING:
+    from needleplan.reports.chapters import Request
     from needleplan.reports.comparison import Comparison
-    from needleplan_thesis.reproduce import Request
 
-__all__ = ["run"]
+__all__ = ["files", "run"]
+
+
+def files(_: Request) -> tuple[str, ...]:
+    """Return the names of the files that `run` writes into its folder."""
+    return ("figure_4_3.png", "figure_4_4.png", "figure_4_5.png", "figure_4_6.png")
 
 
 def run(request: Request) -> list[Comparison]:

@@ -5,18 +5,23 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from needleplan.reports.chapters import Effort
 from needleplan_thesis.chapter5.table51 import table51
 from needleplan_thesis.chapter5.table52 import table52
 from needleplan_thesis.chapter5.table53 import table53
-from needleplan_thesis.reproduce import Effort
 
 if TYPE_CHECKING:
+    from needleplan.reports.chapters import Request
     from needleplan.reports.comparison import Comparison
-    from needleplan_thesis.reproduce import Request
 
-__all__ = ["run"]
+__all__ = ["files", "run"]
 
 _STEPS_MM = {Effort.QUICK: 4.0, Effort.DEFAULT: 1.0, Effort.FULL: 0.5}
+
+
+def files(_: Request) -> tuple[str, ...]:
+    """Return the names of the files that `run` writes into its folder."""
+    return ("fig_5_1.png", "fig_5_2.png")
 
 
 def run(request: Request) -> list[Comparison]:

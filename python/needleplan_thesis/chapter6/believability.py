@@ -14,14 +14,14 @@ import numpy as np
 
 from needleplan.artifacts import write_whole
 from needleplan.planning import PolicyTable
+from needleplan.reports.chapters import Effort
 from needleplan.reports.comparison import Comparison, Verdict
 from needleplan.scenario import Scenario, Transition
 from needleplan_thesis.chapter6.entries import Execution, Study, choose_entries, execute, planned
 from needleplan_thesis.chapter6.scatter import draw_believability
-from needleplan_thesis.reproduce import Effort
 
 if TYPE_CHECKING:
-    from needleplan_thesis.reproduce import Request
+    from needleplan.reports.chapters import Request
 
 __all__ = ["SCENARIOS", "believability", "summary", "write_entries"]
 

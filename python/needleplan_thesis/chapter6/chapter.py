@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from needleplan.reports.chapters import Effort
 from needleplan.scenario import Scenario
 from needleplan_thesis.chapter6.believability import believability
 from needleplan_thesis.chapter6.claims import claims
@@ -16,15 +17,22 @@ from needleplan_thesis.chapter6.problem import problem
 from needleplan_thesis.chapter6.prototype import prototype
 from needleplan_thesis.chapter6.solves import solve_all
 from needleplan_thesis.chapter6.tables import tables
-from needleplan_thesis.reproduce import Effort
 
 if TYPE_CHECKING:
+    from needleplan.reports.chapters import Request
     from needleplan.reports.comparison import Comparison
-    from needleplan_thesis.reproduce import Request
 
-__all__ = ["run"]
+__all__ = ["files", "run"]
 
 _SEEDS, _FEW = 100, 2
+
+
+def files(request: Request) -> tuple[str, ...]:
+    """Return the names of the files that `run` writes into its folder."""
+    if request.experiments:
+        return "fig_6_7_lab.png", "fig_6_8_lab.png", "fig_6_9_lab.png"
+    figures = ("6_3", "6_4", "6_5", "6_5_literal", "6_6", "6_7", "6_8", "6_9")
+    return "predicted_realised.csv", "predicted_realised.png", *(f"fig_{each}.png" for each in figures)
 
 
 def run(request: Request) -> list[Comparison]:

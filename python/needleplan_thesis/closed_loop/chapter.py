@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from needleplan.artifacts import write_whole
+from needleplan.reports.chapters import Effort
 from needleplan.reports.comparison import Comparison, Verdict
 from needleplan.scenario import Scenario
 from needleplan_thesis.closed_loop.figure import draw
@@ -14,12 +15,11 @@ from needleplan_thesis.closed_loop.hidden import HIDDEN
 from needleplan_thesis.closed_loop.results import json_of, markdown_of, percent, size_text
 from needleplan_thesis.closed_loop.series import run_rounds
 from needleplan_thesis.closed_loop.summary import Summary, Total, shrink, summarized, total
-from needleplan_thesis.reproduce import Effort
 
 if TYPE_CHECKING:
-    from needleplan_thesis.reproduce import Request
+    from needleplan.reports.chapters import Request
 
-__all__ = ["circle_scenario", "run"]
+__all__ = ["circle_scenario", "files", "run"]
 
 _SEEDS, _FEW = 40, 1
 _GOAL = 0.6
@@ -39,10 +39,15 @@ def circle_scenario() -> Scenario:
     )  # fmt: skip
 
 
+def files(_: Request) -> tuple[str, ...]:
+    """Return the names of the files that `run` writes into its folder."""
+    return ("diagnosis.md", "diagnosis.json", "diagnosis.png")
+
+
 def run(request: Request) -> list[Comparison]:
     """Go around with every hidden effect and seed; where there is a folder, write diagnosis.md, .json and .png."""
     quick = request.effort is Effort.QUICK
-    seeds = range(request.seeds or (_FEW if quick else _SEEDS))
+    seeds = range(request.runs or (_FEW if quick else _SEEDS))
     chosen = HIDDEN[:1] if quick else HIDDEN
     scenario, rounds = circle_scenario(), []
     request.note(f"diagnosis: {len(chosen)} hidden effects, {len(seeds)} insertions each")
@@ -53,7 +58,7 @@ def run(request: Request) -> list[Comparison]:
     summaries = [summarized(each, [one for one in rounds if one.hidden == each.name]) for each in chosen]
     whole = total(summaries, rounds)
     if request.folder:
-        command = f"needleplan reproduce diagnosis --seeds {len(seeds)}" + " --quick" * quick
+        command = f"needleplan reproduce diagnosis --runs {len(seeds)}" + " --quick" * quick
         write_whole(request.folder / "diagnosis.md", markdown_of(scenario, summaries, whole, command).encode())
         write_whole(request.folder / "diagnosis.json", json_of(scenario, summaries, whole, rounds, command).encode())
         draw(summaries, rounds, request.folder / "diagnosis.png")

@@ -12,14 +12,14 @@ import pytest
 
 from needleplan.diagnosis import Verdict
 from needleplan.models import Estimate
+from needleplan.reports.chapters import Effort, Request, reproduce
 from needleplan.reports.comparison import Verdict as Compared
 from needleplan.signals import Role
-from needleplan_thesis.closed_loop.chapter import circle_scenario
+from needleplan_thesis.closed_loop.chapter import circle_scenario, files
 from needleplan_thesis.closed_loop.hidden import HIDDEN, laboratory
 from needleplan_thesis.closed_loop.loop import Inserted, Named, Round
 from needleplan_thesis.closed_loop.summary import shrink, summarized, total
 from needleplan_thesis.closed_loop.trials import recordings
-from needleplan_thesis.reproduce import Effort, reproduce
 
 pytestmark = pytest.mark.slow
 
@@ -27,11 +27,12 @@ SCENARIO = circle_scenario()
 
 
 def test_a_layer_is_named_planned_for_and_no_longer_missed(tmp_path: Path) -> None:
-    found = {each.id: each for each in reproduce(["diagnosis"], str(tmp_path), Effort.QUICK, str, seeds=2)}
+    found = {each.id: each for each in reproduce(["diagnosis"], Request(tmp_path, Effort.QUICK, str, runs=2))}
     assert found["diagnosis/soft_layer/named"].ours == "1 curvature_layer"
     assert found["diagnosis/together/median error, shrink"].verdict is Compared.MET
     assert found["diagnosis/together/gap of success, shrink"].ours == pytest.approx(1.0, abs=0.01)
     assert sorted(each.name for each in tmp_path.iterdir()) == ["diagnosis.json", "diagnosis.md", "diagnosis.png"]
+    assert sorted(each.name for each in tmp_path.iterdir()) == sorted(files(Request(tmp_path, Effort.QUICK, str)))
     document = json.loads((tmp_path / "diagnosis.json").read_text())
     (only,) = document["rounds"]
     assert (only["seeds"], only["verdicts"], only["motions"]) == ([0, 1], ["named"], [])

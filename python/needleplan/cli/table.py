@@ -1,0 +1,243 @@
+"""The commands that read a policy table: `path`, `evaluate`, `entry` and `info`."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import Any
+
+from needleplan.cli.answer import complain, note, percent, print_json, print_lines
+from needleplan.cli.options import (
+    add_edge,
+    add_figure,
+    add_greedy,
+    add_json,
+    add_start,
+    add_table,
+    entry_record,
+    pose_record,
+    require_outputs,
+    start_pose,
+)
+from needleplan.cli.plan import UNREACHABLE_SUCCESS
+from needleplan.errors import ChecksumError
+
+__all__ = ["add_to"]
+
+
+def add_to(commands: Any) -> None:
+    """Declare the four commands."""
+    for declare in (_add_path, _add_evaluate, _add_entry, _add_info):
+        declare(commands)
+
+
+def _add_path(commands: Any) -> None:
+    """Declare `path`."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "path",
+        help="execute a policy once, without noise",
+        description="Execute a policy once, without noise. Exit code 1: the path does not reach the target.",
+    )
+    add_table(parser)
+    add_start(parser)
+    add_greedy(parser)
+    add_figure(parser, "the path in the workspace")
+    add_json(parser)
+    parser.set_defaults(run=_run_path)
+
+
+def _run_path(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    start = start_pose(options.start) if options.start is not None else None
+    from needleplan.planning import Outcome, PolicyTable, Pose
+
+    require_outputs([options.table], options.figure)
+    table = PolicyTable.read(options.table)
+    path = table.path(start or table.best_entry().pose, greedy=options.greedy)
+    decision = table.lookup(*path.start)
+    if options.figure:
+        from needleplan.planning.drawing import path_figure
+        from needleplan.plotting import save
+
+        save(path_figure(table, path), options.figure)
+        note(f"drew {options.figure}")
+    turns = [Pose.of(turn) for turn in path.turns.tolist()]
+    if options.json:
+        print_json(
+            {
+                "start": pose_record(path.start),
+                "outcome": str(path.outcome),
+                "length_mm": path.length_mm,
+                "cost": path.cost,
+                "turns": [pose_record(turn) for turn in turns],
+                "poses": path.poses.tolist(),
+                "predicted_success": decision.success,
+                "predicted_value": decision.value,
+            }
+        )
+    else:
+        lines = {
+            "start": str(path.start),
+            "outcome": str(path.outcome),
+            "length": f"{path.length_mm:.1f} mm in {len(path.actions)} steps",
+            "turns": ", ".join(f"({turn.x_mm:.1f}, {turn.y_mm:.1f})" for turn in turns) or "none",
+            "end": str(Pose.of(path.poses[-1].tolist())),
+            "with noise": f"predicted success {percent(decision.success)}, cost {decision.value:.4g}",
+        }
+        print_lines(table.scenario.title or options.table, lines)
+    if path.outcome is not Outcome.TARGET:
+        return complain(f"the path does not reach the target: {path.outcome}")
+    return 0
+
+
+def _add_evaluate(commands: Any) -> None:
+    """Declare `evaluate`."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "evaluate",
+        help="execute a policy many times, with noise",
+        description="Execute a policy many times with tip noise in the continuous model; print the success with its "
+        "confidence interval beside the prediction. Exit code 1: no run reached the target.",
+    )
+    add_table(parser)
+    add_start(parser)
+    parser.add_argument("--runs", type=int, default=10_000, metavar="N", help="number of executions (10000)")
+    parser.add_argument("--seed", type=int, default=0, help="the same seed gives the same executions (0)")
+    add_greedy(parser)
+    add_json(parser)
+    parser.set_defaults(run=_run_evaluate)
+
+
+def _run_evaluate(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    start = start_pose(options.start) if options.start is not None else None
+    from needleplan.planning import PolicyTable
+
+    table = PolicyTable.read(options.table)
+    found = table.rollout(start or table.best_entry().pose, options.runs, options.seed, greedy=options.greedy)
+    low, high = found.interval
+    if options.json:
+        print_json(
+            {
+                "start": pose_record(found.start),
+                "runs": found.runs,
+                "seed": found.seed,
+                "greedy": options.greedy,
+                "success": found.success,
+                "confidence_interval": [low, high],
+                "predicted_success": found.predicted_success,
+                "outcomes": found.outcomes,
+                "mean_turns": found.mean_turns,
+                "mean_length_mm": found.mean_length_mm,
+                "mean_cost": found.mean_cost,
+                "predicted_cost": found.predicted_value,
+            }
+        )
+    else:
+        lines = {
+            "start": str(found.start),
+            "success": f"{percent(found.success)} of {found.runs:,} runs, 95 % interval {percent(low)} to "
+            f"{percent(high)}; predicted {percent(found.predicted_success)}",
+            "cost": f"{found.mean_cost:.5g}; predicted {found.predicted_value:.5g}",
+            "outcomes": ", ".join(f"{outcome} {number:,}" for outcome, number in found.outcomes.items() if number),
+            "mean": f"{found.mean_turns:.2f} turns, {found.mean_length_mm:.1f} mm",
+        }
+        print_lines(table.scenario.title or options.table, lines)
+    if found.success == 0:
+        return complain("no run reached the target")
+    return 0
+
+
+def _add_entry(commands: Any) -> None:
+    """Declare `entry`."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "entry",
+        help="find the best entry pose",
+        description="Find the entry with the highest success, and among equals the lowest cost. "
+        "Exit code 1: the target is unreachable.",
+    )
+    add_table(parser)
+    add_edge(parser)
+    parser.add_argument("--at", type=float, metavar="MM", help="search the headings at this place of the edge only")
+    add_json(parser)
+    parser.set_defaults(run=_run_entry)
+
+
+def _run_entry(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    from needleplan.planning import PolicyTable
+
+    table = PolicyTable.read(options.table)
+    along = "y_mm" if options.edge in ("left", "right") else "x_mm"
+    best = table.best_entry(options.edge, **{along: options.at})
+    if options.json:
+        print_json({"edge": options.edge, **entry_record(best)})
+    else:
+        lines = {"best entry": str(best.pose), "": f"success {percent(best.success)}, cost {best.value:.4g}"}
+        print_lines(table.scenario.title or options.table, lines)
+    if best.success < UNREACHABLE_SUCCESS:
+        return complain(f"the target cannot be reached from the {options.edge} edge")
+    return 0
+
+
+def _add_info(commands: Any) -> None:
+    """Declare `info`."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "info",
+        help="show what is in a table and verify its checksums",
+        description="Show what is in a table and verify its checksums. Exit code 1: a checksum is wrong.",
+    )
+    add_table(parser)
+    parser.add_argument("--scenario", action="store_true", help="print the scenario that the table carries, as TOML")
+    add_json(parser)
+    parser.set_defaults(run=_run_info)
+
+
+def _run_info(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code."""
+    from needleplan.planning import PolicyTable
+    from needleplan.planning.table_file import FORMAT
+
+    try:
+        table = PolicyTable.read(options.table)
+    except ChecksumError as error:
+        if options.json:
+            print_json({"table": options.table, "verified": False, "reason": str(error)})
+        return complain(str(error))
+    scenario, stats = table.scenario, table.stats
+    if options.scenario:
+        print(scenario.to_toml(), end="")
+        return 0
+    if options.json:
+        print_json(
+            {
+                "table": options.table,
+                "verified": True,
+                "format": FORMAT,
+                "title": scenario.title,
+                "scenario_digest": scenario.digest,
+                "digest": table.digest,
+                "shape": scenario.shape,
+                "spacing_mm": scenario.grid.spacing_mm,
+                "transition": scenario.grid.transition,
+                "method": scenario.solver.method,
+                **asdict(stats),
+            }
+        )
+        return 0
+    dx, dy = scenario.grid.spacing_mm
+    print_lines(
+        scenario.title or options.table,
+        {
+            "format": f"{FORMAT}, checksums verified",
+            "digest": table.digest,
+            "scenario": scenario.digest,
+            "grid": f"{' x '.join(map(str, scenario.shape))} = {stats.states:,} states, spacing {dx:g} x {dy:g} mm, "
+            f"{scenario.grid.transition}",
+            "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, residual {stats.residual:.3g}, "
+            f"error at most {stats.error_bound:.3g}",
+            "work": f"{stats.sweeps:.2f} sweeps, {stats.backups:,} backups, {stats.seconds:.3f} s",
+            "values": f"{table.values.min():.4g} to {table.values.max():.4g}",
+            "success": f"{percent(float(table.success.mean()))} on average over all states",
+        },
+    )
+    return 0
