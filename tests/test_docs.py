@@ -14,7 +14,7 @@ from needleplan import scenario
 from tests import pages
 
 PAGES = sorted((pages.ROOT / "docs").rglob("*.md"))
-OTHER_PAGES = [pages.ROOT / name for name in ("README.md", "CHANGELOG.md", "rust/ppvi/README.md")]
+OTHER_PAGES = [pages.ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "rust/ppvi/README.md")]
 PARTS = ("workspace", "obstacle", "target", "needle", "layer", "tissue", "motion", "grid", "objective", "solver")
 
 
