@@ -187,6 +187,7 @@ def traffic(seconds: float) -> dict[str, Any]:
                 while (now := time.monotonic()) < begin + seconds:
                     if not memory or now - begin > memory[-1][0] + max(seconds / 20, 1.0):
                         memory.append((now - begin, resident_mb()))
+                    stage.heartbeat()
                     if (sample := feed.next(0.02)) is None:
                         continue
                     name, number = type(sample).__name__, sample.stamp.sequence

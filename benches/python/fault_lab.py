@@ -50,7 +50,7 @@ class FaultLab:
     @property
     def addresses(self) -> tuple[str, str, str]:
         """Of force sensor, tracker and robot."""
-        return self.force.address, f"{self.coils.address}?tool={TOOL}", f"{self.robot.address}?alive=calls"
+        return self.force.address, f"{self.coils.address}?tool={TOOL}", self.robot.address
 
     def received(self, datagram: bytes, sender: tuple[str, int], now_ns: int) -> bytes:
         """Note the first stop after the fault."""

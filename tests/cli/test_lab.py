@@ -103,6 +103,7 @@ def test_three_clients_see_one_needle_go_in(start: Callable[..., Running]) -> No
         stage.insert(20.0, 20.0)
         sample = stage.read(20.0)
         while sample is not None and sample.moving:
+            stage.heartbeat()
             sample = stage.read(20.0)
         assert sample is not None
         assert sample.depth_mm == pytest.approx(20.0, abs=0.05)
@@ -166,6 +167,7 @@ def test_one_that_is_killed_leaves_the_others_and_all_end_with_the_program(start
         stage.insert(2.0, 20.0)
         sample = stage.read(20.0)
         while sample is not None and sample.moving:
+            stage.heartbeat()
             sample = stage.read(20.0)
         assert sample is not None
         assert sample.depth_mm == pytest.approx(2.0, abs=0.05)

@@ -60,7 +60,7 @@ class Insertion(Closing):
         self._trace = Trace(self.options.force_axis)
         self._listeners = (self._trace, *listeners)
         self.guard = GuardedStage(station.stage, limits, clock=station.clock, listener=self._heard)
-        self._needle = Needle(self.guard, station.clock, self.options, self._listeners, station.alive)
+        self._needle = Needle(self.guard, station.clock, self.options, self._listeners)
         self._needle.on_pause = self._paused
         self.registration = registration or Registration()
         self._tip_settings = tip_settings

@@ -41,10 +41,7 @@ class Stopped(Exception):
 class Needle:
     """Reads the devices, keeps the last sample of each, follows the tip, and carries out moves."""
 
-    def __init__(
-        self, guard: GuardedStage, clock: Clock, options: Options, listeners: Sequence[Listener],
-        alive: Callable[[], None] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, guard: GuardedStage, clock: Clock, options: Options, listeners: Sequence[Listener]) -> None:
         self.options = options
         self.stage: StageSample | None = None
         self.force: ForceSample | None = None
@@ -65,7 +62,6 @@ class Needle:
 
         self._guard = guard
         self._clock = clock
-        self._alive = alive
         self._feed: Feed | None = None
         self._listeners = listeners
         self._heard_ns = self._ticked_ns = clock.now_ns()
@@ -134,8 +130,6 @@ class Needle:
                 if (status := listener.status()) is not None:
                     self._guard.observe_recording(status)
             self._guard.tick()
-            if self._alive is not None:
-                self._alive()
         if self._enabled and self._guard.state.operating in (OperatingState.FAULT, OperatingState.DISABLED):
             raise DeviceFault(self._why_stopped())
 

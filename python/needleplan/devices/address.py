@@ -14,7 +14,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from needleplan.errors import AddressError, Mistake
 
-__all__ = ["Address"]
+__all__ = ["Address", "require_called_heartbeat"]
 
 _LAST_PORT = 65_535
 _T = TypeVar("_T")
@@ -89,3 +89,14 @@ class Address:
         port = "" if self.port is None else f":{self.port}"
         options = "&".join(f"{name}={value}" for name, value in self.options.items())
         return f"{self.scheme}://{host}{port}{self.path}{'?' if options else ''}{options}"
+
+
+def require_called_heartbeat(address: Address) -> None:
+    """Raise AddressError for `alive=reading`, by which reading once counted as a heartbeat.
+
+    `alive=calls`, which addresses of older scripts may carry, is how every stage works now.
+    """
+    asked = address.options.get("alive", "calls")
+    if asked != "calls":
+        rule = "must be calls: reading is no heartbeat; call heartbeat() in the loop that decides"
+        raise AddressError(Mistake("alive", asked, rule), str(address))

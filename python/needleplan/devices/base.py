@@ -104,8 +104,12 @@ class Stage(Device):
     def stop(self) -> None:
         """Stop both axes now; always allowed, also in a fault."""
 
-    def alive(self) -> None:
-        """Say that who commands is alive; for a stage that stops where it does not hear so. Raises DeviceFault."""
+    def heartbeat(self) -> None:
+        """Tell the stage that its commander is running; a stage with a watchdog stops if this is not called in time.
+
+        Only the guard of an insertion calls it (`control.safety.GuardedStage.tick`); a program without a guard calls
+        it in the loop that decides. A stage without a watchdog does nothing. Raises DeviceFault.
+        """
 
     @abstractmethod
     def read(self, timeout_s: float) -> StageSample | None:

@@ -6,7 +6,6 @@ import queue
 import threading
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -33,16 +32,12 @@ class Source(StrEnum):
 
 @dataclass
 class Station:
-    """What an insertion works with: a stage, a force sensor, a tracker, and the clock of their stamps.
-
-    `alive`, where the stage wants to hear that the loop lives, is called at least every 20 ms.
-    """
+    """What an insertion works with: a stage, a force sensor, a tracker, and the clock of their stamps."""
 
     stage: Stage
     force_sensor: ForceSensor
     tracker: Tracker
     clock: Clock
-    alive: Callable[[], None] | None = None
 
     def feed(self, stage: Stage) -> Feed:
         """Return the samples of the devices, with `stage`, which guards the stage, in its place; as the clock needs."""

@@ -94,8 +94,7 @@ def open_bench(robot: str, force: str, tracker: str, table: PolicyTable, start: 
         eyes = _opened(_TRACKERS, tracker, opened)
         stage = _opened(_ROBOTS, robot, opened)
         opened.pop_all()
-    alive = getattr(stage, "alive", None)
-    return Bench(Station(stage, sensor, eyes, SystemClock(), alive))
+    return Bench(Station(stage, sensor, eyes, SystemClock()))
 
 
 def simulated_bench(experiment: Experiment, table: PolicyTable, start: Pose, seed: int | None = None) -> Bench:
@@ -144,19 +143,13 @@ def _close(device: Device) -> None:
 def _robot(address: str) -> Stage:
     from needleplan.devices.robot import RobotStage
 
-    return RobotStage.open(_vouched_for(address))
+    return RobotStage.open(address)
 
 
 def _drives(address: str) -> Stage:
     from needleplan.devices.cia402 import CanopenStage
 
-    return CanopenStage.open(_vouched_for(address))
-
-
-def _vouched_for(address: str) -> str:
-    """Return an address by which the loop itself vouches for its life, not the thread that reads."""
-    parsed = Address.parse(address)
-    return str(replace(parsed, options={"alive": "calls", **parsed.options}))
+    return CanopenStage.open(address)
 
 
 def _net_ft(address: str) -> ForceSensor:

@@ -48,7 +48,7 @@ def main() -> None:
             ring: list[object] = []
             ring.append(ring)
             garbage.append(ring)
-    with RobotStage.open(f"{sys.argv[1]}?watchdog_s=0.1&valid_s=0.1&alive=calls") as stage:
+    with RobotStage.open(f"{sys.argv[1]}?watchdog_s=0.1&valid_s=0.1") as stage:
         guard = GuardedStage(stage, limits, listener=say)
         with Watchdog(guard):
             number, enabled, collected, refused = 0, False, False, 0

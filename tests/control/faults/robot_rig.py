@@ -16,7 +16,7 @@ class RobotRig:
 
     def __init__(self) -> None:
         self.bench = Bench()
-        self.stage = self.bench.stage(alive_by_reading=False)
+        self.stage = self.bench.stage()
         self.events: list[SafetyEvent] = []
         self.guard = GuardedStage(
             self.stage, SafetyLimits(), clock=self.bench.clock, listener=lambda event: self.events.append(event)

@@ -244,12 +244,12 @@ def test_stop_latches() -> None:
     assert refused(guard.order, Order.ENABLE) == {Cause.NOT_RESET, Cause.STOP_ORDERED}
 
 
-def test_a_stage_that_asks_for_it_hears_that_the_loop_is_alive() -> None:
+def test_the_guard_sends_the_heartbeat_while_the_loop_ticks() -> None:
     bench = Bench()
     heard = []
     bench.guard.close()
     bench.stage.broken = False
-    bench.stage.alive = lambda: heard.append(bench.clock.now_ns())  # type: ignore[attr-defined]
+    bench.stage.heartbeat = lambda: heard.append(bench.clock.now_ns())  # type: ignore[method-assign]
     bench.guard = GuardedStage(bench.stage, clock=bench.clock)
     bench.turns(0.1)
     assert len(heard) == 20
@@ -265,7 +265,7 @@ def test_a_stage_that_asks_for_it_hears_that_the_loop_is_alive() -> None:
 
     bench.without = set()
     guard = bench.enabled()
-    bench.stage.alive = fail  # type: ignore[attr-defined]
+    bench.stage.heartbeat = fail  # type: ignore[method-assign]
     bench.turn()
     assert Cause.STAGE_FAULT in guard.state.latched
 

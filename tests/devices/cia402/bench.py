@@ -65,6 +65,7 @@ def setup_file(folder: Path, text: str = FILE) -> Path:
 
 
 def next_of(stage: CanopenStage) -> StageSample:
+    stage.heartbeat()
     sample = stage.read(LONG_S)
     assert sample is not None
     return sample

@@ -14,6 +14,7 @@ from needleplan.devices.cia402 import CanopenStage, DriveFaults, SimulatedDrives
 from needleplan.devices.cia402.objects import DriveState, Entry, decode_emergency, state_of
 from needleplan.errors import DeviceFault
 from tests.devices.cia402.bench import PATIENT, drives, next_of, stage_on, wait_for
+from tests.devices.contract import heard_and_read
 
 QUICK = replace(PATIENT, silence_s=1.0, answer_s=1.0, change_s=1.5)
 """For faults that are there before anything is asked."""
@@ -28,7 +29,7 @@ def moving(stage: CanopenStage) -> None:
 def fault_of(stage: CanopenStage, cause: str) -> None:
     """Read until the stage gives up, and see that it stays given up, and takes no motion."""
     with pytest.raises(DeviceFault, match=cause):
-        deque((stage.read(0.02) for _ in range(5000)), maxlen=0)
+        deque((heard_and_read(stage, 0.02) for _ in range(5000)), maxlen=0)
     for again in (lambda: stage.read(0), lambda: stage.insert(1.0, 1.0), lambda: stage.rotate(1.0, 1.0)):
         with pytest.raises(DeviceFault, match=cause):
             again()
@@ -214,7 +215,7 @@ def test_samples_that_were_asked_for_in_vain_are_counted() -> None:
         first = next_of(stage)
         there.insertion.faults.mute = True
         for _ in range(30):
-            assert stage.read(0.01) is None
+            assert heard_and_read(stage, 0.01) is None
         there.insertion.faults.mute = False
         after = next_of(stage)
         assert after.stamp.lost > 0

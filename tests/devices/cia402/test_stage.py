@@ -21,7 +21,7 @@ pytest.importorskip("canopen", reason="the library canopen is not installed (ext
 from needleplan.devices.cia402 import CanopenStage
 from needleplan.devices.cia402.objects import AbortOption, Entry
 from needleplan.errors import AddressError, DeviceFault, LinkClosed
-from tests.devices.cia402.bench import PATIENT, drives, next_of, setup_file, stage_on
+from tests.devices.cia402.bench import LONG_S, PATIENT, drives, next_of, setup_file, stage_on
 from tests.devices.contract import StageContract
 
 HARDWARE = "NEEDLEPLAN_TEST_CANOPEN"
@@ -195,13 +195,13 @@ def test_two_threads_may_read_and_command() -> None:
         assert 0 < last.depth_mm < 20
 
 
-def test_a_thread_that_reads_does_not_vouch_where_it_is_told_not_to(tmp_path: Path) -> None:
+def test_a_thread_that_reads_does_not_hide_a_loop_that_has_died(tmp_path: Path) -> None:
     timing = replace(PATIENT, watchdog_s=0.5)
     with drives() as there:
         address = f"{there.address}&setup={setup_file(tmp_path)}&alive=calls"
         with CanopenStage.open(address, timing=timing) as stage:
             stage.insert(100.0, 5.0)
-            stage.alive()
+            stage.heartbeat()
             with pytest.raises(DeviceFault, match=r"0x8130|QUICK STOP ACTIVE"):
-                deque((next_of(stage) for _ in range(10_000)), maxlen=0)
+                deque((stage.read(LONG_S) for _ in range(10_000)), maxlen=0)
             assert there.insertion.stopped_after_s is not None

@@ -13,6 +13,7 @@ from needleplan.devices.robot import RobotLimits, RobotMachine, RobotNetwork, Ro
 from needleplan.devices.robot.codec import decode, encode
 from needleplan.devices.robot.messages import Answer, Command, Head, Kind, Result
 from needleplan.errors import DeviceFault
+from tests.devices.contract import heard_and_read
 
 
 class Bench:
@@ -26,15 +27,11 @@ class Bench:
         self._sessions = count(1)
 
     def stage(
-        self, timing: RobotTiming | None = None, *, name: str = "controller", session: int | None = None,
-        alive_by_reading: bool = True,
-    ) -> RobotStage:  # fmt: skip
+        self, timing: RobotTiming | None = None, *, name: str = "controller", session: int | None = None
+    ) -> RobotStage:
         """Open a stage; its session is the next number, unless one is given."""
         draw = (lambda: next(self._sessions)) if session is None else (lambda: session)
-        return RobotStage(
-            self.network.link(name), timing=timing, clock=self.clock, alive_by_reading=alive_by_reading,
-            draw_session=draw,
-        )  # fmt: skip
+        return RobotStage(self.network.link(name), timing=timing, clock=self.clock, draw_session=draw)
 
     def wait(self, seconds: float) -> None:
         """Let time pass for the robot while nobody on the control side does anything."""
@@ -48,8 +45,8 @@ class Bench:
 
 
 def next_of(stage: RobotStage) -> StageSample:
-    """Return the next sample."""
-    sample = stage.read(0.05)
+    """Return the next sample for a loop that is alive."""
+    sample = heard_and_read(stage, 0.05)
     assert sample is not None
     return sample
 
@@ -66,7 +63,7 @@ def moving(bench: Bench, speed_mm_s: float = 10.0) -> RobotStage:
 def fault_of(stage: RobotStage, cause: str) -> None:
     """Read until the stage gives up, and see that it stays given up, and takes no motion."""
     with pytest.raises(DeviceFault, match=cause):
-        deque((stage.read(0.02) for _ in range(1000)), maxlen=0)
+        deque((heard_and_read(stage, 0.02) for _ in range(1000)), maxlen=0)
     with pytest.raises(DeviceFault, match=cause):
         stage.read(0)
     with pytest.raises(DeviceFault, match=cause):

@@ -17,6 +17,7 @@ if __name__ == "__main__":
     said = False
     try:
         while True:
+            stage.heartbeat()
             sample = stage.read(0.1)
             if sample is not None and sample.depth_mm > 0.1 and not said:
                 said = True

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections import deque
 from collections.abc import Callable
 
 import pytest
@@ -18,6 +19,7 @@ from needleplan.devices.robot import Fault, RobotMachine, RobotNetwork, RobotSta
 from needleplan.devices.robot.codec import decode, encode
 from needleplan.devices.robot.messages import Answer, Command, Head, Kind, Result
 from needleplan.errors import DeviceFault
+from tests.devices.contract import heard_and_read
 from tests.devices.robot.bench import Bench, at_rest, fault_of, moving, next_of, raw, result_of, stands_still
 
 MS = 1e-3
@@ -33,7 +35,7 @@ def test_32_the_robot_stops_itself_when_the_control_side_falls_silent(silence_s:
     bench.wait(0.5)
     depth_mm, still_moving = bench.truth
     assert not still_moving
-    # From the last proof of life: every quarter of the time; and one tick.
+    # From the last heartbeat; and one tick.
     assert 0.3 <= depth_mm <= 0.301 + 10 * (silence_s + MS)
     fault_of(stage, "nothing was heard of the control side while it moved")
 
@@ -54,13 +56,14 @@ def test_32_a_robot_at_rest_bears_silence_until_it_takes_another_controller() ->
     bench.stage(name="other")
 
 
-def test_32_a_reader_does_not_vouch_for_a_loop_that_has_died() -> None:
+def test_32_a_thread_that_reads_does_not_hide_a_loop_that_has_died() -> None:
     bench = Bench()
-    stage = bench.stage(alive_by_reading=False)
+    stage = bench.stage()
     stage.insert(100.0, 10.0)
     for _ in range(100):
         assert next_of(stage).moving
-        stage.alive()
+    with pytest.raises(DeviceFault, match="nothing was heard"):
+        deque((stage.read(0.02) for _ in range(1000)), maxlen=0)
     fault_of(stage, "nothing was heard")
 
 
@@ -296,7 +299,7 @@ def test_whatever_happens_it_stands_still_a_moment_after_the_last_word(story: li
             elif act == "stop":
                 stage.stop()
             elif act == "read":
-                stage.read(0.01)
+                heard_and_read(stage, 0.01)
             elif act == "idle":
                 bench.wait(0.02)
             else:

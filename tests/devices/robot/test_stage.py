@@ -14,7 +14,7 @@ from needleplan.devices.robot import RobotLimits, RobotMachine, RobotServer, Rob
 from needleplan.devices.robot.codec import encode
 from needleplan.devices.robot.messages import Fault, Head, RobotState, Status
 from needleplan.errors import AddressError, DeviceFault, LinkClosed
-from tests.devices.contract import StageContract
+from tests.devices.contract import StageContract, heard_and_read
 from tests.devices.robot.bench import Bench, next_of
 
 HARDWARE = "NEEDLEPLAN_TEST_ROBOT"
@@ -56,7 +56,7 @@ def test_two_threads_may_read_and_command(server: RobotServer) -> None:
 
         def read() -> None:
             while not enough.is_set():
-                sample = stage.read(0.5)
+                sample = heard_and_read(stage, 0.5)
                 if sample is not None:
                     samples.append(sample)
 
@@ -111,6 +111,7 @@ def test_wrong_addresses_are_refused_before_anything_is_sent(server: RobotServer
         "udp://127.0.0.1?watchdog_s=0": "from 0.001 to 60",
         "udp://127.0.0.1?valid_s=nan": "from 0.001 to 60",
         "udp://127.0.0.1?alive=always": "alive = always",
+        "udp://127.0.0.1?alive=reading": "reading is no heartbeat",
     }.items():
         with pytest.raises(AddressError, match=message):
             RobotStage.open(address)
@@ -127,6 +128,6 @@ def test_nobody_at_the_address_is_a_fault() -> None:
 def test_a_closed_robot_takes_no_command() -> None:
     stage = Bench().stage()
     stage.close()
-    for command in (lambda: stage.insert(1.0, 1.0), lambda: stage.rotate(1.0, 1.0), stage.stop, stage.alive):
+    for command in (lambda: stage.insert(1.0, 1.0), lambda: stage.rotate(1.0, 1.0), stage.stop, stage.heartbeat):
         with pytest.raises(LinkClosed):
             command()

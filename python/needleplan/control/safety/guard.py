@@ -32,7 +32,7 @@ from needleplan.control.safety.limits import SafetyLimits
 from needleplan.control.safety.machine import Action, OperatingState, Order, Report, SafetyState, Step, advance
 from needleplan.control.safety.motion import MotionWatch
 from needleplan.control.safety.record import RecordWatch
-from needleplan.control.safety.stopping import Stopping, Vouching
+from needleplan.control.safety.stopping import Heartbeat, Stopping
 from needleplan.devices import Clock, ForceSample, PoseSample, Source, Stage, StageSample, SystemClock
 from needleplan.errors import DeviceFault, MotionRefused
 from needleplan.recording.mcap import RecorderStatus
@@ -81,7 +81,7 @@ class GuardedStage(Stage):
         self._enabled_ns = 0
         self._commander: int | None = None
         self._stopping = Stopping(stage, self._clock)
-        self._vouching = Vouching(stage, self._state.since_ns)
+        self._heartbeat = Heartbeat(stage, self._state.since_ns)
         self._retracting = self._overtaken = self._deaf = False
 
     @property
@@ -143,18 +143,23 @@ class GuardedStage(Stage):
             return self._look(now_ns, status.cause)
 
     def tick(self) -> SafetyState:
-        """Say that the loop is alive, and look at everything; once a turn of the loop.
+        """Report that the loop is running, and validate everything; the loop calls it once per iteration.
 
-        A stage that has a watchdog of its own (`alive`) hears it from here.
+        This is the only place from which the stage gets its heartbeat: a loop that dies or hangs ends the heartbeat,
+        and the watchdog of the stage stops the motion.
         """
         with self._held() as now_ns:
             # A turn that came too late is judged before it is forgotten.
             state = self._look(now_ns)
             self._ticked_ns = now_ns
-            if (error := self._vouching.vouch(now_ns)) is not None:
+            if (error := self._heartbeat.send(now_ns)) is not None:
                 self._fail(Source.STAGE)
                 return self._look(now_ns, str(error))
             return self._look(now_ns) if Cause.LOOP_LATE in state.present else state
+
+    def heartbeat(self) -> None:
+        """Report that the loop is running; the same as `tick`."""
+        self.tick()
 
     def check(self) -> SafetyState:
         """Look at everything for somebody who is not the loop: the watchdog."""

@@ -1,13 +1,11 @@
-"""What goes to a stage beside commands: stops, again until it stands still, and the proof that the loop is alive."""
+"""What the guard sends to a stage besides commands: stops, repeated until the stage stands still, and heartbeats."""
 
 from __future__ import annotations
-
-from typing import Protocol, runtime_checkable
 
 from needleplan.devices import Clock, Stage, StageSample
 from needleplan.errors import DeviceFault
 
-__all__ = ["Stopping", "Vouching"]
+__all__ = ["Heartbeat", "Stopping"]
 
 _NANO = 1e-9
 _AGAIN_S = 0.02
@@ -17,14 +15,8 @@ _IN_VAIN_S = 0.25
 _SHARE, _LONGEST_S = 10.0, 1.0
 """Where a stop takes its time, as over a slow link, it takes at most a tenth of all time, so that others get theirs."""
 
-_VOUCH_S = 0.005
-
-
-@runtime_checkable
-class _Vouched(Protocol):
-    """A stage with a watchdog of its own, which wants to hear from the loop."""
-
-    def alive(self) -> None: ...
+_HEARTBEAT_S = 0.005
+"""Shortest time between two heartbeats: a sixth of the watchdog of a robot (0.03 s)."""
 
 
 class Stopping:
@@ -62,20 +54,20 @@ class Stopping:
             self.wanted = False
 
 
-class Vouching:
-    """Tells a stage that has a watchdog of its own that the loop is alive, not too often; other stages nothing."""
+class Heartbeat:
+    """Sends the heartbeat of one stage, at most every 5 ms; nothing else in the package sends it."""
 
     def __init__(self, stage: Stage, now_ns: int) -> None:
-        self._stage = stage if isinstance(stage, _Vouched) else None
-        self._last_ns = now_ns
+        self._stage = stage
+        self._sent_ns = now_ns
 
-    def vouch(self, now_ns: int) -> DeviceFault | None:
-        """Say so, and return what the stage has against it."""
-        if self._stage is None or (now_ns - self._last_ns) * _NANO < _VOUCH_S:
+    def send(self, now_ns: int) -> DeviceFault | None:
+        """Send a heartbeat if one is due; return the fault of the stage if the heartbeat could not be sent."""
+        if (now_ns - self._sent_ns) * _NANO < _HEARTBEAT_S:
             return None
-        self._last_ns = now_ns
+        self._sent_ns = now_ns
         try:
-            self._stage.alive()
+            self._stage.heartbeat()
         except DeviceFault as error:
             return error
         return None

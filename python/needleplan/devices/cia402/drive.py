@@ -31,13 +31,13 @@ _NEXT = {
 class Drive:
     """The drive of one axis; every method asks it and waits for what it answers. Raises DeviceFault.
 
-    Before each question `alive` is called, so that no drive thinks us dead while we talk to the other.
+    Before each question `heartbeat` is called: the watchdog of the other drive runs on while this one answers.
     """
 
     def __init__(
-        self, bus: CanBus, setup: AxisSetup, answer_s: float, change_s: float, alive: Callable[[], None]
+        self, bus: CanBus, setup: AxisSetup, answer_s: float, change_s: float, heartbeat: Callable[[], None]
     ) -> None:
-        self.bus, self.setup, self.change_s, self._alive = bus, setup, change_s, alive
+        self.bus, self.setup, self.change_s, self._heartbeat = bus, setup, change_s, heartbeat
         canopen = library()
         self._node = bus.network.add_node(canopen.RemoteNode(setup.node, canopen.ObjectDictionary()))
         self._node.sdo.RESPONSE_TIMEOUT = answer_s
@@ -172,7 +172,7 @@ class Drive:
             self.bus.clock.sleep(_POLL_S)
 
     def _ask(self, entry: Entry, what: str, ask: Any) -> Any:
-        self._alive()
+        self._heartbeat()
         try:
             return ask()
         except self._sdo_error as error:

@@ -11,7 +11,7 @@ import queue
 import threading
 from dataclasses import replace
 
-from needleplan.devices.address import Address
+from needleplan.devices.address import Address, require_called_heartbeat
 from needleplan.devices.base import Stage, StageSample
 from needleplan.devices.cia402.axis import Axis
 from needleplan.devices.cia402.bus import CanBus, Frame
@@ -32,26 +32,23 @@ _NANO = 1_000_000_000
 class CanopenStage(Stage):
     """The two drives on `bus`; `node` is our own number there.
 
-    Each `read` and each command is a proof of life; there is no thread that would vouch for a loop that has died. With
-    `alive_by_reading` false only commands and `alive` are: so a thread that reads does not vouch for the loop either.
+    Heartbeats are sent by `heartbeat` and before each question of a command, because a command may take longer than
+    the watchdog of the other drive. Reading sends none: a thread that still reads must not hide that the loop has died.
     """
 
-    def __init__(
-        self, bus: CanBus, setup: DrivesSetup, *, node: int = 127, timing: DriveTiming | None = None,
-        alive_by_reading: bool = True,
-    ) -> None:  # fmt: skip
+    def __init__(self, bus: CanBus, setup: DrivesSetup, *, node: int = 127, timing: DriveTiming | None = None) -> None:
         self.timing = DriveTiming() if timing is None else timing
-        self.setup, self._node, self._by_reading = setup, node, alive_by_reading
+        self.setup, self._node = setup, node
         self._bus, self._clock = bus, bus.clock
         self._lock = threading.RLock()
         self._fault: DeviceFault | None = None
         self._closed = self._running = False
-        self._vouched_ns = 0
+        self._beat_ns = 0
         self._drives: list[Drive] = []
         self._axes: list[Axis] = []
         try:
             for each in (setup.insertion, setup.roll):
-                drive = Drive(bus, each, self.timing.answer_s, self.timing.change_s, self._vouch)
+                drive = Drive(bus, each, self.timing.answer_s, self.timing.change_s, self._beat)
                 self._drives.append(drive)
                 self._axes.append(Axis(each, drive.name, self.timing.slack_s))
             self._rounds = Rounds(bus, self._axes, self.timing)
@@ -65,7 +62,7 @@ class CanopenStage(Stage):
         """Open `canopen://can0?setup=drives.toml` and enable both drives.
 
         Options: `interface` (socketcan; any of python-can), `bitrate`, `node` (our own number, 127),
-        `watchdog_s` (0.04), `alive` (`reading`, or `calls` to leave proofs of life to who calls `alive`).
+        `watchdog_s` (0.04).
 
         Raises AddressError, ConfigurationError for a setup that is wrong or without the extra `canopen`, DeviceFault.
         """
@@ -73,6 +70,7 @@ class CanopenStage(Stage):
         if parsed.scheme != "canopen" or not parsed.host or parsed.port is not None or parsed.path not in ("", "/"):
             raise AddressError(Mistake("address", address, "must name a bus, as in canopen://can0?setup=drives.toml"))
         parsed.only(("setup", "interface", "bitrate", "node", "watchdog_s", "alive"))
+        require_called_heartbeat(parsed)
         if "setup" not in parsed.options:
             raise AddressError(Mistake("setup", "", "is missing: a TOML file with [insertion] and [roll]"), address)
         node = parsed.option("node", int, 127)
@@ -83,7 +81,6 @@ class CanopenStage(Stage):
         watchdog_s = parsed.option("watchdog_s", float, usual.watchdog_s)
         if not 0.02 <= watchdog_s <= 60:
             raise AddressError(Mistake("watchdog_s", f"{watchdog_s:g}", "must be from 0.02 to 60 s"), address)
-        by_reading = parsed.option("alive", {"reading": True, "calls": False}.__getitem__, True)
         setup = DrivesSetup.read(parsed.options["setup"])
         if node in (setup.insertion.node, setup.roll.node):
             raise AddressError(Mistake("node", str(node), "must be another than those of the drives"), address)
@@ -91,7 +88,7 @@ class CanopenStage(Stage):
         options = {"bitrate": bitrate} if bitrate else {}
         bus = CanBus(parsed.host, interface, SystemClock() if clock is None else clock, **options)
         asked = replace(usual, watchdog_s=watchdog_s)
-        return cls(bus, setup, node=node, timing=asked, alive_by_reading=by_reading)
+        return cls(bus, setup, node=node, timing=asked)
 
     def start(self) -> None:
         """Set both drives up, reset faults whose cause is gone, and enable; nothing moves.
@@ -105,7 +102,7 @@ class CanopenStage(Stage):
                     drive.configure(self._node, self.timing.watchdog_s, self.timing.heartbeat_s)
                     drive.reset_fault()
                 # A drive watches us from the first time on that it hears us.
-                self._vouch(due=True)
+                self._beat(due=True)
                 for which in range(len(self._drives)):
                     self._enable(which)
             except DeviceFault as fault:
@@ -146,11 +143,14 @@ class CanopenStage(Stage):
         if faults:
             raise self._give_up(faults[0])
 
-    def alive(self) -> None:
-        """Say that the control side lives. Raises LinkClosed."""
+    def heartbeat(self) -> None:
+        """Send a heartbeat if `timing.heartbeat_s` has passed since the last. Raises DeviceFault if the bus is gone."""
         if self._closed:
             raise LinkClosed("the stage is closed")
-        self._vouch()
+        try:
+            self._beat()
+        except DeviceFault as fault:
+            raise self._give_up(fault) from None
 
     def read(self, timeout_s: float) -> StageSample | None:
         """Return the next sample, or None after `timeout_s`. Raises DeviceFault, again and again until `start`."""
@@ -196,7 +196,7 @@ class CanopenStage(Stage):
             try:
                 if axis.stopped:
                     self._enable(which)
-                self._vouch(due=True)
+                self._beat(due=True)
                 drive.move(target, velocity)
                 position = axis.setup.position(drive.read(Entry.POSITION))
             except DeviceFault as fault:
@@ -212,24 +212,22 @@ class CanopenStage(Stage):
         axis.enabled(axis.setup.position(drive.read(Entry.POSITION)))
 
     def _step(self) -> StageSample | None:
-        """Return the sample if all have answered; else say that we live, and ask where it is due."""
+        """Return the sample if all drives have answered; otherwise ask them again when the next SYNC is due."""
         self._drain()
         if (sample := self._rounds.sample()) is not None:
             return sample
         if silent := self._rounds.silent():
             raise self._give_up(DeviceFault(silent))
         try:
-            if self._by_reading:
-                self._vouch()
             self._rounds.ask()
         except DeviceFault as fault:
             raise self._give_up(fault) from None
         return None
 
-    def _vouch(self, due: bool = False) -> None:
+    def _beat(self, due: bool = False) -> None:
         now_ns = self._clock.now_ns()
-        if due or now_ns - self._vouched_ns >= self.timing.heartbeat_s * _NANO:
-            self._vouched_ns = now_ns
+        if due or now_ns - self._beat_ns >= self.timing.heartbeat_s * _NANO:
+            self._beat_ns = now_ns
             self._bus.send(Service.HEARTBEAT + self._node, bytes([_OPERATIONAL]))
 
     def _next_frame(self, timeout_s: float) -> Frame | None:

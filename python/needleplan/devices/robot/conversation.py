@@ -31,7 +31,7 @@ class Conversation:
         self._again_s, self._silence_us = again_s, round(silence_s * 1e6)
         self.watch, self.robot_clock = StatusWatch(), RobotClock()
         self.statuses: deque[tuple[Status, int, int]] = deque()
-        self.heard_ns = self.sent_ns = clock.now_ns()
+        self.heard_ns = clock.now_ns()
         self.lost_control: Result | None = None
         """Why the robot no longer obeys this session."""
 
@@ -82,8 +82,8 @@ class Conversation:
             if deadline.passed:
                 return None
 
-    def alive(self, within_s: float) -> None:
-        """Send a proof of life that counts for `within_s`."""
+    def heartbeat(self, within_s: float) -> None:
+        """Send a heartbeat that is valid for `within_s`."""
         self._send(Kind.ALIVE, 0, self.robot_clock.at(self._clock.now_ns()) + round(within_s * 1e9))
 
     def pump(self, timeout_s: float) -> bool:
@@ -103,7 +103,7 @@ class Conversation:
     def _send(self, kind: Kind, number: int, deadline_ns: int, target: float = 0.0, speed: float = 0.0) -> None:
         with self._counting:
             self._sequence = (self._sequence + 1) % _WRAP
-            now_ns = self.sent_ns = self._clock.now_ns()
+            now_ns = self._clock.now_ns()
             echo_ns, received_ns = self._echo
             held_us = min((now_ns - received_ns) // 1000, _WRAP - 1) if echo_ns else 0
             head = Head(self.session, self._sequence, now_ns, echo_ns, held_us, number)

@@ -8,7 +8,7 @@ import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from needleplan.devices.address import Address
+from needleplan.devices.address import Address, require_called_heartbeat
 from needleplan.devices.base import Health, Stage, StageSample, Stamp
 from needleplan.devices.clock import Clock, Deadline, SystemClock
 from needleplan.devices.link import Link
@@ -58,8 +58,8 @@ class RobotTiming:
 class RobotStage(Stage):
     """The robot over `link`.
 
-    Each `read` that takes time, and each command, is a proof of life. With `alive_by_reading` false only commands and
-    `alive` are: so a thread that reads does not vouch for a loop that has died.
+    The watchdog of the robot is satisfied by commands and by `heartbeat`. Reading sends nothing: a thread that still
+    reads must not hide that the loop has died.
     """
 
     def __init__(
@@ -68,13 +68,11 @@ class RobotStage(Stage):
         *,
         timing: RobotTiming | None = None,
         clock: Clock | None = None,
-        alive_by_reading: bool = True,
         draw_session: Callable[[], int] = lambda: secrets.randbelow(_WRAP - 1) + 1,
     ) -> None:
         self._link, self._draw = link, draw_session
         self._clock: Clock = SystemClock() if clock is None else clock
         self.timing = RobotTiming() if timing is None else timing
-        self._by_reading = alive_by_reading
         self._fault: DeviceFault | None = None
         self._closed = self._greeted = False
         self.last_status: Status | None = None
@@ -88,15 +86,15 @@ class RobotStage(Stage):
 
     @classmethod
     def open(cls, address: str, *, timing: RobotTiming | None = None) -> RobotStage:
-        """Open `udp://host[:5005][?watchdog_s=0.03&valid_s=0.03&alive=reading&local_port=n]` and take control.
+        """Open `udp://host[:5005][?watchdog_s=0.03&valid_s=0.03&local_port=n]` and take control.
 
-        `alive=calls` leaves proofs of life to who calls `alive`. Raises AddressError, DeviceFault where nobody
-        answers, or another controller has the robot.
+        Raises AddressError if the address is wrong, DeviceFault if nobody answers or another controller has the robot.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "udp":
             raise AddressError(Mistake("address", address, "a robot is reached by udp://host"))
         parsed.only(("watchdog_s", "valid_s", "alive", "local_port"))
+        require_called_heartbeat(parsed)
         host, port = parsed.network(ROBOT_PORT)
         usual = RobotTiming() if timing is None else timing
         silence_s = parsed.option("watchdog_s", float, usual.silence_s)
@@ -104,11 +102,10 @@ class RobotStage(Stage):
         for name, value in (("watchdog_s", silence_s), ("valid_s", valid_s)):
             if not 0.001 <= value <= 60:
                 raise AddressError(Mistake(name, f"{value:g}", "must be from 0.001 to 60 s"), address)
-        by_reading = parsed.option("alive", {"reading": True, "calls": False}.__getitem__, True)
         local = {name: value for name, value in parsed.options.items() if name == "local_port"}
         asked = RobotTiming(silence_s, valid_s, usual.again_s, usual.answer_s, usual.lost_s)
         link = open_link(Address("udp", host, port, options=local))
-        return cls(link, timing=asked, alive_by_reading=by_reading)
+        return cls(link, timing=asked)
 
     @property
     def counts(self) -> StatusCounts:
@@ -164,11 +161,11 @@ class RobotStage(Stage):
         if result not in (Result.ACCEPTED, Result.SUPERSEDED):
             raise self._give_up(f"stop: {self._why(result, self.timing.answer_s)}")
 
-    def alive(self) -> None:
-        """Say that the control side lives. Raises LinkClosed."""
+    def heartbeat(self) -> None:
+        """Send a heartbeat, which is valid for `timing.silence_s`. Raises LinkClosed."""
         if self._closed:
             raise LinkClosed("the robot is closed")
-        self._talk.alive(self.timing.silence_s)
+        self._talk.heartbeat(self.timing.silence_s)
 
     def read(self, timeout_s: float) -> StageSample | None:
         """Return the next status, or None after `timeout_s`. Raises DeviceFault, again and again until `start`."""
@@ -177,7 +174,6 @@ class RobotStage(Stage):
         self._require_sound()
         deadline = Deadline(self._clock, timeout_s)
         while True:
-            self._vouch()
             sample = self._next()
             if sample is not None:
                 return sample
@@ -214,11 +210,6 @@ class RobotStage(Stage):
         if result in (Result.LATE, Result.SUPERSEDED, Result.OUT_OF_RANGE, Result.NOT_ENABLED, None):
             raise DeviceFault(f"robot: {message}")
         raise self._give_up(message)
-
-    def _vouch(self) -> None:
-        due_ns = self._talk.sent_ns + round(self.timing.silence_s / 4 * 1e9)
-        if self._by_reading and self._clock.now_ns() >= due_ns:
-            self._talk.alive(self.timing.silence_s)
 
     def _next(self) -> StageSample | None:
         while self._talk.statuses:
