@@ -9,7 +9,7 @@ import pytest
 from needleplan.estimation import JointForce, identify_by_passes
 from needleplan.models import simulate
 from needleplan.models.force import PUBLISHED_FORCES, ForceModel1
-from needleplan.reports.comparison import Verdict
+from needleplan.reports.comparison import Agreement
 from needleplan_thesis.chapter2.bank_table import phases_of, tables_2_1_and_2_2
 from needleplan_thesis.chapter2.forward import forward
 from needleplan_thesis.chapter2.generator import SENSOR, insertion_record
@@ -25,14 +25,14 @@ FAST = PUBLISHED_FORCES[0]
 def test_statements_about_the_model_hold() -> None:
     rows = forward()
     assert len({each.id for each in rows}) == len(rows)
-    assert {each.verdict for each in rows} == {Verdict.OURS, Verdict.REPRODUCED}
+    assert {each.verdict for each in rows} == {Agreement.OURS, Agreement.REPRODUCED}
 
 
 def test_the_table_of_the_bank() -> None:
     rows = {each.id: each for each in tables_2_1_and_2_2(1)}
     entire = [each for name, each in rows.items() if name.endswith("pooled from its phases")]
-    assert [each.verdict for each in entire] == [Verdict.REPRODUCED, *[Verdict.IMPOSSIBLE] * 3]
-    assert rows["ch2/section 2.5.2/Model II outperforms Model I/least squares"].verdict is Verdict.NOT_REPRODUCED
+    assert [each.verdict for each in entire] == [Agreement.REPRODUCED, *[Agreement.IMPOSSIBLE] * 3]
+    assert rows["ch2/section 2.5.2/Model II outperforms Model I/least squares"].verdict is Agreement.NOT_REPRODUCED
     assert sum(name.startswith("ch2/table 2.2/") for name in rows) == 16
 
 
@@ -72,6 +72,6 @@ def test_loops_and_figures(tmp_path: Path) -> None:
     rows = table_2_3_and_loops(made)
     assert len(rows) == 5 * 6
     assert rows[0].published == FAST.model.sigma0
-    assert all(each.verdict is Verdict.SAME_ORDER for each in rows[:5])
+    assert all(each.verdict is Agreement.SAME_ORDER for each in rows[:5])
     draw_all(made, tmp_path)
     assert sorted(each.name for each in tmp_path.iterdir()) == [f"fig_2_{n}.png" for n in range(2, 10)]

@@ -11,7 +11,7 @@ from needleplan.models import simulate
 from needleplan.models.friction import Profile
 from needleplan.models.friction.published import CASES, MODEL_III_B, model_ii, passing_through
 from needleplan.reports.chapters import Effort, Request
-from needleplan.reports.comparison import Verdict
+from needleplan.reports.comparison import Agreement
 from needleplan_thesis.chapter3 import chapter
 from needleplan_thesis.chapter3.errors import statements
 from needleplan_thesis.chapter3.fits import CaseFits, errors_mn, fit_case
@@ -44,7 +44,7 @@ def test_pooling_finds_columns_that_were_exchanged() -> None:
 
 def test_the_text_is_held_against_its_table() -> None:
     verdicts = [each.verdict for each in statements()]
-    assert verdicts == [Verdict.REPRODUCED, Verdict.NOT_REPRODUCED, Verdict.NOT_REPRODUCED, Verdict.REPRODUCED]
+    assert verdicts == [Agreement.REPRODUCED, Agreement.NOT_REPRODUCED, Agreement.NOT_REPRODUCED, Agreement.REPRODUCED]
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +130,7 @@ def test_the_chapter_runs_and_draws(tmp_path: Path) -> None:
     rows = chapter.run(Request(tmp_path, Effort.QUICK, told.append))
     assert len({each.id for each in rows}) == len(rows) > 150
     assert {each.id.split("/")[1].split(",")[0] for each in rows} >= {f"Table 3.{n}" for n in range(1, 7)}
-    assert all(each.reason for each in rows if each.verdict in (Verdict.DIFFERS, Verdict.NOT_REPRODUCED))
+    assert all(each.reason for each in rows if each.verdict in (Agreement.DIFFERS, Agreement.NOT_REPRODUCED))
     assert {each.name for each in tmp_path.iterdir()} == {
         "fig_3_3_profiles.png", "fig_3_5_loops.png", "fig_3_6_prediction.png", "fig_3_7_tissue.png",
     }  # fmt: skip

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needleplan.reports.chapters import Effort, Request, reproduce
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan_thesis.chapter4 import chapter
 from needleplan_thesis.chapter4.phantoms import AGAR_PHANTOM, GELATIN_PHANTOM, SHARES
 from needleplan_thesis.chapter4.response import response
@@ -34,7 +34,7 @@ def test_every_figure_is_drawn(comparisons: dict[str, Comparison], figures: Path
 
 
 def test_every_difference_has_its_reason(comparisons: dict[str, Comparison]) -> None:
-    asking = (Verdict.SAME_ORDER, Verdict.DIFFERS, Verdict.NOT_REPRODUCED, Verdict.IMPOSSIBLE)
+    asking = (Agreement.SAME_ORDER, Agreement.DIFFERS, Agreement.NOT_REPRODUCED, Agreement.IMPOSSIBLE)
     assert all(each.reason for each in comparisons.values() if each.verdict in asking)
     assert all(each.id.startswith("ch4/") for each in comparisons.values())
 
@@ -50,8 +50,8 @@ def test_the_published_response_and_what_it_implies() -> None:
             assert abs(each.ours - each.published) <= tolerance
         implied = rows[f"ch4/figure 4.6/{phantom}/interval that the attenuation implies"].ours
         assert implied == pytest.approx(23.3, abs=0.2)
-    assert rows["ch4/equation 4.2/transfer function of the recursion, epsilon 1"].verdict is Verdict.REPRODUCED
-    assert rows["ch4/equation 4.2/transfer function of the recursion, epsilon 0.5"].verdict is Verdict.NOT_REPRODUCED
+    assert rows["ch4/equation 4.2/transfer function of the recursion, epsilon 1"].verdict is Agreement.REPRODUCED
+    assert rows["ch4/equation 4.2/transfer function of the recursion, epsilon 0.5"].verdict is Agreement.NOT_REPRODUCED
 
 
 def test_the_generator_is_what_it_says() -> None:

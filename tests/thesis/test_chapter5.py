@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from needleplan.reports.chapters import Effort, Request
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.scenario import Scenario
 from needleplan_thesis.chapter5 import chapter
 from needleplan_thesis.chapter5.published import CASES, CHANGES, SENSITIVITY
@@ -74,8 +74,8 @@ def test_all_cells_are_there_and_say_why(rows: tuple[dict[str, Comparison], Path
     assert len(cells) == len(CASES) * len(CHANGES)
     radii = [each for name, each in found.items() if name.endswith(("/estimated radius", "/measured radius"))]
     assert len(radii) == 2 * len(CASES)
-    assert {each.verdict for each in [*cells, *radii]} == {Verdict.IMPOSSIBLE}
-    assert all(each.reason for each in found.values() if each.verdict is not Verdict.REPRODUCED)
+    assert {each.verdict for each in [*cells, *radii]} == {Agreement.IMPOSSIBLE}
+    assert all(each.reason for each in found.values() if each.verdict is not Agreement.REPRODUCED)
     assert {file.name for file in folder.iterdir()} == {"fig_5_1.png", "fig_5_2.png"}
 
 
@@ -87,4 +87,4 @@ def test_signs_hold_in_every_case(rows: tuple[dict[str, Comparison], Path], read
     changes = [float(each) for each in str(row.ours).split(", ")]
     assert len(changes) == (2 if what.startswith("15") else 4)
     assert max(changes) < 0
-    assert row.verdict is Verdict.REPRODUCED
+    assert row.verdict is Agreement.REPRODUCED

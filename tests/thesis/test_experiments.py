@@ -8,7 +8,7 @@ import pytest
 
 from needleplan.errors import InputError
 from needleplan.reports.chapters import Effort, Request, reproduce
-from needleplan.reports.comparison import Verdict
+from needleplan.reports.comparison import Agreement
 from needleplan_thesis.chapter6 import chapter
 from needleplan_thesis.chapter6.experiments import experiments
 
@@ -23,7 +23,7 @@ def test_every_experiment_is_carried_out_and_drawn(tmp_path: Path) -> None:
     assert isinstance(deviation.ours, float)
     assert 0 < deviation.ours < 3
     assert found["6.8c beyond the rim, median"].published == 0.248
-    assert {each.verdict for each in found.values()} <= {Verdict.OURS, Verdict.SAME_ORDER, Verdict.DIFFERS}
+    assert {each.verdict for each in found.values()} <= {Agreement.OURS, Agreement.SAME_ORDER, Agreement.DIFFERS}
     written = [each.name for each in sorted(tmp_path.iterdir())]
     assert written == ["fig_6_7_lab.png", "fig_6_8_lab.png", "fig_6_9_lab.png"]
     assert written == [*chapter.files(Request(tmp_path, Effort.QUICK, str, experiments=True))]

@@ -10,7 +10,7 @@ import pytest
 import needleplan as npl
 from needleplan.errors import InputError, OutputError
 from needleplan.reports.chapters import Effort, Request, reproduce
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.scenario import Method, Scenario
 from needleplan_thesis.chapter6.claims import in_obstacles
 from needleplan_thesis.chapter6.problem import formula_states, problem
@@ -25,7 +25,7 @@ def test_the_size_of_the_problem_is_the_published_one() -> None:
     thesis = Scenario.read("four_obstacles_thesis")
     verdicts = {each.id: each.verdict for each in problem(thesis)}
     assert len(verdicts) == 5
-    assert [each for each, verdict in verdicts.items() if verdict is not Verdict.REPRODUCED] == [
+    assert [each for each, verdict in verdicts.items() if verdict is not Agreement.REPRODUCED] == [
         "ch6/problem/deviation of the noise"
     ]
     assert formula_states(thesis) == pytest.approx(1_152_000)
@@ -50,17 +50,22 @@ def test_states_of_processed_partitions_are_counted(small: Scenario) -> None:
 
 @pytest.mark.parametrize(
     ("ours", "verdict"),
-    [(10.0, Verdict.REPRODUCED), (29.9, Verdict.SAME_ORDER), (3.4, Verdict.SAME_ORDER), (31.0, Verdict.DIFFERS)],
+    [
+        (10.0, Agreement.REPRODUCED),
+        (29.9, Agreement.SAME_ORDER),
+        (3.4, Agreement.SAME_ORDER),
+        (31.0, Agreement.DIFFERS),
+    ],
 )
-def test_the_same_order_is_a_factor_of_three(ours: float, verdict: Verdict) -> None:
+def test_the_same_order_is_a_factor_of_three(ours: float, verdict: Agreement) -> None:
     assert measured("a/b/c", 10.0, ours, "s", "why").verdict is verdict
 
 
 def test_ratios() -> None:
-    assert Comparison("a", 4, 1.0, "s", Verdict.DIFFERS).ratio == 0.25
-    assert Comparison("a", None, 1.0, "s", Verdict.OURS).ratio is None
-    assert Comparison("a", 0, 1.0, "s", Verdict.DIFFERS).ratio is None
-    assert Comparison("a", "four", "five", "", Verdict.DIFFERS).ratio is None
+    assert Comparison("a", 4, 1.0, "s", Agreement.DIFFERS).ratio == 0.25
+    assert Comparison("a", None, 1.0, "s", Agreement.OURS).ratio is None
+    assert Comparison("a", 0, 1.0, "s", Agreement.DIFFERS).ratio is None
+    assert Comparison("a", "four", "five", "", Agreement.DIFFERS).ratio is None
 
 
 def test_chapters_that_are_not_there() -> None:

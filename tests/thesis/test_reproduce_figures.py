@@ -14,7 +14,7 @@ import needleplan as npl
 from needleplan import plotting
 from needleplan.cli import main
 from needleplan.planning import Outcome
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.scenario import Scenario, Transition
 from needleplan_thesis.chapter6 import dependents
 from needleplan_thesis.chapter6.believability import summary, write_entries
@@ -64,7 +64,7 @@ def test_the_study_counts_what_a_rollout_counts(small: Scenario, tmp_path: Path)
     assert study.predicted[0] == pytest.approx(single.predicted_success)
     assert np.abs(study.points).max() < 15
     mean, largest = summary(study)
-    assert (mean.verdict, largest.verdict) == (Verdict.OURS, Verdict.OURS)
+    assert (mean.verdict, largest.verdict) == (Agreement.OURS, Agreement.OURS)
     assert largest.ours == pytest.approx(np.abs(study.points).max(), abs=1e-3)
     write_entries(tmp_path / "entries.csv", [study])
     rows = list(csv.DictReader((tmp_path / "entries.csv").read_text().splitlines()))
@@ -77,7 +77,7 @@ def test_the_goal_is_for_half_a_millimetre(small: Scenario) -> None:
     study = execute("small", table, choose_entries(table), Execution(), 1000)
     for row, goal in zip(summary(study), (1.0, 2.0), strict=True):
         assert isinstance(row.ours, float)
-        assert row.verdict is (Verdict.MET if row.ours <= goal else Verdict.MISSED)
+        assert row.verdict is (Agreement.MET if row.ours <= goal else Agreement.MISSED)
 
 
 def test_panels(table: npl.PolicyTable, tmp_path: Path) -> None:
@@ -104,10 +104,10 @@ def test_the_starts_of_section_6_5_are_entries_of_the_phantom() -> None:
 
 
 ROWS = [
-    Comparison("ch6/table/a", 100, 25.0, "s", Verdict.DIFFERS, "another machine"),
-    Comparison("ch6/table/b", None, 1_176_120, "states", Verdict.OURS, "another machine"),
-    Comparison("ch6/statement/c", "yes", "no", "", Verdict.NOT_REPRODUCED, "because"),
-    Comparison("ch6/statement/d", None, "it is so", "", Verdict.MISSED),
+    Comparison("ch6/table/a", 100, 25.0, "s", Agreement.DIFFERS, "another machine"),
+    Comparison("ch6/table/b", None, 1_176_120, "states", Agreement.OURS, "another machine"),
+    Comparison("ch6/statement/c", "yes", "no", "", Agreement.NOT_REPRODUCED, "because"),
+    Comparison("ch6/statement/d", None, "it is so", "", Agreement.MISSED),
 ]
 
 

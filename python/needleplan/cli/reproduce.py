@@ -51,7 +51,7 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from needleplan.reports.chapters import Effort, Request, reproduce
-    from needleplan.reports.comparison import Verdict
+    from needleplan.reports.comparison import Agreement
 
     effort = Effort.QUICK if options.quick else Effort.FULL if options.full else Effort.DEFAULT
     folder = Path(options.figures) if options.figures else None
@@ -61,9 +61,11 @@ def run(options: argparse.Namespace) -> int:
     else:
         for line in _lines(comparisons):
             print(line)
-    missed = sum(each.verdict is Verdict.MISSED for each in comparisons)
+    missed = sum(each.verdict is Agreement.MISSED for each in comparisons)
     if missed:
-        note(f"{missed} of {sum(each.verdict in (Verdict.MET, Verdict.MISSED) for each in comparisons)} goals missed")
+        note(
+            f"{missed} of {sum(each.verdict in (Agreement.MET, Agreement.MISSED) for each in comparisons)} goals missed"
+        )
     return 0
 
 

@@ -12,7 +12,7 @@ from needleplan.estimation import FilterStatus, JointForce, identify_by_passes, 
 from needleplan.estimation.bank import TABLE_2_1, BankRun, BankSettings, run_bank
 from needleplan.identification.force import fit_force
 from needleplan.models.force import PUBLISHED_FORCES, DepthForce, ForceModel1, ForceModel2
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import Record
 from needleplan_thesis.chapter2.generator import SENSOR, insertion_record
 from needleplan_thesis.chapter2.published import NO_DATA, TABLE_2_2
@@ -75,19 +75,19 @@ def _definition(record: Record, starts: int) -> list[Comparison]:
     ]
     return [
         *(
-            Comparison(f"ch2/table 2.1/{kind.name}, filters", said[kind], said[kind], "", Verdict.REPRODUCED)
+            Comparison(f"ch2/table 2.1/{kind.name}, filters", said[kind], said[kind], "", Agreement.REPRODUCED)
             for kind in names
         ),
         Comparison(
             "ch2/table 2.1/step of sigma1 in one sample, sd", round(sd), round(1 / sd * 0.05, 10), "N s",
-            Verdict.NOT_REPRODUCED,
+            Agreement.NOT_REPRODUCED,
             "sigma1 is 2.5 N s: with the printed exponents no band of +-3 sigma could be drawn as in Fig. 2.5; we read "
             "0.05 * 10^-n",
         ),
         Comparison(
             "ch2/section 2.5.2/pairing (sigma0, sigma2), (beta) is worse, failures", "slow convergence, noise",
             f"{failed[1]} of {starts} fail, {failed[0]} with Table 2.1", "",
-            Verdict.REPRODUCED if failed[1] > failed[0] else Verdict.NOT_REPRODUCED,
+            Agreement.REPRODUCED if failed[1] > failed[0] else Agreement.NOT_REPRODUCED,
             f"P0 = 10^15; failed: lost, or over {1e3 * _FAILED_N:g} mN in the retraction; {starts} starts",
         ),
     ]  # fmt: skip
@@ -125,7 +125,7 @@ def _inconsistent() -> list[Comparison]:
         which = "with the transition" if row.transition else "first five samples left out"
         rows.append(Comparison(
             f"ch2/table 2.2/{row.model}, {which}/entire, pooled from its phases", row.entire_n, round(pooled, 5), "N",
-            Verdict.REPRODUCED if agrees else Verdict.IMPOSSIBLE,
+            Agreement.REPRODUCED if agrees else Agreement.IMPOSSIBLE,
             "" if agrees else "the printed row contradicts itself: both phases have equally many samples",
         ))  # fmt: skip
     return rows
@@ -140,12 +140,12 @@ def _outperforms(runs: dict[str, list[BankRun]], record: Record, model: ForceMod
         Comparison(
             "ch2/section 2.5.2/Model II outperforms Model I/bank of filters", "yes",
             f"I {1e3 * medians['I']:.1f} mN, II {1e3 * medians['II']:.1f} mN", "",
-            Verdict.REPRODUCED if medians["II"] < medians["I"] else Verdict.NOT_REPRODUCED,
+            Agreement.REPRODUCED if medians["II"] < medians["I"] else Agreement.NOT_REPRODUCED,
             "median of the innovations over the starts",
         ),
         Comparison(
             "ch2/section 2.5.2/Model II outperforms Model I/least squares", "yes",
-            f"I {1e3 * kept[0]:.2f} mN, II {1e3 * kept[1]:.2f} mN", "", Verdict.NOT_REPRODUCED,
+            f"I {1e3 * kept[0]:.2f} mN, II {1e3 * kept[1]:.2f} mN", "", Agreement.NOT_REPRODUCED,
             "up to the scale of z Model II is a part of Model I and cannot fit better: the estimator makes it",
         ),
     ]  # fmt: skip
@@ -166,7 +166,7 @@ def _open_loop(runs: Sequence[BankRun], record: Record, model: ForceModel2) -> C
         "ch2/section 2.5.2/final parameters of the bank predict, open loop below 20 mN", "yes",
         f"{good} of {len(errors)}; passes of one joint filter in logarithms: {1e3 * robust.replay_mae[-1]:.1f} mN",
         "",
-        Verdict.REPRODUCED if good > len(errors) / 2 else Verdict.NOT_REPRODUCED,
+        Agreement.REPRODUCED if good > len(errors) / 2 else Agreement.NOT_REPRODUCED,
         "one pass of the bank follows the force with parameters that mean little; the thesis iterates, it does not say "
         "how often",
     )  # fmt: skip

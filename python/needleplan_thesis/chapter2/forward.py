@@ -6,7 +6,7 @@ import numpy as np
 
 from needleplan.models import simulate
 from needleplan.models.force import PUBLISHED_FORCES, ForceModel2, insertion_asymptote, regauged, retraction_asymptote
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.signals import Array, insertion_cycles
 
 __all__ = ["forward"]
@@ -37,7 +37,7 @@ def _levels() -> list[Comparison]:
         rows.append(Comparison(
             f"ch2/fig. 2.2/{each.title}, force of the published parameters", None,
             f"peak {force[top]:.3f} N at {motion.depth_mm[top]:.1f} mm; at 80 mm {force[turn]:.3f} N in, "
-            f"{force[turn + 1]:.3f} N out (closed form {ends[0]:.3f}, {ends[1]:.3f})", "", Verdict.OURS,
+            f"{force[turn + 1]:.3f} N out (closed form {ends[0]:.3f}, {ends[1]:.3f})", "", Agreement.OURS,
             "no numbers are printed with the figures",
         ))  # fmt: skip
     return rows
@@ -78,16 +78,17 @@ def _structure() -> list[Comparison]:
         Comparison(
             "ch2/eq. 2.1/force at the start of the retraction", "negative (Fig. 2.7a)",
             f"{done.output[_TURN + 1]:.3f} N with sign(l'), {printed[_TURN + 1]:.3f} N with sign(l)", "N",
-            Verdict.REPRODUCED, "the print has lost the place of the dot; with sign(l) the needle would be pushed out",
+            Agreement.REPRODUCED,
+            "the print has lost the place of the dot; with sign(l) the needle would be pushed out",
         ),
         Comparison(
             "ch2/section 2.3/number of parameters that data can tell", "six (Model I), five (Model II)",
             f"of the seven six: all scaled by 7 changes the force by {np.abs(scaled - done.output).max():.0e} N", "",
-            Verdict.REPRODUCED, "an exact symmetry of z; fixing beta (I) or f2 (II) removes it",
+            Agreement.REPRODUCED, "an exact symmetry of z; fixing beta (I) or f2 (II) removes it",
         ),
     ]  # fmt: skip
 
 
 def _said(what: str, published: str, ours: str, holds: bool) -> Comparison:
-    verdict = Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED
+    verdict = Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED
     return Comparison(f"ch2/section 2.3/{what}", published, ours, "", verdict, "published parameters of A/A, 10 mm/s")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from needleplan.estimation import FilterRun, JointForce, identify_by_passes, mean_absolute_error
 from needleplan.models.force import PUBLISHED_FORCES, ForceModel2, PublishedForce, with_gauge
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import Record
 from needleplan_thesis.chapter2.generator import SENSOR, insertion_record
 from needleplan_thesis.chapter2.published import NO_DATA
@@ -51,7 +51,7 @@ def robust_starts(count: int) -> list[Comparison]:
     total = count * len(PUBLISHED_FORCES)
     return [Comparison(
         "ch2/section 2.5.2/joint filter in passes, starts wrong by six that end below 10 mN", None,
-        f"{good} of {total}", "", Verdict.OURS, "data from Model II with the sensor's noise; benches/python/"
+        f"{good} of {total}", "", Agreement.OURS, "data from Model II with the sensor's noise; benches/python/"
         "force_filter.py takes all corners",
     )]  # fmt: skip
 

@@ -9,7 +9,7 @@ import numpy as np
 from needleplan.models import AveragedLuGre, Beta, LumpedLuGre, Profile, distributed, simulate
 from needleplan.models.friction import LuGre
 from needleplan.models.friction.published import CASES, model_ii, model_iii_b, passing_through
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.signals import Motion, Start, sinusoid
 
 __all__ = ["averaging", "peaks"]
@@ -26,7 +26,7 @@ def peaks() -> list[Comparison]:
         for name, value in (("in", force.max()), ("out", force.min())):
             rows.append(Comparison(
                 f"ch3/section 3.2/largest force of Model {label} on the way {name}, case 1", None, float(value), "N",
-                Verdict.OURS, "beta v lowers it on the way in, and raises it on the way out" if label != "II" else "",
+                Agreement.OURS, "beta v lowers it on the way in, and raises it on the way out" if label != "II" else "",
             ))  # fmt: skip
     return rows
 
@@ -69,5 +69,5 @@ def _compared(case: int, motion: Motion, profile: Profile, models: Mapping[str, 
     rows = []
     for name, model in models.items():
         error = 1e3 * float(np.sqrt(np.mean((simulate(model, motion).output - exact) ** 2)))
-        rows.append(Comparison(f"ch3/section 3.2/{name}, case {case}", None, error, "mN", Verdict.OURS, _SAYS))
+        rows.append(Comparison(f"ch3/section 3.2/{name}, case {case}", None, error, "mN", Agreement.OURS, _SAYS))
     return rows

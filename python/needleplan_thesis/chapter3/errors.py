@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from needleplan.models import AveragedLuGre, OutputForm, fit
 from needleplan.models.friction.periodic import steady
 from needleplan.models.friction.published import MODEL_III_B, model_i
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan_thesis.chapter3.fits import CaseFits, errors_mn
 from needleplan_thesis.chapter3.published import TABLE_3_5, Errors, pooled_mn
 
@@ -51,7 +51,7 @@ def orders(every: Sequence[Sequence[CaseFits]]) -> list[Comparison]:
                 reason += "; that III-B is better than II holds for data with its asymmetry only"
             rows.append(Comparison(
                 f"ch3/Table 3.5/order of fitted models, case {each.case}, data from {each.generator}", _PRINTED_ORDER,
-                ours, "", Verdict.REPRODUCED if same else Verdict.NOT_REPRODUCED, reason,
+                ours, "", Agreement.REPRODUCED if same else Agreement.NOT_REPRODUCED, reason,
             ))  # fmt: skip
     for each in every[0]:
         averaged = errors_mn(model_i(each.case), each.record).total
@@ -59,7 +59,7 @@ def orders(every: Sequence[Sequence[CaseFits]]) -> list[Comparison]:
         rows.append(Comparison(
             f"ch3/Table 3.5/Karnopp better than Model I with the values of Table 3.2, case {each.case}", "yes",
             "yes" if karnopp < averaged else "no", "",
-            Verdict.REPRODUCED if karnopp < averaged else Verdict.NOT_REPRODUCED,
+            Agreement.REPRODUCED if karnopp < averaged else Agreement.NOT_REPRODUCED,
             f"{karnopp:.1f} and {averaged:.1f} mN; data from {each.generator}",
         ))  # fmt: skip
     return rows
@@ -77,7 +77,7 @@ def statements() -> list[Comparison]:
     return [
         Comparison(
             "ch3/Table 3.5/total^2 = low^2/3 + 2 high^2/3, largest deviation of 16", 0.0, worst[0], "mN",
-            Verdict.REPRODUCED if worst[0] < 0.5 else Verdict.NOT_REPRODUCED,
+            Agreement.REPRODUCED if worst[0] < 0.5 else Agreement.NOT_REPRODUCED,
             f"rounding of the table, and its averages over four points; largest for {worst[1]}",
         ),
         _claim("Model I better than Karnopp at low speed", "1, 2, 4", low["I"], low["Karnopp"]),
@@ -89,7 +89,7 @@ def statements() -> list[Comparison]:
 def _claim(name: str, published: str, better: dict[int, float], worse: dict[int, float]) -> Comparison:
     ours = ", ".join(str(case) for case in better if better[case] < worse[case])
     reason = "" if ours == published else "the text names other cases than its own table, as pooling proves"
-    verdict = Verdict.REPRODUCED if ours == published else Verdict.NOT_REPRODUCED
+    verdict = Agreement.REPRODUCED if ours == published else Agreement.NOT_REPRODUCED
     return Comparison(f"ch3/Table 3.5/cases: {name}", published, ours, "", verdict, reason)
 
 
@@ -104,7 +104,7 @@ def printed_output(fits: Sequence[CaseFits]) -> list[Comparison]:
         ours: Errors = errors_mn(found.model, each.record)
         rows.append(Comparison(
             f"ch3/Eq. 3.19/sigma1 of III-B fitted with the printed output, case {each.case}",
-            MODEL_III_B[each.case]["sigma1"].mean, found.estimates["sigma1"].value, "s/mm", Verdict.NOT_REPRODUCED,
+            MODEL_III_B[each.case]["sigma1"].mean, found.estimates["sigma1"].value, "s/mm", Agreement.NOT_REPRODUCED,
             "as printed, the damping of the bristles cancels and leaves a one-sided force, which a fit drives to zero: "
             f"the printed sigma1 speaks for (3.11); error {ours.total:.1f} mN with (3.19), "
             f"{each.errors('III-B').total:.1f} mN with (3.11), {each.errors('I').total:.1f} mN for the static model",

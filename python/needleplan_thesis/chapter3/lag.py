@@ -13,7 +13,7 @@ import numpy as np
 from needleplan.models import LumpedLuGre, fit, simulate
 from needleplan.models.friction.periodic import steady
 from needleplan.models.friction.published import model_ii, passing_through
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.signals import Array, HighGainObserver, MovingAverage, Record
 
 __all__ = ["velocity_lag"]
@@ -49,7 +49,7 @@ def _row(name: str, truth: LumpedLuGre, record: Record) -> Comparison:
     bias = {each: 100 * (found.estimates[each].value / getattr(truth, each) - 1) for each in found.estimates}
     others = ", ".join(f"{each} {bias[each]:+.0f} %" for each in ("sigma1", "mu_s", "mu_c", "alpha", "sigma2"))
     return Comparison(
-        f"ch3/velocity lag/bias of sigma0, {name}", None, bias["sigma0"], "%", Verdict.OURS,
+        f"ch3/velocity lag/bias of sigma0, {name}", None, bias["sigma0"], "%", Agreement.OURS,
         f"{others}; RMSE {1e3 * found.rmse:.1f} mN with 4 mN of noise; the observer [40, 400] delays by 0.1 s, the "
         "average of five samples by 10 ms",
     )  # fmt: skip

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from needleplan.models import AveragedLuGre, Model, Profile, cutting_force, into_fresh_tissue, simulate
 from needleplan.models.friction import Friction
 from needleplan.models.friction.published import CASES, NEEDLE_MASS_KG, model_i, model_ii, model_iii_b
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import Array, Motion, Record, Start, sinusoid
 from needleplan_thesis.chapter3.generator import NOISE_N, Generator, generated, recorded
 from needleplan_thesis.chapter3.insertion_figure import draw_prediction
@@ -114,7 +114,7 @@ def prediction(folder: Path | None, note: Callable[[str], None], rate_hz: float)
             better = max(ours["III-A"], ours["III-B"]) < min(ours["I"], ours["II"])
             rows.append(Comparison(
                 f"ch3/Table 3.6/{profile}, case {case}: both Models III better than I and II", "yes",
-                "yes" if better else "no", "", Verdict.REPRODUCED if better else Verdict.NOT_REPRODUCED,
+                "yes" if better else "no", "", Agreement.REPRODUCED if better else Agreement.NOT_REPRODUCED,
                 "what helps is Fn(L): II with it is as good" if ours["II, Fn(L)"] < min(ours["I"], ours["II"]) else "",
             ))  # fmt: skip
             cutting.append(_cutting(insertion, models["III-B"]))
@@ -136,9 +136,9 @@ def _rows(
     """Return a cell of the table, and the same without hidden effects."""
     identity = f"ch3/Table 3.6/{profile}, case {case}, {label}"
     reason = f"{_HIDDEN}; {_CASES}"
-    plain = Comparison(f"{identity}, no hidden effects", None, bare, "mN", Verdict.OURS)
+    plain = Comparison(f"{identity}, no hidden effects", None, bare, "mN", Agreement.OURS)
     if label not in printed:
-        return [Comparison(identity, None, ours, "mN", Verdict.OURS, reason), plain]
+        return [Comparison(identity, None, ours, "mN", Agreement.OURS, reason), plain]
     if label in ("I", "II"):
         reason = f"{_FROZEN}; {reason}"
     return [measured(identity, printed[label][case - 1], ours, "mN", reason), plain]
@@ -152,7 +152,7 @@ def _cutting(insertion: Insertion, friction: Friction) -> Comparison:
     size = insertion.cutting_n[insertion.major]
     return Comparison(
         f"ch3/section 3.4.2/error of the cutting force, {insertion.profile}, case {insertion.case}", None,
-        1e3 * float(np.sqrt(np.mean(error**2))), "mN", Verdict.OURS,
+        1e3 * float(np.sqrt(np.mean(error**2))), "mN", Agreement.OURS,
         f"measured less friction (III-B) less inertia, where fresh tissue was cut with {1e3 * size.mean():.0f} mN on "
         f"average; inertia at most {1e3 * np.abs(parts.inertia_n).max():.2f} mN; bubbles and noise remain",
     )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from needleplan.models.friction.published import CASES, MODEL_I, MODEL_II, MODEL_III_B, Printed
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan_thesis.chapter3.fits import CaseFits
 
 __all__ = ["parameters", "recovered"]
@@ -24,7 +24,7 @@ def parameters(fits: Sequence[CaseFits]) -> list[Comparison]:
     rows = [
         Comparison(
             "ch3/Table 3.1/top speed of case 4, which the text has beyond -10 mm/s", 10.0, speed, "mm/s",
-            Verdict.REPRODUCED if speed > 10 else Verdict.NOT_REPRODUCED,
+            Agreement.REPRODUCED if speed > 10 else Agreement.NOT_REPRODUCED,
             "the amplitude is from zero to peak: from peak to peak the top speed would be 7.1 mm/s",
         )
     ]  # fmt: skip
@@ -40,13 +40,13 @@ def parameters(fits: Sequence[CaseFits]) -> list[Comparison]:
 def _row(identity: str, printed: Printed, fits: CaseFits, label: str, name: str) -> Comparison:
     estimates = fits.fits[label].estimates
     if name not in estimates:
-        return Comparison(identity, printed.mean, None, "", Verdict.IMPOSSIBLE, _SIGMA0)
+        return Comparison(identity, printed.mean, None, "", Agreement.IMPOSSIBLE, _SIGMA0)
     found = estimates[name]
     reason = {"I": f"{_NO_DATA}; {_STATIC}", "II": _NO_DATA, "III-B": _ROUND_TRIP}[label]
     reason = f"{reason}; ours +- {found.sd:.2g}, printed +- {printed.sd:g}"
     # The table prints three digits: a standard deviation of 0.000 is up to half of the last one.
     if abs(found.value - printed.mean) <= 2 * max(printed.sd, 5e-4):
-        return Comparison(identity, printed.mean, found.value, found.unit, Verdict.REPRODUCED, reason)
+        return Comparison(identity, printed.mean, found.value, found.unit, Agreement.REPRODUCED, reason)
     return measured(identity, printed.mean, found.value, found.unit, reason)
 
 
@@ -58,8 +58,8 @@ def recovered(fits: Sequence[CaseFits]) -> list[Comparison]:
         slopes = {exponent: found.estimates["mu_c"].value for exponent, found in each.exponents.items()}
         said = ", ".join(f"{exponent:g}: {errors[exponent]:.1f} mN, mu_c {slopes[exponent]:.2f}" for exponent in errors)
         published = 5.0 if each.case == 1 else None
-        verdict = Verdict.OURS if published is None else (
-            Verdict.REPRODUCED if each.exponent == published else Verdict.NOT_REPRODUCED
+        verdict = Agreement.OURS if published is None else (
+            Agreement.REPRODUCED if each.exponent == published else Agreement.NOT_REPRODUCED
         )  # fmt: skip
         rows.append(Comparison(
             f"ch3/section 3.4.1/lambda of the smallest error, case {each.case}, data from {each.generator}",

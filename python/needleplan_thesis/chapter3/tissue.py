@@ -12,7 +12,7 @@ from needleplan.models import simulate
 from needleplan.models.tissue import LumpedOnTissue, tune_slow_observer
 from needleplan.plotting import caption, save
 from needleplan.plotting.canvas import BLUE, GREY, ORANGE, SKY, title
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.signals import Array, HighGainObserver, sinusoid
 
 __all__ = ["deforming_tissue", "opening"]
@@ -52,7 +52,7 @@ def deforming_tissue(folder: Path | None, note: Callable[[str], None]) -> list[C
         narrower = tuned < wide / 2
         rows.append(Comparison(
             f"ch3/Fig. 3.7/{each.name}: hysteresis mostly gone against the relative velocity", "yes",
-            "yes" if narrower else "no", "", Verdict.REPRODUCED if narrower else Verdict.NOT_REPRODUCED,
+            "yes" if narrower else "no", "", Agreement.REPRODUCED if narrower else Agreement.NOT_REPRODUCED,
             f"opening at zero force, share of the top speed: {wide:.2f} against the needle, {tuned:.2f} against the "
             f"tuned slow observer, {true:.2f} against the true relative velocity; Kelvin-Voigt tissue of ours under "
             "Model II, no relaxation",

@@ -11,7 +11,7 @@ from needleplan.models import LumpedLuGre, fit, simulate
 from needleplan.models.tissue import SlowObserver, tissue_start, tune_slow_observer
 from needleplan.plotting import save
 from needleplan.plotting.canvas import BLUE, GREY, VERMILLION, title
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import Array, Motion, MovingAverage, Projection, Record
 from needleplan_thesis.chapter4.phantoms import Trial
 from needleplan_thesis.chapter4.published import FREQUENCY_HZ, Tuned
@@ -96,14 +96,16 @@ def loop_rows(loop: Loop, tuned: Tuned, figure: str) -> list[Comparison]:
     if loop.tuned.alpha1 is None:
         words = f"{loop.tuned.status}, the fast velocity stays"
         why = f"damping of the bristles closes the loop of a stiff phantom: no slow observer is needed; {_OURS}"
-        rows.append(Comparison(f"{name}/alpha1 of the slow observer", tuned.alpha1, words, "1/s", Verdict.DIFFERS, why))
+        rows.append(
+            Comparison(f"{name}/alpha1 of the slow observer", tuned.alpha1, words, "1/s", Agreement.DIFFERS, why)
+        )
     else:
         late = float(np.degrees(loop.projection.lag_rad(FREQUENCY_HZ)))
         rows += [
             measured(f"{name}/alpha1 of the slow observer", tuned.alpha1, loop.tuned.alpha1, "1/s", _OURS),
             Comparison(
                 f"{name}/lag of the slow observer less the true one", None, late - loop.trial.lag_deg, "deg",
-                Verdict.OURS, "true lag of the generator, which no sensor of the thesis shows",
+                Agreement.OURS, "true lag of the generator, which no sensor of the thesis shows",
             ),
         ]  # fmt: skip
     before, after = 1e3 * loop.rmse_n(loop.over_fast_n), 1e3 * loop.rmse_n(loop.over_slow_n)
@@ -112,12 +114,12 @@ def loop_rows(loop: Loop, tuned: Tuned, figure: str) -> list[Comparison]:
         Comparison(
             f"{name}/Model II fits over v_s and not over v_f", "yes",
             f"RMSE {before:.1f} mN over v_f, {after:.1f} mN over v_s", "",
-            Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED,
+            Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED,
             "said to hold where the second error is below 0.8 of the first; 4 mN are noise",
         ),
         Comparison(
             f"{name}/error of the velocity against the tissue", None,
-            f"{100 * loop.vf_error:.1f} % with v_f, {100 * loop.vs_error:.1f} % with v_s", "", Verdict.OURS,
+            f"{100 * loop.vf_error:.1f} % with v_f, {100 * loop.vs_error:.1f} % with v_s", "", Agreement.OURS,
             "rms over rms, beside the true one through the fast observer",
         ),
     ]  # fmt: skip

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from needleplan.plotting import save
 from needleplan.plotting.canvas import BLUE, GREEN, ORANGE, title
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import FAST_ALPHA1, HighGainObserver, ObserverForm, Projection, sinusoid
 from needleplan_thesis.chapter4.published import AGAR, FAST, FREQUENCY_HZ, GELATIN, Tuned
 
@@ -61,7 +61,7 @@ def _damping() -> list[Comparison]:
         Comparison(
             f"ch4/section 4.3/alpha2 of the critically damped observer, {name}", alpha2,
             HighGainObserver.critically_damped(alpha1, 0.005).alpha2, "1/s^2",
-            Verdict.REPRODUCED if alpha1**2 / 4 == alpha2 else Verdict.DIFFERS,
+            Agreement.REPRODUCED if alpha1**2 / 4 == alpha2 else Agreement.DIFFERS,
         )
         for name, alpha1, alpha2 in rows
     ]  # fmt: skip
@@ -81,12 +81,12 @@ def _equations() -> list[Comparison]:
             Comparison(
                 f"ch4/equation 4.2/transfer function of the recursion, epsilon {epsilon:g}",
                 "(4.2) for any epsilon", f"(4.2) is off by up to {100 * apart:.2g} %; ours by {recursion:.1g} mm/s", "",
-                Verdict.REPRODUCED if apart < 1e-9 else Verdict.NOT_REPRODUCED,
+                Agreement.REPRODUCED if apart < 1e-9 else Agreement.NOT_REPRODUCED,
                 "" if apart < 1e-9 else "(4.1) and (4.2) divide alpha2 by epsilon once; the observer needs it twice",
             )
         )  # fmt: skip
     longest = HighGainObserver.critically_damped(FAST_ALPHA1, 0.005).longest_interval_s
-    rows.append(Comparison("ch4/equation 4.1/stable below", None, longest, "s", Verdict.OURS, "fast observer"))
+    rows.append(Comparison("ch4/equation 4.1/stable below", None, longest, "s", Agreement.OURS, "fast observer"))
     return rows
 
 
@@ -116,7 +116,7 @@ def _at_a_tenth_of_a_hertz(tuned: Tuned) -> list[Comparison]:
 
     implied = 1e3 * float(brentq(excess, 1e-3, 0.1))
     why = "both attenuations agree on it; of the rates named, the 40 Hz of the tracker (25 ms) is nearest"
-    rows.append(Comparison(f"{name}/interval that the attenuation implies", None, implied, "ms", Verdict.OURS, why))
+    rows.append(Comparison(f"{name}/interval that the attenuation implies", None, implied, "ms", Agreement.OURS, why))
     return rows
 
 
@@ -129,7 +129,7 @@ def _monotone() -> Comparison:
     ours = f"at each of {alphas.size} values" if holds else "no"
     return Comparison(
         "ch4/figure 4.6/a smaller alpha1 attenuates and delays more", "yes", ours, "",
-        Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED,
+        Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED,
     )  # fmt: skip
 
 
@@ -145,12 +145,12 @@ def _inverse() -> list[Comparison]:
             Comparison(
                 f"ch4/equation 4.3/{tuned.phantom}/back to the fast velocity", "inverse z-transform",
                 f"causal and stable, round trip {error:.1g} mm/s", "",
-                Verdict.REPRODUCED if causal and error < 1e-8 else Verdict.NOT_REPRODUCED,
+                Agreement.REPRODUCED if causal and error < 1e-8 else Agreement.NOT_REPRODUCED,
                 "a round trip says nothing of the friction model: the fast velocity is known",
             ),
             Comparison(
                 f"ch4/equation 4.3/{tuned.phantom}/gain of the inverse at Nyquist", None,
-                float(np.abs(projection.inverse.response(100.0))), "", Verdict.OURS,
+                float(np.abs(projection.inverse.response(100.0))), "", Agreement.OURS,
                 "what noise in v_s is amplified by",
             ),
         ]  # fmt: skip

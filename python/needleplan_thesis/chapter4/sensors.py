@@ -9,7 +9,7 @@ import numpy as np
 
 from needleplan.plotting import save
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, ORANGE, VERMILLION, title
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import Array, TrackerFilter, lag_rad
 from needleplan_thesis.chapter4.loops import Loop
 from needleplan_thesis.chapter4.phantoms import SHARES, Trial
@@ -70,25 +70,25 @@ def sensor_rows(loop: Loop) -> list[Comparison]:
         Comparison(
             "ch4/figure 4.4/v_s agrees with the sensors", "close agreement",
             ", ".join(f"sensor {number}: {100 * each:.0f} %" for number, each in enumerate(apart, start=1)), "",
-            Verdict.REPRODUCED if apart.min() < 0.1 else Verdict.NOT_REPRODUCED,
+            Agreement.REPRODUCED if apart.min() < 0.1 else Agreement.NOT_REPRODUCED,
             "rms of the difference over rms of v_comp",
         ),
         Comparison(
             "ch4/figure 4.4/best match", "sensor 3", f"sensor {best}", "",
-            Verdict.REPRODUCED if best == 3 else Verdict.NOT_REPRODUCED,
+            Agreement.REPRODUCED if best == 3 else Agreement.NOT_REPRODUCED,
             f"sensors that move {', '.join(map(str, SHARES))} times as far as the tissue at the shaft: our assumption",
         ),
         Comparison(
             "ch4/figure 4.4/largest displacements", None,
-            ", ".join(f"{np.ptp(each) / 2:.1f}" for each in loop.trial.sensors_mm), "mm", Verdict.OURS,
+            ", ".join(f"{np.ptp(each) / 2:.1f}" for each in loop.trial.sensors_mm), "mm", Agreement.OURS,
             "drawn in the thesis, not printed",
         ),
         Comparison(
-            "ch4/section 4.3/less deformation at h = 40 mm", "yes", None, "", Verdict.IMPOSSIBLE,
+            "ch4/section 4.3/less deformation at h = 40 mm", "yes", None, "", Agreement.IMPOSSIBLE,
             "how stiffness depends on the height of insertion is not published, and is an input here",
         ),
         Comparison(
-            "ch4/section 4.3/agar moves too little for the tracker", "yes", None, "", Verdict.IMPOSSIBLE,
+            "ch4/section 4.3/agar moves too little for the tracker", "yes", None, "", Agreement.IMPOSSIBLE,
             "how far it moved is not published; stiffness that gives the lag of 3 degrees moves it by millimetres here",
         ),
     ]  # fmt: skip

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from needleplan.models.tissue import fit_on_tissue, lag_with_sd, tune_slow_observer
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.signals import Record, velocity_without_delay
 from needleplan_thesis.chapter4.phantoms import Phantom, Trial
 from needleplan_thesis.chapter4.published import FREQUENCY_HZ
@@ -38,7 +38,7 @@ def tissue_rows(
             rows.append(
                 Comparison(
                     f"ch4/ours/{phantom.name}, {amplitudes}", f"true lag {trial.lag_deg:.2f} deg",
-                    f"observer {observed:.2f} deg; {text}", "", Verdict.MET if better else Verdict.MISSED,
+                    f"observer {observed:.2f} deg; {text}", "", Agreement.MET if better else Agreement.MISSED,
                     "goal: the fitted tissue (Model II, data of Model III-B) is nearer to the truth than the observer"
                     + misses,
                 )

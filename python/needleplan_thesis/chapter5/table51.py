@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from needleplan.models.deflection.dynamics import natural_frequencies_hz
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan_thesis.chapter5.published import AREA_M2, CASES, NEEDLE, SECOND_MOMENT_M4
 
 __all__ = ["residual_n", "singular_force_n", "table51"]
@@ -39,15 +39,15 @@ def table51() -> list[Comparison]:
         _rounded("A", AREA_M2, NEEDLE.area_mm2 * 1e-6, "m2"),
         Comparison(
             "ch5/Table 5.1/c2 and c3 meet (5.6)", "yes", f"to {worst:.1e} N", "",
-            Verdict.REPRODUCED if worst < 1e-12 else Verdict.NOT_REPRODUCED,
+            Agreement.REPRODUCED if worst < 1e-12 else Agreement.NOT_REPRODUCED,
         ),
         Comparison(
-            "ch5/Table 5.1/force of infinite c2 and c3", None, round(singular_force_n(), 4), "N", Verdict.OURS,
+            "ch5/Table 5.1/force of infinite c2 and c3", None, round(singular_force_n(), 4), "N", Agreement.OURS,
             f"the tip force is made to turn against the tip: with the right sign there is none; greatest axial force "
             f"{greatest:g} N",
         ),
         Comparison(
-            "ch5/needle/lowest natural frequency in air", None, round(frequency, 2), "Hz", Verdict.OURS,
+            "ch5/needle/lowest natural frequency in air", None, round(frequency, 2), "Hz", Agreement.OURS,
             "an insertion takes seconds: inertia does nothing; rho is printed in kg/m2, which has to be kg/m3",
         ),
     ]  # fmt: skip
@@ -55,5 +55,5 @@ def table51() -> list[Comparison]:
 
 def _rounded(name: str, published: float, ours: float, unit: str) -> Comparison:
     same = abs(ours / published - 1) < 3e-4
-    verdict = Verdict.REPRODUCED if same else Verdict.NOT_REPRODUCED
+    verdict = Agreement.REPRODUCED if same else Agreement.NOT_REPRODUCED
     return Comparison(f"ch5/needle/{name}", published, float(f"{ours:.6g}"), unit, verdict)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.signals import Array
 from needleplan_thesis.chapter5.published import CASES, END_MM, NEEDLE, NO_FORCE, Case
 from needleplan_thesis.chapter5.runs import (
@@ -62,11 +62,11 @@ def _radii(case: Case, step_mm: float) -> list[Comparison]:
     why = f"{NO_FORCE}; ours end at Fc = {end:.3f} N, by the greatest axial force at 15 mm/s with F0 = 0"
     return [
         Comparison(
-            f"{_SECTION}/{case.name}/estimated radius", case.estimated_mm, ", ".join(ours), "mm", Verdict.IMPOSSIBLE,
+            f"{_SECTION}/{case.name}/estimated radius", case.estimated_mm, ", ".join(ours), "mm", Agreement.IMPOSSIBLE,
             f"{why}; negative: bent away from the push",
         ),
         Comparison(
-            f"{_SECTION}/{case.name}/measured radius", case.measured_mm, None, "mm", Verdict.IMPOSSIBLE,
+            f"{_SECTION}/{case.name}/measured radius", case.measured_mm, None, "mm", Agreement.IMPOSSIBLE,
             "a measurement; the curve was not published as numbers",
         ),
     ]  # fmt: skip
@@ -76,9 +76,9 @@ def _percentage(case: Case, printed: float | None) -> Comparison:
     ours = round(case.error_percent, 2)
     name = f"{_SECTION}/{case.name}/error of the radius"
     if printed is None:
-        return Comparison(name, None, ours, "%", Verdict.OURS, "not printed; by the printed radii")
+        return Comparison(name, None, ours, "%", Agreement.OURS, "not printed; by the printed radii")
     same = abs(ours - printed) <= 0.01
-    verdict = Verdict.REPRODUCED if same else Verdict.NOT_REPRODUCED
+    verdict = Agreement.REPRODUCED if same else Agreement.NOT_REPRODUCED
     return Comparison(name, printed, ours, "%", verdict, "by the printed radii: |estimated - measured|/measured")
 
 
@@ -95,10 +95,10 @@ def _errors(case: Case) -> list[Comparison]:
         Comparison(
             f"{_SECTION}/{case.name}/greatest error", case.max_error_mm,
             f"{tangent:.3f} between tangent arcs of the printed radii, {shifted:.3f} with the best offset", "mm",
-            Verdict.IMPOSSIBLE, reason,
+            Agreement.IMPOSSIBLE, reason,
         ),
         Comparison(
-            f"{_SECTION}/{case.name}/mean error", case.mean_error_mm, None, "mm", Verdict.IMPOSSIBLE,
+            f"{_SECTION}/{case.name}/mean error", case.mean_error_mm, None, "mm", Agreement.IMPOSSIBLE,
             "the measured curve was not published as numbers",
         ),
     ]  # fmt: skip
@@ -128,7 +128,7 @@ def _with_one_offset(step_mm: float) -> list[Comparison]:
     return [
         Comparison(
             f"{_SECTION}/{case.name}/radius by the memory model", case.estimated_mm,
-            round(radius_mm(*memory_path(case, offset, step_mm))), "mm", Verdict.OURS, why,
+            round(radius_mm(*memory_path(case, offset, step_mm))), "mm", Agreement.OURS, why,
         )
         for case in CASES
     ]  # fmt: skip
@@ -146,7 +146,7 @@ def _axial_balance(step_mm: float) -> list[Comparison]:
         Comparison(
             f"{_SECTION}/{case.name}/axial force that the printed model needs for its radius", case.greatest_n,
             round(needed[case.name], 3), "N",
-            Verdict.NOT_REPRODUCED if needed[case.name] > (case.greatest_n or 0) else Verdict.REPRODUCED,
+            Agreement.NOT_REPRODUCED if needed[case.name] > (case.greatest_n or 0) else Agreement.REPRODUCED,
             "published: the greatest that was measured; the printed model needs more than there was"
             if needed[case.name] > (case.greatest_n or 0) else "published: the greatest that was measured",
         )
@@ -159,7 +159,7 @@ def _axial_balance(step_mm: float) -> list[Comparison]:
             None,
             told,
             "N",
-            Verdict.OURS,
+            Agreement.OURS,
             "one constant F0 (Coulomb friction, rupture, zero) would explain both tissues; two numbers, so no proof",
         )
     )
@@ -174,7 +174,7 @@ def _velocity() -> list[Comparison]:
         rows.append(
             Comparison(
                 f"{_SECTION}/{slow.name[0]}/measured radius falls with velocity", round(apart, 1),
-                f"{apart / spread:.1f} standard deviations", "mm", Verdict.OURS,
+                f"{apart / spread:.1f} standard deviations", "mm", Agreement.OURS,
                 "if the tracker has white noise of 0.1 mm at 40 Hz (assumed) and circles have a free centre: one "
                 "insertion a case does not establish it",
             )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan_thesis.chapter5.published import (
     CASES,
     CHANGES,
@@ -61,7 +61,7 @@ def table53(step_mm: float) -> list[Comparison]:
                 f"{_error(case, values[row, column]):.2f} ({100 * (values[row, column] - 1):+.1f} %, {name})"
                 for name, values in factors.items()
             ),
-            "%", Verdict.IMPOSSIBLE,
+            "%", Agreement.IMPOSSIBLE,
             f"{NO_FORCE}; ours: our change of the radius at a fixed force, applied to the printed radius",
         )
         for row, change in enumerate(CHANGES)
@@ -85,12 +85,12 @@ def _statements() -> list[Comparison]:
         Comparison(
             f"{_SECTION}/kf +20 % or vf -20 % is better by almost 5 % (B, 10 mm/s)", "almost 5",
             f"{better[0]:.2f}, {better[1]:.2f}", "%",
-            Verdict.REPRODUCED if all(4.5 < each < 5 for each in better) else Verdict.NOT_REPRODUCED,
+            Agreement.REPRODUCED if all(4.5 < each < 5 for each in better) else Agreement.NOT_REPRODUCED,
             "so a cell is |R' - R_measured|/R_measured",
         ),
         Comparison(
             f"{_SECTION}/more robust to kf too high than too low", "yes", f"in {holds} of 4 cases", "",
-            Verdict.REPRODUCED if holds == len(CASES) else Verdict.NOT_REPRODUCED,
+            Agreement.REPRODUCED if holds == len(CASES) else Agreement.NOT_REPRODUCED,
             "by the printed numbers; no property of the model: the nominal radius is too small, a higher kf makes it "
             "larger, and the error passes through zero",
         ),
@@ -117,6 +117,6 @@ def _sign(what: str, percent: np.ndarray) -> Comparison:
     holds = bool((percent < 0).all())
     told = ", ".join(f"{each:+.2f}" for each in percent)
     return Comparison(
-        f"ch5/signs/{what}", "yes", told, "%", Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED,
+        f"ch5/signs/{what}", "yes", told, "%", Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED,
         "" if holds else "the sign depends on the course of the force, which was not published",
     )  # fmt: skip

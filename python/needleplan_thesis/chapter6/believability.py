@@ -15,7 +15,7 @@ import numpy as np
 from needleplan.artifacts import write_whole
 from needleplan.planning import PolicyTable
 from needleplan.reports.chapters import Effort
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.scenario import Scenario, Transition
 from needleplan_thesis.chapter6.entries import Execution, Study, choose_entries, execute, planned
 from needleplan_thesis.chapter6.scatter import draw_believability
@@ -120,10 +120,10 @@ def _has_goal(study: Study) -> bool:
     return _is_reference(study) and study.execution == Execution()
 
 
-def _verdict(value: float, goal: float | None) -> Verdict:
+def _verdict(value: float, goal: float | None) -> Agreement:
     if goal is None:
-        return Verdict.OURS
-    return Verdict.MET if value <= goal else Verdict.MISSED
+        return Agreement.OURS
+    return Agreement.MET if value <= goal else Agreement.MISSED
 
 
 def _each_entry(study: Study) -> Iterator[Comparison]:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from needleplan.planning import PolicyTable
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.scenario import Priority
 from needleplan_thesis.chapter6.published import TABLE_6_2, VALUE_ITERATION
 from needleplan_thesis.chapter6.solves import Solves, processed_states
@@ -42,7 +42,7 @@ def in_obstacles(table: PolicyTable) -> set[int]:
 
 
 def _said(what: str, published: str, ours: str, holds: bool, reason: str = _ONE_SCENE) -> Comparison:
-    verdict = Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED
+    verdict = Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED
     return Comparison(f"ch6/statement/{what}", published, ours, "", verdict, reason)
 
 

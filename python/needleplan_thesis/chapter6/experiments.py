@@ -17,7 +17,7 @@ import numpy as np
 from needleplan.planning.drawing import draw_path, draw_scene
 from needleplan.plotting import caption, save, sheet
 from needleplan.plotting.canvas import GREY, SKY, title
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.scenario import Scenario
 from needleplan.simulation import Experiment as LabExperiment
 from needleplan_thesis.chapter6.phantom import EXPERIMENTS, Experiment, with_rotation
@@ -83,18 +83,18 @@ def _compared(done: _Done) -> list[Comparison]:
     share = f"95 % interval {low:.2f} to {high:.2f}; promised {summary.predicted:.2f}; {summary.runs} insertions"
     failures = ", ".join(f"{count} {what}" for what, count in summary.failures.items())
     return [
-        Comparison(f"{name} success", None, summary.success, "", Verdict.OURS, share),
-        Comparison(f"{name} failures", None, failures or "none", "", Verdict.OURS),
+        Comparison(f"{name} success", None, summary.success, "", Agreement.OURS, share),
+        Comparison(f"{name} failures", None, failures or "none", "", Agreement.OURS),
         _beside(
             f"{name} largest deviation, by the tip filter, median", _DEVIATION_MM if _is(done, "6.7") else None, seen
         ),
         Comparison(f"{name} largest deviation, in truth, median", None, float(np.median(deviations)), "mm",
-                   Verdict.OURS, _spread(deviations)),
+                   Agreement.OURS, _spread(deviations)),
         _beside(f"{name} beyond the rim, median", _BESIDE_MM if _is(done, "6.8c") else None, beyond),
-        Comparison(f"{name} error to the centre, mean", None, summary.error_mm, "mm", Verdict.OURS,
+        Comparison(f"{name} error to the centre, mean", None, summary.error_mm, "mm", Agreement.OURS,
                    f"95 % interval {summary.error_interval_mm[0]:.3f} to {summary.error_interval_mm[1]:.3f} mm; "
                    f"95 % of them below {summary.error_95_mm:.3f} mm"),
-        Comparison(f"{name} turns, mean", float(done.experiment.turns or 0), summary.turns, "turns", Verdict.OURS,
+        Comparison(f"{name} turns, mean", float(done.experiment.turns or 0), summary.turns, "turns", Agreement.OURS,
                    "of the loop, which decides anew at every step; the thesis counts those of the plan"),
     ]  # fmt: skip
 
@@ -111,7 +111,7 @@ def _beside(name: str, published: float | None, ours: np.ndarray) -> Comparison:
     """Compare a single published measurement with the median of ours."""
     middle = float(np.median(ours))
     if published is None:
-        return Comparison(name, None, middle, "mm", Verdict.OURS, _spread(ours))
+        return Comparison(name, None, middle, "mm", Agreement.OURS, _spread(ours))
     return measured(name, published, middle, "mm", f"{_spread(ours)}; {_WHY}")
 
 

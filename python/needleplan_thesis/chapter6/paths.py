@@ -18,7 +18,7 @@ import numpy as np
 from shapely import LineString, MultiPolygon, Polygon
 
 from needleplan.planning import PolicyTable, plan
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.scenario import Scenario
 from needleplan_thesis.chapter6.panels import Panel, draw_panels, ending
 from needleplan_thesis.chapter6.published import OTHER_SCENE
@@ -86,7 +86,7 @@ def _noise(folder: Path | None) -> list[Comparison]:
     more = having.turns > without.turns and clear[1] > clear[0]
     return [
         Comparison(
-            f"{_SECTION}/6.4 success from (0, 20) mm at -30 deg", None, round(blocked, 4), "1", Verdict.IMPOSSIBLE,
+            f"{_SECTION}/6.4 success from (0, 20) mm at -30 deg", None, round(blocked, 4), "1", Agreement.IMPOSSIBLE,
             "on our scene an obstacle stands in the way; the thesis prints no coordinates of its own",
         ),
         measured(f"{_SECTION}/6.4a turns, planned without noise", 4, without.turns, "turns", why),
@@ -96,7 +96,7 @@ def _noise(folder: Path | None) -> list[Comparison]:
             f"{_SECTION}/6.4 planning with noise gives more turns and more clearance", "yes, 4 and 6 turns",
             f"{without.turns} and {having.turns} turns, {clear[0]:.1f} and {clear[1]:.1f} mm, realised success "
             f"{realised[0]:.2f} and {realised[1]:.2f}", "",
-            Verdict.REPRODUCED if more else Verdict.NOT_REPRODUCED, why,
+            Agreement.REPRODUCED if more else Agreement.NOT_REPRODUCED, why,
         ),
     ]  # fmt: skip
 
@@ -131,7 +131,7 @@ def _costs(folder: Path | None) -> list[Comparison]:
             measured(f"{_SECTION}/6.5{letter} turns", published, safe.turns, "turns", why),
             Comparison(
                 f"{_SECTION}/6.5{letter} with the literal costs", f"reached, {published} turns", gives_up, "",
-                Verdict.IMPOSSIBLE, "at these costs failing is cheaper than a long way round, on our scene at least",
+                Agreement.IMPOSSIBLE, "at these costs failing is cheaper than a long way round, on our scene at least",
             ),
         ]  # fmt: skip
     dear, dearer, long = (panel.turns for panel in drawn["safe"])
@@ -146,5 +146,5 @@ def _costs(folder: Path | None) -> list[Comparison]:
 
 
 def _fewer(what: str, published: str, before: int, after: int, reason: str) -> Comparison:
-    verdict = Verdict.REPRODUCED if after < before else Verdict.NOT_REPRODUCED
+    verdict = Agreement.REPRODUCED if after < before else Agreement.NOT_REPRODUCED
     return Comparison(f"{_SECTION}/6.5 {what}", published, f"{before}, {after}", "", verdict, reason)

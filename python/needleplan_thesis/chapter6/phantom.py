@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from needleplan.planning import Outcome, PolicyTable, plan
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.scenario import Scenario, Transition
 from needleplan_thesis.chapter6.panels import Panel, draw_panels, ending
 
@@ -119,7 +119,7 @@ def _statements(panels: dict[str, Panel]) -> list[Comparison]:
     blocked, steered, best = panels["6.9, no path"], panels["6.9a"], panels["6.9b"]
 
     def said(what: str, published: str, ours: str, holds: bool) -> Comparison:
-        verdict = Verdict.REPRODUCED if holds else Verdict.NOT_REPRODUCED
+        verdict = Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED
         return Comparison(f"{_SECTION}/{what}", published, ours, "", verdict, _WHY)
 
     beside = miss_mm(late)
@@ -159,5 +159,5 @@ def _promises(scenario: Scenario) -> list[Comparison]:
         name = f"{_SECTION}/best entry, {transition} {dx:g} x {dy:g} mm"
         rounded = transition is Transition.NEAREST and dx > scenario.step_mm
         why = f"a step of {scenario.step_mm:.2f} mm, rounded to the nearest point, counts as {dx:g}" if rounded else ""
-        comparisons.append(Comparison(name, None, ours, "", Verdict.OURS, why))
+        comparisons.append(Comparison(name, None, ours, "", Agreement.OURS, why))
     return comparisons

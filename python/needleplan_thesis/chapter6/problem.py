@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.scenario import Scenario
 from needleplan_thesis.chapter6.published import FORMULA_STATES, STATES, VALUE_ITERATION
 
@@ -62,5 +62,5 @@ def problem(thesis: Scenario) -> list[Comparison]:
 
 
 def _exact(what: str, published: float, ours: float, unit: str, reason: str) -> Comparison:
-    verdict = Verdict.REPRODUCED if ours == published else Verdict.NOT_REPRODUCED
+    verdict = Agreement.REPRODUCED if ours == published else Agreement.NOT_REPRODUCED
     return Comparison(f"{_SECTION}/{what}", published, ours, unit, verdict, reason)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needleplan.planning import PolicyTable
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.scenario import Scenario, Transition
 from needleplan_thesis.chapter6.entries import Execution, execute, planned
 
@@ -74,10 +74,10 @@ def _compared(theirs: Measured, table: PolicyTable, runs: int) -> list[Compariso
     comparisons = []
     for k, (x, y, degrees) in enumerate(ENTRIES):
         name = f"ch6/five entries/{theirs.transition} {theirs.spacing_mm:g} mm, ({x}, {y}) mm, {degrees} deg"
-        exact = Verdict.REPRODUCED if round(float(predicted[k])) == theirs.predicted[k] else Verdict.SAME_ORDER
+        exact = Agreement.REPRODUCED if round(float(predicted[k])) == theirs.predicted[k] else Agreement.SAME_ORDER
         comparisons += [
             Comparison(f"{name}/predicted cost", theirs.predicted[k], round(float(predicted[k])), "cost", exact,
-                       "" if exact is Verdict.REPRODUCED else _OTHER_CORNERS),
+                       "" if exact is Agreement.REPRODUCED else _OTHER_CORNERS),
             measured(f"{name}/realised success", theirs.success[k], float(study.realised[k]), "1", _OTHER_ARCS),
         ]  # fmt: skip
     return comparisons

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from needleplan.planning import PolicyTable, Stats
-from needleplan.reports.comparison import Comparison, Verdict, measured
+from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan_thesis.chapter6.published import (
     OTHER_MACHINE,
     OTHER_SCENE,
@@ -52,7 +52,7 @@ def _table_6_3(solves: Solves) -> list[Comparison]:
         table = next(table for (each, _), table in solves.partitioned.items() if each == partitions)
         name = f"ch6/table 6.3/{name_of(partitions)}"
         count = partitions[0] * partitions[1]
-        exact = Verdict.REPRODUCED if table.stats.partitions == count else Verdict.NOT_REPRODUCED
+        exact = Agreement.REPRODUCED if table.stats.partitions == count else Agreement.NOT_REPRODUCED
         edge = f"{OTHER_SCENE}; ours counts the grid points of all edges"
         rows += [
             Comparison(f"{name}/partitions", count, table.stats.partitions, "partitions", exact),
@@ -86,4 +86,4 @@ def _sweep(table: PolicyTable) -> list[Comparison]:
 
 
 def _ours(identity: str, ours: float, unit: str) -> Comparison:
-    return Comparison(identity, None, ours, unit, Verdict.OURS, "")
+    return Comparison(identity, None, ours, unit, Agreement.OURS, "")

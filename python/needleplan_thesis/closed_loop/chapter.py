@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from needleplan.artifacts import write_whole
 from needleplan.reports.chapters import Effort
-from needleplan.reports.comparison import Comparison, Verdict
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.scenario import Scenario
 from needleplan_thesis.closed_loop.figure import draw
 from needleplan_thesis.closed_loop.hidden import HIDDEN
@@ -72,12 +72,12 @@ def _compared(each: Summary) -> list[Comparison]:
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in each.verdicts.items())
     more = f"; motions asked for: {sum(each.motions.values())}"
     return [
-        Comparison(f"{name}/hidden", None, each.hidden.title, "", Verdict.OURS, each.hidden.truth),
-        Comparison(f"{name}/named", None, named, "", Verdict.OURS, f"{verdicts}{more}{'; ' * bool(sizes)}{sizes}"),
+        Comparison(f"{name}/hidden", None, each.hidden.title, "", Agreement.OURS, each.hidden.truth),
+        Comparison(f"{name}/named", None, named, "", Agreement.OURS, f"{verdicts}{more}{'; ' * bool(sizes)}{sizes}"),
         Comparison(
             f"{name}/success", None,
             f"promised {percent(before.promised)}, realised {percent(before.success)}; by the diagnosed model "
-            f"promised {percent(after.promised)}, realised {percent(after.success)}", "", Verdict.OURS,
+            f"promised {percent(after.promised)}, realised {percent(after.success)}", "", Agreement.OURS,
             f"where nothing is hidden, realised {percent(known.success)}; {before.runs} insertions each",
         ),
         _goal(f"{name}/gap of success, shrink", before.gap, after.gap, known.gap, "points"),
@@ -105,7 +105,7 @@ def _goal(name: str, before: float, after: float, known: float, unit: str, about
     if above is not None:
         text += f"; {100 * above:.0f} % above that"
     if whole is None:
-        return Comparison(name, None, None, "", Verdict.OURS, f"{text}; no gap that could shrink")
-    verdict = Verdict.MET if whole >= _GOAL else Verdict.MISSED
+        return Comparison(name, None, None, "", Agreement.OURS, f"{text}; no gap that could shrink")
+    verdict = Agreement.MET if whole >= _GOAL else Agreement.MISSED
     reason = "; ".join(part for part in (text, about, f"goal: {_GOAL:g}") if part)
     return Comparison(name, None, round(whole, 3), "", verdict, reason)

@@ -13,7 +13,7 @@ import pytest
 from needleplan.diagnosis import Verdict
 from needleplan.models import Estimate
 from needleplan.reports.chapters import Effort, Request, reproduce
-from needleplan.reports.comparison import Verdict as Compared
+from needleplan.reports.comparison import Agreement
 from needleplan.signals import Role
 from needleplan_thesis.closed_loop.chapter import circle_scenario, files
 from needleplan_thesis.closed_loop.hidden import HIDDEN, laboratory
@@ -29,7 +29,7 @@ SCENARIO = circle_scenario()
 def test_a_layer_is_named_planned_for_and_no_longer_missed(tmp_path: Path) -> None:
     found = {each.id: each for each in reproduce(["diagnosis"], Request(tmp_path, Effort.QUICK, str, runs=2))}
     assert found["diagnosis/soft_layer/named"].ours == "1 curvature_layer"
-    assert found["diagnosis/together/median error, shrink"].verdict is Compared.MET
+    assert found["diagnosis/together/median error, shrink"].verdict is Agreement.MET
     assert found["diagnosis/together/gap of success, shrink"].ours == pytest.approx(1.0, abs=0.01)
     assert sorted(each.name for each in tmp_path.iterdir()) == ["diagnosis.json", "diagnosis.md", "diagnosis.png"]
     assert sorted(each.name for each in tmp_path.iterdir()) == sorted(files(Request(tmp_path, Effort.QUICK, str)))
