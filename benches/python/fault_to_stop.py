@@ -34,7 +34,8 @@ from needleplan.devices.ati import NetFt
 from needleplan.devices.ndi import NdiTracker
 from needleplan.devices.robot import RobotStage
 from needleplan.errors import DeviceFault, MotionRefused
-from needleplan.recording.mcap import EVENT, Recorder, journal
+from needleplan.recording import EVENT, Recorder
+from needleplan.recording import _journal as journal
 
 GOAL_MS = 50.0
 TICK_S = 0.005

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import atheris
 
-with atheris.instrument_imports(include=["needleplan.devices", "needleplan.recording.mcap"]):
+with atheris.instrument_imports(include=["needleplan.devices", "needleplan.recording"]):
     from needleplan.devices.ati import parse_configuration
     from needleplan.devices.ati.rdt import decode_records, encode_records
     from needleplan.devices.igtl import contents, crc64, poses
@@ -28,7 +28,7 @@ with atheris.instrument_imports(include=["needleplan.devices", "needleplan.recor
     from needleplan.devices.robot import RobotMachine, RobotState, SteadyDrive
     from needleplan.devices.robot.codec import decode, encode
     from needleplan.errors import ConfigurationError, DataError, ProtocolError
-    from needleplan.recording.mcap import EVENT, FORCE, POSE, STAGE, Recorder, Recording, Session, recover
+    from needleplan.recording import EVENT, FORCE, POSE, STAGE, Recorder, Recording, Session, recover
 
 
 def sealed(data: bytes) -> bytes:

@@ -20,7 +20,7 @@ import machine
 import numpy as np
 
 from needleplan.devices import ForceSample, PoseSample, StageSample, Stamp
-from needleplan.recording.mcap import FORCE, POSE, STAGE, Recorder, Recording, Session, recover
+from needleplan.recording import FORCE, POSE, STAGE, Recorder, Recording, Session, recover
 
 PAGE_KB = os.sysconf("SC_PAGE_SIZE") / 1024
 LIMIT_MS = 50.0
@@ -29,7 +29,7 @@ POSES_EVERY, FORCES_EVERY = 25, 5
 KILLED = """
 import os, sys, time
 from needleplan.devices import StageSample, Stamp
-from needleplan.recording.mcap import Recorder, STAGE
+from needleplan.recording import Recorder, STAGE
 with Recorder(sys.argv[1]) as recorder:
     stage = recorder.channel("/stage", STAGE)
     number = 0

@@ -15,7 +15,7 @@ from needleplan.cli import main
 from needleplan.control.agreement import require_fitting
 from needleplan.errors import TableError
 from needleplan.estimation.registration import Registration
-from needleplan.recording.mcap import Recording
+from needleplan.recording import Recording
 from needleplan.scenario import Identified
 from tests.cli.commands import needleplan
 from tests.control.scenes import small_table

@@ -14,9 +14,8 @@ from needleplan.devices import VirtualClock
 from needleplan.errors import DataError
 from needleplan.models import Torsion
 from needleplan.planning import plan
-from needleplan.recording import read_records
-from needleplan.recording.mcap import EVENT, Recorder, Recording, Session
-from needleplan.recording.mcap.export import FORMATS
+from needleplan.recording import EVENT, Recorder, Recording, Session, read_records
+from needleplan.recording.export import FORMATS
 from tests.control.scenes import FAST, NOISY, WIDE, a_lab, coil_of, insertion_in, small_table
 
 

@@ -6,7 +6,7 @@ import os
 import sys
 import time
 
-from needleplan.recording.mcap import EVENT, Recorder, Session
+from needleplan.recording import EVENT, Recorder, Session
 
 with Recorder(sys.argv[1], Session("killed")) as recorder:
     ticks = recorder.channel("/ticks", EVENT)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from needleplan.devices import ForceSample, Health, PoseSample, StageSample, Stamp
-from needleplan.recording.mcap import EVENT, FORCE, POSE, STAGE, Recorder, Session, WhenFull
+from needleplan.recording import EVENT, FORCE, POSE, STAGE, Recorder, Session, WhenFull
 
 START_NS = 5_000_000_000
 SESSION = Session(

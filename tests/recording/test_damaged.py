@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 
 from needleplan.errors import DataError, InputError, OutputError
-from needleplan.recording.mcap import FORCE, Recording, journal, recover
-from needleplan.recording.mcap.kinds import STAGE, Field, Json, Packed
+from needleplan.recording import FORCE, STAGE, Field, Json, Packed, Recording, recover
+from needleplan.recording import _journal as journal
 from tests.recording.samples import SESSION, START_NS, force, write_run
 
 FEW = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -12,9 +12,8 @@ import pytest
 
 from needleplan.devices import Health
 from needleplan.errors import DataError, OutputError
-from needleplan.recording import read_records
-from needleplan.recording.mcap import EVENT, FORCE, POSE, Recorder, Recording
-from needleplan.recording.mcap.export import FORMATS, trial_of
+from needleplan.recording import EVENT, FORCE, POSE, Recorder, Recording, read_records
+from needleplan.recording.export import FORMATS
 from tests.recording.samples import SESSION, START_NS, force, pose, write_run
 
 
@@ -100,7 +99,7 @@ def test_samples_that_are_not_good_are_missing_and_counted(tmp_path: Path) -> No
             health = Health.SUSPECT if number == 5 else Health.GOOD
             time_ns = START_NS + 25_000_000 * (number - (number == 9))  # one comes with the time of the one before
             tracker.put(time_ns, pose(number, time_ns, float(number), health))
-    trial = trial_of(Recording.read(tmp_path / "run.mcap"))
+    trial = Recording.read(tmp_path / "run.mcap").trial()
     assert np.flatnonzero(np.isnan(trial["x_mm"])).tolist() == [5]
     assert len(trial) == 19
     assert "/tracker: samples that are not good, and are missing numbers here: 1" in trial.notes

@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 
 from needleplan.errors import DataError, OutputError
-from needleplan.recording.mcap import EVENT, FORCE, Recorder, RecorderState, Recording, WhenFull, journal, recover
+from needleplan.recording import EVENT, FORCE, Recorder, RecorderState, Recording, WhenFull, recover
+from needleplan.recording import _journal as journal
 from tests.recording.samples import SESSION, START_NS, force, wait_for, write_run
 
 DISK = os.write
@@ -110,7 +111,7 @@ def test_a_disk_that_stays_full_leaves_the_partial_file(path: Path) -> None:
     script = f"""
 import resource, sys
 sys.path[:0] = {sys.path!r}
-from needleplan.recording.mcap import Recorder, FORCE
+from needleplan.recording import Recorder, FORCE
 from tests.recording.samples import SESSION, force, wait_for
 recorder = Recorder(sys.argv[1], SESSION)
 channel = recorder.channel("/force", FORCE)

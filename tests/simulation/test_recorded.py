@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from needleplan.cli import main
-from needleplan.recording.mcap import Recording
+from needleplan.recording import Recording
 from needleplan.simulation import Experiment, run_experiment
 
 TEXT = """schema = "needleplan.experiment/1"

@@ -10,7 +10,7 @@ from needleplan.cli.answer import complain, note, print_json, print_lines
 from needleplan.cli.options import add_json
 
 if TYPE_CHECKING:
-    from needleplan.recording.mcap import Recording
+    from needleplan.recording import Recording
 
 __all__ = ["add_to", "run_export", "run_info", "run_recover", "run_replay"]
 
@@ -64,7 +64,7 @@ def add_to(commands: Any) -> None:
 
 def run_info(options: argparse.Namespace) -> int:
     """Show a recording and return the exit code."""
-    from needleplan.recording.mcap import Recording
+    from needleplan.recording import Recording
 
     recording = Recording.read(options.recording)
     if options.json:
@@ -95,7 +95,7 @@ def run_info(options: argparse.Namespace) -> int:
 
 def run_recover(options: argparse.Namespace) -> int:
     """Recover a recording and return the exit code."""
-    from needleplan.recording.mcap import recover
+    from needleplan.recording import recover
 
     done = recover(options.recording, options.output)
     if options.json:
@@ -112,8 +112,8 @@ def run_recover(options: argparse.Namespace) -> int:
 
 def run_export(options: argparse.Namespace) -> int:
     """Export a recording and return the exit code."""
-    from needleplan.recording.mcap import Recording
-    from needleplan.recording.mcap.export import FORMATS as WRITERS
+    from needleplan.recording import Recording
+    from needleplan.recording.export import FORMATS as WRITERS
 
     for remark in WRITERS[options.to](Recording.read(options.recording), options.output):
         note(remark)
@@ -124,7 +124,7 @@ def run_replay(options: argparse.Namespace) -> int:
     """Replay an insertion and return the exit code."""
     from needleplan.control import replay
     from needleplan.planning import PolicyTable
-    from needleplan.recording.mcap import Recording
+    from needleplan.recording import Recording
 
     done = replay(Recording.read(options.recording), PolicyTable.read(options.table))
     if options.json:
@@ -157,7 +157,7 @@ def _record(recording: Recording) -> dict[str, Any]:
 
 
 def _print_events(recording: Recording) -> None:
-    from needleplan.recording.mcap import EVENT
+    from needleplan.recording import EVENT
 
     topics = [topic for topic in recording.counts if recording.kinds[topic].name == EVENT.name]
     for message in recording.messages(topics):

@@ -9,7 +9,7 @@ from needleplan.control.safety import SafetyEvent
 from needleplan.devices import Sample
 from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import Action, Pose
-from needleplan.recording.mcap import RecorderStatus
+from needleplan.recording import RecorderStatus
 
 __all__ = ["Command", "CommandKind", "Event", "EventName", "Listener", "Step"]
 

@@ -34,7 +34,7 @@ from needleplan.devices import (
 )
 from needleplan.errors import DataError, DeviceFault, Mistake
 from needleplan.planning import PolicyTable
-from needleplan.recording.mcap import Recording
+from needleplan.recording import Recording
 
 __all__ = ["Comparison", "RecordedForceSensor", "RecordedStage", "RecordedStation", "RecordedTracker", "replay"]
 

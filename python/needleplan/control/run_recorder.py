@@ -14,8 +14,7 @@ from needleplan.devices import Clock, ForceSample, Sample, StageSample, VirtualC
 from needleplan.devices.closing import Closing
 from needleplan.estimation.tip import TipEstimate, TipStatus
 from needleplan.planning import Action, PolicyTable
-from needleplan.recording.files import PathLike
-from needleplan.recording.mcap import (
+from needleplan.recording import (
     EVENT,
     FORCE,
     POSE,
@@ -23,6 +22,7 @@ from needleplan.recording.mcap import (
     Field,
     Json,
     Packed,
+    PathLike,
     Recorder,
     RecorderStatus,
     Session,

@@ -27,6 +27,7 @@ __all__ = [
     "require_drawable",
     "save",
     "sheet",
+    "stack",
     "tall",
     "title",
 ]
@@ -73,6 +74,16 @@ def sheet(workspace: Extent, panels: int) -> tuple[Figure, list[Axes]]:
             figure = Figure(figsize=(5.0 * panels, height), layout="constrained")
             axes = figure.subplots(1, panels, squeeze=False)
         return figure, list(axes.flat)
+
+
+def stack(panels: int) -> tuple[Figure, list[Axes]]:
+    """Return a figure with `panels` axes below each other."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(7.6, 1.9 * panels + 0.6), layout="constrained")
+        return figure, list(figure.subplots(panels, 1, squeeze=False).flat)
 
 
 def axes_in_mm(axes: Axes, workspace: Extent) -> None:

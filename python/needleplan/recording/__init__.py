@@ -1,14 +1,53 @@
-"""Recordings: measurements as files."""
+"""Measurements as files: trials as CSV or HDF5, and recordings of a run as MCAP.
 
-from needleplan.recording.align import align
-from needleplan.recording.files import parse_records, read_records, write_records
-from needleplan.recording.importers import read_depth_force, read_stepwise_insertion
+- `Recording.read` opens the recording of a run.
+- `Recorder` writes a recording without delaying the run.
+- `recover` makes a whole recording of a killed or damaged one.
+- `read_records` and `write_records` read and write trials.
+- `align` interpolates one sensor to the times of another.
+"""
+
+from needleplan.recording._align import align
+from needleplan.recording._data_files import (
+    PathLike,
+    parse_records,
+    read_depth_force,
+    read_records,
+    read_stepwise_insertion,
+    write_records,
+)
+from needleplan.recording._journal import Session
+from needleplan.recording._message_kinds import Field, Json, MessageKind, Packed
+from needleplan.recording._recorder import Recorder, RecorderState, RecorderStatus, RecordingChannel, WhenFull
+from needleplan.recording._recording import RecordedMessage, Recording
+from needleplan.recording._recovery import Recovery, recover
+from needleplan.recording._sample_kinds import EVENT, FORCE, POSE, STAGE, STATUS
 
 __all__ = [
+    "EVENT",
+    "FORCE",
+    "POSE",
+    "STAGE",
+    "STATUS",
+    "Field",
+    "Json",
+    "MessageKind",
+    "Packed",
+    "PathLike",
+    "RecordedMessage",
+    "Recorder",
+    "RecorderState",
+    "RecorderStatus",
+    "Recording",
+    "RecordingChannel",
+    "Recovery",
+    "Session",
+    "WhenFull",
     "align",
     "parse_records",
     "read_depth_force",
     "read_records",
     "read_stepwise_insertion",
+    "recover",
     "write_records",
 ]

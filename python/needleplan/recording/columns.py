@@ -1,19 +1,24 @@
-"""The names of the columns of a data file, and what is said about a name that is not one of them.
+"""Validation of the columns of a data file: their names, and whether their values are plausible in their units.
 
-A column in another unit is not converted behind anybody's back: the message says the name that is wanted and the
-factor.
+A column in another unit is refused, never converted: the message names the expected column and the factor. Values are
+questioned only if no needle experiment has them, such as a depth in metres or a time in milliseconds; `accept_units`
+accepts them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 
+import numpy as np
+
 from needleplan.errors import Mistake
+from needleplan.signals import Array, Record, Role
 from needleplan.signals.record import UNITS
 
-__all__ = ["NUMBERS", "TEXTS", "judge_names"]
+__all__ = ["NUMBERS", "TEXTS", "questionable_units", "validate_names"]
 
 NUMBERS = tuple(UNITS)
 TEXTS = ("phase", "trial", "role")
@@ -35,10 +40,10 @@ _BARE = {name.rsplit("_", 2)[0] if name in ("velocity_mm_s", "torque_n_mm") else
          for name in NUMBERS}  # fmt: skip
 
 
-def judge_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]]:
-    """Return the names that are left out because nothing here needs them, and the mistakes among the others.
+def validate_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]]:
+    """Return the names of unknown columns, which are left out, and the mistakes among the other names.
 
-    A name is a mistake where it stands twice, is a known column in another unit or spelling, or is nearly one.
+    A name is a mistake if it occurs twice, or is a known column in another unit or with another spelling.
     """
     unknown: list[str] = []
     mistakes: list[Mistake] = []
@@ -61,9 +66,9 @@ def judge_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]]:
 
 
 def _meant(name: str, names: Sequence[str]) -> str:
-    """Return the rule that a name breaks, or nothing where it means something else altogether.
+    """Return the rule that a name breaks, or "" if it is the name of another quantity.
 
-    A name like that of a column that is there too, such as force_x beside force_n, is another quantity and no slip.
+    A name similar to a column that the file has as well, such as force_x beside force_n, is another quantity.
     """
     lower = name.strip().lower().replace(" ", "_")
     if lower in NUMBERS or lower in TEXTS:
@@ -76,3 +81,81 @@ def _meant(name: str, names: Sequence[str]) -> str:
         return f'must carry its unit, {UNITS[wanted]}: convert where necessary and rename it "{wanted}"'
     close = get_close_matches(lower, [*NUMBERS, *TEXTS], n=1, cutoff=0.8)
     return f'is not a known column; did you mean "{close[0]}"?' if close and close[0] not in names else ""
+
+
+@dataclass(frozen=True)
+class _Range:
+    """The plausible range of a column, and the likely mistake below and above it."""
+
+    least: float
+    too_small: str
+    most: float
+    too_large: str
+
+
+_SPANS = {
+    "depth_mm": _Range(0.5, "in metres?", 1000, "in micrometres?"),
+    "velocity_mm_s": _Range(0.02, "in metres per second?", 2000, "in micrometres per second?"),
+    "force_n": _Range(1e-4, "in kilonewtons, or not calibrated?", 200, "in millinewtons, or not calibrated?"),
+    "torque_n_mm": _Range(1e-4, "in newton metres?", 1e4, "not calibrated?"),
+    "angle_rad": _Range(0, "", 31.5, "in degrees?"),
+}
+_POSITIONS = _Range(0.02, "in metres?", 10_000, "in micrometres?")
+_STEPS = _Range(1e-5, "not in seconds?", 2.0, "in milliseconds?")
+_AGREE = 5.0  # factor between velocity and change of depth beyond which their units must differ
+
+
+def questionable_units(record: Record) -> list[Mistake]:
+    """Return a mistake for every column with implausible values; records of noise have no lower limit."""
+    found = []
+    quiet = record.role is Role.NOISE
+    for name, allowed in _SPANS.items():
+        if name in record.columns:
+            size = _span(record[name]) if name == "depth_mm" else _largest(record[name])
+            found += _out_of_range(name, size, UNITS[name], allowed, quiet)
+    places = {name: _span(record[name]) for name in ("x_mm", "y_mm", "z_mm") if name in record.columns}
+    if places:
+        name = max(places, key=lambda each: places[each])
+        found += _out_of_range(name, places[name], "mm", _POSITIONS, quiet)
+    steps = np.diff(record["time_s"])
+    if steps.size:
+        found += _out_of_range("time_s", float(np.median(steps)), "s from sample to sample", _STEPS, False)
+    return found or _agreement(record)
+
+
+def _out_of_range(name: str, size: float, unit: str, allowed: _Range, quiet: bool) -> list[Mistake]:
+    if 0 < size < allowed.least and not quiet:
+        rule = f"is questionably small, {allowed.too_small}"
+    elif size > allowed.most:
+        rule = f"is questionably large, {allowed.too_large}"
+    else:
+        return []
+    return [Mistake(name, f"{size:.3g} {unit}", f"{rule} Convert it, or accept the units as they are")]
+
+
+def _agreement(record: Record) -> list[Mistake]:
+    """Compare velocity and change of depth by the slope between them, which is robust against noise in the depth."""
+    if not {"depth_mm", "velocity_mm_s"} <= record.columns.keys() or len(record) < 5:
+        return []
+    given, steps = record["velocity_mm_s"], np.diff(record["time_s"])
+    middle = (given[1:] + given[:-1]) / 2
+    moved = np.diff(record["depth_mm"]) / steps
+    good = np.isfinite(middle) & np.isfinite(moved)
+    power = float(middle[good] ** 2 @ steps[good])
+    if power == 0 or _span(record["depth_mm"]) == 0:
+        return []
+    slope = float((middle[good] * moved[good]) @ steps[good]) / power
+    if 1 / _AGREE <= slope <= _AGREE:
+        return []
+    rule = f"must be the change of depth_mm per time, which is {slope:.3g} times as much: their units or signs differ"
+    return [Mistake("velocity_mm_s", "", rule)]
+
+
+def _span(values: Array) -> float:
+    good = values[np.isfinite(values)]
+    return float(np.ptp(good)) if good.size else 0.0
+
+
+def _largest(values: Array) -> float:
+    good = values[np.isfinite(values)]
+    return float(np.abs(good).max()) if good.size else 0.0

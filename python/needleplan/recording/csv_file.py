@@ -1,7 +1,7 @@
-"""CSV: a header with the names of the columns, then one row a sample.
+"""CSV: a header with the names of the columns, then one row for each sample.
 
-UTF-8; separated by commas, semicolons or tabs, whichever the header uses; decimal points. An empty cell or `nan` is a
-missing number. Lines that begin with `#`, and empty lines, are remarks.
+The text is UTF-8 with decimal points. The separator is comma, semicolon or tab, as in the header. An empty cell or
+`nan` is a missing number. Empty lines and lines that begin with `#` are ignored.
 """
 
 from __future__ import annotations
@@ -14,26 +14,77 @@ from collections.abc import Sequence
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.recording.cells import number_in, rows_of_cells
-from needleplan.recording.columns import NUMBERS, TEXTS, judge_names
+from needleplan.recording.columns import NUMBERS, TEXTS, validate_names
 from needleplan.recording.table import Table
 from needleplan.signals import Record
 from needleplan.signals.record import UNITS
 
-__all__ = ["parse_csv", "to_csv"]
+__all__ = ["number_in", "parse_csv", "rows_of_cells", "to_csv"]
 
-_MOST_MISTAKES = 10
-_PRECISION = ".17g"
+_SEPARATORS = ",;\t"
+
+
+def rows_of_cells(content: bytes, source: str) -> tuple[list[tuple[int, str]], list[tuple[int, list[str]]]]:
+    """Return the lines of a CSV file without remarks, and their cells, each with its line number; first the header.
+
+    Raises DataError if the content is not UTF-8 text, and for stray quotes.
+    """
+    text = _text(content, source)
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not lines:
+        return [], []
+    separator = max(_SEPARATORS, key=lines[0][1].count)
+    # A quoted cell ends on its line; otherwise one stray quote would swallow the rest of the file.
+    return lines, [(number, _cells(line, separator, number, source)) for number, line in lines]
+
+
+def number_in(cell: str) -> float | None:
+    """Return the number in a cell, NaN for an empty cell, None for other text, infinite numbers and 1_000."""
+    if not cell:
+        return math.nan
+    try:
+        value = float(cell)
+    except ValueError:
+        return None
+    return None if math.isinf(value) or "_" in cell else value
+
+
+def _text(content: bytes, source: str) -> str:
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise DataError("is UTF-16: save it as UTF-8", source)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise DataError(Mistake(f"line {line}", "", f"is not UTF-8 (byte {error.start})"), source) from None
+    if "\0" in text:
+        raise DataError("holds null characters: it is not a CSV file", source)
+    return text
+
+
+def _cells(line: str, separator: str, number: int, source: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, strict=True))]
+    except (csv.Error, StopIteration) as error:
+        raise DataError(Mistake(f"line {number}", line[:100], f"cannot be read: {error}"), source) from None
+
+
+_MOST_MISTAKES = 10  # mistakes after which reading stops
+_PRECISION = ".17g"  # enough digits for identical numbers
 
 
 def parse_csv(content: bytes, source: str) -> Table:
-    """Return the rows of a CSV file. Raises DataError with the mistakes of the header, or of the first bad rows."""
+    """Return the rows of a CSV file. Raises DataError with the mistakes in the header, or in the first wrong rows."""
     lines, rows = rows_of_cells(content, source)
     if not lines:
         raise DataError("is empty: it must begin with a header such as time_s,depth_mm,force_n", source)
     header = rows[0][1]
     _require_names(header, lines[0], source)
-    unknown, mistakes = judge_names(header)
+    unknown, mistakes = validate_names(header)
     if mistakes:
         raise DataError(mistakes, source)
     if len(rows) == 1:
@@ -56,9 +107,9 @@ def parse_csv(content: bytes, source: str) -> Table:
 
 
 def to_csv(records: Sequence[Record]) -> str:
-    """Return the text of a CSV file that reads back as these records; numbers to the last bit, missing ones empty.
+    """Return the records as CSV text, which reads back with identical numbers; missing numbers are empty cells.
 
-    Raises DataError for names of trials or phases with a line break.
+    Raises DataError if the name of a trial or phase has a line break.
     """
     if any("\n" in text or "\r" in text for record in records for text in (record.trial, *record.phase)):
         raise DataError("names of trials and phases must not have line breaks")
@@ -76,7 +127,7 @@ def to_csv(records: Sequence[Record]) -> str:
 
 
 def _require_names(header: Sequence[str], line: tuple[int, str], source: str) -> None:
-    """Raise DataError where the first line is no header at all, which the names of its columns would not explain."""
+    """Raise DataError if the first line is not a header, with the likely reason."""
     number, text = line
     if all(number_in(cell) is not None for cell in header):
         rule = "holds numbers: a header with the names of the columns must stand above them, such as time_s,depth_mm"

@@ -1,7 +1,7 @@
-"""HDF5: the columns as datasets, in the root of the file (with `trial`, where there are several) or a group a trial.
+"""HDF5: one dataset for each column, in the root of the file or in one group for each trial.
 
-A group is a trial; its attributes `trial` and `role` say which and what for. Texts are UTF-8 strings. Written files
-have groups; MATLAB reads a column with `h5read(file, '/trial_0001/force_n')`.
+Several trials in the root need the column `trial`. A group has the attributes `trial` and `role`. Texts are UTF-8
+strings. Written files have groups; MATLAB reads a column with `h5read(file, '/trial_0001/force_n')`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 from needleplan.artifacts import version
 from needleplan.errors import DataError, Mistake
-from needleplan.recording.columns import NUMBERS, TEXTS, judge_names
+from needleplan.recording.columns import NUMBERS, TEXTS, validate_names
 from needleplan.recording.table import Table
 from needleplan.signals import Record
 from needleplan.signals.record import UNITS
@@ -20,11 +20,11 @@ from needleplan.signals.record import UNITS
 __all__ = ["FORMAT", "parse_hdf5", "to_hdf5"]
 
 FORMAT = "needleplan.records/1"
-_MOST_NUMBERS = 200_000_000
+_MOST_NUMBERS = 200_000_000  # largest length of a dataset
 
 
 def parse_hdf5(content: bytes, source: str) -> list[Table]:
-    """Return the rows of an HDF5 file, one table a group, or one for the root. Raises DataError."""
+    """Return the rows of an HDF5 file, one table for each group, or one for the root. Raises DataError."""
     import h5py
 
     try:
@@ -41,12 +41,12 @@ def parse_hdf5(content: bytes, source: str) -> list[Table]:
             return [_table(group, name, source) for name, group in groups.items()]
     except DataError:
         raise
-    except Exception as error:  # the library raises whatever a damaged file leads it to
+    except Exception as error:  # h5py raises many types of exceptions for damaged files
         raise DataError(f"is damaged, or not a file of records: {error}", source) from error
 
 
 def to_hdf5(records: Sequence[Record]) -> bytes:
-    """Return the bytes of an HDF5 file that reads back as these records."""
+    """Return the records as the bytes of an HDF5 file, which reads back as equal records."""
     import h5py
 
     image = io.BytesIO()
@@ -71,7 +71,7 @@ def _table(group: Any, name: str, source: str) -> Table:
         for key in group
         if isinstance(group.get(key, getlink=True), h5py.HardLink) and isinstance(group[key], h5py.Dataset)
     }
-    unknown, mistakes = judge_names(datasets)
+    unknown, mistakes = validate_names(datasets)
     if not mistakes:
         mistakes = _shapes({key: each for key, each in datasets.items() if key not in unknown})
     if mistakes:
@@ -92,7 +92,7 @@ def _table(group: Any, name: str, source: str) -> Table:
 
 
 def _shapes(datasets: dict[str, Any]) -> list[Mistake]:
-    """Return the mistakes of datasets that are not rows of one length, of the kind that their name promises."""
+    """Return a mistake for each dataset with the wrong shape, length or type."""
     mistakes = []
     shape = datasets["time_s"].shape
     for key, each in datasets.items():

@@ -1,21 +1,23 @@
-"""What a file holds before it is cut into trials."""
+"""The rows of a data file, and their validation and division into one record for each trial."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from needleplan.signals import Array
+from needleplan.errors import DataError, Mistake
+from needleplan.signals import Array, Record, Role
 
-__all__ = ["Table"]
+__all__ = ["Table", "records_of"]
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of a file: columns of numbers and of texts, all of one length, missing numbers as NaN.
+    """Rows of a file: columns of numbers and of texts, all of one length; missing numbers are NaN.
 
-    `places[i]` says where row i stands in the file, for messages, such as "line 7".
+    `places[i]` is the position of row i in the file for messages, such as "line 7".
     """
 
     numbers: dict[str, Array]
@@ -27,10 +29,123 @@ class Table:
         return len(self.places)
 
     def rows(self, index: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Table:
-        """Return some of the rows, by their numbers."""
+        """Return the rows with the given numbers."""
         return replace(
             self,
             numbers={name: values[index] for name, values in self.numbers.items()},
             texts={name: tuple(values[row] for row in index) for name, values in self.texts.items()},
             places=tuple(self.places[row] for row in index),
         )
+
+
+_DRIVERS = ("depth_mm", "velocity_mm_s", "angle_rad")
+_GAP = 5.0  # an interval of more than this many median intervals is noted as a gap
+_MOST_MISSING = 0.05  # share of rows without a motion column above which the trial is refused
+_FEW = 10  # samples below which the trial is noted as short
+
+
+def records_of(table: Table, name: str, file_digest: str, source: str) -> list[Record]:
+    """Return the trials of a table, ordered by their first row; `name` names a single trial without the column `trial`.
+
+    The notes of a record list the rows left out and unusual properties. Raises DataError with the mistakes of all
+    trials.
+    """
+    trials = table.texts.get("trial", (name,) * len(table))
+    records = []
+    mistakes: list[Mistake] = []
+    for trial in dict.fromkeys(trials):
+        rows = table.rows(np.flatnonzero(np.array([each == trial for each in trials])))
+        role, wrong = _role(rows)
+        where = f"trial {trial}, " if len(set(trials)) > 1 else ""
+        wrong += _times(rows)
+        kept, notes, missing = _whole_rows(rows)
+        mistakes += [Mistake(f"{where}{each.key}", each.value, each.rule) for each in [*wrong, *missing]]
+        if mistakes:
+            continue
+        notes = [*table.notes, *notes, *_unusual(kept)]
+        phase = kept.texts.get("phase", ())
+        records.append(Record(kept.numbers, trial or name, role, phase, file_digest, tuple(notes)))
+    if mistakes:
+        raise DataError(mistakes, source)
+    return records
+
+
+def _role(rows: Table) -> tuple[Role, list[Mistake]]:
+    found = set(rows.texts.get("role", ("",))) or {""}
+    if len(found) > 1:
+        return Role.TRAIN, [Mistake("role", ", ".join(sorted(found)), "must be the same in a whole trial")]
+    (only,) = found
+    if only not in ("", *Role):
+        return Role.TRAIN, [Mistake("role", only, f"must be one of {', '.join(Role)}")]
+    return Role(only) if only else Role.TRAIN, []
+
+
+def _times(rows: Table) -> list[Mistake]:
+    time = rows.numbers["time_s"]
+    if len(rows) < 2:
+        return [Mistake("time_s", f"{len(rows)} samples", "too short: a trial has at least 2 samples")]
+    lost = np.flatnonzero(~np.isfinite(time))
+    if lost.size:
+        return [Mistake(f"time_s ({rows.places[lost[0]]})", str(time[lost[0]]), f"must be a number{_more(lost.size)}")]
+    steps = np.diff(time)
+    back = np.flatnonzero(steps <= 0)
+    if back.size:
+        kinds = Counter("repeated" if step == 0 else "decreasing" for step in steps[back])
+        counts = " and ".join(f"{number} {kind}" for kind, number in kinds.items())
+        first = back[0] + 1
+        rule = f"must be greater than the time before it, {time[first - 1]:.10g}; {counts} in the trial"
+        return [Mistake(f"time_s ({rows.places[first]})", f"{time[first]:.10g}", rule)]
+    return []
+
+
+def _whole_rows(rows: Table) -> tuple[Table, list[str], list[Mistake]]:
+    """Return the rows with complete motion columns, notes, and mistakes; rows with missing measurements stay."""
+    notes: list[str] = []
+    mistakes: list[Mistake] = []
+    kept = np.ones(len(rows), bool)
+    empty: list[str] = []
+    for name, values in rows.numbers.items():
+        missing = ~np.isfinite(values)
+        count = int(missing.sum())
+        if not count or name == "time_s":
+            continue
+        if count == len(rows):
+            empty.append(name)
+            notes.append(f"{name} has no number in this trial, and was left out")
+        elif name not in _DRIVERS:
+            notes.append(f"{name} is missing in {count} of {len(rows)} rows, which are not fitted to")
+        elif count > _MOST_MISSING * len(rows):
+            first = rows.places[int(np.flatnonzero(missing)[0])]
+            rule = f"is missing in {count} of {len(rows)} rows, first {first}: a motion needs nearly all of it"
+            mistakes.append(Mistake(name, "", rule))
+        else:
+            kept &= ~missing
+            notes.append(f"{count} of {len(rows)} rows without {name} were left out")
+    numbers = {name: values for name, values in rows.numbers.items() if name not in empty}
+    return replace(rows, numbers=numbers).rows(np.flatnonzero(kept)), notes, mistakes
+
+
+def _unusual(rows: Table) -> list[str]:
+    """Return notes on unusual but usable properties: gaps in time, few samples, constant columns."""
+    time = rows.numbers["time_s"]
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    gaps = np.flatnonzero(steps > _GAP * median)
+    notes = []
+    if gaps.size:
+        widest = int(gaps[np.argmax(steps[gaps])])
+        notes.append(
+            f"{gaps.size} gap{'s' * (gaps.size > 1)} in time_s; the longest, after {time[widest]:.6g} s "
+            f"({rows.places[widest]}), is {steps[widest]:.3g} s, {steps[widest] / median:.3g} intervals"
+        )
+    if len(rows) < _FEW:
+        notes.append(f"only {len(rows)} samples: hardly anything can be identified from them")
+    for name, values in rows.numbers.items():
+        good = values[np.isfinite(values)]
+        if name != "time_s" and good.size > 1 and not np.ptp(good):
+            notes.append(f"{name} is constant, {good[0]:g}: nothing that changes it can be identified from this trial")
+    return notes
+
+
+def _more(count: int) -> str:
+    return f"; {count} of them are not" if count > 1 else ""

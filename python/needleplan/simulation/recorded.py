@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from needleplan.recording.files import PathLike
-from needleplan.recording.mcap import EVENT, FORCE, POSE, STAGE, Recorder, Session, WhenFull
+from needleplan.recording import EVENT, FORCE, POSE, STAGE, PathLike, Recorder, Session, WhenFull
 from needleplan.simulation.run import Run
 
 __all__ = ["record_run"]

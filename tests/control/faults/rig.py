@@ -15,7 +15,7 @@ from needleplan.devices import ForceSensor, PoseSample, Source, Tracker, Virtual
 from needleplan.devices.ati import BoxLink, NetFt, NetFtBox, parse_configuration
 from needleplan.devices.ndi import AuroraDevice, DeviceLink, NdiTracker, SimulatedTool
 from needleplan.errors import DeviceFault, NeedleplanError
-from needleplan.recording.mcap import EVENT, Recorder, Recording, Session, WhenFull
+from needleplan.recording import EVENT, Recorder, Recording, Session, WhenFull
 from tests.control.safety.bench import NotedStage
 from tests.devices.ati.bench import Wrench
 from tests.devices.ndi.bench import REFERENCE, TIP, needle, plate

@@ -13,7 +13,8 @@ import pytest
 
 from needleplan.control.safety import Cause, OperatingState, Order, SafetyEvent
 from needleplan.errors import MotionRefused
-from needleplan.recording.mcap import EVENT, Recorder, Recording, Session, journal
+from needleplan.recording import EVENT, Recorder, Recording, Session
+from needleplan.recording import _journal as journal
 from tests.control.safety.bench import Bench
 from tests.recording.samples import wait_for
 

@@ -35,7 +35,7 @@ from needleplan.control.safety.record import RecordWatch
 from needleplan.control.safety.stopping import Heartbeat, Stopping
 from needleplan.devices import Clock, ForceSample, PoseSample, Source, Stage, StageSample, SystemClock
 from needleplan.errors import DeviceFault, MotionRefused
-from needleplan.recording.mcap import RecorderStatus
+from needleplan.recording import RecorderStatus
 
 __all__ = ["GuardedStage"]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from needleplan.control.safety.causes import Cause
 from needleplan.control.safety.limits import SafetyLimits
-from needleplan.recording.mcap import RecorderState, RecorderStatus
+from needleplan.recording import RecorderState, RecorderStatus
 
 __all__ = ["RecordWatch"]
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from needleplan.artifacts import digest
 from needleplan.errors import DataError, Mistake
-from needleplan.recording.cells import number_in, rows_of_cells
+from needleplan.recording.csv_file import number_in, rows_of_cells
 from needleplan.scenario.rules import suggestion
 from needleplan.signals import Array
 

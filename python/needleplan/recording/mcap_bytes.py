@@ -1,25 +1,31 @@
-"""Reads whatever can be read of a recording, whole or not: chunk by chunk, each by its own checksum."""
+"""The bytes of an MCAP file: verification of a finished recording, and the readable chunks of a damaged one."""
 
 from __future__ import annotations
 
+import os
 import re
 import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import Any
+from typing import Any, BinaryIO
 
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from needleplan.recording.mcap.journal import SESSION
+from needleplan.errors import DataError, Mistake
+from needleplan.recording._journal import PROFILE, SESSION
 
-__all__ = ["Damage", "Definitions", "RawMessage", "chunks", "definitions_of", "messages_of"]
+__all__ = ["Damage", "Definitions", "RawMessage", "chunks", "definitions_of", "messages_of", "require_intact"]
 
-LARGEST_CHUNK = 256 * 2**20
+_LARGEST_CHUNK_BYTES = 256 * 2**20  # a larger length is treated as damage
+_BLOCK_BYTES = 2**20  # bytes read at once for a checksum
+_RECOVER = "needleplan recording recover {path} -o NEW.mcap"
+_FOOTER = struct.Struct("<BQQQI")
+_DATA_END = struct.Struct("<BQI")
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -27,12 +33,12 @@ _CANDIDATE = re.compile(rb"\x06[\s\S]{5}\0\0\0")
 _OPCODES = frozenset(Opcode)
 
 RawMessage = tuple[int, int, int, bytes]
-"""Number of the channel, sequence, time (ns), data."""
+"""Channel number, sequence, time (ns since 1970), data."""
 
 
 @dataclass
 class Damage:
-    """What could not be read."""
+    """Counts of unreadable bytes, and of the places in the file where they are."""
 
     damaged_bytes: int = 0
     places: int = 0
@@ -40,18 +46,51 @@ class Damage:
 
 @dataclass
 class Definitions:
-    """What is said about the channels, and the session."""
+    """Schemas and channels by number, and the stored session."""
 
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
     session: dict[str, Any] | None = None
 
 
-def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
-    """Yield the records of every chunk that agrees with its checksum, and definitions outside of chunks.
+def require_intact(stream: BinaryIO, source: str) -> None:
+    """Raise DataError unless the file is a finished recording and every byte agrees with its checksums."""
+    start = stream.read(256)
+    if not start.startswith(MCAP0_MAGIC):
+        raise DataError("is not a recording: it does not begin as an MCAP file", source)
+    advice = _RECOVER.format(path=source)
+    try:
+        _, length = _HEAD.unpack_from(start, len(MCAP0_MAGIC))
+        body = start[len(MCAP0_MAGIC) + _HEAD.size :][:length]
+        profile = records.Header.read(ReadDataStream(BytesIO(body))).profile
+    except Exception as error:  # the MCAP library raises many types of exceptions for a damaged header
+        raise DataError(f"is damaged at its beginning; {advice}", source) from error
+    if profile != PROFILE:
+        raise DataError(Mistake("profile", profile, f"must be {PROFILE}: it is an MCAP file of something else"), source)
+    size = stream.seek(0, os.SEEK_END)
+    tail = _FOOTER.size + len(MCAP0_MAGIC)
+    stream.seek(max(size - tail, 0))
+    end = stream.read()
+    if not end.endswith(MCAP0_MAGIC) or len(end) < tail or end[0] != Opcode.FOOTER:
+        raise DataError(f"was not finished, or is cut; {advice}", source)
+    _, length, summary_start, _, summary_crc = _FOOTER.unpack_from(end)
+    data_end = summary_start - _DATA_END.size
+    damaged = DataError(f"is damaged: its checksums do not agree; {advice}", source)
+    if length != _FOOTER.size - _HEAD.size or not len(MCAP0_MAGIC) <= data_end <= size - tail:
+        raise damaged
+    stream.seek(0)
+    data_crc = _checksum(stream, data_end)
+    mark, mark_length, expected = _DATA_END.unpack(stream.read(_DATA_END.size))
+    summary = _checksum(stream, size - tail - summary_start)
+    summary = zlib.crc32(end[: _FOOTER.size - 4], summary)
+    if (mark, mark_length, expected) != (Opcode.DATA_END, 4, data_crc) or summary != summary_crc:
+        raise damaged
 
-    `data` is bytes or a memory map. Bytes that belong to nothing are counted in `damage`, and the next chunk
-    is searched for.
+
+def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
+    """Yield the records of each chunk with a correct checksum, and definitions outside of chunks.
+
+    `data` is bytes or a memory map. Other bytes are counted in `damage` and skipped up to the next readable chunk.
     """
     size = len(data)
     at = len(MCAP0_MAGIC) if data[: len(MCAP0_MAGIC)] == MCAP0_MAGIC else 0
@@ -67,16 +106,17 @@ def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
                 yield bytes(data[at:following])
             at = following
             continue
-        lost_from = at
+        damaged_from = at
         at = _next_chunk(data, at + 1)
-        damage.damaged_bytes += at - lost_from
+        damage.damaged_bytes += at - damaged_from
         damage.places += 1
 
 
 def definitions_of(content: bytes, known: Definitions) -> None:
-    """Add what the records of a chunk define; what came first holds.
+    """Add the schemas, channels and session in the records of a chunk to `known`; the first definition of each holds.
 
-    A topic has one channel: what repeats it under another number at the end, where no checksum is, was damaged.
+    A topic has one channel. The definitions at the end of the file have no checksum of their own, so a topic repeated
+    there with another channel number is damage, and is ignored.
     """
     for opcode, body in _records(content):
         if opcode == Opcode.SCHEMA:
@@ -110,18 +150,29 @@ def _records(content: bytes) -> Iterator[tuple[int, bytes]]:
         at += length
 
 
+def _checksum(stream: BinaryIO, length: int) -> int:
+    checksum = 0
+    while length > 0:
+        block = stream.read(min(length, _BLOCK_BYTES))
+        if not block:
+            break
+        checksum = zlib.crc32(block, checksum)
+        length -= len(block)
+    return checksum
+
+
 def _chunk_at(data: Any, at: int) -> tuple[bytes, int] | None:
-    """Return the records of the chunk at a place and where it ends, or None where there is no whole chunk."""
+    """Return the records of the chunk at an offset and the offset of its end, or None if no whole chunk is there."""
     body = at + _HEAD.size
     if body + _CHUNK.size + 8 > len(data):
         return None
     opcode, length = _HEAD.unpack_from(data, at)
     end = body + length
-    if opcode != Opcode.CHUNK or end > len(data) or length > LARGEST_CHUNK:
+    if opcode != Opcode.CHUNK or end > len(data) or length > _LARGEST_CHUNK_BYTES:
         return None
     _, _, size, checksum, name_length = _CHUNK.unpack_from(data, body)
     start = body + _CHUNK.size + name_length + 8
-    if name_length > 4 or start > end or size > LARGEST_CHUNK:
+    if name_length > 4 or start > end or size > _LARGEST_CHUNK_BYTES:
         return None
     if struct.unpack_from("<Q", data, start - 8)[0] != end - start:
         return None
@@ -147,7 +198,7 @@ def _unpacked(compression: bytes, stored: bytes, size: int) -> bytes | None:
 
 
 def _skipped(data: Any, at: int) -> int | None:
-    """Return where the record at a place ends if it is none of a chunk and something plausible follows, or None."""
+    """Return the end of the record at an offset, or None for a chunk or if no plausible record follows."""
     if data[at : at + len(MCAP0_MAGIC) + 1] == MCAP0_MAGIC:
         return len(data)
     if at + _HEAD.size > len(data):

@@ -1,7 +1,7 @@
-"""From the chunks of a partial, cut or damaged recording to a whole one, with index and checksums.
+"""Making a whole recording, with index and checksums, of a partial, cut or damaged one.
 
-Closing a recorder and recovering a killed one are the same thing: what can be read is written again, in large
-compressed chunks, and takes the name of the recording once it is on the disk.
+Closing a recorder and recovering a killed run do the same: all readable messages are written again in large compressed
+chunks, and the new file takes the name of the recording once it is on the disk.
 """
 
 from __future__ import annotations
@@ -21,45 +21,85 @@ from mcap.writer import CompressionType, Writer
 
 from needleplan.artifacts import require_writable, version
 from needleplan.errors import DataError, InputError, Mistake, OutputError
-from needleplan.recording.files import PathLike
-from needleplan.recording.mcap.journal import PROFILE
-from needleplan.recording.mcap.kinds import STATUS
-from needleplan.recording.mcap.salvage import Damage, Definitions, RawMessage, chunks, definitions_of, messages_of
-from needleplan.recording.mcap.session import Session
+from needleplan.recording._data_files import PathLike
+from needleplan.recording._journal import PROFILE, Session
+from needleplan.recording._sample_kinds import STATUS
+from needleplan.recording.mcap_bytes import Damage, Definitions, RawMessage, chunks, definitions_of, messages_of
 
 __all__ = ["Recovery", "finish", "recover"]
 
-_LARGE_CHUNK = 2**17
-"""About a second of a run: what one damaged byte can cost a finished recording."""
+_CHUNK_BYTES = 2**17  # size of a chunk, about 1 s of a run: the most that one damaged byte costs
 
 _SESSION = "/session"
 
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was found, and what is known to be missing."""
+    """Result of a recovery.
+
+    Attributes
+    ----------
+    messages : int
+        Number of messages recovered.
+    by_topic : mapping of str to int
+        Number of messages recovered by topic.
+    damaged_bytes, places : int
+        Number of unreadable bytes, and of the places in the file where they are.
+    missing : mapping of str to int
+        Number of messages missing between recovered ones by topic, found by gaps in their sequence, without the
+        messages in `overflowed`.
+    overflowed : mapping of str to int
+        Number of messages by topic that the recorder itself counted as lost.
+    complete : bool
+        Whether the recorder closed the recording. If not, the last 20 ms before the end may be missing too.
+
+    """
 
     messages: int
     by_topic: Mapping[str, int] = field(default_factory=dict)
     damaged_bytes: int = 0
     places: int = 0
-    """At how many places of the file something could not be read."""
-
     missing: Mapping[str, int] = field(default_factory=dict)
-    """Messages missing between others, by topic, as their numbers tell; not those that the recorder says it lost."""
-
     overflowed: Mapping[str, int] = field(default_factory=dict)
-    """Messages that the recorder says it lost while it ran, by topic."""
-
     complete: bool = False
-    """Whether the recorder closed it; otherwise what was not on its way to the disk when it ended is missing too."""
 
 
 def recover(path: PathLike, target: PathLike) -> Recovery:
-    """Write all that can be read of a recording at `path`, however it ended, to `target`, and say what is missing.
+    """Write all readable messages of a partial, cut or damaged recording to a new recording.
 
-    Raises DataError where nothing of it is a recording of needleplan, OutputError where `target` is there already or
-    cannot be written.
+    Parameters
+    ----------
+    path : str or path
+        The partial, cut or damaged recording; it is not changed.
+    target : str or path
+        The recording to write.
+
+    Returns
+    -------
+    Recovery
+        Counts of recovered and missing messages.
+
+    Raises
+    ------
+    DataError
+        The file holds no readable part of a recording of needleplan.
+    OutputError
+        `target` exists already or cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from needleplan.recording import Recorder, recover
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> path = Path(folder.name) / "run.mcap"
+    >>> Recorder(path).close().ok
+    True
+    >>> _ = path.write_bytes(path.read_bytes()[:-40])  # cut
+    >>> recover(path, Path(folder.name) / "recovered.mcap").by_topic
+    {'/recorder': 2}
+    >>> folder.cleanup()
+
     """
     require_writable(target)
     if Path(target).exists():
@@ -69,9 +109,9 @@ def recover(path: PathLike, target: PathLike) -> Recovery:
 
 
 def finish(partial: Path, target: Path, expected: int) -> Recovery:
-    """Make the recording of a partial file that was closed, and remove that. Raises InputError, and keeps it.
+    """Make the recording of a closed partial file and remove the partial file.
 
-    `expected` messages must be in it.
+    Raises InputError and keeps the partial file unless exactly `expected` messages can be read back.
     """
     with _mapped(partial) as data:
         done = _rewrite(data, str(partial), target, recovered=False, expected=expected)
@@ -98,9 +138,9 @@ def _mapped(path: PathLike) -> Iterator[Any]:
 
 def _rewrite(data: Any, source: str, target: Path, *, recovered: bool, expected: int | None = None) -> Recovery:
     known = Definitions()
-    for _ in range(2):  # where the first chunk is damaged, the session stands before the definition of its channel
+    for _ in range(2):  # if the first chunk is damaged, a session message precedes the definition of its channel
         for content in chunks(data, Damage()):
-            with contextlib.suppress(Exception):  # the checksum agrees, but somebody else may have made it
+            with contextlib.suppress(Exception):  # the checksum agrees, but the chunk may come from another program
                 definitions_of(content, known)
         if known.session is not None:
             break
@@ -129,7 +169,7 @@ def _rewrite(data: Any, source: str, target: Path, *, recovered: bool, expected:
 
 
 def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, recovered: bool) -> Recovery:
-    writer = Writer(stream, _LARGE_CHUNK, CompressionType.ZSTD, enable_data_crcs=True)
+    writer = Writer(stream, _CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
     writer.start(PROFILE, f"needleplan {version()}")
     flat = {name: str(each) for name, each in session.to_dict().items() if name not in ("texts", "digests")}
     flat |= {f"digest.{name}": each for name, each in session.digests.items()}
@@ -142,14 +182,14 @@ def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, re
     missing: Counter[int] = Counter()
     counts: Counter[int] = Counter()
     status: dict[str, Any] = {}
-    again: tuple[int, int, bytes] | None = None
+    session_message: tuple[int, int, bytes] | None = None
     for content in chunks(data, damage):
         for number, sequence, time_ns, body in _readable(content):
             topic = known.channels[number].topic if number in numbers else ""
             if not topic:
                 continue
             if topic == _SESSION:
-                again = (numbers[number], time_ns, body)
+                session_message = (numbers[number], time_ns, body)
             else:
                 missing[number] += max(sequence - last.get(number, 0) - 1, 0)
             last[number] = max(sequence, last.get(number, 0))
@@ -158,8 +198,9 @@ def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, re
                     status = STATUS.decode(body)
             writer.add_message(numbers[number], time_ns, body, time_ns, sequence)
             counts[number] += 1
-    if again:  # in the first chunk and in the last, so that one damage leaves one of them
-        writer.add_message(again[0], again[1], again[2], again[1])
+    if session_message:  # repeated in the last chunk, so that one damaged place leaves one copy
+        channel, session_ns, body = session_message
+        writer.add_message(channel, session_ns, body, session_ns)
     done = _summed(known, counts, missing, status, damage)
     if recovered:
         writer.add_metadata("needleplan.recovery", {
@@ -172,7 +213,7 @@ def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, re
 
 
 def _readable(content: bytes) -> Iterator[RawMessage]:
-    """Yield the messages of a chunk as far as they can be read: its checksum agrees, but anybody may have made it."""
+    """Yield the messages of a chunk up to the first malformed one: the chunk may come from another program."""
     messages = messages_of(content)
     while True:
         try:
@@ -185,7 +226,7 @@ def _readable(content: bytes) -> Iterator[RawMessage]:
 
 
 def _register(writer: Writer, known: Definitions) -> dict[int, int]:
-    """Return the numbers that the channels have in the new file."""
+    """Return the number of each channel in the new file by its old number."""
     schemas = {old: writer.register_schema(each.name, each.encoding, each.data) for old, each in known.schemas.items()}
     return {
         old: writer.register_channel(each.topic, each.message_encoding, schemas[each.schema_id])

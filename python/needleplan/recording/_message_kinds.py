@@ -1,8 +1,7 @@
-"""Kinds of messages: numbers as ROS 2 messages (CDR), everything else as JSON; Foxglove reads both.
+"""Encodings of messages: `Packed` for numbers (ROS 2 messages in CDR), `Json` for other values; Foxglove reads both.
 
-A `Packed` message costs as many bytes as its numbers. Its fields stand in the order of their size, so that CDR has no
-padding, and its strings at the end; a kind is therefore one `struct` and its strings. A sample may be anything that has
-the attributes, such as those of `needleplan.devices`: recordings know what a sample looks like, not who made it.
+The fields of a `Packed` message are ordered by size, with the strings last, so that CDR needs no padding and one
+`struct` encodes all numbers.
 """
 
 from __future__ import annotations
@@ -13,11 +12,11 @@ import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from needleplan.errors import DataError, Mistake
 
-__all__ = ["EVENT", "FORCE", "POSE", "STAGE", "STATUS", "Field", "Json", "Kind", "Packed"]
+__all__ = ["Field", "Json", "MessageKind", "Packed"]
 
 _CODES = {"int64": "q", "uint64": "Q", "float64": "d", "int32": "i", "uint32": "I", "uint8": "B", "bool": "?"}
 _ORDER = ("int64", "uint64", "float64", "int32", "uint32", "uint8", "bool", "string")
@@ -25,8 +24,8 @@ _SIZES = {"int64": 8, "uint64": 8, "float64": 8, "int32": 4, "uint32": 4, "uint8
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 
-class Kind(ABC):
-    """How a message becomes bytes, and its schema; abstract."""
+class MessageKind(ABC):
+    """Abstract base of the encodings: converts values to bytes and back, and describes them by a schema."""
 
     name: str
     encoding: str
@@ -35,20 +34,67 @@ class Kind(ABC):
     @property
     @abstractmethod
     def schema(self) -> bytes:
-        """The schema as it stands in the file."""
+        """The schema as stored in the file."""
 
     @abstractmethod
     def encode(self, value: Any) -> bytes:
-        """Return the bytes of a message. Raises ValueError, TypeError, KeyError or struct.error for another value."""
+        """Return the bytes of a message.
+
+        Parameters
+        ----------
+        value : object
+            A value of this kind.
+
+        Returns
+        -------
+        bytes
+            The encoded message.
+
+        Raises
+        ------
+        ValueError, TypeError, KeyError, struct.error
+            The value does not fit the kind.
+
+        """
 
     @abstractmethod
     def decode(self, data: bytes) -> dict[str, Any]:
-        """Return the fields of a message. Raises DataError."""
+        """Return the fields of a message.
+
+        Parameters
+        ----------
+        data : bytes
+            The encoded message.
+
+        Returns
+        -------
+        dict
+            The values by the name of their field.
+
+        Raises
+        ------
+        DataError
+            The bytes are damaged.
+
+        """
 
 
 @dataclass(frozen=True)
 class Field:
-    """A field of a packed message: a ROS 2 type; `choices` are the names of the values of a `uint8`."""
+    """A field of a packed message.
+
+    Attributes
+    ----------
+    name : str
+        Name of the field.
+    type : str
+        A ROS 2 type: int64, uint64, float64, int32, uint32, uint8, bool or string.
+    choices : tuple of str
+        Names of the values 0, 1, ... of a `uint8`.
+    comment : str
+        Comment in the schema, such as the unit.
+
+    """
 
     name: str
     type: str = "float64"
@@ -57,11 +103,30 @@ class Field:
 
 
 @dataclass(frozen=True)
-class Packed(Kind):
-    """A ROS 2 message of numbers and strings, `package/msg/Name`.
+class Packed(MessageKind):
+    """A message of numbers and strings, encoded as a ROS 2 message.
 
-    Fields must stand in the order int64, uint64, float64, int32, uint32, uint8 or bool, string. `row` makes the values
-    of a sample; without it, a value is a mapping by the names of its fields. Raises DataError for a wrong order.
+    Attributes
+    ----------
+    name : str
+        Name of the message type, `package/msg/Name`.
+    fields : tuple of Field
+        The fields, ordered by type: int64, uint64, float64, int32, uint32, uint8 or bool, string.
+    row : callable, optional
+        Returns the values of the fields for one sample; without it, a value is a mapping by field name.
+
+    Raises
+    ------
+    DataError
+        A type is unknown, two fields have the same name, or the order is wrong.
+
+    Examples
+    --------
+    >>> from needleplan.recording import Field, Packed
+    >>> tip = Packed("needleplan_msgs/msg/Tip", (Field("x_mm"), Field("note", "string")))
+    >>> tip.decode(tip.encode({"x_mm": 1.5, "note": "entry"}))
+    {'x_mm': 1.5, 'note': 'entry'}
+
     """
 
     name: str
@@ -84,7 +149,7 @@ class Packed(Kind):
 
     @property
     def schema(self) -> bytes:
-        """The definition in the language of ROS 2."""
+        """The message definition in the ROS 2 interface language."""
         lines: list[str] = []
         for each in self.fields:
             prefix = each.name.upper()
@@ -93,7 +158,7 @@ class Packed(Kind):
         return ("\n".join(lines) + "\n").encode()
 
     def encode(self, value: Any) -> bytes:
-        """Return CDR, little-endian."""
+        """Return the message in little-endian CDR."""
         values = self.row(value) if self.row else [value[each.name] for each in self.fields]
         numbers: list[Any] = []
         texts: list[str] = []
@@ -109,7 +174,7 @@ class Packed(Kind):
         return data
 
     def decode(self, data: bytes) -> dict[str, Any]:
-        """Return the fields by their names; `uint8` with choices as their name."""
+        """Return the values by field name; a `uint8` with choices as the name of its value."""
         try:
             mark, *numbers = self._numbers.unpack_from(data)
             if mark != _LITTLE_ENDIAN:
@@ -134,7 +199,26 @@ class Packed(Kind):
 
     @classmethod
     def from_schema(cls, name: str, schema: bytes) -> Packed:
-        """Return the kind that a file describes, to decode what another version wrote. Raises DataError."""
+        """Return the kind described by the schema in a file, to decode messages of other versions.
+
+        Parameters
+        ----------
+        name : str
+            Name of the message type.
+        schema : bytes
+            The message definition in the ROS 2 interface language.
+
+        Returns
+        -------
+        Packed
+            The kind; it decodes, and encodes mappings.
+
+        Raises
+        ------
+        DataError
+            The definition has lines that this package does not write.
+
+        """
         fields, choices = [], []
         for line in schema.decode("utf-8", "replace").splitlines():
             words, _, comment = line.partition("#")
@@ -153,8 +237,23 @@ class Packed(Kind):
 
 
 @dataclass(frozen=True)
-class Json(Kind):
-    """A JSON object; `properties` are those of its JSON schema. NaN and infinite numbers become null."""
+class Json(MessageKind):
+    """A JSON object; NaN and infinite numbers are stored as null.
+
+    Attributes
+    ----------
+    name : str
+        Name of the message type.
+    properties : mapping
+        `properties` of its JSON schema.
+
+    Examples
+    --------
+    >>> from needleplan.recording import EVENT
+    >>> EVENT.decode(EVENT.encode({"name": "stop", "cause": "force", "limit_n": float("inf")}))
+    {'name': 'stop', 'cause': 'force', 'limit_n': None}
+
+    """
 
     name: str
     properties: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -167,7 +266,7 @@ class Json(Kind):
         return json.dumps({"title": self.name, "type": "object", "properties": dict(self.properties)}).encode()
 
     def encode(self, value: Any) -> bytes:
-        """Return UTF-8."""
+        """Return the object as UTF-8 text."""
         plain = _plain(value)
         if not isinstance(plain, dict):
             raise TypeError(f"must be a mapping, not {type(value).__name__}")
@@ -194,127 +293,3 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "tolist"):  # arrays and numbers of numpy
         return _plain(value.tolist())
     return value
-
-
-class _Stamp(Protocol):
-    @property
-    def received_ns(self) -> int: ...
-    @property
-    def sequence(self) -> int: ...
-    @property
-    def lost(self) -> int: ...
-    @property
-    def device_time_s(self) -> float | None: ...
-
-
-class _Sample(Protocol):
-    @property
-    def stamp(self) -> _Stamp: ...
-    @property
-    def health(self) -> str: ...
-    @property
-    def notes(self) -> tuple[str, ...]: ...
-
-
-class _Force(_Sample, Protocol):
-    @property
-    def force_n(self) -> tuple[float, float, float]: ...
-    @property
-    def torque_n_mm(self) -> tuple[float, float, float]: ...
-
-
-class _Pose(_Sample, Protocol):
-    @property
-    def position_mm(self) -> tuple[float, float, float]: ...
-    @property
-    def quaternion(self) -> tuple[float, float, float, float]: ...
-    @property
-    def error_mm(self) -> float: ...
-
-
-class _Stage(_Sample, Protocol):
-    @property
-    def depth_mm(self) -> float: ...
-    @property
-    def velocity_mm_s(self) -> float: ...
-    @property
-    def roll_rad(self) -> float: ...
-    @property
-    def moving(self) -> bool: ...
-
-
-def _start(sample: _Sample) -> tuple[Any, ...]:
-    stamp = sample.stamp
-    device_time_s = math.nan if stamp.device_time_s is None else stamp.device_time_s
-    return stamp.received_ns, stamp.sequence, device_time_s
-
-
-def _force_row(sample: _Force) -> tuple[Any, ...]:
-    end = (sample.stamp.lost, str(sample.health), "; ".join(sample.notes))
-    return (*_start(sample), *sample.force_n, *sample.torque_n_mm, *end)
-
-
-def _pose_row(sample: _Pose) -> tuple[Any, ...]:
-    end = (sample.stamp.lost, str(sample.health), "; ".join(sample.notes))
-    return (*_start(sample), *sample.position_mm, *sample.quaternion, sample.error_mm, *end)
-
-
-def _stage_row(sample: _Stage) -> tuple[Any, ...]:
-    numbers = (sample.depth_mm, sample.velocity_mm_s, sample.roll_rad)
-    end = (sample.stamp.lost, str(sample.health), sample.moving, "; ".join(sample.notes))
-    return (*_start(sample), *numbers, *end)
-
-
-_HEAD = (
-    Field("received_ns", "int64", comment="on the monotonic clock of the recording machine"),
-    Field("sequence", "uint64", comment="the device's own number"),
-    Field("device_time_s", comment="NaN where the device has no clock"),
-)
-_LOST = Field("lost", "uint32", comment="samples lost just before this one")
-_HEALTH = Field("health", "uint8", ("good", "suspect", "missing"))
-_NOTES = Field("notes", "string")
-
-
-def _numbers(names: str) -> tuple[Field, ...]:
-    return tuple(Field(name) for name in names.split())
-
-
-FORCE = Packed(
-    "needleplan_msgs/msg/Force",
-    (*_HEAD, *_numbers("force_x_n force_y_n force_z_n torque_x_n_mm torque_y_n_mm torque_z_n_mm"),
-     _LOST, _HEALTH, _NOTES),
-    _force_row,
-)  # fmt: skip
-"""A wrench at the base of the needle, in the frame of the sensor."""
-
-POSE = Packed(
-    "needleplan_msgs/msg/Pose",
-    (*_HEAD, *_numbers("x_mm y_mm z_mm qw qx qy qz error_mm"), _LOST, _HEALTH, _NOTES),
-    _pose_row,
-)
-"""A pose of a tracked coil."""
-
-STAGE = Packed(
-    "needleplan_msgs/msg/Stage",
-    (*_HEAD, *_numbers("depth_mm velocity_mm_s roll_rad"), _LOST, _HEALTH, Field("moving", "bool"), _NOTES),
-    _stage_row,
-)
-"""Where the stage is."""
-
-EVENT = Json(
-    "needleplan.Event",
-    {"name": {"type": "string"}, "cause": {"type": "string"}, "text": {"type": "string"}},
-)
-"""Something happened: its name, its cause, and a sentence; further entries are welcome."""
-
-STATUS = Json(
-    "needleplan.RecorderStatus",
-    {
-        "state": {"type": "string"},
-        "cause": {"type": "string"},
-        "written": {"type": "integer"},
-        "overflowed": {"type": "object", "additionalProperties": {"type": "integer"}},
-        "refused": {"type": "integer"},
-    },
-)
-"""What the recorder says of itself, whenever it changes."""

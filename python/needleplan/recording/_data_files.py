@@ -1,0 +1,324 @@
+"""Reading and writing files of trials, and two formats of published measurements on needles."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from needleplan.artifacts import digest, write_whole
+from needleplan.errors import DataError, Mistake, OutputError
+from needleplan.recording.columns import questionable_units
+from needleplan.recording.csv_file import parse_csv, to_csv
+from needleplan.recording.hdf5_file import parse_hdf5, to_hdf5
+from needleplan.recording.table import records_of
+from needleplan.signals import Record
+
+__all__ = ["PathLike", "parse_records", "read_depth_force", "read_records", "read_stepwise_insertion", "write_records"]
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_HDF5_NAMES = (".h5", ".hdf5")
+
+PathLike = str | os.PathLike[str]
+
+
+def read_records(paths: PathLike | Iterable[PathLike], *, accept_units: bool = False) -> list[Record]:
+    r"""Read the trials of one or more files, CSV or HDF5.
+
+    Parameters
+    ----------
+    paths : str, path or iterable of these
+        The files.
+    accept_units : bool
+        Accept values that are implausible for a needle in the unit of their column.
+
+    Returns
+    -------
+    list of Record
+        The trials in the order of the files. A trial is named by its column `trial`, else by its file; if two files use
+        the same name, by file and name. `Record.notes` lists rows left out and other remarks.
+
+    Raises
+    ------
+    DataError
+        A file cannot be read, times are missing, repeat or decrease, a column has another unit, the same measurement is
+        given twice, or values are implausible.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from needleplan.recording import read_records
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "first.csv"
+    ...     _ = path.write_text("time_s,force_n\n0.0,0.01\n0.1,0.02\n")
+    ...     (record,) = read_records(path)
+    >>> record.trial, record["force_n"].tolist()
+    ('first', [0.01, 0.02])
+
+    """
+    files = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    if not files:
+        raise DataError("no file of data was given")
+    found = [(os.fspath(file), _read(file, accept_units)) for file in files]
+    _require_different(found)
+    uses = Counter(name for _, records in found for name in {record.trial for record in records})
+    return [
+        record if uses[record.trial] == 1 else replace(record, trial=f"{file}: {record.trial}")
+        for file, records in found
+        for record in records
+    ]
+
+
+def parse_records(content: bytes, source: str = "data", *, accept_units: bool = False) -> list[Record]:
+    r"""Return the trials in the bytes of a CSV or HDF5 file.
+
+    Parameters
+    ----------
+    content : bytes
+        The bytes of the file.
+    source : str
+        The name of the file, for error messages and for the name of a single trial.
+    accept_units : bool
+        Accept values that are implausible for a needle in the unit of their column.
+
+    Returns
+    -------
+    list of Record
+        The trials, ordered by their first row.
+
+    Raises
+    ------
+    DataError
+        As `read_records`.
+
+    Examples
+    --------
+    >>> from needleplan.recording import parse_records
+    >>> (record,) = parse_records(b"time_s,force_n\n0.0,0.01\n0.1,0.02\n", "first.csv")
+    >>> len(record)
+    2
+
+    """
+    name, its_digest = Path(source).stem, digest(content)
+    tables = parse_hdf5(content, source) if content.startswith(_HDF5) else [parse_csv(content, source)]
+    records = [record for table in tables for record in records_of(table, name, its_digest, source)]
+    repeated = [trial for trial, times in Counter(record.trial for record in records).items() if times > 1]
+    if repeated:
+        raise DataError([Mistake("trial", trial, "is the name of two groups") for trial in repeated], source)
+    if not accept_units:
+        mistakes = [
+            Mistake(f"{record.trial}: {each.key}" if len(records) > 1 else each.key, each.value, each.rule)
+            for record in records
+            for each in questionable_units(record)
+        ]
+        if mistakes:
+            raise DataError(mistakes, source)
+    return records
+
+
+def write_records(records: Sequence[Record], path: PathLike) -> str:
+    """Write trials as HDF5 or CSV; the file is written whole or not at all.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        The trials; their names must differ.
+    path : str or path
+        The file to write; its suffix `.h5`, `.hdf5` or `.csv` selects the format.
+
+    Returns
+    -------
+    str
+        The digest of the file.
+
+    Raises
+    ------
+    OutputError
+        The suffix is another one, or the file cannot be written.
+    DataError
+        There is no trial, or two trials have the same name.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from needleplan.recording import read_records, write_records
+    >>> from needleplan.signals import Record
+    >>> record = Record({"time_s": [0.0, 0.1], "force_n": [0.01, 0.02]}, "first")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "data.h5"
+    ...     digest = write_records([record], path)
+    ...     read_records(path)[0].digest == digest
+    True
+
+    """
+    repeated = [name for name, times in Counter(record.trial for record in records).items() if times > 1]
+    if not records or repeated:
+        rule = f'two trials have the name "{repeated[0]}"' if repeated else "there is no record to write"
+        raise DataError(rule, os.fspath(path))
+    ending = Path(path).suffix.lower()
+    if ending not in (".csv", *_HDF5_NAMES):
+        raise OutputError(Mistake("", "", "the name of a data file must end in .csv, .h5 or .hdf5"), os.fspath(path))
+    content = to_csv(records).encode() if ending == ".csv" else to_hdf5(records)
+    write_whole(path, content)
+    return digest(content)
+
+
+def _require_different(found: Sequence[tuple[str, Sequence[Record]]]) -> None:
+    """Raise DataError if two trials hold the same numbers: the duplicate would narrow every confidence interval."""
+    first: dict[str, str] = {}
+    for file, records in found:
+        for record in records:
+            content = digest(b"".join(name.encode() + record[name].tobytes() for name in sorted(record.columns)))
+            here = f"{file}, trial {record.trial}"
+            if content in first:
+                rule = f"holds the same numbers as {first[content]}: one measurement must not count twice"
+                raise DataError(Mistake("trial", record.trial, rule), file)
+            first[content] = here
+
+
+def _read(file: PathLike, accept_units: bool) -> list[Record]:
+    try:
+        content = Path(file).read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise DataError(f"cannot be read: {reason}", os.fspath(file)) from error
+    return parse_records(content, os.fspath(file), accept_units=accept_units)
+
+
+_STEPWISE = ("Timestamp sec", "Timestamp nanosec", "Tip x", "Tip y", "Tip z", "Tip sec", "Tip nanosec")
+
+
+def read_stepwise_insertion(path: PathLike) -> Record:
+    r"""Read a stepwise insertion of the data set maribernardes/mpc_stepwise_trajcontrol (tracked tip, 2 Hz).
+
+    The depth is -`Tip y`, stored as `depth_mm` and `x_mm`; `y_mm` is `Tip x` and `z_mm` is `Tip z`, all in the frame of
+    that study. Times are the measurement times of the tip since the first one.
+
+    Parameters
+    ----------
+    path : str or path
+        The CSV file of the data set.
+
+    Returns
+    -------
+    Record
+        The insertion. Rows without a tip and rows that repeat a measurement are left out and counted in the notes.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read or is not a file of this data set.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from needleplan.recording import read_stepwise_insertion
+    >>> header = "Timestamp sec,Timestamp nanosec,Tip x,Tip y,Tip z,Tip sec,Tip nanosec"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "insertion.csv"
+    ...     _ = path.write_text(header + "\n7,0,0.1,-5,0,7,0\n8,0,0.2,-10,0,7,500000000\n")
+    ...     record = read_stepwise_insertion(path)
+    >>> record["time_s"].tolist(), record["depth_mm"].tolist()
+    ([0.0, 0.5], [5.0, 10.0])
+
+    """
+    source, content = _content(path)
+    rows = list(csv.reader(io.StringIO(content.decode("utf-8", "replace").replace("\0", ""))))
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    missing = [
+        Mistake(name, "", "is missing: not a file of step-wise insertions") for name in _STEPWISE if name not in header
+    ]
+    if missing:
+        raise DataError(missing, source)
+    try:
+        table = np.array([[float(row[header.index(name)]) for name in _STEPWISE] for row in rows[1:] if row])
+    except (ValueError, IndexError) as error:
+        raise DataError(f"has a row that is not numbers: {error}", source) from None
+    if len(table) < 2:
+        raise DataError("has fewer than two rows", source)
+    _, _, x, y, z, seconds, nanoseconds = table.T
+    measured = seconds > 0
+    time = np.where(measured, seconds - seconds.max(), -np.inf) + 1e-9 * nanoseconds
+    new = np.concatenate([[True], np.diff(time) > 0]) & measured
+    notes = [f"{int((~measured).sum())} rows without a tip were left out"] * bool((~measured).any())
+    repeated = int((measured & ~new).sum())
+    notes += [f"{repeated} rows that repeat a measurement were left out"] * bool(repeated)
+    if new.sum() < 2:
+        raise DataError("has fewer than two measurements of the tip", source)
+    columns = {"time_s": time[new] - time[new][0], "depth_mm": -y[new], "x_mm": -y[new], "y_mm": x[new], "z_mm": z[new]}
+    return Record(columns, Path(source).stem, digest=digest(content), notes=tuple(notes))
+
+
+def read_depth_force(path: PathLike, speed_mm_s: float) -> Record:
+    r"""Read a digitised force-depth curve of an insertion at constant speed.
+
+    Points are sorted by depth, and points at equal depth are averaged, since a digitised curve goes back and forth.
+
+    Parameters
+    ----------
+    path : str or path
+        A CSV file without header: depth in m, force in N.
+    speed_mm_s : float
+        Speed of the insertion, mm/s, which determines the times.
+
+    Returns
+    -------
+    Record
+        The insertion; its notes count the sorted and the averaged points.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read or does not hold two columns of numbers, or the speed is not positive.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from needleplan.recording import read_depth_force
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "curve.csv"
+    ...     _ = path.write_text("0.0,0.0\n0.01,0.4\n")
+    ...     record = read_depth_force(path, speed_mm_s=5.0)
+    >>> record["time_s"].tolist(), record["depth_mm"].tolist()
+    ([0.0, 2.0], [0.0, 10.0])
+
+    """
+    source, content = _content(path)
+    if not speed_mm_s > 0:
+        raise DataError(Mistake("speed_mm_s", f"{speed_mm_s:g}", "must be above 0"), source)
+    try:
+        table = np.array([[float(cell) for cell in row] for row in csv.reader(io.StringIO(content.decode())) if row])
+    except (ValueError, UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"is not two columns of numbers: {error}", source) from None
+    if table.ndim != 2 or table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all():
+        raise DataError("is not two columns of finite numbers", source)
+    depth = 1000 * table[:, 0]
+    back = int((np.diff(depth) < 0).sum())
+    places, group = np.unique(depth, return_inverse=True)
+    force = np.bincount(group, table[:, 1]) / np.bincount(group)
+    notes = [f"{back} points behind the one before them were put in order"] * bool(back)
+    notes += [f"{depth.size - places.size} points at the depth of another were averaged"] * bool(
+        depth.size > places.size
+    )
+    speed = np.full(places.size, float(speed_mm_s))
+    columns = {"time_s": places / speed_mm_s, "depth_mm": places, "velocity_mm_s": speed, "force_n": force}
+    record = Record(columns, Path(source).stem, digest=digest(content))
+    return replace(record, notes=tuple(notes))
+
+
+def _content(path: PathLike) -> tuple[str, bytes]:
+    source = os.fspath(path)
+    try:
+        return source, Path(path).read_bytes()
+    except OSError as error:
+        raise DataError(f"cannot be read: {error.strerror}", source) from error

@@ -1,0 +1,393 @@
+"""Recording a run without delaying it.
+
+`RecordingChannel.put` appends to a bounded queue and returns. The writer thread encodes the values and hands a chunk to
+the operating system at least every 20 ms, so a killed process loses at most 20 ms. A power cut may lose more, because
+nothing is forced to the disk before the end. A slow disk, a full disk and a failed writer are reported in
+`Recorder.status`, never as exceptions.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from needleplan.artifacts import require_writable
+from needleplan.errors import InputError, Mistake, OutputError
+from needleplan.recording._data_files import PathLike
+from needleplan.recording._journal import Journal, Session
+from needleplan.recording._message_kinds import MessageKind
+from needleplan.recording._recovery import finish
+from needleplan.recording._sample_kinds import STATUS
+
+__all__ = ["PARTIAL", "Recorder", "RecorderState", "RecorderStatus", "RecordingChannel", "WhenFull"]
+
+PARTIAL = ".partial"
+_PERIOD_S = 0.015  # time between two writes of the queue
+_RETRY_S = 0.1  # time between two attempts to write on a disk that fails
+_CHUNK_BYTES = 16_384  # size (bytes) from which a chunk is written
+_BURST = 512  # messages after which a chunk is written, so that a backlog does not become one huge chunk
+_CAPACITY = 16_384  # messages in the queue
+_NANO = 1e-9
+_LATEST_NS = 2**63  # time of day (ns) from which a message is refused: the file stores signed 64-bit integers
+
+
+class RecorderState(StrEnum):
+    """State of the writer."""
+
+    RECORDING = "recording"
+    STALLED = "stalled"
+    """Writing fails, for example on a full disk, and is retried; messages beyond the capacity of the queue are lost."""
+
+    FAILED = "failed"
+    """The writer has stopped, or the file could not be finished; the partial file holds the messages written so far."""
+
+    CLOSED = "closed"
+
+
+class WhenFull(StrEnum):
+    """What `RecordingChannel.put` does if the queue is full."""
+
+    DROP = "drop"
+    """Count the message as lost and return at once; for real time."""
+
+    WAIT = "wait"
+    """Wait for the writer; for simulated time, which is faster than any disk."""
+
+
+@dataclass(frozen=True)
+class RecorderStatus:
+    """Status of a recorder.
+
+    Attributes
+    ----------
+    state : RecorderState
+        State of the writer.
+    cause : str
+        Reason of the state `STALLED` or `FAILED`.
+    written : int
+        Number of messages handed to the operating system.
+    queued : int
+        Number of messages in the queue.
+    behind_s : float
+        Upper bound on the age of the oldest unwritten message, s; about 0.02 in normal operation.
+    overflowed : mapping of str to int
+        Number of messages lost by topic, because the queue was full or the writer had failed.
+    refused : int
+        Number of messages that could not be encoded.
+    refusal : str
+        Reason of the first refusal.
+
+    """
+
+    state: RecorderState
+    cause: str
+    written: int
+    queued: int
+    behind_s: float
+    overflowed: Mapping[str, int] = field(default_factory=dict)
+    refused: int = 0
+    refusal: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether the recorder works and no message was lost or refused so far."""
+        good = self.state in (RecorderState.RECORDING, RecorderState.CLOSED)
+        return good and not self.overflowed and not self.refused
+
+
+class RecordingChannel:
+    """One topic of a recording, made by `Recorder.channel`; only one thread may put into it.
+
+    Attributes
+    ----------
+    topic : str
+        Name, such as `/force`.
+    kind : MessageKind
+        Encoding of the values.
+    number : int
+        Number of the channel in the file.
+
+    """
+
+    def __init__(self, recorder: Recorder, topic: str, kind: MessageKind, number: int) -> None:
+        self.topic = topic
+        self.kind = kind
+        self.number = number
+        self._recorder = recorder
+        self._count = 0
+
+    def put(self, time_ns: int, value: Any) -> bool:
+        """Record a value; never raises, and does not block unless the recorder has `WhenFull.WAIT`.
+
+        Parameters
+        ----------
+        time_ns : int
+            Time of the value on the monotonic clock, ns.
+        value : object
+            A value of the channel's kind. It is encoded later by another thread: do not change it after the call.
+
+        Returns
+        -------
+        bool
+            False if the value is lost.
+
+        """
+        self._count += 1
+        return self._recorder._accept((self, self._count, time_ns, value))
+
+
+class Recorder:
+    """Writes a recording. Close it, or use it in a `with` statement.
+
+    Until it is closed, the file has the suffix `.partial`.
+
+    Parameters
+    ----------
+    path : str or path
+        The recording to write.
+    session : Session, optional
+        Description of the run.
+    capacity : int
+        Capacity of the queue, messages.
+    when_full : WhenFull
+        What `RecordingChannel.put` does if the queue is full.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written, or the recording or its partial file exists already.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from needleplan.recording import Field, Packed, Recorder
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> tip = Packed("needleplan_msgs/msg/Tip", (Field("x_mm"), Field("y_mm")))
+    >>> with Recorder(Path(folder.name) / "run.mcap") as recorder:
+    ...     channel = recorder.channel("/tip", tip)
+    ...     _ = channel.put(recorder.session.monotonic_ns, {"x_mm": 1.0, "y_mm": 0.0})
+    >>> str(recorder.status.state), recorder.status.ok
+    ('closed', True)
+    >>> folder.cleanup()
+
+    """
+
+    def __init__(
+        self,
+        path: PathLike,
+        session: Session | None = None,
+        *,
+        capacity: int = _CAPACITY,
+        when_full: WhenFull = WhenFull.DROP,
+    ) -> None:
+        self.path = Path(path)
+        self.partial = self.path.with_name(self.path.name + PARTIAL)
+        self.session = session or Session()
+        self._capacity = capacity
+        self._wait = when_full is WhenFull.WAIT
+        self._queue: deque[tuple[RecordingChannel, int, int, Any]] = deque()
+        self._overflowed: Counter[str] = Counter()
+        self._refused, self._refusal = 0, ""
+        self._written = 0
+        self._state, self._cause = RecorderState.RECORDING, ""
+        self._recorded_status: tuple[object, ...] = ()
+        self._recorded_statuses = 0
+        self._up_to_date_ns = time.monotonic_ns()
+        self._latest_ns = self.session.wall_ns
+        self._closing = threading.Event()
+        self._lock = threading.Lock()
+        self._descriptor = self._create()
+        try:
+            self._journal = Journal(self._descriptor, self.session)
+        except OSError as error:
+            os.close(self._descriptor)
+            self.partial.unlink(missing_ok=True)
+            raise OutputError(Mistake("", "", f"cannot be written: {error.strerror}"), str(self.partial)) from error
+        self._own = RecordingChannel(self, "/recorder", STATUS, self._journal.define("/recorder", STATUS))
+        self._channels: dict[str, RecordingChannel] = {"/recorder": self._own}
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def channel(self, topic: str, kind: MessageKind) -> RecordingChannel:
+        """Add a topic to the recording.
+
+        Parameters
+        ----------
+        topic : str
+            Name, such as `/force`; must begin with `/`.
+        kind : MessageKind
+            Encoding of its values.
+
+        Returns
+        -------
+        RecordingChannel
+            The channel to put values into.
+
+        Raises
+        ------
+        OutputError
+            The topic exists already, or its name is wrong.
+
+        """
+        with self._lock:
+            if not topic.startswith("/") or topic in self._channels or topic == "/session":
+                rule = "must begin with / and be new: /session and /recorder are the recorder's own"
+                raise OutputError(Mistake("topic", topic, rule), str(self.path))
+            kind.schema  # noqa: B018  a wrong kind is refused here, not in the writer thread
+            channel = RecordingChannel(self, topic, kind, self._journal.define(topic, kind))
+            self._channels[topic] = channel
+            return channel
+
+    @property
+    def status(self) -> RecorderStatus:
+        """The status of the recorder; cheap enough for every cycle of a control loop."""
+        behind_ns = 0 if self._state is RecorderState.CLOSED else time.monotonic_ns() - self._up_to_date_ns
+        return RecorderStatus(
+            self._state, self._cause, self._written, len(self._queue), behind_ns * _NANO,
+            dict(self._overflowed), self._refused, self._refusal,
+        )  # fmt: skip
+
+    def close(self, timeout_s: float = 60.0) -> RecorderStatus:
+        """Write the queued messages and finish the file; closing again does nothing.
+
+        If the disk still fails, or does not respond, the partial file is kept.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Time to wait for the writer, s.
+
+        Returns
+        -------
+        RecorderStatus
+            The status; its state is `CLOSED` if the recording is complete, else `FAILED`.
+
+        """
+        self._closing.set()
+        self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            self._fail(f"the disk has not answered for {timeout_s:g} s")
+        elif self._state is RecorderState.RECORDING:
+            try:
+                finish(self.partial, self.path, self._written)
+                self._state = RecorderState.CLOSED
+            except InputError as error:
+                self._fail(str(error))
+        return self.status
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _create(self) -> int:
+        require_writable(self.path)
+        for there, rule in (
+            (self.path, "is there already: a recording is never overwritten"),
+            (self.partial, "is there already: recover it with `needleplan recording recover`, or remove it"),
+        ):
+            if there.exists():
+                raise OutputError(rule, str(there))
+        try:
+            return os.open(self.partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise OutputError(f"cannot be written: {reason}", str(self.partial)) from error
+
+    def _accept(self, entry: tuple[RecordingChannel, int, int, Any]) -> bool:
+        while len(self._queue) >= self._capacity or self._closing.is_set() or self._state is RecorderState.FAILED:
+            if not self._wait or self._closing.is_set() or self._state is not RecorderState.RECORDING:
+                self._overflowed[entry[0].topic] += 1
+                return False
+            time.sleep(0.001)
+        self._queue.append(entry)
+        return True
+
+    def _run(self) -> None:
+        try:
+            closing = False
+            while not closing:
+                closing = self._closing.wait(_RETRY_S if self._state is RecorderState.STALLED else _PERIOD_S)
+                self._write_queue(closing)
+        except BaseException as error:  # the loop that puts values must see any failure in the status only
+            self._fail(f"the writer ended: {error!r}")
+        finally:
+            with contextlib.suppress(OSError):
+                os.close(self._descriptor)
+
+    def _write_queue(self, closing: bool) -> None:
+        """Write all messages that are queued now; on a failing disk only the chunk in progress."""
+        began_ns = time.monotonic_ns()
+        try:
+            if self._state is RecorderState.STALLED:
+                self._flush()
+                self._state, self._cause = RecorderState.RECORDING, ""
+            with self._lock:
+                self._record_status()
+            left = len(self._queue)
+            while left:
+                with self._lock:
+                    for _ in range(min(left, _BURST)):
+                        self._add(*self._queue.popleft())
+                        left -= 1
+                        if self._journal.size >= _CHUNK_BYTES:
+                            break
+                self._flush()
+                if not left and closing:
+                    left = len(self._queue)
+            if closing:
+                self._record_status(RecorderState.CLOSED)
+            self._flush()
+            self._up_to_date_ns = began_ns
+        except OSError as error:
+            self._state, self._cause = RecorderState.STALLED, error.strerror or str(error)
+            if closing:
+                self._fail(f"{self._cause}; {len(self._queue) + self._journal.unwritten} messages were not written")
+
+    def _flush(self) -> None:
+        count = self._journal.unwritten
+        self._journal.flush()
+        self._written += count
+
+    def _add(self, channel: RecordingChannel, sequence: int, time_ns: int, value: Any) -> None:
+        try:
+            wall_ns = self.session.wall_of(int(time_ns))
+            if wall_ns >= _LATEST_NS:
+                raise ValueError(f"{time_ns} ns is no time")
+            data = channel.kind.encode(value)
+        except Exception as error:  # a value that cannot be encoded must not end the recording of the others
+            self._refused += 1
+            self._refusal = self._refusal or f"{channel.topic}: {error!r}"
+            return
+        self._latest_ns = max(self._latest_ns, wall_ns)
+        self._journal.add(channel.number, sequence, wall_ns, data)
+
+    def _record_status(self, state: RecorderState | None = None) -> None:
+        """Add a message on `/recorder` to the chunk if the status has changed."""
+        state = state or self._state
+        now = (state, self._cause, sum(self._overflowed.values()), self._refused)
+        if now == self._recorded_status:
+            return
+        self._recorded_status = now
+        self._recorded_statuses += 1
+        message = {
+            "state": state, "cause": self._cause, "written": self._written,
+            "overflowed": dict(self._overflowed), "refused": self._refused, "refusal": self._refusal,
+        }  # fmt: skip
+        self._journal.add(self._own.number, self._recorded_statuses, self._latest_ns, STATUS.encode(message))
+
+    def _fail(self, cause: str) -> None:
+        self._state, self._cause = RecorderState.FAILED, cause

@@ -1,0 +1,321 @@
+"""Reading a recording: the description of the run, and its messages in the order of time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from mcap.reader import SeekingReader
+from mcap.records import Channel as McapChannel
+from mcap.records import Schema
+
+from needleplan.errors import DataError, InputError, Mistake
+from needleplan.recording._align import trial_of_channels
+from needleplan.recording._data_files import PathLike
+from needleplan.recording._journal import SESSION, Session
+from needleplan.recording._message_kinds import Json, MessageKind, Packed
+from needleplan.recording._plot import plot_channels
+from needleplan.recording._sample_kinds import FORCE, POSE, STAGE
+from needleplan.recording.mcap_bytes import require_intact
+from needleplan.signals import Record
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["RecordedMessage", "Recording"]
+
+
+@dataclass(frozen=True)
+class RecordedMessage:
+    """One message of a recording.
+
+    Attributes
+    ----------
+    topic : str
+        Name of the channel, such as `/force`.
+    time_ns : int
+        Time on the monotonic clock of the recording machine, ns.
+    sequence : int
+        Number of the message within its topic, counted from 1; a gap is a lost message.
+    values : dict
+        The fields of the message by name.
+
+    """
+
+    topic: str
+    time_ns: int
+    sequence: int
+    values: dict[str, Any]
+
+
+@dataclass(frozen=True, repr=False)
+class Recording:
+    """A finished recording; `Recording.read` opens it and verifies every byte.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    session : Session
+        Description of the run: title, digests of the files it used, clocks.
+    counts : mapping of str to int
+        Number of messages by topic.
+    kinds : mapping of str to MessageKind
+        Encoding of the messages by topic.
+    start_ns, end_ns : int
+        Time of the first and of the last message on the monotonic clock, ns.
+    recovery : mapping of str to str or None
+        Result of the recovery; None if the recorder closed the recording itself.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from needleplan.recording import EVENT, Recorder, Recording
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> path = Path(folder.name) / "run.mcap"
+    >>> with Recorder(path) as recorder:
+    ...     events = recorder.channel("/event", EVENT)
+    ...     start_ns = recorder.session.monotonic_ns
+    ...     _ = events.put(start_ns, {"name": "begin", "cause": "operator"})
+    ...     _ = events.put(start_ns + 2_500_000_000, {"name": "end", "cause": "depth"})
+    >>> recording = Recording.read(path)
+    >>> recording
+    <Recording run.mcap: 2 topics, 4 messages, 2.5 s>
+    >>> [message.values["cause"] for message in recording.messages(["/event"])]
+    ['operator', 'depth']
+    >>> folder.cleanup()
+
+    """
+
+    path: Path
+    session: Session
+    counts: Mapping[str, int]
+    kinds: Mapping[str, MessageKind] = field(repr=False)
+    start_ns: int
+    end_ns: int
+    recovery: Mapping[str, str] | None = None
+
+    def __repr__(self) -> str:
+        messages = sum(self.counts.values())
+        return (
+            f"<Recording {self.path.name}: {len(self.counts)} topics, {messages:,} messages, {self.duration_s:.4g} s>"
+        )
+
+    @classmethod
+    def read(cls, path: PathLike) -> Recording:
+        """Open a recording and verify its checksums.
+
+        Parameters
+        ----------
+        path : str or path
+            The MCAP file.
+
+        Returns
+        -------
+        Recording
+            The recording; its messages are read from the file on demand.
+
+        Raises
+        ------
+        DataError
+            The file cannot be read, is cut, is damaged, is still being written, or is not a recording of needleplan.
+
+        """
+        source = os.fspath(path)
+        try:
+            with Path(path).open("rb") as stream:
+                require_intact(stream, source)
+                stream.seek(0)
+                reader = SeekingReader(stream, validate_crcs=True)
+                summary = reader.get_summary()
+                if summary is None or summary.statistics is None:
+                    raise DataError("has no summary", source)
+                metadata = {each.name: each.metadata for each in reader.iter_metadata()}
+                (stored,) = [each.data for _, _, each in reader.iter_messages("/session")][:1] or [b"{}"]
+                statistics = summary.statistics
+                counts = {
+                    each.topic: statistics.channel_message_counts.get(number, 0)
+                    for number, each in summary.channels.items()
+                    if each.topic != "/session"
+                }
+                kinds = {
+                    each.topic: _kind(each, summary.schemas[each.schema_id], source)
+                    for each in summary.channels.values()
+                }
+        except InputError:
+            raise
+        except OSError as error:
+            raise DataError(f"cannot be read: {error.strerror}", source) from error
+        except Exception as error:  # the checksums agree, but the file may come from another program
+            raise DataError(f"is not a recording of needleplan: {error!r}", source) from error
+        session = Session.from_dict(SESSION.decode(stored), source)
+        start_ns = session.monotonic_of(statistics.message_start_time)
+        end_ns = session.monotonic_of(statistics.message_end_time)
+        return cls(Path(path), session, counts, kinds, start_ns, end_ns, metadata.get("needleplan.recovery"))
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first message to the last, s."""
+        return (self.end_ns - self.start_ns) * 1e-9
+
+    def messages(self, topics: Iterable[str] | None = None) -> Iterator[RecordedMessage]:
+        """Return an iterator over the messages in the order of time.
+
+        Messages with equal times keep the order in which they were written.
+
+        Parameters
+        ----------
+        topics : iterable of str, optional
+            The topics to read; by default all.
+
+        Returns
+        -------
+        iterator of RecordedMessage
+            The messages.
+
+        Raises
+        ------
+        DataError
+            The recording lacks a topic. Also raised by the iterator, if a message cannot be decoded.
+
+        """
+        chosen = list(self.counts) if topics is None else list(topics)
+        self._require_topics(chosen)
+        return self._messages(chosen)
+
+    def columns(self, topic: str) -> dict[str, Any]:
+        """Return the messages of one topic as columns.
+
+        Parameters
+        ----------
+        topic : str
+            A topic with messages of the kind `Packed`, such as `/force`.
+
+        Returns
+        -------
+        dict of str to ndarray
+            One array of shape (messages,) for each field, and `time_s`, the time since the start of the recording.
+
+        Raises
+        ------
+        DataError
+            The recording lacks the topic, its messages are not `Packed`, or a message cannot be decoded.
+
+        """
+        self._require_topics([topic])
+        if not self.is_table(topic):
+            rule = "must be a topic of packed messages; read JSON messages with messages()"
+            raise DataError(Mistake("topic", topic, rule), str(self.path))
+        messages = list(self._messages([topic]))
+        time_ns = np.array([each.time_ns - self.start_ns for each in messages], dtype=np.int64)
+        columns: dict[str, Any] = {"time_s": time_ns * 1e-9}
+        for name in messages[0].values if messages else ():
+            columns[name] = np.array([each.values[name] for each in messages])
+        return columns
+
+    def is_table(self, topic: str) -> bool:
+        """Return whether the messages of a topic are `Packed`, so that `columns` reads them.
+
+        Parameters
+        ----------
+        topic : str
+            A topic of the recording.
+
+        Returns
+        -------
+        bool
+            False for JSON messages.
+
+        """
+        return isinstance(self.kinds[topic], Packed)
+
+    def trial(self) -> Record:
+        """Return the samples of force sensor, stage and tracker as one trial, in the columns of the data files.
+
+        The trial has the times of the force sensor, else of the stage, else of the tracker; other columns are
+        interpolated to them. Force and torque are the components along and about the session's `force_axis`. Positions
+        are in the frame of the tracker. If several topics have one kind, the first in alphabetical order is used.
+
+        Returns
+        -------
+        Record
+            The trial. Samples with a health other than good are NaN; samples with repeated or decreasing times are left
+            out. The notes count both.
+
+        Raises
+        ------
+        DataError
+            The recording has no samples of any of the three kinds, or their times do not overlap.
+
+        """
+        kinds = (FORCE.name, STAGE.name, POSE.name)
+        channels = [
+            (topic, self.kinds[topic].name, self.columns(topic))
+            for topic, count in self.counts.items()
+            if self.kinds[topic].name in kinds and count > 1
+        ]
+        trial = trial_of_channels(channels, self.session.force_axis, str(self.path))
+        return replace(trial, trial=self.session.title or self.path.stem)
+
+    def plot(self, topics: Iterable[str] | None = None) -> list[Axes]:
+        """Draw channels over time, and the force over the depth if the recording has both.
+
+        Parameters
+        ----------
+        topics : iterable of str, optional
+            The topics to draw, one panel each; by default the samples of force sensors, stages and trackers.
+
+        Returns
+        -------
+        list of matplotlib.axes.Axes
+            One axes for each topic in the given order, then the axes of the force along the session's `force_axis` over
+            the depth. `axes[0].figure` is the figure.
+
+        Raises
+        ------
+        DataError
+            The recording lacks a topic, a topic has JSON messages, or there are no samples to draw.
+
+        """
+        kinds = (FORCE.name, STAGE.name, POSE.name)
+        chosen = [each for each in self.counts if self.kinds[each].name in kinds] if topics is None else list(topics)
+        self._require_topics(chosen)
+        channels = [(topic, self.kinds[topic].name, self.columns(topic)) for topic in chosen if self.counts[topic]]
+        if not channels:
+            raise DataError("holds no samples to draw", str(self.path))
+        trial = None
+        if {FORCE.name, STAGE.name} <= {kind for _, kind, _ in channels}:
+            drawn = [each for each in channels if each[2]["time_s"].size > 1 and each[1] in kinds]
+            try:
+                trial = trial_of_channels(drawn, self.session.force_axis, str(self.path))
+            except DataError:  # force sensor and stage were not recorded at the same time
+                trial = None
+        return plot_channels(channels, trial, self.session.title or self.path.stem)
+
+    def _require_topics(self, topics: Iterable[str]) -> None:
+        missing = [Mistake("topic", each, f"must be one of {', '.join(sorted(self.counts))}") for each in topics
+                   if each not in self.counts]  # fmt: skip
+        if missing:
+            raise DataError(missing, str(self.path))
+
+    def _messages(self, topics: list[str]) -> Iterator[RecordedMessage]:
+        if not topics:
+            return
+        with self.path.open("rb") as stream:
+            reader = SeekingReader(stream, validate_crcs=True)
+            for _, channel, each in reader.iter_messages(topics, log_time_order=True):
+                values = self.kinds[channel.topic].decode(each.data)
+                yield RecordedMessage(channel.topic, self.session.monotonic_of(each.log_time), each.sequence, values)
+
+
+def _kind(channel: McapChannel, schema: Schema, source: str) -> MessageKind:
+    if channel.message_encoding == "cdr" and schema.encoding == "ros2msg":
+        return Packed.from_schema(schema.name, schema.data)
+    if channel.message_encoding == "json":
+        return Json(schema.name)
+    raise DataError(Mistake(channel.topic, channel.message_encoding, "must be cdr or json"), source)
