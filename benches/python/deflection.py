@@ -17,12 +17,12 @@ from time import perf_counter
 import machine
 import numpy as np
 
-from needleplan.models import Needle, TipPath, fit, simulate
+from needleplan.models import NeedleShaft, TipPath, fit, simulate
 from needleplan.models.deflection import (
     AxialTerms,
     Beam,
+    ElasticTissue,
     FreePath,
-    Tissue,
     march,
     solve_elements,
     solve_exact,
@@ -30,8 +30,8 @@ from needleplan.models.deflection import (
 )
 from needleplan.signals import Motion, Record
 
-NEEDLE = Needle(0.718, 0.413, 203.0, math.radians(24.8))
-TISSUE = Tissue(3.87e-3, 123.9e-6)
+NEEDLE = NeedleShaft(0.718, 0.413, 203.0, math.radians(24.8))
+TISSUE = ElasticTissue(3.87e-3, 123.9e-6)
 GOAL_US = 5.0
 
 

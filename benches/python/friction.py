@@ -15,8 +15,8 @@ from time import perf_counter
 import machine
 
 from needleplan.models import AveragedLuGre, Karnopp, Model, Profile, distributed, fit, simulate
-from needleplan.models.friction.published import model_i, model_ii, model_iii_b
 from needleplan.signals import Motion, Record, Start, sinusoid
+from needleplan_thesis.chapter3.published import model_i, model_ii, model_iii_b
 
 GOAL_MS = 50.0
 RUNS = 31

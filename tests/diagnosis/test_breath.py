@@ -9,8 +9,7 @@ from needleplan.diagnosis.calibrate import calibrate
 from needleplan.diagnosis.noise import fit_axes
 from needleplan.diagnosis.refit import Added, refit
 from needleplan.diagnosis.space import Space
-from needleplan.models.effects import Reach, effect_named
-from needleplan.models.effects.tissue import BreathingTissue
+from needleplan.models.effects import BreathingTissue, Reach, effect_named
 from needleplan.signals import Role
 from tests.diagnosis.trials import BASE, motion, recordings
 

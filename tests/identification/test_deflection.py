@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from needleplan.errors import DataError
 from needleplan.identification.deflection import NEEDLE, TISSUE, identify
 from needleplan.models import TipPath
-from needleplan.models.deflection import AxialOffset, Tissue, march
+from needleplan.models.deflection import AxialOffset, ElasticTissue, march
 from needleplan.signals import Array, Record, Role
 
 FORCE_N, OFFSET_N, SPEED_MM_S = 0.05, 0.06, 15.0
@@ -89,7 +89,7 @@ def test_the_axial_force_gives_friction_and_its_offset() -> None:
 
 
 def test_a_known_offset_gives_the_stiffness() -> None:
-    softer = Tissue(TISSUE.stiffness_n_mm2 / 2, TISSUE.friction_n_s_mm2)  # wrong, and not believed
+    softer = ElasticTissue(TISSUE.stiffness_n_mm2 / 2, TISSUE.friction_n_s_mm2)  # wrong, and not believed
     records = [record(seed=seed) for seed in range(3)]
     found = identify(records, needle=NEEDLE, tissue=softer, axial_offset=AxialOffset(OFFSET_N, 5e-4))
     stiffness = found.estimates["stiffness"]
@@ -101,7 +101,7 @@ def test_a_known_offset_gives_the_stiffness() -> None:
 
 
 def test_a_flip_gives_the_stiffness() -> None:
-    found = identify([without(record(flip_mm=50.0), "force_n")], needle=NEEDLE, tissue=Tissue(0.01))
+    found = identify([without(record(flip_mm=50.0), "force_n")], needle=NEEDLE, tissue=ElasticTissue(0.01))
     stiffness = found.estimates["stiffness"]
     assert stiffness.identified
     assert stiffness.value == pytest.approx(TISSUE.stiffness_n_mm2, rel=0.3)

@@ -10,10 +10,9 @@ from needleplan.errors import DataError
 from needleplan.identification.friction import identify, traded
 from needleplan.identification.shaft_models import effective_samples
 from needleplan.models import fit, simulate
-from needleplan.models.friction import AveragedLuGre, Friction, LumpedLuGre, Profile
-from needleplan.models.friction.periodic import first_guess, steady
-from needleplan.models.friction.published import model_ii, model_iii_b, passing_through
+from needleplan.models.friction import AveragedLuGre, Friction, LumpedLuGre, Profile, first_guess, steady
 from needleplan.signals import Motion, Record, Role, Start, sinusoid
+from needleplan_thesis.chapter3.published import model_ii, model_iii_b, passing_through
 
 NOISE_N = 0.015
 

@@ -7,7 +7,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from needleplan.errors import ModelError
 from needleplan.models import Bicycle, Torsion, arc_step, fit, simulate
-from needleplan.models.simulate import _kutta
+from needleplan.models._simulate import _kutta
 from needleplan.signals import Array, Motion, Record
 
 

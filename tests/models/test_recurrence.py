@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleplan.models.recurrence import recurrence
+from needleplan.models import recurrence
 from needleplan.signals import Array
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from needleplan.errors import DataError
-from needleplan.models import fit, residual_findings
-from needleplan.models.residuals import ljung_box
+from needleplan.models import fit, ljung_box, residual_findings
 from tests.models.line import Line, filtered, pushed
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from needleplan.models import Bicycle, SpatialBicycle, TipFrame, simulate
 from needleplan.models.effects import effect_named
-from needleplan.models.turning import axes_of, quaternion_of, quaternions_along
+from needleplan.models.path import axes_of, quaternion_of, quaternions_along
 from needleplan.signals import Array, Motion, lspb
 
 

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from needleplan.models import Torsion, arc_step, simulate
 from needleplan.models.friction import Profile
-from needleplan.models.friction.published import model_ii
 from needleplan.models.tissue import LumpedOnTissue
 from needleplan.scenario import Layer as ScenarioLayer
 from needleplan.scenario import Needle, Scenario
 from needleplan.signals import Array, Motion, lspb
 from needleplan.simulation import Effects, Entry, Layer, Plant, Robot, Setup, Shaft, Tissue
 from needleplan.simulation.profile import Trapezoid
+from needleplan_thesis.chapter3.published import model_ii
 
 FRICTION = replace(model_ii(1), profile=Profile.ISOSCELES, thickness_mm=150.0)
 

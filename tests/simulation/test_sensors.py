@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from needleplan.devices import Health, PoseSample
-from needleplan.models.friction.published import model_ii
 from needleplan.signals import Array
 from needleplan.simulation import Effects, Entry, Lab, Setup, Tissue
 from needleplan.simulation.sensors import from_z_to
+from needleplan_thesis.chapter3.published import model_ii
 
 SETUP = Setup(
     1 / 100,

@@ -9,7 +9,6 @@ import pytest
 
 from needleplan.models import simulate
 from needleplan.models.friction import Profile
-from needleplan.models.friction.published import CASES, MODEL_III_B, model_ii, passing_through
 from needleplan.reports.chapters import Effort, Request
 from needleplan.reports.comparison import Agreement
 from needleplan_thesis.chapter3 import chapter
@@ -18,7 +17,15 @@ from needleplan_thesis.chapter3.fits import CaseFits, errors_mn, fit_case
 from needleplan_thesis.chapter3.generator import NOISE_N, Generator, periodic
 from needleplan_thesis.chapter3.lag import velocity_lag
 from needleplan_thesis.chapter3.prediction import inside, predictors
-from needleplan_thesis.chapter3.published import TABLE_3_5, Errors, pooled_mn
+from needleplan_thesis.chapter3.published import (
+    CASES,
+    MODEL_III_B,
+    TABLE_3_5,
+    Errors,
+    model_ii,
+    passing_through,
+    pooled_mn,
+)
 from needleplan_thesis.chapter3.tissue import opening
 
 pytestmark = pytest.mark.slow

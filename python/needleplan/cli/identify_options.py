@@ -77,14 +77,14 @@ def knowledge(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _value(option: _Option, given: Any) -> Any:
-    from needleplan.models import Needle
-    from needleplan.models.deflection import AxialOffset, Tissue
+    from needleplan.models import NeedleShaft
+    from needleplan.models.deflection import AxialOffset, ElasticTissue
 
     if option.keyword == "needle":
         outer, inner, length, bevel = _numbers(option.flag, given, 4)
-        return Needle(outer, inner, length, math.radians(bevel))
+        return NeedleShaft(outer, inner, length, math.radians(bevel))
     if option.keyword == "tissue":
-        return Tissue(given)
+        return ElasticTissue(given)
     if option.keyword == "axial_offset":
         return AxialOffset(*_numbers(option.flag, given, 2))
     return given

@@ -28,7 +28,7 @@ from needleplan.devices.turns import short_turns
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipFilter, TipSettings
-from needleplan.models.bicycle import arc_step
+from needleplan.models import arc_step
 from needleplan.planning import Action, Decision, Path, PolicyTable, Pose
 
 __all__ = ["Insertion"]

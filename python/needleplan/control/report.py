@@ -13,7 +13,7 @@ import numpy as np
 from needleplan.control.listening import Event, EventName, Listener, Step
 from needleplan.devices import ForceSample, Sample
 from needleplan.estimation.tip import TipEstimate
-from needleplan.models.bicycle import arc_step
+from needleplan.models import arc_step
 from needleplan.planning import Action, Path, PolicyTable
 from needleplan.signals import Array
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.models.bicycle import arc_step
+from needleplan.models import arc_step
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:

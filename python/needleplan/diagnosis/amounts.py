@@ -21,9 +21,8 @@ from needleplan.diagnosis.rounds import USUAL_LAGS
 from needleplan.diagnosis.select import Selection
 from needleplan.diagnosis.size import DIRECTION, interval_of, is_there
 from needleplan.diagnosis.space import Space
-from needleplan.models import Estimate
+from needleplan.models import Estimate, Parameter, Scale
 from needleplan.models.effects import SIZE, AddedEffect
-from needleplan.models.parameter import Parameter, Scale
 
 __all__ = ["found_effects"]
 

@@ -12,7 +12,7 @@ from needleplan.diagnosis.smooth import splines
 from needleplan.diagnosis.variation import tissue_modes
 from needleplan.models import Channel
 from needleplan.models.effects import presliding_of
-from needleplan.models.sliding import slid
+from needleplan.models.friction import slid
 from needleplan.signals import Array, Motion
 
 if TYPE_CHECKING:

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from needleplan.diagnosis.channels import measurand_of
 from needleplan.diagnosis.noise import Noise
 from needleplan.diagnosis.space import Block
-from needleplan.models import Channel, Model, Scale, simulate
-from needleplan.models.recurrence import recurrence
+from needleplan.models import Channel, Model, Scale, recurrence, simulate
 from needleplan.signals import Array, Motion, Record
 
 __all__ = [

@@ -10,8 +10,7 @@ import numpy as np
 
 from needleplan.errors import DataError, Mistake
 from needleplan.models import Channel
-from needleplan.signals import Array, Record, Role
-from needleplan.signals.record import UNITS
+from needleplan.signals import UNITS, Array, Record, Role
 
 __all__ = ["Checked", "Lack", "check_data", "scatter"]
 

@@ -14,7 +14,7 @@ from needleplan.diagnosis.step import Step
 from needleplan.diagnosis.unknown import Described
 from needleplan.diagnosis.verify import Verified
 from needleplan.models import Estimate
-from needleplan.signals.record import UNITS
+from needleplan.signals import UNITS
 
 __all__ = ["SCHEMA", "document_of"]
 

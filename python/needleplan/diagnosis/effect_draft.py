@@ -37,7 +37,7 @@ import numpy as np
 from numpy import abs, cos, exp, interp, pi, sin  # noqa: A004, F401
 
 from needleplan.models.effects import Enters, Family, Term, TermEffect
-from needleplan.models.parameter import parameter
+from needleplan.models import parameter
 
 
 def drawn(depth_mm, velocity_mm_s, sign, time_s, force_n):

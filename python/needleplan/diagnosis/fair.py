@@ -23,9 +23,8 @@ from needleplan.diagnosis.refit import Added, Joint, added_output, refit
 from needleplan.diagnosis.rivals import BEGIN_S, RivalScore
 from needleplan.diagnosis.space import Space
 from needleplan.diagnosis.verify import Verified, verify
-from needleplan.models import Channel, simulate
+from needleplan.models import Channel, constant, parameter, simulate
 from needleplan.models.effects import SIZE, Enters, Family, Memoryless, TermEffect
-from needleplan.models.parameter import constant, parameter
 from needleplan.signals import Array, Motion
 
 __all__ = ["fitted_rivals"]

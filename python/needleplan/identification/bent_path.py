@@ -10,8 +10,8 @@ import numpy as np
 from scipy import stats
 
 from needleplan.errors import DataError, Mistake
-from needleplan.models import Estimate, Fit, Needle, TipPath, fit, simulate
-from needleplan.models.deflection import Tissue, march
+from needleplan.models import Estimate, Fit, NeedleShaft, TipPath, fit, simulate
+from needleplan.models.deflection import ElasticTissue, march
 from needleplan.signals import Array, Motion, Record
 
 __all__ = ["PathFit", "beyond", "depth_factor", "mean_of", "path_fit"]
@@ -74,7 +74,7 @@ def path_fit(record: Record, start: TipPath, skip_mm: float) -> PathFit:
     return PathFit(record, result, _curvature(result), turned, counts)
 
 
-def depth_factor(path: PathFit, needle: Needle, tissue: Tissue) -> tuple[float, float]:
+def depth_factor(path: PathFit, needle: NeedleShaft, tissue: ElasticTissue) -> tuple[float, float]:
     """Return g of a record and its standard deviation: radius of the needle in its tissue over that of the path law.
 
     The needle, with its length and all axial terms, is marched through the record's depths, and the law is fitted to

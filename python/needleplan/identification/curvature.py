@@ -15,8 +15,7 @@ from needleplan.estimation import Change, Curvature, Heterogeneity, TrackerNoise
 from needleplan.estimation.circle import fit_circle
 from needleplan.identification.identification import Identification
 from needleplan.identification.trials import trials_by_role
-from needleplan.models import Bicycle, Estimate, Finding
-from needleplan.models.residuals import findings_of
+from needleplan.models import Bicycle, Estimate, Finding, findings_of
 from needleplan.signals import Array, Motion, Record
 
 if TYPE_CHECKING:

@@ -28,25 +28,24 @@ from needleplan.identification.bending_figure import draw
 from needleplan.identification.bent_path import PathFit, beyond, depth_factor, mean_of, path_fit
 from needleplan.identification.identification import Finding, Identification
 from needleplan.identification.trials import trials_by_role
-from needleplan.models import Estimate, Fit, Needle, TipPath, fit
-from needleplan.models.deflection import AxialOffset, Tissue
-from needleplan.models.residuals import findings_of
+from needleplan.models import Estimate, Fit, NeedleShaft, TipPath, findings_of, fit
+from needleplan.models.deflection import AxialOffset, ElasticTissue
 from needleplan.signals import Record
 
 __all__ = ["NEEDLE", "TISSUE", "identify"]
 
-NEEDLE = Needle(0.718, 0.413, 203.0, math.radians(24.8))
+NEEDLE = NeedleShaft(0.718, 0.413, 203.0, math.radians(24.8))
 """The 22-gauge needle of chapter 5, where none is given."""
 
-TISSUE = Tissue(3.87e-3, 123.9e-6)
+TISSUE = ElasticTissue(3.87e-3, 123.9e-6)
 """The soft gel of chapter 5, where no tissue is given."""
 
 
 def identify(
     records: Sequence[Record],
     *,
-    needle: Needle | None = None,
-    tissue: Tissue | None = None,
+    needle: NeedleShaft | None = None,
+    tissue: ElasticTissue | None = None,
     axial_offset: AxialOffset | None = None,
     tracked_mm: float = 0.0,
     skip_mm: float = 20.0,
@@ -178,8 +177,8 @@ def _held_out(records: Sequence[Record], model: TipPath, skip_mm: float) -> list
 
 
 def _what_it_rests_on(
-    needle: Needle | None,
-    tissue: Tissue | None,
+    needle: NeedleShaft | None,
+    tissue: ElasticTissue | None,
     turned: bool,
     with_force: bool,
     axial_offset: AxialOffset | None,

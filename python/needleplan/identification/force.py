@@ -13,9 +13,8 @@ from needleplan.estimation.force_start import has_retraction, starting_force
 from needleplan.identification.force_figure import draw_force
 from needleplan.identification.identification import Finding, Identification
 from needleplan.identification.trials import averaged, trials_by_role
-from needleplan.models import Fit, FitStatus, fit
+from needleplan.models import Fit, FitStatus, fit, residual_findings
 from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
-from needleplan.models.residuals import residual_findings
 from needleplan.signals import Array, MovingAverage, Record
 
 __all__ = ["fit_force", "identify", "settled"]

@@ -14,10 +14,8 @@ from needleplan.identification.identification import Finding, Identification
 from needleplan.identification.shaft_figure import draw_friction
 from needleplan.identification.shaft_models import EXPONENTS, Mask, Score, candidates, fit_all, split
 from needleplan.identification.trials import trials_by_role
-from needleplan.models import Fit, fit
-from needleplan.models.friction import Friction
-from needleplan.models.friction.periodic import steady
-from needleplan.models.residuals import residual_findings
+from needleplan.models import Fit, fit, residual_findings
+from needleplan.models.friction import Friction, steady
 from needleplan.signals import Array, Record, cycles
 
 if TYPE_CHECKING:

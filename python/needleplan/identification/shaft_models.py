@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from needleplan.models import Fit, fit, simulate
-from needleplan.models.friction import AveragedLuGre, Friction, Karnopp, LumpedLuGre, Profile, QuasiStatic
-from needleplan.models.friction.periodic import first_guess
+from needleplan.models.friction import AveragedLuGre, Friction, Karnopp, LumpedLuGre, Profile, QuasiStatic, first_guess
 from needleplan.signals import Array, Record, cycles
 
 __all__ = ["EXPONENTS", "Candidate", "Mask", "Score", "candidates", "effective_samples", "fit_all", "rmse_n", "split"]

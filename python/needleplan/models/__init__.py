@@ -3,10 +3,23 @@
 Units: mm, N, s, rad. See `needleplan.models.base` for what a model is.
 """
 
-from needleplan.models.base import Channel, LinearStateModel, Model, SelfIntegratingModel
-from needleplan.models.bicycle import Bicycle, arc_step
-from needleplan.models.deflection import InsertionForce, SpatialBeam, TipPath
-from needleplan.models.fit import Estimate, Fit, FitStatus, fit
+from needleplan.models._base import (
+    Channel,
+    LinearStateModel,
+    Model,
+    Parameter,
+    Scale,
+    SelfIntegratingModel,
+    constant,
+    parameter,
+)
+from needleplan.models._fit import Estimate, Fit, FitStatus, fit
+from needleplan.models._in_plane import InPlane, in_plane
+from needleplan.models._intervals import Intervals, bootstrap_intervals, profile_intervals
+from needleplan.models._kinds import KINDS, kind_of
+from needleplan.models._residuals import Finding, findings_of, ljung_box, residual_findings
+from needleplan.models._simulate import Trajectory, recurrence, simulate
+from needleplan.models.deflection import InsertionForce, NeedleShaft, SpatialBeam, TipPath
 from needleplan.models.force import ForceModel1, ForceModel2
 from needleplan.models.friction import (
     AveragedLuGre,
@@ -17,23 +30,14 @@ from needleplan.models.friction import (
     OutputForm,
     Profile,
     QuasiStatic,
+    ShaftAndTip,
     cutting_force,
     distributed,
     into_fresh_tissue,
 )
-from needleplan.models.in_plane import InPlane, in_plane
-from needleplan.models.insertion import ShaftAndTip
-from needleplan.models.intervals import Intervals, bootstrap_intervals, profile_intervals
 from needleplan.models.model_file import ModelFile, Parent
-from needleplan.models.needle import Needle
-from needleplan.models.parameter import Parameter, Scale, constant, parameter
-from needleplan.models.registry import KINDS, kind_of
-from needleplan.models.residuals import Finding, ljung_box, residual_findings
-from needleplan.models.simulate import Trajectory, simulate
-from needleplan.models.spatial import TipFrame
-from needleplan.models.steered import SpatialBicycle, SteeredModel
+from needleplan.models.path import Bicycle, SpatialBicycle, SteeredModel, TipFrame, Torsion, arc_step
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, fit_on_tissue, tune_slow_observer
-from needleplan.models.torsion import Torsion
 
 __all__ = [
     "KINDS",
@@ -59,7 +63,7 @@ __all__ = [
     "Model",
     "ModelFile",
     "MovingTissue",
-    "Needle",
+    "NeedleShaft",
     "OutputForm",
     "Parameter",
     "Parent",
@@ -80,6 +84,7 @@ __all__ = [
     "constant",
     "cutting_force",
     "distributed",
+    "findings_of",
     "fit",
     "fit_on_tissue",
     "in_plane",
@@ -88,6 +93,7 @@ __all__ = [
     "ljung_box",
     "parameter",
     "profile_intervals",
+    "recurrence",
     "residual_findings",
     "simulate",
     "tune_slow_observer",

@@ -23,9 +23,8 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from needleplan.errors import ModelError
-from needleplan.models.effects.augmented import AddedEffect
-from needleplan.models.effects.registry import effect_named
-from needleplan.models.fit import Estimate
+from needleplan.models._fit import Estimate
+from needleplan.models.effects import AddedEffect, effect_named
 
 __all__ = ["effect_lines", "read_effects"]
 

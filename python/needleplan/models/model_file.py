@@ -43,12 +43,11 @@ from typing import Any, get_type_hints
 
 from needleplan.artifacts import digest, version, write_whole
 from needleplan.errors import Mistake, ModelError
-from needleplan.models.base import Model
+from needleplan.models._base import Model, Parameter
+from needleplan.models._fit import Estimate
+from needleplan.models._kinds import kind_of
 from needleplan.models.effect_file import effect_lines, read_effects
-from needleplan.models.effects.augmented import AugmentedModel
-from needleplan.models.fit import Estimate
-from needleplan.models.parameter import Parameter
-from needleplan.models.registry import kind_of
+from needleplan.models.effects import AugmentedModel
 
 __all__ = ["SCHEMA", "ModelFile", "Parent"]
 

@@ -15,8 +15,7 @@ from difflib import get_close_matches
 import numpy as np
 
 from needleplan.errors import Mistake
-from needleplan.signals import Array, Record, Role
-from needleplan.signals.record import UNITS
+from needleplan.signals import UNITS, Array, Record, Role
 
 __all__ = ["NUMBERS", "TEXTS", "questionable_units", "validate_names"]
 

@@ -16,8 +16,7 @@ import numpy as np
 from needleplan.errors import DataError, Mistake
 from needleplan.recording.columns import NUMBERS, TEXTS, validate_names
 from needleplan.recording.table import Table
-from needleplan.signals import Record
-from needleplan.signals.record import UNITS
+from needleplan.signals import UNITS, Record
 
 __all__ = ["number_in", "parse_csv", "rows_of_cells", "to_csv"]
 

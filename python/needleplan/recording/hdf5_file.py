@@ -14,8 +14,7 @@ from needleplan.artifacts import version
 from needleplan.errors import DataError, Mistake
 from needleplan.recording.columns import NUMBERS, TEXTS, validate_names
 from needleplan.recording.table import Table
-from needleplan.signals import Record
-from needleplan.signals.record import UNITS
+from needleplan.signals import UNITS, Record
 
 __all__ = ["FORMAT", "parse_hdf5", "to_hdf5"]
 

@@ -1,19 +1,23 @@
 """Signals: motions, records and filters; nothing here knows a needle or a tissue."""
 
-from needleplan.signals.array import Array, ComplexArray
-from needleplan.signals.discrete import DiscreteFilter, FilterStream
-from needleplan.signals.harmonic import Sine, dominant_frequency_hz, lag_rad, sine_at
-from needleplan.signals.motion import Motion
-from needleplan.signals.moving_average import AverageStream, MovingAverage
-from needleplan.signals.observer import FAST_ALPHA1, HighGainObserver, ObserverForm, ObserverStream, Projection
-from needleplan.signals.profiles import insertion_cycles, lspb
-from needleplan.signals.record import Record, Role
-from needleplan.signals.sinusoid import Start, cycles, sinusoid
-from needleplan.signals.tracker import TrackerEstimate, TrackerFilter, TrackerModel, TrackerStream
-from needleplan.signals.velocity import VelocityMethod, VelocityRecord, velocity_without_delay
+from needleplan.signals._filters import (
+    AverageStream,
+    DiscreteFilter,
+    FilterStream,
+    MovingAverage,
+    VelocityMethod,
+    VelocityRecord,
+    velocity_without_delay,
+)
+from needleplan.signals._observer import FAST_ALPHA1, HighGainObserver, ObserverForm, ObserverStream, Projection
+from needleplan.signals._profiles import Start, cycles, insertion_cycles, lspb, sinusoid
+from needleplan.signals._record import UNITS, Array, ComplexArray, Motion, Record, Role
+from needleplan.signals._sine import Sine, dominant_frequency_hz, lag_rad, sine_at
+from needleplan.signals._tracker import TrackerEstimate, TrackerFilter, TrackerModel, TrackerStream
 
 __all__ = [
     "FAST_ALPHA1",
+    "UNITS",
     "Array",
     "AverageStream",
     "ComplexArray",

@@ -10,7 +10,7 @@ import numpy as np
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Channel, Model, SteeredModel, TipFrame, simulate
 from needleplan.models.effects import AugmentedModel
-from needleplan.models.spatial import Vector
+from needleplan.models.path import Vector
 from needleplan.signals import Array, Motion
 
 __all__ = ["ModelledForce", "ModelledPath", "require_simulated"]

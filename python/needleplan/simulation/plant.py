@@ -10,7 +10,7 @@ import math
 
 from needleplan.errors import DeviceFault
 from needleplan.models import TipFrame, Torsion
-from needleplan.models.torsion import dragged
+from needleplan.models.path import dragged
 from needleplan.simulation.axis import Axis
 from needleplan.simulation.choices import FORCE_HZ
 from needleplan.simulation.modelled import ModelledForce, ModelledPath

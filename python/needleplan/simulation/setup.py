@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from needleplan.errors import ExperimentError, Mistake
 from needleplan.models import Channel, Model
-from needleplan.models.friction.lugre import LuGre
+from needleplan.models.friction import LuGre
 from needleplan.scenario import Scenario
 from needleplan.simulation.choices import FORCE_HZ
 from needleplan.simulation.effects import Effects

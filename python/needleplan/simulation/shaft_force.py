@@ -11,9 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from needleplan.models.friction.lugre import LuGre
-from needleplan.models.tissue import LuGreLaw
-from needleplan.models.tissue.stepping import stepping
+from needleplan.models.friction import LuGre
+from needleplan.models.tissue import LuGreLaw, stepping
 from needleplan.signals import Motion
 from needleplan.simulation.parts import Layer
 

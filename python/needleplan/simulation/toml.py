@@ -8,8 +8,7 @@ from typing import Any
 
 from needleplan.errors import InputError, Mistake, ModelError
 from needleplan.models import Channel, Model, ModelFile
-from needleplan.models.friction import AveragedLuGre, LumpedLuGre
-from needleplan.models.friction.lugre import LuGre
+from needleplan.models.friction import AveragedLuGre, LuGre, LumpedLuGre
 from needleplan.scenario import Scenario
 from needleplan.scenario.document import document
 from needleplan.scenario.parts import checked

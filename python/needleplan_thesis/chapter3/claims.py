@@ -8,9 +8,9 @@ import numpy as np
 
 from needleplan.models import AveragedLuGre, Beta, LumpedLuGre, Profile, distributed, simulate
 from needleplan.models.friction import LuGre
-from needleplan.models.friction.published import CASES, model_ii, model_iii_b, passing_through
 from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.signals import Motion, Start, sinusoid
+from needleplan_thesis.chapter3.published import CASES, model_ii, model_iii_b, passing_through
 
 __all__ = ["averaging", "peaks"]
 

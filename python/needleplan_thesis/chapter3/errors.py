@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from needleplan.models import AveragedLuGre, OutputForm, fit
-from needleplan.models.friction.periodic import steady
-from needleplan.models.friction.published import MODEL_III_B, model_i
+from needleplan.models.friction import steady
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan_thesis.chapter3.fits import CaseFits, errors_mn
-from needleplan_thesis.chapter3.published import TABLE_3_5, Errors, pooled_mn
+from needleplan_thesis.chapter3.published import MODEL_III_B, TABLE_3_5, Errors, model_i, pooled_mn
 
 __all__ = ["errors", "orders", "printed_output", "statements"]
 

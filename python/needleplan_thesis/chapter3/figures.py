@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.models import Model, Profile, simulate
-from needleplan.models.friction import intensity
-from needleplan.models.friction.periodic import steady
+from needleplan.models.friction import intensity, steady
 from needleplan.plotting import caption, save
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, title
 from needleplan.signals import Record

@@ -9,11 +9,10 @@ import numpy as np
 
 from needleplan.identification.shaft_models import candidates
 from needleplan.models import Fit, Model, fit, simulate
-from needleplan.models.friction.periodic import steady
-from needleplan.models.friction.published import CASES
+from needleplan.models.friction import steady
 from needleplan.signals import Record
 from needleplan_thesis.chapter3.generator import Generator, periodic
-from needleplan_thesis.chapter3.published import Errors
+from needleplan_thesis.chapter3.published import CASES, Errors
 
 __all__ = ["CaseFits", "errors_mn", "fit_case", "fit_cases"]
 

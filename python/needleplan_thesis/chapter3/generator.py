@@ -8,8 +8,8 @@ import numpy as np
 
 from needleplan.models import simulate
 from needleplan.models.friction import Beta, Profile, distributed
-from needleplan.models.friction.published import model_ii, model_iii_b, passing_through
 from needleplan.signals import Array, Motion, Record
+from needleplan_thesis.chapter3.published import model_ii, model_iii_b, passing_through
 
 __all__ = ["NOISE_N", "Generator", "generated", "periodic", "recorded"]
 

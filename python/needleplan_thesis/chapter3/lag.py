@@ -11,10 +11,10 @@ from collections.abc import Callable
 import numpy as np
 
 from needleplan.models import LumpedLuGre, fit, simulate
-from needleplan.models.friction.periodic import steady
-from needleplan.models.friction.published import model_ii, passing_through
+from needleplan.models.friction import steady
 from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.signals import Array, HighGainObserver, MovingAverage, Record
+from needleplan_thesis.chapter3.published import model_ii, passing_through
 
 __all__ = ["velocity_lag"]
 

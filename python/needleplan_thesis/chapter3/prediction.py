@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from needleplan.models import AveragedLuGre, Model, Profile, cutting_force, into_fresh_tissue, simulate
 from needleplan.models.friction import Friction
-from needleplan.models.friction.published import CASES, NEEDLE_MASS_KG, model_i, model_ii, model_iii_b
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import Array, Motion, Record, Start, sinusoid
 from needleplan_thesis.chapter3.generator import NOISE_N, Generator, generated, recorded
 from needleplan_thesis.chapter3.insertion_figure import draw_prediction
-from needleplan_thesis.chapter3.published import TABLE_3_6
+from needleplan_thesis.chapter3.published import CASES, NEEDLE_MASS_KG, TABLE_3_6, model_i, model_ii, model_iii_b
 
 __all__ = ["Insertion", "inside", "prediction", "predictors"]
 

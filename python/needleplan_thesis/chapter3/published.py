@@ -1,15 +1,157 @@
-"""What chapter 3 prints besides parameters: Tables 3.5 and 3.6. The parameters are with the models.
+"""What chapter 3 of the thesis prints: the parameters of Tables 3.1 to 3.4 and the errors of Tables 3.5 and 3.6.
 
-The columns of Table 3.5 lost their order on the way into text; they are put back so that low and high range pool to the
-total (`pooled_mn`), which all 16 do to 0.4 mN.
+A. Asadian, "Robot-Assisted Needle Insertion Using a Control Theoretic Approach", PhD thesis, The University of Western
+Ontario, chapter 3.
+
+The parameters are means and standard deviations over repetitions at four insertion points. No single record
+therefore has its optimum at the means. The normal force is Fn = 1 N at 76 mm, the ramp w = 2.5 mm, and gamma = 1. The
+thesis prints lambda = 5 for case 1 and no value for the other cases.
+
+| label | specimen |
+|---|---|
+| needle A | cannula of an 18 GA needle, 44.058 g with its holder |
+| needle B | 22 GA needle, 13.128 g with its holder |
+| tissue A | gellan gum, 4 %, 0.11 MPa |
+| tissue B | gellan gum, 6 %, 0.16 MPa |
+
+The text extraction lost the order of the columns of Table 3.5. They are ordered here such that the low and the high
+range pool to the total (`pooled_mn`); all 16 triples do so to 0.4 mN.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
-__all__ = ["TABLE_3_5", "TABLE_3_6", "Errors", "pooled_mn"]
+from needleplan.models import AveragedLuGre, LumpedLuGre, QuasiStatic
+from needleplan.signals import Motion, sinusoid
+
+__all__ = [
+    "CASES",
+    "MODEL_I",
+    "MODEL_II",
+    "MODEL_III_B",
+    "NEEDLE_MASS_KG",
+    "TABLE_3_5",
+    "TABLE_3_6",
+    "THICKNESS_MM",
+    "Errors",
+    "FrictionCase",
+    "Printed",
+    "model_i",
+    "model_ii",
+    "model_iii_b",
+    "passing_through",
+    "pooled_mn",
+]
+
+THICKNESS_MM = 76.0
+"""Thickness of the phantoms."""
+
+_PROTRUSION_MM = 50.0
+
+NEEDLE_MASS_KG = {"A": 0.044058, "B": 0.013128}
+"""Mass of each needle with its holder."""
+
+
+@dataclass(frozen=True)
+class FrictionCase:
+    """A column of Table 3.1. The amplitude is from zero to peak: the text speaks of 10 mm/s in case 4, peak 14.1."""
+
+    number: int
+    frequency_hz: float
+    amplitude_mm: float
+    needle: str
+    tissue: str
+
+    @property
+    def top_speed_mm_s(self) -> float:
+        """Largest speed of the motion."""
+        return 2 * math.pi * self.frequency_hz * self.amplitude_mm
+
+
+CASES = {
+    1: FrictionCase(1, 0.05, 25.0, "A", "A"),
+    2: FrictionCase(2, 0.08, 25.0, "B", "A"),
+    3: FrictionCase(3, 0.02, 45.0, "A", "B"),
+    4: FrictionCase(4, 0.05, 45.0, "B", "B"),
+}
+"""Table 3.1."""
+
+
+@dataclass(frozen=True)
+class Printed:
+    """A printed parameter: mean and standard deviation."""
+
+    mean: float
+    sd: float
+
+
+def _table(**rows: tuple[float, ...]) -> dict[int, dict[str, Printed]]:
+    """Turn rows of mean, sd, mean, sd ... into columns by case."""
+    return {
+        case: {name: Printed(*row[2 * column : 2 * column + 2]) for name, row in rows.items()}
+        for column, case in enumerate(CASES)
+    }
+
+
+MODEL_I = _table(
+    sigma0=(1.272, 0.338, 0.616, 0.098, 1.903, 0.125, 0.812, 0.044),
+    sigma2=(0.017, 0.005, 0.015, 0.002, 0.011, 0.002, 0.030, 0.003),
+    mu_c=(0.711, 0.116, 0.338, 0.148, 0.715, 0.090, 0.653, 0.055),
+    mu_s=(0.044, 0.011, 0.024, 0.003, 0.055, 0.003, 0.058, 0.009),
+    alpha=(0.081, 0.007, 0.077, 0.024, 0.121, 0.018, 0.073, 0.010),
+)
+"""Table 3.2 by case and parameter."""
+
+MODEL_II = _table(
+    sigma0=(1.344, 0.214, 0.592, 0.224, 1.877, 0.104, 0.813, 0.132),
+    sigma1=(0.463, 0.013, 0.239, 0.055, 0.686, 0.045, 0.312, 0.037),
+    sigma2=(0.016, 0.003, 0.012, 0.002, 0.011, 0.000, 0.031, 0.002),
+    mu_c=(0.735, 0.087, 0.448, 0.082, 0.669, 0.073, 0.633, 0.029),
+    mu_s=(0.034, 0.004, 0.017, 0.001, 0.046, 0.003, 0.050, 0.007),
+    alpha=(0.092, 0.007, 0.076, 0.014, 0.113, 0.021, 0.074, 0.002),
+)
+"""Table 3.3."""
+
+MODEL_III_B = _table(
+    sigma0=(1.203, 0.157, 0.559, 0.266, 1.818, 0.143, 0.763, 0.092),
+    sigma1=(0.374, 0.017, 0.255, 0.063, 0.581, 0.046, 0.287, 0.030),
+    sigma2=(0.014, 0.004, 0.012, 0.001, 0.010, 0.002, 0.028, 0.001),
+    mu_c=(0.788, 0.149, 0.450, 0.028, 0.667, 0.014, 0.744, 0.026),
+    mu_s=(0.033, 0.003, 0.018, 0.008, 0.041, 0.002, 0.048, 0.006),
+    alpha=(0.088, 0.010, 0.074, 0.006, 0.135, 0.006, 0.072, 0.005),
+)
+"""Table 3.4."""
+
+
+def _means(table: dict[int, dict[str, Printed]], case: int) -> dict[str, Any]:
+    return {name: printed.mean for name, printed in table[case].items()}
+
+
+def model_i(case: int) -> QuasiStatic:
+    """Return Model I with the means of Table 3.2."""
+    return QuasiStatic(**_means(MODEL_I, case))
+
+
+def model_ii(case: int) -> LumpedLuGre:
+    """Return Model II with the means of Table 3.3."""
+    return LumpedLuGre(**_means(MODEL_II, case))
+
+
+def model_iii_b(case: int, exponent: float = 5.0) -> AveragedLuGre:
+    """Return Model III-B with the means of Table 3.4."""
+    return AveragedLuGre(**_means(MODEL_III_B, case), exponent=exponent)
+
+
+def passing_through(case: int, cycles: float = 4.0, rate_hz: float = 200.0) -> Motion:
+    """Return the periodic motion of a case, the tip 50 mm beyond the phantom in the middle of its stroke."""
+    each = CASES[case]
+    return sinusoid(
+        offset_mm=THICKNESS_MM + _PROTRUSION_MM, amplitude_mm=each.amplitude_mm, frequency_hz=each.frequency_hz,
+        cycles=cycles, rate_hz=rate_hz,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

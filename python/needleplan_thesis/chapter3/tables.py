@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from needleplan.models.friction.published import CASES, MODEL_I, MODEL_II, MODEL_III_B, Printed
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan_thesis.chapter3.fits import CaseFits
+from needleplan_thesis.chapter3.published import CASES, MODEL_I, MODEL_II, MODEL_III_B, Printed
 
 __all__ = ["parameters", "recovered"]
 

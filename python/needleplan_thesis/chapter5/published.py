@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from needleplan.models import Needle
-from needleplan.models.deflection import Tissue
+from needleplan.models import NeedleShaft
+from needleplan.models.deflection import ElasticTissue
 
 __all__ = [
     "AREA_M2",
@@ -22,7 +22,7 @@ __all__ = [
     "Change",
 ]
 
-NEEDLE = Needle(0.718, 0.413, 203.0, math.radians(24.8))
+NEEDLE = NeedleShaft(0.718, 0.413, 203.0, math.radians(24.8))
 SECOND_MOMENT_M4, AREA_M2 = 1.162e-14, 2.709e-7
 COIL_MM = 9.3
 END_MM = 80.0
@@ -35,7 +35,7 @@ class Case:
     """A column of Table 5.2: tissue and velocity, errors and radii; `greatest_n` is known at 15 mm/s only."""
 
     name: str
-    tissue: Tissue
+    tissue: ElasticTissue
     velocity_mm_s: float
     mean_error_mm: float
     max_error_mm: float
@@ -49,7 +49,7 @@ class Case:
         return 100 * abs(self.estimated_mm - self.measured_mm) / self.measured_mm
 
 
-_A, _B = Tissue(3.87e-3, 123.9e-6), Tissue(7.65e-3, 166.7e-6)
+_A, _B = ElasticTissue(3.87e-3, 123.9e-6), ElasticTissue(7.65e-3, 166.7e-6)
 
 CASES = (
     Case("A, 10 mm/s", _A, 10.0, 0.108, 0.374, 1357.6, 1165.5, None),
@@ -67,9 +67,9 @@ class Change:
     stiffness: float
     friction: float
 
-    def of(self, tissue: Tissue) -> Tissue:
+    def of(self, tissue: ElasticTissue) -> ElasticTissue:
         """Return the changed tissue."""
-        return Tissue(self.stiffness * tissue.stiffness_n_mm2, self.friction * tissue.friction_n_s_mm2)
+        return ElasticTissue(self.stiffness * tissue.stiffness_n_mm2, self.friction * tissue.friction_n_s_mm2)
 
 
 CHANGES = (

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from needleplan.estimation import fit_circle
-from needleplan.models.deflection import AxialTerms, Beam, Foundation, Tissue, march, solve_uniform
+from needleplan.models.deflection import AxialTerms, Beam, ElasticTissue, Foundation, march, solve_uniform
 from needleplan.signals import Array
 from needleplan_thesis.chapter5.published import COIL_MM, END_MM, NEEDLE
 
@@ -69,14 +69,14 @@ def depths_mm(step_mm: float) -> Array:
     return np.asarray(step_mm * np.arange(round(END_MM / step_mm) + 1), float)
 
 
-def tip_force_n(axial_n: float, tissue: Tissue, velocity_mm_s: float, offset_n: float) -> float:
+def tip_force_n(axial_n: float, tissue: ElasticTissue, velocity_mm_s: float, offset_n: float) -> float:
     """Return Fc at 80 mm, (F - F0 - vf v l)/sin a."""
     friction = tissue.friction_n_s_mm2 * velocity_mm_s * END_MM
     return (axial_n - offset_n - friction) / math.sin(NEEDLE.bevel_angle_rad)
 
 
 def coil_path(
-    reading: Reading, tissue: Tissue, velocity_mm_s: float, force_n: Array, step_mm: float
+    reading: Reading, tissue: ElasticTissue, velocity_mm_s: float, force_n: Array, step_mm: float
 ) -> tuple[Array, Array]:
     """Return depth and deflection of the coil for forces at every step, (..., steps + 1)."""
     path = march(
@@ -97,7 +97,13 @@ def radius_mm(depth_mm: Array, lateral_mm: Array) -> float:
 
 @lru_cache
 def required_force_n(
-    reading: Reading, tissue: Tissue, velocity_mm_s: float, radius: float, step_mm: float, *, behind_mm: float = 0.0
+    reading: Reading,
+    tissue: ElasticTissue,
+    velocity_mm_s: float,
+    radius: float,
+    step_mm: float,
+    *,
+    behind_mm: float = 0.0,
 ) -> tuple[Array, Array]:
     """Return depths (0 excluded) and the cutting force that keeps a point of the needle on a circle from the entry.
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from needleplan.models.deflection.dynamics import natural_frequencies_hz
 from needleplan.reports.comparison import Agreement, Comparison
+from needleplan_thesis.chapter5.dynamics import natural_frequencies_hz
 from needleplan_thesis.chapter5.published import AREA_M2, CASES, NEEDLE, SECOND_MOMENT_M4
 
 __all__ = ["residual_n", "singular_force_n", "table51"]

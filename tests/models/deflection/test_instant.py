@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleplan.errors import ModelError
-from needleplan.models import Needle
-from needleplan.models.deflection import AxialTerms, Beam, Tissue, solve_elements, solve_exact, solve_uniform
+from needleplan.models import NeedleShaft
+from needleplan.models.deflection import AxialTerms, Beam, ElasticTissue, solve_elements, solve_exact, solve_uniform
 from tests.models.deflection.thesis import COIL_MM, NEEDLE, SOFT, STIFF, beam
 from tests.models.deflection.twin import collocation
 
@@ -46,7 +46,7 @@ def test_tip_and_coil_at_80_mm(terms: AxialTerms) -> None:
 @pytest.mark.parametrize("terms", EXPONENTIAL)
 @pytest.mark.parametrize("tissue", [SOFT, STIFF], ids=["soft", "stiff"])
 @pytest.mark.parametrize("depth", [1.0, 10.0, 40.0, 80.0, 150.0])
-def test_exponentials_agree_with_collocation(terms: AxialTerms, tissue: Tissue, depth: float) -> None:
+def test_exponentials_agree_with_collocation(terms: AxialTerms, tissue: ElasticTissue, depth: float) -> None:
     made = beam(tissue, depth, 0.1, 15.0, terms)
     digits = 1e-10 if depth >= 10 else 5e-9  # just after entry the four functions are nearly dependent
     twin = collocation(made)
@@ -85,7 +85,7 @@ def test_elements_converge_with_the_fourth_power() -> None:
 def test_elements_are_the_exact_solution(
     depth: float, force: float, velocity: float, stiffness: float, terms: AxialTerms, behind: float
 ) -> None:
-    made = Beam.of(NEEDLE, Tissue(stiffness, 1e-4), depth, force, velocity, terms=terms)
+    made = Beam.of(NEEDLE, ElasticTissue(stiffness, 1e-4), depth, force, velocity, terms=terms)
     exact = solve_exact(made)
     scale = 1e-9 + float(abs(exact.tip_mm))
     assert abs(float(solve_elements(made, behind, element_mm=1.0) - exact.at(behind))) < 1e-5 * scale
@@ -131,7 +131,8 @@ def test_table_5_1_meets_its_conditions_and_where_it_ends() -> None:
     assert 2 * bending / (length**2 * math.sin(alpha)) == pytest.approx(0.268901, abs=1e-6)
     # Our printed terms have that singularity for the free cantilever: the deflection changes its sign there.
     below, above = (
-        float(solve_elements(beam(Tissue(1e-6), 0.01, force, 0.0, AxialTerms.PRINTED))) for force in (0.2685, 0.2693)
+        float(solve_elements(beam(ElasticTissue(1e-6), 0.01, force, 0.0, AxialTerms.PRINTED)))
+        for force in (0.2685, 0.2693)
     )
     assert below > 100 > -100 > above
 
@@ -190,12 +191,15 @@ def test_turning_everything_changes_nothing_only_with_all_axial_terms() -> None:
     (lambda: Beam.of(NEEDLE, SOFT, 203.0, 0.1), "less than the needle's length"),
     (lambda: Beam.of(NEEDLE, SOFT, [10.0, 0.0], 0.1), "more than 0"),
     (lambda: Beam.of(NEEDLE, SOFT, 10.0, float("nan")), "cutting_force_n: must be finite"),
-    (lambda: Tissue(float("nan")), "stiffness_n_mm2"),
-    (lambda: Tissue(3870.0), "1 kN/m2 is 0.001"),
-    (lambda: Needle(0.4, 0.7, 203.0, 0.4), "less than outer_diameter_mm"),
-    (lambda: Needle(0.718, 0.413, 0.203, 0.4), "length_mm = 0.203"),
+    (lambda: ElasticTissue(float("nan")), "stiffness_n_mm2"),
+    (lambda: ElasticTissue(3870.0), "1 kN/m2 is 0.001"),
+    (lambda: NeedleShaft(0.4, 0.7, 203.0, 0.4), "less than outer_diameter_mm"),
+    (lambda: NeedleShaft(0.718, 0.413, 0.203, 0.4), "length_mm = 0.203"),
     (lambda: solve_exact(Beam.of(NEEDLE, SOFT, 10.0, 0.1)), "axial load"),
-    (lambda: solve_exact(Beam.of(NEEDLE, Tissue(1e-6, 1e-4), 10.0, 0.1, 50.0, terms=AxialTerms.FIXED)), "no decaying"),
+    (
+        lambda: solve_exact(Beam.of(NEEDLE, ElasticTissue(1e-6, 1e-4), 10.0, 0.1, 50.0, terms=AxialTerms.FIXED)),
+        "no decaying",
+    ),
     (lambda: solve_elements(Beam.of(NEEDLE, SOFT, 10.0, 0.1), element_mm=0.0), "must be positive"),
 ])  # fmt: skip
 def test_what_cannot_be_is_refused(make: object, message: str) -> None:

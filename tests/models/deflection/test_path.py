@@ -15,9 +15,9 @@ from needleplan.errors import ModelError
 from needleplan.models.deflection import (
     AxialOffset,
     AxialTerms,
+    ElasticTissue,
     Foundation,
     FreePath,
-    Tissue,
     circle_push_n,
     cutting_force_n,
     finite_depth_factor,
@@ -211,7 +211,7 @@ def test_many_insertions_march_together() -> None:
 
 def test_softer_tissue_bends_more() -> None:
     # Oracle 18: R goes with kf^(1/4): -5.43 % for -20 %.
-    softer = Tissue(0.8 * SOFT.stiffness_n_mm2)
+    softer = ElasticTissue(0.8 * SOFT.stiffness_n_mm2)
     ratio = steady_radius_mm(NEEDLE, softer, 0.05) / steady_radius_mm(NEEDLE, SOFT, 0.05)
     assert ratio == pytest.approx(0.8**0.25, rel=1e-12)
     assert 100 * (ratio - 1) == pytest.approx(-5.43, abs=0.005)

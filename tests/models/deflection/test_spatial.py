@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from needleplan.models import Channel, SpatialBeam, SpatialBicycle, simulate
-from needleplan.models.deflection import Tissue, tip_path_mm
+from needleplan.models.deflection import ElasticTissue, tip_path_mm
 from needleplan.models.effects import SIZE, Effect, Reach, effect_named, effects_of
 from needleplan.signals import Motion, lspb
 from tests.models.deflection.thesis import NEEDLE
 
-GEL = Tissue(3.87e-3)
+GEL = ElasticTissue(3.87e-3)
 FORCE_N = 0.02
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from needleplan.errors import ModelError
 from needleplan.models import Channel, Estimate, Model, ModelFile, Scale, ShaftAndTip, SpatialBicycle, simulate
+from needleplan.models._simulate import _kutta
 from needleplan.models.effects import (
     SIZE,
     AddedEffect,
@@ -23,7 +24,6 @@ from needleplan.models.effects import (
     with_effect,
     without_effect,
 )
-from needleplan.models.simulate import _kutta
 from needleplan.signals import Motion, lspb
 
 BASE = ShaftAndTip(friction=0.012, cutting=0.4, onset_mm=4.0, presliding_mm=0.4)

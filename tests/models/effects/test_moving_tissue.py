@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from needleplan.models import ShaftAndTip, simulate
-from needleplan.models.effects import effect_named
-from needleplan.models.effects.tissue import GivingTissue, SlowTurning
-from needleplan.models.simulate import _kutta
+from needleplan.models._simulate import _kutta
+from needleplan.models.effects import GivingTissue, SlowTurning, effect_named
 from needleplan.signals import Motion, lspb
 
 BASE = ShaftAndTip(friction=0.012, cutting=0.4, onset_mm=4.0, presliding_mm=0.2)

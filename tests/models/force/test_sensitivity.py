@@ -10,15 +10,7 @@ from hypothesis import strategies as st
 
 from needleplan.models import simulate
 from needleplan.models.force import PUBLISHED_FORCES
-from needleplan.models.force.sensitivity import (
-    NAMES,
-    Row,
-    Values,
-    exponential_step,
-    force,
-    kutta_step,
-    slope,
-)
+from needleplan.models.force.sensitivity import NAMES, Row, Values, exponential_step, force, kutta_step, slope
 from needleplan.signals import Motion, insertion_cycles
 
 factors = st.tuples(*[st.floats(0.4, 2.5)] * 8)

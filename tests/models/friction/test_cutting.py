@@ -8,8 +8,8 @@ import pytest
 from needleplan.errors import DataError, ModelError
 from needleplan.models import simulate
 from needleplan.models.friction import Profile, cutting_force, into_fresh_tissue
-from needleplan.models.friction.published import NEEDLE_MASS_KG, model_ii
 from needleplan.signals import Record, Start, sinusoid
+from needleplan_thesis.chapter3.published import NEEDLE_MASS_KG, model_ii
 
 MOTION = sinusoid(offset_mm=38, amplitude_mm=25, frequency_hz=0.08, cycles=2, start=Start.MIDDLE)
 FRICTION = model_ii(2).with_values(profile=Profile.ISOSCELES)

@@ -8,8 +8,8 @@ import pytest
 from needleplan.errors import ModelError
 from needleplan.models import simulate
 from needleplan.models.friction import Beta, LumpedLuGre, Profile, QuasiStatic, distributed
-from needleplan.models.friction.published import CASES, THICKNESS_MM, model_ii, model_iii_b, passing_through
 from needleplan.signals import Array, Motion, Start, sinusoid
+from needleplan_thesis.chapter3.published import CASES, THICKNESS_MM, model_ii, model_iii_b, passing_through
 
 
 def rms(difference: Array) -> float:

@@ -13,17 +13,9 @@ from scipy.integrate import quad, solve_ivp
 
 from needleplan.errors import ModelError
 from needleplan.models import Model, simulate
-from needleplan.models.friction import (
-    AveragedLuGre,
-    Beta,
-    Karnopp,
-    LumpedLuGre,
-    OutputForm,
-    Profile,
-    QuasiStatic,
-)
-from needleplan.models.friction.published import CASES, model_i, model_ii, model_iii_b, passing_through
+from needleplan.models.friction import AveragedLuGre, Beta, Karnopp, LumpedLuGre, OutputForm, Profile, QuasiStatic
 from needleplan.signals import Array, Motion, Start, sinusoid
+from needleplan_thesis.chapter3.published import CASES, model_i, model_ii, model_iii_b, passing_through
 
 INSIDE = sinusoid(offset_mm=38, amplitude_mm=25, frequency_hz=0.08, cycles=1, start=Start.MIDDLE)
 

@@ -11,14 +11,12 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from needleplan.errors import ModelError
-from needleplan.models import LinearStateModel, simulate
+from needleplan.models import LinearStateModel, parameter, simulate
 from needleplan.models.friction import Beta, LumpedLuGre, Profile
-from needleplan.models.friction.published import MODEL_II
-from needleplan.models.parameter import parameter
-from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue
-from needleplan.models.tissue.coupling import PointwiseLaw
-from needleplan.models.tissue.stepping import first_root
+from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, PointwiseLaw
+from needleplan.models.tissue._stepping import first_root
 from needleplan.signals import Array, Motion, lag_rad, sinusoid
+from needleplan_thesis.chapter3.published import MODEL_II
 
 CASE_1 = {name: printed.mean for name, printed in MODEL_II[1].items()}
 SMOOTH = {"sigma0": 0.3, "sigma1": 0.05, "sigma2": 0.012, "mu_c": 0.3, "mu_s": 0.03, "alpha": 0.08}

@@ -6,13 +6,18 @@ plane, and `SpatialBeam`, with a bevel that is turned, are members of the family
 the bevel, everywhere.
 """
 
-from needleplan.models.deflection.axial_force import InsertionForce
-from needleplan.models.deflection.beam import Beam, Tissue
-from needleplan.models.deflection.choices import AxialTerms, Foundation
-from needleplan.models.deflection.elements import ElementShape, solve_elements, solve_uniform
-from needleplan.models.deflection.exact import ExactShape, solve_exact
-from needleplan.models.deflection.march import CutPath, march
-from needleplan.models.deflection.path_law import (
+from needleplan.models.deflection._beam import AxialTerms, Beam, ElasticTissue, Foundation, NeedleShaft
+from needleplan.models.deflection._elements import ElementShape, hermite, solve_elements, solve_uniform
+from needleplan.models.deflection._exact import ExactShape, solve_exact
+from needleplan.models.deflection._march import (
+    AxialOffset,
+    CutPath,
+    cutting_force_n,
+    finite_depth_factor,
+    march,
+    radius_from_axial_mm,
+)
+from needleplan.models.deflection._path_law import (
     FreePath,
     circle_push_n,
     flip_jump,
@@ -20,32 +25,27 @@ from needleplan.models.deflection.path_law import (
     steady_radius_mm,
     tip_path_mm,
 )
-from needleplan.models.deflection.radius import (
-    AxialOffset,
-    cutting_force_n,
-    finite_depth_factor,
-    radius_from_axial_mm,
-)
-from needleplan.models.deflection.spatial import SpatialBeam
-from needleplan.models.deflection.tip_path import TipPath
+from needleplan.models.deflection._tip_path import InsertionForce, SpatialBeam, TipPath
 
 __all__ = [
     "AxialOffset",
     "AxialTerms",
     "Beam",
     "CutPath",
+    "ElasticTissue",
     "ElementShape",
     "ExactShape",
     "Foundation",
     "FreePath",
     "InsertionForce",
+    "NeedleShaft",
     "SpatialBeam",
     "TipPath",
-    "Tissue",
     "circle_push_n",
     "cutting_force_n",
     "finite_depth_factor",
     "flip_jump",
+    "hermite",
     "march",
     "radius_from_axial_mm",
     "side_slip",

@@ -10,11 +10,18 @@
 | `with_effect`, `AugmentedModel` | a model with effects, for model files, planner, twin and estimators |
 """
 
-from needleplan.models.effects.augmented import AddedEffect, AugmentedModel, with_effect, without_effect
-from needleplan.models.effects.base import SIZE, Effect, Enters, Family, Memoryless, Reach, Term, WithTerm
-from needleplan.models.effects.catalogue import FORCE_EFFECTS, TermEffect, WrapEffect, presliding_of
-from needleplan.models.effects.registry import effect_named, effects_of, known_effects, register_file
-from needleplan.models.effects.tip_catalogue import TIP_EFFECTS
+from needleplan.models.effects._augmented import AddedEffect, AugmentedModel, with_effect, without_effect
+from needleplan.models.effects._base import SIZE, Effect, Enters, Family, Memoryless, Reach, Term, WithTerm
+from needleplan.models.effects._catalogue import FORCE_EFFECTS
+from needleplan.models.effects._described import TermEffect, WrapEffect, presliding_of
+from needleplan.models.effects._tip_catalogue import (
+    TIP_EFFECTS,
+    effect_named,
+    effects_of,
+    known_effects,
+    register_file,
+)
+from needleplan.models.effects._tissue import BreathingTissue, GivingTissue, SlowTurning
 
 __all__ = [
     "FORCE_EFFECTS",
@@ -22,11 +29,14 @@ __all__ = [
     "TIP_EFFECTS",
     "AddedEffect",
     "AugmentedModel",
+    "BreathingTissue",
     "Effect",
     "Enters",
     "Family",
+    "GivingTissue",
     "Memoryless",
     "Reach",
+    "SlowTurning",
     "Term",
     "TermEffect",
     "WithTerm",

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from needleplan.models.force.model_2 import ForceModel2
+from needleplan.models.force._depth_force import ForceModel2
 
 __all__ = ["PUBLISHED_FORCES", "PublishedForce"]
 

@@ -6,18 +6,18 @@
 | `QuasiStatic` | Model I |
 | `LumpedLuGre` | Model II; with a `profile`, its normal force follows the inserted length |
 | `AveragedLuGre(profile=RIGHT)`, `AveragedLuGre()` | Models III-A, III-B |
+| `ShaftAndTip` | none: Dahl friction along the shaft and cutting at the tip |
 | `distributed` | the partial differential equation (3.1) to (3.4) itself |
 
 Units mm, N, s. Forces are tenths of a newton for Fn = 1 N.
 """
 
-from needleplan.models.friction.beta import Beta, beta_per_mm
-from needleplan.models.friction.cutting import ForceParts, cutting_force, into_fresh_tissue
-from needleplan.models.friction.distributed import distributed
-from needleplan.models.friction.lugre import AveragedLuGre, LuGre, LumpedLuGre, OutputForm
-from needleplan.models.friction.profile import Profile, intensity, normal_length_mm
-from needleplan.models.friction.shaft import Friction, StribeckFriction
-from needleplan.models.friction.static import Karnopp, QuasiStatic
+from needleplan.models.friction._base import Friction, Profile, StribeckFriction, intensity, normal_length_mm
+from needleplan.models.friction._distributed import distributed
+from needleplan.models.friction._lugre import AveragedLuGre, Beta, LuGre, LumpedLuGre, OutputForm, beta_per_mm
+from needleplan.models.friction._memoryless import ForceParts, Karnopp, QuasiStatic, cutting_force, into_fresh_tissue
+from needleplan.models.friction._periodic import first_guess, steady
+from needleplan.models.friction._shaft_and_tip import ShaftAndTip, slid, slid_along
 
 __all__ = [
     "AveragedLuGre",
@@ -30,11 +30,16 @@ __all__ = [
     "OutputForm",
     "Profile",
     "QuasiStatic",
+    "ShaftAndTip",
     "StribeckFriction",
     "beta_per_mm",
     "cutting_force",
     "distributed",
+    "first_guess",
     "intensity",
     "into_fresh_tissue",
     "normal_length_mm",
+    "slid",
+    "slid_along",
+    "steady",
 ]

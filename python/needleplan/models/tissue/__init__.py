@@ -9,11 +9,10 @@
 | `tune_slow_observer` | the thesis' way, without the person |
 """
 
-from needleplan.models.tissue.coupling import MovingTissue, PointwiseLaw
-from needleplan.models.tissue.joint_fit import fit_on_tissue, lag_with_sd, tissue_lag_rad, tissue_start
-from needleplan.models.tissue.lugre import AveragedOnTissue, LuGreLaw, LumpedOnTissue
-from needleplan.models.tissue.slow_observer import SlowObserver, TuningStatus, tune_slow_observer
-from needleplan.models.tissue.stepping import FrictionLaw
+from needleplan.models.tissue._joint_fit import fit_on_tissue, lag_with_sd, tissue_lag_rad, tissue_start
+from needleplan.models.tissue._moving import AveragedOnTissue, LuGreLaw, LumpedOnTissue, MovingTissue, PointwiseLaw
+from needleplan.models.tissue._slow_observer import SlowObserver, TuningStatus, tune_slow_observer
+from needleplan.models.tissue._stepping import FrictionLaw, stepping
 
 __all__ = [
     "AveragedOnTissue",
@@ -26,6 +25,7 @@ __all__ = [
     "TuningStatus",
     "fit_on_tissue",
     "lag_with_sd",
+    "stepping",
     "tissue_lag_rad",
     "tissue_start",
     "tune_slow_observer",

@@ -15,7 +15,7 @@ from needleplan.reports.diagnosis import html, pictures
 from needleplan.reports.diagnosis.report_next import next_part
 from needleplan.reports.diagnosis.traces import Trace, correlation, gap_map, traces_of
 from needleplan.reports.diagnosis.words import STOPS, advice, answer, title_of
-from needleplan.signals.record import UNITS
+from needleplan.signals import UNITS
 
 __all__ = ["report_of"]
 

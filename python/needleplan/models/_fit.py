@@ -1,0 +1,283 @@
+"""Identification of a model's parameters from records, by nonlinear least squares.
+
+The fit works in well-scaled coordinates (`Scale`): u = ln(p), or p divided by its typical size. With residuals
+r = measured - simulated(u) it minimises |r|^2 within the ranges of the parameters (scipy's trust region reflective
+method). The covariance of u is that of Newey and West (Econometrica 55 (1987) 703),
+
+    C = (J'J)^-1 S (J'J)^-1,    S = sum over lags |k| <= m of (1 - |k|/(m+1)) sum_i J_i r_i r_(i+k) J_(i+k)',
+
+which is honest where the noise of neighbouring samples is correlated, as that of filtered sensors is. Intervals are
+u +- t sd, carried back to p, and so not symmetric for parameters that are known to within a factor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleplan.errors import DataError, Mistake, ModelError
+from needleplan.models._base import Model, Parameter
+from needleplan.models._simulate import simulate
+from needleplan.signals import Array, Record
+
+__all__ = ["Estimate", "Fit", "FitStatus", "fit"]
+
+_DIVERGED = 1e6
+"""Residual (in the channel's unit) that stands for a simulation that grew without bound."""
+
+_UNKNOWN_SD = 1.0
+"""Standard deviation of a coordinate beyond which its parameter counts as not identified: a factor of e."""
+
+_SINGULAR = 1e-7
+
+
+class FitStatus(StrEnum):
+    """How a fit ended."""
+
+    CONVERGED = "converged"
+    EVALUATION_LIMIT = "evaluation_limit"
+    AT_BOUND = "at_bound"
+    """Converged with a parameter at the end of its range: the optimum may lie beyond."""
+
+    DIVERGED = "diverged"
+    """No start led to parameters whose simulation stays finite."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter with its standard deviation (in its own unit, first order) and its 95 % interval."""
+
+    value: float
+    sd: float
+    low: float
+    high: float
+    unit: str
+    identified: bool
+    """Whether the data say more than the order of magnitude."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An identified model, and what its identification says.
+
+    `covariance`, shape (p, p), is that of the coordinates of `free`, in that order; infinite where nothing is known.
+    `residuals` holds measured minus simulated for every record, shape (samples,), NaN where a sample was masked.
+    """
+
+    model: Model
+    status: FitStatus
+    free: tuple[str, ...]
+    estimates: dict[str, Estimate]
+    covariance: Array
+    residuals: tuple[Array, ...]
+    rmse: float
+    samples: int
+    masked: int
+    condition: float
+    """Largest over smallest singular value of the scaled Jacobian."""
+
+    undetermined: tuple[dict[str, float], ...]
+    """Directions in coordinates along which the data do not change: weights by parameter name."""
+
+    evaluations: int
+
+    @property
+    def ok(self) -> bool:
+        """Whether an optimum was reached."""
+        return self.status in (FitStatus.CONVERGED, FitStatus.AT_BOUND)
+
+
+def fit(
+    model: Model,
+    data: Record | Sequence[Record],
+    *,
+    free: Sequence[str] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    smooth: Callable[[Array], Array] | None = None,
+    mask: Callable[[Record], NDArray[Any]] | None = None,
+    starts: int = 1,
+    spread: float = 1.0,
+    seed: int = 0,
+    lags: int | None = None,
+    max_evaluations: int = 400,
+) -> Fit:
+    """Identify the parameters `free` (default: all that the model declares free) of `model`, starting from its values.
+
+    All records together give one set of parameters. `bounds` narrows ranges by name. `smooth` is applied to the
+    simulated output before it is compared: what the sensor does to the measured one, such as its moving average.
+    `mask` returns which samples of a record count, shape (samples,) of bool. Further `starts` are drawn around the
+    first, normal with standard deviation `spread` in coordinates, seeded; the best end is taken. `lags` is m of the
+    covariance, by default 3 n^(1/3), enough for the moving averages
+    of force sensors. Raises DataError for records that cannot be used, ModelError for unknown names.
+    """
+    from scipy.optimize import least_squares
+
+    records = (data,) if isinstance(data, Record) else tuple(data)
+    problem = _Problem(model, records, _free(model, free), bounds or {}, smooth, mask)
+    generator = np.random.default_rng(seed)
+    first = problem.start()
+    best = None
+    evaluations = 0
+    for number in range(max(starts, 1)):
+        start = first if number == 0 else problem.inside(first + spread * generator.standard_normal(first.size))
+        result = least_squares(
+            problem.residual, start, bounds=problem.bounds, x_scale="jac", max_nfev=max_evaluations, method="trf"
+        )
+        evaluations += result.nfev
+        if best is None or result.cost < best.cost:
+            best = result
+    assert best is not None
+    return problem.conclude(best.x, np.asarray(best.jac, float), best.status, evaluations, lags)
+
+
+def _free(model: Model, free: Sequence[str] | None) -> tuple[str, ...]:
+    known = model.parameters()
+    if free is None:
+        return tuple(name for name, what in known.items() if what.free)
+    unknown = [Mistake(name, "", f"must be one of {', '.join(known)}") for name in free if name not in known]
+    if unknown or not free:
+        raise ModelError(unknown or Mistake("free", "", "must name a parameter"), model.name)
+    return tuple(free)
+
+
+class _Problem:
+    """Least squares in the coordinates of the free parameters."""
+
+    def __init__(
+        self,
+        model: Model,
+        records: tuple[Record, ...],
+        free: tuple[str, ...],
+        bounds: Mapping[str, tuple[float, float]],
+        smooth: Callable[[Array], Array] | None,
+        mask: Callable[[Record], NDArray[Any]] | None,
+    ) -> None:
+        if not records:
+            raise DataError(Mistake("data", "", "there is no record"))
+        self.model, self.records, self.free, self.smooth = model, records, free, smooth
+        self.what: list[Parameter] = [model.parameters()[name] for name in free]
+        self.motions = [record.motion() for record in records]
+        self.measured = [record[model.channel] for record in records]
+        self.masks = [
+            np.isfinite(measured) & (True if mask is None else mask(record))
+            for record, measured in zip(records, self.measured, strict=True)
+        ]
+        self.samples = int(sum(each.sum() for each in self.masks))
+        self._require_enough()
+        ranges = [bounds.get(name, (what.lower, what.upper)) for name, what in zip(free, self.what, strict=True)]
+        self.bounds = (
+            np.array([what.coordinate(low) for what, (low, _) in zip(self.what, ranges, strict=True)]),
+            np.array([what.coordinate(high) for what, (_, high) in zip(self.what, ranges, strict=True)]),
+        )
+
+    def _require_enough(self) -> None:
+        if self.samples < 5 * len(self.free):
+            rule = f"too short: {len(self.free)} parameters need at least {5 * len(self.free)} samples"
+            raise DataError(Mistake(self.model.channel, f"{self.samples} samples", rule))
+        if all(np.ptp(motion.depth_mm) == 0 and not motion.velocity_mm_s.any() for motion in self.motions):
+            raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest identifies nothing"))
+        counted = [measured[mask] for measured, mask in zip(self.measured, self.masks, strict=True) if mask.any()]
+        if all(np.ptp(each) == 0 for each in counted):
+            rule = "is constant to the last bit: no sensor measures that, and nothing can be identified from it"
+            raise DataError(Mistake(self.model.channel, f"{counted[0][0]:g}", rule))
+
+    def start(self) -> Array:
+        values = [getattr(self.model, name) for name in self.free]
+        return self.inside(np.array([what.coordinate(value) for what, value in zip(self.what, values, strict=True)]))
+
+    def inside(self, coordinates: Array) -> Array:
+        """Return the nearest coordinates that are strictly inside of the bounds."""
+        low, high = self.bounds
+        margin = 1e-6 * (high - low)
+        return np.clip(coordinates, low + margin, high - margin)
+
+    def model_at(self, coordinates: Array) -> Model:
+        values = {
+            name: float(np.clip(what.value(float(u)), what.lower, what.upper))
+            for name, what, u in zip(self.free, self.what, coordinates, strict=True)
+        }
+        return self.model.with_values(**values)
+
+    def simulated(self, coordinates: Array) -> list[Array]:
+        model = self.model_at(coordinates)
+        outputs = [simulate(model, motion).output for motion in self.motions]
+        with np.errstate(over="ignore", invalid="ignore"):  # what grew without bound goes on to `residual`
+            return outputs if self.smooth is None else [self.smooth(output) for output in outputs]
+
+    def residual(self, coordinates: Array) -> Array:
+        parts = [
+            (measured - output)[mask]
+            for measured, output, mask in zip(self.measured, self.simulated(coordinates), self.masks, strict=True)
+        ]
+        residual: Array = np.clip(np.nan_to_num(np.concatenate(parts), nan=_DIVERGED), -_DIVERGED, _DIVERGED)
+        return residual
+
+    def conclude(self, coordinates: Array, jacobian: Array, ending: int, evaluations: int, lags: int | None) -> Fit:
+        from scipy import stats
+
+        residual = self.residual(coordinates)
+        covariance, condition, undetermined = self._uncertainty(jacobian, residual, lags)
+        model = self.model_at(coordinates)
+        quantile = float(stats.t.ppf(0.975, max(self.samples - len(self.free), 1)))
+        low, high = self.bounds
+        at_bound = bool(((coordinates - low < 1e-4) | (high - coordinates < 1e-4)).any())
+        diverged = bool((np.abs(residual) >= _DIVERGED).any())
+        status = (
+            FitStatus.DIVERGED if diverged
+            else FitStatus.EVALUATION_LIMIT if ending <= 0
+            else FitStatus.AT_BOUND if at_bound
+            else FitStatus.CONVERGED
+        )  # fmt: skip
+        estimates = {}
+        for index, (name, what) in enumerate(zip(self.free, self.what, strict=True)):
+            sd, u, value = float(np.sqrt(covariance[index, index])), coordinates[index], getattr(model, name)
+            ends = [np.clip(u + sign * quantile * sd, low[index], high[index]) for sign in (-1, 1)]
+            estimates[name] = Estimate(
+                value, sd * what.slope(value), what.value(ends[0]), what.value(ends[1]), what.unit, sd < _UNKNOWN_SD
+            )
+        left = [
+            np.where(mask, measured - output, np.nan)
+            for measured, output, mask in zip(self.measured, self.simulated(coordinates), self.masks, strict=True)
+        ]
+        total = sum(each.size for each in self.measured)
+        rmse = float(np.sqrt(np.mean(residual**2)))
+        return Fit(
+            model, status, self.free, estimates, covariance, tuple(left), rmse, self.samples, total - self.samples,
+            condition, undetermined, evaluations,
+        )  # fmt: skip
+
+    def _uncertainty(
+        self, jacobian: Array, residual: Array, lags: int | None
+    ) -> tuple[Array, float, tuple[dict[str, float], ...]]:
+        _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
+        condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
+        flat = singular <= _SINGULAR * singular[0]
+        undetermined = tuple(
+            {name: float(weight) for name, weight in zip(self.free, each, strict=True) if abs(weight) > 0.1}
+            for each in directions[flat]
+        )
+        inverse = (directions[~flat].T / singular[~flat] ** 2) @ directions[~flat]
+        covariance = inverse @ self._score_covariance(jacobian, residual, lags) @ inverse
+        unknown = (np.abs(directions[flat]) > 0.1).any(axis=0)
+        covariance[unknown, unknown] = np.inf
+        return covariance, condition, undetermined
+
+    def _score_covariance(self, jacobian: Array, residual: Array, lags: int | None) -> Array:
+        """Return S of Newey and West, over the records one by one, with the correction for lost degrees of freedom."""
+        total: Array = np.zeros((len(self.free), len(self.free)))
+        end = 0
+        for mask in self.masks:
+            begin, end = end, end + int(mask.sum())
+            score = jacobian[begin:end] * residual[begin:end, None]
+            total += score.T @ score
+            most = round(3 * len(score) ** (1 / 3)) if lags is None else lags
+            for lag in range(1, min(most, len(score) - 1) + 1):
+                cross = score[lag:].T @ score[:-lag]
+                total += (1 - lag / (most + 1)) * (cross + cross.T)
+        corrected: Array = total * (self.samples / max(self.samples - len(self.free), 1))
+        return corrected

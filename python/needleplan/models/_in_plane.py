@@ -1,0 +1,118 @@
+"""What a plan in the plane can take of the path of a tip in space: curvature by depth, and the roll of the bevel.
+
+A plan knows arcs to the left and to the right. Any model of a steered tip (`SteeredModel`) says how the path bends
+where the bevel looks somewhere. Rolled so that nothing of it leads out of the plane, it bends to the left by kl and to
+the right by kr; their mean is the curvature of the plan. Nothing here knows the effects of a model by name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.errors import Mistake, ModelError
+from needleplan.models._base import Model
+from needleplan.models.effects import AugmentedModel
+from needleplan.models.path import SteeredModel
+from needleplan.signals import Array, Motion
+
+__all__ = ["InPlane", "in_plane"]
+
+_ROUNDS = 12
+_STEP_RAD, _FARTHEST_RAD = 1e-4, 0.5
+_FLAT_PER_MM = 1e-9
+_FAR_RAD = 100.0
+_LEAST_PER_MM = 1e-5
+"""A beam goes in straight at first; a plan needs a radius."""
+_SPACING_MM = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class InPlane:
+    """A path in the plane, by the inserted length: all arrays have the shape (n,).
+
+    `roll_left_rad` and `roll_right_rad` are the angles at which the needle bends to the left and to the right and not
+    out of the plane: 0 and pi, if nothing is odd. `lag_rad` is how far the tip is behind the base while that turns.
+    `heading_rad` and `elevation_rad` are how the path goes in beside the direction that is thought.
+    """
+
+    depth_mm: Array
+    left_per_mm: Array
+    right_per_mm: Array
+    roll_left_rad: Array
+    roll_right_rad: Array
+    lag_rad: Array
+    along_mm: Array
+    """How far along x a path of that length gets that is turned halfway, and so stays near its line."""
+
+    heading_rad: float
+    elevation_rad: float
+
+    @property
+    def curvature_per_mm(self) -> Array:
+        """The curvature that a plan takes: the mean of both sides."""
+        return np.maximum((self.left_per_mm + self.right_per_mm) / 2, _LEAST_PER_MM)
+
+    def roll_rad(self, bevel: int, depth_mm: float) -> float:
+        """Return the angle for a bevel of the plan, +1 to the left and -1 to the right, at an inserted length."""
+        rolls = self.roll_left_rad if bevel > 0 else self.roll_right_rad
+        return float(np.interp(depth_mm, self.depth_mm, rolls))
+
+
+def in_plane(model: Model, deepest_mm: float, velocity_mm_s: float = 5.0) -> InPlane:
+    """Return what a plan can take of a model of a tip's path that goes in at a speed, down to a depth.
+
+    What is of the sensor is left out. Raises ModelError for models of anything else, and for a path that does not bend
+    to both sides.
+    """
+    plant = model.plant if isinstance(model, AugmentedModel) else model
+    whole = plant.whole if isinstance(plant, AugmentedModel) else plant
+    if not isinstance(whole, SteeredModel):
+        raise ModelError(Mistake("kind", model.name, "must be of the path of a tip in space (spatial_bicycle)"))
+    count = max(round(deepest_mm / _SPACING_MM), 2) + 1
+    depth = np.linspace(0.0, deepest_mm, count)
+    (left, roll_left), (right, roll_right) = (_rolled(whole, depth, velocity_mm_s, wanted) for wanted in (0.0, np.pi))
+    least = min(left.min(), right.min())
+    if least < 0 or min(left.max(), right.max()) == 0:
+        rule = "must bend to both sides everywhere: no plan can steer it"
+        raise ModelError(Mistake("curvature", f"{least:.3g} 1/mm", rule), model.name)
+    turned = _motion(depth, velocity_mm_s, np.full(count, _FAR_RAD))
+    lag = _FAR_RAD - whole.following(np.zeros(count), turned)
+    halfway = _motion(depth, velocity_mm_s, np.where(depth > deepest_mm / 2, np.pi, 0.0))
+    slopes = whole.entry(halfway)[1]
+    return InPlane(
+        depth, left, right, roll_left, roll_right, lag, _along(left, right, depth),
+        float(np.arctan(slopes[0])), float(np.arctan(slopes[1])),
+    )  # fmt: skip
+
+
+def _rolled(model: SteeredModel, depth: Array, velocity_mm_s: float, wanted_rad: float) -> tuple[Array, Array]:
+    """Return how the path bends toward a side, and the roll for it."""
+    roll = np.full(depth.size, wanted_rad)
+
+    def bend(roll: Array) -> Array:
+        return np.asarray(model.bend_per_mm(_motion(depth, velocity_mm_s, roll), roll))
+
+    for _ in range(_ROUNDS):  # Newton's, from the side on
+        out = bend(roll)[1]
+        slope = (bend(roll + _STEP_RAD)[1] - bend(roll - _STEP_RAD)[1]) / (2 * _STEP_RAD)
+        steep = np.abs(slope) > _FLAT_PER_MM
+        roll = roll - np.where(steep, np.clip(out / np.where(steep, slope, 1.0), -_FARTHEST_RAD, _FARTHEST_RAD), 0.0)
+    return np.asarray(bend(roll)[0] * np.cos(wanted_rad)), roll
+
+
+def _motion(depth: Array, velocity_mm_s: float, roll: Array) -> Motion:
+    return Motion.sampled(depth / velocity_mm_s, depth, np.full(depth.size, velocity_mm_s), roll)
+
+
+def _along(left: Array, right: Array, depth: Array) -> Array:
+    """Return how far along its line each length gets, if the needle is turned at half of that length."""
+    bend = (left + right) / 2
+    turned = np.concatenate([[0.0], np.cumsum((bend[1:] + bend[:-1]) / 2 * np.diff(depth))])
+    found = []
+    for last, length in enumerate(depth):
+        middle = np.interp(length / 2, depth, turned)
+        heading = np.where(depth[: last + 1] <= length / 2, turned[: last + 1], 2 * middle - turned[: last + 1])
+        found.append(float(np.trapezoid(np.cos(heading), depth[: last + 1])))
+    return np.array(found)

@@ -1,0 +1,46 @@
+"""The kinds of models that a model file can hold, by `Model.name`.
+
+A new member is added to `MEMBERS`; a test finds those that were forgotten.
+"""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+
+from needleplan.errors import Mistake, ModelError
+from needleplan.models._base import Model
+from needleplan.models.deflection import InsertionForce, SpatialBeam, TipPath
+from needleplan.models.force import ForceModel1, ForceModel2
+from needleplan.models.friction import AveragedLuGre, Karnopp, LumpedLuGre, QuasiStatic, ShaftAndTip
+from needleplan.models.path import Bicycle, SpatialBicycle
+from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue
+
+__all__ = ["KINDS", "MEMBERS", "kind_of"]
+
+MEMBERS: tuple[type[Model], ...] = (
+    AveragedLuGre,
+    AveragedOnTissue,
+    Bicycle,
+    ForceModel1,
+    ForceModel2,
+    InsertionForce,
+    Karnopp,
+    LumpedLuGre,
+    LumpedOnTissue,
+    QuasiStatic,
+    ShaftAndTip,
+    SpatialBeam,
+    SpatialBicycle,
+    TipPath,
+)
+
+KINDS: dict[str, type[Model]] = {member.name: member for member in MEMBERS}
+
+
+def kind_of(name: str) -> type[Model]:
+    """Return the class of a kind of model. Raises ModelError with a suggestion."""
+    if name in KINDS:
+        return KINDS[name]
+    close = get_close_matches(name, KINDS, n=1)
+    rule = f"must be one of {', '.join(sorted(KINDS))}"
+    raise ModelError(Mistake("kind", name, rule + (f'; did you mean "{close[0]}"?' if close else "")))

@@ -1,0 +1,214 @@
+"""What a model leaves unexplained: tests of the residuals of a fit.
+
+Residuals of filtered sensors are correlated; tests that take them for independent find an effect everywhere. So an
+autoregression is fitted first (order by Akaike's criterion, a record at a time), and mean, trends and normality are
+tested on what it leaves, with the regressors filtered in the same way (Prais and Winsten). The test for whiteness
+itself takes the residuals as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.errors import DataError, Mistake
+from needleplan.models._fit import Fit
+from needleplan.signals import UNITS, Array, Motion, Record
+
+__all__ = ["Finding", "findings_of", "ljung_box", "residual_findings"]
+
+_NAMES = (
+    "whiteness",
+    "zero mean",
+    "trend with depth",
+    "trend with velocity",
+    "dependence on direction",
+    "normality",
+)
+
+_SIGNIFICANT = 0.05
+_HIGHEST_ORDER = 20
+_FEWEST = 20
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One test of what the model leaves unexplained: its statistic, its p-value (None where it has none), in words."""
+
+    name: str
+    statistic: float
+    p_value: float | None
+    says: str
+
+
+def residual_findings(found: Fit, records: Sequence[Record]) -> tuple[Finding, ...]:
+    """Return the tests of the residuals of a fit to `records`, those that it was made from, in their order.
+
+    A test that the data do not allow (too few samples, no change of direction) has the p-value None and says why.
+    Raises DataError where records and residuals do not belong together.
+    """
+    if len(records) != len(found.residuals) or any(
+        len(record) != left.size for record, left in zip(records, found.residuals, strict=True)
+    ):
+        raise DataError(Mistake("records", f"{len(records)}", "must be those that the fit was made from"))
+    unit = UNITS.get(found.model.channel, "")
+    return findings_of(found.residuals, [record.motion() for record in records], unit)
+
+
+def findings_of(residuals: Sequence[Array], motions: Sequence[Motion], unit: str) -> tuple[Finding, ...]:
+    """Return the tests of residuals, shape (samples,) for each motion, in `unit`, NaN where a sample does not count.
+
+    What `residual_findings` says of its tests holds here too.
+    """
+    good = [np.isfinite(values) for values in residuals]
+    left = [values[mask] for values, mask in zip(residuals, good, strict=True)]
+    motions = [motion[mask] for motion, mask in zip(motions, good, strict=True) if mask.any()]
+    left = [values for values in left if values.size]
+    if sum(map(len, left)) < _FEWEST:
+        says = f"not tested: fewer than {_FEWEST} samples"
+        return tuple(Finding(name, float("nan"), None, says) for name in _NAMES)
+    filters = [_autoregression(each) for each in left]
+    ones = [np.ones(each.size) for each in left]
+    return (
+        _whiteness(left),
+        _mean(left, ones, filters, unit),
+        _trend("trend with depth", "depth", left, [m.depth_mm for m in motions], filters, f"{unit}/mm"),
+        _trend("trend with velocity", "velocity", left, [m.velocity_mm_s for m in motions], filters, f"{unit} s/mm"),
+        _trend("dependence on direction", "direction", left, [m.direction for m in motions], filters, unit),
+        _normality(left, filters),
+    )
+
+
+def ljung_box(residuals: Sequence[Array], lags: int | None = None) -> tuple[float, float, int]:
+    """Return statistic, p-value and number of lags of Ljung and Box's test (Biometrika 65 (1978) 297).
+
+    Several records, each a row (samples,), are tested together: statistics and degrees of freedom add up. `lags` is at
+    most a fifth of the shortest record and 20 by default. No correction for fitted parameters: they are few beside
+    the samples.
+    """
+    from scipy.special import chdtrc  # scipy.stats takes as long to load as a whole diagnosis
+
+    most = min(20, min(map(len, residuals)) // 5) if lags is None else lags
+    most = max(most, 1)
+    total = 0.0
+    for values in residuals:
+        n = values.size
+        centred = values - values.mean()
+        power = float(centred @ centred)
+        if power > 0:
+            ratios = [float(centred[lag:] @ centred[:-lag]) / power for lag in range(1, most + 1)]
+            total += n * (n + 2) * sum(ratio**2 / (n - lag) for lag, ratio in enumerate(ratios, start=1))
+    return total, float(chdtrc(most * len(residuals), total)), most
+
+
+def _whiteness(left: Sequence[Array]) -> Finding:
+    statistic, p_value, lags = ljung_box(left)
+    first = np.mean([np.corrcoef(each[1:], each[:-1])[0, 1] if np.ptp(each) else 0.0 for each in left])
+    says = (
+        f"neighbouring residuals are correlated ({first:.2f} from one to the next): there is structure left, or "
+        "the sensor is filtered"
+        if p_value < _SIGNIFICANT
+        else f"no correlation over {lags} samples was found"
+    )
+    return Finding("whiteness", statistic, p_value, says)
+
+
+def _mean(left: Sequence[Array], ones: Sequence[Array], filters: Sequence[Array], unit: str) -> Finding:
+    size, statistic, p_value = _slope(left, [], ones, filters)
+    says = (
+        f"the mean of the residuals is {size:.3g} {unit}: the model is off by that"
+        if p_value < _SIGNIFICANT
+        else f"the mean, {size:.2g} {unit}, may be zero"
+    )
+    return Finding("zero mean", statistic, p_value, says)
+
+
+def _trend(
+    name: str, what: str, left: Sequence[Array], values: Sequence[Array], filters: Sequence[Array], unit: str
+) -> Finding:
+    if not any(np.ptp(each) > 0 for each in values):
+        return Finding(name, float("nan"), None, f"not tested: the {what} does not change")
+    ones = [np.ones(each.size) for each in left]
+    size, statistic, p_value = _slope(left, ones, values, filters)
+    says = (
+        f"the residuals depend on the {what}, by {size:.3g} {unit}: the model lacks an effect of it"
+        if p_value < _SIGNIFICANT
+        else f"no dependence on the {what} was found"
+    )
+    return Finding(name, statistic, p_value, says)
+
+
+def _normality(left: Sequence[Array], filters: Sequence[Array]) -> Finding:
+    from scipy import stats
+
+    innovations = []
+    for values, weights in zip(left, filters, strict=True):
+        each = _filtered(values, weights)
+        spread = float(each.std())
+        if spread > 0:
+            innovations.append((each - each.mean()) / spread)
+    if not innovations:
+        return Finding("normality", float("nan"), None, "not tested: nothing is left")
+    pooled = np.concatenate(innovations)
+    statistic, p_value = (float(each) for each in stats.normaltest(pooled))
+    tails = float(stats.kurtosis(pooled))
+    says = (
+        f"the noise is not Gaussian (excess kurtosis {tails:.2g}): "
+        + ("outliers, or steps of the sensor" if tails > 0 else "it is bounded, as that of a coarse sensor")
+        if p_value < _SIGNIFICANT
+        else "the noise may be Gaussian"
+    )
+    return Finding("normality", statistic, p_value, says)
+
+
+def _autoregression(values: Array) -> Array:
+    """Return the weights of the past in an autoregression (Yule and Walker), its order by Akaike's criterion."""
+    from scipy.linalg import solve_toeplitz
+
+    n = values.size
+    centred = values - values.mean()
+    highest = min(_HIGHEST_ORDER, n // 10)
+    covariance = np.array([float(centred[lag:] @ centred[: n - lag]) / n for lag in range(highest + 1)])
+    best, least = np.zeros(0), n * np.log(max(covariance[0], 1e-300))
+    if covariance[0] <= 0:
+        return best
+    for order in range(1, highest + 1):
+        weights = solve_toeplitz(covariance[:order], covariance[1 : order + 1])
+        left = covariance[0] - float(weights @ covariance[1 : order + 1])
+        criterion = n * np.log(max(left, 1e-300)) + 2 * order
+        if criterion < least:
+            best, least = weights, criterion
+    return best
+
+
+def _filtered(values: Array, weights: Array) -> Array:
+    """Return what an autoregression does not foresee, from its order on."""
+    order = weights.size
+    if not order:
+        return values
+    past = np.column_stack([values[order - lag - 1 : values.size - lag - 1] for lag in range(order)])
+    return np.asarray(values[order:] - past @ weights)
+
+
+def _slope(
+    left: Sequence[Array], others: Sequence[Array], values: Sequence[Array], filters: Sequence[Array]
+) -> tuple[float, float, float]:
+    """Return slope, t and p of residuals over `values`, beside `others`, after filtering all of them."""
+    from scipy import stats
+
+    bring: Callable[[Sequence[Array]], Array] = lambda rows: np.concatenate(  # noqa: E731
+        [_filtered(row, weights) for row, weights in zip(rows, filters, strict=True)]
+    )
+    target, regressor = bring(left), bring(values)
+    columns = [regressor, bring(others)] if len(others) else [regressor]
+    matrix = np.column_stack(columns)
+    solution, _, rank, _ = np.linalg.lstsq(matrix, target, rcond=None)
+    rest = target - matrix @ solution
+    dof = target.size - matrix.shape[1]
+    if rank < matrix.shape[1] or dof < 1:
+        return float("nan"), float("nan"), 1.0
+    variance = float(rest @ rest) / dof * np.linalg.inv(matrix.T @ matrix)[0, 0]
+    statistic = float(solution[0] / np.sqrt(variance)) if variance > 0 else 0.0
+    return float(solution[0]), statistic, float(2 * stats.t.sf(abs(statistic), dof))

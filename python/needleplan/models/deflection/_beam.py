@@ -1,0 +1,267 @@
+"""The needle: geometry and material, and the stiffnesses that follow from them.
+
+Lengths are in mm, angles in rad; moduli in GPa and the density in kg/m3, as tables of materials give them. Stiffnesses
+are N mm2: 1 GPa = 1000 N/mm2. The mass that belongs to N, mm and s is the tonne: 1 kg/m3 = 1e-12 t/mm3.
+
+----
+
+The choices between the equations that were printed and the ones that hold.
+
+----
+
+The coefficients of the needle's equation at an instant, or at many at once.
+
+All four equations of `AxialTerms` are one, with u > 0 towards the push of the bevel and x from the base (0) past the
+entry point (l1 = L - depth) to the tip (L)::
+
+    EI u'''' + N(x) u'' + b u' + kf (u - path) = 0     in the tissue, x > l1
+    EI u'''' + N(l1) u''                       = 0     outside
+    EI u''(L) = M,   EI u'''(L) = -(P + s u'(L)),   u and u' given at the base, u to u''' continuous at l1
+    N(x) = N_tip + c (L - max(x, l1))
+
+Thesis: sections 5.2, 5.3; its w is -u where its Fc is positive.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from needleplan.errors import Mistake, ModelError
+from needleplan.signals import Array
+
+__all__ = ["AxialTerms", "Beam", "ElasticTissue", "Foundation", "NeedleShaft"]
+
+_RANGES = {
+    "outer_diameter_mm": (0.05, 10.0),
+    "inner_diameter_mm": (0.0, 10.0),
+    "length_mm": (10.0, 1000.0),
+    "bevel_angle_rad": (0.01, math.pi / 2),
+    "youngs_modulus_gpa": (0.1, 1000.0),
+    "shear_modulus_gpa": (0.05, 500.0),
+    "density_kg_m3": (500.0, 25000.0),
+}
+
+
+@dataclass(frozen=True)
+class NeedleShaft:
+    """A straight hollow (inner diameter above 0) or solid needle with a bevelled tip.
+
+    `bevel_angle_rad` is the angle between the bevel face and the axis: the force on the face, which is normal to it,
+    has the lateral part cos(bevel) and the axial part sin(bevel). Raises ModelError, which names all that is wrong.
+    """
+
+    outer_diameter_mm: float
+    inner_diameter_mm: float
+    length_mm: float
+    bevel_angle_rad: float
+    youngs_modulus_gpa: float = 200.0
+    shear_modulus_gpa: float = 77.0
+    density_kg_m3: float = 8000.0
+
+    def __post_init__(self) -> None:
+        mistakes = []
+        for each in fields(self):
+            value = getattr(self, each.name)
+            low, high = _RANGES[each.name]
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+                mistakes.append(Mistake(each.name, str(value), f"must be a number from {low:.4g} to {high:.4g}"))
+        if not mistakes and self.inner_diameter_mm >= self.outer_diameter_mm:
+            rule = f"must be less than outer_diameter_mm, {self.outer_diameter_mm:g}"
+            mistakes.append(Mistake("inner_diameter_mm", f"{self.inner_diameter_mm:g}", rule))
+        if mistakes:
+            raise ModelError(mistakes, "needle")
+
+    @property
+    def second_moment_mm4(self) -> float:
+        """Second moment of area about a diameter, mm4."""
+        return math.pi / 64 * (self.outer_diameter_mm**4 - self.inner_diameter_mm**4)
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of the cross-section, mm2."""
+        return math.pi / 4 * (self.outer_diameter_mm**2 - self.inner_diameter_mm**2)
+
+    @property
+    def bending_stiffness_n_mm2(self) -> float:
+        """EI, N mm2."""
+        return 1000 * self.youngs_modulus_gpa * self.second_moment_mm4
+
+    @property
+    def torsional_stiffness_n_mm2(self) -> float:
+        """GJ of the round cross-section, J = 2 I, N mm2."""
+        return 2000 * self.shear_modulus_gpa * self.second_moment_mm4
+
+    @property
+    def line_mass_t_mm(self) -> float:
+        """Mass per length, t/mm (1e-6 of it in kg/m): N = t mm/s2.
+
+        The thesis prints the density in kg/m2; kg/m3 is what its numbers need.
+        """
+        return 1e-12 * self.density_kg_m3 * self.area_mm2
+
+
+class AxialTerms(StrEnum):
+    """Which first-order effects of the axial load are in the beam's equation.
+
+    With c = vf v, the friction per length, u > 0 towards the push of the bevel, in the tissue (no c and kf outside)
+    """
+
+    CONSISTENT = "consistent"
+    """EI u'''' + N u'' + kf (u - path) = 0, EI u'''(L) = -Fc cos a, N(x) = Fc sin a + c (L - max(x, l1)): all of
+    them. A needle that is pushed along a straight oblique line stays on it."""
+
+    PLAIN = "plain"
+    """EI u'''' + kf (u - path) = 0, EI u'''(L) = -Fc cos a: none of them."""
+
+    PRINTED = "printed"
+    """EI u'''' + kf u - c u' = 0, EI u'''(L) = -(Fc cos a + Fc sin a u'(L)): (5.6) and (5.8) of the thesis.
+
+    Wrong: the friction pushes forward, and the tip force turns against the tip, which makes the cantilever unstable at
+    Fc = 2 EI/(L^2 sin a). (The sign of Fc itself is that of a push towards the bevel; (5.3) has the other one.)"""
+
+    FIXED = "fixed"
+    """EI u'''' + kf u + c u' = 0, EI u'''(L) = -(Fc cos a - Fc sin a u'(L)): the printed terms with the right signs.
+
+    Still half of the expansion: the axial load N, which is not there, cancels both terms exactly."""
+
+
+class Foundation(StrEnum):
+    """What the springs of the tissue are anchored to."""
+
+    MEMORY = "memory"
+    """To where the tip has cut the tissue: fresh tissue is unstressed. The path becomes a circle, R = EI lam/P."""
+
+    ANCHORED = "anchored"
+    """To the straight line of the insertion, as in (5.1): tissue resists as if the needle had been pressed into it
+    sideways, and a constant tip force makes no arc."""
+
+
+@dataclass(frozen=True)
+class ElasticTissue:
+    """A uniform tissue.
+
+    `stiffness_n_mm2` is kf, the force per length for a unit of displacement (1 kN/m2 = 1e-3 N/mm2), `friction_n_s_mm2`
+    is vf, the friction per length for a unit of velocity (1 N s/m2 = 1e-6 N s/mm2). Raises ModelError.
+    """
+
+    stiffness_n_mm2: float
+    friction_n_s_mm2: float = 0.0
+
+    def __post_init__(self) -> None:
+        mistakes = []
+        if not 1e-6 <= self.stiffness_n_mm2 <= 100:  # also where it is NaN
+            rule = "must be from 1e-6 to 100 N/mm2 (1 kN/m2 is 0.001 N/mm2)"
+            mistakes.append(Mistake("stiffness_n_mm2", f"{self.stiffness_n_mm2:g}", rule))
+        if not 0 <= self.friction_n_s_mm2 <= 0.1:
+            rule = "must be from 0 to 0.1 N s/mm2 (1 N s/m2 is 1e-6 N s/mm2)"
+            mistakes.append(Mistake("friction_n_s_mm2", f"{self.friction_n_s_mm2:g}", rule))
+        if mistakes:
+            raise ModelError(mistakes, "tissue")
+
+    def decay_1_mm(self, needle: NeedleShaft) -> float:
+        """Return lam = (kf/4EI)^(1/4), 1/mm: what is done to the needle is felt over a length of some 1/lam."""
+        return math.sqrt(math.sqrt(self.stiffness_n_mm2 / (4 * needle.bending_stiffness_n_mm2)))
+
+
+@dataclass(frozen=True)
+class Beam:
+    """Coefficients of the equation above; scalars or arrays that broadcast together, one entry for an insertion."""
+
+    length_mm: Array
+    depth_mm: Array
+    bending_n_mm2: Array
+    """EI."""
+
+    foundation_n_mm2: Array
+    """kf."""
+
+    slope_n_mm: Array
+    """b: force per length for a unit of slope."""
+
+    tip_axial_n: Array
+    """N_tip: compression at the tip."""
+
+    axial_rate_n_mm: Array
+    """c: growth of the compression from the tip to the entry point."""
+
+    tip_push_n: Array
+    """P: lateral force on the tip."""
+
+    tip_follow_n: Array
+    """s: lateral force on the tip for a unit of its slope."""
+
+    tip_moment_n_mm: Array
+    """M: moment at the tip; a needle whose tip is bent by k0 (1/mm) has M = EI k0."""
+
+    @classmethod
+    def of(
+        cls,
+        needle: NeedleShaft,
+        tissue: ElasticTissue,
+        depth_mm: ArrayLike,
+        cutting_force_n: ArrayLike,
+        velocity_mm_s: ArrayLike = 0.0,
+        *,
+        bevel: ArrayLike = 1,
+        terms: AxialTerms = AxialTerms.CONSISTENT,
+        tip_moment_n_mm: ArrayLike = 0.0,
+    ) -> Beam:
+        """Set up the equation of `terms`; arguments broadcast.
+
+        `cutting_force_n` is Fc, normal to the bevel face; `bevel` is +1 where it pushes to u > 0, -1 to the other
+        side. Raises ModelError for a depth that is not between 0 and the needle's length, and for numbers that are not
+        finite.
+        """
+        depth, force, velocity, side, moment = np.broadcast_arrays(
+            *(np.asarray(each, float) for each in (depth_mm, cutting_force_n, velocity_mm_s, bevel, tip_moment_n_mm))
+        )
+        _require(needle, depth, force, velocity)
+        friction = tissue.friction_n_s_mm2 * velocity
+        axial = force * math.sin(needle.bevel_angle_rad)
+        zero = np.zeros(depth.shape)
+        consistent = terms is AxialTerms.CONSISTENT
+        sign = {AxialTerms.PRINTED: 1.0, AxialTerms.FIXED: -1.0}.get(terms, 0.0)
+        return cls(
+            length_mm=zero + needle.length_mm,
+            depth_mm=depth,
+            bending_n_mm2=zero + needle.bending_stiffness_n_mm2,
+            foundation_n_mm2=zero + tissue.stiffness_n_mm2,
+            slope_n_mm=-sign * friction,
+            tip_axial_n=axial if consistent else zero,
+            axial_rate_n_mm=friction if consistent else zero,
+            tip_push_n=side * force * math.cos(needle.bevel_angle_rad),
+            tip_follow_n=sign * axial,
+            tip_moment_n_mm=moment,
+        )
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the coefficients."""
+        return np.broadcast_shapes(*(np.shape(each) for each in vars(self).values()))
+
+    def flat(self) -> Beam:
+        """Return all coefficients as rows of one length."""
+        return Beam(*(np.broadcast_to(each, self.shape).reshape(-1) for each in vars(self).values()))
+
+    def rows(self, chosen: NDArray[np.intp]) -> Beam:
+        """Return some rows of flat coefficients."""
+        return Beam(*(each[chosen] for each in vars(self).values()))
+
+
+def _require(needle: NeedleShaft, depth: Array, force: Array, velocity: Array) -> None:
+    mistakes = [
+        Mistake(name, "", "must be finite")
+        for name, values in (("depth_mm", depth), ("cutting_force_n", force), ("velocity_mm_s", velocity))
+        if not np.isfinite(values).all()
+    ]
+    if not mistakes and not ((depth > 0) & (depth < needle.length_mm)).all():
+        worst = float(depth.max() if depth.max() >= needle.length_mm else depth.min())
+        rule = f"must be more than 0 and less than the needle's length, {needle.length_mm:g} mm"
+        mistakes.append(Mistake("depth_mm", f"{worst:g}", rule))
+    if mistakes:
+        raise ModelError(mistakes, "deflection")

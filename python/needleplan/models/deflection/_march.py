@@ -1,0 +1,176 @@
+"""An insertion, depth by depth: the tip cuts the path that the needle behind it then follows.
+
+The path is stored where the tissue is (X = x - l1), a node every step, so that the elements of the inserted part lie
+on it. The newest anchor is where the tip is now, which is part of the same equations (implicit).
+
+----
+
+Tip force and radius of curvature from the axial force at the base.
+
+The axial force is F = F0 + vf v l + Fc sin a: an offset F0 (Coulomb friction, which the viscous term leaves out, what
+is left of the rupture, the zero of the sensor), viscous friction along the inserted length, and the force Fc on the
+bevel face. The steady radius is EI lam/(Fc cos a), so that
+
+    R = EI^(3/4) kf^(1/4) tan(a) / (sqrt(2) (F - F0 - vf v l)) g
+
+where g, about one beyond lam l = 1, is the effect of the base, which a needle just inserted still feels.
+
+Fc is a small difference of large numbers. The thesis has no F0: with F0 = 0 its forces give a quarter of its radii. It
+has to be identified, and its standard deviation belongs to the answer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from needleplan.errors import Mistake, ModelError
+from needleplan.models.deflection._beam import AxialTerms, Beam, ElasticTissue, Foundation, NeedleShaft
+from needleplan.models.deflection._elements import solve_uniform
+from needleplan.signals import Array
+
+__all__ = ["AxialOffset", "CutPath", "cutting_force_n", "finite_depth_factor", "march", "radius_from_axial_mm"]
+
+
+@dataclass(frozen=True)
+class CutPath:
+    """An insertion: at every depth (steps + 1,) tip and tracked point, each (..., steps + 1)."""
+
+    depth_mm: Array
+    tip_mm: Array
+    tip_slope_rad: Array
+    tracked_mm: Array
+    """Deflection of the point `behind_tip_mm` behind the tip, at the depth of the tip."""
+
+    last_shape: Array
+    """Deflection of the inserted needle at the end, at the nodes of `depth_mm`, (..., steps + 1)."""
+
+
+def march(
+    needle: NeedleShaft,
+    tissue: ElasticTissue,
+    cutting_force_n: ArrayLike,
+    step_mm: float,
+    velocity_mm_s: ArrayLike = 0.0,
+    *,
+    bevel: ArrayLike = 1,
+    terms: AxialTerms = AxialTerms.CONSISTENT,
+    foundation: Foundation = Foundation.MEMORY,
+    anchoring: float = 1.0,
+    tip_moment_n_mm: float = 0.0,
+    behind_tip_mm: float = 0.0,
+) -> CutPath:
+    """Insert the needle by steps of `step_mm` with a force Fc on the bevel face at every depth, (..., steps + 1).
+
+    `cutting_force_n` and `bevel` (+1, -1; a change is a flip) are those at the depths 0, 1, ... steps; the first does
+    nothing. Let the force begin gently: a force at no depth moves the tip of an unguided needle by millimetres.
+    `anchoring` is mu, the part of the tip's path that the memory keeps; Foundation.ANCHORED keeps none.
+    The error is of order step^2 where the force grows like depth^2, of order step where it jumps. Raises ModelError.
+    """
+    force = np.atleast_1d(np.asarray(cutting_force_n, float))
+    steps = force.shape[-1] - 1
+    if not step_mm > 0 or steps < 1:
+        raise ModelError(Mistake("step_mm", f"{step_mm:g}", "must be positive, with a force for at least two depths"))
+    if not 0 <= anchoring <= 1:
+        raise ModelError(Mistake("anchoring", f"{anchoring:g}", "must be from 0 to 1"))
+    kept = anchoring if foundation is Foundation.MEMORY else 0.0
+    depth = step_mm * np.arange(steps + 1)
+    side = np.broadcast_to(np.asarray(bevel, float), force.shape)
+    velocity = np.broadcast_to(np.asarray(velocity_mm_s, float), force.shape)
+    beam = Beam.of(
+        needle, tissue, np.broadcast_to(depth[1:], force[..., 1:].shape), force[..., 1:], velocity[..., 1:],
+        bevel=side[..., 1:], terms=terms, tip_moment_n_mm=tip_moment_n_mm,
+    )  # fmt: skip
+    many = int(np.prod(force.shape[:-1]))
+    columns = [np.reshape(each, (many, steps)) for each in vars(beam).values()]
+    path, slope, tracked = (np.zeros((many, steps + 1)) for _ in range(3))
+    tip = np.zeros((many, steps + 1))
+    for k in range(1, steps + 1):
+        shape = solve_uniform(
+            Beam(*(each[:, k - 1] for each in columns)), k, path[:, : k + 1] if kept else None, anchoring=kept
+        )
+        tip[:, k], slope[:, k] = shape.tip_mm, shape.tip_slope_rad
+        path[:, k] = kept * tip[:, k]
+        tracked[:, k] = shape.at(behind_tip_mm) if behind_tip_mm else tip[:, k]
+    return CutPath(
+        depth, tip.reshape(force.shape), slope.reshape(force.shape), tracked.reshape(force.shape),
+        shape.deflection_mm.reshape(force.shape),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class AxialOffset:
+    """F0 with its standard deviation, N."""
+
+    value_n: float
+    sd_n: float
+
+
+def cutting_force_n(
+    needle: NeedleShaft,
+    tissue: ElasticTissue,
+    axial_force_n: ArrayLike,
+    depth_mm: ArrayLike,
+    velocity_mm_s: ArrayLike,
+    offset: AxialOffset,
+) -> tuple[Array, Array]:
+    """Return Fc = (F - F0 - vf v l)/sin a and its standard deviation from that of F0, N; the arguments broadcast.
+
+    Negative where the record and F0 disagree: nothing is clipped.
+    """
+    friction = tissue.friction_n_s_mm2 * np.asarray(velocity_mm_s, float) * np.asarray(depth_mm, float)
+    sine = math.sin(needle.bevel_angle_rad)
+    force = (np.asarray(axial_force_n, float) - offset.value_n - friction) / sine
+    return force, np.full_like(force, offset.sd_n / sine)
+
+
+def radius_from_axial_mm(
+    needle: NeedleShaft,
+    tissue: ElasticTissue,
+    axial_force_n: ArrayLike,
+    depth_mm: ArrayLike,
+    velocity_mm_s: ArrayLike,
+    offset: AxialOffset,
+    *,
+    factor: ArrayLike = 1.0,
+) -> tuple[Array, Array]:
+    """Return the radius of curvature (mm) and its relative standard deviation, by depth, velocity, tissue and needle.
+
+    `factor` is g (`finite_depth_factor`), 1 for a deep needle. The radius is infinite where nothing is left of the
+    axial force. Of the logarithm of R: +3/4 for EI, +1/4 for kf, -1 for the cutting part of the axial force.
+    """
+    force, sd = cutting_force_n(needle, tissue, axial_force_n, depth_mm, velocity_mm_s, offset)
+    push = force * math.cos(needle.bevel_angle_rad)
+    some = push > 0
+    steady = needle.bending_stiffness_n_mm2 * tissue.decay_1_mm(needle)
+    radius = np.where(some, steady * np.asarray(factor, float) / np.where(some, push, 1.0), np.inf)
+    return radius, np.where(some, sd / np.where(some, force, 1.0), np.inf)
+
+
+def finite_depth_factor(
+    needle: NeedleShaft,
+    tissue: ElasticTissue,
+    depth_mm: ArrayLike,
+    *,
+    straight_start_mm: float = 20.0,
+    step_mm: float = 1.0,
+) -> Array:
+    """Return g, the local radius over the steady one for a constant force that begins at `straight_start_mm`.
+
+    `depth_mm`, any shape, from two steps beyond the straight start to two steps short of the needle's length; one
+    march, without axial terms. Raises ModelError for other depths.
+    """
+    depth = np.asarray(depth_mm, float)
+    lowest, highest = straight_start_mm + 2 * step_mm, needle.length_mm - 2 * step_mm
+    if not ((depth >= lowest) & (depth <= highest)).all():
+        raise ModelError(Mistake("depth_mm", "", f"must be from {lowest:g} to {highest:g} mm"))
+    grid = step_mm * np.arange(math.ceil(float(depth.max()) / step_mm) + 2)
+    force = 0.1
+    inserted = march(needle, tissue, np.where(grid > straight_start_mm, force, 0.0), step_mm, terms=AxialTerms.PLAIN)
+    curvature = np.diff(inserted.tip_mm, 2) / step_mm**2
+    push = force * math.cos(needle.bevel_angle_rad)
+    steady = push / (needle.bending_stiffness_n_mm2 * tissue.decay_1_mm(needle))
+    return np.asarray(steady / np.interp(depth, grid[1:-1], curvature))

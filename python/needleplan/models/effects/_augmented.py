@@ -1,0 +1,124 @@
+"""A model with the effects that were added to it, and where they come from: what a model file holds of both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.errors import Mistake, ModelError
+from needleplan.models._base import Channel, Model, SelfIntegratingModel
+from needleplan.models._simulate import simulate
+from needleplan.models.effects._base import SIZE, Enters
+from needleplan.models.effects._tip_catalogue import effect_named
+from needleplan.signals import Array, Motion
+
+if TYPE_CHECKING:
+    from needleplan.models._fit import Estimate
+
+__all__ = ["AddedEffect", "AugmentedModel", "with_effect", "without_effect"]
+
+
+@dataclass(frozen=True)
+class AddedEffect:
+    """An effect by name, with the values of all its parameters; `found_by` is the digest of the diagnosis."""
+
+    name: str
+    values: Mapping[str, float]
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    found_by: str = ""
+    version: str = "1"
+
+    def __post_init__(self) -> None:
+        effect = effect_named(self.name)
+        what = effect.parameters
+        mistakes = [Mistake(key, "", f"is not a parameter of {self.name}") for key in self.values if key not in what]
+        mistakes += [
+            Mistake(key, "", "is missing") for key, each in what.items() if each.free and key not in self.values
+        ]
+        for key, value in self.values.items():
+            if key in what and not (isinstance(value, int | float) and what[key].lower <= value <= what[key].upper):
+                rule = f"must be from {what[key].lower:g} to {what[key].upper:g} {what[key].unit}".rstrip()
+                mistakes.append(Mistake(key, f"{value}", rule))
+        if mistakes:
+            raise ModelError(mistakes, f"effect {self.name}")
+        object.__setattr__(self, "values", {key: float(value) for key, value in self.values.items()})
+
+
+@dataclass(frozen=True)
+class AugmentedModel(SelfIntegratingModel):
+    """A model with effects. What is of the sensor (`Enters.SENSOR`) belongs to the measurement only: see `plant`."""
+
+    base: Model
+    effects: tuple[AddedEffect, ...] = ()
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Kind of the base, and the effects."""
+        return "+".join([self.base.name, *(each.name for each in self.effects)])
+
+    @property
+    def channel(self) -> Channel:  # type: ignore[override]
+        """What the base predicts."""
+        return self.base.channel
+
+    @cached_property
+    def whole(self) -> Model:
+        """The model that the effects make of the base; the base itself, where all sizes are 0."""
+        model = self.base
+        for each in self.effects:
+            model = effect_named(each.name).apply(model, each.values) if each.values[SIZE] else model
+        return model
+
+    @cached_property
+    def plant(self) -> Model:
+        """The same without the effects of the sensor: what happens, and not what is shown of it."""
+        own = tuple(each for each in self.effects if effect_named(each.name).enters is not Enters.SENSOR)
+        return AugmentedModel(self.base, own) if own else self.base
+
+    def initial_state(self, motion: Motion) -> Array:
+        """Return the state at rest, shape (n,)."""
+        return self.whole.initial_state(motion)
+
+    def derivative(self, state: Array, motion: Motion) -> Array:
+        """Return the rates, shape (n, ...)."""
+        return self.whole.derivative(state, motion)
+
+    def output(self, state: Array, motion: Motion) -> Array:
+        """Return what is measured, shape (...)."""
+        return self.whole.output(state, motion)
+
+    def integrate(self, motion: Motion, start: Array) -> Array:
+        """Return the states, shape (n, samples)."""
+        return np.asarray(simulate(self.whole, motion, start).states)
+
+    def values(self) -> dict[str, float]:
+        """Return the parameters of the base, and those of effects as `effect.parameter`."""
+        added = {f"{each.name}.{key}": value for each in self.effects for key, value in each.values.items()}
+        return self.base.values() | added
+
+
+def with_effect(model: Model, added: AddedEffect | Sequence[AddedEffect]) -> AugmentedModel:
+    """Return the model with one more effect, or several. Raises ModelError for one of another channel."""
+    more = (added,) if isinstance(added, AddedEffect) else tuple(added)
+    wrong = [
+        Mistake("effect", each.name, f"is of the channel {effect_named(each.name).channel}, not {model.channel}")
+        for each in more
+        if effect_named(each.name).channel is not model.channel
+    ]
+    if wrong:
+        raise ModelError(wrong, model.name)
+    if isinstance(model, AugmentedModel):
+        return AugmentedModel(model.base, (*model.effects, *more))
+    return AugmentedModel(model, more)
+
+
+def without_effect(model: Model, name: str) -> Model:
+    """Return the model without the effects of a name. Raises ModelError where it has none."""
+    if not isinstance(model, AugmentedModel) or name not in {each.name for each in model.effects}:
+        raise ModelError(Mistake("effect", name, "is not there"), model.name)
+    left = tuple(each for each in model.effects if each.name != name)
+    return AugmentedModel(model.base, left) if left else model.base

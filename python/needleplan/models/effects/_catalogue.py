@@ -1,0 +1,211 @@
+"""The effects of the axial force: equation, meaning, source, and the grid on which the diagnosis searches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from itertools import product
+
+import numpy as np
+
+import needleplan.models.effects._sensor as sensor
+import needleplan.models.effects._shaft as shaft
+from needleplan.models.effects._base import SIZE, Effect, Enters, Family, Reach
+from needleplan.models.effects._described import TermEffect, WrapEffect
+from needleplan.models.effects._tissue import BreathingTissue, GivingTissue, SlowTurning
+from needleplan.models.friction import ShaftAndTip
+
+__all__ = ["FORCE_EFFECTS"]
+
+_THESIS = "Needle steering thesis, "
+
+
+def _depths(step_mm: float) -> Callable[[Reach], np.ndarray]:
+    return lambda reach: np.arange(max(reach.depth_mm[0], 0) + 2 * step_mm, reach.depth_mm[1] - step_mm, step_mm)
+
+
+def _speeds(reach: Reach) -> np.ndarray:
+    low, high = max(reach.speed_mm_s[0], 1e-2), max(reach.speed_mm_s[1], 2e-2)
+    return np.geomspace(0.3 * low, max(0.5 * high, 0.6 * low), 8)
+
+
+def _breaths(reach: Reach) -> list[dict[str, float]]:
+    """Return breaths that show in rests, and those that turn the movement round even where the needle advances."""
+    slowest = max(reach.speed_mm_s[0], 1e-2)
+    found = []
+    for frequency_hz in np.arange(0.12, 0.5, 0.03):
+        turning = slowest / (_STEEPEST * 2 * np.pi * frequency_hz)
+        sizes = [0.02, 0.1, *(min(share * turning, 30.0) for share in (1.15, 1.8, 3.5))]
+        found += [
+            {"frequency_hz": frequency_hz, "phase_rad": phase, "rest": 1.0, SIZE: size}
+            for phase, size in product(np.arange(6) * np.pi / 3, sizes)
+        ]
+    return found
+
+
+_STEEPEST = 0.65
+"""Greatest velocity of a breath, in parts of way times angular frequency."""
+
+
+def _other_breaths(values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:
+    """Return breaths with another frequency, whose phase is told in the middle of a trial, phase and way."""
+    if not values[SIZE]:
+        return []
+    begin, apart = values["phase_rad"], 0.3 / reach.duration_s
+    middle = np.pi * reach.duration_s
+    reached = (-2, -1, 0, 1, 2) if scale == 1 else (-1, 0, 1)
+    steps = product((0.5, 1.0, 2.0), reached, reached)
+    found = [
+        {
+            **values,
+            SIZE: values[SIZE] * share**scale,
+            "frequency_hz": values["frequency_hz"] + scale * faster * apart,
+            "phase_rad": begin + scale * 0.45 * later - middle * scale * faster * apart,
+        }
+        for share, later, faster in steps
+    ]
+    dwells = product((-1.0, 0.0), np.arange(6) * np.pi / 3) if scale == 1 else ()
+    return found + [{**values, "rest": rest, "phase_rad": begin + later} for rest, later in dwells]
+
+
+FORCE_EFFECTS: tuple[Effect, ...] = (
+    TermEffect(
+        "puncture", "puncture of a membrane", Family.CUTTING, Enters.TIP,
+        "F += size exp((L - depth)/bulge) until the tip first reaches depth",
+        "A membrane, capsule or crust bulges before the tip and breaks: the force rises, and drops at once.",
+        _THESIS + "2.5.1 and 7.2",
+        lambda reach: {"depth_mm": _depths(0.6)(reach), "bulge_mm": (0.7, 2.0, 5.0)},
+        term=shaft.Puncture,
+    ),
+    TermEffect(
+        "cutting_layer", "layer that is harder to cut", Family.CUTTING, Enters.TIP,
+        "F += size step((L - depth)/width) while the tip is pushed in",
+        "From some depth on the tip meets other tissue, which takes more or less to cut.",
+        _THESIS + "2.1 and 7.2",
+        lambda reach: {"depth_mm": _depths(1.0)(reach), "width_mm": (0.5, 2.0)},
+        term=shaft.CuttingLayer,
+    ),
+    TermEffect(
+        "fresh_cutting", "cutting in fresh tissue only", Family.CUTTING, Enters.TIP,
+        "F -= size F_tip (1 - exp(-(L_max - L)/margin)) while the tip is pushed in",
+        "Where the tip has been before it does not cut again.",
+        _THESIS + "3.4.2",
+        lambda reach: {"margin_mm": (0.1, 0.5, 2.0)},  # noqa: ARG005
+        term=shaft.FreshCutting,
+    ),
+    TermEffect(
+        "cutting_with_depth", "cutting that grows with depth", Family.CUTTING, Enters.TIP,
+        "F += size L while the tip is pushed in",
+        "The deeper the tip, the more it takes to cut.",
+        _THESIS + "3.4.2",
+        term=shaft.CuttingWithDepth,
+    ),
+    TermEffect(
+        "friction_layer", "layer that rubs more", Family.FRICTION, Enters.SHAFT,
+        "F += size (L - depth) on the part of the shaft beyond depth",
+        "From some depth on the shaft is in other tissue, which rubs more or less.",
+        _THESIS + "2.1 and 7.2",
+        lambda reach: {"depth_mm": _depths(1.0)(reach)},
+        term=shaft.FrictionLayer,
+    ),
+    TermEffect(
+        "stribeck", "friction that depends on low speed (Stribeck)", Family.FRICTION, Enters.SHAFT,
+        "F += size F_shaft exp(-|v|/speed)",
+        "Friction is higher when the needle goes slowly.",
+        _THESIS + "(3.2) and 3.4.3",
+        lambda reach: {"speed_mm_s": _speeds(reach)},
+        term=shaft.Stribeck,
+    ),
+    TermEffect(
+        "viscous", "viscous friction", Family.FRICTION, Enters.SHAFT,
+        "F += size L v", "Friction grows in proportion to the speed.", _THESIS + "(3.1) and chapter 5",
+        term=shaft.Viscous,
+    ),
+    WrapEffect(
+        "bristle", "hysteresis before sliding", Family.FRICTION, Enters.SHAFT,
+        "z' = (v - |v| z)/(presliding + size)",
+        "After a reversal the force turns round over a longer travel than the model knows: tissue sticks to "
+        "the needle and bends before it slides.",
+        "Dahl, AIAA J. 14 (1976) 1675",
+        lambda reach: {SIZE: np.geomspace(0.03, 6.0, 10)},  # noqa: ARG005
+        wrapper=SlowTurning,
+        beside=(ShaftAndTip,),
+    ),
+    TermEffect(
+        "relaxation", "force that relaxes at rest", Family.TISSUE, Enters.SHAFT,
+        "F (1 - size q), q' = (1 - q)/time - q |v|/recovery",
+        "While the needle rests the force sinks; after a little travel it is there again.",
+        _THESIS + "2.2 and 3.4.3",
+        lambda reach: {"time_s": np.geomspace(0.1, 12.0, 8), "recovery_mm": (0.05, 0.4)},  # noqa: ARG005
+        term=shaft.Relaxation,
+    ),
+    WrapEffect(
+        "tissue_motion", "tissue that moves with the needle", Family.TISSUE, Enters.TISSUE,
+        "lag u' = size z - u, z' = (w - |w| z)/presliding, w = v - u'",
+        "The tissue is held by a spring and a damper: it goes with the needle before the needle slides in it.",
+        _THESIS + "chapter 4",
+        lambda reach: {SIZE: np.geomspace(0.1, 5.0, 10), "lag_s": (0.02, 0.08, 0.25, 0.8)},  # noqa: ARG005
+        wrapper=GivingTissue,
+        beside=(ShaftAndTip, SlowTurning),
+    ),
+    TermEffect(
+        "path_damage", "path that wears with sliding", Family.TISSUE, Enters.SHAFT,
+        "F -= size F_shaft/L int_0^L (1 - exp(-slid(x)/sliding)) dx",
+        "Tissue along which the shaft has slid, there and back, rubs less.",
+        _THESIS + "3.4.2 and 3.4.3",
+        lambda reach: {"sliding_mm": (10.0, 40.0, 160.0)},  # noqa: ARG005
+        term=shaft.PathDamage,
+    ),
+    TermEffect(
+        "bump", "bump at one place", Family.TISSUE, Enters.SHAFT,
+        "F += size exp(-((L - depth)/width)^2), against the movement",
+        "Something at one place, such as an air bubble or a fibre, resists each time the tip passes it.",
+        _THESIS + "2.5.2 and 3.4.1",
+        lambda reach: {"depth_mm": _depths(1.0)(reach), "width_mm": (0.7, 1.5, 3.0)},
+        term=shaft.Bump,
+        repeats=True,
+    ),
+    TermEffect(
+        "bias", "bias of the force sensor", Family.SENSOR, Enters.SENSOR,
+        "y = F + size", "The sensor was not set to zero.", _THESIS + "2.5.2",
+        term=sensor.Bias,
+    ),
+    TermEffect(
+        "drift", "drift of the force sensor", Family.SENSOR, Enters.SENSOR,
+        "y = F + size t", "The zero of the sensor moves evenly during each trial.", _THESIS + "2.5.2",
+        term=sensor.Drift,
+    ),
+    TermEffect(
+        "thermal_drift", "force sensor that warms up", Family.SENSOR, Enters.SENSOR,
+        "y = F + size (1 - exp(-t/time))", "The zero of the sensor moves to another value while it warms up.",
+        _THESIS + "2.5.1",
+        lambda reach: {"time_s": np.geomspace(reach.duration_s / 12, reach.duration_s / 3, 5)},
+        term=sensor.ThermalDrift,
+    ),
+    TermEffect(
+        "gain_error", "gain of the force sensor", Family.SENSOR, Enters.SENSOR,
+        "y = (1 + size) F", "The sensor shows forces too large, or too small; friction and cutting take it up.",
+        _THESIS + "2.5.2",
+        term=sensor.GainError,
+    ),
+    TermEffect(
+        "inertia", "inertia of what hangs on the sensor", Family.DRIVE, Enters.SENSOR,
+        "y = F + size a", "The sensor accelerates the holder as well as the needle.", _THESIS + "3.4.2",
+        term=sensor.Inertia,
+    ),
+    WrapEffect(
+        "latency", "reading that is late", Family.SENSOR, Enters.SENSOR,
+        "y = F(t - size), by 256 lags of size/256 in a row", "The force arrives later than the position.",
+        _THESIS + "appendix A",
+        wrapper=sensor.Lagging,
+        is_lag=True,
+    ),
+    WrapEffect(
+        "respiration", "breathing", Family.TISSUE, Enters.TISSUE,
+        "v - u', L - u with u = size/2 (sin a - rest/2 cos(a)^2 + rest), a = 2 pi f t + phase",
+        "The tissue moves along the needle by itself, with the breath.", _THESIS + "1.2 and 2.1; Lujan et al., 1999",
+        _breaths,
+        _other_breaths,
+        wrapper=BreathingTissue,
+    ),
+)  # fmt: skip
+"""In the order in which they are shown."""

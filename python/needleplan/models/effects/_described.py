@@ -1,0 +1,165 @@
+"""Effects described by a table row: an equation, its words, a search grid, and the class that implements it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from needleplan.errors import Mistake, ModelError
+from needleplan.models._base import Channel, Model, Parameter, parameters_of
+from needleplan.models._simulate import simulate
+from needleplan.models.effects._base import SIZE, Effect, Enters, Family, Reach, Term, WithTerm
+from needleplan.models.effects._sensor import Lagging
+from needleplan.models.effects._shaft import Puncture
+from needleplan.models.effects._tissue import BreathingTissue, breathing_forces
+from needleplan.models.friction import ShaftAndTip
+from needleplan.signals import Array, Motion
+
+__all__ = ["TermEffect", "WrapEffect", "presliding_of"]
+
+Grid = Callable[[Reach], Mapping[str, Sequence[float] | Array] | Sequence[Mapping[str, float]]]
+"""The axes of a grid, or all of its places."""
+
+Nearby = Callable[[Mapping[str, float], Reach, float], list[dict[str, float]]]
+
+
+@dataclass(frozen=True)
+class _Described(Effect):
+    """The words of an effect, and its grid as a function of what the motions visit."""
+
+    name: str
+    title: str
+    family: Family
+    enters: Enters
+    equation: str
+    meaning: str
+    source: str
+    looked_for: Grid = lambda reach: {}  # noqa: ARG005
+    tried: Nearby = lambda values, reach, scale: []  # noqa: ARG005
+    channel: Channel = Channel.FORCE
+    repeats: bool = False
+    is_lag: bool = False
+    beside: tuple[type[Model], ...] = ()
+    """The models that it can be added to; empty for any."""
+
+    def suits(self, model: Model) -> bool:
+        """Whether it can be added to a model."""
+        inner = model
+        while not isinstance(inner, self.beside) and hasattr(inner, "base"):
+            inner = inner.base
+        return not self.beside or isinstance(inner, self.beside)
+
+    def grid(self, reach: Reach) -> list[dict[str, float]]:
+        """Return the product of the axes of the grid."""
+        axes = self.looked_for(reach)
+        if not isinstance(axes, Mapping):
+            return [dict(each) for each in axes]
+        return [dict(zip(axes, map(float, each), strict=True)) for each in product(*axes.values())]
+
+    def nearby(self, values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:
+        """Return what to try, within the bounds of the parameters."""
+        bounds = self.parameters
+        return [
+            {name: min(max(value, bounds[name].lower), bounds[name].upper) for name, value in each.items()}
+            for each in self.tried(values, reach, scale)
+        ]
+
+
+@dataclass(frozen=True)
+class TermEffect(_Described):
+    """An effect that is a term."""
+
+    term: type[Term] = Puncture
+
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:  # type: ignore[override]
+        """Size, and where, when or how fast."""
+        return {name: what for name, what in self.term.parameters().items() if what.free}
+
+    def apply(self, model: Model, values: Mapping[str, float]) -> Model:
+        """Return the model with the term; the model itself at size 0."""
+        return WithTerm(model, self._term(model, values)) if values.get(SIZE, 0.0) else model
+
+    def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
+        """Return the shape of the term; the same memories are integrated once."""
+        plain = simulate(model, motion).output
+        memories: dict[tuple[float, ...], Array] = {}
+        found = np.empty((len(motion), len(grid)))
+        for index, values in enumerate(grid):
+            term = self._term(model, {**values, SIZE: 1.0})
+            key = tuple(values[name] for name in _REMEMBERED.get(self.name, ()))
+            if key not in memories:
+                memories[key] = term.states(motion, term.initial(motion))
+            found[:, index] = term.shape(memories[key], motion, plain)
+        return found
+
+    def _term(self, model: Model, values: Mapping[str, float]) -> Term:
+        constants = (name for name, what in self.term.parameters().items() if not what.free)
+        known = {name: _of_base(model, name) for name in constants}
+        return self.term(**{name: value for name, value in known.items() if value is not None}, **values)
+
+
+_REMEMBERED = {
+    "relaxation": ("time_s", "recovery_mm"),
+}
+"""The parameters on which a memory depends."""
+
+
+@dataclass(frozen=True)
+class WrapEffect(_Described):
+    """An effect that puts something around the model: `wrapper(base=model, size=..., ...)`."""
+
+    wrapper: type[Model] = Lagging
+
+    @property
+    def parameters(self) -> Mapping[str, Parameter]:  # type: ignore[override]
+        """Size, and where, when or how fast."""
+        return parameters_of(self.wrapper)
+
+    def apply(self, model: Model, values: Mapping[str, float]) -> Model:
+        """Return the model, wrapped; the model itself at size 0."""
+        if not values.get(SIZE, 0.0):
+            return model
+        if self.beside and not isinstance(model, self.beside):
+            return self._inside(model, values)
+        made: Model = self.wrapper(base=model, **values)  # type: ignore[call-arg]
+        return made
+
+    def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
+        """Return what the output gains for a unit of size; of many breaths about the plain base, all at once."""
+        names = set(self.parameters)
+        if not (
+            self.wrapper is BreathingTissue
+            and isinstance(model, ShaftAndTip)
+            and all(each.keys() == names and each[SIZE] for each in grid)
+        ):
+            return super().columns(model, motion, grid)
+        gained = breathing_forces(model, motion, grid) - simulate(model, motion).output
+        return np.asarray((gained / np.array([[each[SIZE]] for each in grid])).T)
+
+    def _inside(self, model: Model, values: Mapping[str, float]) -> Model:
+        """Return a model that has effects already with this one put around its innermost base."""
+        if not self.suits(model):
+            wanted = " or ".join(each.name for each in self.beside)
+            raise ModelError(Mistake("effect", self.name, f"can be added to {wanted} only"), type(model).__name__)
+        inner: Any = model
+        whole: Model = dataclasses.replace(inner, base=self.apply(inner.base, values))
+        return whole
+
+
+def presliding_of(model: Model) -> float:
+    """Return the travel over which friction turns round in a model (mm), 0.05 where it does not say."""
+    return _of_base(model, "presliding_mm") or 0.05
+
+
+def _of_base(model: Model, name: str) -> float | None:
+    """Return a parameter of a model, or of the one that it is put around; None where none has it."""
+    while not hasattr(model, name) and hasattr(model, "base"):
+        model = model.base
+    value = getattr(model, name, None)
+    return None if value is None else float(value)

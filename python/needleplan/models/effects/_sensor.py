@@ -1,0 +1,195 @@
+"""Effects of the sensor and of what hangs on it: they belong to what is measured, and not to the needle.
+
+----
+
+A reading that is late: it arrives some time after the force.
+
+A line that delays has no finite state. 256 lags of first order in a row, each a 256th of the delay, are nearly
+one: what goes in as a step comes out within a sixteenth of the delay, give or take (an Erlang distribution; MacDonald,
+Time Lags in Biological Models, 1978). With fewer, what they smear would be taken for that of the sensor's own filter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from scipy.special import gammainc, gammaincinv, gammaln, xlogy
+
+from needleplan.models._base import Channel, Model, SelfIntegratingModel, parameter
+from needleplan.models._simulate import simulate
+from needleplan.models.effects._base import Memoryless, Term
+from needleplan.models.effects._shaft import decaying
+from needleplan.signals import Array, Motion
+
+__all__ = ["Bias", "Drift", "GainError", "Inertia", "Lagging", "ThermalDrift"]
+
+_N_PER_KG_MM_S2 = 1e-3
+_DIFFERENCE_S = 0.005
+"""Over which an acceleration is taken: shorter than the lag of a sensor, which the calibration finds for all forces."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bias(Memoryless):
+    """The sensor shows a force where there is none."""
+
+    name: ClassVar[str] = "bias"
+    size: float = parameter("N", -20, 20, "reading without a force", typical=0.01)
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return one."""
+        return np.ones_like(np.asarray(motion.depth_mm, float))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift(Memoryless):
+    """The zero of the sensor moves evenly, from the begin of each trial."""
+
+    name: ClassVar[str] = "drift"
+    size: float = parameter("N/s", -1, 1, "how fast the reading moves", typical=1e-3)
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return the time."""
+        return np.asarray(motion.time_s, float)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalDrift(Memoryless):
+    """The zero of the sensor moves to another value while it warms up, from the begin of each trial."""
+
+    name: ClassVar[str] = "thermal_drift"
+    size: float = parameter("N", -20, 20, "how far the reading moves in the end", typical=0.01)
+    time_s: float = parameter("s", 0.1, 1e4, "time constant of the warming")
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return 1 - exp(-t/time)."""
+        return -np.expm1(-np.asarray(motion.time_s, float) / self.time_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainError(Memoryless):
+    """The sensor shows forces too large, or too small.
+
+    Friction and cutting take it up wherever they are free: from forces alone it can be seen only beside a base whose
+    parameters are known.
+    """
+
+    name: ClassVar[str] = "gain_error"
+    size: float = parameter("", -0.9, 5, "share by which forces read too large", typical=0.01)
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return the force."""
+        return plain
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inertia(Term):
+    """What hangs on the sensor beyond the needle is accelerated with it."""
+
+    name: ClassVar[str] = "inertia"
+    order: ClassVar[int] = 1
+    size: float = parameter("kg", 0, 100, "mass that the sensor accelerates", typical=0.1)
+
+    def initial(self, motion: Motion) -> Array:  # noqa: ARG002
+        """Return a velocity of zero."""
+        return np.zeros(1)
+
+    def rate(self, state: Array, motion: Motion) -> Array:
+        """Return how the smoothed velocity follows the velocity."""
+        return np.asarray((np.asarray(motion.velocity_mm_s, float) - state) / _DIFFERENCE_S)
+
+    def states(self, motion: Motion, start: Array) -> Array:
+        """Return the velocity, smoothed over 5 ms; exact for a velocity that is linear in time."""
+        step, slope = motion.interval_s, np.diff(motion.velocity_mm_s) / motion.interval_s
+        decay = np.exp(-step / _DIFFERENCE_S)
+        velocity = motion.velocity_mm_s
+        behind = decaying(decay, -_DIFFERENCE_S * slope, float(start[0] - velocity[0]))
+        return np.asarray(velocity + behind)[None]
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return the acceleration, in N/kg."""
+        return np.asarray(_N_PER_KG_MM_S2 * (motion.velocity_mm_s - state[0]) / _DIFFERENCE_S)
+
+
+_STAGES = 256
+_SHORTEST_S = 1e-9
+_FORGOTTEN = 1e-13
+_EVEN = 1e-3
+_FINER = 4
+"""Steps of an even grid in a sample of uneven ones."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lagging(SelfIntegratingModel):
+    """A model as it is measured by a sensor that is late by `size`.
+
+    State: that of the model, then y_1 to y_256, of which the last is read: (size/256) y_i' = y_(i-1) - y_i, y_0 = F.
+    """
+
+    base: Model
+    size: float = parameter("s", 0, 10, "time by which the reading is late", typical=0.01)
+
+    @property
+    def channel(self) -> Channel:  # type: ignore[override]
+        """What the base predicts."""
+        return self.base.channel
+
+    def initial_state(self, motion: Motion) -> Array:
+        """Return that of the base, and its output at every stage."""
+        own = self.base.initial_state(motion)
+        first = motion[0] if np.ndim(motion.depth_mm) else motion
+        return np.append(own, np.full(_STAGES, float(self.base.output(own, first))))
+
+    def derivative(self, state: Array, motion: Motion) -> Array:
+        """Return the rates of the base and of the stages."""
+        own, stages = state[:-_STAGES], state[-_STAGES:]
+        before = np.concatenate([self.base.output(own, motion)[None], stages[:-1]])
+        return np.concatenate([self.base.derivative(own, motion), (before - stages) / self._lag_s])
+
+    def output(self, state: Array, motion: Motion) -> Array:
+        """Return the reading; the output of the base, where the size is 0."""
+        return np.asarray(state[-1]) if self.size else self.base.output(state[:-_STAGES], motion)
+
+    def integrate(self, motion: Motion, start: Array) -> Array:
+        """Return the states; the stages exactly, for a force that is straight between even samples."""
+        states = simulate(self.base, motion, start[:-_STAGES]).states
+        force = np.asarray(self.base.output(states, motion), float)
+        found = np.empty((len(start), len(motion)))
+        found[:-_STAGES] = states
+        _pass(force, motion.time_s, start[-_STAGES:], self._lag_s, found[-_STAGES:])
+        return found
+
+    @property
+    def _lag_s(self) -> float:
+        return max(self.size / _STAGES, _SHORTEST_S)
+
+
+def _pass(force: Array, time_s: Array, start: Array, lag_s: float, found: Array) -> None:
+    """Write into `found` what every stage shows of a force, shape (stages, samples), from `start`."""
+    step = np.diff(time_s)
+    h = float(np.median(step)) if len(step) else 1.0
+    if len(step) and float(np.abs(step - h).max()) > _EVEN * h:
+        even = np.linspace(time_s[0], time_s[-1], int(np.ceil(_FINER * (time_s[-1] - time_s[0]) / h)) + 1)
+        stages = np.empty((_STAGES, len(even)))
+        _pass(np.interp(even, time_s, force), even, start, lag_s, stages)
+        at = (time_s - even[0]) / (even[1] - even[0])
+        left = np.minimum(at.astype(int), len(even) - 2)
+        found[:] = stages[:, left] + (at - left) * (stages[:, left + 1] - stages[:, left])
+        return
+    count = min(int(np.ceil(gammaincinv(_STAGES, 1 - _FORGOTTEN) * lag_s / h)) + 2, len(force) + 1)
+    # What a ramp shows at the stages: what a force does that is straight between samples is of its second differences.
+    spent, order = h / lag_s * np.arange(count)[:, None], np.arange(1, _STAGES + 2)
+    through = gammainc(order, spent)
+    ramp = lag_s / h * (spent * through[:, :-1] - order[:-1] * through[:, 1:])
+    weights = np.diff(np.vstack([np.zeros(_STAGES), ramp]), 2, axis=0)
+    before = np.concatenate([np.full(count - 2, force[0]), force])
+    rows = np.array([before[count - 2 - past : len(before) - past] for past in range(count - 1)])
+    np.matmul(np.ascontiguousarray(weights.T), rows, out=found)
+    other = start - force[0]
+    if other.any():  # it begins with something in the line
+        passed = np.arange(_STAGES)
+        for index in range(min(count, len(force))):
+            its = index * h / lag_s
+            share = np.exp(xlogy(passed, its) - its - gammaln(passed + 1))
+            found[:, index] += np.convolve(other, share)[:_STAGES]

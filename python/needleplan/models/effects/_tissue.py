@@ -1,0 +1,227 @@
+"""Effects of tissue that moves: with the needle, because it gives way, or by itself, because somebody breathes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+
+from needleplan.models._base import Channel, Model, SelfIntegratingModel, parameter
+from needleplan.models._simulate import simulate
+from needleplan.models.friction import ShaftAndTip, slid_along
+from needleplan.signals import Array, Motion
+
+__all__ = ["BreathingTissue", "GivingTissue", "SlowTurning", "breathing_forces"]
+
+_AT_ONCE = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlowTurning(SelfIntegratingModel):
+    """A model whose friction turns round over a travel that is longer by `size`; the state is that of the model."""
+
+    base: ShaftAndTip
+    size: float = parameter("mm", 0, 20, "travel beyond that of the model over which friction turns round", typical=0.1)
+
+    @property
+    def channel(self) -> Channel:  # type: ignore[override]
+        """What the base predicts."""
+        return self.base.channel
+
+    @cached_property
+    def slow(self) -> ShaftAndTip:
+        """The base with the longer travel; the base itself, where the size is 0."""
+        longest = self.base.parameters()["presliding_mm"].upper
+        travel = min(self.base.presliding_mm + self.size, longest)
+        return self.base.with_values(presliding_mm=travel) if self.size else self.base
+
+    def initial_state(self, motion: Motion) -> Array:
+        """Return that of the base."""
+        return self.base.initial_state(motion)
+
+    def derivative(self, state: Array, motion: Motion) -> Array:
+        """Return the rates."""
+        return self.slow.derivative(state, motion)
+
+    def output(self, state: Array, motion: Motion) -> Array:
+        """Return the force."""
+        return self.slow.output(state, motion)
+
+    def shaft_n(self, state: Array, motion: Motion) -> Array:
+        """Return the friction along the shaft."""
+        return self.slow.shaft_n(state, motion)
+
+    def tip_n(self, state: Array, motion: Motion) -> Array:
+        """Return the force on the tip."""
+        return self.slow.tip_n(state, motion)
+
+    def integrate(self, motion: Motion, start: Array) -> Array:
+        """Return the states."""
+        return self.slow.integrate(motion, start)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivingTissue(SelfIntegratingModel):
+    """A model in tissue that a spring and a damper hold (Kelvin and Voigt), and that gives way by `size`.
+
+    Friction, from -1 to 1 in z, pulls the tissue along: lag u' = size z - u. Shaft and tip slide relative to it, with
+    the velocity v - u', and that is what bends the bristle of the base. State: that of the model, then u (mm).
+    """
+
+    base: ShaftAndTip | SlowTurning
+    size: float = parameter("mm", 0, 50, "how far the tissue goes with the needle", typical=0.5)
+    lag_s: float = parameter("s", 1e-3, 20, "damper over spring")
+
+    @property
+    def channel(self) -> Channel:  # type: ignore[override]
+        """What the base predicts."""
+        return self.base.channel
+
+    def initial_state(self, motion: Motion) -> Array:
+        """Return that of the base, and tissue where it rests."""
+        return np.append(self.base.initial_state(motion), 0.0)
+
+    def derivative(self, state: Array, motion: Motion) -> Array:
+        """Return the rates: of the base in its motion relative to the tissue, and of the tissue."""
+        tissue = (self.size * state[0] - state[1]) / self.lag_s
+        sliding = replace(motion, velocity_mm_s=np.asarray(motion.velocity_mm_s - tissue))
+        return np.concatenate([self.base.derivative(state[:1], sliding), np.asarray(tissue)[None]])
+
+    def output(self, state: Array, motion: Motion) -> Array:
+        """Return the force."""
+        return self.base.output(state[:1], motion)
+
+    def integrate(self, motion: Motion, start: Array) -> Array:
+        """Return the states; the base's own, and tissue at rest, where the size is 0."""
+        if not self.size:
+            return np.vstack([self.base.integrate(motion, start[:1]), np.full(len(motion), float(start[1]))])
+        inner = self.base.slow if isinstance(self.base, SlowTurning) else self.base
+        velocity, time = np.asarray(motion.velocity_mm_s, float), np.asarray(motion.time_s, float)
+        given = self.size, self.lag_s, inner.presliding_mm, float(start[0]), float(start[1])
+        return _dragged(velocity.tobytes(), time.tobytes(), *given)
+
+
+@lru_cache(maxsize=64)
+def _dragged(
+    velocity_mm_s: bytes, time_s: bytes, size: float, lag_s: float, presliding_mm: float, bristle: float, moved: float
+) -> Array:
+    """Return bristle and tissue at the samples, shape (2, samples), not to be written to; kept as `slid` is.
+
+    Step by step, with the trapezoidal rule for the tissue. The bristle z goes exponentially with the way s that is slid
+    in a step, so that s solves one equation, whose left side falls and is convex: Newton's steps come from below.
+    """
+    velocity, h = np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s))
+    ways = (velocity[1:] + velocity[:-1]) / 2 * h
+    z, u, found = bristle, moved, [(bristle, moved)]
+    for way, seconds in zip(ways.tolist(), h.tolist(), strict=True):
+        stiff = lag_s / seconds + 0.5
+        pull = u + stiff * way - size * z
+        sign = math.copysign(1.0, pull)
+        pull, bent = abs(pull), sign * z
+        loose = size * (1 - bent) / 2  # the pull that is needed to slide for ever
+        slid = max((pull - loose) / stiff, 0.0)
+        for _ in range(_MOST_STEPS if pull else 0):
+            rest = math.exp(-slid / presliding_mm)
+            more = (pull - stiff * slid - loose * (1 - rest)) / (stiff + loose * rest / presliding_mm)
+            slid += more
+            if abs(more) < _SLID_MM:
+                break
+        z = sign * (1 - (1 - bent) * math.exp(-slid / presliding_mm))
+        u += way - sign * slid
+        found.append((z, u))
+    states = np.array(found).T
+    states.flags.writeable = False
+    return states
+
+
+_SLID_MM = 1e-9
+_MOST_STEPS = 50
+
+
+@dataclass(frozen=True, kw_only=True)
+class BreathingTissue(SelfIntegratingModel):
+    """A model whose tissue moves along the needle with the breath; the state is that of the model.
+
+    u = size/2 (sin a - rest/2 cos^2 a + rest), a = 2 pi f t + phase: from one end to the other and back. At rest 0 this
+    is a sine. At 1 it is size ((1 + sin a)/2)^2, which dwells where the breath is out, u = 0, and is the form that is
+    usual for organs (Lujan et al., Med. Phys. 26 (1999) 715, n = 2). At -1 it dwells at the other end: the needle comes
+    from the other side.
+    """
+
+    base: Model
+    size: float = parameter("mm", 0, 30, "way of the tissue from one end to the other", typical=0.5)
+    frequency_hz: float = parameter("Hz", 0.02, 5, "frequency of the breathing")
+    phase_rad: float = parameter("rad", -20, 20, "phase at the begin of a trial", typical=1.0)
+    rest: float = parameter("", -1, 1, "how much longer it dwells at one end: 0 a sine, 1 where u = 0", typical=1.0)
+
+    @property
+    def channel(self) -> Channel:  # type: ignore[override]
+        """What the base predicts."""
+        return self.base.channel
+
+    def relative(self, motion: Motion) -> Motion:
+        """Return the motion of the needle relative to the tissue; `motion` itself, where the size is 0."""
+        if not self.size:
+            return motion
+        times = np.asarray(motion.time_s, float).tobytes()
+        moved, speed = _breath(times, self.frequency_hz, self.phase_rad, self.rest)
+        shape = np.shape(motion.time_s)
+        depth = motion.depth_mm - self.size * moved.reshape(shape)
+        velocity = motion.velocity_mm_s - self.size * speed.reshape(shape)
+        return Motion(motion.time_s, depth, velocity, np.sign(velocity), motion.angle_rad)
+
+    def initial_state(self, motion: Motion) -> Array:
+        """Return that of the base."""
+        return self.base.initial_state(motion)
+
+    def derivative(self, state: Array, motion: Motion) -> Array:
+        """Return the rates of the base in the relative motion."""
+        return self.base.derivative(state, self.relative(motion))
+
+    def output(self, state: Array, motion: Motion) -> Array:
+        """Return the output of the base in the relative motion."""
+        return self.base.output(state, self.relative(motion))
+
+    def integrate(self, motion: Motion, start: Array) -> Array:
+        """Return the states of the base in the relative motion."""
+        return simulate(self.base, self.relative(motion), start).states
+
+
+@lru_cache(maxsize=16)
+def _breath(time_s: bytes, frequency_hz: float, phase_rad: float, rest: float) -> tuple[Array, Array]:
+    """Return it for the bytes of times: a fit asks for it with one base after another."""
+    place, velocity = _breathing(np.frombuffer(time_s), frequency_hz, phase_rad, rest)
+    place.flags.writeable = velocity.flags.writeable = False
+    return place, velocity
+
+
+def _breathing(time_s: Array, frequency_hz: Any, phase_rad: Any, rest: Any) -> tuple[Array, Array]:
+    """Return place and velocity of the tissue for size 1; numbers, or arrays of one shape with the times."""
+    rate = 2 * np.pi * frequency_hz
+    angle = rate * time_s + phase_rad
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return (sine + rest * (1 - cosine**2 / 2)) / 2, rate / 2 * cosine * (1 + rest * sine)
+
+
+def breathing_forces(base: ShaftAndTip, motion: Motion, breaths: Sequence[Mapping[str, float]]) -> Array:
+    """Return the force in tissue that breathes, (breaths, samples), for breaths with all of their parameters.
+
+    What `BreathingTissue` simulates for each, for as many at once as stay in fast memory.
+    """
+    found = np.empty((len(breaths), len(motion)))
+    sizes = np.array([[each["size"]] for each in breaths])
+    rows = np.array([[each[name] for name in ("frequency_hz", "phase_rad", "rest")] for each in breaths])
+    kinds, which = np.unique(rows, axis=0, return_inverse=True)  # many differ in size only
+    moved, speed = _breathing(motion.time_s, *kinds.T[..., None])
+    for first in range(0, len(breaths), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        kind, size = which.ravel()[part], sizes[part]
+        depth, velocity = motion.depth_mm - size * moved[kind], motion.velocity_mm_s - size * speed[kind]
+        bristle = slid_along(velocity, motion.time_s, base.presliding_mm)
+        along = Motion(motion.time_s, depth, velocity, np.sign(velocity), motion.angle_rad)
+        found[part] = base.output(bristle[None], along)
+    return found

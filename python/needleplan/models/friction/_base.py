@@ -1,0 +1,142 @@
+"""How the normal force is spread along the inserted shaft.
+
+fn(zeta) is the normal force per length at the distance zeta from the entry, for an inserted length L (thesis, (3.15)).
+With a plateau f and ramps of the length w::
+
+    right trapezoid          zeta/w on the first w, then 1                                  Fn = f (L - w/2)
+    isosceles trapezoid      zeta/w on the first w, then 1, (L - zeta)/w on the last w      Fn = f (L - w)
+
+Short lengths are triangles: up to zeta = L for L <= w, Fn = f L^2/(2w); up to L/2 and down again for L <= 2w,
+Fn = f L^2/(4w). The thesis keeps f (L - w) for any length in (3.19), which is negative for L < w.
+
+----
+
+What all models of shaft friction share: the patch of tissue around the needle, and the surfaces that rub.
+
+The patch: tissue of `thickness_mm` around the needle. A tip inside of it has inserted its depth; a needle that has
+passed through has inserted the thickness, whatever its depth. The normal force follows the `profile`, and is
+`normal_force_n` where `reference_mm` are inserted: 1 N at 76 mm in the thesis, which fixes the scale of mu_c, mu_s and
+sigma2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import ClassVar, TypeVar
+
+import numpy as np
+
+from needleplan.errors import Mistake, ModelError
+from needleplan.models._base import Channel, Model, constant, parameter
+from needleplan.signals import Array, Motion
+
+__all__ = ["Friction", "Profile", "StribeckFriction", "choice", "intensity", "normal_length_mm"]
+
+
+class Profile(StrEnum):
+    """Which function fn(zeta) is."""
+
+    CONSTANT = "constant"
+    """Total normal force Fn whatever the length: the thesis, which sets Fn = 1 N for Models I and II."""
+
+    UNIFORM = "uniform"
+    """fn = f: the force grows in proportion to the inserted length."""
+
+    RIGHT = "right"
+    """Right trapezoid: Model III-A."""
+
+    ISOSCELES = "isosceles"
+    """Isosceles trapezoid: Model III-B."""
+
+
+def normal_length_mm(profile: Profile, length_mm: Array, ramp_mm: float) -> Array:
+    """Return Fn/f (mm) for inserted lengths, any shape; for the constant profile 1, as that has no f."""
+    length = np.asarray(length_mm, float)
+    if profile is Profile.CONSTANT:
+        return np.ones_like(length)
+    if profile is Profile.UNIFORM:
+        return length
+    if profile is Profile.RIGHT:
+        return np.where(length <= ramp_mm, length**2 / (2 * ramp_mm), length - ramp_mm / 2)
+    return np.where(length <= 2 * ramp_mm, length**2 / (4 * ramp_mm), length - ramp_mm)
+
+
+def intensity(profile: Profile, position_mm: Array, length_mm: Array | float, ramp_mm: float) -> Array:
+    """Return fn/f at positions from the entry; zero outside of (0, length). The shapes broadcast.
+
+    The constant profile is taken as a uniform one: it says nothing about how its force is spread.
+    """
+    position, length = np.broadcast_arrays(np.asarray(position_mm, float), np.asarray(length_mm, float))
+    inside = (position >= 0) & (position <= length)
+    rising = np.minimum(position / ramp_mm, 1.0)
+    if profile is Profile.RIGHT:
+        return np.where(inside, rising, 0.0)
+    if profile is Profile.ISOSCELES:
+        return np.where(inside, np.minimum(rising, (length - position) / ramp_mm), 0.0)
+    return np.where(inside, 1.0, 0.0)
+
+
+_Choice = TypeVar("_Choice", bound=StrEnum)
+
+
+def choice(kind: type[_Choice], value: object, key: str, model: str) -> _Choice:
+    """Return the member of an enumeration, also for its text. Raises ModelError that names the others."""
+    try:
+        return kind(str(value))
+    except ValueError:
+        rule = f"must be one of {', '.join(kind)}"
+        raise ModelError(Mistake(key, str(value), rule), model) from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Friction(Model):
+    """Friction along the inserted shaft, positive on insertion; abstract. Symbols as in chapter 3 of the thesis."""
+
+    channel: ClassVar[Channel] = Channel.FORCE
+    mu_c: float = parameter("", 1e-4, 100, "friction coefficient at high speed")
+    sigma2: float = parameter("s/mm", -10, 10, "viscous coefficient; muscle has negative ones", typical=0.01)
+    thickness_mm: float = constant("mm", 0, 1e4, "thickness of the tissue; a needle may pass through", default=76.0)
+    normal_force_n: float = constant("N", 0, 1e3, "total normal force at the reference length", default=1.0)
+    reference_mm: float = constant("mm", 1e-3, 1e4, "inserted length at which the normal force is given", default=76.0)
+    ramp_mm: float = constant("mm", 1e-3, 1e3, "w: length of the ramps of the normal force", default=2.5)
+    profile: Profile = Profile.CONSTANT
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "profile", choice(Profile, self.profile, "profile", type(self).__name__))
+
+    def inserted_mm(self, motion: Motion) -> Array:
+        """Return the length of shaft in tissue, shape (...): the depth, from 0 to the thickness."""
+        return np.asarray(np.clip(motion.depth_mm, 0.0, self.thickness_mm))
+
+    def plateau_n_mm(self) -> float:
+        """Return f (N/mm), the largest normal force per length; for the constant profile, the total force (N)."""
+        reference = np.asarray(self.reference_mm)
+        return self.normal_force_n / float(normal_length_mm(self.profile, reference, self.ramp_mm))
+
+    def total_normal_force_n(self, motion: Motion) -> Array:
+        """Return Fn for the inserted length, shape (...)."""
+        length = normal_length_mm(self.profile, self.inserted_mm(motion), self.ramp_mm)
+        return np.asarray(self.plateau_n_mm() * length)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StribeckFriction(Friction):
+    """Friction whose coefficient goes from mu_s at rest to mu_c; abstract.
+
+    In all the thesis' Tables 3.2 to 3.4 mu_c is ten to thirty times mu_s: friction rises with the speed, and there is
+    no Stribeck drop. The labels are not swapped: with the names exchanged, the excess of the Karnopp model over Model
+    II would be 8 to 12 times the published one.
+    """
+
+    sigma0: float = parameter("1/mm", 1e-4, 1e4, "stiffness of the bristles")
+    mu_s: float = parameter("", 1e-5, 100, "friction coefficient at rest")
+    alpha: float = parameter("s/mm", 1e-4, 100, "how fast mu_s goes over into mu_c")
+    gamma: float = constant("", 0.1, 4, "exponent of the speed in that transition", default=1.0)
+
+    def level(self, motion: Motion) -> Array:
+        """Return g(v), (3.2), shape (...)."""
+        speed = np.abs(motion.velocity_mm_s)
+        power = speed if self.gamma == 1 else speed**self.gamma
+        return np.asarray(self.mu_c + (self.mu_s - self.mu_c) * np.exp(-self.alpha * power))

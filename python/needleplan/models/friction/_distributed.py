@@ -1,0 +1,122 @@
+"""The distributed LuGre model itself, solved along its characteristics: slow, and what the lumped ones approximate.
+
+Bristles sit on the needle and are carried along the patch with it: dz/dt = v - sigma0 |v| z/g(v) for each of them
+(thesis, (3.1)), z = 0 for one that enters the tissue at either end. The force is (3.4) with dz/dt at fixed zeta, done
+by parts as in (3.18)::
+
+    F = int_0^L {(sigma0 - sigma0 sigma1 |v|/g) z + (sigma1 + sigma2) v} fn dzeta
+        + sigma1 v [ int_0^L z fn' dzeta - z(L) fn(L) + z(0) fn(0) ]
+
+All bristles obey the same linear equation and differ only in when they entered, so each step is exact for all of them
+but for the fraction of the step that those have been inside which enter during it. The integrals are sums over bristles
+`spacing_mm` apart. Trapezoids converge to 0.2 mN (rms) at 0.1 mm; the sharp ends of a uniform force let it tremble by
+1.2 mN as bristles pass them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from needleplan.errors import Mistake, ModelError
+from needleplan.models.friction._base import Profile, intensity, normal_length_mm
+from needleplan.models.friction._lugre import LuGre
+from needleplan.signals import Array, Motion
+
+__all__ = ["distributed"]
+
+_BLOCK = 200
+"""Samples whose bristles are kept at once."""
+
+
+def distributed(model: LuGre, motion: Motion, profile: Profile, spacing_mm: float = 0.1) -> Array:
+    """Return the friction (N), shape (samples,), of the bristles of `model` along a motion, from rest.
+
+    The model gives parameters and patch; its beta plays no part. `profile` spreads the normal force, UNIFORM, RIGHT or
+    ISOSCELES; where the model's own profile is the constant one, its total force is spread so at every length. Bristles
+    sit `spacing_mm` apart, the first one half of that behind the tip. Raises ModelError for a spacing that is not
+    positive or above a third of the ramp.
+    """
+    if not 0 < spacing_mm <= model.ramp_mm / 3:
+        rule = f"must be positive and at most a third of the ramp of {model.ramp_mm:g} mm"
+        raise ModelError(Mistake("spacing_mm", f"{spacing_mm:g}", rule), "distributed")
+    nearest = max(float(np.min(motion.depth_mm)) - model.thickness_mm, 0.0)
+    deepest = max(float(np.max(motion.depth_mm)), nearest + spacing_mm)
+    behind_tip: Array = (
+        np.arange(int(nearest / spacing_mm), int(np.ceil(deepest / spacing_mm)), dtype=float) + 0.5
+    ) * spacing_mm
+    decay, gain = _steps(model, motion)
+    bending = np.zeros_like(behind_tip)
+    forces = []
+    for begin in range(0, len(motion), _BLOCK):
+        block = np.arange(begin, min(begin + _BLOCK, len(motion)))
+        states = np.zeros((behind_tip.size, block.size))
+        for column, sample in enumerate(block[block > 0], start=int(begin == 0)):
+            before, after = motion.depth_mm[sample - 1] - behind_tip, motion.depth_mm[sample] - behind_tip
+            share = _share_inside(before, after, model.thickness_mm)
+            # Of a step, a bristle that enters has seen only a share; whole steps keep the exact factors.
+            entering = (share > 0) & (share < 1)
+            bending = decay[sample - 1] * bending + gain[sample - 1]
+            bending[entering] = share[entering] * gain[sample - 1]
+            bending[(after <= 0) | (after >= model.thickness_mm)] = 0.0
+            states[:, column] = bending
+        forces.append(_force(model, motion[block], profile, states, behind_tip, spacing_mm))
+    return np.concatenate(forces)
+
+
+def _steps(model: LuGre, motion: Motion) -> tuple[Array, Array]:
+    """Return factor and summand of the bending for each interval, with the coefficients at its middle."""
+    middle = motion.between(0.5)
+    rate = model.sigma0 * np.abs(middle.velocity_mm_s) / model.level(middle)
+    decay = rate * motion.interval_s
+    small = decay < 1e-9
+    phi = np.where(small, 1.0, -np.expm1(-decay) / np.where(small, 1.0, decay))
+    return np.exp(-decay), middle.velocity_mm_s * motion.interval_s * phi
+
+
+def _share_inside(before: Array, after: Array, thickness: float) -> Array:
+    """Return which share of a step each bristle spends inside of the tissue, shape (bristles,)."""
+    moved = after - before
+    length = np.where(moved == 0, 1.0, np.abs(moved))
+    inside = np.clip(np.maximum(before, after), 0, thickness) - np.clip(np.minimum(before, after), 0, thickness)
+    return np.where(moved == 0, (after > 0) & (after < thickness), np.clip(inside / length, 0, 1))
+
+
+def _force(model: LuGre, motion: Motion, profile: Profile, states: Array, behind_tip: Array, spacing: float) -> Array:
+    length = model.inserted_mm(motion)
+    speed, velocity = np.abs(motion.velocity_mm_s), motion.velocity_mm_s
+    position = motion.depth_mm - behind_tip[:, None]
+    shape = intensity(profile, position, length, model.ramp_mm)
+    weight = shape * spacing
+    total = normal_length_mm(Profile.UNIFORM if profile is Profile.CONSTANT else profile, length, model.ramp_mm)
+    # Weights add up to the normal force at all times, whatever part of a cell sticks out at the ends.
+    added = weight.sum(axis=0)
+    weight *= np.where(added > 0, total / np.where(added > 0, added, 1.0), 0.0)
+    mean = (states * weight).sum(axis=0)
+    bent = (model.sigma0 - model.sigma0 * model.sigma1 * speed / model.level(motion)) * mean
+    carried = model.sigma1 * velocity * _by_parts(model, motion, profile, states, position, length, spacing)
+    ratio = bent + (model.sigma1 + model.sigma2) * velocity * total + carried
+    if model.profile is Profile.CONSTANT:
+        return np.asarray(model.normal_force_n * ratio / np.where(total > 0, total, 1.0))
+    reference = normal_length_mm(profile, np.asarray(model.reference_mm), model.ramp_mm)
+    return np.asarray(model.normal_force_n / float(reference) * ratio)
+
+
+def _by_parts(
+    model: LuGre, motion: Motion, profile: Profile, states: Array, position: Array, length: Array, spacing: float
+) -> Array:
+    """Return int z fn' dzeta - z(L) fn(L) + z(0) fn(0), with f = 1, shape (samples,)."""
+    ramp = model.ramp_mm
+    inside = (position > 0) & (position < length)
+    if profile is Profile.ISOSCELES:
+        rising = inside & (position < np.minimum(ramp, length / 2))
+        falling = inside & (position > np.maximum(length - ramp, length / 2))
+        return np.asarray(((rising * states).sum(axis=0) - (falling * states).sum(axis=0)) * spacing / ramp)
+    # Bristles are listed from the tip; those that enter just now are straight.
+    columns, some = np.arange(states.shape[1]), inside.any(axis=0)
+    leaving = (motion.velocity_mm_s > 0) | (motion.depth_mm <= model.thickness_mm)
+    far = np.where(some & leaving, states[np.argmax(inside, axis=0), columns], 0.0)
+    if profile is Profile.RIGHT:
+        rising = inside & (position < ramp)
+        return np.asarray((rising * states).sum(axis=0) * spacing / ramp - far * np.minimum(length / ramp, 1))
+    last = position.shape[0] - 1 - np.argmax(inside[::-1], axis=0)
+    return np.where(some & (motion.velocity_mm_s < 0), states[last, columns], 0.0) - far

@@ -1,0 +1,146 @@
+"""Dahl's bristle along a motion: what friction that knows the path only does.
+
+----
+
+Friction along the inserted shaft and cutting at the tip: the axial force of an insertion, lumped.
+
+::
+
+    z' = (v - |v| z) / presliding                                       -1 <= z <= 1: Dahl's bristle
+    F  = friction L z + cutting (1 - exp(-L / onset)) (1 + z)/2
+
+L is the inserted length. The bristle knows the path only, not the speed: friction is the same at any speed, and rest
+keeps the force that the last movement left. The tip resists where it is pushed in, and not on the way out:
+(1 + z)/2 is exp(-x / presliding) after it was drawn back by x. Literature:
+Dahl, AIAA J. 14 (1976) 1675; Okamura et al., IEEE Trans. Biomed. Eng. 51 (2004) 1707, who take apart the forces of
+shaft and tip. What the tissue or the sensor does besides is an effect (`needleplan.models.effects`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleplan.models._base import Channel, SelfIntegratingModel, parameter
+from needleplan.models._simulate import recurrence
+from needleplan.signals import Array, Motion
+
+__all__ = ["ShaftAndTip", "slid", "slid_along"]
+
+
+def slid(motion: Motion, length_mm: float, start: float = 0.0) -> Array:
+    """Return z of z' = (v - |v| z)/length along a motion, shape (samples,), not to be written to.
+
+    `start` is z at the first sample.
+
+    Exact for a velocity that is linear between samples, a reversal within a step too: on either side of it z goes
+    exponentially with the way to the sign of the velocity.
+    """
+    velocity, time = np.asarray(motion.velocity_mm_s, float), np.asarray(motion.time_s, float)
+    return _slid(velocity.tobytes(), time.tobytes(), float(length_mm), float(start))
+
+
+def slid_along(velocity_mm_s: Array, time_s: Array, length_mm: float) -> Array:
+    """Return z of many motions at the same times, (motions, samples), that starts at 0; `velocity_mm_s` has its shape.
+
+    One recurrence for all: what takes the end of a motion to the begin of the next one forgets it.
+    """
+    factor, offset = np.zeros(velocity_mm_s.shape), np.zeros(velocity_mm_s.shape)
+    factor[:, :-1], offset[:, :-1] = _steps(*_ways_of(velocity_mm_s, np.diff(time_s)), length_mm)
+    return recurrence(factor.ravel()[:-1], offset.ravel()[:-1], 0.0).reshape(velocity_mm_s.shape)
+
+
+@lru_cache(maxsize=32)
+def _slid(velocity_mm_s: bytes, time_s: bytes, length_mm: float, start: float) -> Array:
+    """Return it for the bytes of a motion: a fit asks for it many times with the same length, term after term."""
+    found = recurrence(*_steps(*_ways(velocity_mm_s, time_s), length_mm), start)
+    found.flags.writeable = False
+    return found
+
+
+_Turns = tuple[NDArray[np.intp], ...]
+
+
+def _steps(way: Array, back: Array, turns: _Turns, length_mm: float) -> tuple[Array, Array]:
+    """Return how much of z is left after every step, and what is added to it."""
+    e1 = np.exp(-np.abs(way) / length_mm)
+    offset = np.sign(way) * (1 - e1)
+    if back.size:
+        e2 = np.exp(-np.abs(back) / length_mm)
+        offset[turns] = offset[turns] * e2 + np.sign(back) * (1 - e2)
+        e1[turns] *= e2
+    return e1, offset
+
+
+@lru_cache(maxsize=16)
+def _ways(velocity_mm_s: bytes, time_s: bytes) -> tuple[Array, Array, _Turns]:
+    """Return it for the bytes of a motion: it does not depend on the length, of which a fit tries many."""
+    return _ways_of(np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s)))
+
+
+def _ways_of(velocity: Array, h: Array) -> tuple[Array, Array, _Turns]:
+    """Return the way of every step, up to a reversal within it; the way back after each reversal; and in which steps.
+
+    The last axis of `velocity` is that of the samples, one more than `h` has.
+    """
+    first, last = velocity[..., :-1], velocity[..., 1:]
+    way = (first + last) / 2 * h
+    turns = np.nonzero(first * last < 0)
+    before, after, seconds = first[turns], last[turns], h[turns[-1]]
+    share = before / (before - after)  # of the step, before the reversal
+    way[turns] = before * share / 2 * seconds
+    return way, after * (1 - share) / 2 * seconds, turns
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShaftAndTip(SelfIntegratingModel):
+    """Axial force of friction and cutting (N), positive where it resists insertion. State: the bristle, -1 to 1."""
+
+    name: ClassVar[str] = "shaft_and_tip"
+    channel: ClassVar[Channel] = Channel.FORCE
+
+    friction: float = parameter("N/mm", 1e-6, 10, "friction per inserted length")
+    cutting: float = parameter("N", 1e-5, 100, "cutting force of the tip, deep in the tissue")
+    onset_mm: float = parameter("mm", 1e-2, 50, "depth over which cutting sets in")
+    presliding_mm: float = parameter("mm", 1e-3, 20, "travel over which friction turns round")
+
+    def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
+        """Return a bristle that is not bent, shape (1,)."""
+        return np.zeros(1)
+
+    def derivative(self, state: Array, motion: Motion) -> Array:
+        """Return the rate of the bristle (1/s), shape (1, ...)."""
+        velocity = np.asarray(motion.velocity_mm_s, float)
+        return np.asarray((velocity - np.abs(velocity) * state) / self.presliding_mm)
+
+    def integrate(self, motion: Motion, start: Array) -> Array:
+        """Return the bristle along a motion, shape (1, samples)."""
+        return slid(motion, self.presliding_mm, float(start[0]))[None]
+
+    def shaft_n(self, state: Array, motion: Motion) -> Array:
+        """Return the force of the shaft (N), shape (...)."""
+        return np.asarray(self.friction * np.maximum(motion.depth_mm, 0.0) * state[0])
+
+    def tip_n(self, state: Array, motion: Motion) -> Array:
+        """Return the force of the tip (N), shape (...)."""
+        depth = np.asarray(motion.depth_mm, float)
+        grown = _grown(depth.tobytes(), self.onset_mm) if depth.ndim == 1 else _growing(depth, self.onset_mm)
+        return np.asarray(self.cutting * grown * (1 + state[0]) / 2)
+
+    def output(self, state: Array, motion: Motion) -> Array:
+        """Return the axial force (N), shape (...)."""
+        return self.shaft_n(state, motion) + self.tip_n(state, motion)
+
+
+def _growing(depth_mm: Array, onset_mm: float) -> Array:
+    return np.asarray(-np.expm1(-np.maximum(depth_mm, 0.0) / onset_mm))
+
+
+@lru_cache(maxsize=32)
+def _grown(depth_mm: bytes, onset_mm: float) -> Array:
+    """Return it for the bytes of depths: a fit asks for the same ones with one friction or cutting after another."""
+    return _growing(np.frombuffer(depth_mm), onset_mm)

@@ -1,0 +1,28 @@
+"""Paths of a bevel tip: the bicycle model in the plane and in space, and the twist of the needle.
+
+| name | meaning |
+|---|---|
+| `Bicycle`, `arc_step` | the path in a plane as a model, and one exact arc of it |
+| `TipFrame` | position and orientation of the tip in space; takes exact arcs |
+| `SteeredModel`, `SpatialBicycle` | the path in space as a model: the abstract family, and its plain member |
+| `Torsion`, `dragged` | how far the tip lags behind the base when the needle is rotated |
+"""
+
+from needleplan.models.path._bicycle import Bicycle, arc_step
+from needleplan.models.path._frame import TipFrame, Vector, axes_of, quaternion_of, quaternions_along
+from needleplan.models.path._steered import SpatialBicycle, SteeredModel
+from needleplan.models.path._torsion import Torsion, dragged
+
+__all__ = [
+    "Bicycle",
+    "SpatialBicycle",
+    "SteeredModel",
+    "TipFrame",
+    "Torsion",
+    "Vector",
+    "arc_step",
+    "axes_of",
+    "dragged",
+    "quaternion_of",
+    "quaternions_along",
+]

@@ -1,0 +1,131 @@
+"""The path of a bevel tip in space, as a tracker sees it: the bicycle model with the roll of the needle.
+
+With l the length of the path, t its tangent, n and b the two directions across it that do not turn about t on their own
+(see `spatial`), and (kn, kb) the curvature in these directions::
+
+    dp/dl = t,    dt/dl = kn n + kb b,    dn/dl = -kn t,    db/dl = -kb t
+
+For the plain bicycle (kn, kb) = k (cos phi, sin phi) with phi the roll of the tip, which is the angle of the base. The
+x axis leads in; at angle 0 the needle bends toward +y, and a positive angle turns that toward +z. State: position,
+tangent, n (three numbers each), and the roll of the tip.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from needleplan.models._base import Channel, SelfIntegratingModel, parameter
+from needleplan.models.path._frame import axes_of, quaternion_of, quaternions_along
+from needleplan.signals import Array, Motion
+
+__all__ = ["SpatialBicycle", "SteeredModel"]
+
+_FOLLOWING_S = 1e-3
+"""How soon the roll of the tip is where the base leads it, in the equation for its rate."""
+
+
+@dataclass(frozen=True)
+class SteeredModel(SelfIntegratingModel):
+    """Position of a tip (mm), shape (3, ...), that moves along its tangent; abstract.
+
+    A member says how its path bends, where it begins, and how its roll follows the base.
+    """
+
+    channel: ClassVar[Channel] = Channel.TIP
+
+    @abstractmethod
+    def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
+        """Return the curvature along n and b, shape (2, ...), where the tip has rolled by `roll_rad`, shape (...)."""
+
+    @abstractmethod
+    def entry(self, motion: Motion) -> tuple[Array, Array]:
+        """Return where the path begins (mm), shape (3,), and its slopes along y and z there (rad), shape (2,)."""
+
+    def following(self, roll_rad: Array, motion: Motion) -> Array:
+        """Return where the roll goes from `roll_rad` under the angle of the base, shape (...). Here: it follows."""
+        return np.asarray(motion.angle_rad + 0 * roll_rad)
+
+    def rolls(self, motion: Motion, start_rad: float) -> Array:  # noqa: ARG002
+        """Return the roll of the tip at every sample, shape (samples,)."""
+        return motion.angle_rad
+
+    def initial_state(self, motion: Motion) -> Array:
+        """Return the state at the first sample, as if its depth were reached with the angle and speed of then."""
+        first = motion[:1]
+        place, slopes = self.entry(first)
+        tangent = np.array([1.0, *slopes]) / np.sqrt(1 + slopes @ slopes)
+        normal = np.array([-tangent[1], tangent[0], 0.0]) / np.hypot(tangent[0], tangent[1])
+        start = np.concatenate([place, tangent, normal, first.angle_rad])
+        depth = max(float(first.depth_mm[0]), 0.0)
+        if depth == 0:
+            return start
+        return self._arcs(start, self.bend_per_mm(first, first.angle_rad), np.array([depth]), start[9:])[:, -1]
+
+    def derivative(self, state: Array, motion: Motion) -> Array:
+        """Return the rates of all ten, shape (10, ...)."""
+        tangent, normal, roll = state[3:6], state[6:9], state[9]
+        speed = np.where(np.asarray(motion.depth_mm) > 0, motion.velocity_mm_s, 0.0)
+        kn, kb = self.bend_per_mm(motion, roll)
+        binormal = np.cross(tangent, normal, axis=0)
+        turning = (self.following(roll, motion) - roll) / _FOLLOWING_S
+        return np.concatenate(
+            [speed * tangent, speed * (kn * normal + kb * binormal), -speed * kn * tangent, np.asarray(turning)[None]]
+        )
+
+    def integrate(self, motion: Motion, start: Array) -> Array:
+        """Return the states at every sample, shape (10, samples): an exact arc from each to the next."""
+        roll = self.rolls(motion, float(start[9]))
+        bend = self.bend_per_mm(motion.between(0.5), (roll[1:] + roll[:-1]) / 2)
+        return self._arcs(start, bend, np.diff(np.maximum(motion.depth_mm, 0.0)), roll)
+
+    def output(self, state: Array, motion: Motion) -> Array:
+        """Return the position, shape (3, ...)."""
+        return self.shown(state, motion, self)
+
+    def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:  # noqa: ARG002
+        """Return the position, shape (3, ...), as a part of `whole`, which says how the path bends and begins."""
+        return np.asarray(state[:3])
+
+    @staticmethod
+    def _arcs(start: Array, bend: Array, length: Array, roll: Array) -> Array:
+        kn, kb = bend
+        along = quaternions_along(
+            np.stack([np.zeros_like(kn), -kb * length, kn * length]), quaternion_of(start[3:6], start[6:9])
+        )
+        tangent, normal, binormal = axes_of(along)
+        half = np.hypot(kn, kb) * length / 2
+        # chord in the frame at its begin: l sinc(half) cos(half) along the tangent, and l sinc(half)^2 l/2 k across it
+        sinc = np.sinc(half / np.pi)
+        across = sinc**2 * length**2 / 2
+        step = sinc * np.cos(half) * length * tangent[:, :-1]
+        step = step + across * (kn * normal[:, :-1] + kb * binormal[:, :-1])
+        place = start[:3, None] + np.concatenate([np.zeros((3, 1)), np.cumsum(step, axis=1)], axis=1)
+        rolls = roll if len(roll) == place.shape[1] else np.full(place.shape[1], roll[-1])
+        return np.concatenate([place, tangent, normal, rolls[None]])
+
+
+@dataclass(frozen=True)
+class SpatialBicycle(SteeredModel):
+    """A bevel tip on arcs whose plane turns with the base; the depth is the length of the path in the tissue."""
+
+    name: ClassVar[str] = "spatial_bicycle"
+
+    curvature_per_mm: float = parameter("1/mm", 1e-6, 1.0, "curvature of the path, toward the bevel")
+    heading_y_rad: float = parameter("rad", -1.0, 1.0, "slope of the path along y at entry", default=0.0, typical=1e-3)
+    heading_z_rad: float = parameter("rad", -1.0, 1.0, "slope of the path along z at entry", default=0.0, typical=1e-3)
+    entry_x_mm: float = parameter("mm", -1e4, 1e4, "place of the entry along x", default=0.0, typical=0.03)
+    entry_y_mm: float = parameter("mm", -1e4, 1e4, "place of the entry along y", default=0.0, typical=0.03)
+    entry_z_mm: float = parameter("mm", -1e4, 1e4, "place of the entry along z", default=0.0, typical=0.03)
+
+    def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:  # noqa: ARG002
+        """Return the curvature, toward the bevel."""
+        return self.curvature_per_mm * np.array([np.cos(roll_rad), np.sin(roll_rad)])
+
+    def entry(self, motion: Motion) -> tuple[Array, Array]:  # noqa: ARG002
+        """Return the parameters of the entry."""
+        place = np.array([self.entry_x_mm, self.entry_y_mm, self.entry_z_mm])
+        return place, np.array([self.heading_y_rad, self.heading_z_rad])

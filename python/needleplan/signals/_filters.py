@@ -1,0 +1,264 @@
+"""Linear filters of sampled signals: transfer function, whole records, one sample at a time, the inverse.
+
+----
+
+The moving average of the force sensor: five samples at 200 Hz (thesis, appendix A).
+
+----
+
+Velocity of a whole record without delay, for work after the experiment.
+
+An observer or a causal filter delays, and a delay of the velocity is what tissue that gives way looks like: 0.1 s are
+3.6 degrees at 0.1 Hz (mechanics of the bristles suffer more: sigma0 and sigma1 come out over twice too large).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from needleplan.errors import DataError, Mistake, ModelError
+from needleplan.signals._record import Array, ComplexArray
+from needleplan.signals._sine import dominant_frequency_hz, sine_at
+from needleplan.signals._tracker import TrackerFilter
+
+__all__ = [
+    "AverageStream",
+    "DiscreteFilter",
+    "FilterStream",
+    "MovingAverage",
+    "VelocityMethod",
+    "VelocityRecord",
+    "velocity_without_delay",
+]
+
+
+@dataclass(frozen=True)
+class DiscreteFilter:
+    """The transfer function B(z)/A(z) at samples `interval_s` apart.
+
+    `numerator` and `denominator` are the coefficients of falling powers of z, of the same length; A begins with a
+    number that is not zero. Raises ModelError where they cannot be a causal filter.
+    """
+
+    numerator: tuple[float, ...]
+    denominator: tuple[float, ...]
+    interval_s: float
+
+    def __post_init__(self) -> None:
+        mistakes = []
+        if not self.numerator or len(self.numerator) != len(self.denominator):
+            mistakes.append(Mistake("numerator", str(self.numerator), "must be as long as the denominator"))
+        if not np.isfinite([*self.numerator, *self.denominator]).all():
+            mistakes.append(Mistake("denominator", str(self.denominator), "must be finite numbers, as the numerator"))
+        elif not self.denominator or self.denominator[0] == 0:
+            mistakes.append(Mistake("denominator", str(self.denominator), "must not begin with zero: not causal"))
+        if not 0 < self.interval_s < np.inf:
+            mistakes.append(Mistake("interval_s", f"{self.interval_s:g}", "must be greater than 0 s"))
+        if mistakes:
+            raise ModelError(mistakes, "filter")
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Roots of the denominator."""
+        return np.asarray(np.roots(self.denominator), complex)
+
+    @property
+    def zeros(self) -> ComplexArray:
+        """Roots of the numerator."""
+        return np.asarray(np.roots(self.numerator), complex)
+
+    @property
+    def stable(self) -> bool:
+        """Whether all poles lie inside of the unit circle."""
+        return bool((np.abs(self.poles) < 1).all())
+
+    @property
+    def minimum_phase(self) -> bool:
+        """Whether the inverse is causal and stable as well: all poles and zeros lie inside of the unit circle."""
+        return self.stable and self.numerator[0] != 0 and bool((np.abs(self.zeros) < 1).all())
+
+    def response(self, frequency_hz: Array | float) -> ComplexArray:
+        """Return the complex gain at frequencies, shape as given; exact, at any frequency up to Nyquist."""
+        z = np.exp(2j * np.pi * np.asarray(frequency_hz, float) * self.interval_s)
+        return np.asarray(np.polyval(self.numerator, z) / np.polyval(self.denominator, z))
+
+    def inverse(self) -> DiscreteFilter:
+        """Return A(z)/B(z). Raises ModelError where that is not causal or not stable."""
+        if not self.minimum_phase:
+            rule = "must lie inside of the unit circle, or the inverse is not causal and stable"
+            raise ModelError(Mistake("zeros", np.array2string(self.zeros, precision=4), rule), "filter")
+        return DiscreteFilter(self.denominator, self.numerator, self.interval_s)
+
+    def apply(self, values: Array) -> Array:
+        """Filter a record, shape (samples,), as if its first value had been there for ever. Raises DataError."""
+        from scipy.signal import lfilter
+
+        values = np.asarray(values, float)
+        if values.ndim != 1 or not values.size:
+            raise DataError(Mistake("values", f"shape {values.shape}", "must be a row of numbers"))
+        filtered, _ = lfilter(self.numerator, self.denominator, values, zi=self._settled(values[0]))
+        return np.asarray(filtered)
+
+    def stream(self) -> FilterStream:
+        """Return the same filter for samples that come one at a time."""
+        return FilterStream(self)
+
+    def _settled(self, value: float) -> Array:
+        """Return the memory of the filter after `value` has been there for ever, shape (order,)."""
+        first = self.denominator[0]
+        b, a = np.array(self.numerator) / first, np.array(self.denominator) / first
+        out = value * b.sum() / a.sum()
+        # What each place holds is what the later coefficients still make of input and output.
+        return np.cumsum((b * value - a * out)[:0:-1])[::-1]
+
+
+class FilterStream:
+    """A filter at work, in transposed direct form II; gives what `DiscreteFilter.apply` gives."""
+
+    def __init__(self, what: DiscreteFilter) -> None:
+        first = what.denominator[0]
+        self._b = [each / first for each in what.numerator]
+        self._a = [each / first for each in what.denominator]
+        self._what = what
+        self._memory: list[float] | None = None
+
+    def push(self, value: float) -> float:
+        """Take a sample and return the filtered one."""
+        if self._memory is None:
+            self._memory = [*self._what._settled(value).tolist(), 0.0]
+        memory, a, b = self._memory, self._a, self._b
+        filtered = memory[0] + b[0] * value
+        for index in range(len(a) - 1):
+            memory[index] = memory[index + 1] + b[index + 1] * value - a[index + 1] * filtered
+        return filtered
+
+
+@dataclass(frozen=True)
+class MovingAverage:
+    """The mean of the last `samples` samples, at the start of those that there are. Raises ModelError.
+
+    It delays by (samples - 1)/2 intervals at every frequency, and damps: compare a model with the measured force only
+    after the same average (`fit(..., smooth=MovingAverage(5).apply)`).
+    """
+
+    samples: int = 5
+
+    def __post_init__(self) -> None:
+        if isinstance(self.samples, bool) or not isinstance(self.samples, int) or self.samples < 1:
+            raise ModelError(Mistake("samples", str(self.samples), "must be a whole number from 1"), "moving average")
+
+    def delay_s(self, interval_s: float) -> float:
+        """Return the delay at samples `interval_s` apart."""
+        return (self.samples - 1) / 2 * interval_s
+
+    def response(self, frequency_hz: Array | float, interval_s: float) -> ComplexArray:
+        """Return the complex gain, shape as the frequencies."""
+        turn = -2j * np.pi * np.asarray(frequency_hz, float)[..., None] * interval_s
+        return np.asarray(np.exp(turn * np.arange(self.samples)).mean(axis=-1))
+
+    def apply(self, values: Array) -> Array:
+        """Average a record, shape (samples,); what `stream` gives to 1e-12. Raises DataError for another shape.
+
+        A NaN leaves the averages NaN that it is part of, and no others.
+        """
+        values = np.asarray(values, float)
+        if values.ndim != 1:
+            raise DataError(Mistake("values", f"shape {values.shape}", "must be a row of numbers"))
+        padded = np.concatenate([np.zeros(self.samples - 1), values])
+        windows = np.lib.stride_tricks.sliding_window_view(padded, self.samples)
+        return np.asarray(windows.sum(axis=1) / np.minimum(np.arange(values.size) + 1, self.samples))
+
+    def centred(self, values: Array) -> Array:
+        """Average a record without delay, shape (samples,): over as many samples before each as after it.
+
+        What `apply` gives with its delay taken out; at the ends the mean of those that there are. Raises DataError, and
+        ModelError where the number of samples is even.
+        """
+        if self.samples % 2 == 0:
+            raise ModelError(Mistake("samples", str(self.samples), "must be odd to have a middle"), "moving average")
+        half = self.samples // 2
+        delayed = self.apply(np.concatenate([np.asarray(values, float), np.zeros(half)]))
+        averages = delayed[half:]
+        count = len(averages)
+        for place in {*range(min(half, count)), *range(max(count - half, 0), count)}:
+            averages[place] = np.mean(values[max(place - half, 0) : place + half + 1])
+        return np.asarray(averages)
+
+    def stream(self) -> AverageStream:
+        """Return the average for samples that come one at a time."""
+        return AverageStream(self.samples)
+
+
+class AverageStream:
+    """A moving average at work."""
+
+    def __init__(self, samples: int) -> None:
+        self._last: deque[float] = deque(maxlen=samples)
+
+    def push(self, value: float) -> float:
+        """Take a sample and return the mean."""
+        self._last.append(value)
+        return sum(self._last) / len(self._last)
+
+
+_NOISY_MM = 0.02
+"""Noise of the position from which on a tracker is assumed rather than an encoder."""
+
+_WINDOW_S = 0.1
+_UNEVEN = 0.02
+_THIRD_DIFFERENCE_SD = 20**0.5
+_MAD_TO_SD = 1.4826
+
+
+class VelocityMethod(StrEnum):
+    """How a velocity was made."""
+
+    POLYNOMIAL = "polynomial"
+    """Derivative of a cubic over 0.1 s about each sample (Savitzky and Golay): for encoders, at even times."""
+
+    SMOOTHER = "smoother"
+    """Kalman smoother with constant acceleration: for trackers, or uneven times."""
+
+
+@dataclass(frozen=True)
+class VelocityRecord:
+    """Velocity at every sample, shape (samples,), and the noise of the position that it was made from."""
+
+    velocity_mm_s: Array
+    noise_mm: float
+    method: VelocityMethod
+
+
+def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:
+    """Return the velocity of a position, shape (samples,) each, by the method that its noise asks for.
+
+    The density of the smoother's driving noise is that of a jerk as large as the record's own sine has, for as long as
+    a radian of it takes. Raises DataError for fewer than 15 samples, a record that does not move, or bad numbers.
+    """
+    from scipy.signal import savgol_filter
+
+    time, position = np.asarray(time_s, float), np.asarray(position_mm, float)
+    if time.ndim != 1 or time.shape != position.shape or time.size < 15:
+        raise DataError(
+            Mistake("depth_mm", f"shape {position.shape}", "must be as long as time_s, and hold at least 15 samples")
+        )
+    if not np.isfinite(position).all() or not np.isfinite(time).all() or not (np.diff(time) > 0).all():
+        raise DataError(Mistake("depth_mm", "", "must be finite numbers at increasing times"))
+    third = np.diff(position, 3)
+    noise = _MAD_TO_SD * float(np.median(np.abs(third - np.median(third)))) / _THIRD_DIFFERENCE_SD
+    steps = np.diff(time)
+    interval = float(np.median(steps))
+    even = bool(np.abs(steps - interval).max() <= _UNEVEN * interval)
+    if noise < _NOISY_MM and even:
+        window = min(max(2 * round(_WINDOW_S / interval / 2) + 1, 5), 2 * ((time.size - 1) // 2) + 1)
+        velocity = savgol_filter(position, window, 3, deriv=1, delta=interval)
+        return VelocityRecord(np.asarray(velocity), noise, VelocityMethod.POLYNOMIAL)
+    frequency = dominant_frequency_hz(time, position)
+    omega = 2 * np.pi * frequency
+    jerk = sine_at(frequency, time, position).amplitude * omega**3
+    smoothed = TrackerFilter(max(noise, 1e-4), max(jerk**2 / (2 * omega), 1e-9)).smooth(time, position)
+    return VelocityRecord(smoothed.velocity_mm_s, noise, VelocityMethod.SMOOTHER)

@@ -1,0 +1,212 @@
+"""Periodic motions of the needle: what friction is identified from (thesis, sections 3.4.1 and 3.4.2).
+
+----
+
+Motion profiles: linear segments with parabolic blends (LSPB), the trapezoidal velocity of a robot's linear stage.
+
+From one depth to the next the velocity rises linearly for `blend_s`, stays at the preset velocity v, and falls
+linearly for `blend_s`; the acceleration is a = v / blend_s. A segment shorter than v * blend_s never reaches v: its
+velocity is a triangle of the same acceleration. The position is the exact integral of the velocity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from enum import StrEnum
+from itertools import pairwise
+
+import numpy as np
+
+from needleplan.errors import DataError, Mistake
+from needleplan.signals._record import Array, Motion
+
+__all__ = ["Start", "cycles", "insertion_cycles", "lspb", "sinusoid"]
+
+_MOVING = 0.05
+"""Share of the largest speed below which a sample says nothing about the direction of a measured motion."""
+
+
+class Start(StrEnum):
+    """Where a sine begins. Both begin at rest: a sine that begins at full speed gives bristles a blow (3 to 4 N)."""
+
+    END = "end"
+    """At an end of the stroke, where the velocity is zero: offset -+ amplitude cos."""
+
+    MIDDLE = "middle"
+    """In the middle of the stroke, with a clock that takes a while to reach its speed: offset +- amplitude sin."""
+
+
+def sinusoid(
+    *,
+    offset_mm: float,
+    amplitude_mm: float,
+    frequency_hz: float,
+    cycles: float = 4.0,
+    rate_hz: float = 200.0,
+    start: Start = Start.END,
+    outward: bool = False,
+    ramp_cycles: float = 0.25,
+) -> Motion:
+    """Return a sine about the depth `offset_mm`; `amplitude_mm` is from zero to peak. It moves in first, or `outward`.
+
+    From the middle, the phase speeds up evenly during the first `ramp_cycles` periods, so that the velocity begins at
+    zero and never exceeds 2 pi frequency amplitude. Velocities are the derivative, not differences. Raises DataError
+    for numbers that are not positive, or fewer than two samples.
+    """
+    numbers = {
+        "amplitude_mm": amplitude_mm, "frequency_hz": frequency_hz, "cycles": cycles, "rate_hz": rate_hz,
+        "ramp_cycles": ramp_cycles,
+    }  # fmt: skip
+    mistakes = [
+        Mistake(name, f"{value:g}", "must be a positive number")
+        for name, value in numbers.items()
+        if not 0 < value < math.inf
+    ]
+    if not math.isfinite(offset_mm):
+        mistakes.append(Mistake("offset_mm", str(offset_mm), "must be a finite number"))
+    if mistakes:
+        raise DataError(mistakes, "sinusoid")
+    omega = 2 * math.pi * frequency_hz
+    ramp = ramp_cycles / frequency_hz if start is Start.MIDDLE else 0.0
+    time = np.arange(round((cycles / frequency_hz + ramp / 2) * rate_hz) + 1) / rate_hz
+    early = time < ramp
+    phase = omega * np.where(early, time**2 / (2 * ramp or 1.0), time - ramp / 2)
+    phase_rate = omega * np.where(early, time / (ramp or 1.0), 1.0)
+    size = -amplitude_mm if outward else amplitude_mm
+    if start is Start.END:
+        depth, velocity = offset_mm - size * np.cos(phase), size * phase_rate * np.sin(phase)
+    else:
+        depth, velocity = offset_mm + size * np.sin(phase), size * phase_rate * np.cos(phase)
+    return Motion.sampled(time, depth, velocity)
+
+
+def cycles(motion: Motion) -> Array:
+    """Return for every sample how many cycles, each two reversals, are behind it; shape (samples,).
+
+    Samples slower than a twentieth of the largest speed belong to the movement before, so that the noise of a measured
+    velocity makes no reversals. A motion that begins in the middle has a first cycle of three quarters of a period.
+    """
+    velocity = motion.velocity_mm_s
+    sure = np.abs(velocity) >= _MOVING * np.abs(velocity).max()
+    moving = np.flatnonzero(sure & (velocity != 0))
+    if not moving.size:
+        return np.zeros(len(motion))
+    sign = np.sign(velocity[moving])
+    reversals = np.concatenate([[0], np.cumsum(sign[1:] != sign[:-1])])
+    last = np.searchsorted(moving, np.arange(len(motion)), side="right") - 1
+    passed: Array = np.asarray(reversals[np.maximum(last, 0)] // 2, float)
+    return passed
+
+
+def lspb(
+    depths_mm: Sequence[float],
+    velocities_mm_s: Sequence[float],
+    *,
+    blend_s: float = 0.5,
+    dwells_s: Sequence[float] | None = None,
+    rate_hz: float = 200.0,
+) -> Motion:
+    """Move through `depths_mm`, coming to rest at each.
+
+    `velocities_mm_s`, positive, is the speed of the linear part of each segment, one fewer than there are depths;
+    `dwells_s` is the time at rest at each depth but the first (default: none). Sampled at `rate_hz`; the last sample is
+    the first at or after the end. Raises DataError, with all mistakes, for numbers that make no profile.
+    """
+    dwells = [0.0] * len(velocities_mm_s) if dwells_s is None else list(dwells_s)
+    _require(depths_mm, velocities_mm_s, dwells, blend_s, rate_hz)
+    times, starts, velocities, accelerations = _pieces(depths_mm, velocities_mm_s, dwells, blend_s)
+    # Rounding must not add a sample at rest after a motion whose end is on the grid.
+    time = np.arange(math.ceil(times[-1] * rate_hz - 1e-9) + 1) / rate_hz
+    piece = np.clip(np.searchsorted(times, time + 1e-9 / rate_hz, side="right") - 1, 0, len(starts) - 1)
+    since = time - times[piece]
+    depth = starts[piece] + velocities[piece] * since + accelerations[piece] * since**2 / 2
+    velocity = velocities[piece] + accelerations[piece] * since
+    return Motion.sampled(time, depth, np.where(np.abs(velocity) < 1e-9 * max(velocities_mm_s), 0.0, velocity))
+
+
+def insertion_cycles(
+    depth_mm: float,
+    velocity_mm_s: float,
+    *,
+    retraction_mm_s: float | None = None,
+    cycles: int = 1,
+    blend_s: float = 0.5,
+    dwell_s: float = 0.0,
+    pause_s: float = 0.0,
+    rate_hz: float = 200.0,
+) -> Motion:
+    """Insert from the surface to `depth_mm` and retract, `cycles` times.
+
+    The retraction has the speed of the insertion unless `retraction_mm_s` says otherwise; `dwell_s` is the rest at full
+    depth, `pause_s` that at the surface between cycles. Raises DataError as `lspb` does.
+    """
+    if not (isinstance(cycles, int) and cycles >= 1):
+        raise DataError(Mistake("cycles", str(cycles), "must be a whole number of at least 1"))
+    back = velocity_mm_s if retraction_mm_s is None else retraction_mm_s
+    return lspb(
+        [0.0, *[depth_mm, 0.0] * cycles],
+        [velocity_mm_s, back] * cycles,
+        blend_s=blend_s,
+        dwells_s=[*[dwell_s, pause_s] * (cycles - 1), dwell_s, 0.0],
+        rate_hz=rate_hz,
+    )
+
+
+def _pieces(
+    depths: Sequence[float], speeds: Sequence[float], dwells: Sequence[float], blend_s: float
+) -> tuple[Array, Array, Array, Array]:
+    """Return start time, depth, velocity and acceleration of every piece of constant acceleration, rest at the end."""
+    times, starts, velocities, accelerations = [0.0], [], [], []
+    for begin, end, speed, dwell in zip(depths[:-1], depths[1:], speeds, dwells, strict=True):
+        sign, distance = math.copysign(1.0, end - begin), abs(end - begin)
+        acceleration = speed / blend_s
+        blend = min(blend_s, math.sqrt(distance / acceleration))
+        peak = acceleration * blend
+        ramp = peak * blend / 2
+        for duration, start, velocity, change in (
+            (blend, begin, 0.0, acceleration),
+            ((distance - 2 * ramp) / peak, begin + sign * ramp, peak, 0.0),
+            (blend, end - sign * ramp, peak, -acceleration),
+            (dwell, end, 0.0, 0.0),
+        ):
+            if duration > 1e-12:
+                times.append(times[-1] + duration)
+                starts.append(start)
+                velocities.append(sign * velocity)
+                accelerations.append(sign * change)
+    times_ = np.array(times)
+    # What follows the end is rest at the last depth.
+    return times_, np.array([*starts, depths[-1]]), np.array([*velocities, 0.0]), np.array([*accelerations, 0.0])
+
+
+def _require(
+    depths: Sequence[float], speeds: Sequence[float], dwells: Sequence[float], blend_s: float, rate_hz: float
+) -> None:
+    mistakes = []
+    if len(depths) < 2 or len(speeds) != len(depths) - 1:
+        rule = f"must be one fewer than the depths, of which there are {len(depths)}, at least two"
+        mistakes.append(Mistake("velocities_mm_s", f"{len(speeds)} numbers", rule))
+    if len(dwells) != len(speeds):
+        mistakes.append(Mistake("dwells_s", f"{len(dwells)} numbers", "must be one for each velocity"))
+    for name, values, positive in (
+        ("depths_mm", depths, False),
+        ("velocities_mm_s", speeds, True),
+        ("blend_s", [blend_s], True),
+        ("rate_hz", [rate_hz], True),
+    ):
+        for value in values:
+            if not math.isfinite(value) or (positive and value <= 0):
+                mistakes.append(Mistake(name, f"{value}", f"must be a {'positive' if positive else 'finite'} number"))
+    mistakes += [
+        Mistake("dwells_s", f"{value}", "must be a number of at least 0")
+        for value in dwells
+        if not (math.isfinite(value) and value >= 0)
+    ]
+    mistakes += [
+        Mistake("depths_mm", f"{begin:g}, {end:g}", "must differ from one to the next; rest is dwells_s")
+        for begin, end in pairwise(depths)
+        if begin == end
+    ]
+    if mistakes:
+        raise DataError(mistakes, "motion profile")

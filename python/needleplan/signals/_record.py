@@ -1,0 +1,202 @@
+"""The one kind of array that the mechanics use.
+
+----
+
+How a needle moves along its axis: what drives every model.
+
+----
+
+What was measured in one trial.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleplan.errors import DataError, Mistake
+
+__all__ = ["UNITS", "Array", "ComplexArray", "Motion", "Record", "Role", "last_direction"]
+
+Array = NDArray[np.float64]
+"""Double-precision numbers; the docstring of whoever takes or gives one says its shape."""
+
+ComplexArray = NDArray[np.complex128]
+"""Complex gains, poles and zeros."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion sampled at increasing times; all fields have the shape (samples,), or are scalars for one instant.
+
+    `direction` is the sign of the velocity, and at rest the last sign that was not zero: +1 in, -1 out (0 before the
+    first movement). `angle_rad` is the rotation of the base about the axis of the needle.
+    """
+
+    time_s: Array
+    depth_mm: Array
+    velocity_mm_s: Array
+    direction: Array
+    angle_rad: Array
+
+    @classmethod
+    def sampled(
+        cls, time_s: Array, depth_mm: Array, velocity_mm_s: Array | None = None, angle_rad: Array | None = None
+    ) -> Motion:
+        """Make a motion of samples, shape (samples,) each; a missing velocity is the central difference of the depth.
+
+        Raises DataError where shapes differ, a number is not finite, or times do not increase.
+        """
+        time = np.asarray(time_s, float)
+        depth = np.asarray(depth_mm, float)
+        if time.ndim != 1 or time.shape != depth.shape or time.size < 2:
+            rule = f"must be a row of at least two numbers, as long as time_s, {time.shape}"
+            raise DataError(Mistake("depth_mm", f"shape {depth.shape}", rule))
+        if velocity_mm_s is None:
+            if not (np.diff(time) > 0).all():
+                raise DataError(Mistake("time_s", "", "must increase from sample to sample"))
+            velocity = _central_difference(time, depth)
+        else:
+            velocity = np.asarray(velocity_mm_s, float)
+        angle = np.zeros_like(time) if angle_rad is None else np.asarray(angle_rad, float)
+        for name, values in (("time_s", time), ("depth_mm", depth), ("velocity_mm_s", velocity), ("angle_rad", angle)):
+            if values.shape != time.shape:
+                raise DataError(Mistake(name, f"shape {values.shape}", f"must be as long as time_s {time.shape}"))
+            if not np.isfinite(values).all():
+                first = int(np.flatnonzero(~np.isfinite(values))[0])
+                raise DataError(Mistake(f"{name}[{first}]", str(values[first]), "must be a finite number"))
+        if not (np.diff(time) > 0).all():
+            first = int(np.flatnonzero(np.diff(time) <= 0)[0]) + 1
+            raise DataError(Mistake(f"time_s[{first}]", str(time[first]), "must be greater than the time before it"))
+        return cls(time, depth, velocity, last_direction(velocity), angle)
+
+    def __len__(self) -> int:
+        return int(np.size(self.time_s))
+
+    def __getitem__(self, index: object) -> Motion:
+        """Return samples, or one instant."""
+        return Motion(*(getattr(self, each.name)[index] for each in fields(self)))
+
+    def between(self, fraction: float) -> Motion:
+        """Return the motion at `fraction` of each interval between samples, shape (samples - 1,).
+
+        Linear between samples; the direction is that of the velocity there, and at rest that of the sample before.
+        """
+        moved = {
+            name: values[:-1] + fraction * np.diff(values) for name, values in vars(self).items() if name != "direction"
+        }
+        sign = np.sign(moved["velocity_mm_s"])
+        return Motion(**moved, direction=np.where(sign == 0, self.direction[:-1], sign))
+
+    @property
+    def interval_s(self) -> Array:
+        """Times between samples, shape (samples - 1,)."""
+        return np.diff(self.time_s)
+
+
+def _central_difference(time: Array, depth: Array) -> Array:
+    """Return the second-order difference of uneven samples, shape (samples,): exactly zero where the depth rests.
+
+    That of numpy leaves a rounding error there, whose sign would pass for a direction.
+    """
+    step = np.diff(time)
+    slope = np.diff(depth) / step
+    middle = (step[1:] * slope[:-1] + step[:-1] * slope[1:]) / (step[1:] + step[:-1])
+    return np.concatenate([slope[:1], middle, slope[-1:]])
+
+
+def last_direction(velocity: Array) -> Array:
+    """Return the sign of each velocity, and where that is zero the last one that was not; shape as given."""
+    sign = np.sign(velocity)
+    moving = np.flatnonzero(sign)
+    if not moving.size:
+        return sign
+    last = np.searchsorted(moving, np.arange(sign.size), side="right") - 1
+    return np.where(last >= 0, sign[moving[np.maximum(last, 0)]], 0.0)
+
+
+UNITS = {
+    "time_s": "s",
+    "depth_mm": "mm",
+    "velocity_mm_s": "mm/s",
+    "force_n": "N",
+    "torque_n_mm": "N mm",
+    "angle_rad": "rad",
+    "x_mm": "mm",
+    "y_mm": "mm",
+    "z_mm": "mm",
+}
+"""Unit of every column of numbers; the names are those of the data files."""
+
+
+class Role(StrEnum):
+    """What a trial is for."""
+
+    TRAIN = "train"
+    """Parameters are identified from it."""
+
+    HOLDOUT = "holdout"
+    """It only judges what was identified."""
+
+    NOISE = "noise"
+    """The sensors with nothing happening."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One trial: columns of one length, named and in the units of `UNITS`; `time_s` is always there.
+
+    `phase` holds the name of the phase of every sample, or is empty. `digest` names the file that it came from, and
+    is empty for synthetic data.
+    """
+
+    columns: dict[str, Array]
+    trial: str = ""
+    role: Role = Role.TRAIN
+    phase: tuple[str, ...] = ()
+    digest: str = ""
+    notes: tuple[str, ...] = field(default=())
+    """What reading it had to say: rows left out, suspicious units."""
+
+    def __post_init__(self) -> None:
+        if "time_s" not in self.columns:
+            raise DataError(Mistake("time_s", "", "is missing"))
+        columns = {name: np.asarray(values, float) for name, values in self.columns.items()}
+        unknown = [Mistake(name, "", f"must be one of {', '.join(UNITS)}") for name in columns if name not in UNITS]
+        shape = columns["time_s"].shape
+        unknown += [
+            Mistake(name, f"shape {values.shape}", f"must be a row as long as time_s, {shape}")
+            for name, values in columns.items()
+            if values.shape != shape or values.ndim != 1
+        ]
+        if unknown:
+            raise DataError(unknown, self.trial)
+        object.__setattr__(self, "columns", columns)
+
+    def __len__(self) -> int:
+        return int(self.columns["time_s"].size)
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a column, shape (samples,). Raises DataError where the trial does not have it."""
+        if name not in self.columns:
+            raise DataError(Mistake(name, "", "is missing, and is needed here"), self.trial)
+        return self.columns[name]
+
+    def motion(self) -> Motion:
+        """Return what drove the trial: `depth_mm`, and where they are there `velocity_mm_s` and `angle_rad`."""
+        return Motion.sampled(
+            self["time_s"], self["depth_mm"], self.columns.get("velocity_mm_s"), self.columns.get("angle_rad")
+        )
+
+    def with_column(self, name: str, values: Array) -> Record:
+        """Return the record with a column added or replaced."""
+        return replace(self, columns={**self.columns, name: values})
+
+    def select(self, rows: Array | slice) -> Record:
+        """Return the record with only some rows: a slice, a mask or indices."""
+        columns = {name: values[rows] for name, values in self.columns.items()}
+        phase = tuple(np.asarray(self.phase, object)[rows]) if self.phase else ()
+        return replace(self, columns=columns, phase=phase)

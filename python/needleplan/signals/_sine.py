@@ -1,0 +1,61 @@
+"""The sine in a periodic signal: its frequency, amplitude and phase."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.errors import DataError, Mistake
+from needleplan.signals._record import Array
+
+__all__ = ["Sine", "dominant_frequency_hz", "lag_rad", "sine_at"]
+
+
+@dataclass(frozen=True)
+class Sine:
+    """offset + amplitude cos(2 pi frequency t + phase)."""
+
+    frequency_hz: float
+    amplitude: float
+    phase_rad: float
+    offset: float
+
+
+def sine_at(frequency_hz: float, time_s: Array, values: Array) -> Sine:
+    """Fit the sine of a known frequency by linear least squares; shapes (samples,)."""
+    angle = 2 * np.pi * frequency_hz * np.asarray(time_s, float)
+    columns = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle)])
+    (a, b, offset), *_ = np.linalg.lstsq(columns, np.asarray(values, float), rcond=None)
+    return Sine(frequency_hz, float(np.hypot(a, b)), float(np.arctan2(-b, a)), float(offset))
+
+
+def dominant_frequency_hz(time_s: Array, values: Array) -> float:
+    """Return the frequency whose sine explains most of a record, shape (samples,) each, at nearly even times.
+
+    The largest line of the spectrum, refined by least squares within half a line to either side. Raises DataError for
+    fewer than eight samples, or where the values do not change.
+    """
+    from scipy.optimize import minimize_scalar
+
+    time, values = np.asarray(time_s, float), np.asarray(values, float)
+    if time.size < 8 or np.ptp(values) == 0:
+        raise DataError(Mistake("values", f"{time.size} samples", "must be at least eight, and change"))
+    duration = float(time[-1] - time[0]) * time.size / (time.size - 1)
+    grid = np.linspace(time[0], time[-1], time.size)
+    spectrum = np.abs(np.fft.rfft(np.interp(grid, time, values - values.mean())))
+    line = int(np.argmax(spectrum[1:])) + 1
+
+    def unexplained(frequency: float) -> float:
+        sine = sine_at(frequency, time, values)
+        model = sine.offset + sine.amplitude * np.cos(2 * np.pi * frequency * time + sine.phase_rad)
+        return float(np.sum((values - model) ** 2))
+
+    bounds = (max(line - 0.9, 0.3) / duration, (line + 0.9) / duration)
+    return float(minimize_scalar(unexplained, bounds=bounds, method="bounded", options={"xatol": 1e-6 / duration}).x)
+
+
+def lag_rad(frequency_hz: float, time_s: Array, values: Array, reference: Array) -> float:
+    """Return by how much the sine in `values` is later than that in `reference`, within -pi and pi."""
+    late = sine_at(frequency_hz, time_s, reference).phase_rad - sine_at(frequency_hz, time_s, values).phase_rad
+    return float((late + np.pi) % (2 * np.pi) - np.pi)

@@ -1,0 +1,182 @@
+"""Velocity from an electromagnetic tracker by a Kalman filter (thesis, appendix A and section 4.3).
+
+The thesis says that it used a Kalman filter and no more; its noise and its model are choices of whoever calls. The
+position follows a chain of integrators driven by white noise: of its velocity's rate (constant velocity) or of its
+acceleration's rate (constant acceleration).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from needleplan.errors import DataError, Mistake, ModelError
+from needleplan.signals._record import Array
+
+__all__ = ["TrackerEstimate", "TrackerFilter", "TrackerModel", "TrackerStream"]
+
+_UNKNOWN_VELOCITY_MM_S = 100.0
+_UNKNOWN_ACCELERATION_MM_S2 = 1000.0
+
+
+class TrackerModel(IntEnum):
+    """What stays constant but for noise; the value is the number of integrators less one."""
+
+    CONSTANT_VELOCITY = 1
+    CONSTANT_ACCELERATION = 2
+
+
+@dataclass(frozen=True)
+class TrackerEstimate:
+    """Estimates at every sample, shape (samples,) each, NaN before the first position that was seen.
+
+    `missed` counts the samples without a measurement.
+    """
+
+    position_mm: Array
+    velocity_mm_s: Array
+    velocity_sd_mm_s: Array
+    missed: int
+
+
+@dataclass(frozen=True)
+class TrackerFilter:
+    """A Kalman filter for one coordinate.
+
+    `position_sd_mm` is the standard deviation of the tracker's noise; `density` the spectral density of the driving
+    noise, mm^2/s^3 for constant velocity and mm^2/s^5 for constant acceleration. Raises ModelError unless positive.
+    """
+
+    position_sd_mm: float
+    density: float
+    model: TrackerModel = TrackerModel.CONSTANT_ACCELERATION
+
+    def __post_init__(self) -> None:
+        mistakes = [
+            Mistake(name, f"{getattr(self, name):g}", "must be a number greater than 0")
+            for name in ("position_sd_mm", "density")
+            if not 0 < getattr(self, name) < np.inf
+        ]
+        if mistakes:
+            raise ModelError(mistakes, "tracker filter")
+
+    def apply(self, time_s: Array, position_mm: Array) -> TrackerEstimate:
+        """Filter a record, causally; bitwise what `stream` gives. NaN is a sample that the tracker did not see.
+
+        Raises DataError where the shapes differ, times do not increase, or nothing was seen.
+        """
+        time, position = self._checked(time_s, position_mm)
+        stream = self.stream()
+        rows = [stream.push(*each) for each in zip(time.tolist(), position.tolist(), strict=True)]
+        estimates = np.array(rows).T
+        return TrackerEstimate(estimates[0], estimates[1], estimates[2], int(np.isnan(position).sum()))
+
+    def smooth(self, time_s: Array, position_mm: Array) -> TrackerEstimate:
+        """Return estimates from all of the record, without the delay of the filter (Rauch, Tung and Striebel).
+
+        For work after the experiment. Raises DataError as `apply` does.
+        """
+        time, position = self._checked(time_s, position_mm)
+        unseen = int(np.flatnonzero(np.isfinite(position))[0])
+        stream = self.stream()
+        states, covariances = [], []
+        for each in zip(time[unseen:].tolist(), position[unseen:].tolist(), strict=True):
+            stream.push(*each)
+            states.append(stream.state)
+            covariances.append(stream.covariance)
+        steps = [self.step(interval) for interval in np.diff(time[unseen:], prepend=time[unseen]).tolist()]
+        x, p, _, _ = stream.kalman.rts_smoother(
+            np.array(states)[..., None],
+            np.array(covariances),
+            Fs=np.array([each[0] for each in steps]),
+            Qs=np.array([each[1] for each in steps]),
+        )
+        rows = np.full((3, time.size), np.nan)
+        rows[:, unseen:] = x[:, 0, 0], x[:, 1, 0], np.sqrt(p[:, 1, 1])
+        return TrackerEstimate(rows[0], rows[1], rows[2], int(np.isnan(position).sum()))
+
+    def stream(self) -> TrackerStream:
+        """Return the filter for positions that come one at a time."""
+        return TrackerStream(self)
+
+    def step(self, interval_s: float) -> tuple[Array, Array]:
+        """Return transition and covariance of the driving noise over an interval, shape (n, n) each."""
+        from filterpy.common import Q_continuous_white_noise
+
+        n = self.model + 1
+        transition = np.eye(n)
+        transition[0, 1] = interval_s
+        if self.model is TrackerModel.CONSTANT_ACCELERATION:
+            transition[1, 2], transition[0, 2] = interval_s, interval_s**2 / 2
+        return transition, np.asarray(Q_continuous_white_noise(n, interval_s, self.density), float)
+
+    def _checked(self, time_s: Array, position_mm: Array) -> tuple[Array, Array]:
+        time, position = np.asarray(time_s, float), np.asarray(position_mm, float)
+        if time.ndim != 1 or time.shape != position.shape:
+            raise DataError(
+                Mistake("position_mm", f"shape {position.shape}", f"must be as long as time_s {time.shape}")
+            )
+        if not np.isfinite(position).any():
+            raise DataError(Mistake("position_mm", "", "has no number: the tracker saw nothing"))
+        if not np.isfinite(time).all() or not (np.diff(time) > 0).all():
+            raise DataError(Mistake("time_s", "", "must increase from sample to sample"))
+        return time, position
+
+
+class TrackerStream:
+    """A tracker's filter at work; before the first position that was seen all estimates are NaN."""
+
+    def __init__(self, what: TrackerFilter) -> None:
+        from filterpy.kalman import KalmanFilter
+
+        n = what.model + 1
+        self._what = what
+        self._time: float | None = None
+        self._started = False
+        self._step: tuple[float, tuple[Array, Array]] | None = None
+        self.kalman: Any = KalmanFilter(dim_x=n, dim_z=1)
+        self.kalman.H = np.eye(1, n)
+        self.kalman.R = np.array([[what.position_sd_mm**2]])
+        sd = np.array([what.position_sd_mm, _UNKNOWN_VELOCITY_MM_S, _UNKNOWN_ACCELERATION_MM_S2])[:n]
+        self.kalman.P = np.diag(sd**2)
+
+    @property
+    def state(self) -> Array:
+        """Position, velocity and with constant acceleration that one too, shape (n,)."""
+        return np.array(self.kalman.x, float).ravel()
+
+    @property
+    def covariance(self) -> Array:
+        """Of the state, shape (n, n)."""
+        return np.array(self.kalman.P, float)
+
+    def push(self, time_s: float, position_mm: float) -> tuple[float, float, float]:
+        """Take a position (NaN: not seen) and return position, velocity and the standard deviation of the velocity.
+
+        Raises DataError where the time is not later than the one before.
+        """
+        last, self._time = self._time, time_s
+        if last is not None and not time_s > last:
+            raise DataError(Mistake("time_s", f"{time_s:g}", "must be greater than the time before it"))
+        seen = position_mm == position_mm
+        if not self._started:
+            if not seen:
+                return (np.nan, np.nan, np.nan)
+            self._started = True
+            self.kalman.x[0, 0] = position_mm
+        else:
+            assert last is not None
+            transition, noise = self._over(time_s - last)
+            self.kalman.predict(F=transition, Q=noise)
+            if seen:
+                self.kalman.update(position_mm)
+        position, velocity = self.state[:2].tolist()
+        return position, velocity, float(np.sqrt(self.kalman.P[1, 1]))
+
+    def _over(self, interval_s: float) -> tuple[Array, Array]:
+        if self._step is None or self._step[0] != interval_s:
+            self._step = (interval_s, self._what.step(interval_s))
+        return self._step[1]
