@@ -23,7 +23,7 @@ import numpy as np
 from problem import scenario_at
 
 import needleplan as npl
-from needleplan.planning.lattice import lattice_of
+from needleplan.planning import lattice_of
 
 POSES = 4_000_000
 

@@ -11,10 +11,9 @@ from contest import Answer, Prepare, Solve
 from problem import Problem
 
 import needleplan as npl
-from needleplan.planning.lattice import lattice_of
-from needleplan.planning.mdp import TabularMdp
-from needleplan.planning.mdp import solve as solve_tabular
-from needleplan.planning.table import PolicyTable
+from needleplan.mdp import TabularMdp
+from needleplan.mdp import solve as solve_tabular
+from needleplan.planning import PolicyTable, lattice_of
 
 
 def _facts(read: Callable[[str], Any]) -> dict[str, float]:

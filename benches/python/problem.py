@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from needleplan.planning.lattice import lattice_of
+from needleplan.planning import lattice_of
 from needleplan.scenario import Scenario
 
 SCENARIO = "four_obstacles_thesis"

@@ -103,7 +103,7 @@ def _measure(spacing: float, transition: str, options: argparse.Namespace) -> Po
 def _measure_here(spacing: float, transition: str, threads: int | None) -> Point:
     from problem import scenario_at
 
-    from needleplan.planning.lattice import lattice_of
+    from needleplan.planning import lattice_of
     from needleplan.scenario import Transition
 
     scenario = scenario_at(spacing)

@@ -4,10 +4,9 @@
 
     import needleplan as npl
 
-    scenario = npl.Scenario.read("four_obstacles")
-    table = npl.plan(scenario)
+    table = npl.plan("four_obstacles")
     entry = table.best_entry()
-    print(table.rollout(entry.pose).success)
+    print(table.rollout(entry).success)
 
 Units everywhere: mm, N, s, rad. Plane: x along the insertion, y lateral; the heading is the tip tangent from +x,
 counter-clockwise positive; the bevel is -1 or +1, the sign of the arc's curvature.
@@ -17,18 +16,36 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from needleplan import mdp, models
+    from needleplan import mdp, models, recording
     from needleplan.diagnosis import diagnose
     from needleplan.errors import InputError, NeedleplanError
-    from needleplan.planning import PolicyTable, plan
-    from needleplan.scenario import Scenario
+    from needleplan.planning import PolicyTable, Pose, plan
+    from needleplan.scenario import Obstacle, Scenario
 
-__all__ = ["InputError", "NeedleplanError", "PolicyTable", "Scenario", "diagnose", "mdp", "models", "plan"]
+    __version__: str
 
+__all__ = [
+    "InputError",
+    "NeedleplanError",
+    "Obstacle",
+    "PolicyTable",
+    "Pose",
+    "Scenario",
+    "__version__",
+    "diagnose",
+    "mdp",
+    "models",
+    "plan",
+    "recording",
+]
+
+# Module that defines a public name; names that are missing here are modules themselves.
 _HOMES = {
     "InputError": "errors",
     "NeedleplanError": "errors",
+    "Obstacle": "scenario",
     "PolicyTable": "planning",
+    "Pose": "planning",
     "Scenario": "scenario",
     "diagnose": "diagnosis",
     "plan": "planning",
@@ -39,9 +56,12 @@ def __getattr__(name: str) -> object:
     """Import a public name when it is first used, so that small commands start fast."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    if name not in _HOMES:
+    if name == "__version__":
+        value: object = import_module(f"{__name__}.artifacts").version()
+    elif name in _HOMES:
+        value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    else:
         return import_module(f"{__name__}.{name}")
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     globals()[name] = value
     return value
 

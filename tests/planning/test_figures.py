@@ -6,11 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from matplotlib import pyplot
+from matplotlib.axes import Axes
 
 import needleplan as npl
 from needleplan import plotting
-from needleplan.errors import InputError, OutputError
-from needleplan.planning import Outcome, drawing
+from needleplan.errors import InputError, OutputError, PoseError
+from needleplan.planning import Outcome
 from needleplan.scenario import Method, Scenario
 
 
@@ -18,49 +20,56 @@ def labels(figure: object) -> list[str]:
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]  # type: ignore[attr-defined]
 
 
+@pytest.fixture
+def axes(table: npl.PolicyTable) -> Axes:
+    return plotting.sheet(table.scenario.workspace, 1)[1][0]
+
+
 def test_a_plan_shows_the_scene_the_path_and_the_map(table: npl.PolicyTable) -> None:
-    start = table.best_entry().pose
-    path = table.path(start)
-    noisy = [table.path(start, noise_seed=seed) for seed in range(10)]
-    figure = drawing.plan_figure(table, path, noisy)
+    figure, (left, right) = plotting.sheet(table.scenario.workspace, 2)
+    rollouts, path = table.rollout(table.best_entry(), runs=10), table.path(table.best_entry())
+    rollouts.plot(left)
+    plotting.legend_below(path.plot(left, scene=False))
+    table.plot(right)
     scene, success, _bar = figure.axes
     assert len(scene.patches) == len(success.patches) == 2
     assert scene.get_xlim() == success.get_xlim() == (0, 60)
     assert scene.get_aspect() == 1
-    reached = sum(each.outcome is Outcome.TARGET for each in noisy)
+    reached = sum(each.outcome is Outcome.TARGET for each in rollouts.samples)
     assert f"turns ({len(path.turns)})" in labels(figure)
     assert f"with tip noise, reached the target ({reached})" in labels(figure)
     assert success.images[0].get_array().shape == (41, 61)
     assert success.images[0].get_clim() == (0, 1)
 
 
-def test_the_map_of_one_heading(table: npl.PolicyTable) -> None:
-    figure, (axes,) = plotting.sheet(table.scenario.workspace, 1)
-    drawing.draw_success_map(axes, table, heading_rad=0.0)
+def test_the_map_of_one_heading(table: npl.PolicyTable, axes: Axes) -> None:
+    assert table.plot(axes, heading_rad=0.0) is axes
     shown = axes.images[0].get_array()
     assert shown[20, 0] == table.success[0, 20, 0].max()
     assert shown.mask[5, 25]
     assert "at 0 deg" in axes.get_title(loc="left")
-    assert len(figure.axes) == 2
+    assert len(axes.figure.axes) == 2
+    with pytest.raises(PoseError, match=r"heading_rad = 90: .*degrees\?"):
+        table.plot(axes, heading_rad=90)
 
 
-def test_the_order_numbers_every_partition_once(small: Scenario) -> None:
+def test_the_order_numbers_every_partition_once(small: Scenario, axes: Axes) -> None:
     solver = replace(small.solver, method=Method.PPVI)
     table = npl.plan(replace(small, solver=solver))
-    (axes,) = drawing.order_figure(table).axes
-    texts = [text.get_text() for text in axes.texts]
+    texts = [text.get_text() for text in table.plot_order(axes).texts]
     assert len(table.stats.order) <= 24
     assert sorted(map(int, texts)) == sorted([*range(1, 25), *range(1, len(table.stats.order) + 1)])
 
 
-def test_the_order_of_a_table_without_partitions_is_refused(table: npl.PolicyTable) -> None:
+def test_the_order_of_a_table_without_partitions_is_refused(table: npl.PolicyTable, axes: Axes) -> None:
     with pytest.raises(InputError, match=r"solver\.method"):
-        drawing.order_figure(table)
+        table.plot_order(axes)
 
 
 def test_a_flat_workspace_is_stretched_and_says_so() -> None:
-    figure, axes = plotting.sheet(Scenario.read("phantom").workspace, 2)
-    drawing.draw_scene(axes[0], Scenario.read("phantom"))
+    phantom = Scenario.read("phantom")
+    figure, axes = plotting.sheet(phantom.workspace, 2)
+    phantom.plot(axes[0])
     assert "y stretched 3.6 times" in axes[0].get_xlabel()
     assert axes[0].get_position().y0 > axes[1].get_position().y0
     assert len(figure.axes) == 2
@@ -69,8 +78,8 @@ def test_a_flat_workspace_is_stretched_and_says_so() -> None:
 def test_layers_and_tissues_are_tinted_and_labelled() -> None:
     scenario = Scenario.read("layered")
     _, axes = plotting.sheet(scenario.workspace, 2)
-    drawing.draw_scene(axes[0], scenario)
-    drawing.draw_scene(axes[1], scenario, on_colour=True)
+    scenario.plot(axes[0])
+    scenario.plot(axes[1], on_map=True)
     texts = [text.get_text() for text in axes[0].texts]
     assert texts == ["R 75 mm", "R 55 mm", "R 45 mm", "tumour, R 35 mm"]
     spans, regions = axes[0].patches[3:6], axes[0].patches[6:7]
@@ -82,16 +91,29 @@ def test_layers_and_tissues_are_tinted_and_labelled() -> None:
     assert axes[0].get_xlim() == axes[1].get_xlim() == (0, 110)
 
 
+def test_without_axes_there_is_a_figure_of_pyplot(table: npl.PolicyTable) -> None:
+    entry = table.best_entry()
+    for shown in (table, table.scenario, table.path(entry), table.rollout(entry, runs=3)):
+        axes = shown.plot()
+        assert axes is pyplot.gca() or axes in pyplot.gcf().axes
+        assert (axes.get_xlabel(), axes.get_ylabel()) == ("x (mm)", "y (mm)")
+        assert axes.get_title(loc="left") == ("Success probability at the best heading" if shown is table else "Small")
+        pyplot.close()
+    assert pyplot.get_fignums() == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "start"), [("a.png", b"\x89PNG"), ("a.pdf", b"%PDF"), ("a.svg", b"<?xml")])
 def test_files(table: npl.PolicyTable, tmp_path: Path, name: str, start: bytes) -> None:
-    plotting.save(drawing.path_figure(table, table.path((0, 25, 0))), tmp_path / name)
+    figure, (axes,) = plotting.sheet(table.scenario.workspace, 1)
+    table.path((0, 25, 0)).plot(axes)
+    plotting.save(figure, tmp_path / name)
     assert (tmp_path / name).read_bytes().startswith(start)
     assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_files_that_cannot_be(table: npl.PolicyTable, tmp_path: Path) -> None:
-    figure = drawing.path_figure(table, table.path((0, 25, 0)))
+    figure, _ = plotting.sheet(table.scenario.workspace, 1)
     with pytest.raises(OutputError, match=r"must end in \.png, \.pdf, \.svg"):
         plotting.save(figure, tmp_path / "a.gif")
     with pytest.raises(OutputError, match="cannot be written"):

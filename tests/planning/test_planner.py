@@ -10,7 +10,8 @@ import pytest
 
 import needleplan as npl
 from needleplan.errors import ScenarioError
-from needleplan.planning import Status, memory
+from needleplan.planning import Status
+from needleplan.planning import _planner as planner
 from needleplan.scenario import Grid, Method, Obstacle, Scenario, Transition
 
 
@@ -109,9 +110,9 @@ def test_a_grid_too_large_says_how_much_it_needs(small: Scenario, spacing: float
 
 
 def test_memory_is_compared_with_what_is_available(small: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
-    needed = small.states * memory.BYTES_PER_STATE[small.solver.method]
-    monkeypatch.setattr(memory, "available_bytes", lambda: needed)
-    memory.require_memory(small)
-    monkeypatch.setattr(memory, "available_bytes", lambda: needed - 1)
+    needed = small.states * planner.BYTES_PER_STATE[small.solver.method]
+    monkeypatch.setattr(planner, "available_bytes", lambda: needed)
+    planner.require_memory(small)
+    monkeypatch.setattr(planner, "available_bytes", lambda: needed - 1)
     with pytest.raises(ScenarioError, match=r"needs about 6\.48 MB of memory; 6\.48 MB are available"):
-        memory.require_memory(small)
+        planner.require_memory(small)

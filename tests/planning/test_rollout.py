@@ -9,8 +9,7 @@ import pytest
 
 import needleplan as npl
 from needleplan.errors import PoseError
-from needleplan.planning import Outcome
-from needleplan.planning.execution import wilson
+from needleplan.planning import Outcome, wilson
 from needleplan.scenario import Grid, Scenario, Transition
 
 

@@ -14,7 +14,7 @@ from oracle_mdp import build, success_of
 
 import needleplan as npl
 from needleplan.errors import ScenarioError
-from needleplan.planning import memory
+from needleplan.planning import _planner as planner
 from needleplan.scenario import Scenario
 from tests.planning import test_against_oracle as plain
 
@@ -80,7 +80,7 @@ def test_other_refinements_are_refused(small: Scenario, value: Any) -> None:
 
 
 def test_the_finer_grid_must_fit_into_memory(small: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory, "available_bytes", lambda: small.states * 100)
+    monkeypatch.setattr(planner, "available_bytes", lambda: small.states * 100)
     npl.plan(small)
     with pytest.raises(ScenarioError, match=r"with success_refinement = 5, and needs about"):
         npl.plan(replace(small, grid=replace(small.grid, success_refinement=5)))

@@ -19,7 +19,7 @@ def test_lookup_reads_the_nearest_state(table: npl.PolicyTable) -> None:
         (0.0, 20.0, 0.0, 1, (0, 20, 0, 1)),
         (10.4, 20.6, 0.4 * step, -1, (10, 21, 0, 0)),
         (60.0, 40.0, -step, -1, (60, 40, 35, 0)),
-        (10.0, 20.0, 3 * step + 20 * math.pi, 1, (10, 20, 3, 1)),
+        (10.0, 20.0, 3 * step - 2 * math.pi, 1, (10, 20, 3, 1)),
     ):
         decision = table.lookup(x, y, heading, bevel)
         assert decision.value == table.values[index]
@@ -33,7 +33,7 @@ def test_lookup_many_is_lookup_many_times(table: npl.PolicyTable) -> None:
         [
             random.uniform(0, 60, 200),
             random.uniform(0, 40, 200),
-            random.uniform(-9, 9, 200),
+            random.uniform(-6.28, 6.28, 200),
             random.choice([-1, 1], 200),
         ],
         axis=1,

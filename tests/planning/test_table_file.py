@@ -21,8 +21,9 @@ from hypothesis import strategies as st
 import needleplan as npl
 from needleplan.artifacts import files as provenance
 from needleplan.errors import ChecksumError, OutputError, TableError
+from needleplan.planning import TABLE_FORMAT as FORMAT
 from needleplan.planning import Stats, Status
-from needleplan.planning.table_file import FORMAT, _seal
+from needleplan.planning._table_file import _seal
 from needleplan.scenario import Grid, Scenario, Transition
 from tests.scenario.scenes import scenarios
 

@@ -153,11 +153,13 @@ def _lines(table: PolicyTable, best: Entry, options: argparse.Namespace) -> dict
 
 
 def _draw(table: PolicyTable, best: Entry, file: str) -> None:
-    from needleplan.planning.drawing import plan_figure
-    from needleplan.plotting import save
+    from needleplan.plotting import legend_below, save, sheet
 
-    noisy = [table.path(best.pose, noise_seed=seed) for seed in range(_NOISY_PATHS)]
-    save(plan_figure(table, table.path(best.pose), noisy), file)
+    figure, (executions, success) = sheet(table.scenario.workspace, 2)
+    table.rollout(best, runs=_NOISY_PATHS).plot(executions)
+    legend_below(table.path(best).plot(executions, scene=False))
+    table.plot(success)
+    save(figure, file)
 
 
 def with_identified(scenario: Scenario, options: argparse.Namespace) -> tuple[Scenario, list[Replaced]]:

@@ -56,12 +56,13 @@ def _run_path(options: argparse.Namespace) -> int:
     path = table.path(start or table.best_entry().pose, greedy=options.greedy)
     decision = table.lookup(*path.start)
     if options.figure:
-        from needleplan.planning.drawing import path_figure
-        from needleplan.plotting import save
+        from needleplan.plotting import legend_below, save, sheet
 
-        save(path_figure(table, path), options.figure)
+        figure, (axes,) = sheet(table.scenario.workspace, 1)
+        legend_below(path.plot(axes))
+        save(figure, options.figure)
         note(f"drew {options.figure}")
-    turns = [Pose.of(turn) for turn in path.turns.tolist()]
+    turns = [Pose.wound(turn) for turn in path.turns.tolist()]
     if options.json:
         print_json(
             {
@@ -81,7 +82,7 @@ def _run_path(options: argparse.Namespace) -> int:
             "outcome": str(path.outcome),
             "length": f"{path.length_mm:.1f} mm in {len(path.actions)} steps",
             "turns": ", ".join(f"({turn.x_mm:.1f}, {turn.y_mm:.1f})" for turn in turns) or "none",
-            "end": str(Pose.of(path.poses[-1].tolist())),
+            "end": str(path.end),
             "with noise": f"predicted success {percent(decision.success)}, cost {decision.value:.4g}",
         }
         print_lines(table.scenario.title or options.table, lines)
@@ -194,8 +195,7 @@ def _add_info(commands: Any) -> None:
 
 def _run_info(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from needleplan.planning import PolicyTable
-    from needleplan.planning.table_file import FORMAT
+    from needleplan.planning import TABLE_FORMAT, PolicyTable
 
     try:
         table = PolicyTable.read(options.table)
@@ -212,7 +212,7 @@ def _run_info(options: argparse.Namespace) -> int:
             {
                 "table": options.table,
                 "verified": True,
-                "format": FORMAT,
+                "format": TABLE_FORMAT,
                 "title": scenario.title,
                 "scenario_digest": scenario.digest,
                 "digest": table.digest,
@@ -228,7 +228,7 @@ def _run_info(options: argparse.Namespace) -> int:
     print_lines(
         scenario.title or options.table,
         {
-            "format": f"{FORMAT}, checksums verified",
+            "format": f"{TABLE_FORMAT}, checksums verified",
             "digest": table.digest,
             "scenario": scenario.digest,
             "grid": f"{' x '.join(map(str, scenario.shape))} = {stats.states:,} states, spacing {dx:g} x {dy:g} mm, "

@@ -213,7 +213,7 @@ class Insertion(Closing):
         x, y, heading = tip.x_mm, tip.y_mm, tip.heading_rad
         if abs(left) > 1e-6:
             x, y, heading = (float(each) for each in arc_step(x, y, heading, bevel * tip.curvature_per_mm, left))
-        return Pose(*self._scene.clamped(x, y), heading, bevel)
+        return Pose.wound((*self._scene.clamped(x, y), heading, bevel))
 
     def _given_up(self, pose: Pose, decision: Decision) -> tuple[Ending, str]:
         promise = f"the table promises {decision.success:.2%} from {pose}"

@@ -1,13 +1,16 @@
 """Planning: from a scenario to a policy table, and what a table answers."""
 
-from needleplan.planning.entry import Edge, Entry
-from needleplan.planning.execution import Path, Rollouts
-from needleplan.planning.planner import plan
-from needleplan.planning.pose import Action, Outcome, Pose
-from needleplan.planning.stats import Progress, Stats, Status
-from needleplan.planning.table import Decision, Decisions, Expectations, PolicyTable
+from needleplan.planning._execution import MOST_STEPS, Path, Rollouts, wilson
+from needleplan.planning._lattice import Progress, Stats, Status, lattice_of
+from needleplan.planning._lookup import Decision, Decisions, Expectations
+from needleplan.planning._planner import plan
+from needleplan.planning._poses import Action, Edge, Entry, Outcome, Pose
+from needleplan.planning._table import PolicyTable
+from needleplan.planning._table_file import FORMAT as TABLE_FORMAT
 
 __all__ = [
+    "MOST_STEPS",
+    "TABLE_FORMAT",
     "Action",
     "Decision",
     "Decisions",
@@ -22,5 +25,7 @@ __all__ = [
     "Rollouts",
     "Stats",
     "Status",
+    "lattice_of",
     "plan",
+    "wilson",
 ]

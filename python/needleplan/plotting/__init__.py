@@ -1,6 +1,25 @@
 """Figures: sheets, colours and saving; importing this package does not import matplotlib."""
 
-from needleplan.plotting.canvas import require_drawable, save, sheet, stack
+from needleplan.plotting.canvas import (
+    axes_or_new,
+    legend_below,
+    picture_html,
+    require_drawable,
+    save,
+    sheet,
+    stack,
+    title,
+)
 from needleplan.plotting.caption import caption
 
-__all__ = ["caption", "require_drawable", "save", "sheet", "stack"]
+__all__ = [
+    "axes_or_new",
+    "caption",
+    "legend_below",
+    "picture_html",
+    "require_drawable",
+    "save",
+    "sheet",
+    "stack",
+    "title",
+]

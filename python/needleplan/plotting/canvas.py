@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import os
+from collections.abc import Callable
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -24,6 +27,9 @@ __all__ = [
     "VERMILLION",
     "Extent",
     "axes_in_mm",
+    "axes_or_new",
+    "legend_below",
+    "picture_html",
     "require_drawable",
     "save",
     "sheet",
@@ -56,24 +62,44 @@ _STYLE: Any = {
     "svg.hashsalt": "needleplan",
     "pdf.fonttype": 42,
 }
+# Width over height of a workspace above which panels are stacked.
+_FLAT = 2.2
+
+# Width over height of a workspace above which it is stretched in y.
 _FLATTEST = 6.0
+
+# Resolution of a picture in a notebook in dots per inch.
+_NOTEBOOK_DPI = 80
 
 
 def sheet(workspace: Extent, panels: int) -> tuple[Figure, list[Axes]]:
-    """Return a figure with `panels` axes of one workspace: beside each other, or stacked where it is flat."""
+    """Return a figure with `panels` axes of one workspace, side by side, or stacked if the workspace is flat."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
+    width, height, rows = _sheet_size(workspace, panels)
     with mpl.rc_context(_STYLE):
-        if workspace.width_mm > 2.2 * workspace.height_mm:
-            height = 7.2 / min(workspace.width_mm / workspace.height_mm, _FLATTEST) + 0.9
-            figure = Figure(figsize=(7.6, panels * height), layout="constrained")
-            axes = figure.subplots(panels, 1, squeeze=False)
-        else:
-            height = 4.4 * min(workspace.height_mm / workspace.width_mm, 1.6) + 0.8
-            figure = Figure(figsize=(5.0 * panels, height), layout="constrained")
-            axes = figure.subplots(1, panels, squeeze=False)
-        return figure, list(axes.flat)
+        figure = Figure(figsize=(width, height), layout="constrained")
+        return figure, list(figure.subplots(rows, panels // rows, squeeze=False).flat)
+
+
+def axes_or_new(axes: Axes | None, workspace: Extent) -> Axes:
+    """Return `axes`, or the axes of a new pyplot figure whose size suits the workspace."""
+    if axes is not None:
+        return axes
+    import matplotlib as mpl
+    from matplotlib import pyplot
+
+    with mpl.rc_context(_STYLE):
+        return pyplot.figure(figsize=_sheet_size(workspace, 1)[:2], layout="constrained").subplots()
+
+
+def _sheet_size(workspace: Extent, panels: int) -> tuple[float, float, int]:
+    """Return width and height of a figure in inches, and its number of rows."""
+    if workspace.width_mm > _FLAT * workspace.height_mm:
+        height = 7.2 / min(workspace.width_mm / workspace.height_mm, _FLATTEST) + 0.9
+        return 7.6, panels * height, panels
+    return 5.0 * panels, 4.4 * min(workspace.height_mm / workspace.width_mm, 1.6) + 0.8, 1
 
 
 def stack(panels: int) -> tuple[Figure, list[Axes]]:
@@ -104,6 +130,27 @@ def tall(workspace: Extent) -> bool:
 def title(axes: Axes, text: str) -> None:
     """Write the title of a panel above its left end."""
     axes.set_title(text, loc="left", fontsize=10)
+
+
+def legend_below(axes: Axes) -> None:
+    """Write the legend of `axes` below all panels of its figure."""
+    handles, labels = axes.get_legend_handles_labels()
+    axes.figure.legend(handles, labels, loc="outside lower left", ncols=4, frameon=False, fontsize=8)
+
+
+def picture_html(workspace: Extent, draw: Callable[[Axes], object], text: str) -> str:
+    """Return an HTML figure for a notebook: what `draw` draws on axes of the workspace, as PNG, and a caption."""
+    figure, (axes,) = sheet(workspace, 1)
+    draw(axes)
+    if axes.get_legend_handles_labels()[0]:
+        legend_below(axes)
+    image = io.BytesIO()
+    figure.savefig(image, format="png", dpi=_NOTEBOOK_DPI)
+    data = base64.b64encode(image.getbuffer()).decode()
+    caption = escape(text)
+    return (
+        f'<figure><img alt="{caption}" src="data:image/png;base64,{data}"><figcaption>{caption}</figcaption></figure>'
+    )
 
 
 def require_drawable(path: str | os.PathLike[str]) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 
 from needleplan.control import Report
 from needleplan.planning import Action, PolicyTable
-from needleplan.planning.drawing.scene import draw_scene
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, title
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ def insertion_figure(
             grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1))
             places = (grid[:, 0], grid[0, 1], grid[1, 1])
         scene, apart, force = (figure.add_subplot(place) for place in places)
-    draw_scene(scene, table.scenario)
+    table.scenario.plot(scene)
     if len(report.planned_mm):
         scene.plot(*report.planned_mm.T, color=GREY, linestyle="--", linewidth=1.3, zorder=4, label="planned")
     scene.plot(*report.executed_mm[:, :2].T, color=BLUE, linewidth=1.6, zorder=5, label="executed (estimated tip)")

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 
 from needleplan.artifacts import digest, write_whole
 from needleplan.errors import Mistake, ScenarioError
+from needleplan.plotting import axes_or_new, picture_html, title
 from needleplan.scenario import toml
+from needleplan.scenario._drawing import draw_scene
 from needleplan.scenario.agreement import disagreements
 from needleplan.scenario.identified import Bend
 from needleplan.scenario.parts import (
@@ -32,12 +34,13 @@ from needleplan.scenario.shipped import text_of
 
 if TYPE_CHECKING:
     import numpy as np
+    from matplotlib.axes import Axes
     from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["Scenario"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scenario:
     """Anatomy, target, needle, tip noise, grid, objective and solver.
 
@@ -178,6 +181,43 @@ class Scenario:
         radius = _radius_mm(curvature_per_mm)
         changed = (replace(each, curvature_radius_mm=radius) if each.name == name else each for each in self.tissues)
         return replace(self, tissues=tuple(changed))
+
+    def plot(self, ax: Axes | None = None, *, on_map: bool = False) -> Axes:
+        """Draw workspace, obstacles, target and tissues.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            The axes to draw on. Without them a new pyplot figure is made.
+        on_map : bool, default False
+            Draw outlines that stand out on a colour map, without the tints of the tissues.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The axes, in mm.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> from matplotlib.figure import Figure
+        >>> axes = npl.Scenario.read("four_obstacles").plot(Figure().subplots())
+        >>> axes.get_xlabel(), len(axes.patches)
+        ('x (mm)', 5)
+        """
+        axes = axes_or_new(ax, self.workspace)
+        draw_scene(axes, self, on_map=on_map)
+        if self.title:
+            title(axes, self.title)
+        return axes
+
+    def __repr__(self) -> str:
+        name = f' "{self.title}"' if self.title else ""
+        counts = f"{len(self.obstacles)} obstacle{'s' * (len(self.obstacles) != 1)}, {self.states:,} states"
+        return f"<Scenario{name}: {self.workspace.width_mm:g} x {self.workspace.height_mm:g} mm, {counts}>"
+
+    def _repr_html_(self) -> str:
+        return picture_html(self.workspace, self.plot, repr(self))
 
     @property
     def x_mm(self) -> NDArray[np.float64]:

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.planning import PolicyTable, plan
-from needleplan.planning.execution import MOST_STEPS, wilson
+from needleplan.planning import MOST_STEPS, PolicyTable, plan, wilson
 from needleplan.scenario import Grid, Method, Scenario, Transition
 
 __all__ = ["SEED", "Execution", "Study", "choose_entries", "execute", "planned"]

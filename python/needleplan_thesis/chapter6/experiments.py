@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from needleplan.planning.drawing import draw_path, draw_scene
 from needleplan.plotting import caption, save, sheet
 from needleplan.plotting.canvas import GREY, SKY, title
 from needleplan.reports.comparison import Agreement, Comparison, measured
@@ -125,11 +124,11 @@ def _draw(figure: str, chosen: Sequence[_Done], file: Path) -> None:
 
     drawing, every = sheet(chosen[0].course.scenario.workspace, len(chosen))
     for axes, done in zip(every, chosen, strict=True):
-        draw_scene(axes, done.course.scenario)
+        done.course.scenario.plot(axes)
         for trial in sorted(done.trials, key=_reached):
             colour = SKY if trial.success else GREY
             axes.plot(*trial.path_mm[:, :2].T, color=colour, linewidth=0.5, alpha=0.6, zorder=2)
-        draw_path(axes, done.course.table.path(done.course.pose))
+        done.course.table.path(done.course.pose).plot(axes, scene=False)
         summary = done.summary
         title(
             axes,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from needleplan.planning import PolicyTable
-from needleplan.planning.drawing import draw_partition_order
 from needleplan.plotting import caption, save, sheet
 from needleplan.plotting.canvas import title
 from needleplan.scenario import Priority
@@ -28,7 +27,7 @@ def _order(table: PolicyTable, file: Path, sample: tuple[int, int] | None) -> No
     scenario = table.scenario
     columns, rows = scenario.partitions
     figure, (axes,) = sheet(scenario.workspace, 1)
-    draw_partition_order(axes, table)
+    table.plot_order(axes)
     left_out = columns * rows - len(table.stats.order)
     text = (
         f"Large: place in the order of first processing. Grey: never processed ({left_out} of {columns * rows}). "

@@ -8,7 +8,6 @@ from pathlib import Path as File
 from typing import TYPE_CHECKING
 
 from needleplan.planning import Outcome, Path, PolicyTable, Pose
-from needleplan.planning.drawing import draw_noisy, draw_path, draw_scene
 from needleplan.plotting import caption, save, sheet
 from needleplan.plotting.canvas import BLUE, GREEN, GREY, SKY, title
 
@@ -64,9 +63,8 @@ def draw_panels(panels: Sequence[Panel], text: str, file: File) -> None:
     """Draw the panels with some noisy executions behind each path, and save the figure."""
     figure, every = sheet(panels[0].table.scenario.workspace, len(panels))
     for axes, panel in zip(every, panels, strict=True):
-        draw_scene(axes, panel.table.scenario)
-        draw_noisy(axes, [panel.table.path(panel.start, noise_seed=seed) for seed in range(_NOISY)])
-        draw_path(axes, panel.path)
+        panel.table.rollout(panel.start, runs=_NOISY).plot(axes)
+        panel.path.plot(axes, scene=False)
         title(axes, panel.heading)
     figure.legend(handles=_legend(), loc="outside upper right", ncols=4, frameon=False, fontsize=7.5)
     caption(figure, f"{text} Thin: {_NOISY} executions with tip noise.")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.diagnosis import Verdict
-from needleplan.planning.execution import wilson
+from needleplan.planning import wilson
 from needleplan_thesis.closed_loop.hidden import Hidden
 from needleplan_thesis.closed_loop.loop import Inserted, Round
 

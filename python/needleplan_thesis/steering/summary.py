@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.planning.execution import wilson
+from needleplan.planning import wilson
 from needleplan_thesis.steering.trial import Trial
 
 __all__ = ["Summary", "gap_closed", "summarized"]

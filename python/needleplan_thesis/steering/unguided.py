@@ -41,7 +41,7 @@ def planned_moves(table: PolicyTable, start: Pose) -> Moves:
     scene, path = Scene(table.scenario), table.path(start)
     lengths, bevels = [0.0], [start.bevel]
     for row, action in zip(path.poses[:-1].tolist(), path.actions.tolist(), strict=True):
-        pose = Pose.of(row)
+        pose = Pose.wound(row)
         bevel = -pose.bevel if action == Action.ROTATE else pose.bevel
         step = scene.step_mm(pose.x_mm, pose.y_mm)
         if bevel != bevels[-1]:

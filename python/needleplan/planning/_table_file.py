@@ -1,12 +1,12 @@
 """The policy table as a file: HDF5 behind a seal.
 
-The first 512 bytes are a user block, which HDF5 leaves to us. It holds the seal: the format, the length of what
-follows and its SHA-256, padded with zeros. A reader that verifies it knows every byte of the file before HDF5 parses
-one; one that does not care, such as MATLAB's `h5read`, opens the file as any other.
+The first 512 bytes are an HDF5 user block. It holds the seal: the format, the length of the rest of the file and its
+SHA-256, padded with zeros. Verifying the seal proves every byte of the file before HDF5 parses any. Readers that ignore
+the seal, such as MATLAB's `h5read`, open the file as any other HDF5 file.
 
-Behind it, contiguous: `values`, `policy` and `success` [x, y, heading, bevel] with their units and SHA-256, the axes
-`x_mm`, `y_mm`, `heading_rad`, `bevel`, and `order`; the attributes of the root hold the scenario's text and digest, the
-table's digest, and the numbers of `Stats`. MATLAB shows the axes in reverse: [bevel, heading, y, x].
+Contiguous datasets follow: `values`, `policy` and `success` [x, y, heading, bevel] with their units and SHA-256, the
+axes `x_mm`, `y_mm`, `heading_rad`, `bevel`, and `order`. The attributes of the root hold the text and the digest of the
+scenario, the digest of the table, and the numbers of `Stats`. MATLAB shows the axes in reverse: [bevel, heading, y, x].
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.artifacts import digest, version, write_whole
 from needleplan.errors import ChecksumError, InputError, Mistake, TableError
-from needleplan.planning.stats import Stats, Status
+from needleplan.planning._lattice import Stats, Status
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -27,15 +27,16 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from needleplan.planning.table import PolicyTable
+__all__ = ["FORMAT", "TABLES", "Content", "read", "write"]
 
-__all__ = ["FORMAT", "Content", "read", "write"]
-
+# First word of a file: its format and version.
 FORMAT = "needleplan.table/1"
 
+# Size of the seal; HDF5 allows 512 bytes or a larger power of two.
 _SEAL_BYTES = 512
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_TABLES = {
+# Description and unit of every table.
+TABLES = {
     "values": ("expected cost from the state on, optimal", "cost"),
     "policy": ("0: insert, 1: rotate by half a turn, then insert", "1"),
     "success": ("probability of reaching the target under the policy", "1"),
@@ -44,7 +45,7 @@ _TABLES = {
 
 @dataclass(frozen=True)
 class Content:
-    """What a table file holds."""
+    """The content of a table file."""
 
     values: NDArray[np.float32]
     policy: NDArray[np.uint8]
@@ -53,21 +54,23 @@ class Content:
     scenario: Scenario
 
 
-def write(table: PolicyTable, path: str | os.PathLike[str]) -> None:
-    """Write `table`, whole or not at all. Raises OutputError."""
+def write(path: str | os.PathLike[str], content: Content, table_digest: str) -> None:
+    """Write a table file, completely or not at all. Raises OutputError."""
     import h5py
 
     image = io.BytesIO()
     with h5py.File(image, "w", userblock_size=_SEAL_BYTES) as file:
-        _fill(file, table)
+        _fill(file, content, table_digest)
     body = image.getbuffer()[_SEAL_BYTES:]
     write_whole(path, _seal(body), body)
 
 
 def read(path: str | os.PathLike[str]) -> Content:
-    """Read a table. Raises ChecksumError where bytes have changed, TableError where it is no whole table at all."""
+    """Read a table. Raises ChecksumError if bytes have changed, TableError if the file is not a complete table."""
     import h5py
 
+    if not isinstance(path, str | os.PathLike):
+        raise TableError(Mistake("path", repr(path), "must be the path of a table file"))
     source = os.fspath(path)
     try:
         data = Path(path).read_bytes()
@@ -103,37 +106,37 @@ def _verify(data: bytes, source: str) -> None:
         raise ChecksumError("has been altered since it was written: its SHA-256 is not that of its seal", source)
 
 
-def _fill(file: h5py.File, table: PolicyTable) -> None:
-    scenario = table.scenario
+def _fill(file: h5py.File, content: Content, table_digest: str) -> None:
+    scenario = content.scenario
     root: dict[str, Any] = {
         "format": FORMAT,
         "made_by": f"needleplan {version()}",
         "title": scenario.title.replace("\0", " "),
         "scenario": scenario.to_toml(),
         "scenario_digest": scenario.digest,
-        "digest": table.digest,
+        "digest": table_digest,
         "axes": "x, y, heading, bevel",
         "origin_mm": (0.0, 0.0),
         "spacing_mm": scenario.grid.spacing_mm,
-        **{name: value for name, value in asdict(table.stats).items() if name != "order"},
+        **{name: value for name, value in asdict(content.stats).items() if name != "order"},
     }
-    root["status"] = str(table.stats.status)
+    root["status"] = str(content.stats.status)
     file.attrs.update(root)
-    for name, (description, unit) in _TABLES.items():
-        array = getattr(table, name)
+    for name, (description, unit) in TABLES.items():
+        array = getattr(content, name)
         file.create_dataset(name, data=array)
         file[name].attrs.update({"description": description, "units": unit, "sha256": digest(array.data)})
     axes = {"x_mm": (scenario.x_mm, "mm"), "y_mm": (scenario.y_mm, "mm"), "heading_rad": (scenario.headings_rad, "rad")}
     for name, (axis, unit) in {**axes, "bevel": ((-1, 1), "1")}.items():
         file.create_dataset(name, data=axis)
         file[name].attrs["units"] = unit
-    file.create_dataset("order", data=table.stats.order, dtype="uint32")
+    file.create_dataset("order", data=content.stats.order, dtype="uint32")
     file["order"].attrs["description"] = "partitions ix * py + iy in the order of their first processing"
 
 
 def _require_units(file: h5py.File) -> None:
-    """Raise TableError where the file says that it is in other units than ours: another program has made it."""
-    units = {name: unit for name, (_, unit) in _TABLES.items()} | {"x_mm": "mm", "y_mm": "mm", "heading_rad": "rad"}
+    """Raise TableError if the file declares other units than ours, as a file of another program may."""
+    units = {name: unit for name, (_, unit) in TABLES.items()} | {"x_mm": "mm", "y_mm": "mm", "heading_rad": "rad"}
     mistakes = [
         Mistake(f"{name}.units", str(file[name].attrs.get("units", "")), f'must be "{unit}"')
         for name, unit in units.items() if file[name].attrs.get("units") != unit
@@ -144,7 +147,7 @@ def _require_units(file: h5py.File) -> None:
 
 def _content(file: h5py.File) -> Content:
     _require_units(file)
-    tables = {name: file[name][()] for name in _TABLES}
+    tables = {name: file[name][()] for name in TABLES}
     numbers: dict[str, Any] = {each.name: file.attrs[each.name] for each in fields(Stats) if each.name != "order"}
     plain = {name: getattr(value, "item", lambda value=value: value)() for name, value in numbers.items()}
     plain["status"] = Status(plain["status"])

@@ -20,7 +20,7 @@ import numpy as np
 
 from needleplan import _ppvi
 from needleplan.errors import MdpError, Mistake
-from needleplan.planning.stats import Progress, Stats
+from needleplan.planning._lattice import Progress, Stats
 from needleplan.scenario import Method, Priority
 
 if TYPE_CHECKING:

@@ -1,0 +1,287 @@
+"""Executions of a policy in the continuous bicycle model: one path, or the statistics of many noisy runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.planning._drawing import draw_noisy, draw_path
+from needleplan.planning._poses import Action, Outcome, Pose
+from needleplan.plotting import axes_or_new, legend_below, picture_html
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from needleplan import _ppvi
+    from needleplan.scenario import Scenario
+
+__all__ = ["MOST_STEPS", "Execution", "Path", "Rollouts", "wilson"]
+
+# Insertion steps after which an execution ends with the outcome `STEP_LIMIT`.
+MOST_STEPS = 10_000
+
+# Number of executions that `Rollouts` keeps for its picture.
+_SAMPLES = 40
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Path:
+    """One execution of a policy.
+
+    Attributes
+    ----------
+    poses : ndarray of float64, shape (k, 4)
+        The poses: x_mm, y_mm, heading_rad, bevel. Headings are not wrapped: they may grow beyond 2 pi.
+    actions : ndarray of uint8, shape (k - 1,)
+        The action that leads from each pose to the next: 0 insert, 1 rotate, then insert.
+    outcome : Outcome
+        How the execution ended.
+    length_mm : float
+        Inserted length in mm.
+    cost : float
+        Sum of the stage costs, discounted as in the table, including the cost of a failure.
+    scenario : Scenario
+        The scenario in which the policy was executed.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> table = npl.plan("four_obstacles")
+    >>> table.path(npl.Pose.deg(0, 28, 18, -1))
+    <Path: target after 106.0 mm in 26 steps, 5 turns>
+    """
+
+    poses: NDArray[np.float64]
+    actions: NDArray[np.uint8]
+    outcome: Outcome
+    length_mm: float
+    cost: float
+    scenario: Scenario
+
+    @property
+    def start(self) -> Pose:
+        """The first pose."""
+        return Pose.wound(self.poses[0].tolist())
+
+    @property
+    def end(self) -> Pose:
+        """The last pose, with its heading brought back below a full turn."""
+        return Pose.wound(self.poses[-1].tolist())
+
+    @property
+    def turns(self) -> NDArray[np.float64]:
+        """Poses at which the needle was rotated, before the rotation: array (turns, 4)."""
+        return self.poses[np.flatnonzero(self.actions == Action.ROTATE)]
+
+    def plot(self, ax: Axes | None = None, *, scene: bool = True, label: str = "without noise") -> Axes:
+        """Draw the execution in its workspace, with a circle at every rotation of the needle.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            The axes to draw on. Without them a new pyplot figure is made.
+        scene : bool, default True
+            Draw workspace, obstacles and target first. False adds the path to axes that show them already.
+        label : str, optional
+            What the legend says of the path.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The axes, in mm.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> from matplotlib.figure import Figure
+        >>> table = npl.plan("four_obstacles")
+        >>> axes = table.path(table.best_entry()).plot(Figure().subplots())
+        >>> axes.get_xlabel()
+        'x (mm)'
+        """
+        axes = axes_or_new(ax, self.scenario.workspace)
+        if scene:
+            self.scenario.plot(axes)
+        draw_path(axes, self.poses, self.turns, self.outcome, label)
+        if ax is None:
+            legend_below(axes)
+        return axes
+
+    def __repr__(self) -> str:
+        steps = f"{len(self.actions)} steps, {len(self.turns)} turns"
+        steps = f"{len(self.actions)} steps, {len(self.turns)} turns"
+        return f"<Path: {self.outcome} after {self.length_mm:.1f} mm in {steps}>"
+
+    def _repr_html_(self) -> str:
+        return picture_html(self.scenario.workspace, self.plot, repr(self))
+
+
+@dataclass(frozen=True, repr=False)
+class Rollouts:
+    """Statistics of many noisy executions from one pose, beside what the table predicts for that pose.
+
+    Attributes
+    ----------
+    start : Pose
+        The pose at which every run began.
+    runs : int
+        Number of runs.
+    seed : int
+        Seed of the tip noise.
+    success : float
+        Share of the runs that reached the target.
+    interval : tuple of float
+        95 % confidence interval of `success` (Wilson).
+    outcomes : mapping of Outcome to int
+        Number of runs that ended in each way.
+    mean_turns, mean_length_mm, mean_cost : float
+        Means over all runs, failures included; the cost is discounted as in the table.
+    predicted_success, predicted_value : float
+        Success probability and expected cost in the table at the nearest state.
+    samples : tuple of Path
+        Up to 40 executions for the picture, with the noise seeds `seed`, `seed` + 1 ...
+    scenario : Scenario
+        The scenario in which the policy was executed.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> table = npl.plan("four_obstacles")
+    >>> rollouts = table.rollout(npl.Pose.deg(0, 28, 18, -1), runs=1000)
+    >>> rollouts.runs, rollouts.interval[0] < rollouts.success < rollouts.interval[1]
+    (1000, True)
+    """
+
+    start: Pose
+    runs: int
+    seed: int
+    success: float
+    interval: tuple[float, float]
+    outcomes: Mapping[Outcome, int]
+    mean_turns: float
+    mean_length_mm: float
+    mean_cost: float
+    predicted_success: float
+    predicted_value: float
+    samples: tuple[Path, ...] = field(compare=False)
+    scenario: Scenario = field(compare=False)
+
+    def plot(self, ax: Axes | None = None, *, scene: bool = True) -> Axes:
+        """Draw the sampled executions in their workspace: those that reach the target and those that fail.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            The axes to draw on. Without them a new pyplot figure is made.
+        scene : bool, default True
+            Draw workspace, obstacles and target first. False adds the executions to axes that show them already.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The axes, in mm.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> from matplotlib.figure import Figure
+        >>> table = npl.plan("four_obstacles")
+        >>> axes = table.rollout(table.best_entry(), runs=100).plot(Figure().subplots())
+        >>> len(axes.lines) >= 40
+        True
+        """
+        axes = axes_or_new(ax, self.scenario.workspace)
+        if scene:
+            self.scenario.plot(axes)
+        reached = [path.poses for path in self.samples if path.outcome is Outcome.TARGET]
+        failed = [path.poses for path in self.samples if path.outcome is not Outcome.TARGET]
+        draw_noisy(axes, reached, failed)
+        if ax is None:
+            legend_below(axes)
+        return axes
+
+    def __repr__(self) -> str:
+        low, high = self.interval
+        return (
+            f"<Rollouts: success {self.success:.3f} in {self.runs:,} runs, 95 % interval {low:.3f} to {high:.3f}; "
+            f"predicted {self.predicted_success:.3f}>"
+        )
+
+    def _repr_html_(self) -> str:
+        return picture_html(self.scenario.workspace, self.plot, repr(self))
+
+
+@dataclass(frozen=True, eq=False)
+class Execution:
+    """A policy to execute: by its decision at the nearest state, or `greedy` by values interpolated at the pose."""
+
+    lattice: _ppvi.Lattice
+    policy: NDArray[np.uint8]
+    values: NDArray[np.float32]
+    scenario: Scenario
+    greedy: bool
+
+    def path(self, start: Pose, noise_seed: int | None) -> Path:
+        """Execute the policy once, with the tip noise of a seed or without noise."""
+        execution = self.lattice.path(
+            policy=self.policy,
+            values=self.values,
+            start=start,
+            greedy=self.greedy,
+            noise=noise_seed is not None,
+            seed=noise_seed or 0,
+            max_steps=MOST_STEPS,
+        )
+        return Path(
+            poses=execution["poses"],
+            actions=execution["actions"],
+            outcome=Outcome(execution["outcome"]),
+            length_mm=execution["length_mm"],
+            cost=execution["cost"],
+            scenario=self.scenario,
+        )
+
+    def rollouts(self, start: Pose, runs: int, seed: int, predicted_success: float, predicted_value: float) -> Rollouts:
+        """Execute the policy `runs` times with tip noise."""
+        run = self.lattice.rollout(
+            policy=self.policy,
+            values=self.values,
+            starts=np.array([start], dtype=np.float64),
+            runs=runs,
+            seed=seed,
+            greedy=self.greedy,
+            max_steps=MOST_STEPS,
+        )
+        outcomes = {outcome: int(np.count_nonzero(run["outcome"] == outcome)) for outcome in Outcome}
+        return Rollouts(
+            start=start,
+            runs=runs,
+            seed=seed,
+            success=outcomes[Outcome.TARGET] / runs,
+            interval=wilson(outcomes[Outcome.TARGET], runs),
+            outcomes=outcomes,
+            mean_turns=float(run["turns"].mean()),
+            mean_length_mm=float(run["length_mm"].mean(dtype=np.float64)),
+            mean_cost=float(run["cost"].mean()),
+            predicted_success=predicted_success,
+            predicted_value=predicted_value,
+            samples=tuple(self.path(start, (seed + k) % 2**64) for k in range(min(runs, _SAMPLES))),
+            scenario=self.scenario,
+        )
+
+
+def wilson(successes: int, runs: int, z: float = 1.959963984540054) -> tuple[float, float]:
+    """Return the Wilson score interval of a proportion, 95 % for the default `z`.
+
+    E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927) 209-212.
+    """
+    share = successes / runs
+    middle = share + z * z / (2 * runs)
+    reach = z * math.sqrt(share * (1 - share) / runs + z * z / (4 * runs * runs))
+    scale = 1 + z * z / runs
+    return max(0.0, (middle - reach) / scale), min(1.0, (middle + reach) / scale)

@@ -1,0 +1,196 @@
+"""The compiled lattice of a scenario, how its solve went, and the success probability of a policy on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan import _ppvi
+from needleplan.errors import ScenarioError
+from needleplan.scenario import Transition
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from needleplan._ppvi import _Solution
+    from needleplan.scenario import Scenario
+
+__all__ = ["Progress", "Stats", "Status", "finer", "lattice_of", "success_of"]
+
+Progress = Callable[[float, float, float], None]
+"""Called during a solve with the number of sweeps so far, the residual, and the residual at which the solve ends."""
+
+
+class Status(StrEnum):
+    """Why a solve ended.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> npl.plan("four_obstacles").stats.status == "converged"
+    True
+    """
+
+    CONVERGED = "converged"
+    ITERATION_LIMIT = "iteration_limit"
+    TIME_LIMIT = "time_limit"
+    PRECISION_LIMIT = "precision_limit"
+    """The tolerance asks for more than double precision: rounding errors are as large as the residual."""
+
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True, repr=False)
+class Stats:
+    """Counts, certificates and times of a solve.
+
+    Attributes
+    ----------
+    states : int
+        Number of states.
+    partitions : int
+        Number of partitions; for the directional sweeps, of sectors.
+    partitions_processed : int
+        Number of visits of partitions; repeated visits count.
+    backups : int
+        Number of Bellman backups of single states.
+    sweeps : float
+        `backups` divided by `states`.
+    residual : float
+        Largest Bellman residual max |TV - V| of the values; for the directional sweeps, an upper bound of it.
+    error_bound : float
+        Upper bound of max |V - V*|; infinite if the problem allows none.
+    status : Status
+        Why the solve ended.
+    seconds : float
+        Time from the scenario to the table in s.
+    seconds_solving, seconds_priorities : float
+        Time spent on backups and on priorities in s.
+    order : tuple of int
+        Partitions ix * py + iy in the order of their first visit.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> stats = npl.plan("four_obstacles").stats
+    >>> stats.states, stats.error_bound < 0.01
+    (1176120, True)
+    """
+
+    states: int
+    partitions: int
+    partitions_processed: int
+    backups: int
+    sweeps: float
+    residual: float
+    error_bound: float
+    status: Status
+    seconds: float
+    seconds_solving: float
+    seconds_priorities: float
+    order: tuple[int, ...]
+
+    @classmethod
+    def of(cls, solved: _Solution, states: int, seconds: float) -> Stats:
+        """Collect what the compiled solver reports.
+
+        Parameters
+        ----------
+        solved : dict
+            What the compiled solver returned.
+        states : int
+            Number of states.
+        seconds : float
+            Time of the whole solve in s.
+
+        Returns
+        -------
+        Stats
+            The same numbers with names.
+        """
+        return cls(
+            states=states,
+            partitions=solved["partitions"],
+            partitions_processed=solved["partitions_processed"],
+            backups=solved["backups"],
+            sweeps=solved["sweeps"],
+            residual=solved["residual"],
+            error_bound=solved["error_bound"],
+            status=Status(solved["status"]),
+            seconds=seconds,
+            seconds_solving=solved["seconds_solving"],
+            seconds_priorities=solved["seconds_priorities"],
+            order=tuple(solved["order"].tolist()),
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"<Stats: {self.status.replace('_', ' ')} after {self.sweeps:.4g} sweeps of {self.states:,} states, "
+            f"residual {self.residual:.3g}, error at most {self.error_bound:.3g}, {self.seconds:.3g} s>"
+        )
+
+
+def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
+    """Compile the lattice of a scenario: classify its grid points and the events of all arcs. Raises ScenarioError."""
+    objective = scenario.objective
+    try:
+        return _ppvi.Lattice(
+            width_mm=scenario.workspace.width_mm,
+            height_mm=scenario.workspace.height_mm,
+            spacing_mm=scenario.grid.spacing_mm,
+            polygons=[obstacle.polygon_mm for obstacle in scenario.obstacles],
+            target_center_mm=scenario.target.center_mm,
+            target_radius_mm=scenario.target.radius_mm,
+            curvature_radius_mm=scenario.needle.curvature_radius_mm,
+            headings=scenario.motion.headings,
+            tip_noise=scenario.motion.tip_noise,
+            arc_samples=scenario.motion.arc_samples,
+            interpolated=scenario.grid.transition is Transition.INTERPOLATED,
+            insertion_per_mm=objective.insertion_per_mm,
+            rotation=objective.rotation,
+            collision=objective.collision,
+            exit=objective.exit,
+            discount=objective.discount,
+            layers=[(layer.from_mm, layer.curvature_radius_mm) for layer in scenario.needle.layers],
+            tissues=[(tissue.polygon_mm, tissue.curvature_radius_mm) for tissue in scenario.tissues],
+        )
+    except (ValueError, MemoryError) as error:
+        raise ScenarioError(str(error)) from error
+
+
+def success_of(scenario: Scenario, lattice: _ppvi.Lattice, policy: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return the success probability [nx, ny, headings, 2] of `policy` at the grid points of `scenario`.
+
+    With `grid.success_refinement` above one, the policy is evaluated on a finer grid, each point of which follows the
+    policy of the nearest coarse point. The reason: bilinear weights spread the tip with every step in proportion to the
+    square of the spacing, and near obstacles part of that spread collides, so a coarse grid underestimates success.
+    Raises ValueError or MemoryError from the lattice.
+    """
+    times, threads = scenario.grid.success_refinement, scenario.solver.threads
+    success: NDArray[np.float32]
+    if times == 1:
+        success = lattice.success(policy=policy, threads=threads)["success"]
+    else:
+        fine = finer(scenario)
+        nearest = np.ix_(*(
+            np.minimum(np.rint(np.arange(points) / times).astype(np.intp), most - 1)
+            for points, most in zip(fine.shape[:2], policy.shape[:2], strict=True)
+        ))  # fmt: skip
+        found = lattice_of(fine).success(policy=np.ascontiguousarray(policy[nearest]), threads=threads)["success"]
+        found = found[::times, ::times][: policy.shape[0], : policy.shape[1]]
+        # A coarse point beyond the last fine point lies outside the workspace: its success is 0.
+        success = np.zeros(policy.shape, np.float32)
+        success[: found.shape[0], : found.shape[1]] = found
+    np.minimum(success, 1, out=success)  # weights in single precision can sum to slightly more than one
+    return success
+
+
+def finer(scenario: Scenario) -> Scenario:
+    """Return `scenario` on the grid on which its success is computed."""
+    grid = scenario.grid
+    dx, dy = (spacing / grid.success_refinement for spacing in grid.spacing_mm)
+    return replace(scenario, grid=replace(grid, spacing_mm=(dx, dy), success_refinement=1))

@@ -1,0 +1,289 @@
+"""Lookups in a policy table: the decision at the nearest state, for one pose or for many."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple, overload
+
+import numpy as np
+
+from needleplan import _ppvi
+from needleplan.errors import Mistake, PoseError, TableError
+from needleplan.planning._lattice import Stats, lattice_of
+from needleplan.planning._poses import FULL_TURN_RAD, Action, Entry, Pose, require_full_turn
+from needleplan.scenario import Scenario
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Decision", "Decisions", "Expectations", "Lookups"]
+
+
+@dataclass(frozen=True, repr=False)
+class Decision:
+    """What to do at one pose.
+
+    Attributes
+    ----------
+    action : Action
+        Insert, or rotate and then insert.
+    value : float
+        Expected cost from the pose on.
+    success : float
+        Probability of reaching the target.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> npl.plan("four_obstacles").lookup(40.0, 36.0, 0.1, -1).action
+    <Action.INSERT: 0>
+    """
+
+    action: Action
+    value: float
+    success: float
+
+    def __repr__(self) -> str:
+        return f"<Decision: {self.action}; success {self.success:.3f}, cost {self.value:.4g}>"
+
+
+class Decisions(NamedTuple):
+    """What to do at many poses.
+
+    Attributes
+    ----------
+    action : ndarray of uint8, shape (n,)
+        0 insert, 1 rotate, then insert.
+    value : ndarray of float32, shape (n,)
+        Expected costs.
+    success : ndarray of float32, shape (n,)
+        Probabilities of reaching the target.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> npl.plan("four_obstacles").lookup_many([(0, 28, 0.3, -1), (0, 28, 0.3, 1)]).action
+    array([0, 1], dtype=uint8)
+    """
+
+    action: NDArray[np.uint8]
+    value: NDArray[np.float32]
+    success: NDArray[np.float32]
+
+
+class Expectations(NamedTuple):
+    """What an execution from each state takes on average; inf if it need not end.
+
+    Attributes
+    ----------
+    length_mm : ndarray of float32, shape (nx, ny, headings, 2)
+        Expected insertion length in mm, failures included.
+    turns : ndarray of float32, shape (nx, ny, headings, 2)
+        Expected number of rotations, failures included.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> npl.plan("four_obstacles").expectations().turns.shape
+    (121, 81, 60, 2)
+    """
+
+    length_mm: NDArray[np.float32]
+    turns: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Lookups:
+    """The arrays of a policy table and what they say about poses; abstract: users have a `PolicyTable`."""
+
+    values: NDArray[np.float32]
+    policy: NDArray[np.uint8]
+    success: NDArray[np.float32]
+    stats: Stats
+    scenario: Scenario
+
+    def __post_init__(self) -> None:
+        for name, kind in (("stats", Stats), ("scenario", Scenario)):
+            if not isinstance(getattr(self, name), kind):
+                raise TableError(Mistake(name, repr(getattr(self, name)), f"must be a {kind.__name__}"))
+        for name, dtype in (("values", np.float32), ("policy", np.uint8), ("success", np.float32)):
+            array = getattr(self, name)
+            if not isinstance(array, np.ndarray) or array.shape != self.scenario.shape or array.dtype != dtype:
+                found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else repr(array)
+                rule = f"must be {np.dtype(dtype).name} of the shape {self.scenario.shape}, as the scenario says"
+                raise TableError(Mistake(name, found, rule))
+            array.flags.writeable = False
+
+    @cached_property
+    def lattice(self) -> _ppvi.Lattice:
+        """The compiled lattice of the scenario."""
+        return lattice_of(self.scenario)
+
+    @overload
+    def lookup(self, x_mm: Pose | Entry | Sequence[float]) -> Decision: ...
+
+    @overload
+    def lookup(self, x_mm: float, y_mm: float, heading_rad: float, bevel: int) -> Decision: ...
+
+    def lookup(
+        self,
+        x_mm: float | Pose | Entry | Sequence[float],
+        y_mm: float | None = None,
+        heading_rad: float | None = None,
+        bevel: int | None = None,
+    ) -> Decision:
+        """Return the decision at the state nearest to a pose.
+
+        Parameters
+        ----------
+        x_mm : float, or Pose, Entry or sequence of float
+            Position along the insertion in mm, or a whole pose instead of the four numbers.
+        y_mm : float
+            Lateral position in mm.
+        heading_rad : float
+            Heading in rad, at most a full turn in size.
+        bevel : {-1, 1}
+            Bevel side.
+
+        Returns
+        -------
+        Decision
+            Action, expected cost and success probability.
+
+        Raises
+        ------
+        PoseError
+            If the pose lies outside the workspace or is not made of such numbers.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> table = npl.plan("four_obstacles")
+        >>> table.lookup(40.0, 36.0, 0.1, -1) == table.lookup(npl.Pose(40.0, 36.0, 0.1, -1))
+        True
+        """
+        if y_mm is None and heading_rad is None and bevel is None and not isinstance(x_mm, int | float):
+            x_mm, y_mm, heading_rad, bevel = self.start(x_mm)
+        try:
+            row = (float(x_mm), float(y_mm), float(heading_rad), float(bevel))  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            row = Pose(x_mm, y_mm, heading_rad, 0 if bevel is None else bevel)  # type: ignore[arg-type]  # raises
+        decisions = self._nearest(np.array([row]), "heading_rad")
+        return Decision(Action(decisions.action[0]), float(decisions.value[0]), float(decisions.success[0]))
+
+    def lookup_many(self, poses: ArrayLike) -> Decisions:
+        """Return the decisions at the states nearest to many poses.
+
+        Parameters
+        ----------
+        poses : array_like of float, shape (n, 4)
+            Rows of x_mm, y_mm, heading_rad and bevel.
+
+        Returns
+        -------
+        Decisions
+            Arrays of actions, expected costs and success probabilities, one entry a row.
+
+        Raises
+        ------
+        PoseError
+            If the array has another shape, or a row lies outside the workspace, is no number, or has a heading beyond
+            2 pi; the message names the first such row.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import needleplan as npl
+        >>> table = npl.plan("four_obstacles")
+        >>> poses = np.array([[0.0, y, 0.0, 1.0] for y in (20.0, 30.0, 40.0)])
+        >>> table.lookup_many(poses).success.shape
+        (3,)
+        """
+        try:
+            rows = np.ascontiguousarray(poses, dtype=np.float64)
+        except (ValueError, TypeError) as error:
+            raise PoseError(Mistake("poses", "", f"must be an array of numbers: {error}")) from None
+        if rows.ndim != 2 or rows.shape[1] != 4:
+            rule = "must have the shape (n, 4): rows of x_mm, y_mm, heading_rad and bevel"
+            raise PoseError(Mistake("poses", f"shape {rows.shape}", rule))
+        return self._nearest(rows, "poses[{row}].heading_rad")
+
+    def _nearest(self, rows: NDArray[np.float64], key: str) -> Decisions:
+        """Return the decisions at rows [n, 4]; `key` names the heading of a `row` in a message. Raises PoseError."""
+        headings = rows[:, 2]
+        if len(rows) and (headings.max() > FULL_TURN_RAD or headings.min() < -FULL_TURN_RAD):
+            row = int(np.argmax(np.abs(headings) > FULL_TURN_RAD))
+            require_full_turn(key.format(row=row), float(headings[row]))
+        try:
+            return Decisions(
+                *_ppvi.lookup_many(
+                    values=self.values,
+                    policy=self.policy,
+                    success=self.success,
+                    spacing_mm=self.scenario.grid.spacing_mm,
+                    poses=rows,
+                )
+            )
+        except ValueError as error:
+            raise PoseError(str(error)) from None
+
+    def expectations(self) -> Expectations:
+        """Evaluate the expected insertion length and number of rotations of the policy from every state.
+
+        Returns
+        -------
+        Expectations
+            Two arrays of the shape of the table.
+
+        Notes
+        -----
+        The evaluation takes about as long as a solve.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> expected = npl.plan("four_obstacles").expectations()
+        >>> bool(expected.length_mm[0, 28, 3, 0] > 100)
+        True
+        """
+        found = self.lattice.expectations(self.policy, threads=self.scenario.solver.threads)
+        return Expectations(found["length_mm"], found["turns"])
+
+    def start(self, pose: Entry | Pose | Sequence[float]) -> Pose:
+        """Return the pose at which an execution begins.
+
+        Parameters
+        ----------
+        pose : Entry, Pose or sequence of float
+            x_mm, y_mm, heading_rad and, if known, bevel.
+
+        Returns
+        -------
+        Pose
+            The pose. Without a bevel in `pose`, it has the bevel of the lower expected cost.
+
+        Raises
+        ------
+        PoseError
+            If the pose lies outside the workspace or is not made of such numbers.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> table = npl.plan("four_obstacles")
+        >>> table.start(npl.Pose.deg(0, 28, 18)).bevel
+        -1
+        """
+        found = Pose.of(pose)
+        try:
+            if found.bevel is not None:
+                self.lookup(*found)
+                return found
+            pair = found._replace(bevel=1), found._replace(bevel=-1)
+            return min(pair, key=lambda each: self.lookup(*each).value)
+        except PoseError:
+            workspace = self.scenario.workspace
+            rule = f"must lie in the workspace, [0, {workspace.width_mm:g}] x [0, {workspace.height_mm:g}] mm"
+            raise PoseError(Mistake("pose", str(found), rule)) from None

@@ -1,0 +1,137 @@
+"""From a scenario to a policy table, if the table fits into memory."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from time import perf_counter
+
+from needleplan.errors import InputError, Mistake, ScenarioError
+from needleplan.planning._lattice import Progress, Stats, lattice_of, success_of
+from needleplan.planning._table import PolicyTable
+from needleplan.scenario import Method, Scenario
+
+__all__ = ["BYTES_PER_FINER_STATE", "BYTES_PER_STATE", "available_bytes", "plan", "require_memory"]
+
+# Peak memory of planning in bytes a state, measured: the table (9), the solver's copies, the successors of the arcs.
+# The sweeps run in single precision on the lattice, the other methods in double precision on any decision process.
+BYTES_PER_STATE = {Method.SWEEP: 36, Method.PPVI: 180, Method.VALUE_ITERATION: 180}
+
+# Peak memory of an evaluation on a finer grid in bytes a finer state; measured 17 to 21.
+BYTES_PER_FINER_STATE = 24
+
+# Largest number of states that the solver can number.
+_MOST_STATES = 2**31 - 1
+
+
+def plan(scenario: Scenario | str | os.PathLike[str], progress: Progress | None = None) -> PolicyTable:
+    """Solve a scenario into a policy table.
+
+    Parameters
+    ----------
+    scenario : Scenario, str or path
+        A scenario, the path of a scenario file, or the name of a shipped scenario.
+    progress : callable, optional
+        Called during the solve with the number of sweeps so far, the residual, and the residual at which the solve
+        ends. An exception that it raises stops the solve and leaves this function, as Ctrl-C does.
+
+    Returns
+    -------
+    PolicyTable
+        Values, policy and success probability of every state. A solve that reaches a limit before it converges returns
+        its table too; `table.stats.status` tells.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario cannot be read, or its grid is too large for the memory.
+    InputError
+        If `progress` cannot be called.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> npl.plan("four_obstacles")
+    <PolicyTable "Four obstacles": 121 x 81 x 60 x 2 = 1,176,120 states, converged>
+    """
+    if not isinstance(scenario, Scenario):
+        if not isinstance(scenario, str | os.PathLike):
+            rule = "must be a Scenario, the path of a scenario file, or the name of a shipped scenario"
+            raise ScenarioError(Mistake("scenario", repr(scenario), rule))
+        scenario = Scenario.read(scenario)
+    if progress is not None and not callable(progress):
+        rule = "must be a function of sweeps, residual and threshold, or None"
+        raise InputError(Mistake("progress", repr(progress), rule))
+    require_memory(scenario)
+    began = perf_counter()
+    solver = scenario.solver
+    lattice = lattice_of(scenario)
+    try:
+        solved = lattice.solve(
+            method=solver.method.value,
+            partitions=scenario.partitions,
+            priority=solver.priority.value,
+            tolerance=solver.tolerance,
+            max_sweeps=solver.max_sweeps,
+            time_limit_s=solver.time_limit_s,
+            threads=solver.threads,
+            progress=progress,
+        )
+        success = success_of(scenario, lattice, solved["policy"])
+    except (ValueError, MemoryError) as error:
+        raise ScenarioError(str(error)) from error
+    stats = Stats.of(solved, scenario.states, perf_counter() - began)
+    table = PolicyTable(solved["values"], solved["policy"], success, stats, scenario)
+    vars(table)["lattice"] = lattice
+    return table
+
+
+def require_memory(scenario: Scenario) -> None:
+    """Raise ScenarioError if planning needs more memory than is available."""
+    states, times = scenario.states, scenario.grid.success_refinement
+    finer = states * times**2 if times > 1 else 0
+    needed = states * BYTES_PER_STATE[scenario.solver.method] + finer * BYTES_PER_FINER_STATE
+    available = available_bytes()
+    if max(states, finer) <= _MOST_STATES and (available is None or needed <= available):
+        return
+    reason = (
+        f"the grid has {states:,} states"
+        + (f", {finer:,} with success_refinement = {times}," if finer else "")
+        + f" and needs about {_readable(needed)} of memory"
+        + (f"; {_readable(available)} are available" if available is not None else "")
+        + (f"; at most {_MOST_STATES:,} states can be numbered" if max(states, finer) > _MOST_STATES else "")
+        + "; take a coarser spacing, fewer headings or a smaller workspace"
+        + ("" if scenario.solver.method is Method.SWEEP else ', or solver.method = "sweep"')
+    )
+    raise ScenarioError(Mistake("grid.spacing_mm", str(list(scenario.grid.spacing_mm)), reason))
+
+
+def available_bytes() -> int | None:
+    """Return the memory in bytes that can be used without swapping, or None if the system does not report it."""
+    limits = [limit for limit in (_machine_bytes(), _control_group_bytes()) if limit is not None]
+    return min(limits, default=None)
+
+
+def _machine_bytes() -> int | None:
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")), None)
+
+
+def _control_group_bytes() -> int | None:
+    group = Path("/sys/fs/cgroup")
+    try:
+        limit, used = ((group / name).read_text(encoding="ascii") for name in ("memory.max", "memory.current"))
+    except OSError:
+        return None
+    return int(limit) - int(used) if limit.strip().isdecimal() else None
+
+
+def _readable(size: float) -> str:
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} TB" if size < 1000 else f"{size:,.0f} TB"

@@ -1,0 +1,353 @@
+"""Poses of the tip: making and checking them, what can be done there, and the poses at which a needle can enter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from needleplan.errors import Mistake, PoseError
+from needleplan.scenario.rules import suggestion
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from needleplan.scenario import Scenario
+
+__all__ = [
+    "FULL_TURN_RAD",
+    "Action",
+    "Edge",
+    "Entry",
+    "Outcome",
+    "Pose",
+    "edge_poses",
+    "require_full_turn",
+    "whole_number",
+    "wrapped",
+]
+
+# Largest size of a heading in rad; a larger one was probably meant in degrees. 2 pi in single precision is accepted.
+FULL_TURN_RAD = 2 * math.pi + 1e-6
+
+_POSE_RULE = "a pose is x_mm, y_mm, heading_rad and bevel (-1 or +1)"
+
+
+class Action(IntEnum):
+    """What to do next.
+
+    Examples
+    --------
+    >>> from needleplan.planning import Action
+    >>> print(Action(1))
+    rotate, then insert
+    """
+
+    INSERT = 0
+    ROTATE = 1
+    """Rotate by half a turn, then insert."""
+
+    def __str__(self) -> str:
+        return "insert" if self is Action.INSERT else "rotate, then insert"
+
+
+class Outcome(IntEnum):
+    """How an execution ended.
+
+    Examples
+    --------
+    >>> from needleplan.planning import Outcome
+    >>> print(Outcome.STEP_LIMIT)
+    step limit
+    """
+
+    TARGET = 1
+    COLLISION = 2
+    EXIT = 3
+    STEP_LIMIT = 4
+
+    def __str__(self) -> str:
+        return self.name.lower().replace("_", " ")
+
+
+class _PoseFields(NamedTuple):
+    x_mm: float
+    y_mm: float
+    heading_rad: float
+    bevel: int | Any
+
+
+class Pose(_PoseFields):
+    """Position, heading and bevel side of the needle's tip; a named tuple.
+
+    Parameters
+    ----------
+    x_mm, y_mm : float
+        Position in mm: x along the insertion, y lateral.
+    heading_rad : float
+        Tip tangent in rad from +x, counter-clockwise positive, at most a full turn in size.
+    bevel : {-1, 1}, optional
+        Sign of the arc's curvature. Without it, a table takes the bevel of the lower cost.
+
+    Raises
+    ------
+    PoseError
+        If a number is not finite, the heading is larger than 2 pi, or the bevel is neither -1 nor +1.
+
+    See Also
+    --------
+    Pose.deg : the same with the heading in degrees.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> pose = npl.Pose(0.0, 28.0, 0.314, -1)
+    >>> pose.y_mm
+    28.0
+    >>> print(pose)
+    x 0 mm, y 28 mm, heading 17.99 deg, bevel -1
+    """
+
+    __slots__ = ()
+
+    def __new__(cls, x_mm: float, y_mm: float, heading_rad: float, bevel: int | None = None) -> Pose:
+        """Check the numbers and make the pose."""
+        x, y = _finite("x_mm", x_mm, "mm"), _finite("y_mm", y_mm, "mm")
+        heading = require_full_turn("heading_rad", _finite("heading_rad", heading_rad, "rad"))
+        if bevel is None:
+            return super().__new__(cls, x, y, heading, None)
+        try:
+            side = float(bevel)
+        except (TypeError, ValueError):
+            side = math.nan
+        if abs(side) != 1:
+            raise PoseError(Mistake("bevel", str(bevel), f"must be -1 or +1; {_POSE_RULE}"))
+        return super().__new__(cls, x, y, heading, int(side))
+
+    @classmethod
+    def deg(cls, x_mm: float, y_mm: float, heading_deg: float, bevel: int | None = None) -> Pose:
+        """Make a pose with the heading in degrees.
+
+        Parameters
+        ----------
+        x_mm, y_mm : float
+            Position in mm.
+        heading_deg : float
+            Tip tangent in degrees from +x, counter-clockwise positive, from -360 to 360.
+        bevel : {-1, 1}, optional
+            Sign of the arc's curvature. Without it, a table takes the bevel of the lower cost.
+
+        Returns
+        -------
+        Pose
+            The pose, with the heading in rad.
+
+        Raises
+        ------
+        PoseError
+            If a number is not finite, the heading is out of range, or the bevel is neither -1 nor +1.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> npl.Pose.deg(0, 28, 90, -1)
+        Pose(x_mm=0.0, y_mm=28.0, heading_rad=1.5707963267948966, bevel=-1)
+        """
+        degrees = _finite("heading_deg", heading_deg, "degrees")
+        if abs(degrees) > 360:
+            raise PoseError(Mistake("heading_deg", f"{degrees:g}", "must lie between -360 and 360 degrees"))
+        return cls(x_mm, y_mm, math.radians(degrees), bevel)
+
+    @classmethod
+    def of(cls, pose: Entry | Iterable[float]) -> Pose:
+        """Make a pose of an entry, another pose, or a sequence of three or four numbers.
+
+        Parameters
+        ----------
+        pose : Entry, Pose or sequence of float
+            x_mm, y_mm, heading_rad and, if known, bevel.
+
+        Returns
+        -------
+        Pose
+            The checked pose. Its bevel is None if `pose` has none.
+
+        Raises
+        ------
+        PoseError
+            If `pose` does not hold three or four such numbers.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> print(npl.Pose.of([10, 20, 0.0, 1]))
+        x 10 mm, y 20 mm, heading 0 deg, bevel +1
+        """
+        if isinstance(pose, Pose):
+            return pose
+        if isinstance(pose, Entry):
+            return pose.pose
+        try:
+            numbers: list[Any] = [] if isinstance(pose, str | bytes) else list(pose)
+        except TypeError:
+            numbers = []
+        if len(numbers) not in (3, 4):
+            shown = ", ".join(map(str, numbers)) or repr(pose)
+            raise PoseError(Mistake("pose", shown, _POSE_RULE))
+        return cls(*numbers)
+
+    @classmethod
+    def wound(cls, row: Iterable[float]) -> Pose:
+        """Make a pose of a row of an execution, whose heading may have grown beyond a full turn.
+
+        Parameters
+        ----------
+        row : sequence of float
+            x_mm, y_mm, heading_rad and bevel.
+
+        Returns
+        -------
+        Pose
+            The pose, with whole turns taken off a heading beyond 2 pi.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> print(npl.Pose.wound([1.0, 2.0, 7.0, 1.0]))
+        x 1 mm, y 2 mm, heading 41.07 deg, bevel +1
+        """
+        x, y, heading, bevel = row
+        return cls(x, y, math.fmod(heading, 2 * math.pi), int(bevel))
+
+    def __str__(self) -> str:
+        side = "either bevel" if self.bevel is None else f"bevel {self.bevel:+d}"
+        return f"x {self.x_mm:g} mm, y {self.y_mm:g} mm, heading {math.degrees(self.heading_rad):.4g} deg, {side}"
+
+
+class Edge(StrEnum):
+    """An edge of the workspace: left is x = 0, bottom is y = 0.
+
+    Examples
+    --------
+    >>> from needleplan.planning import Edge
+    >>> Edge("top").inward_rad
+    -1.5707963267948966
+    """
+
+    LEFT = "left"
+    RIGHT = "right"
+    BOTTOM = "bottom"
+    TOP = "top"
+
+    @property
+    def inward_rad(self) -> float:
+        """Heading in rad that leads straight into the workspace."""
+        return {Edge.LEFT: 0.0, Edge.RIGHT: math.pi, Edge.BOTTOM: math.pi / 2, Edge.TOP: -math.pi / 2}[self]
+
+
+@dataclass(frozen=True, repr=False)
+class Entry:
+    """A pose at which the needle enters, with what the table predicts from there.
+
+    Attributes
+    ----------
+    pose : Pose
+        The entry pose.
+    success : float
+        Probability of reaching the target.
+    value : float
+        Expected cost.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> npl.plan("four_obstacles").best_entry()
+    <Entry: x 0 mm, y 28 mm, heading 18 deg, bevel -1; success 0.943, cost 715>
+    """
+
+    pose: Pose
+    success: float
+    value: float
+
+    def __repr__(self) -> str:
+        return f"<Entry: {self.pose}; success {self.success:.3f}, cost {self.value:.4g}>"
+
+
+def edge_poses(scenario: Scenario, edge: str, x_mm: float | None, y_mm: float | None) -> NDArray[np.float64]:
+    """Return the poses [n, 4] on an edge that lead into the workspace, at every grid point or at the given one.
+
+    Headings lie within less than a quarter turn of the inward normal. Raises PoseError.
+    """
+    if edge not in list(Edge):
+        names = ", ".join(f'"{name}"' for name in Edge)
+        raise PoseError(Mistake("edge", f'"{edge}"', f"must be one of {names}{suggestion(str(edge), list(Edge))}"))
+    side = Edge(edge)
+    vertical = side in (Edge.LEFT, Edge.RIGHT)
+    workspace = scenario.workspace
+    x = _along("x_mm", x_mm, workspace.width_mm, scenario.x_mm, "" if not vertical else edge)
+    y = _along("y_mm", y_mm, workspace.height_mm, scenario.y_mm, "" if vertical else edge)
+    if vertical:
+        x = np.array([0.0 if side is Edge.LEFT else workspace.width_mm])
+    else:
+        y = np.array([0.0 if side is Edge.BOTTOM else workspace.height_mm])
+    turned = np.remainder(scenario.headings_rad - side.inward_rad + math.pi, 2 * math.pi) - math.pi
+    headings = side.inward_rad + turned[np.abs(turned) < math.pi / 2 - 1e-9]
+    grid = np.meshgrid(x, y, headings, np.array([-1.0, 1.0]), indexing="ij")
+    return np.stack([axis.ravel() for axis in grid], axis=1)
+
+
+def _along(
+    name: str, position: float | None, size_mm: float, points: NDArray[np.float64], across: str
+) -> NDArray[np.float64]:
+    """Return the positions to search along an axis; `across` names the edge if the axis is perpendicular to it."""
+    if position is None:
+        return points
+    if across:
+        raise PoseError(Mistake(name, str(position), f'must not be given for the edge "{across}"'))
+    try:
+        number = float(position)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not 0 <= number <= size_mm:
+        raise PoseError(Mistake(name, str(position), f"must lie in the workspace, from 0 to {size_mm:g} mm"))
+    return np.array([number])
+
+
+def wrapped(heading_rad: float) -> float:
+    """Return the heading in (-pi, pi]."""
+    turned = math.remainder(heading_rad, 2 * math.pi)
+    return math.pi if turned == -math.pi else turned
+
+
+def require_full_turn(key: str, heading_rad: float) -> float:
+    """Return a heading; raise PoseError if it is larger than a full turn, as a heading in degrees is."""
+    if abs(heading_rad) > FULL_TURN_RAD:
+        degrees = f"{heading_rad:g} degrees are {math.radians(heading_rad):.4g} rad, or use Pose.deg"
+        rule = f"must lie between -2 pi and 2 pi rad; degrees? ({degrees})"
+        raise PoseError(Mistake(key, f"{heading_rad:g}", rule))
+    return heading_rad
+
+
+def whole_number(key: str, value: Any, least: int, most: int, limits: str) -> int:
+    """Return a whole number as an int; raise PoseError unless it lies from `least` to `most`, which `limits` words."""
+    try:
+        number = int(value) if isinstance(value, int | np.integer | float) and value == int(value) else None
+    except (ValueError, OverflowError):
+        number = None
+    if number is None or isinstance(value, bool) or not least <= number <= most:
+        raise PoseError(Mistake(key, str(value), f"must be a whole number {limits}"))
+    return number
+
+
+def _finite(key: str, value: Any, unit: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise PoseError(Mistake(key, str(value), f"must be a finite number in {unit}; {_POSE_RULE}"))
+    return number

@@ -1,0 +1,377 @@
+"""The policy table: for every pose of the tip what to do, what it will cost, and how likely it is to succeed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from needleplan.artifacts import digest
+from needleplan.errors import InputError, Mistake, TableError
+from needleplan.planning import _table_file
+from needleplan.planning._drawing import draw_partition_order, draw_success
+from needleplan.planning._execution import Execution, Path, Rollouts
+from needleplan.planning._lookup import Lookups
+from needleplan.planning._poses import Edge, Entry, Pose, edge_poses, whole_number, wrapped
+from needleplan.plotting import axes_or_new, picture_html
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.axes import Axes
+
+__all__ = ["PolicyTable"]
+
+# Success probabilities of entries that differ by less than this count as equal; the lower cost decides.
+_SUCCESS_STEP = 0.001
+
+# Largest number of runs of one rollout; more would not fit into memory.
+_MOST_RUNS = 50_000_000
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PolicyTable(Lookups):
+    """Optimal cost-to-go, policy and success probability of every state of a scenario.
+
+    Parameters
+    ----------
+    values : ndarray of float32, shape (nx, ny, headings, 2)
+        Expected costs under the optimal policy. The last axis is bevel -1, bevel +1.
+    policy : ndarray of uint8, shape (nx, ny, headings, 2)
+        0 insert, 1 rotate, then insert.
+    success : ndarray of float32, shape (nx, ny, headings, 2)
+        Probabilities of reaching the target under the policy.
+    stats : Stats
+        How the solve went.
+    scenario : Scenario
+        The scenario that was solved; it holds the axes `x_mm`, `y_mm` and `headings_rad`.
+
+    Raises
+    ------
+    TableError
+        If an array has not the type or the shape that the scenario asks for.
+
+    Notes
+    -----
+    The arrays become read-only. A table can be pickled and copied; the copy compiles its lattice when it needs it.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> table = npl.plan("four_obstacles")
+    >>> table.values.shape, table.policy.dtype
+    ((121, 81, 60, 2), dtype('uint8'))
+    """
+
+    def __reduce__(self) -> tuple[type[PolicyTable], tuple[object, ...]]:
+        return PolicyTable, (self.values, self.policy, self.success, self.stats, self.scenario)
+
+    def __repr__(self) -> str:
+        shape = " x ".join(map(str, self.scenario.shape))
+        name = f' "{self.scenario.title}"' if self.scenario.title else ""
+        return f"<PolicyTable{name}: {shape} = {self.scenario.states:,} states, {self.stats.status.replace('_', ' ')}>"
+
+    def _repr_html_(self) -> str:
+        return picture_html(self.scenario.workspace, self.plot, repr(self))
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the scenario's digest and the three arrays; artefacts made from this table name it by this."""
+        tables = (digest(array.data) for array in (self.values, self.policy, self.success))
+        return digest("\n".join([self.scenario.digest, *tables]))
+
+    def path(
+        self, start: Entry | Pose | Sequence[float], *, greedy: bool = False, noise_seed: int | None = None
+    ) -> Path:
+        """Execute the policy once in the continuous bicycle model.
+
+        Parameters
+        ----------
+        start : Entry, Pose or sequence of float
+            Where the needle begins: x_mm, y_mm, heading_rad and, if known, bevel.
+        greedy : bool, default False
+            Decide by the values interpolated at the true pose instead of the policy at the nearest state.
+        noise_seed : int, optional
+            Seed of the tip noise. Without it, the execution has no noise.
+
+        Returns
+        -------
+        Path
+            Poses, actions, length, cost and outcome.
+
+        Raises
+        ------
+        PoseError
+            If `start` lies outside the workspace or is no pose, or `noise_seed` is no whole number from 0 to 2^64 - 1.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> table = npl.plan("four_obstacles")
+        >>> print(table.path(table.best_entry()).outcome)
+        target
+        """
+        seed = 0 if noise_seed is None else _seed("noise_seed", noise_seed)
+        execution = Execution(self.lattice, self.policy, self.values, self.scenario, bool(greedy))
+        return execution.path(self.start(start), None if noise_seed is None else seed)
+
+    def rollout(
+        self, start: Entry | Pose | Sequence[float], runs: int = 10_000, seed: int = 0, *, greedy: bool = False
+    ) -> Rollouts:
+        """Execute the policy many times with tip noise in the continuous bicycle model.
+
+        Parameters
+        ----------
+        start : Entry, Pose or sequence of float
+            Where the needle begins: x_mm, y_mm, heading_rad and, if known, bevel.
+        runs : int, default 10_000
+            Number of executions, at most 50,000,000.
+        seed : int, default 0
+            Seed of the tip noise. The same seed gives the same runs on any number of threads.
+        greedy : bool, default False
+            Decide by the values interpolated at the true pose instead of the policy at the nearest state.
+
+        Returns
+        -------
+        Rollouts
+            Success with confidence interval, outcomes and means, beside what the table predicts.
+
+        Raises
+        ------
+        PoseError
+            If `start` lies outside the workspace or is no pose, or `runs` or `seed` is not such a whole number.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> table = npl.plan("four_obstacles")
+        >>> rollouts = table.rollout(table.best_entry(), runs=2000, seed=1)
+        >>> abs(rollouts.success - rollouts.predicted_success) < 0.05
+        True
+        """
+        runs = whole_number("runs", runs, 1, _MOST_RUNS, f"from 1 to {_MOST_RUNS:,}")
+        seed = _seed("seed", seed)
+        pose = self.start(start)
+        predicted = self.lookup(*pose)
+        execution = Execution(self.lattice, self.policy, self.values, self.scenario, bool(greedy))
+        return execution.rollouts(pose, runs, seed, predicted.success, predicted.value)
+
+    def best_entry(self, edge: str = "left", *, x_mm: float | None = None, y_mm: float | None = None) -> Entry:
+        """Return the entry on an edge with the highest success probability.
+
+        Entries whose success differs by less than 0.1 % count as equal; the lowest cost decides among them.
+
+        Parameters
+        ----------
+        edge : {"left", "right", "bottom", "top"}
+            Edge of the workspace at which the needle enters.
+        x_mm : float, optional
+            Position on the bottom or top edge in mm. Without it, every grid point is searched.
+        y_mm : float, optional
+            Position on the left or right edge in mm. Without it, every grid point is searched.
+
+        Returns
+        -------
+        Entry
+            The pose, its success probability and its expected cost. All headings that lead into the workspace are
+            searched.
+
+        Raises
+        ------
+        PoseError
+            If there is no such edge, or the position is not on it.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> table = npl.plan("four_obstacles")
+        >>> print(table.best_entry(y_mm=60).pose)
+        x 0 mm, y 60 mm, heading -18 deg, bevel +1
+        """
+        poses = edge_poses(self.scenario, edge, x_mm, y_mm)
+        found = self.lookup_many(poses)
+        success = np.round(found.success / _SUCCESS_STEP)
+        inclination = np.abs(poses[:, 2] - Edge(edge).inward_rad)
+        best = np.lexsort((inclination, found.value, -success))[0]
+        x, y, heading, bevel = poses[best].tolist()
+        return Entry(Pose(x, y, wrapped(heading), int(bevel)), float(found.success[best]), float(found.value[best]))
+
+    def plot(self, ax: Axes | None = None, *, heading_rad: float | None = None) -> Axes:
+        """Draw the success probability over the workspace, with the better bevel at every position.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            The axes to draw on. Without them a new pyplot figure is made.
+        heading_rad : float, optional
+            Heading to show, in rad. Without it, the best heading at every position.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The axes, in mm.
+
+        Raises
+        ------
+        PoseError
+            If the heading is no number or larger than 2 pi.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> from matplotlib.figure import Figure
+        >>> axes = npl.plan("four_obstacles").plot(Figure().subplots())
+        >>> axes.get_title(loc="left")
+        'Success probability at the best heading'
+        """
+        if heading_rad is not None:
+            heading_rad = Pose(0, 0, heading_rad).heading_rad
+        axes = axes_or_new(ax, self.scenario.workspace)
+        self.scenario.plot(axes, on_map=True)
+        draw_success(axes, self.scenario, self.success, self.lattice.outcomes(), heading_rad)
+        return axes
+
+    def plot_order(self, ax: Axes | None = None) -> Axes:
+        """Draw the order in which the partitions were processed, for a table solved by the method "ppvi".
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            The axes to draw on. Without them a new pyplot figure is made.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The axes, in mm. Partitions that were never processed are grey.
+
+        Raises
+        ------
+        InputError
+            If the table was solved by a method without partitions.
+
+        Examples
+        --------
+        >>> from dataclasses import replace
+        >>> import needleplan as npl
+        >>> from matplotlib.figure import Figure
+        >>> scenario = npl.Scenario.read("four_obstacles_thesis")
+        >>> coarse = replace(scenario, grid=replace(scenario.grid, spacing_mm=(4.0, 4.0)))
+        >>> axes = npl.plan(coarse).plot_order(Figure().subplots())
+        >>> axes.get_title(loc="left").startswith("Order of processing")
+        True
+        """
+        axes = axes_or_new(ax, self.scenario.workspace)
+        self.scenario.plot(axes)
+        draw_partition_order(axes, self.scenario, self.stats.order)
+        return axes
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the table as a labelled xarray dataset that shares the arrays.
+
+        Returns
+        -------
+        xarray.Dataset
+            The variables `values`, `policy` and `success` over the dimensions x, y, heading and bevel. Every coordinate
+            has its unit in `attrs["units"]`: mm, mm, rad, 1.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> data = npl.plan("four_obstacles").to_xarray()
+        >>> dict(data.sizes)
+        {'x': 121, 'y': 81, 'heading': 60, 'bevel': 2}
+        >>> data.success.sel(x=40, y=36, bevel=-1).max("heading").item() > 0.5
+        True
+        """
+        try:
+            import xarray
+        except ImportError:
+            rule = "needs xarray: install it with `pip install needleplan[xarray]`"
+            raise InputError(Mistake("to_xarray", "", rule)) from None
+        axes: dict[str, tuple[Any, str]] = {
+            "x": (self.scenario.x_mm, "mm"),
+            "y": (self.scenario.y_mm, "mm"),
+            "heading": (self.scenario.headings_rad, "rad"),
+            "bevel": (np.array([-1, 1]), "1"),
+        }
+        return xarray.Dataset(
+            {
+                name: (tuple(axes), getattr(self, name), {"long_name": description, "units": unit})
+                for name, (description, unit) in _table_file.TABLES.items()
+            },
+            coords={name: (name, points, {"units": unit}) for name, (points, unit) in axes.items()},
+            attrs={"title": self.scenario.title, "digest": self.digest, "scenario": self.scenario.to_toml()},
+        )
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the table to an HDF5 file, completely or not at all.
+
+        Parameters
+        ----------
+        path : str or path
+            The file to write.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import needleplan as npl, tempfile
+        >>> from pathlib import Path
+        >>> table = npl.plan("four_obstacles")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     table.write(Path(folder) / "table.h5")
+        ...     npl.PolicyTable.read(Path(folder) / "table.h5").digest == table.digest
+        True
+        """
+        _table_file.write(
+            path, _table_file.Content(self.values, self.policy, self.success, self.stats, self.scenario), self.digest
+        )
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> PolicyTable:
+        """Read a table from its HDF5 file and verify every byte.
+
+        Parameters
+        ----------
+        path : str or path
+            The file to read.
+
+        Returns
+        -------
+        PolicyTable
+            The table.
+
+        Raises
+        ------
+        TableError
+            If the file is not a policy table, or only part of one.
+        ChecksumError
+            If bytes of the file have changed since it was written.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> npl.PolicyTable.read("no.h5")
+        Traceback (most recent call last):
+        needleplan.errors.TableError: no.h5: cannot be read: No such file or directory
+        """
+        content = _table_file.read(path)
+        try:
+            return cls(content.values, content.policy, content.success, content.stats, content.scenario)
+        except TableError as error:
+            raise TableError(error.mistakes, os.fspath(path)) from None
+
+
+def _seed(key: str, value: Any) -> int:
+    return whole_number(key, value, 0, 2**64 - 1, "from 0 to 2^64 - 1")

@@ -1,0 +1,118 @@
+"""The workspace of a scenario as a drawing: obstacles, target, and tissues tinted by the radius of the needle there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Protocol
+
+from needleplan.plotting.canvas import BLACK, GREY, VERMILLION, axes_in_mm
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from needleplan.scenario.parts import Needle, Obstacle, Target, Tissue, Workspace
+
+__all__ = ["Scene", "draw_scene"]
+
+# Shares of the colour map for the largest and the smallest radius.
+_PALEST, _DEEPEST = 0.06, 0.36
+
+# Share of the workspace's width below which the label of a layer is written upright.
+_NARROW = 0.12
+
+# Share of the workspace's height below which the label of a region is written above it.
+_LOW = 0.1
+
+_LABEL: Any = {"ha": "center", "fontsize": 7, "color": "#5c4a2f", "zorder": 2, "clip_on": True}
+
+
+class Scene(Protocol):
+    """The parts of a scenario that are drawn."""
+
+    @property
+    def workspace(self) -> Workspace:
+        """Rectangle that the tip must not leave."""
+
+    @property
+    def target(self) -> Target:
+        """Disc that the tip must reach."""
+
+    @property
+    def needle(self) -> Needle:
+        """Needle with its layers."""
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """Polygons that the tip must not touch."""
+
+    @property
+    def tissues(self) -> tuple[Tissue, ...]:
+        """Regions with a radius of their own."""
+
+
+def draw_scene(axes: Axes, scene: Scene, *, on_map: bool = False) -> None:
+    """Draw workspace, tissues, obstacles and target; `on_map` leaves out the fillings that would hide a colour map."""
+    from matplotlib.patches import Circle, Polygon
+
+    axes_in_mm(axes, scene.workspace)
+    face = "white" if on_map else "#d0d0d0"
+    for obstacle in scene.obstacles:
+        outline = list(obstacle.polygon_mm)
+        axes.add_patch(Polygon(outline, facecolor=face, edgecolor=BLACK, linewidth=0.9, zorder=3))
+    if scene.needle.layers or scene.tissues:
+        _draw_tissues(axes, scene, on_map)
+    target = scene.target
+    axes.add_patch(
+        Circle(target.center_mm, target.radius_mm, facecolor="none", edgecolor=VERMILLION, linewidth=1.8, zorder=6)
+    )
+
+
+def _draw_tissues(axes: Axes, scene: Scene, on_map: bool) -> None:
+    """Tint layers and regions, the deeper the smaller the radius, and label them; on a map draw their borders only."""
+    from matplotlib import colormaps
+
+    layers = list(_layers(scene))
+    radii = sorted({radius for *_, radius in layers} | {tissue.curvature_radius_mm for tissue in scene.tissues})
+
+    def tint(radius_mm: float) -> Any:
+        share = 1 - radii.index(radius_mm) / max(len(radii) - 1, 1)
+        return colormaps["YlOrBr"](_PALEST + (_DEEPEST - _PALEST) * share)
+
+    width, height = scene.workspace.width_mm, scene.workspace.height_mm
+    for low, high, radius in layers:
+        if on_map:
+            axes.plot([low, low], [0, height], color="white", linewidth=0.8, linestyle="--", zorder=2)
+        else:
+            axes.axvspan(low, high, facecolor=tint(radius), edgecolor="none", zorder=0)
+            upright = 90 if high - low < _NARROW * width else 0
+            axes.text((low + high) / 2, 0.97 * height, _label(radius), va="top", rotation=upright, **_LABEL)
+    for tissue in scene.tissues:
+        _draw_region(axes, tissue, "none" if on_map else tint(tissue.curvature_radius_mm))
+        if not on_map:
+            x, y = zip(*tissue.polygon_mm, strict=True)
+            below = min(y) > _LOW * height
+            name = ", ".join(filter(None, (tissue.name, _label(tissue.curvature_radius_mm))))
+            place = min(y) - 0.01 * height if below else max(y) + 0.01 * height
+            axes.text((min(x) + max(x)) / 2, place, name, va="top" if below else "bottom", **_LABEL)
+
+
+def _layers(scene: Scene) -> Iterator[tuple[float, float, float]]:
+    """Yield the first and the last x in mm of every layer and its radius in mm, the needle's own radius first."""
+    needle = scene.needle
+    starts = [0.0, *(layer.from_mm for layer in needle.layers)]
+    radii = [needle.curvature_radius_mm, *(layer.curvature_radius_mm for layer in needle.layers)]
+    for low, high, radius in zip(starts, [*starts[1:], scene.workspace.width_mm], radii, strict=True):
+        if low < high:
+            yield low, high, radius
+
+
+def _draw_region(axes: Axes, tissue: Tissue, face: Any) -> None:
+    from matplotlib.patches import Polygon
+
+    edge = "white" if face == "none" else GREY
+    style: Any = {"facecolor": face, "edgecolor": edge, "linewidth": 0.8, "linestyle": "--", "zorder": 1}
+    axes.add_patch(Polygon(list(tissue.polygon_mm), **style))
+
+
+def _label(radius_mm: float) -> str:
+    return f"R {radius_mm:.4g} mm"
