@@ -1,26 +1,27 @@
-"""Parameters of models: fields of a frozen dataclass with unit, range, scale and meaning.
+"""Base classes of all mechanical models, and the declaration of their parameters.
 
-----
-
-What every model of the mechanics is.
-
-A model is a frozen dataclass whose fields are its parameters. Driven by a motion u(t) it has a state x and output y::
+A model is a frozen dataclass whose fields are its parameters. Driven by a motion u(t), it has a state x and an output
+y::
 
     x' = derivative(x, u)          y = output(x, u)
 
-A static model has an empty state. Nothing else is asked of a member: simulation, fitting, filtering and residuals are
-written once for all of them. A member whose state is a single number that enters its equation linearly::
+A static model has an empty state. A member of the family defines these two functions and the initial state. Simulation,
+fitting, filtering and residual tests are written once for all members.
 
-    z' = forcing(u) - rate(u) z
+| base class | use it for | integration |
+|---|---|---|
+| `Model` | any model | Kutta's third-order method |
+| `LinearStateModel` | one state with z' = forcing(u) - rate(u) z | exact for constant coefficients |
+| `SelfIntegratingModel` | stiff models, or models with a closed-form solution | the model's own method |
 
-says so (`LinearStateModel`), and is then integrated exactly for frozen coefficients, fast and for any step. A member
-that no general method integrates well, such as a stiff one, or one that is solved in closed form, brings its own
-(`SelfIntegratingModel`).
+`parameter` and `constant` declare a field together with its unit, range, scale and meaning. The docstring of every
+member ends with a list of parameters that is generated from these declarations.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 from abc import ABC, abstractmethod
 from dataclasses import MISSING, dataclass, fields, replace
@@ -47,21 +48,41 @@ __all__ = [
 
 
 class Scale(StrEnum):
-    """In which coordinate a parameter is well scaled."""
+    """The coordinate in which a parameter is estimated."""
 
     LOG = "log"
-    """u = ln(p): positive, known to within a factor."""
+    """u = ln(p), for positive parameters."""
 
     LINEAR = "linear"
-    """u = p / typical: may be zero or change its sign."""
+    """u = p / typical, for parameters that may be zero or negative."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """What is known of a parameter before it is identified.
+    """Declaration of a model parameter: unit, range, scale and meaning.
 
-    The closed range [lower, upper] is where it makes physical sense; `typical` is the size of a LINEAR one. A parameter
-    that is not `free` is a constant of the experiment, or fixes a symmetry; `fit` leaves it alone unless told.
+    Parameters
+    ----------
+    unit : str
+        Unit, empty for dimensionless parameters.
+    lower, upper : float
+        Closed range of the physically sensible values.
+    about : str
+        Meaning, in a few words.
+    scale : Scale
+        Coordinate in which the parameter is estimated.
+    typical : float
+        Typical magnitude of a parameter with the scale LINEAR; 1 for LOG.
+    free : bool
+        Whether `fit` estimates the parameter by default. Constants of the experiment are not free.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> stiffness = npl.models.LumpedLuGre.parameters()["sigma0"]
+    >>> stiffness.unit, stiffness.lower, stiffness.upper, stiffness.free
+    ('1/mm', 0.0001, 10000.0, True)
+
     """
 
     unit: str
@@ -73,15 +94,15 @@ class Parameter:
     free: bool
 
     def coordinate(self, value: float) -> float:
-        """Return the well-scaled coordinate of a value; a positive lower bound is needed for LOG."""
+        """Return the coordinate u of a value. With the scale LOG the value must be positive."""
         return math.log(value) if self.scale is Scale.LOG else value / self.typical
 
     def value(self, coordinate: float) -> float:
-        """Return the value of a coordinate."""
+        """Return the value of a coordinate u."""
         return math.exp(coordinate) if self.scale is Scale.LOG else coordinate * self.typical
 
     def slope(self, value: float) -> float:
-        """Return d(value)/d(coordinate) at a value."""
+        """Return the derivative d(value)/du at a value."""
         return value if self.scale is Scale.LOG else self.typical
 
 
@@ -95,19 +116,72 @@ def parameter(
     typical: float | None = None,
     free: bool = True,
 ) -> Any:
-    """Declare a parameter that can be identified. Its scale is LOG unless `typical` gives a size for LINEAR."""
+    """Declare a dataclass field of a model as a parameter that can be identified.
+
+    Parameters
+    ----------
+    unit : str
+        Unit, empty for dimensionless parameters.
+    lower, upper : float
+        Closed range of the physically sensible values.
+    about : str
+        Meaning, in a few words.
+    default : Any
+        Default value; without one, the caller must give the value.
+    typical : float, optional
+        Typical magnitude. With it, the scale is LINEAR; without it, LOG.
+    free : bool
+        Whether `fit` estimates the parameter by default.
+
+    Returns
+    -------
+    Any
+        A dataclass field that carries the `Parameter`.
+
+    Examples
+    --------
+    >>> from needleplan.models import parameter
+    >>> declared = parameter("N/mm", 1e-3, 1e3, "stiffness of a spring")
+    >>> str(declared.metadata["parameter"].scale)
+    'log'
+
+    """
     scale = Scale.LOG if typical is None else Scale.LINEAR
     what = Parameter(unit, lower, upper, about, scale, 1.0 if typical is None else typical, free)
     return dataclasses.field(default=default, metadata={"parameter": what})
 
 
 def constant(unit: str, lower: float, upper: float, about: str, *, default: Any = MISSING) -> Any:
-    """Declare a number of the experiment that is known beforehand, such as a length."""
+    """Declare a dataclass field of a model as a known constant of the experiment, such as a length.
+
+    Parameters
+    ----------
+    unit : str
+        Unit, empty for dimensionless constants.
+    lower, upper : float
+        Closed range of the physically sensible values.
+    about : str
+        Meaning, in a few words.
+    default : Any
+        Default value; without one, the caller must give the value.
+
+    Returns
+    -------
+    Any
+        A dataclass field that carries a `Parameter` with `free` False.
+
+    Examples
+    --------
+    >>> from needleplan.models import constant
+    >>> constant("mm", 0, 1e3, "length of the needle").metadata["parameter"].free
+    False
+
+    """
     return parameter(unit, lower, upper, about, default=default, typical=max(abs(lower), abs(upper)), free=False)
 
 
 def parameters_of(model: object) -> dict[str, Parameter]:
-    """Return the parameters of a model or its class by name, in the order of its fields."""
+    """Return the parameters of a model, or of a model class, by name in the order of its fields."""
     return dict(_parameters_of(model if isinstance(model, type) else type(model)))
 
 
@@ -118,38 +192,83 @@ def _parameters_of(kind: type) -> dict[str, Parameter]:
 
 
 class Channel(StrEnum):
-    """What a model predicts: the column of a record that it is compared with."""
+    """The measured quantity that a model predicts. The value is the name of the record's column.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> str(npl.models.LumpedLuGre.channel), npl.models.SpatialBicycle.channel.columns
+    ('force_n', ('x_mm', 'y_mm', 'z_mm'))
+
+    """
 
     FORCE = "force_n"
-    """Axial force on the needle at its base, positive where it resists insertion (N)."""
+    """Axial force on the base of the needle, N; positive where it resists insertion."""
 
     LATERAL = "y_mm"
-    """Lateral position of the tip, or of the tracked point, in the plane of bending (mm)."""
+    """Lateral position of the tip, or of the tracked point, in the plane of bending, mm."""
 
     VELOCITY = "velocity_mm_s"
-    """A velocity (mm/s)."""
+    """Velocity, mm/s."""
 
     TIP = "tip_mm"
-    """Position of the tip in space: the columns x_mm, y_mm and z_mm; outputs have the shape (3, ...)."""
+    """Position of the tip in space, mm: the columns x_mm, y_mm and z_mm. The output has the shape (3, ...)."""
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The columns of a record."""
+        """Names of the columns of a record that hold the channel."""
         return ("x_mm", "y_mm", "z_mm") if self is Channel.TIP else (str(self),)
+
+
+def _parameter_section(kind: type) -> str:
+    """Return the numpydoc section of the parameters of a class that is about to become a dataclass."""
+    declared: dict[str, Any] = {}
+    for base in reversed(kind.__mro__):
+        declared |= {each.name: each for each in getattr(base, "__dataclass_fields__", {}).values()}
+        declared |= {name: base.__dict__.get(name) for name in base.__dict__.get("__annotations__", {})}
+    rows = []
+    for name, field in declared.items():
+        default = getattr(field, "default", field)
+        given = "" if default is MISSING else f", default {default}"
+        if isinstance(field, dataclasses.Field) and "parameter" in field.metadata:
+            what: Parameter = field.metadata["parameter"]
+            rows.append(f"{name} : float{given}\n    {what.about[0].upper()}{what.about[1:]}, {what.unit or '1'}.")
+        elif isinstance(default, StrEnum):
+            rows.append(
+                f"{name} : {type(default).__name__}{given}\n    {(type(default).__doc__ or '').splitlines()[0]}"
+            )
+    return "\n".join(["Parameters", "----------", *rows]) if rows else ""
 
 
 @dataclass(frozen=True)
 class Model(ABC):
-    """A member of the family; abstract.
+    """Abstract base class of all mechanical models.
 
-    Shapes: a state is (n, ...) and the fields of a motion are (...), so that one call serves one instant or all
-    samples. Units: mm, N, s, rad.
+    A state has the shape (n, ...), and every field of a motion has the shape (...). One call therefore serves a single
+    instant or all samples at once. Units are mm, N, s and rad. The constructor raises ModelError, with all mistakes, if
+    a parameter is not a number or is outside of its range.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> npl.models.Bicycle(curvature_per_mm=0.01).values()
+    {'curvature_per_mm': 0.01, 'heading_rad': 0.0, 'offset_mm': 0.0}
+
     """
 
     name: ClassVar[str]
-    """Name in model files and on the command line."""
+    """Name of the model in model files and on the command line."""
 
     channel: ClassVar[Channel]
+    """Quantity that the model predicts."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Add the section of the parameters to the docstring of a member, before its examples."""
+        super().__init_subclass__(**options)
+        section = _parameter_section(cls)
+        if cls.__doc__ and section and "Parameters\n" not in cls.__doc__:
+            words, examples, code = inspect.cleandoc(cls.__doc__).partition("\nExamples\n")
+            cls.__doc__ = f"{words.rstrip()}\n\n{section}\n{examples}{code}"
 
     def __post_init__(self) -> None:
         mistakes = []
@@ -167,7 +286,7 @@ class Model(ABC):
 
     @abstractmethod
     def initial_state(self, motion: Motion) -> Array:
-        """Return the state at rest, shape (n,), before the first sample of `motion`."""
+        """Return the state at rest before the first sample of `motion`, shape (n,)."""
 
     @abstractmethod
     def derivative(self, state: Array, motion: Motion) -> Array:
@@ -175,11 +294,11 @@ class Model(ABC):
 
     @abstractmethod
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return what is measured, in the unit of the channel, shape (...)."""
+        """Return the predicted measurement in the unit of the channel, shape (...)."""
 
     @classmethod
     def parameters(cls) -> dict[str, Parameter]:
-        """Return unit, range, scale and meaning of every parameter, by name."""
+        """Return the declaration of every parameter, by name."""
         return parameters_of(cls)
 
     def values(self) -> dict[str, float]:
@@ -187,7 +306,24 @@ class Model(ABC):
         return {name: getattr(self, name) for name in parameters_of(self)}
 
     def with_values(self, **values: float) -> Self:
-        """Return the model with some parameters changed. Raises ModelError for a name that it does not have."""
+        """Return a copy of the model with some fields changed.
+
+        Parameters
+        ----------
+        **values : float
+            New values by field name, in the units of the parameters.
+
+        Returns
+        -------
+        Self
+            The changed copy.
+
+        Raises
+        ------
+        ModelError
+            If the model has no field of that name, or a value is outside of its range.
+
+        """
         known = {each.name for each in fields(self)}
         unknown = [Mistake(name, "", f"is not a parameter of {self.name}") for name in values if name not in known]
         if unknown:
@@ -198,11 +334,21 @@ class Model(ABC):
 
 @dataclass(frozen=True)
 class LinearStateModel(Model):
-    """A model with one state z that obeys z' = forcing - rate z; abstract."""
+    """Abstract base class of models with one state z and z' = forcing - rate z.
+
+    `simulate` integrates these models exactly where the two coefficients are constant.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> issubclass(npl.models.LumpedLuGre, npl.models.LinearStateModel)
+    True
+
+    """
 
     @abstractmethod
     def coefficients(self, motion: Motion) -> tuple[Array, Array]:
-        """Return forcing (state per second) and rate (1/s), each of the shape of the motion's fields."""
+        """Return the forcing (unit of z per second) and the rate (1/s), each of the shape of the motion's fields."""
 
     def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
         """Return z = 0, shape (1,)."""
@@ -216,8 +362,18 @@ class LinearStateModel(Model):
 
 @dataclass(frozen=True)
 class SelfIntegratingModel(Model):
-    """A model that integrates its own equations; abstract. `derivative` says what they are."""
+    """Abstract base class of models that integrate their own equations.
+
+    `derivative` still defines the equations, for filters and for tests of `integrate`.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> issubclass(npl.models.Bicycle, npl.models.SelfIntegratingModel)
+    True
+
+    """
 
     @abstractmethod
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states at the samples of the motion, shape (n, samples), from `start`, shape (n,)."""
+        """Return the states at the samples of the motion, shape (n, samples), from the state `start`, shape (n,)."""

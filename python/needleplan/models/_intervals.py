@@ -1,11 +1,13 @@
-"""Intervals of a fit that do not rest on its linearisation.
+"""Confidence intervals that do not rest on the linearisation of a fit.
 
-`profile_intervals` refits the others with one parameter held at value after value, and takes those values whose sum of
-squares is not much larger. Where the noise is correlated the sum of squares grows too fast; it is scaled down by the
-variance that the fit reports over the one that white noise would give (Chandler and Bate, Biometrika 94 (2007) 167).
+`profile_intervals` holds one parameter at a series of values and refits the others. The interval contains the values
+with a sufficiently small sum of squares. With correlated noise the sum of squares grows too fast; it is therefore
+divided by the ratio of the reported variance to the variance for white noise (Chandler and Bate, Biometrika 94 (2007)
+167).
 
-`bootstrap_intervals` resamples blocks of residuals (Kuensch, Annals of Statistics 17 (1989) 1217), adds them to the
-fitted output and fits again. Both work in the coordinates of the fit, so that intervals stay within the range.
+`bootstrap_intervals` adds resampled blocks of residuals to the fitted output and refits (Kuensch, Annals of Statistics
+17 (1989) 1217). Both functions work in the coordinates of the fit, so that an interval never leaves the parameter's
+range.
 """
 
 from __future__ import annotations
@@ -25,12 +27,12 @@ from needleplan.signals import Array, Record
 
 __all__ = ["FitOptions", "Intervals", "bootstrap_intervals", "profile_intervals"]
 
+# First reach of the search for an interval's end, in standard deviations; the search doubles its reach up to 2^20 times it.
 _FURTHEST = 12
-"""How many standard deviations from the optimum the end of a profile is looked for."""
 
 
 class FitOptions(TypedDict, total=False):
-    """What the fit was asked for, and every refit is too."""
+    """Options of the original fit, which every refit uses too."""
 
     bounds: Mapping[str, tuple[float, float]] | None
     smooth: Callable[[Array], Array] | None
@@ -40,12 +42,26 @@ class FitOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Intervals:
-    """Estimates with new intervals; a parameter whose interval has no end within its range is not identified."""
+    """Estimates with recomputed intervals.
+
+    Parameters
+    ----------
+    estimates : dict of str to Estimate
+        Estimates by parameter name. A parameter whose interval reaches a bound of its range is not identified.
+    refits : int
+        Number of refits.
+    failed : int
+        Number of refits that did not converge and were left out.
+
+    Examples
+    --------
+    See `profile_intervals`.
+
+    """
 
     estimates: dict[str, Estimate]
     refits: int
     failed: int
-    """Refits that did not converge; they are left out."""
 
 
 def profile_intervals(
@@ -56,9 +72,45 @@ def profile_intervals(
     level: float = 0.95,
     **options: Unpack[FitOptions],
 ) -> Intervals:
-    """Return profile-likelihood intervals of `names` (default: all free parameters) of a fit to `data`.
+    """Return profile-likelihood intervals of fitted parameters.
 
-    `options` must be those of the fit. Raises ModelError for names that were not free.
+    Parameters
+    ----------
+    found : Fit
+        The fit.
+    data : Record or sequence of Record
+        The records of the fit.
+    names : sequence of str, optional
+        Parameters of interest. The default is all free parameters.
+    level : float
+        Confidence level.
+    **options : FitOptions
+        `bounds`, `smooth`, `mask` and `max_evaluations` of the fit.
+
+    Returns
+    -------
+    Intervals
+        The intervals.
+
+    Raises
+    ------
+    ModelError
+        If `names` contains a parameter that was not fitted.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import needleplan as npl
+    >>> from needleplan.signals import Record, insertion_cycles
+    >>> motion = insertion_cycles(60.0, 10.0, rate_hz=20.0)
+    >>> noise = np.random.default_rng(0).normal(0.0, 0.1, len(motion))
+    >>> measured = npl.models.simulate(npl.models.Bicycle(0.01), motion).output + noise
+    >>> record = Record({"time_s": motion.time_s, "depth_mm": motion.depth_mm, "y_mm": measured})
+    >>> found = npl.models.fit(npl.models.Bicycle(0.005), record, free=["curvature_per_mm"])
+    >>> interval = npl.models.profile_intervals(found, record).estimates["curvature_per_mm"]
+    >>> interval.low < 0.01 < interval.high
+    True
+
     """
     wanted = _names(found, names)
     records = (data,) if isinstance(data, Record) else tuple(data)
@@ -77,11 +129,48 @@ def bootstrap_intervals(
     seed: int = 0,
     **options: Unpack[FitOptions],
 ) -> Intervals:
-    """Return block-bootstrap intervals of all free parameters of a fit to `data`, by percentiles of `runs` refits.
+    """Return block-bootstrap intervals of all fitted parameters.
 
-    `block` is the length of the blocks in samples, by default 3 n^(1/3) of each record, as for the covariance of the
-    fit. `options` must be those of the fit. Raises DataError where `runs` or `block` make no
-    sense, or most refits fail.
+    Parameters
+    ----------
+    found : Fit
+        The fit.
+    data : Record or sequence of Record
+        The records of the fit.
+    runs : int
+        Number of refits, at least 20.
+    block : int, optional
+        Length of a block in samples. The default is 3 n^(1/3) of each record, as for the covariance of the fit.
+    level : float
+        Confidence level.
+    seed : int
+        Seed of the resampling.
+    **options : FitOptions
+        `bounds`, `smooth`, `mask` and `max_evaluations` of the fit.
+
+    Returns
+    -------
+    Intervals
+        Percentile intervals.
+
+    Raises
+    ------
+    DataError
+        If `runs` or `block` is out of range, or if more than half of the refits fail.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import needleplan as npl
+    >>> from needleplan.signals import Record, insertion_cycles
+    >>> motion = insertion_cycles(60.0, 10.0, rate_hz=20.0)
+    >>> noise = np.random.default_rng(0).normal(0.0, 0.1, len(motion))
+    >>> measured = npl.models.simulate(npl.models.Bicycle(0.01), motion).output + noise
+    >>> record = Record({"time_s": motion.time_s, "depth_mm": motion.depth_mm, "y_mm": measured})
+    >>> found = npl.models.fit(npl.models.Bicycle(0.005), record, free=["curvature_per_mm"])
+    >>> npl.models.bootstrap_intervals(found, record, runs=20).refits
+    20
+
     """
     records = (data,) if isinstance(data, Record) else tuple(data)
     shortest = min(int(np.isfinite(left).sum()) for left in found.residuals)
@@ -115,7 +204,7 @@ def bootstrap_intervals(
 
 
 def _resampled(left: Array, block: int | None, generator: np.random.Generator) -> Array:
-    """Return residuals drawn in blocks, centred, where there are any; NaN elsewhere."""
+    """Return residuals that were resampled in blocks and centred; NaN at masked samples."""
     good = np.flatnonzero(np.isfinite(left))
     values = left[good] - left[good].mean()
     n = values.size
@@ -176,7 +265,7 @@ class _Profile:
         return _with_ends(found, name, values[0], values[1], found.estimates[name].sd)
 
     def _end(self, excess: Callable[[float], float], centre: float, step: float, limit: float) -> float:
-        """Return where the profile leaves the allowed, or the end of the range where it never does."""
+        """Return the coordinate at which the profile exceeds the allowed sum of squares, or the bound of the range."""
         from scipy.optimize import brentq
 
         before, reach = centre, abs(step)
@@ -191,7 +280,7 @@ class _Profile:
         return limit
 
     def _white_sd(self, name: str, centre: float, dof: int) -> float:
-        """Return the standard deviation that white noise would give, from the curvature of the profile."""
+        """Return the standard deviation for white noise, from the curvature of the profile."""
         what = self.found.model.parameters()[name]
         index = self.found.free.index(name)
         step = math.sqrt(self.found.covariance[index, index])
@@ -208,7 +297,7 @@ class _Profile:
         return (self.options.get("bounds") or {}).get(name, (what.lower, what.upper))
 
     def _sum(self, name: str, value: float) -> float:
-        """Return the least sum of squares with one parameter held."""
+        """Return the minimal sum of squares with one parameter held at `value`."""
         model = self.found.model.with_values(**{name: value})
         others = [each for each in self.found.free if each != name]
         self.refits += 1
@@ -219,7 +308,7 @@ class _Profile:
         return refit.samples * refit.rmse**2
 
     def _plain_sum(self, model: Model) -> float:
-        """Return the sum of squares of a model as it is."""
+        """Return the sum of squares of a model without fitting."""
         smooth = self.options.get("smooth") or (lambda output: output)
         total = 0.0
         for record, left in zip(self.records, self.found.residuals, strict=True):

@@ -1,9 +1,9 @@
-"""What a model leaves unexplained: tests of the residuals of a fit.
+"""Statistical tests of the residuals of a fit.
 
-Residuals of filtered sensors are correlated; tests that take them for independent find an effect everywhere. So an
-autoregression is fitted first (order by Akaike's criterion, a record at a time), and mean, trends and normality are
-tested on what it leaves, with the regressors filtered in the same way (Prais and Winsten). The test for whiteness
-itself takes the residuals as they are.
+Residuals of filtered sensors are correlated, and tests for independent samples would reject every model. An
+autoregression is therefore fitted to each record first (order by Akaike's criterion). Mean, trends and normality are
+tested on its innovations, with the regressors filtered in the same way (Prais and Winsten). The whiteness test uses the
+unfiltered residuals.
 """
 
 from __future__ import annotations
@@ -28,14 +28,34 @@ _NAMES = (
     "normality",
 )
 
+# p-value below which a finding says that the model lacks something.
 _SIGNIFICANT = 0.05
+# Highest order of the autoregression, in samples.
 _HIGHEST_ORDER = 20
+# Number of samples below which nothing is tested.
 _FEWEST = 20
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One test of what the model leaves unexplained: its statistic, its p-value (None where it has none), in words."""
+    """Result of one residual test.
+
+    Parameters
+    ----------
+    name : str
+        Name of the test, such as "trend with depth".
+    statistic : float
+        Test statistic; NaN if the test was not possible.
+    p_value : float or None
+        p-value; None if the test was not possible.
+    says : str
+        The result in words.
+
+    Examples
+    --------
+    See `residual_findings`.
+
+    """
 
     name: str
     statistic: float
@@ -44,10 +64,40 @@ class Finding:
 
 
 def residual_findings(found: Fit, records: Sequence[Record]) -> tuple[Finding, ...]:
-    """Return the tests of the residuals of a fit to `records`, those that it was made from, in their order.
+    """Return the tests of the residuals of a fit.
 
-    A test that the data do not allow (too few samples, no change of direction) has the p-value None and says why.
-    Raises DataError where records and residuals do not belong together.
+    Parameters
+    ----------
+    found : Fit
+        The fit.
+    records : sequence of Record
+        The records of the fit, in the same order.
+
+    Returns
+    -------
+    tuple of Finding
+        Whiteness, zero mean, trends with depth and velocity, dependence on direction, and normality. If the data do not
+        allow a test (too few samples, no change of direction), its p-value is None and its text gives the reason.
+
+    Raises
+    ------
+    DataError
+        If `records` and the residuals of the fit have different lengths.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import needleplan as npl
+    >>> from needleplan.signals import Record, insertion_cycles
+    >>> motion = insertion_cycles(60.0, 10.0, rate_hz=50.0)
+    >>> noise = np.random.default_rng(0).normal(0.0, 0.1, len(motion))
+    >>> measured = npl.models.simulate(npl.models.Bicycle(0.01), motion).output + noise
+    >>> record = Record({"time_s": motion.time_s, "depth_mm": motion.depth_mm, "y_mm": measured})
+    >>> found = npl.models.fit(npl.models.Bicycle(0.005), record)
+    >>> whiteness = npl.models.residual_findings(found, [record])[0]
+    >>> whiteness.name, whiteness.p_value > 0.05
+    ('whiteness', True)
+
     """
     if len(records) != len(found.residuals) or any(
         len(record) != left.size for record, left in zip(records, found.residuals, strict=True)
@@ -58,9 +108,32 @@ def residual_findings(found: Fit, records: Sequence[Record]) -> tuple[Finding, .
 
 
 def findings_of(residuals: Sequence[Array], motions: Sequence[Motion], unit: str) -> tuple[Finding, ...]:
-    """Return the tests of residuals, shape (samples,) for each motion, in `unit`, NaN where a sample does not count.
+    """Return the tests of given residuals.
 
-    What `residual_findings` says of its tests holds here too.
+    Parameters
+    ----------
+    residuals : sequence of Array
+        Residuals of each record, shape (samples,); NaN for masked samples.
+    motions : sequence of Motion
+        Motion of each record.
+    unit : str
+        Unit of the residuals, for the texts.
+
+    Returns
+    -------
+    tuple of Finding
+        The tests of `residual_findings`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from needleplan.models import findings_of
+    >>> from needleplan.signals import insertion_cycles
+    >>> motion = insertion_cycles(60.0, 10.0, rate_hz=50.0)
+    >>> mean = findings_of([np.random.default_rng(0).normal(0.5, 0.1, len(motion))], [motion], "mm")[1]
+    >>> mean.p_value < 0.01
+    True
+
     """
     good = [np.isfinite(values) for values in residuals]
     left = [values[mask] for values, mask in zip(residuals, good, strict=True)]
@@ -82,11 +155,31 @@ def findings_of(residuals: Sequence[Array], motions: Sequence[Motion], unit: str
 
 
 def ljung_box(residuals: Sequence[Array], lags: int | None = None) -> tuple[float, float, int]:
-    """Return statistic, p-value and number of lags of Ljung and Box's test (Biometrika 65 (1978) 297).
+    """Test residuals for autocorrelation (Ljung and Box, Biometrika 65 (1978) 297).
 
-    Several records, each a row (samples,), are tested together: statistics and degrees of freedom add up. `lags` is at
-    most a fifth of the shortest record and 20 by default. No correction for fitted parameters: they are few beside
-    the samples.
+    The statistics and the degrees of freedom of several records are summed. There is no correction for the number of
+    fitted parameters, which is small beside the number of samples.
+
+    Parameters
+    ----------
+    residuals : sequence of Array
+        Residuals of each record, shape (samples,).
+    lags : int, optional
+        Number of lags. The default is 20, but at most a fifth of the shortest record.
+
+    Returns
+    -------
+    tuple of (float, float, int)
+        Statistic, p-value and number of lags.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from needleplan.models import ljung_box
+    >>> statistic, p_value, lags = ljung_box([np.random.default_rng(0).normal(size=200)])
+    >>> p_value > 0.05, lags
+    (True, 20)
+
     """
     from scipy.special import chdtrc  # scipy.stats takes as long to load as a whole diagnosis
 
@@ -164,7 +257,7 @@ def _normality(left: Sequence[Array], filters: Sequence[Array]) -> Finding:
 
 
 def _autoregression(values: Array) -> Array:
-    """Return the weights of the past in an autoregression (Yule and Walker), its order by Akaike's criterion."""
+    """Return the coefficients of an autoregression (Yule and Walker); Akaike's criterion chooses the order."""
     from scipy.linalg import solve_toeplitz
 
     n = values.size
@@ -184,7 +277,7 @@ def _autoregression(values: Array) -> Array:
 
 
 def _filtered(values: Array, weights: Array) -> Array:
-    """Return what an autoregression does not foresee, from its order on."""
+    """Return the innovations of an autoregression, from its order on."""
     order = weights.size
     if not order:
         return values
@@ -195,7 +288,7 @@ def _filtered(values: Array, weights: Array) -> Array:
 def _slope(
     left: Sequence[Array], others: Sequence[Array], values: Sequence[Array], filters: Sequence[Array]
 ) -> tuple[float, float, float]:
-    """Return slope, t and p of residuals over `values`, beside `others`, after filtering all of them."""
+    """Return slope, t and p of a regression of the residuals on `values` and `others`, all of them filtered."""
     from scipy import stats
 
     bring: Callable[[Sequence[Array]], Array] = lambda rows: np.concatenate(  # noqa: E731

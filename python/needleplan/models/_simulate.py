@@ -1,21 +1,22 @@
-"""A state that decays from sample to sample: serial, and therefore solved by LAPACK and not by a loop.
+"""Simulation of any model along a sampled motion.
 
-----
+`simulate` chooses one of four integrators by the base class of the model.
 
-Simulation of any model along a sampled motion.
+| model | integrator |
+|---|---|
+| no state | none: the output is evaluated at all samples at once |
+| `LinearStateModel` | fourth-order Magnus integrator, below |
+| `SelfIntegratingModel` | the model's own method |
+| any other | Kutta's third-order method with `substeps` steps a sample, as in chapter 2 of the thesis |
 
-Four ways, chosen by what the model is:
+The Magnus integrator solves z' = a(t) - b(t) z. Let a1, b1 and a2, b2 be the coefficients at the two Gauss points of a
+step h::
 
-- no state: the output is evaluated, and that is all;
-- one state that obeys z' = a(t) - b(t) z (`LinearStateModel`): the Magnus integrator of fourth order for that scalar
-  equation. With a1, b1 and a2, b2 at the two Gauss points of a step h,
-  z+ = exp(-B) z + A phi(B), where B = h (b1 + b2)/2, A = h (a1 + a2)/2 + sqrt(3)/12 h^2 (b1 a2 - b2 a1) and
-  phi(B) = (1 - exp(-B))/B. It is exact for constant coefficients and stays stable however large b h is (Iserles et al.,
-  Acta Numerica 9 (2000), section 5).
-- a member with a method of its own (`SelfIntegratingModel`): that one.
-- anything else: Kutta's method of third order, as in the thesis (chapter 2), with `substeps` steps a sample.
+    z+ = exp(-B) z + A phi(B),     phi(B) = (1 - exp(-B))/B
+    B = h (b1 + b2)/2,             A = h (a1 + a2)/2 + sqrt(3)/12 h^2 (b1 a2 - b2 a1)
 
-Between samples a motion is linear.
+The integrator is exact for constant coefficients and stable for any b h (Iserles et al., Acta Numerica 9 (2000),
+section 5). Between two samples the motion is linear.
 """
 
 from __future__ import annotations
@@ -32,12 +33,37 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["Trajectory", "recurrence", "simulate"]
 
+# Distance of the two Gauss points from the middle of a step, as a share of the step.
+_GAUSS = math.sqrt(3) / 6
+
 
 def recurrence(factor: Array, offset: Array, start: Array | float) -> Array:
-    """Return y, shape (n + 1, ...), of y[0] = start and y[k + 1] = factor[k] y[k] + offset[k].
+    """Solve the linear recurrence y[k + 1] = factor[k] y[k] + offset[k].
 
-    `factor` has the shape (n,), `offset` (n, ...) and `start` that of one of its rows. It is a band matrix with two
-    diagonals, solved from its first row on: the same sums in the same order as a loop's.
+    The recurrence is a bidiagonal system of equations, which LAPACK solves by forward substitution. The sums are those
+    of a loop, in the same order.
+
+    Parameters
+    ----------
+    factor : Array
+        Factors, shape (n,).
+    offset : Array
+        Summands, shape (n, ...).
+    start : Array or float
+        y[0], of the shape of one row of `offset`.
+
+    Returns
+    -------
+    Array
+        y, shape (n + 1, ...).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from needleplan.models import recurrence
+    >>> recurrence(np.array([0.5, 0.5]), np.array([1.0, 1.0]), 0.0)
+    array([0. , 1. , 1.5])
+
     """
     n = len(factor) + 1
     band = np.zeros((2, n), order="F")
@@ -50,12 +76,28 @@ def recurrence(factor: Array, offset: Array, start: Array | float) -> Array:
     return np.asarray(solved.reshape((n, *offset.shape[1:])), float)
 
 
-_GAUSS = math.sqrt(3) / 6
-
-
 @dataclass(frozen=True)
 class Trajectory:
-    """What a model did: states (n, samples) and output (samples,) at the samples of the motion."""
+    """Result of a simulation.
+
+    Parameters
+    ----------
+    motion : Motion
+        The motion along which the model was driven.
+    states : Array
+        State at every sample, shape (n, samples).
+    output : Array
+        Output at every sample in the unit of the channel, shape (samples,), or (3, samples) for the tip in space.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import insertion_cycles
+    >>> run = npl.models.simulate(npl.models.Bicycle(0.01), insertion_cycles(50.0, 5.0))
+    >>> run.states.shape == (2, len(run.motion)), run.finite
+    (True, True)
+
+    """
 
     motion: Motion
     states: Array
@@ -63,16 +105,45 @@ class Trajectory:
 
     @property
     def finite(self) -> bool:
-        """Whether all outputs are numbers: a state may grow without bound where parameters are far off."""
+        """Whether all outputs are finite. A state may grow without bound for unphysical parameters."""
         return bool(np.isfinite(self.output).all())
 
 
 def simulate(model: Model, motion: Motion, state: Array | None = None, *, substeps: int = 1) -> Trajectory:
-    """Drive `model` along `motion` from `state`, shape (n,), or from its initial state.
+    """Simulate a model along a motion.
 
-    `substeps` is the number of steps from one sample to the next for models that are integrated by Kutta's method. A
-    state that grows without bound is returned as it is, infinite or NaN (`Trajectory.finite`). Raises ModelError where
-    `state` has another shape or `substeps` is less than one.
+    Parameters
+    ----------
+    model : Model
+        The model.
+    motion : Motion
+        Sampled motion of the needle.
+    state : Array, optional
+        State at the first sample, shape (n,). The default is the model's initial state.
+    substeps : int
+        Steps from one sample to the next, for models that are integrated by Kutta's method.
+
+    Returns
+    -------
+    Trajectory
+        States and output. A state that grows without bound is returned as infinity or NaN (`Trajectory.finite`).
+
+    Raises
+    ------
+    ModelError
+        If `state` has the wrong shape, or `substeps` is less than 1.
+
+    Examples
+    --------
+    A needle on an arc of 100 mm radius is inserted by 50 mm:
+
+    >>> import needleplan as npl
+    >>> from needleplan.signals import insertion_cycles
+    >>> motion = insertion_cycles(50.0, 5.0)
+    >>> run = npl.models.simulate(npl.models.Bicycle(curvature_per_mm=0.01), motion)
+    >>> print(f"{run.output.max():.2f} mm at a depth of {motion.depth_mm.max():.0f} mm")
+    12.24 mm at a depth of 50 mm
+
     """
     initial = model.initial_state(motion)
     start = initial if state is None else np.asarray(state, float)
