@@ -225,18 +225,21 @@ def _parameter_section(kind: type) -> str:
     declared: dict[str, Any] = {}
     for base in reversed(kind.__mro__):
         declared |= {each.name: each for each in getattr(base, "__dataclass_fields__", {}).values()}
-        declared |= {name: base.__dict__.get(name) for name in base.__dict__.get("__annotations__", {})}
+        own = inspect.get_annotations(base)
+        declared |= {
+            name: base.__dict__.get(name) for name, kept in own.items() if not str(kept).startswith("ClassVar")
+        }
     rows = []
     for name, field in declared.items():
         default = getattr(field, "default", field)
         given = "" if default is MISSING else f", default {default}"
         if isinstance(field, dataclasses.Field) and "parameter" in field.metadata:
             what: Parameter = field.metadata["parameter"]
-            rows.append(f"{name} : float{given}\n    {what.about[0].upper()}{what.about[1:]}, {what.unit or '1'}.")
+            unit = f", {what.unit}" if what.unit else ""
+            rows.append(f"{name} : float{given}\n    {what.about}{unit}")
         elif isinstance(default, StrEnum):
-            rows.append(
-                f"{name} : {type(default).__name__}{given}\n    {(type(default).__doc__ or '').splitlines()[0]}"
-            )
+            summary = (type(default).__doc__ or "").splitlines()[0]
+            rows.append(f"{name} : {type(default).__name__}{given}\n    {summary}")
     return "\n".join(["Parameters", "----------", *rows]) if rows else ""
 
 

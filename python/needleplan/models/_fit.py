@@ -333,8 +333,8 @@ class _Problem:
         )  # fmt: skip
         estimates = {}
         for index, (name, what) in enumerate(zip(self.free, self.what, strict=True)):
-            sd, u, value = float(np.sqrt(covariance[index, index])), coordinates[index], getattr(model, name)
-            ends = [np.clip(u + sign * quantile * sd, low[index], high[index]) for sign in (-1, 1)]
+            sd, u, value = float(np.sqrt(covariance[index, index])), float(coordinates[index]), getattr(model, name)
+            ends = [float(np.clip(u + sign * quantile * sd, low[index], high[index])) for sign in (-1, 1)]
             estimates[name] = Estimate(
                 value, sd * what.slope(value), what.value(ends[0]), what.value(ends[1]), what.unit, sd < _UNKNOWN_SD
             )

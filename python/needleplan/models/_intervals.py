@@ -27,7 +27,7 @@ from needleplan.signals import Array, Record
 
 __all__ = ["FitOptions", "Intervals", "bootstrap_intervals", "profile_intervals"]
 
-# First reach of the search for an interval's end, in standard deviations; the search doubles its reach up to 2^20 times it.
+# The search for the end of an interval doubles its reach up to 2^20 times this number of standard deviations.
 _FURTHEST = 12
 
 
