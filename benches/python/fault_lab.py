@@ -14,13 +14,12 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 
 from needleplan.devices.ati import NetFtBox, NetFtServer
-from needleplan.devices.ati.rdt import Command, encode_request
+from needleplan.devices.ati.rdt import RdtCommand, encode_request
 from needleplan.devices.endpoint import TcpEndpoint
 from needleplan.devices.ndi import AuroraDevice, SimulatedTool
-from needleplan.devices.ndi.frames import Seen
-from needleplan.devices.robot import DriveFaults, Fault, RobotMachine, RobotServer, RobotState, SteadyDrive
-from needleplan.devices.robot.codec import decode
-from needleplan.devices.robot.messages import Kind
+from needleplan.devices.ndi.frames import NdiVisibility
+from needleplan.devices.robot import Fault, RobotDriveFaults, RobotMachine, RobotServer, RobotState, SteadyDrive
+from needleplan.devices.robot.messages import RobotKind, decode
 from needleplan.errors import ProtocolError
 
 TOOL = "34801403"
@@ -57,7 +56,7 @@ class FaultLab:
         answer = self._receive(datagram, sender, now_ns)
         if self.fault_ns and not self.stop_ns:
             with contextlib.suppress(ProtocolError):
-                if getattr(decode(datagram), "kind", None) is Kind.STOP:
+                if getattr(decode(datagram), "kind", None) is RobotKind.STOP:
                     self.stop_ns = time.monotonic_ns()
         return answer
 
@@ -99,7 +98,7 @@ def garbage(lab: FaultLab) -> None:
 
 def stolen(lab: FaultLab) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief:
-        thief.sendto(encode_request(Command.START), (lab.force.host, lab.force.port))
+        thief.sendto(encode_request(RdtCommand.START), (lab.force.host, lab.force.port))
 
 
 def reboot(lab: FaultLab) -> None:
@@ -126,8 +125,8 @@ def status(value: int) -> Callable[[FaultLab], None]:
     return lambda lab: setattr(lab.box.faults, "status", value)
 
 
-def seen(value: Seen) -> Callable[[FaultLab], None]:
-    return lambda lab: setattr(lab.tool, "seen", value)
+def seen(value: NdiVisibility) -> Callable[[FaultLab], None]:
+    return lambda lab: setattr(lab.tool, "visibility", value)
 
 
 def aurora(name: str, value: object) -> Callable[[FaultLab], None]:
@@ -135,7 +134,7 @@ def aurora(name: str, value: object) -> Callable[[FaultLab], None]:
 
 
 def drive(**faults: object) -> Callable[[FaultLab], None]:
-    return lambda lab: setattr(lab.machine.drive, "faults", DriveFaults(**faults))  # type: ignore[arg-type]
+    return lambda lab: setattr(lab.machine.drive, "faults", RobotDriveFaults(**faults))  # type: ignore[arg-type]
 
 
 FAULTS: dict[str, Callable[[FaultLab], None]] = {
@@ -150,8 +149,8 @@ FAULTS: dict[str, Callable[[FaultLab], None]] = {
     "16 force: beyond its limit": strong,
     "18 tracker: damage without end": aurora("damage", 10**9),
     "20 tracker: an error": aurora("error", 0x0C),
-    "21 tracker: coil not seen": seen(Seen.MISSING),
-    "21 tracker: tool disabled": seen(Seen.DISABLED),
+    "21 tracker: coil not seen": seen(NdiVisibility.MISSING),
+    "21 tracker: tool disabled": seen(NdiVisibility.DISABLED),
     "22 tracker: out of the volume": lambda lab: setattr(lab.tool, "port_bits", 0x40),
     "23 tracker: frozen frame": aurora("freeze", True),
     "24 tracker: another tool": elsewhere,

@@ -21,12 +21,11 @@ with atheris.instrument_imports(include=["needleplan.devices", "needleplan.recor
     from needleplan.devices.ati import parse_configuration
     from needleplan.devices.ati.rdt import decode_records, encode_records
     from needleplan.devices.igtl import contents, crc64, poses
-    from needleplan.devices.igtl.stream import MessageReader
-    from needleplan.devices.ndi.bx import encode_bx, parse_bx
-    from needleplan.devices.ndi.replies import ReplyReader
-    from needleplan.devices.ndi.tx import parse_tx
+    from needleplan.devices.igtl.messages import MessageReader
+    from needleplan.devices.ndi.commands import ReplyReader
+    from needleplan.devices.ndi.frames import encode_bx, parse_bx, parse_tx
     from needleplan.devices.robot import RobotMachine, RobotState, SteadyDrive
-    from needleplan.devices.robot.codec import decode, encode
+    from needleplan.devices.robot.messages import decode, encode
     from needleplan.errors import ConfigurationError, DataError, ProtocolError
     from needleplan.recording import EVENT, FORCE, POSE, STAGE, Recorder, Recording, Session, recover
 

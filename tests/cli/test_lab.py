@@ -19,7 +19,7 @@ import pytest
 
 from needleplan.devices import Health, PoseSample
 from needleplan.devices.ati import ForceLimits, NetFt
-from needleplan.devices.ndi import NdiTracker, PoseLimits
+from needleplan.devices.ndi import NdiPoseLimits, NdiTracker
 from needleplan.devices.robot import RobotStage, RobotTiming
 from needleplan.errors import DeviceFault
 from needleplan.estimation.registration import Registration
@@ -28,7 +28,7 @@ from tests.cli.commands import needleplan, refused
 
 PATIENT = {"silence_s": 20.0, "valid_s": 20.0, "answer_s": 20.0, "lost_s": 20.0}
 BEARING = ForceLimits(silence_s=20.0, start_s=20.0, frozen_samples=10_000)
-SLOW = PoseLimits(silence_s=20.0, step_mm=500.0)
+SLOW = NdiPoseLimits(silence_s=20.0, step_mm=500.0)
 
 
 class Running:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import weakref
 
-from needleplan.devices.garbage import no_long_collections
+from needleplan.devices import no_long_collections
 
 
 class Ring:

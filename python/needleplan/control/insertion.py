@@ -21,10 +21,7 @@ from needleplan.control.replanning import Replanner, ThreadReplanner, curvature_
 from needleplan.control.report import Ending, Report, Trace
 from needleplan.control.safety import GuardedStage, SafetyEvent, SafetyLimits
 from needleplan.control.scene import Scene
-from needleplan.devices import Station, VirtualClock
-from needleplan.devices.closing import Closing
-from needleplan.devices.garbage import no_long_collections
-from needleplan.devices.turns import short_turns
+from needleplan.devices import Closing, Station, VirtualClock, no_long_collections, short_turns
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipFilter, TipSettings

@@ -13,7 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 from needleplan.control.options import Options
-from needleplan.devices.closing import Closing
+from needleplan.devices import Closing
 from needleplan.errors import NeedleplanError
 from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import PolicyTable, plan

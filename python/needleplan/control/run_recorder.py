@@ -10,8 +10,7 @@ from typing import Any
 from needleplan.control.listening import Command, CommandKind, Event, Listener, Step
 from needleplan.control.run_setup import RunSetup
 from needleplan.control.safety import SafetyEvent
-from needleplan.devices import Clock, ForceSample, Sample, StageSample, VirtualClock
-from needleplan.devices.closing import Closing
+from needleplan.devices import Clock, Closing, ForceSample, Sample, StageSample, VirtualClock
 from needleplan.estimation.tip import TipEstimate, TipStatus
 from needleplan.planning import Action, PolicyTable
 from needleplan.recording import (

@@ -1,7 +1,7 @@
 """Devices: stages, force sensors and trackers behind three small interfaces, and the links and protocols under them."""
 
-from needleplan.devices.address import Address
-from needleplan.devices.base import (
+from needleplan.devices._base import (
+    Closing,
     Device,
     ForceSample,
     ForceSensor,
@@ -12,16 +12,15 @@ from needleplan.devices.base import (
     Stamp,
     Tracker,
 )
-from needleplan.devices.clock import Clock, Deadline, SystemClock, VirtualClock
-from needleplan.devices.link import Link, MemoryLink, memory_pair
-from needleplan.devices.network import TcpLink, UdpLink
-from needleplan.devices.opening import open_link
-from needleplan.devices.serial_port import SerialLink
-from needleplan.devices.station import Feed, Sample, Source, Station, ThreadedFeed, TurnFeed
+from needleplan.devices._clock import Clock, Deadline, SystemClock, VirtualClock, no_long_collections, short_turns
+from needleplan.devices._links import Link, MemoryLink, SerialLink, TcpLink, UdpLink, memory_pair
+from needleplan.devices._opening import Address, open_link
+from needleplan.devices._station import Feed, Sample, Source, Station, ThreadedFeed, TurnFeed
 
 __all__ = [
     "Address",
     "Clock",
+    "Closing",
     "Deadline",
     "Device",
     "Feed",
@@ -46,5 +45,7 @@ __all__ = [
     "UdpLink",
     "VirtualClock",
     "memory_pair",
+    "no_long_collections",
     "open_link",
+    "short_turns",
 ]

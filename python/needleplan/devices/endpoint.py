@@ -13,7 +13,7 @@ import tty
 from abc import abstractmethod
 from typing import Protocol
 
-from needleplan.devices.closing import Closing
+from needleplan.devices._base import Closing
 
 __all__ = ["Answering", "Endpoint", "PtyEndpoint", "TcpEndpoint"]
 

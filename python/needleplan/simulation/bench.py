@@ -8,8 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from needleplan.devices import Address, Device, ForceSensor, Stage, Station, SystemClock, Tracker
-from needleplan.devices.closing import Closing
+from needleplan.devices import Address, Closing, Device, ForceSensor, Stage, Station, SystemClock, Tracker
 from needleplan.errors import AddressError, DeviceFault, Mistake
 from needleplan.estimation.registration import Registration
 from needleplan.models import Torsion

@@ -13,7 +13,7 @@ from typing import Any
 from needleplan.control.safety import EventName, GuardedStage, OperatingState, Order, SafetyEvent, SafetyLimits
 from needleplan.devices import ForceSensor, PoseSample, Source, Tracker, VirtualClock
 from needleplan.devices.ati import BoxLink, NetFt, NetFtBox, parse_configuration
-from needleplan.devices.ndi import AuroraDevice, DeviceLink, NdiTracker, SimulatedTool
+from needleplan.devices.ndi import AuroraDevice, AuroraLink, NdiTracker, SimulatedTool
 from needleplan.errors import DeviceFault, NeedleplanError
 from needleplan.recording import EVENT, Recorder, Recording, Session, WhenFull
 from tests.control.safety.bench import NotedStage
@@ -35,7 +35,7 @@ class Rig:
         self.box_link = BoxLink(self.box, self.clock)
         self.tip = SimulatedTool(TIP, needle)
         self.aurora = AuroraDevice([self.tip, SimulatedTool(REFERENCE, plate, handle=0x0B)], self.clock)
-        self.aurora_link = DeviceLink(self.aurora, self.clock)
+        self.aurora_link = AuroraLink(self.aurora, self.clock)
         self.stage = NotedStage(self.clock)
         self.events: list[SafetyEvent] = []
         self.path = path

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from needleplan.control.safety import Cause
-from needleplan.devices.robot import DriveFaults, Fault, RobotMachine
+from needleplan.devices.robot import Fault, RobotDriveFaults, RobotMachine
 from needleplan.errors import DeviceFault
 from tests.control.faults.robot_rig import RobotRig
 
@@ -16,7 +16,7 @@ __all__ = ["BORNE", "SERIOUS", "drive"]
 
 def drive(**faults: object) -> Callable[[RobotRig], None]:
     def inject(rig: RobotRig) -> None:
-        rig.bench.drive.faults = DriveFaults(**faults)  # type: ignore[arg-type]
+        rig.bench.drive.faults = RobotDriveFaults(**faults)  # type: ignore[arg-type]
 
     return inject
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from needleplan.control.safety import Cause, OperatingState
-from needleplan.devices.ati.rdt import Command, encode_request
+from needleplan.devices.ati.rdt import RdtCommand, encode_request
 from needleplan.devices.ndi import SimulatedTool
-from needleplan.devices.ndi.frames import Seen
+from needleplan.devices.ndi.frames import NdiVisibility
 from tests.control.faults.rig import Rig
 from tests.devices.ndi.bench import plate
 
@@ -68,7 +68,7 @@ def _only_garbage(rig: Rig) -> None:
 
 
 def _stolen(rig: Rig) -> None:
-    rig.box.request(encode_request(Command.START), ("another", 1))
+    rig.box.request(encode_request(RdtCommand.START), ("another", 1))
 
 
 def _stuck(rig: Rig) -> None:
@@ -115,9 +115,9 @@ def _unplug(rig: Rig) -> None:
 
 
 def _three_frames_missing(rig: Rig) -> None:
-    rig.tip.seen = Seen.MISSING
+    rig.tip.visibility = NdiVisibility.MISSING
     rig.turns(0.05)
-    rig.tip.seen = Seen.VALID
+    rig.tip.visibility = NdiVisibility.VALID
 
 
 def _a_moment_of_saturation(rig: Rig) -> None:
@@ -160,8 +160,8 @@ RUNNING = [
     Running(20, "a transient error", _set("aurora.faults.error", 0x04)),
     Running(20, "an error", _set("aurora.faults.error", 0x0C), F, Cause.POSE_FAULT, 0.04),
     Running(21, "not seen for 50 ms", _three_frames_missing, P, Cause.POSE_UNSEEN, 0.05),
-    Running(21, "MISSING", _set("tip.seen", Seen.MISSING), P, Cause.POSE_UNSEEN, 0.05),
-    Running(21, "DISABLED", _set("tip.seen", Seen.DISABLED), F, Cause.POSE_FAULT, 0.04),
+    Running(21, "MISSING", _set("tip.visibility", NdiVisibility.MISSING), P, Cause.POSE_UNSEEN, 0.05),
+    Running(21, "DISABLED", _set("tip.visibility", NdiVisibility.DISABLED), F, Cause.POSE_FAULT, 0.04),
     Running(21, "gone from the reply", _set("tip.enabled", False), F, Cause.POSE_FAULT, 0.04),
     Running(22, "out of the volume", _set("tip.port_bits", 0x40), P, Cause.POSE_SUSPECT, 0.05),
     Running(22, "a bad fit", _set("tip.error_mm", 2.5), P, Cause.POSE_SUSPECT, 0.05),

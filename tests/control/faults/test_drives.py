@@ -14,7 +14,7 @@ pytest.importorskip("canopen", reason="the library canopen is not installed (ext
 from needleplan.control.safety import Cause, EventName, GuardedStage, OperatingState, Order, SafetyEvent, SafetyLimits
 from needleplan.devices import ForceSample, PoseSample, Stamp
 from needleplan.devices.cia402 import CanopenStage, SimulatedDrives
-from needleplan.devices.cia402.objects import DriveState
+from needleplan.devices.cia402.objects import Cia402State
 from needleplan.errors import DeviceFault, MotionRefused
 from tests.devices.cia402.bench import PATIENT, drives, stage_on, wait_for
 
@@ -76,5 +76,5 @@ def test_28_29_it_is_a_fault_and_the_axes_come_to_rest(
         with pytest.raises(MotionRefused, match="stage_fault"):
             guard.insert(100.0, 20.0)
         if inject is not gone:  # who is cut off is stopped by the drive's own watchdog, which here is patient
-            wait_for(lambda: there.insertion.at_rest and there.insertion.state is not DriveState.ENABLED)
+            wait_for(lambda: there.insertion.at_rest and there.insertion.state is not Cia402State.ENABLED)
         there.roll.faults.mute = False

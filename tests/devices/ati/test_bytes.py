@@ -9,15 +9,17 @@ from hypothesis import strategies as st
 
 from needleplan.devices.ati import BoxSettings, parse_configuration
 from needleplan.devices.ati.rdt import (
-    Command,
+    RdtCommand,
+    RdtOrder,
     RdtRecord,
+    RdtSeverity,
+    StreamWatch,
     decode_records,
     decode_request,
     encode_records,
     encode_request,
+    read_status,
 )
-from needleplan.devices.ati.status import Severity, read_status
-from needleplan.devices.ati.stream import Order, StreamWatch
 from needleplan.errors import ConfigurationError, ProtocolError
 
 U32 = st.integers(0, 2**32 - 1)
@@ -26,9 +28,9 @@ RECORDS = st.builds(RdtRecord, U32, U32, U32, st.tuples(I32, I32, I32, I32, I32,
 
 
 def test_the_bytes_of_the_manual() -> None:
-    assert encode_request(Command.START) == bytes.fromhex("1234 0002 00000000")
-    assert encode_request(Command.BIAS) == bytes.fromhex("1234 0042 00000000")
-    assert encode_request(Command.START, 5) == bytes.fromhex("1234 0002 00000005")
+    assert encode_request(RdtCommand.START) == bytes.fromhex("1234 0002 00000000")
+    assert encode_request(RdtCommand.BIAS) == bytes.fromhex("1234 0042 00000000")
+    assert encode_request(RdtCommand.START, 5) == bytes.fromhex("1234 0002 00000005")
     record = RdtRecord(1, 35, 0x8002_0000, (1_000_000, -2_000_000, 3, 4, 5, -1))
     raw = "00000001 00000023 80020000 000f4240 ffe17b80 00000003 00000004 00000005 ffffffff"
     assert encode_records([record]) == bytes.fromhex(raw)
@@ -98,19 +100,19 @@ def test_torques_in_newton_millimetres(unit: str, newton_mm: float) -> None:
 
 @pytest.mark.parametrize(
     ("status", "product", "severity", "note"),
-    [(0, "Net F/T", Severity.HEALTHY, ""),
-     (0x8002_0000, "Net F/T", Severity.SUSPECT, "saturated"),
-     (0x8001_0000, "Net F/T", Severity.SUSPECT, "threshold"),
-     (0x8003_0000, "Net F/T", Severity.SUSPECT, "saturated"),
-     (0x8002_0004, "Net F/T", Severity.FAULT, "temperature"),
-     (0x8000_0000, "Net F/T", Severity.FAULT, "error"),
-     (0x0000_8000, "Net F/T", Severity.FAULT, "status bit 15"),
-     (0x0000_0008, "Ethernet Axia", Severity.SUSPECT, "busy"),
-     (0x8800_0000, "Ethernet Axia80", Severity.SUSPECT, "gage out of range"),
-     (0x8002_0000, "ETHERNET AXIA", Severity.FAULT, "status bit 17"),
-     (0x8000_0004, "Ethernet Axia", Severity.FAULT, "broken gage")],
+    [(0, "Net F/T", RdtSeverity.HEALTHY, ""),
+     (0x8002_0000, "Net F/T", RdtSeverity.SUSPECT, "saturated"),
+     (0x8001_0000, "Net F/T", RdtSeverity.SUSPECT, "threshold"),
+     (0x8003_0000, "Net F/T", RdtSeverity.SUSPECT, "saturated"),
+     (0x8002_0004, "Net F/T", RdtSeverity.FAULT, "temperature"),
+     (0x8000_0000, "Net F/T", RdtSeverity.FAULT, "error"),
+     (0x0000_8000, "Net F/T", RdtSeverity.FAULT, "status bit 15"),
+     (0x0000_0008, "Ethernet Axia", RdtSeverity.SUSPECT, "busy"),
+     (0x8800_0000, "Ethernet Axia80", RdtSeverity.SUSPECT, "gage out of range"),
+     (0x8002_0000, "ETHERNET AXIA", RdtSeverity.FAULT, "status bit 17"),
+     (0x8000_0004, "Ethernet Axia", RdtSeverity.FAULT, "broken gage")],
 )  # fmt: skip
-def test_the_status_word_by_product(status: int, product: str, severity: Severity, note: str) -> None:
+def test_the_status_word_by_product(status: int, product: str, severity: RdtSeverity, note: str) -> None:
     found, notes = read_status(status, product)
     assert found is severity
     assert note in " ".join(notes)
@@ -119,7 +121,7 @@ def test_the_status_word_by_product(status: int, product: str, severity: Severit
 @given(U32, st.text(max_size=10))
 def test_every_status_word_says_something(status: int, product: str) -> None:
     severity, notes = read_status(status, product)
-    assert (severity is Severity.HEALTHY) == (status == 0) == (not notes)
+    assert (severity is RdtSeverity.HEALTHY) == (status == 0) == (not notes)
 
 
 @given(U32, U32, st.lists(st.sampled_from(["next", "lose", "again", "late"]), max_size=60))
@@ -127,7 +129,7 @@ def test_a_stream_is_followed_across_the_wrap(rdt: int, ft: int, story: list[str
     """The slow twin knows every record by its number without wrap."""
     watch, sent, got = StreamWatch(), 0, {0}
 
-    def see(number: int) -> Order:
+    def see(number: int) -> RdtOrder:
         record = RdtRecord((rdt + number) % 2**32, (ft + 35 * number) % 2**32, 0, (0,) * 6)
         return watch.see(record, sent * 5_000_000).order
 
@@ -137,12 +139,12 @@ def test_a_stream_is_followed_across_the_wrap(rdt: int, ft: int, story: list[str
             sent += 1
         elif event == "next":
             sent += 1
-            assert see(sent) is Order.NEXT
+            assert see(sent) is RdtOrder.NEXT
             got.add(sent)
         elif event == "again":
-            assert see(max(got)) is Order.DUPLICATE
+            assert see(max(got)) is RdtOrder.DUPLICATE
         elif missing := set(range(max(got))) - got:
-            assert see(min(missing)) is Order.LATE
+            assert see(min(missing)) is RdtOrder.LATE
             got.add(min(missing))
     assert watch.counts.lost == max(got) + 1 - watch.counts.received
     assert watch.counts.lost - watch.counts.late == len(set(range(max(got))) - got)
@@ -152,5 +154,5 @@ def test_a_stream_is_followed_across_the_wrap(rdt: int, ft: int, story: list[str
 def test_any_records_are_judged(records: list[RdtRecord]) -> None:
     watch = StreamWatch()
     verdicts = [watch.see(record, index) for index, record in enumerate(records)]
-    assert watch.counts.received == sum(each.order in (Order.NEXT, Order.AFRESH) for each in verdicts)
+    assert watch.counts.received == sum(each.order in (RdtOrder.NEXT, RdtOrder.AFRESH) for each in verdicts)
     assert all(each.lost >= 0 and math.isfinite(each.lost) for each in verdicts)

@@ -8,7 +8,7 @@ import pytest
 
 from needleplan.devices import ForceSample, Health
 from needleplan.devices.ati import ForceLimits, NetFt
-from needleplan.devices.ati.rdt import Command, encode_request
+from needleplan.devices.ati.rdt import RdtCommand, encode_request
 from needleplan.errors import ConfigurationError, DeviceFault
 from tests.devices.ati.bench import Bench
 
@@ -116,7 +116,7 @@ def test_08_a_box_that_was_restarted_has_lost_its_bias() -> None:
 def test_08b_a_stream_that_begins_anew_is_not_a_restarted_box() -> None:
     bench = Bench()
     sensor = settled(bench)
-    bench.link.send(encode_request(Command.START))
+    bench.link.send(encode_request(RdtCommand.START))
     sample = next_of(sensor)
     assert (sample.stamp.sequence, sample.notes) == (1, ("the stream has begun anew",))
     assert next_of(sensor).health is Health.GOOD
@@ -189,7 +189,7 @@ def test_14_a_configuration_that_changes_is_a_fault() -> None:
 def test_15_a_second_client_takes_the_stream() -> None:
     bench = Bench()
     sensor = settled(bench)
-    bench.box.request(encode_request(Command.START), ("10.0.0.7", 4000))
+    bench.box.request(encode_request(RdtCommand.START), ("10.0.0.7", 4000))
     fault_of(sensor, "another client")
 
 

@@ -6,10 +6,8 @@ from itertools import islice
 
 import pytest
 
-from needleplan.devices.ati import NetFtBox, NetFtServer, parse_configuration
-from needleplan.devices.ati.rdt import RdtRecord
-from needleplan.devices.ati.simulator import BoxSettings
-from needleplan.devices.ati.stream import StreamWatch
+from needleplan.devices.ati import BoxSettings, NetFtBox, NetFtServer, parse_configuration
+from needleplan.devices.ati.rdt import RdtRecord, StreamWatch
 from tests.devices.ati.bench import Wrench
 
 pynetft = pytest.importorskip("pynetft", reason="the independent client pynetft is not installed (extra: test)")

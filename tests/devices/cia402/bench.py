@@ -17,7 +17,7 @@ from needleplan.devices.cia402 import (
     RollSetup,
     SimulatedDrives,
 )
-from needleplan.devices.cia402.bus import CanBus
+from needleplan.devices.cia402._drive import CanBus
 
 SETUP = DrivesSetup(
     InsertionSetup(node=1, counts_per_turn=4096, gear=14.0, lead_mm=2.0, zero_counts=1000),

@@ -10,8 +10,8 @@ import pytest
 
 pytest.importorskip("canopen", reason="the library canopen is not installed (extra: canopen)")
 
-from needleplan.devices.cia402 import CanopenStage, DriveFaults, SimulatedDrives
-from needleplan.devices.cia402.objects import DriveState, Entry, decode_emergency, state_of
+from needleplan.devices.cia402 import CanopenStage, Cia402DriveFaults, SimulatedDrives
+from needleplan.devices.cia402.objects import Cia402Entry, Cia402State, decode_emergency, state_of
 from needleplan.errors import DeviceFault
 from tests.devices.cia402.bench import PATIENT, drives, next_of, stage_on, wait_for
 from tests.devices.contract import heard_and_read
@@ -38,7 +38,7 @@ def fault_of(stage: CanopenStage, cause: str) -> None:
 def stands_still(there: SimulatedDrives) -> None:
     """See that both axes come to rest, with nothing that could set them in motion."""
     for drive in (there.insertion, there.roll):
-        wait_for(lambda drive=drive: drive.at_rest and drive.state is not DriveState.ENABLED)  # type: ignore[misc]
+        wait_for(lambda drive=drive: drive.at_rest and drive.state is not Cia402State.ENABLED)  # type: ignore[misc]
         before = drive.position
         for _ in range(20):
             drive.tick()
@@ -71,7 +71,7 @@ def test_28_a_fault_that_stays_is_not_reset() -> None:
     with drives() as there, stage_on(there, QUICK) as stage:
         there.roll.trip(0x2310)
         fault_of(stage, "0x2310")
-        there.roll.faults.ignore.add(Entry.CONTROLWORD)
+        there.roll.faults.ignore.add(Cia402Entry.CONTROLWORD)
         with pytest.raises(DeviceFault, match="the fault stays: error 0x2310"):
             stage.start()
 
@@ -82,7 +82,7 @@ def test_29_a_drive_that_hears_nothing_of_us_stops_by_itself() -> None:
         stage.insert(100.0, 20.0)
         # Nobody reads: nothing says that we live any more.
         wait_for(lambda: there.insertion.stopped_after_s is not None)
-        assert there.insertion.state is DriveState.QUICK_STOP
+        assert there.insertion.state is Cia402State.QUICK_STOP
         assert there.insertion.stopped_after_s < 0.5 + 1.0  # type: ignore[operator]  a late tick of the simulation
         stands_still(there)
         assert there.insertion.position < 100
@@ -94,7 +94,7 @@ def test_29_a_drive_that_says_nothing_is_a_fault_and_the_other_stops() -> None:
         moving(stage)
         there.roll.faults.mute = True
         fault_of(stage, r"^roll drive \(node 2\): silent for")
-        wait_for(lambda: there.insertion.state is DriveState.QUICK_STOP)
+        wait_for(lambda: there.insertion.state is Cia402State.QUICK_STOP)
         there.roll.faults.mute = False
 
 
@@ -108,13 +108,13 @@ def test_29_a_question_without_an_answer_is_a_fault() -> None:
         # A stop goes out all the same, and says that it was not acknowledged.
         with pytest.raises(DeviceFault, match="No SDO response"):
             stage.stop()
-        assert there.insertion.state is DriveState.QUICK_STOP
+        assert there.insertion.state is Cia402State.QUICK_STOP
         there.insertion.faults.deaf = False
 
 
 def test_29_a_question_that_is_refused_is_a_fault_with_the_reason() -> None:
     with drives() as there, stage_on(there) as stage:
-        there.insertion.faults.refuse[Entry.TARGET_POSITION] = 0x06090030
+        there.insertion.faults.refuse[Cia402Entry.TARGET_POSITION] = 0x06090030
         with pytest.raises(DeviceFault, match="Value range of parameter exceeded"):
             stage.insert(5.0, 5.0)
         fault_of(stage, "Value range of parameter exceeded")
@@ -158,11 +158,11 @@ def test_30_what_goes_wrong_on_the_way_is_a_fault(wrong: Callable[[SimulatedDriv
 
 @pytest.mark.parametrize(
     ("faults", "cause"),
-    [(DriveFaults(stuck=True), r"it does not move: 50 from its target for 0\.\d+ s"),
-     (DriveFaults(backwards=True), "it moves away from its target")],
+    [(Cia402DriveFaults(stuck=True), r"it does not move: 50 from its target for 0\.\d+ s"),
+     (Cia402DriveFaults(backwards=True), "it moves away from its target")],
     ids=["no motion", "wrong way"],
 )  # fmt: skip
-def test_30_a_motion_that_is_none_is_a_fault(faults: DriveFaults, cause: str) -> None:
+def test_30_a_motion_that_is_none_is_a_fault(faults: Cia402DriveFaults, cause: str) -> None:
     with drives() as there, stage_on(there, replace(PATIENT, slack_s=0.3)) as stage:
         there.insertion.faults = faults
         stage.insert(50.0, 10.0)
@@ -188,16 +188,16 @@ def test_31_an_emergency_stop_that_is_released_sets_nothing_in_motion() -> None:
         assert next_of(stage).moving
 
 
-@pytest.mark.parametrize("entry", [Entry.ABORT_CONNECTION, Entry.CONSUMER_HEARTBEAT, Entry.MODE])
-def test_a_drive_that_would_not_stop_by_itself_is_not_enabled(entry: Entry) -> None:
+@pytest.mark.parametrize("entry", [Cia402Entry.ABORT_CONNECTION, Cia402Entry.CONSUMER_HEARTBEAT, Cia402Entry.MODE])
+def test_a_drive_that_would_not_stop_by_itself_is_not_enabled(entry: Cia402Entry) -> None:
     with drives() as there:
         there.roll.faults.ignore.add(entry)
         with pytest.raises(DeviceFault, match=r"roll drive .* was written"), stage_on(there):
             pass
-        there.roll.faults = DriveFaults(refuse={entry: 0x06020000})
+        there.roll.faults = Cia402DriveFaults(refuse={entry: 0x06020000})
         with pytest.raises(DeviceFault, match=f"{entry.index:04X}.*Object does not exist"), stage_on(there):
             pass
-        assert DriveState.ENABLED not in (there.insertion.state, there.roll.state)
+        assert Cia402State.ENABLED not in (there.insertion.state, there.roll.state)
 
 
 def test_stopping_is_allowed_in_a_fault() -> None:
@@ -223,9 +223,9 @@ def test_samples_that_were_asked_for_in_vain_are_counted() -> None:
 
 
 def test_states_are_those_of_the_profile() -> None:
-    words = {0x0000: DriveState.NOT_READY, 0x0250: DriveState.SWITCH_ON_DISABLED, 0x0231: DriveState.READY,
-             0x0233: DriveState.SWITCHED_ON, 0x0637: DriveState.ENABLED, 0x0617: DriveState.QUICK_STOP,
-             0x021F: DriveState.FAULT_REACTION, 0x0218: DriveState.FAULT}  # fmt: skip
+    words = {0x0000: Cia402State.NOT_READY, 0x0250: Cia402State.SWITCH_ON_DISABLED, 0x0231: Cia402State.READY,
+             0x0233: Cia402State.SWITCHED_ON, 0x0637: Cia402State.ENABLED, 0x0617: Cia402State.QUICK_STOP,
+             0x021F: Cia402State.FAULT_REACTION, 0x0218: Cia402State.FAULT}  # fmt: skip
     assert {word: state_of(word) for word in words} == words
     from canopen.profiles.p402 import State402
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import cast
 
 from needleplan.devices import VirtualClock
-from needleplan.devices.cia402.axis import Axis
-from needleplan.devices.cia402.bus import CanBus
-from needleplan.devices.cia402.rounds import Rounds
-from needleplan.devices.cia402.timing import DriveTiming
+from needleplan.devices.cia402._axes import Cia402Axis, DriveTiming, Rounds
+from needleplan.devices.cia402._drive import CanBus
 
 
 class _Bus:
@@ -32,7 +30,7 @@ class _Axis:
 def test_a_late_answer_is_as_old_as_the_first_question_that_is_open() -> None:
     """As the answer to the second SYNC it would make a drive that moved through a pause of ours seem to have jumped."""
     bus, axes, timing = _Bus(), [_Axis(), _Axis()], DriveTiming()
-    rounds = Rounds(cast("CanBus", bus), cast("list[Axis]", axes), timing)
+    rounds = Rounds(cast("CanBus", bus), cast("list[Cia402Axis]", axes), timing)
     rounds.ask()
     bus.clock.advance(5 * timing.sync_s)
     rounds.ask()

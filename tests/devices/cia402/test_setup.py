@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleplan.devices.cia402 import DrivesSetup, InsertionSetup, RollSetup, VelocityUnit
-from needleplan.devices.cia402.motor import Motor
+from needleplan.devices.cia402._motor import Motor
 from needleplan.errors import ConfigurationError
 from tests.devices.cia402.bench import FILE, SETUP, setup_file
 

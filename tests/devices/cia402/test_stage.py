@@ -19,7 +19,7 @@ from needleplan.devices import Stage, StageSample
 pytest.importorskip("canopen", reason="the library canopen is not installed (extra: canopen)")
 
 from needleplan.devices.cia402 import CanopenStage
-from needleplan.devices.cia402.objects import AbortOption, Entry
+from needleplan.devices.cia402.objects import AbortOption, Cia402Entry
 from needleplan.errors import AddressError, DeviceFault, LinkClosed
 from tests.devices.cia402.bench import LONG_S, PATIENT, drives, next_of, setup_file, stage_on
 from tests.devices.contract import StageContract
@@ -48,10 +48,10 @@ class TestOnHardware(StageContract):
 def test_the_drives_are_told_to_stop_by_themselves() -> None:
     with drives() as there, stage_on(there):
         for drive in (there.insertion, there.roll):
-            assert drive._values[Entry.ABORT_CONNECTION] == AbortOption.QUICK_STOP
-            assert drive._values[Entry.CONSUMER_HEARTBEAT] == 127 << 16 | 20_000
-            assert drive._values[Entry.QUICK_STOP] == 6
-            assert drive._values[Entry.MODE] == 1
+            assert drive._values[Cia402Entry.ABORT_CONNECTION] == AbortOption.QUICK_STOP
+            assert drive._values[Cia402Entry.CONSUMER_HEARTBEAT] == 127 << 16 | 20_000
+            assert drive._values[Cia402Entry.QUICK_STOP] == 6
+            assert drive._values[Cia402Entry.MODE] == 1
 
 
 def test_a_motion_is_in_counts_of_the_encoder_and_units_of_the_drive() -> None:
@@ -59,10 +59,10 @@ def test_a_motion_is_in_counts_of_the_encoder_and_units_of_the_drive() -> None:
         stage.insert(10.0, 5.0)
         stage.rotate(1.0, 2.0)
         insertion, roll = there.insertion._values, there.roll._values
-        assert insertion[Entry.TARGET_POSITION] == 1000 + 10 * 4096 * 14 // 2
-        assert insertion[Entry.PROFILE_VELOCITY] == 5 / 2 * 14 * 60  # turns of the motor in a minute
-        assert roll[Entry.TARGET_POSITION] == -round(2048 * 23 / (2 * 3.141592653589793))
-        assert roll[Entry.PROFILE_VELOCITY] == round(2 * 2048 * 23 / (2 * 3.141592653589793))
+        assert insertion[Cia402Entry.TARGET_POSITION] == 1000 + 10 * 4096 * 14 // 2
+        assert insertion[Cia402Entry.PROFILE_VELOCITY] == 5 / 2 * 14 * 60  # turns of the motor in a minute
+        assert roll[Cia402Entry.TARGET_POSITION] == -round(2048 * 23 / (2 * 3.141592653589793))
+        assert roll[Cia402Entry.PROFILE_VELOCITY] == round(2 * 2048 * 23 / (2 * 3.141592653589793))
         sample = next_of(stage)
         while sample.velocity_mm_s < 4.9:
             sample = next_of(stage)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from needleplan.devices import VirtualClock
-from needleplan.devices.igtl import IgtlTracker, PlusDevice, PlusFaults, PlusLink, PoseKind, PoseLimits, TrackedTool
+from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusDevice, PlusFaults, PlusLink, PoseKind, TrackedTool
 
 TIP, PLATE = "NeedleToTracker", "PlateToTracker"
 
@@ -32,7 +32,7 @@ class Bench:
     """Tracker, link and server, all in this process."""
 
     kind: PoseKind = PoseKind.TRANSFORM
-    limits: PoseLimits | None = None
+    limits: IgtlPoseLimits | None = None
     rate_hz: float = 40.0
     clock: VirtualClock = field(default_factory=VirtualClock)
 

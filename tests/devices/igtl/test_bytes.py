@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needleplan.devices.igtl.contents import (
+    IgtlStatus,
     Point,
     Sensor,
-    Status,
     StatusCode,
     Unit,
     decode_points,
@@ -28,11 +28,10 @@ from needleplan.devices.igtl.contents import (
     encode_status,
     encode_string,
 )
-from needleplan.devices.igtl.crc import crc64
-from needleplan.devices.igtl.message import Message, encode_message, stamp_of
+from needleplan.devices.igtl.messages import IgtlMessage, MessageReader, crc64, encode_message, stamp_of
 from needleplan.devices.igtl.poses import (
-    Pose,
-    Tool,
+    IgtlPose,
+    IgtlTool,
     ToolKind,
     decode_position,
     decode_qtdata,
@@ -43,7 +42,6 @@ from needleplan.devices.igtl.poses import (
     encode_tdata,
     encode_transform,
 )
-from needleplan.devices.igtl.stream import MessageReader
 from needleplan.errors import InputError, ProtocolError
 
 singles = st.floats(-1e4, 1e4, width=32)
@@ -53,13 +51,13 @@ quaternions = (
     .filter(lambda q: math.hypot(*q) > 0.1)
     .map(lambda q: tuple(each / math.hypot(*q) for each in q))
 )
-poses = st.builds(Pose, places, quaternions)
+poses = st.builds(IgtlPose, places, quaternions)
 names = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), max_size=20)
 NOISE = st.lists(st.integers(4, 255), max_size=70).map(bytes)  # nothing that a header could begin with
-tools = st.builds(Tool, names, poses, st.sampled_from(ToolKind))
+tools = st.builds(IgtlTool, names, poses, st.sampled_from(ToolKind))
 texts = st.text(st.characters(exclude_characters="\0", exclude_categories=("Cs",)), max_size=30)
 messages = st.builds(
-    Message,
+    IgtlMessage,
     st.from_regex(r"[A-Z][A-Z0-9_]{0,11}", fullmatch=True),
     names,
     st.binary(max_size=300),
@@ -79,12 +77,12 @@ def slow_crc64(data: bytes) -> int:
     return register
 
 
-def same(first: Pose, second: Pose) -> None:
+def same(first: IgtlPose, second: IgtlPose) -> None:
     assert first.position_mm == pytest.approx(second.position_mm, rel=1e-6, abs=1e-6)
     assert abs(math.fsum(map(float.__mul__, first.quaternion, second.quaternion))) == pytest.approx(1, abs=1e-6)
 
 
-def all_of(data: bytes, pieces: int = 1 << 16, **options: Any) -> tuple[list[Message], MessageReader]:
+def all_of(data: bytes, pieces: int = 1 << 16, **options: Any) -> tuple[list[IgtlMessage], MessageReader]:
     reader, found = MessageReader(**options), []
     for at in range(0, len(data), pieces):
         reader.feed(data[at : at + pieces])
@@ -117,12 +115,12 @@ def test_a_transform_written_by_hand() -> None:
 
 
 @given(messages)
-def test_messages_come_back(message: Message) -> None:
+def test_messages_come_back(message: IgtlMessage) -> None:
     assert all_of(encode_message(message))[0] == [message]
 
 
 @given(st.lists(messages, min_size=1, max_size=4), st.integers(1, 80), NOISE)
-def test_messages_come_back_in_pieces_and_behind_noise(sent: list[Message], pieces: int, noise: bytes) -> None:
+def test_messages_come_back_in_pieces_and_behind_noise(sent: list[IgtlMessage], pieces: int, noise: bytes) -> None:
     data = b"".join(map(encode_message, sent))
     assert all_of(data, pieces)[0] == sent
     found, reader = all_of(noise + data, pieces)
@@ -131,7 +129,7 @@ def test_messages_come_back_in_pieces_and_behind_noise(sent: list[Message], piec
 
 
 @given(st.lists(messages, min_size=3, max_size=3), st.data())
-def test_the_messages_around_a_damaged_one_are_found(sent: list[Message], data: st.DataObject) -> None:
+def test_the_messages_around_a_damaged_one_are_found(sent: list[IgtlMessage], data: st.DataObject) -> None:
     first, second, third = map(encode_message, sent)
     at = data.draw(st.integers(58, len(second) - 1))
     bit = data.draw(st.sampled_from([1, 2, 4, 8, 16, 32, 64, 128]))
@@ -166,7 +164,7 @@ def test_any_content_is_understood_or_a_protocol_error(kind: str, content: bytes
 
 
 def test_a_length_that_nobody_has_is_neither_waited_for_nor_allocated() -> None:
-    good = encode_message(Message("TRANSFORM", "N", encode_transform(Pose((1.0, 2.0, 3.0)))))
+    good = encode_message(IgtlMessage("TRANSFORM", "N", encode_transform(IgtlPose((1.0, 2.0, 3.0)))))
     absurd = good[:42] + b"\x7f" + b"\xff" * 7 + good[50:]
     for kind in (b"TRANSFORM\0\0\0", b"IMAGE\0\0\0\0\0\0\0"):
         found, reader = all_of(absurd[:2] + kind + absurd[14:] + good)
@@ -175,8 +173,8 @@ def test_a_length_that_nobody_has_is_neither_waited_for_nor_allocated() -> None:
 
 
 def test_what_is_not_wanted_is_passed_over_as_it_comes() -> None:
-    image = encode_message(Message("IMAGE", "Ultrasound", bytes(300_000)))
-    good = Message("TRANSFORM", "N", encode_transform(Pose((1.0, 2.0, 3.0))))
+    image = encode_message(IgtlMessage("IMAGE", "Ultrasound", bytes(300_000)))
+    good = IgtlMessage("TRANSFORM", "N", encode_transform(IgtlPose((1.0, 2.0, 3.0))))
     reader, most = MessageReader({"TRANSFORM"}), 0
     data = image + encode_message(good) + image
     found = []
@@ -208,7 +206,7 @@ def test_metadata_that_lie_are_damage() -> None:
 
 
 @given(poses)
-def test_poses_come_back(pose: Pose) -> None:
+def test_poses_come_back(pose: IgtlPose) -> None:
     for encode, decode, length in (
         (encode_transform, decode_transform, 48), (encode_position, decode_position, 28),
     ):  # fmt: skip
@@ -219,7 +217,7 @@ def test_poses_come_back(pose: Pose) -> None:
 
 
 @given(st.lists(tools, max_size=4))
-def test_tools_come_back(sent: list[Tool]) -> None:
+def test_tools_come_back(sent: list[IgtlTool]) -> None:
     for encode, decode, length in ((encode_tdata, decode_tdata, 70), (encode_qtdata, decode_qtdata, 50)):
         data = encode(sent)
         assert len(data) == length * len(sent)
@@ -230,7 +228,7 @@ def test_tools_come_back(sent: list[Tool]) -> None:
 
 
 def test_shorter_positions() -> None:
-    pose = Pose((1.0, 2.0, 3.0), (0.8, 0.0, -0.6, 0.0))
+    pose = IgtlPose((1.0, 2.0, 3.0), (0.8, 0.0, -0.6, 0.0))
     same(decode_position(encode_position(pose)[:24]), pose)
     assert not decode_position(encode_position(pose)[:12]).oriented
 
@@ -251,8 +249,8 @@ def test_a_rotation_that_is_a_little_off_says_how_much() -> None:
     assert decode_position(struct.pack(">7f", 0, 0, 0, 0, 0, 0, 1.2)).distortion == pytest.approx(0.2)
 
 
-@given(st.builds(Status, st.sampled_from(StatusCode), names, texts, st.integers(-(1 << 63), (1 << 63) - 1)))
-def test_a_status_comes_back(status: Status) -> None:
+@given(st.builds(IgtlStatus, st.sampled_from(StatusCode), names, texts, st.integers(-(1 << 63), (1 << 63) - 1)))
+def test_a_status_comes_back(status: IgtlStatus) -> None:
     assert decode_status(encode_status(status)) == status
 
 
@@ -293,9 +291,9 @@ def test_queries_come_back() -> None:
 @pytest.mark.parametrize(
     ("make", "rule"),
     [
-        (lambda: encode_message(Message("TRANSFORM", "x" * 21)), "at most 20 bytes"),
-        (lambda: encode_message(Message("TRANSFORMTRANSFORM", "x")), "at most 12 bytes"),
-        (lambda: encode_message(Message("STRING", "x", metadata={"a": "b"})), "must be 2 for metadata"),
+        (lambda: encode_message(IgtlMessage("TRANSFORM", "x" * 21)), "at most 20 bytes"),
+        (lambda: encode_message(IgtlMessage("TRANSFORMTRANSFORM", "x")), "at most 12 bytes"),
+        (lambda: encode_message(IgtlMessage("STRING", "x", metadata={"a": "b"})), "must be 2 for metadata"),
         (lambda: encode_string("x" * 70_000), "at most 65535"),
         (lambda: encode_sensor(Sensor((0.0,) * 256)), "at most 255"),
         (lambda: encode_start(-1), "must be from 0"),
@@ -307,6 +305,6 @@ def test_what_has_no_place_in_a_message_is_refused(make: Any, rule: str) -> None
 
 
 def test_times_keep_their_microseconds() -> None:
-    message = Message("STATUS", "", timestamp=stamp_of(1_700_000_000.000_025))
+    message = IgtlMessage("STATUS", "", timestamp=stamp_of(1_700_000_000.000_025))
     assert message.time_s == pytest.approx(1_700_000_000.000_025, abs=1e-6)
-    assert Message("STATUS", "").time_s is None
+    assert IgtlMessage("STATUS", "").time_s is None

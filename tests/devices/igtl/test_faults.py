@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from needleplan.devices import Health, PoseSample
-from needleplan.devices.igtl import IgtlTracker, PoseKind, PoseLimits
+from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PoseKind
 from needleplan.devices.igtl.poses import ToolKind
 from needleplan.errors import DeviceFault, LinkClosed
 from tests.devices.igtl.bench import TIP, Bench, needle
@@ -213,7 +213,7 @@ def test_25_a_server_whose_time_goes_back_is_a_fault(bench: Bench) -> None:
 
 
 def test_26_frames_that_lay_in_a_queue_are_suspect_and_the_next_are_not(bench: Bench) -> None:
-    bench.limits = PoseLimits(late_s=0.11)
+    bench.limits = IgtlPoseLimits(late_s=0.11)
     tracker = settled(bench)
     bench.clock.sleep(1.0)
     samples = [next_of(tracker, 0.0) for _ in range(40)]
@@ -252,7 +252,7 @@ def test_27_a_cable_that_is_out_closes_the_link(bench: Bench) -> None:
 
 
 def test_limits_are_told() -> None:
-    bench = Bench(limits=replace(PoseLimits(), speed_mm_s=1.0))
+    bench = Bench(limits=replace(IgtlPoseLimits(), speed_mm_s=1.0))
     tracker = bench.tracker()
     next_of(tracker)
     assert next_of(tracker).notes[0].startswith("a step of 0.05 mm")

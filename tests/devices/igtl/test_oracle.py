@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from needleplan.devices.igtl import IgtlTracker, PlusServer, PoseLimits, SlicerServer
+from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusServer, SlicerServer
 from needleplan.devices.igtl.contents import (
     Point,
     decode_points,
@@ -20,15 +20,14 @@ from needleplan.devices.igtl.contents import (
     encode_polyline,
     encode_string,
 )
-from needleplan.devices.igtl.message import Message, encode_message, stamp_of
-from needleplan.devices.igtl.poses import Pose, decode_transform, encode_transform
-from needleplan.devices.igtl.stream import MessageReader
+from needleplan.devices.igtl.messages import IgtlMessage, MessageReader, encode_message, stamp_of
+from needleplan.devices.igtl.poses import IgtlPose, decode_transform, encode_transform
 from tests.devices.igtl.bench import TIP, plus
 
 pyigtl = pytest.importorskip("pyigtl", reason="the independent implementation pyigtl is not installed (extra: test)")
 
 TIME_S = 1_700_000_000.25
-TURNED = Pose((10.5, -20.0, 30.25), (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0))
+TURNED = IgtlPose((10.5, -20.0, 30.25), (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0))
 MATRIX = np.array([[0, 0, 1, 10.5], [0, 1, 0, -20], [-1, 0, 0, 30.25], [0, 0, 0, 1]], dtype=float)
 POINTS = [
     Point("Target", (80.0, 5.0, 0.0), "Target", (255, 0, 0, 255), 2.0, "CT"),
@@ -57,7 +56,7 @@ def theirs(version: int) -> dict[str, Any]:
     return messages
 
 
-def ours(kind: str, version: int) -> Message:
+def ours(kind: str, version: int) -> IgtlMessage:
     content = {
         "TRANSFORM": encode_transform(TURNED),
         "STRING": encode_string("step 12"),
@@ -65,7 +64,7 @@ def ours(kind: str, version: int) -> Message:
         "POLYDATA": encode_polyline(LINE),
     }[kind]
     metadata = {"TransformStatus": "OK", "by": "us"} if version == 2 else {}
-    return Message(kind, "Needle", content, stamp_of(TIME_S), version, metadata=metadata)
+    return IgtlMessage(kind, "Needle", content, stamp_of(TIME_S), version, metadata=metadata)
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -142,7 +141,7 @@ def test_our_tracker_reads_its_server() -> None:
             message = pyigtl.TransformMessage(matrix, timestamp=TIME_S + 0.025 * step, device_name="Needle")
             server.send_message(message, wait=False)
         address = f"igtl://127.0.0.1:{server.server_address[1]}/Needle?rate_hz=40"
-        with IgtlTracker.open(address, limits=PoseLimits(start_s=20, silence_s=20, late_s=1e3)) as tracker:
+        with IgtlTracker.open(address, limits=IgtlPoseLimits(start_s=20, silence_s=20, late_s=1e3)) as tracker:
             samples = [tracker.read(20) for _ in range(100)]
         assert [each.stamp.sequence for each in samples if each] == list(range(100))
         assert samples[-1] is not None

@@ -9,13 +9,12 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from needleplan.devices import open_link
-from needleplan.devices.closing import Closing
-from needleplan.devices.igtl import IgtlTracker, MessageServer, PoseLimits, Shown, SlicerServer, StatusCode
+from needleplan.devices import Closing, Link, open_link
+from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, MessageServer, Shown, SlicerServer, StatusCode
 from needleplan.devices.igtl.contents import (
+    IgtlStatus,
     Point,
     Sensor,
-    Status,
     Unit,
     decode_points,
     decode_polyline,
@@ -24,10 +23,8 @@ from needleplan.devices.igtl.contents import (
     decode_status,
     decode_string,
 )
-from needleplan.devices.igtl.message import Message, encode_message
+from needleplan.devices.igtl.messages import IgtlMessage, MessageReader, encode_message
 from needleplan.devices.igtl.poses import decode_transform
-from needleplan.devices.igtl.stream import MessageReader
-from needleplan.devices.link import Link
 from needleplan.errors import AddressError, DeviceFault, InputError
 
 LONG_S = 20.0
@@ -40,12 +37,12 @@ class Reading(Closing):
     def __init__(self, server: MessageServer) -> None:
         self.link: Link = open_link(f"tcp://{server.host}:{server.port}")
         self.reader = MessageReader()
-        self.seen: list[Message] = []
+        self.seen: list[IgtlMessage] = []
 
     def close(self) -> None:
         self.link.close()
 
-    def until(self, enough: Callable[[Message], bool]) -> Message:
+    def until(self, enough: Callable[[IgtlMessage], bool]) -> IgtlMessage:
         """Read until a message is the one that is waited for."""
         end_s = time.monotonic() + LONG_S
         while time.monotonic() < end_s:
@@ -81,7 +78,7 @@ def test_all_that_is_shown_comes_to_every_client(server: SlicerServer) -> None:
     server.show_note("step 12: rotate")
     # The second client comes when all has been sent, and gets what is known at once.
     for _ in range(2):
-        found: dict[str, Message] = {}
+        found: dict[str, IgtlMessage] = {}
         with Reading(server) as client:
             while len(found) < 8:
                 message = client.until(lambda _: True)
@@ -98,7 +95,7 @@ def test_all_that_is_shown_comes_to_every_client(server: SlicerServer) -> None:
         assert len(decode_polyline(found["ExecutedPath"].content)) == 2
         assert decode_sensor(found["Force"].content) == Sensor((0.1, 0.0, -1.5), Unit.NEWTON)
         assert decode_sensor(found["Torque"].content) == Sensor((3.0, 0.0, 0.0), Unit.NEWTON_MILLIMETRE)
-        expected = Status(StatusCode.MANUAL, "PAUSED", "the operator asked for it")
+        expected = IgtlStatus(StatusCode.MANUAL, "PAUSED", "the operator asked for it")
         assert decode_status(found["NeedleState"].content) == expected
         assert decode_string(found["NeedleNote"].content) == "step 12: rotate"
 
@@ -156,8 +153,8 @@ def test_queries_are_answered(server: SlicerServer, client: Reading) -> None:
     server.show_state("ENABLED")
     client.until(lambda message: message.kind == "STATUS")
 
-    def ask(kind: str, device: str) -> Message:
-        client.link.send(encode_message(Message(kind, device)))
+    def ask(kind: str, device: str) -> IgtlMessage:
+        client.link.send(encode_message(IgtlMessage(kind, device)))
         return client.until(lambda _: True)
 
     assert ask("GET_TRANSFOR", "NeedleTip").device == "NeedleTip"
@@ -190,7 +187,7 @@ def test_clients_come_and_go(server: SlicerServer) -> None:
 
 def test_our_tracker_reads_our_server(server: SlicerServer) -> None:
     server.show_tip((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
-    with IgtlTracker.open(f"{server.address}/NeedleTip", limits=PoseLimits(start_s=LONG_S)) as tracker:
+    with IgtlTracker.open(f"{server.address}/NeedleTip", limits=IgtlPoseLimits(start_s=LONG_S)) as tracker:
         sample = tracker.read(1)
         assert sample is not None
         assert sample.position_mm == (1, 2, 3)

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 import pytest
 
 from needleplan.devices import Tracker
-from needleplan.devices.igtl import IgtlTracker, PlusServer, PoseKind, PoseLimits
+from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusServer, PoseKind
 from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed
 from tests.devices.contract import TrackerContract
 from tests.devices.igtl.bench import TIP, Bench, plus
 
 HARDWARE = "NEEDLEPLAN_TEST_IGTL"
-PATIENT = PoseLimits(start_s=20.0, silence_s=5.0, late_s=5.0)
+PATIENT = IgtlPoseLimits(start_s=20.0, silence_s=5.0, late_s=5.0)
 """For a machine with other things to do than to run a simulated tracker."""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from needleplan.devices import VirtualClock
-from needleplan.devices.ndi import AuroraDevice, DeviceLink, NdiTracker, PoseLimits, SimulatedTool
+from needleplan.devices.ndi import AuroraDevice, AuroraLink, NdiPoseLimits, NdiTracker, SimulatedTool
 
 TIP, REFERENCE = "34801403", "34801404"
 
@@ -28,11 +28,11 @@ def aurora() -> AuroraDevice:
 class Bench:
     """Tracker, link and device, all in this process."""
 
-    def __init__(self, text: bool = False, limits: PoseLimits | None = None) -> None:
+    def __init__(self, text: bool = False, limits: NdiPoseLimits | None = None) -> None:
         self.clock = VirtualClock()
         self.device = aurora()
         self.device.clock = self.clock
-        self.link = DeviceLink(self.device, self.clock)
+        self.link = AuroraLink(self.device, self.clock)
         self.text, self.limits = text, limits
 
     @property

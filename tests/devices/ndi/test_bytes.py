@@ -6,12 +6,17 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from needleplan.devices.ndi.bx import encode_bx, parse_bx
-from needleplan.devices.ndi.commands import decode_command, encode_command, encode_text
-from needleplan.devices.ndi.crc import crc16
-from needleplan.devices.ndi.frames import Frames, Seen, ToolFrame
-from needleplan.devices.ndi.replies import ReplyReader
-from needleplan.devices.ndi.tx import encode_tx, parse_tx
+from needleplan.devices.ndi.commands import ReplyReader, decode_command, encode_command, encode_text
+from needleplan.devices.ndi.frames import (
+    Frames,
+    NdiVisibility,
+    ToolFrame,
+    crc16,
+    encode_bx,
+    encode_tx,
+    parse_bx,
+    parse_tx,
+)
 from needleplan.errors import ProtocolError
 
 KNOWN = (
@@ -66,7 +71,7 @@ def test_a_reply_to_tx_written_by_hand() -> None:
     assert first.quaternion == pytest.approx((0.7071, 0, -0.7071, 0))
     assert first.position_mm == pytest.approx((12.34, -567.89, 0.01))
     assert (first.error_mm, first.port_status, first.frame) == (pytest.approx(0.0123), 0x31, 0xABC)
-    assert (second.handle, second.seen, second.frame) == (0x0B, Seen.MISSING, 0xABC)
+    assert (second.handle, second.visibility, second.frame) == (0x0B, NdiVisibility.MISSING, 0xABC)
     assert encode_tx(frames) == text
 
 
@@ -80,7 +85,11 @@ def test_a_reply_to_bx_written_by_hand() -> None:
     frames = parse_bx(message)
     assert frames.tools[0].position_mm == (10, -20, 0)
     assert frames.tools[0].error_mm == pytest.approx(0.1)
-    assert (frames.tools[1].seen, frames.tools[1].frame, frames.system_status) == (Seen.MISSING, 0xABC, 8)
+    assert (frames.tools[1].visibility, frames.tools[1].frame, frames.system_status) == (
+        NdiVisibility.MISSING,
+        0xABC,
+        8,
+    )
     assert encode_bx(frames)[:-2] == message[:-2]
     assert crc16(message[:-2]) == crc16(body)
 
@@ -89,21 +98,21 @@ BYTE, WORD = st.integers(0, 255), st.integers(0, 2**32 - 1)
 NUMBER = st.floats(-900, 900).map(lambda each: round(each, 2))
 PART = st.floats(-1, 1).map(lambda each: round(each, 4))
 TOOLS = st.one_of(
-    st.builds(ToolFrame, BYTE, st.just(Seen.VALID), st.tuples(PART, PART, PART, PART),
+    st.builds(ToolFrame, BYTE, st.just(NdiVisibility.VALID), st.tuples(PART, PART, PART, PART),
               st.tuples(NUMBER, NUMBER, NUMBER), PART.map(abs), WORD, WORD),
-    st.builds(ToolFrame, BYTE, st.just(Seen.MISSING), port_status=WORD, frame=WORD),
-    st.builds(ToolFrame, BYTE, st.just(Seen.DISABLED)),
+    st.builds(ToolFrame, BYTE, st.just(NdiVisibility.MISSING), port_status=WORD, frame=WORD),
+    st.builds(ToolFrame, BYTE, st.just(NdiVisibility.DISABLED)),
 )  # fmt: skip
 FRAMES = st.builds(Frames, st.lists(TOOLS, max_size=5).map(tuple), st.integers(0, 0xFFFF))
 
 
 def close(one: Frames, other: Frames, tolerance: float) -> bool:
     def numbers(frames: Frames) -> list[float]:
-        return [x for tool in frames.tools if tool.seen is Seen.VALID
+        return [x for tool in frames.tools if tool.visibility is NdiVisibility.VALID
                 for x in (*tool.quaternion, *tool.position_mm, tool.error_mm)]  # fmt: skip
 
     def rest(frames: Frames) -> list[tuple[object, ...]]:
-        return [(tool.handle, tool.seen, tool.port_status, tool.frame) for tool in frames.tools]
+        return [(tool.handle, tool.visibility, tool.port_status, tool.frame) for tool in frames.tools]
 
     same = rest(one) == rest(other) and one.system_status == other.system_status
     return same and all(

@@ -9,7 +9,7 @@ import pytest
 from needleplan.devices import Health, PoseSample
 from needleplan.devices.ndi import NdiTracker, SimulatedTool
 from needleplan.devices.ndi.commands import encode_text
-from needleplan.devices.ndi.frames import Seen
+from needleplan.devices.ndi.frames import NdiVisibility
 from needleplan.errors import ConfigurationError, DeviceFault, LinkClosed
 from tests.devices.ndi.bench import TIP, Bench, needle
 
@@ -96,19 +96,19 @@ def test_20_a_transient_error_is_asked_again_and_another_is_a_fault(bench: Bench
 
 def test_21_a_coil_that_is_not_seen_is_missing_and_comes_back(bench: Bench) -> None:
     tracker = settled(bench)
-    bench.tip.seen = Seen.MISSING
+    bench.tip.visibility = NdiVisibility.MISSING
     sample = next_of(tracker)
     assert (sample.health, sample.notes) == (Health.MISSING, ("not seen",))
     assert all(map(math.isnan, (*sample.position_mm, *sample.quaternion)))
-    bench.tip.seen = Seen.VALID
+    bench.tip.visibility = NdiVisibility.VALID
     assert next_of(tracker).health is Health.GOOD
 
 
-@pytest.mark.parametrize("seen", [Seen.DISABLED, Seen.UNOCCUPIED])
-def test_21_a_tool_that_is_no_longer_tracked_is_a_fault(seen: Seen) -> None:
+@pytest.mark.parametrize("seen", [NdiVisibility.DISABLED, NdiVisibility.UNOCCUPIED])
+def test_21_a_tool_that_is_no_longer_tracked_is_a_fault(seen: NdiVisibility) -> None:
     bench = Bench(text=True)
     tracker = settled(bench)
-    bench.tip.seen = seen
+    bench.tip.visibility = seen
     fault_of(tracker, f"is {seen} in the middle")
 
 

@@ -9,11 +9,8 @@ import pytest
 from needleplan.devices import VirtualClock
 from needleplan.devices.endpoint import PtyEndpoint, TcpEndpoint
 from needleplan.devices.ndi import AuroraDevice
-from needleplan.devices.ndi.bx import parse_bx
-from needleplan.devices.ndi.commands import encode_command
-from needleplan.devices.ndi.frames import Frames, Seen
-from needleplan.devices.ndi.replies import ReplyReader
-from needleplan.devices.ndi.tx import parse_tx
+from needleplan.devices.ndi.commands import ReplyReader, encode_command
+from needleplan.devices.ndi.frames import Frames, NdiVisibility, parse_bx, parse_tx
 from tests.devices.ndi.bench import aurora
 
 ndi = pytest.importorskip("ndicapy", reason="the independent client ndicapi is not installed (extra: test)")
@@ -61,7 +58,7 @@ def ours(device: AuroraDevice, name: str) -> Frames:
 def test_the_same_pose_from_the_same_bytes(client: object, device: AuroraDevice, name: str) -> None:
     start(client)
     device.clock.sleep(7.5)
-    device.tools[1].seen = Seen.MISSING
+    device.tools[1].visibility = NdiVisibility.MISSING
     device.faults.system_status = 0x08
     getattr(ndi, f"ndi{name}")(client, 0x0001)
     transform, port, frame, system = (
@@ -71,7 +68,7 @@ def test_the_same_pose_from_the_same_bytes(client: object, device: AuroraDevice,
     tip, reference = frames.tools
     assert transform(client, TIP) == pytest.approx((*tip.quaternion, *tip.position_mm, tip.error_mm), abs=1e-9)
     assert transform(client, REFERENCE) == "MISSING"
-    assert reference.seen is Seen.MISSING
+    assert reference.visibility is NdiVisibility.MISSING
     assert (port(client, TIP), frame(client, TIP)) == (tip.port_status, tip.frame)
     assert system(client) == frames.system_status == 8
 

@@ -9,13 +9,13 @@ import pytest
 
 from needleplan.devices import Tracker
 from needleplan.devices.endpoint import Endpoint, PtyEndpoint, TcpEndpoint
-from needleplan.devices.ndi import NdiTracker, PoseLimits
+from needleplan.devices.ndi import NdiPoseLimits, NdiTracker
 from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed
 from tests.devices.contract import TrackerContract
 from tests.devices.ndi.bench import TIP, Bench, aurora
 
 HARDWARE = "NEEDLEPLAN_TEST_TRACKER"
-PATIENT = PoseLimits(late_s=5.0, silence_s=5.0, gap_s=1.0)
+PATIENT = NdiPoseLimits(late_s=5.0, silence_s=5.0, gap_s=1.0)
 """For a machine with other things to do than to run a simulated tracker."""
 ENDPOINTS: dict[str, type[TcpEndpoint] | type[PtyEndpoint]] = {"tcp": TcpEndpoint, "pty": PtyEndpoint}
 

@@ -10,8 +10,7 @@ import pytest
 
 from needleplan.devices import StageSample, VirtualClock
 from needleplan.devices.robot import RobotLimits, RobotMachine, RobotNetwork, RobotStage, RobotTiming, SteadyDrive
-from needleplan.devices.robot.codec import decode, encode
-from needleplan.devices.robot.messages import Answer, Command, Head, Kind, Result
+from needleplan.devices.robot.messages import Answer, Head, Result, RobotCommand, RobotKind, decode, encode
 from needleplan.errors import DeviceFault
 from tests.devices.contract import heard_and_read
 
@@ -77,13 +76,13 @@ def stands_still(bench: Bench, seconds: float = 1.0) -> None:
     assert bench.truth == (before, False)
 
 
-def raw(bench: Bench, kind: Kind, **fields: object) -> Answer | None:
+def raw(bench: Bench, kind: RobotKind, **fields: object) -> Answer | None:
     """Send a datagram of the controller's session by hand and return its answer."""
     session = bench.machine._session
     assert session is not None
     head = Head(session.id, session.sequence + 1, 1, number=session.number + 1)
     deadline_ns = bench.clock.now_ns() + bench.network.ahead_ns + 10_000_000
-    command = Command(head, kind, deadline_ns, 50.0, 5.0)
+    command = RobotCommand(head, kind, deadline_ns, 50.0, 5.0)
     head_fields = {name: fields.pop(name) for name in list(fields) if name in ("session", "sequence", "number")}
     command = replace(command, head=replace(head, **head_fields), **fields)  # type: ignore[arg-type]
     answer = bench.machine.receive(encode(command), session.peer, bench.clock.now_ns() + bench.network.ahead_ns)

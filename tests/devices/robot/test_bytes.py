@@ -12,24 +12,37 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from needleplan.devices.robot import RobotMachine, SteadyDrive
-from needleplan.devices.robot.codec import VERSION, OtherVersion, decode, encode
-from needleplan.devices.robot.messages import Answer, Command, Fault, Head, Kind, Message, Result, RobotState, Status
+from needleplan.devices.robot.messages import (
+    VERSION,
+    Answer,
+    Fault,
+    Head,
+    OtherVersion,
+    Result,
+    RobotCommand,
+    RobotKind,
+    RobotMessage,
+    RobotState,
+    RobotStatus,
+    decode,
+    encode,
+)
 from needleplan.errors import ProtocolError
 from tests.pages import ROOT
 
 U16, U32, U64 = (st.integers(0, 2**bits - 1) for bits in (16, 32, 64))
 REAL = st.floats(allow_nan=False)
 HEADS = st.builds(Head, U32, U32, U64, U64, U32, U32)
-KINDS = st.sampled_from([kind for kind in Kind if kind < 0x80])
-COMMANDS = st.builds(Command, HEADS, KINDS, U64, REAL, REAL, U32)
+KINDS = st.sampled_from([kind for kind in RobotKind if kind < 0x80])
+COMMANDS = st.builds(RobotCommand, HEADS, KINDS, U64, REAL, REAL, U32)
 ANSWERS = st.builds(Answer, HEADS, st.integers(0, 255), st.sampled_from(Result), st.sampled_from(RobotState))
 STATUSES = st.builds(
-    Status, HEADS, REAL, REAL, REAL, REAL, U32.map(Fault), st.sampled_from(RobotState), st.booleans(), U16, U32
+    RobotStatus, HEADS, REAL, REAL, REAL, REAL, U32.map(Fault), st.sampled_from(RobotState), st.booleans(), U16, U32
 )
 MESSAGES = COMMANDS | ANSWERS | STATUSES
-COMMAND = Command(
+COMMAND = RobotCommand(
     Head(0x01020304, 5, 6_000_000_007, 8, 9, 10),
-    Kind.INSERT,
+    RobotKind.INSERT,
     11_000_000_012,
     target=20.5,
     speed=5.25,
@@ -48,13 +61,13 @@ def test_the_bytes_of_the_reference() -> None:
         "0caea68f02000000 0000000000803440 0000000000001540 30750000"
     )
     assert encode(COMMAND) == sealed(begin)
-    answer = Answer(Head(1, 2, 3, 4, 5, 6), Kind.STOP, Result.BUSY, RobotState.FAULT)
+    answer = Answer(Head(1, 2, 3, 4, 5, 6), RobotKind.STOP, Result.BUSY, RobotState.FAULT)
     assert encode(answer)[40:44] == bytes.fromhex("05 03 0100")
     assert [len(encode(each)) for each in (COMMAND, answer)] == [72, 48]
 
 
 @given(MESSAGES)
-def test_messages_come_back(message: Message) -> None:
+def test_messages_come_back(message: RobotMessage) -> None:
     assert decode(encode(message)) == message
 
 
@@ -71,7 +84,7 @@ def test_any_datagram_is_a_message_or_a_protocol_error(datagram: bytes) -> None:
 
 
 @given(MESSAGES, st.data())
-def test_any_changed_bit_is_noticed(message: Message, data: st.DataObject) -> None:
+def test_any_changed_bit_is_noticed(message: RobotMessage, data: st.DataObject) -> None:
     raw = bytearray(encode(message))
     bit = data.draw(st.integers(0, 8 * len(raw) - 1))
     raw[bit // 8] ^= 1 << bit % 8
@@ -80,7 +93,7 @@ def test_any_changed_bit_is_noticed(message: Message, data: st.DataObject) -> No
 
 
 @given(MESSAGES, st.integers(0, 87))
-def test_any_cut_datagram_is_noticed(message: Message, length: int) -> None:
+def test_any_cut_datagram_is_noticed(message: RobotMessage, length: int) -> None:
     raw = encode(message)
     if length < len(raw):
         with pytest.raises(ProtocolError):
@@ -88,7 +101,7 @@ def test_any_cut_datagram_is_noticed(message: Message, length: int) -> None:
 
 
 @given(STATUSES, st.integers(2, 255), st.integers(4, 255))
-def test_values_that_mean_nothing_are_noticed(status: Status, moving: int, state: int) -> None:
+def test_values_that_mean_nothing_are_noticed(status: RobotStatus, moving: int, state: int) -> None:
     raw = bytearray(encode(status)[:-4])
     for offset, value in ((77, moving), (76, state)):
         wrong = bytearray(raw)
@@ -105,7 +118,7 @@ def test_another_version_is_named_whatever_its_length() -> None:
 
 def test_what_does_not_fit_is_not_sent() -> None:
     with pytest.raises(ProtocolError, match="HELLO cannot be sent"):
-        encode(Command(Head(2**32, 0, 0), Kind.HELLO))
+        encode(RobotCommand(Head(2**32, 0, 0), RobotKind.HELLO))
 
 
 @settings(max_examples=50)
@@ -121,7 +134,7 @@ def test_no_datagram_stops_the_machine_or_moves_what_is_not_enabled(story: list[
         sent = machine.tick(now_ns)
         if sent is not None:
             status = decode(sent[0])
-            assert isinstance(status, Status)
+            assert isinstance(status, RobotStatus)
             assert status.state is RobotState.ENABLED or not status.moving
 
 
@@ -179,7 +192,7 @@ def compiled(source: str, folder: Path) -> str:
 
 
 def test_the_c_header_makes_a_command_that_is_ours_and_reads_our_status(tmp_path: Path) -> None:
-    status = Status(
+    status = RobotStatus(
         Head(7, 8, 9_000_000_001), 12.345678901234567, -5.5, math.pi, 0.25, Fault.WATCHDOG | Fault.LIMIT,
         RobotState.FAULT, True, 513, 70_000,
     )  # fmt: skip
@@ -199,7 +212,7 @@ def test_sizes_and_offsets_of_the_c_header_are_those_of_the_reference(tmp_path: 
 def test_the_c_header_has_the_codes_of_every_enumeration() -> None:
     text = HEADER.read_text()
     named = {
-        **{f"NPL_{kind.name}": int(kind) for kind in Kind},
+        **{f"NPL_{kind.name}": int(kind) for kind in RobotKind},
         **{f"NPL_RESULT_{result.name}": int(result) for result in Result},
         **{f"NPL_STATE_{state.name}": int(state) for state in RobotState},
         **{f"NPL_FAULT_{fault.name}": int(fault) for fault in Fault},

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import pytest
 
-from needleplan.devices.robot import DriveFaults, Fault, RobotState
-from needleplan.devices.robot.messages import Kind, Result
+from needleplan.devices.robot import Fault, RobotDriveFaults, RobotState
+from needleplan.devices.robot.messages import Result, RobotKind
 from needleplan.errors import DeviceFault
 from tests.devices.robot.bench import Bench, fault_of, moving, next_of, raw, result_of, stands_still
 
@@ -17,16 +17,16 @@ MS = 1e-3
 
 @pytest.mark.parametrize(
     ("injected", "cause", "within_s"),
-    [(DriveFaults(reported=Fault.DRIVE), "a drive reports a fault", 1 * MS),
-     (DriveFaults(reported=Fault.LIMIT), "a limit switch was reached", 1 * MS),
-     (DriveFaults(reported=Fault.ESTOP), "the emergency stop was pressed", 1 * MS),
-     (DriveFaults(jump_mm=0.5), "an encoder has jumped", 1 * MS),
-     (DriveFaults(stuck=True), "an axis does not move", 22 * MS),
-     (DriveFaults(reversed=True), "counts the wrong way", 12 * MS),
-     (DriveFaults(slow=0.5), "an axis does not follow", 42 * MS)],
+    [(RobotDriveFaults(reported=Fault.DRIVE), "a drive reports a fault", 1 * MS),
+     (RobotDriveFaults(reported=Fault.LIMIT), "a limit switch was reached", 1 * MS),
+     (RobotDriveFaults(reported=Fault.ESTOP), "the emergency stop was pressed", 1 * MS),
+     (RobotDriveFaults(jump_mm=0.5), "an encoder has jumped", 1 * MS),
+     (RobotDriveFaults(stuck=True), "an axis does not move", 22 * MS),
+     (RobotDriveFaults(reversed=True), "counts the wrong way", 12 * MS),
+     (RobotDriveFaults(slow=0.5), "an axis does not follow", 42 * MS)],
 )  # fmt: skip
 def test_28_30_what_is_wrong_with_a_drive_stops_it_and_is_told(
-    injected: DriveFaults, cause: str, within_s: float
+    injected: RobotDriveFaults, cause: str, within_s: float
 ) -> None:
     """At 10 mm/s. What needs time to be seen has gone, or should have gone, 0.2 mm."""
     bench = Bench()
@@ -37,7 +37,7 @@ def test_28_30_what_is_wrong_with_a_drive_stops_it_and_is_told(
     assert bench.clock.now_ns() - began_ns <= within_s * 1e9 + 1
     assert bench.machine.state is RobotState.FAULT
     stands_still(bench)
-    bench.drive.faults = DriveFaults()
+    bench.drive.faults = RobotDriveFaults()
     stage.start()
     assert not next_of(stage).moving
     stands_still(bench, 0.02)
@@ -69,10 +69,10 @@ def test_31_an_emergency_stop_that_is_released_does_not_restart() -> None:
     bench.drive.faults.reported = Fault(0)
     stands_still(bench)
     assert bench.machine.state is RobotState.FAULT
-    assert result_of(raw(bench, Kind.INSERT)) is Result.IN_FAULT
-    assert result_of(raw(bench, Kind.ENABLE)) is Result.IN_FAULT
-    assert result_of(raw(bench, Kind.STOP)) is Result.ACCEPTED
-    assert result_of(raw(bench, Kind.RESET)) is Result.ACCEPTED
+    assert result_of(raw(bench, RobotKind.INSERT)) is Result.IN_FAULT
+    assert result_of(raw(bench, RobotKind.ENABLE)) is Result.IN_FAULT
+    assert result_of(raw(bench, RobotKind.STOP)) is Result.ACCEPTED
+    assert result_of(raw(bench, RobotKind.RESET)) is Result.ACCEPTED
     assert bench.machine.state is RobotState.DISABLED
-    assert result_of(raw(bench, Kind.INSERT)) is Result.NOT_ENABLED
+    assert result_of(raw(bench, RobotKind.INSERT)) is Result.NOT_ENABLED
     stands_still(bench, 0.02)

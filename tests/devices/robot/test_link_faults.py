@@ -16,8 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleplan.devices.robot import Fault, RobotMachine, RobotNetwork, RobotState, RobotTiming, SteadyDrive
-from needleplan.devices.robot.codec import decode, encode
-from needleplan.devices.robot.messages import Answer, Command, Head, Kind, Result
+from needleplan.devices.robot.messages import Answer, Head, Result, RobotCommand, RobotKind, decode, encode
 from needleplan.errors import DeviceFault
 from tests.devices.contract import heard_and_read
 from tests.devices.robot.bench import Bench, at_rest, fault_of, moving, next_of, raw, result_of, stands_still
@@ -148,7 +147,7 @@ def test_32_duplicates_change_nothing() -> None:
     assert numbers == list(range(numbers[0], numbers[0] + 100))
     assert stage.counts.repeated >= 99
     stage.stop()
-    first_stop = next(each for each in bench.network.to_robot.seen if decode(each).kind is Kind.STOP)  # type: ignore[union-attr]
+    first_stop = next(each for each in bench.network.to_robot.seen if decode(each).kind is RobotKind.STOP)  # type: ignore[union-attr]
     stage.insert(6.0, 10.0)
     bench.machine.receive(first_stop, ("controller", 1), bench.clock.now_ns() + bench.network.ahead_ns)
     assert bench.truth[1]
@@ -209,7 +208,7 @@ def test_32_a_motion_behind_a_stop_is_not_begun() -> None:
     bench = Bench()
     stage = bench.stage()
     stage.stop()
-    answer = raw(bench, Kind.INSERT, number=2)
+    answer = raw(bench, RobotKind.INSERT, number=2)
     assert result_of(answer) is Result.SUPERSEDED
     stands_still(bench, 0.02)
 
@@ -222,7 +221,13 @@ def test_32_an_old_session_is_refused() -> None:
         bench.stage(session=7)
     stage = bench.stage(session=8)
     stage.insert(5.0, 1.0)
-    for kind in (Kind.INSERT, Kind.STOP, Kind.GOODBYE, Kind.ALIVE, Kind.RESET):
+    for kind in (
+        RobotKind.INSERT,
+        RobotKind.STOP,
+        RobotKind.GOODBYE,
+        RobotKind.ALIVE,
+        RobotKind.RESET,
+    ):
         assert result_of(raw(bench, kind, session=7)) is Result.OLD_SESSION
     assert bench.truth[1]
     assert next_of(stage).moving
@@ -231,21 +236,21 @@ def test_32_an_old_session_is_refused() -> None:
 def test_32_anybody_may_stop() -> None:
     bench = Bench()
     moving(bench)
-    assert result_of(raw(bench, Kind.STOP, session=0)) is Result.ACCEPTED
+    assert result_of(raw(bench, RobotKind.STOP, session=0)) is Result.ACCEPTED
     assert not bench.truth[1]
 
 
 def test_32_another_version_is_refused_and_named() -> None:
     bench = Bench()
-    newer = bytearray(encode(Command(Head(1, 1, 1), Kind.HELLO)))
+    newer = bytearray(encode(RobotCommand(Head(1, 1, 1), RobotKind.HELLO)))
     newer[4] = 2
     newer[-4:] = struct.pack("<I", zlib.crc32(bytes(newer[:-4])))
     answer = decode(bench.machine.receive(bytes(newer), ("new", 1), 1))
     assert isinstance(answer, Answer)
-    assert (answer.result, answer.asked) == (Result.WRONG_VERSION, Kind.HELLO)
+    assert (answer.result, answer.asked) == (Result.WRONG_VERSION, RobotKind.HELLO)
     assert bench.machine.controller is None
     # To an answer of another version there is none.
-    newer[5] = Kind.ANSWER
+    newer[5] = RobotKind.ANSWER
     newer[-4:] = struct.pack("<I", zlib.crc32(bytes(newer[:-4])))
     assert bench.machine.receive(bytes(newer), ("new", 1), 1) == b""
 
@@ -261,7 +266,7 @@ def test_36_two_controllers_at_once() -> None:
         bench.stage(RobotTiming(answer_s=0.01), name="second")
     session = bench.machine._session
     assert session is not None
-    stolen = Command(Head(session.id, session.sequence + 1, 1, number=session.number + 1), Kind.STOP)
+    stolen = RobotCommand(Head(session.id, session.sequence + 1, 1, number=session.number + 1), RobotKind.STOP)
     answer = decode(bench.machine.receive(encode(stolen), ("thief", 1), 0))
     assert isinstance(answer, Answer)
     assert answer.result is Result.BUSY

@@ -5,27 +5,27 @@ from __future__ import annotations
 import pytest
 
 from needleplan.devices.robot import Fault, RobotMachine, RobotState, SteadyDrive
-from needleplan.devices.robot.codec import decode, encode
-from needleplan.devices.robot.messages import Answer, Command, Head, Kind, Result
+from needleplan.devices.robot.messages import Answer, Head, Result, RobotCommand, RobotKind, decode, encode
 
 PEER = ("controller", 1)
 A, B, F = Result.ACCEPTED, Result.OLD_SESSION, Result.IN_FAULT
 DISABLED, ENABLED, FAULT = RobotState
+K = RobotKind
 
 # By state: for each command its result, and the state after it. A repeated HELLO is that of the controller itself.
 TABLE = {
     DISABLED: {
-        Kind.HELLO: (A, DISABLED), Kind.ENABLE: (A, ENABLED), Kind.INSERT: (Result.NOT_ENABLED, DISABLED),
-        Kind.ROTATE: (Result.NOT_ENABLED, DISABLED), Kind.STOP: (A, DISABLED), Kind.ALIVE: (None, DISABLED),
-        Kind.RESET: (A, DISABLED), Kind.GOODBYE: (A, DISABLED),
+        K.HELLO: (A, DISABLED), K.ENABLE: (A, ENABLED), K.INSERT: (Result.NOT_ENABLED, DISABLED),
+        K.ROTATE: (Result.NOT_ENABLED, DISABLED), K.STOP: (A, DISABLED), K.ALIVE: (None, DISABLED),
+        K.RESET: (A, DISABLED), K.GOODBYE: (A, DISABLED),
     },
     ENABLED: {
-        Kind.HELLO: (A, ENABLED), Kind.ENABLE: (A, ENABLED), Kind.INSERT: (A, ENABLED), Kind.ROTATE: (A, ENABLED),
-        Kind.STOP: (A, ENABLED), Kind.ALIVE: (None, ENABLED), Kind.RESET: (A, ENABLED), Kind.GOODBYE: (A, DISABLED),
+        K.HELLO: (A, ENABLED), K.ENABLE: (A, ENABLED), K.INSERT: (A, ENABLED), K.ROTATE: (A, ENABLED),
+        K.STOP: (A, ENABLED), K.ALIVE: (None, ENABLED), K.RESET: (A, ENABLED), K.GOODBYE: (A, DISABLED),
     },
     FAULT: {
-        Kind.HELLO: (A, FAULT), Kind.ENABLE: (F, FAULT), Kind.INSERT: (F, FAULT), Kind.ROTATE: (F, FAULT),
-        Kind.STOP: (A, FAULT), Kind.ALIVE: (None, FAULT), Kind.RESET: (A, DISABLED), Kind.GOODBYE: (A, FAULT),
+        K.HELLO: (A, FAULT), K.ENABLE: (F, FAULT), K.INSERT: (F, FAULT), K.ROTATE: (F, FAULT),
+        K.STOP: (A, FAULT), K.ALIVE: (None, FAULT), K.RESET: (A, DISABLED), K.GOODBYE: (A, FAULT),
     },
 }  # fmt: skip
 
@@ -43,11 +43,11 @@ class Told:
         self.now_ns += 1_000_000
         self.machine.tick(self.now_ns)
 
-    def tell(self, kind: Kind, session: int = 1) -> Result | None:
+    def tell(self, kind: RobotKind, session: int = 1) -> Result | None:
         """Give a command that is in time, and return its result."""
         self.number += 1
         head = Head(session, self.number, 1, number=self.number)
-        answer = self.machine.receive(encode(Command(head, kind, self.now_ns + 1, 20.0, 5.0)), PEER, self.now_ns)
+        answer = self.machine.receive(encode(RobotCommand(head, kind, self.now_ns + 1, 20.0, 5.0)), PEER, self.now_ns)
         if not answer:
             return None
         message = decode(answer)
@@ -59,9 +59,9 @@ class Told:
 def in_state(state: RobotState) -> Told:
     told = Told()
     told.tick()
-    assert told.tell(Kind.HELLO) is A
+    assert told.tell(RobotKind.HELLO) is A
     if state is not DISABLED:
-        told.tell(Kind.ENABLE)
+        told.tell(RobotKind.ENABLE)
     if state is FAULT:
         told.drive.faults.reported = Fault.DRIVE
         told.tick()
@@ -71,31 +71,31 @@ def in_state(state: RobotState) -> Told:
     return told
 
 
-@pytest.mark.parametrize("kind", [kind for kind in Kind if kind < 0x80])
+@pytest.mark.parametrize("kind", [kind for kind in RobotKind if kind < 0x80])
 @pytest.mark.parametrize("state", RobotState)
-def test_every_command_in_every_state(state: RobotState, kind: Kind) -> None:
+def test_every_command_in_every_state(state: RobotState, kind: RobotKind) -> None:
     told = in_state(state)
     result, after = TABLE[state][kind]
     assert told.tell(kind) is result
     assert told.machine.state is after
     told.tick()
-    moves = state is ENABLED and kind in (Kind.INSERT, Kind.ROTATE)
+    moves = state is ENABLED and kind in (RobotKind.INSERT, RobotKind.ROTATE)
     last = told.drive.advance(told.now_ns / 1e9)
     assert last.moving == moves
-    assert (told.machine.controller is None) == (kind is Kind.GOODBYE)
+    assert (told.machine.controller is None) == (kind is RobotKind.GOODBYE)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in Kind if kind < 0x80 and kind is not Kind.HELLO])
+@pytest.mark.parametrize("kind", [kind for kind in RobotKind if kind < 0x80 and kind is not RobotKind.HELLO])
 @pytest.mark.parametrize("state", RobotState)
-def test_no_command_of_another_session_changes_anything(state: RobotState, kind: Kind) -> None:
+def test_no_command_of_another_session_changes_anything(state: RobotState, kind: RobotKind) -> None:
     told = in_state(state)
     assert told.tell(kind, session=2) is B
     assert told.machine.state is state
     assert told.machine.controller == PEER
 
 
-@pytest.mark.parametrize("kind", [kind for kind in Kind if kind < 0x80 and kind is not Kind.HELLO])
-def test_without_a_session_there_is_nothing_to_command(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", [kind for kind in RobotKind if kind < 0x80 and kind is not RobotKind.HELLO])
+def test_without_a_session_there_is_nothing_to_command(kind: RobotKind) -> None:
     told = Told()
     told.tick()
     assert told.tell(kind) is B
@@ -105,8 +105,8 @@ def test_without_a_session_there_is_nothing_to_command(kind: Kind) -> None:
 def test_a_command_that_comes_again_is_answered_the_same_and_obeyed_once() -> None:
     told = in_state(ENABLED)
     head = Head(1, 50, 1, number=50)
-    insert = encode(Command(head, Kind.INSERT, told.now_ns + 10_000_000, 20.0, 5.0))
-    stop = encode(Command(Head(1, 51, 1, number=51), Kind.STOP))
+    insert = encode(RobotCommand(head, RobotKind.INSERT, told.now_ns + 10_000_000, 20.0, 5.0))
+    stop = encode(RobotCommand(Head(1, 51, 1, number=51), RobotKind.STOP))
     for datagram, result in ((insert, A), (insert, A), (stop, A), (insert, Result.SUPERSEDED), (stop, A)):
         answer = decode(told.machine.receive(datagram, PEER, told.now_ns))
         assert isinstance(answer, Answer)
@@ -116,9 +116,9 @@ def test_a_command_that_comes_again_is_answered_the_same_and_obeyed_once() -> No
 
 def test_sessions_that_have_ended_are_remembered() -> None:
     told = in_state(DISABLED)
-    told.tell(Kind.GOODBYE)
+    told.tell(RobotKind.GOODBYE)
     for session in range(2, 60):
-        assert told.tell(Kind.HELLO, session) is A
-        assert told.tell(Kind.GOODBYE, session) is A
-    assert told.tell(Kind.HELLO, 1) is B
-    assert told.tell(Kind.HELLO, 0) is B
+        assert told.tell(RobotKind.HELLO, session) is A
+        assert told.tell(RobotKind.GOODBYE, session) is A
+    assert told.tell(RobotKind.HELLO, 1) is B
+    assert told.tell(RobotKind.HELLO, 0) is B

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from needleplan.devices.robot import Fault, RobotLimits, RobotMachine, RobotServer, RobotState, SteadyDrive
-from needleplan.devices.robot.machine import Peer
+from needleplan.devices.robot._machine import Peer
 
 SILENCE_S = 2.0
 """Of the watchdog: long, for a machine on which both processes may have to wait for a processor."""

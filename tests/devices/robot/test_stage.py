@@ -11,8 +11,7 @@ import pytest
 
 from needleplan.devices import Stage
 from needleplan.devices.robot import RobotLimits, RobotMachine, RobotServer, RobotStage, RobotTiming, SteadyDrive
-from needleplan.devices.robot.codec import encode
-from needleplan.devices.robot.messages import Fault, Head, RobotState, Status
+from needleplan.devices.robot.messages import Fault, Head, RobotState, RobotStatus, encode
 from needleplan.errors import AddressError, DeviceFault, LinkClosed
 from tests.devices.contract import StageContract, heard_and_read
 from tests.devices.robot.bench import Bench, next_of
@@ -86,7 +85,7 @@ def test_a_status_of_somebody_else_is_not_a_sample(server: RobotServer) -> None:
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
     ):
         head = Head(stage._talk.session, 9_999_999, 1, number=3)
-        false = Status(head, 99.0, 0.0, 0.0, 0.0, Fault(0), RobotState.ENABLED, False)
+        false = RobotStatus(head, 99.0, 0.0, 0.0, 0.0, Fault(0), RobotState.ENABLED, False)
         stranger.sendto(encode(false), ("127.0.0.1", stage._link.local_port))  # type: ignore[attr-defined]
         samples = [next_of(stage) for _ in range(20)]
         while not stage.strangers:

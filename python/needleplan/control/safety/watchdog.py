@@ -11,7 +11,7 @@ import contextlib
 import threading
 
 from needleplan.control.safety.guard import GuardedStage
-from needleplan.devices.closing import Closing
+from needleplan.devices import Closing
 from needleplan.errors import MotionRefused
 
 __all__ = ["Watchdog"]

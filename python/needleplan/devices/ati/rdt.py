@@ -1,21 +1,36 @@
-"""The bytes of RDT, the raw data transfer of the ATI Net F/T box over UDP.
+"""RDT, the raw data transfer of the ATI Net F/T box by UDP: bytes, status word and sequence numbers.
 
-Source: ATI 9620-05-NET FT, section 9. Everything is big-endian. A request has 8 bytes: 0x1234, the command, the number
-of samples. A record has 36: the sequence number of the stream, that of the box's own 7 kHz measurement, the status word
-and six counts. In buffered mode a datagram carries up to 40 records.
+Source: ATI 9620-05-NET FT, sections 9 and 17.1; ATI 9620-05-C Ethernet Axia. Everything is big-endian. A request has 8
+bytes: 0x1234, the command, the number of samples. A record has 36 bytes: the sequence number of the stream, the
+sequence number of the 7 kHz measurement in the box, the status word and six counts. In buffered mode a datagram carries
+up to 40 records. The meaning of the status word depends on the product.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass
-from enum import IntEnum
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum, auto
 
 from needleplan.errors import ProtocolError
 
-__all__ = ["MOST_RECORDS", "RDT_PORT", "Command", "RdtRecord", "decode_records", "decode_request", "encode_records",
-           "encode_request"]  # fmt: skip
+__all__ = [
+    "MOST_RECORDS",
+    "RDT_PORT",
+    "RdtArrival",
+    "RdtCommand",
+    "RdtCounts",
+    "RdtOrder",
+    "RdtRecord",
+    "RdtSeverity",
+    "StreamWatch",
+    "decode_records",
+    "decode_request",
+    "encode_records",
+    "encode_request",
+    "read_status",
+]
 
 RDT_PORT = 49_152
 MOST_RECORDS = 40
@@ -25,7 +40,7 @@ _REQUEST = struct.Struct(">HHI")
 _RECORD = struct.Struct(">3I6i")
 
 
-class Command(IntEnum):
+class RdtCommand(IntEnum):
     """What the box is asked to do. Only the three that start a stream are answered, by records."""
 
     STOP = 0x0000
@@ -51,12 +66,12 @@ class RdtRecord:
     counts: tuple[int, int, int, int, int, int]
 
 
-def encode_request(command: Command, samples: int = 0) -> bytes:
+def encode_request(command: RdtCommand, samples: int = 0) -> bytes:
     """Return a request; `samples` is how many records to send, 0 without end."""
     return _REQUEST.pack(_HEADER, command, samples)
 
 
-def decode_request(datagram: bytes) -> tuple[Command, int]:
+def decode_request(datagram: bytes) -> tuple[RdtCommand, int]:
     """Return command and number of samples of a request. Raises ProtocolError."""
     if len(datagram) != _REQUEST.size:
         raise ProtocolError(f"an RDT request has {_REQUEST.size} bytes, this one {len(datagram)}")
@@ -64,7 +79,7 @@ def decode_request(datagram: bytes) -> tuple[Command, int]:
     if header != _HEADER:
         raise ProtocolError(f"an RDT request begins with 0x1234, this one with 0x{header:04X}")
     try:
-        return Command(command), samples
+        return RdtCommand(command), samples
     except ValueError as error:
         raise ProtocolError(f"0x{command:04X} is not an RDT command") from error
 
@@ -83,3 +98,149 @@ def decode_records(datagram: bytes) -> list[RdtRecord]:
         raise ProtocolError(f"a datagram of {len(datagram)} bytes is not made of RDT records of {_RECORD.size}")
     return [RdtRecord(rdt, ft, status, tuple(counts))
             for rdt, ft, status, *counts in _RECORD.iter_unpack(datagram)]  # fmt: skip
+
+
+class RdtSeverity(IntEnum):
+    """What a status word means for the sample that it came with."""
+
+    HEALTHY = 0
+    SUSPECT = 1
+    """The wrench is not to be used for control; the sensor itself goes on."""
+
+    FAULT = 2
+    """The sensor cannot be used."""
+
+
+_SUMMARY = 31
+_NET_FT = {
+    31: "error", 30: "CPU or RAM", 29: "digital board", 28: "analog board", 27: "serial link to the transducer",
+    26: "program memory", 25: "halted by its configuration", 24: "settings",
+    23: "configuration and calibration disagree", 22: "network", 21: "CAN", 20: "RDT",
+    19: "EtherNet/IP", 18: "DeviceNet", 17: "saturated",
+    16: "a threshold was exceeded", 14: "watchdog", 13: "stack", 12: "EEPROM", 11: "flash", 10: "analog watchdog",
+    9: "gage excitation high", 8: "gage excitation low", 7: "analog ground", 6: "supply high", 5: "supply low",
+    4: "no data from the transducer", 3: "reference voltage", 2: "temperature", 1: "HTTP",
+}  # fmt: skip
+_NET_FT_SUSPECT = {16, 17}
+_AXIA = {
+    31: "error", 0: "temperature", 1: "supply voltage", 2: "broken gage", 3: "busy", 5: "hardware", 7: "calibration",
+    27: "gage out of range",
+}  # fmt: skip
+_AXIA_SUSPECT = {3, 27}
+
+
+def read_status(status: int, product: str) -> tuple[RdtSeverity, tuple[str, ...]]:
+    """Return how bad a status word is, and what it says; bits that are in no table are named by number.
+
+    `product` is `prodname` of the configuration.
+    """
+    if not status:
+        return RdtSeverity.HEALTHY, ()
+    axia = "axia" in product.casefold()
+    table, suspect = (_AXIA, _AXIA_SUSPECT) if axia else (_NET_FT, _NET_FT_SUSPECT)
+    causes = [bit for bit in range(31) if status >> bit & 1]
+    if not causes:
+        causes = [_SUMMARY]
+    notes = tuple(table.get(bit, f"status bit {bit}") for bit in causes)
+    return RdtSeverity.SUSPECT if set(causes) <= suspect else RdtSeverity.FAULT, notes
+
+
+_WRAP = 1 << 32
+_MEASUREMENTS_PER_S = 7000
+_REMEMBERED = 4096
+
+
+class RdtOrder(Enum):
+    """Where a record stands among those before it."""
+
+    NEXT = auto()
+    DUPLICATE = auto()
+    AFRESH = auto()
+    """The first of a new stream: somebody sent a start request."""
+
+    LATE = auto()
+    """Counted as lost before; it came after all, too late to be used."""
+
+    IMPLAUSIBLE = auto()
+    """Its numbers cannot follow: not a record of this stream."""
+
+    RESTARTED = auto()
+    """The box counts its measurements anew: it was switched off, and its bias is lost."""
+
+
+@dataclass
+class RdtCounts:
+    """What came over the link since the start, and what did not."""
+
+    received: int = 0
+    lost: int = 0
+    duplicates: int = 0
+    late: int = 0
+    malformed: int = 0
+    frozen: int = 0
+
+
+@dataclass(frozen=True)
+class RdtArrival:
+    """The verdict on one record: its place, how many are missing before it, and for how many the box stood still."""
+
+    order: RdtOrder
+    lost: int = 0
+    frozen: int = 0
+
+
+@dataclass
+class StreamWatch:
+    """Follows the two sequence numbers of one stream."""
+
+    counts: RdtCounts = field(default_factory=RdtCounts)
+    _last: RdtRecord | None = None
+    _last_ns: int = 0
+    _frozen: int = 0
+    _missing: dict[int, None] = field(default_factory=dict)
+
+    def see(self, record: RdtRecord, now_ns: int) -> RdtArrival:
+        """Judge the next record, which arrived at `now_ns`."""
+        last = self._last
+        if last is None:
+            return self._accept(record, now_ns, 0)
+        # Twice what the box measures in that time, and a second for what waited on the way.
+        most = 2 * _MEASUREMENTS_PER_S * (1.0 + max(now_ns - self._last_ns, 0) / 1e9)
+        ahead = (record.rdt_sequence - last.rdt_sequence) % _WRAP
+        measured = (record.ft_sequence - last.ft_sequence) % _WRAP
+        follows, near = 0 < measured <= most, min(measured, _WRAP - measured) <= most
+        if 0 < ahead <= most:
+            if measured > most:
+                return RdtArrival(RdtOrder.RESTARTED)
+        elif follows and record.rdt_sequence <= most:
+            # Behind in the stream, but measured after the last one: the stream has begun anew, the box has not.
+            self._missing.clear()
+            return RdtArrival(RdtOrder.AFRESH, self._accept(record, now_ns, 0).lost)
+        elif near and (ahead == 0 or ahead >= _WRAP - _REMEMBERED):
+            return self._behind(record)
+        elif not near and record.rdt_sequence <= most:
+            return RdtArrival(RdtOrder.RESTARTED)
+        else:
+            self.counts.malformed += 1
+            return RdtArrival(RdtOrder.IMPLAUSIBLE)
+        self._frozen = 0 if measured else self._frozen + 1
+        self.counts.frozen += not measured
+        return self._accept(record, now_ns, ahead - 1)
+
+    def _behind(self, record: RdtRecord) -> RdtArrival:
+        if record.rdt_sequence in self._missing:
+            del self._missing[record.rdt_sequence]
+            self.counts.late += 1
+            return RdtArrival(RdtOrder.LATE)
+        self.counts.duplicates += 1
+        return RdtArrival(RdtOrder.DUPLICATE)
+
+    def _accept(self, record: RdtRecord, now_ns: int, lost: int) -> RdtArrival:
+        for back in range(min(lost, _REMEMBERED), 0, -1):
+            self._missing[(record.rdt_sequence - back) % _WRAP] = None
+        while len(self._missing) > _REMEMBERED:
+            del self._missing[next(iter(self._missing))]
+        self._last, self._last_ns = record, now_ns
+        self.counts.received += 1
+        self.counts.lost += lost
+        return RdtArrival(RdtOrder.NEXT, lost, self._frozen)

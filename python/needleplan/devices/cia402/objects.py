@@ -1,4 +1,4 @@
-"""The entries of CiA 301 and CiA 402 that are used, what the words of a drive mean, and the frames beside SDO."""
+"""The entries of CiA 301 and CiA 402 in use, the words of a drive, and emergency messages."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from enum import Enum, IntEnum, IntFlag, StrEnum
 __all__ = [
     "AbortOption",
     "Bit",
+    "Cia402Entry",
+    "Cia402State",
     "Control",
-    "DriveState",
     "Emergency",
-    "Entry",
     "Service",
     "decode_emergency",
     "state_of",
@@ -21,7 +21,7 @@ __all__ = [
 _EMERGENCY = struct.Struct("<HB5s")
 
 
-class Entry(Enum):
+class Cia402Entry(Enum):
     """An entry of the object dictionary: index, subindex, and how its value is packed."""
 
     ERROR_REGISTER = (0x1001, 0, "<B")
@@ -115,7 +115,7 @@ class AbortOption(IntEnum):
     QUICK_STOP = 3
 
 
-class DriveState(StrEnum):
+class Cia402State(StrEnum):
     """The states of CiA 402, by their names there."""
 
     NOT_READY = "NOT READY TO SWITCH ON"
@@ -129,13 +129,13 @@ class DriveState(StrEnum):
 
 
 _STATES = (
-    (0x4F, 0x00, DriveState.NOT_READY), (0x4F, 0x40, DriveState.SWITCH_ON_DISABLED), (0x6F, 0x21, DriveState.READY),
-    (0x6F, 0x23, DriveState.SWITCHED_ON), (0x6F, 0x27, DriveState.ENABLED), (0x6F, 0x07, DriveState.QUICK_STOP),
-    (0x4F, 0x0F, DriveState.FAULT_REACTION), (0x4F, 0x08, DriveState.FAULT),
+    (0x4F, 0x00, Cia402State.NOT_READY), (0x4F, 0x40, Cia402State.SWITCH_ON_DISABLED), (0x6F, 0x21, Cia402State.READY),
+    (0x6F, 0x23, Cia402State.SWITCHED_ON), (0x6F, 0x27, Cia402State.ENABLED), (0x6F, 0x07, Cia402State.QUICK_STOP),
+    (0x4F, 0x0F, Cia402State.FAULT_REACTION), (0x4F, 0x08, Cia402State.FAULT),
 )  # fmt: skip
 
 
-def state_of(statusword: int) -> DriveState | None:
+def state_of(statusword: int) -> Cia402State | None:
     """Return the state that a statusword tells; None where it is none of CiA 402."""
     return next((state for mask, bits, state in _STATES if statusword & mask == bits), None)
 

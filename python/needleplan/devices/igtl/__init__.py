@@ -1,15 +1,15 @@
 """OpenIGTLink: trackers through PLUS, a server for 3D Slicer, and a simulated PLUS server."""
 
+from needleplan.devices.igtl._server import MessageServer, Shown, SlicerServer
+from needleplan.devices.igtl._simulator import PlusDevice, PlusFaults, PlusLink, PlusServer, TrackedTool
+from needleplan.devices.igtl._tracker import IGTL_PORT, IgtlTracker, PoseKind
+from needleplan.devices.igtl._validation import IgtlPoseLimits
 from needleplan.devices.igtl.contents import StatusCode
-from needleplan.devices.igtl.crc import crc64
-from needleplan.devices.igtl.judgement import PoseLimits
-from needleplan.devices.igtl.server import MessageServer
-from needleplan.devices.igtl.simulator import PlusDevice, PlusFaults, PlusLink, PlusServer, TrackedTool
-from needleplan.devices.igtl.slicer import Shown, SlicerServer
-from needleplan.devices.igtl.tracker import IGTL_PORT, IgtlTracker, PoseKind
+from needleplan.devices.igtl.messages import crc64
 
 __all__ = [
     "IGTL_PORT",
+    "IgtlPoseLimits",
     "IgtlTracker",
     "MessageServer",
     "PlusDevice",
@@ -17,7 +17,6 @@ __all__ = [
     "PlusLink",
     "PlusServer",
     "PoseKind",
-    "PoseLimits",
     "Shown",
     "SlicerServer",
     "StatusCode",

@@ -1,4 +1,4 @@
-"""The bodies that say something of a device or a place: STATUS, STRING, POINT, POLYDATA, SENSOR, and queries."""
+"""Message bodies without poses: STATUS, STRING, POINT, POLYDATA, SENSOR, and the bodies of queries."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from needleplan.devices.igtl.message import padded, text_of
+from needleplan.devices.igtl.messages import padded, text_of
 from needleplan.errors import InputError, Mistake, ProtocolError
 
 __all__ = [
+    "IgtlStatus",
     "Point",
     "Sensor",
-    "Status",
     "StatusCode",
     "Unit",
     "decode_points",
@@ -81,7 +81,7 @@ class Unit(IntEnum):
 
 
 @dataclass(frozen=True)
-class Status:
+class IgtlStatus:
     """How a device is: a code, a code of its own, a name and a sentence."""
 
     code: StatusCode
@@ -110,18 +110,18 @@ class Sensor:
     unit: int = Unit.NONE
 
 
-def encode_status(status: Status) -> bytes:
+def encode_status(status: IgtlStatus) -> bytes:
     """Return the body of STATUS. Raises InputError where the name is longer than 20 bytes."""
     return _STATUS.pack(status.code, status.subcode, padded(status.name, 20, "status name")) + status.text.encode()
 
 
-def decode_status(content: bytes) -> Status:
+def decode_status(content: bytes) -> IgtlStatus:
     """Return what STATUS says. Raises ProtocolError."""
     if len(content) < _STATUS.size:
         raise ProtocolError(f"OpenIGTLink: STATUS of {len(content)} bytes")
     number, subcode, name = _STATUS.unpack_from(content)
     code = StatusCode(number) if number in _CODES else StatusCode.UNKNOWN_ERROR
-    return Status(code, text_of(name), text_of(content[_STATUS.size :]), subcode)
+    return IgtlStatus(code, text_of(name), text_of(content[_STATUS.size :]), subcode)
 
 
 def encode_string(text: str) -> bytes:

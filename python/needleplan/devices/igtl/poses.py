@@ -1,7 +1,8 @@
-"""The bodies that carry poses: TRANSFORM, POSITION, TDATA and QTDATA. Millimetres, and quaternions as (w, x, y, z).
+"""Message bodies with poses: TRANSFORM, POSITION, TDATA and QTDATA, in mm and with quaternions (w, x, y, z).
 
-TDATA has 70 bytes a tool, QTDATA 50 (`igtl_tdata.h`, `igtl_qtdata.h` of the OpenIGTLink library; its prose gives the
-name in QTDATA another length). POSITION has 28 bytes, or 24 without w, or 12 without orientation.
+A tool has 70 bytes in TDATA and 50 in QTDATA (source: `igtl_tdata.h` and `igtl_qtdata.h` of the OpenIGTLink library,
+since its manual gives another length of the name in QTDATA). POSITION has 28 bytes, 24 without w, or 12 without
+orientation.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from needleplan.devices.igtl.message import padded, text_of
+from needleplan.devices.igtl.messages import padded, text_of
 from needleplan.errors import ProtocolError
 
 __all__ = [
-    "Pose",
-    "Tool",
+    "IgtlPose",
+    "IgtlTool",
     "ToolKind",
     "decode_position",
     "decode_qtdata",
@@ -36,7 +37,7 @@ _QTDATA = struct.Struct(">20sBx7f")
 
 
 @dataclass(frozen=True)
-class Pose:
+class IgtlPose:
     """A pose as it came: `quaternion` is that of the nearest rotation that is easily had, `distortion` how far off it.
 
     `distortion` is zero for a rotation; NaN where the numbers are none. `oriented` is false where only a position came.
@@ -62,72 +63,72 @@ _KINDS = frozenset(map(int, ToolKind))
 
 
 @dataclass(frozen=True)
-class Tool:
+class IgtlTool:
     """One tool in TDATA or QTDATA."""
 
     name: str
-    pose: Pose
+    pose: IgtlPose
     kind: ToolKind = ToolKind.SIX_DOF
 
 
-def encode_transform(pose: Pose) -> bytes:
+def encode_transform(pose: IgtlPose) -> bytes:
     """Return the body of TRANSFORM: the columns of the rotation, then the position."""
     return _MATRIX.pack(*_columns(pose))
 
 
-def decode_transform(content: bytes) -> Pose:
+def decode_transform(content: bytes) -> IgtlPose:
     """Return the pose in TRANSFORM. Raises ProtocolError where the length is wrong."""
     if len(content) != _MATRIX.size:
         raise ProtocolError(f"OpenIGTLink: TRANSFORM of {len(content)} bytes")
     return _from_columns(_MATRIX.unpack(content))
 
 
-def encode_position(pose: Pose) -> bytes:
+def encode_position(pose: IgtlPose) -> bytes:
     """Return the body of POSITION: position, then the quaternion with w last."""
     w, x, y, z = pose.quaternion
     return _POSITION.pack(*pose.position_mm, x, y, z, w)
 
 
-def decode_position(content: bytes) -> Pose:
+def decode_position(content: bytes) -> IgtlPose:
     """Return the pose in POSITION, of 28, 24 or 12 bytes. Raises ProtocolError."""
     if len(content) not in (12, 24, 28):
         raise ProtocolError(f"OpenIGTLink: POSITION of {len(content)} bytes")
     numbers = struct.unpack(f">{len(content) // 4}f", content)
     if len(numbers) == 3:
-        return Pose((numbers[0], numbers[1], numbers[2]), oriented=False)
+        return IgtlPose((numbers[0], numbers[1], numbers[2]), oriented=False)
     if len(numbers) == 6:
         numbers += (math.sqrt(max(1 - math.fsum(each * each for each in numbers[3:]), 0.0)),)
     return _from_quaternion(numbers)
 
 
-def encode_tdata(tools: Sequence[Tool]) -> bytes:
+def encode_tdata(tools: Sequence[IgtlTool]) -> bytes:
     """Return the body of TDATA. Raises InputError where a name is longer than 20 bytes."""
     return b"".join(_TDATA.pack(padded(each.name, 20, "tool"), each.kind, *_columns(each.pose)) for each in tools)
 
 
-def decode_tdata(content: bytes) -> tuple[Tool, ...]:
+def decode_tdata(content: bytes) -> tuple[IgtlTool, ...]:
     """Return the tools in TDATA. Raises ProtocolError where the length is not that of whole tools."""
     if len(content) % _TDATA.size:
         raise ProtocolError(f"OpenIGTLink: TDATA of {len(content)} bytes")
     return tuple(
-        Tool(text_of(name), _from_columns(numbers), _kind(kind))
+        IgtlTool(text_of(name), _from_columns(numbers), _kind(kind))
         for name, kind, *numbers in _TDATA.iter_unpack(content)
     )  # fmt: skip
 
 
-def encode_qtdata(tools: Sequence[Tool]) -> bytes:
+def encode_qtdata(tools: Sequence[IgtlTool]) -> bytes:
     """Return the body of QTDATA. Raises InputError where a name is longer than 20 bytes."""
     return b"".join(
         padded(each.name, 20, "tool") + bytes([each.kind, 0]) + encode_position(each.pose) for each in tools
     )
 
 
-def decode_qtdata(content: bytes) -> tuple[Tool, ...]:
+def decode_qtdata(content: bytes) -> tuple[IgtlTool, ...]:
     """Return the tools in QTDATA. Raises ProtocolError where the length is not that of whole tools."""
     if len(content) % _QTDATA.size:
         raise ProtocolError(f"OpenIGTLink: QTDATA of {len(content)} bytes")
     return tuple(
-        Tool(text_of(name), _from_quaternion(numbers), _kind(kind))
+        IgtlTool(text_of(name), _from_quaternion(numbers), _kind(kind))
         for name, kind, *numbers in _QTDATA.iter_unpack(content)
     )
 
@@ -136,7 +137,7 @@ def _kind(number: int) -> ToolKind:
     return ToolKind(number) if number in _KINDS else ToolKind.UNKNOWN
 
 
-def _columns(pose: Pose) -> tuple[float, ...]:
+def _columns(pose: IgtlPose) -> tuple[float, ...]:
     w, x, y, z = pose.quaternion
     return (
         w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y),
@@ -146,14 +147,14 @@ def _columns(pose: Pose) -> tuple[float, ...]:
     )  # fmt: skip
 
 
-def _from_columns(numbers: Sequence[float]) -> Pose:
+def _from_columns(numbers: Sequence[float]) -> IgtlPose:
     a, b, c = numbers[0:3], numbers[3:6], numbers[6:9]
     position = (numbers[9], numbers[10], numbers[11])
     products = [_dot(a, a) - 1, _dot(b, b) - 1, _dot(c, c) - 1, _dot(a, b), _dot(b, c), _dot(c, a)]
     handed = _dot(a, (b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]))
     distortion = max(map(abs, products))
     if not math.isfinite(distortion) or not handed > 0:
-        return Pose(position, distortion=math.nan)
+        return IgtlPose(position, distortion=math.nan)
     # Of the four numbers the largest is found by a root, the others by division (Shepperd 1978).
     squares = (1 + a[0] + b[1] + c[2], 1 + a[0] - b[1] - c[2], 1 - a[0] + b[1] - c[2], 1 - a[0] - b[1] + c[2])
     sums = (b[2] - c[1], c[0] - a[2], a[1] - b[0], b[0] + a[1], a[2] + c[0], c[1] + b[2])
@@ -164,16 +165,16 @@ def _from_columns(numbers: Sequence[float]) -> Pose:
     )  # fmt: skip
     norm = math.hypot(*rows[largest])
     w, x, y, z = (each / norm for each in rows[largest])
-    return Pose(position, (w, x, y, z), distortion)
+    return IgtlPose(position, (w, x, y, z), distortion)
 
 
-def _from_quaternion(numbers: Sequence[float]) -> Pose:
+def _from_quaternion(numbers: Sequence[float]) -> IgtlPose:
     x, y, z, w = numbers[3:7]
     norm = math.hypot(w, x, y, z)
     position = (numbers[0], numbers[1], numbers[2])
     if not math.isfinite(norm) or norm < 0.5:
-        return Pose(position, distortion=math.nan)
-    return Pose(position, (w / norm, x / norm, y / norm, z / norm), abs(norm - 1))
+        return IgtlPose(position, distortion=math.nan)
+    return IgtlPose(position, (w / norm, x / norm, y / norm, z / norm), abs(norm - 1))
 
 
 def _dot(first: Sequence[float], second: Sequence[float]) -> float:

@@ -1,9 +1,8 @@
 """NDI Aurora and Polaris trackers: the combined API over a serial port or TCP, and a device that speaks it."""
 
-from needleplan.devices.ndi.crc import crc16
-from needleplan.devices.ndi.in_process import DeviceLink
-from needleplan.devices.ndi.judgement import PoseLimits
-from needleplan.devices.ndi.simulator import AuroraDevice, DeviceFaults, SimulatedTool
-from needleplan.devices.ndi.tracker import NdiTracker
+from needleplan.devices.ndi._simulator import AuroraDevice, AuroraFaults, AuroraLink, SimulatedTool
+from needleplan.devices.ndi._tracker import NdiTracker
+from needleplan.devices.ndi._validation import NdiPoseLimits
+from needleplan.devices.ndi.frames import crc16
 
-__all__ = ["AuroraDevice", "DeviceFaults", "DeviceLink", "NdiTracker", "PoseLimits", "SimulatedTool", "crc16"]
+__all__ = ["AuroraDevice", "AuroraFaults", "AuroraLink", "NdiPoseLimits", "NdiTracker", "SimulatedTool", "crc16"]

@@ -1,17 +1,28 @@
-"""Commands of the NDI combined API, and what its errors mean.
+"""Commands of the NDI combined API, the extraction of replies from a stream of bytes, and their exchange.
 
-A command is `NAME:arguments`, four hexadecimal digits of CRC over all of that, and a carriage return. `NAME arguments`
-with a space in place of the colon has no CRC. A text reply always ends with its CRC and a carriage return.
+A command is `NAME:arguments`, four hexadecimal digits of CRC over these, and a carriage return. A command with a space
+instead of the colon has no CRC. A text reply always ends with its CRC and a carriage return.
 """
 
 from __future__ import annotations
 
 from types import MappingProxyType
 
-from needleplan.devices.ndi.crc import crc16
+from needleplan.devices._clock import Clock, Deadline
+from needleplan.devices._links import Link
+from needleplan.devices.ndi.frames import HEADER_BYTES, START, body_length, crc16
 from needleplan.errors import DeviceFault, ProtocolError
 
-__all__ = ["BAUD_CODES", "ERRORS", "Refused", "decode_command", "encode_command", "encode_text"]
+__all__ = [
+    "BAUD_CODES",
+    "ERRORS",
+    "NdiConversation",
+    "NdiRefused",
+    "ReplyReader",
+    "decode_command",
+    "encode_command",
+    "encode_text",
+]
 
 ERRORS = MappingProxyType({
     0x01: "invalid command", 0x02: "command too long", 0x03: "command too short", 0x04: "wrong CRC of the command",
@@ -31,7 +42,7 @@ BAUD_CODES = MappingProxyType({
 """First letter of the argument of `COMM`."""
 
 
-class Refused(DeviceFault):
+class NdiRefused(DeviceFault):
     """The device answered a command with `ERRORxx`; `code` is xx."""
 
     def __init__(self, command: str, code: int) -> None:
@@ -65,3 +76,147 @@ def decode_command(line: bytes) -> tuple[str, str]:
     if crc.upper() != f"{crc16(body.encode()):04X}":
         raise ProtocolError(f"the CRC of {body} is not {crc}")
     return body[:colon].upper(), body[colon + 1 :]
+
+
+_LONGEST_TEXT = 16_384
+_TEXT = frozenset(range(0x20, 0x7F)) | {0x0A}
+
+
+class ReplyReader:
+    """Feed it bytes; it gives text replies as `str` without CRC, and binary ones as `bytes` with header and CRC."""
+
+    def __init__(self) -> None:
+        self.damaged = 0
+        """Bytes that belonged to no reply with a right CRC."""
+
+        self._buffer = bytearray()
+
+    @property
+    def pending(self) -> int:
+        """Bytes that wait for the rest of their reply."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> None:
+        """Add what came."""
+        self._buffer += data
+
+    def clear(self) -> None:
+        """Give up on the rest of a reply."""
+        self._drop(len(self._buffer))
+
+    def next(self) -> str | bytes | None:
+        """Return the next whole reply, or None where more bytes are needed."""
+        reply: str | bytes | None
+        while self._buffer:
+            if self._buffer[0] == START[0]:
+                reply, more = self._binary()
+            else:
+                reply, more = self._text()
+            if reply is not None or more:
+                return reply
+        return None
+
+    def _drop(self, count: int) -> None:
+        self.damaged += count
+        del self._buffer[:count]
+
+    def _binary(self) -> tuple[bytes | None, bool]:
+        """Return a reply, and whether bytes are missing; neither where the first byte is none of a reply."""
+        buffer = self._buffer
+        if len(buffer) < HEADER_BYTES:
+            if buffer[1:2] in (b"", START[1:]):
+                return None, True
+            self._drop(1)
+            return None, False
+        try:
+            end = HEADER_BYTES + body_length(bytes(buffer[:HEADER_BYTES])) + 2
+        except ProtocolError:
+            self._drop(1)
+            return None, False
+        if len(buffer) < end:
+            return None, True
+        message = bytes(buffer[:end])
+        if crc16(message[:-2]) != int.from_bytes(message[-2:], "little"):
+            self._drop(1)
+            return None, False
+        del buffer[:end]
+        return message, False
+
+    def _text(self) -> tuple[str | None, bool]:
+        line = bytes(self._buffer)
+        length = len(line) - len(line.lstrip(bytes(_TEXT)))
+        if length == len(line):
+            if length > _LONGEST_TEXT:
+                self._drop(length)
+            return None, length <= _LONGEST_TEXT
+        if line[length] != 0x0D:
+            self._drop(max(length, 1))
+            return None, False
+        text, crc = line[: max(length - 4, 0)], line[max(length - 4, 0) : length]
+        if not text or crc.upper() != b"%04X" % crc16(text):
+            self._drop(length + 1)
+            return None, False
+        del self._buffer[: length + 1]
+        return text.decode("ascii"), False
+
+
+class NdiConversation:
+    """Carries commands and replies over `link`. A device needs up to `reply_s` for some replies."""
+
+    def __init__(self, link: Link, clock: Clock, reply_s: float = 12.0) -> None:
+        self.link, self.clock, self.reply_s = link, clock, reply_s
+        self.reader = ReplyReader()
+
+    def send(self, name: str, arguments: str = "") -> None:
+        """Ask without waiting."""
+        self.link.send(encode_command(name, arguments))
+
+    def receive(self, timeout_s: float) -> str | bytes | None:
+        """Return the next whole reply; None after `timeout_s`, or as soon as damaged bytes were dropped."""
+        deadline = Deadline(self.clock, timeout_s)
+        damaged = self.reader.damaged
+        while True:
+            reply = self.reader.next()
+            if reply is not None or self.reader.damaged > damaged:
+                return reply
+            data = self.link.receive(deadline.left_s)
+            self.reader.feed(data)
+            if not data and deadline.passed:
+                return None
+
+    def ask(self, name: str, arguments: str = "", timeout_s: float | None = None) -> str:
+        """Return the text that answers a command. Raises Refused for `ERRORxx`, DeviceFault for silence.
+
+        Replies that came before are not answers to this command and are dropped.
+        """
+        self.hush()
+        self.send(name, arguments)
+        deadline = Deadline(self.clock, self.reply_s if timeout_s is None else timeout_s)
+        while not deadline.passed:
+            reply = self.receive(deadline.left_s)
+            if isinstance(reply, str):
+                self.refuse(f"{name}:{arguments}", reply)
+                return reply
+        waited_s = self.reply_s if timeout_s is None else timeout_s
+        damage = f"; {self.reader.damaged} damaged bytes" if self.reader.damaged else ""
+        raise DeviceFault(f"tracker: no answer to {name}:{arguments} within {waited_s:g} s{damage}")
+
+    def hush(self) -> list[str | bytes]:
+        """Drop what has come unasked, and return the whole replies among it."""
+        while data := self.link.receive(0):
+            self.reader.feed(data)
+        replies = []
+        while (reply := self.reader.next()) is not None:
+            replies.append(reply)
+        self.reader.clear()
+        return replies
+
+    @staticmethod
+    def refuse(command: str, reply: str) -> None:
+        """Raise Refused where `reply` is an error."""
+        if reply.startswith("ERROR"):
+            try:
+                code = int(reply[5:7], 16)
+            except ValueError:
+                code = 0
+            raise NdiRefused(command, code)

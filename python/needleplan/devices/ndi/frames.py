@@ -1,12 +1,56 @@
-"""What TX and BX say: for each tool where it is, whether it is seen, and in which frame."""
+"""Replies to TX (text) and BX (binary) of the NDI combined API, and the CRC of all commands and replies.
+
+A reply to BX begins with 0xA5C4, the length of the body and the CRC of these four bytes; then follow the body and its
+CRC, all little-endian. The CRC of a header with its own CRC is zero, so the CRC over the whole message equals that of
+the body. A reply to TX has fixed-width numbers: the number of tools; for each tool its handle and either `MISSING`,
+`DISABLED`, `UNOCCUPIED` or 51 characters of transform, then port status, frame number and a line feed; at the end the
+system status.
+"""
 
 from __future__ import annotations
 
 import math
+import re
+import struct
 from dataclasses import dataclass
 from enum import StrEnum
 
-__all__ = ["PORT_SUSPECT", "SYSTEM_SUSPECT", "Frames", "Seen", "ToolFrame", "bits_of"]
+from needleplan.errors import ProtocolError
+
+__all__ = [
+    "HEADER_BYTES",
+    "PORT_SUSPECT",
+    "START",
+    "SYSTEM_SUSPECT",
+    "Frames",
+    "NdiVisibility",
+    "ToolFrame",
+    "bits_of",
+    "body_length",
+    "crc16",
+    "encode_bx",
+    "encode_tx",
+    "parse_bx",
+    "parse_tx",
+]
+
+
+def _entry(value: int) -> int:
+    for _ in range(8):
+        value = value >> 1 ^ (0xA001 if value & 1 else 0)
+    return value
+
+
+_TABLE = tuple(map(_entry, range(256)))
+
+
+def crc16(data: bytes) -> int:
+    """Return the CRC of `data`."""
+    crc = 0
+    for byte in data:
+        crc = crc >> 8 ^ _TABLE[(crc ^ byte) & 0xFF]
+    return crc
+
 
 _NAN = math.nan
 
@@ -22,7 +66,7 @@ SYSTEM_SUSPECT = {
 """Bits of the system status that leave the tracker usable."""
 
 
-class Seen(StrEnum):
+class NdiVisibility(StrEnum):
     """Whether the device says where a tool is."""
 
     VALID = "valid"
@@ -36,7 +80,7 @@ class ToolFrame:
     """One tool in one frame: quaternion (w, x, y, z) and position are NaN where it is not VALID."""
 
     handle: int
-    seen: Seen
+    visibility: NdiVisibility
     quaternion: tuple[float, float, float, float] = (_NAN, _NAN, _NAN, _NAN)
     position_mm: tuple[float, float, float] = (_NAN, _NAN, _NAN)
     error_mm: float = _NAN
@@ -55,3 +99,129 @@ class Frames:
 def bits_of(status: int, names: dict[int, str]) -> tuple[str, ...]:
     """Return the names of the bits that are set."""
     return tuple(name for bit, name in names.items() if status & bit)
+
+
+START = b"\xc4\xa5"
+HEADER_BYTES = 6
+
+_TRANSFORM = struct.Struct("<8f")
+_STATUS = struct.Struct("<II")
+_VISIBILITY = {0x01: NdiVisibility.VALID, 0x02: NdiVisibility.MISSING, 0x04: NdiVisibility.DISABLED}
+_CODES = {visibility: code for code, visibility in _VISIBILITY.items()}
+
+
+def body_length(header: bytes) -> int:
+    """Return the length of the body behind a header of six bytes. Raises ProtocolError."""
+    if len(header) != HEADER_BYTES or header[:2] != START:
+        raise ProtocolError("BX: does not begin with C4 A5")
+    if crc16(header):
+        raise ProtocolError("BX: wrong CRC of the header")
+    return int.from_bytes(header[2:4], "little")
+
+
+def parse_bx(message: bytes) -> Frames:
+    """Read a whole reply to BX:0001 or BX:0801. Raises ProtocolError."""
+    length = body_length(message[:HEADER_BYTES])
+    body, crc = message[HEADER_BYTES:-2], message[-2:]
+    if len(message) != length + HEADER_BYTES + 2:
+        raise ProtocolError(f"BX: {len(message)} bytes, its header says {length + HEADER_BYTES + 2}")
+    if crc16(body) != int.from_bytes(crc, "little"):
+        raise ProtocolError("BX: wrong CRC of the body")
+    try:
+        count, position, tools = body[0], 1, []
+        for _ in range(count):
+            tool, position = _tool(body, position)
+            tools.append(tool)
+        (system_status,) = struct.unpack_from("<H", body, position)
+    except (struct.error, IndexError) as error:
+        raise ProtocolError("BX: its body ends too early") from error
+    if position + 2 != len(body):
+        raise ProtocolError("BX: its body is longer than its tools")
+    return Frames(tuple(tools), system_status)
+
+
+def encode_bx(frames: Frames) -> bytes:
+    """Return a whole reply to BX."""
+    body = bytearray([len(frames.tools)])
+    for tool in frames.tools:
+        body += bytes([tool.handle, _CODES.get(tool.visibility, _CODES[NdiVisibility.DISABLED])])
+        if tool.visibility is NdiVisibility.VALID:
+            body += _TRANSFORM.pack(*tool.quaternion, *tool.position_mm, tool.error_mm)
+        if tool.visibility in (NdiVisibility.VALID, NdiVisibility.MISSING):
+            body += _STATUS.pack(tool.port_status or 0, tool.frame or 0)
+    body += frames.system_status.to_bytes(2, "little")
+    header = START + len(body).to_bytes(2, "little")
+    return header + crc16(header).to_bytes(2, "little") + bytes(body) + crc16(bytes(body)).to_bytes(2, "little")
+
+
+def _tool(body: bytes, position: int) -> tuple[ToolFrame, int]:
+    handle, code = body[position], body[position + 1]
+    position += 2
+    if code not in _VISIBILITY:
+        raise ProtocolError(f"BX: handle status {code:02X} is not known")
+    visibility = _VISIBILITY[code]
+    if visibility is NdiVisibility.DISABLED:
+        return ToolFrame(handle, visibility), position
+    values: tuple[float, ...] = ()
+    if visibility is NdiVisibility.VALID:
+        values = _TRANSFORM.unpack_from(body, position)
+        position += _TRANSFORM.size
+    port_status, frame = _STATUS.unpack_from(body, position)
+    position += _STATUS.size
+    if not values:
+        return ToolFrame(handle, visibility, port_status=port_status, frame=frame), position
+    w, x, y, z, px, py, pz, error_mm = values
+    return ToolFrame(handle, visibility, (w, x, y, z), (px, py, pz), error_mm, port_status, frame), position
+
+
+_TOOL = re.compile(
+    r"([0-9A-F]{2})(?:(MISSING|DISABLED|UNOCCUPIED)|((?:[+-]\d{5}){4})((?:[+-]\d{6}){3})([+-]\d{5}))"
+    r"(?:([0-9A-F]{8})([0-9A-F]{8}))?\n"
+)
+_HEX = re.compile(r"[0-9A-F]+")
+
+
+def parse_tx(text: str) -> Frames:
+    """Read a reply to TX:0001 or TX:0801, without its CRC. Raises ProtocolError."""
+    count = _hexadecimal(text[:2], 2)
+    tools, position = [], 2
+    for _ in range(count):
+        match = _TOOL.match(text, position)
+        if match is None:
+            raise ProtocolError(f"TX: no tool at character {position} of {len(text)}")
+        tools.append(_text_tool(match))
+        position = match.end()
+    return Frames(tuple(tools), _hexadecimal(text[position:], 4))
+
+
+def encode_tx(frames: Frames) -> str:
+    """Return a reply to TX, without its CRC."""
+    lines = []
+    for tool in frames.tools:
+        where = tool.visibility.name
+        if tool.visibility is NdiVisibility.VALID:
+            numbers = [f"{round(each * 1e4):+06d}" for each in tool.quaternion]
+            numbers += [f"{round(each * 1e2):+07d}" for each in tool.position_mm]
+            where = "".join(numbers) + f"{round(tool.error_mm * 1e4):+06d}"
+        status = "" if tool.port_status is None else f"{tool.port_status:08X}{tool.frame or 0:08X}"
+        lines.append(f"{tool.handle:02X}{where}{status}\n")
+    return f"{len(lines):02X}{''.join(lines)}{frames.system_status:04X}"
+
+
+def _text_tool(match: re.Match[str]) -> ToolFrame:
+    handle, word, quaternion, position, error, status, frame = match.groups()
+    port_status = None if status is None else int(status, 16)
+    number = None if frame is None else int(frame, 16)
+    if word is not None:
+        return ToolFrame(int(handle, 16), NdiVisibility[word], port_status=port_status, frame=number)
+    w, x, y, z = (int(quaternion[at : at + 6]) * 1e-4 for at in range(0, 24, 6))
+    px, py, pz = (int(position[at : at + 7]) * 1e-2 for at in range(0, 21, 7))
+    return ToolFrame(
+        int(handle, 16), NdiVisibility.VALID, (w, x, y, z), (px, py, pz), int(error) * 1e-4, port_status, number
+    )
+
+
+def _hexadecimal(text: str, digits: int) -> int:
+    if len(text) != digits or not _HEX.fullmatch(text):
+        raise ProtocolError(f"TX: {text[:20]!r} is not {digits} hexadecimal digits")
+    return int(text, 16)

@@ -12,8 +12,7 @@ import struct
 import threading
 from collections.abc import Callable
 
-from needleplan.devices.base import ForceSample, PoseSample
-from needleplan.devices.closing import Closing
+from needleplan.devices._base import Closing, ForceSample, PoseSample
 
 __all__ = ["FeedReader", "FeedSender", "feed_pair"]
 

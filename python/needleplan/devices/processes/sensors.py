@@ -10,12 +10,12 @@ import socket
 import threading
 from multiprocessing.connection import Connection
 
+from needleplan.devices._base import ForceSample, PoseSample
+from needleplan.devices._clock import no_long_collections
 from needleplan.devices.ati import NetFtBox, NetFtServer
-from needleplan.devices.base import ForceSample, PoseSample
 from needleplan.devices.endpoint import Endpoint, PtyEndpoint, TcpEndpoint
-from needleplan.devices.garbage import no_long_collections
 from needleplan.devices.ndi import AuroraDevice, SimulatedTool
-from needleplan.devices.ndi.frames import Seen
+from needleplan.devices.ndi.frames import NdiVisibility
 from needleplan.devices.processes.feeds import FeedReader
 from needleplan.devices.processes.part import Ready, Served, call_at_end, place_or_tell, tell
 from needleplan.devices.processes.places import LabPlaces, TrackerLine
@@ -66,7 +66,10 @@ def serve_tracker(boss: Connection, places: LabPlaces, feed: socket.socket) -> N
         """Take what was heard last for the frame that is asked for now: a frame is there as soon as it is measured."""
         nonlocal now
         now = heard
-        tool.seen, tool.error_mm = (Seen.VALID if math.isfinite(now[1]) else Seen.MISSING), now[8]
+        tool.visibility, tool.error_mm = (
+            (NdiVisibility.VALID if math.isfinite(now[1]) else NdiVisibility.MISSING),
+            now[8],
+        )
         return int(now[0])
 
     device = AuroraDevice([tool], count=count)

@@ -1,25 +1,107 @@
-"""Commands to the robot and its answers: sent again until they are answered, read by any thread that waits."""
+"""The session of a controller with a robot: commands, answers, statuses, and the clock of the robot."""
 
 from __future__ import annotations
 
 import threading
 from collections import deque
+from dataclasses import dataclass
 
-from needleplan.devices.clock import Clock, Deadline
-from needleplan.devices.link import Link
-from needleplan.devices.robot.codec import OtherVersion, decode, encode
-from needleplan.devices.robot.messages import Answer, Command, Head, Kind, Result, Status
-from needleplan.devices.robot.statuses import RobotClock, StatusWatch
+from needleplan.devices._clock import Clock, Deadline
+from needleplan.devices._links import Link
+from needleplan.devices.robot.messages import (
+    Answer,
+    Head,
+    OtherVersion,
+    Result,
+    RobotCommand,
+    RobotKind,
+    RobotStatus,
+    decode,
+    encode,
+)
 from needleplan.errors import DeviceFault, ProtocolError
 
-__all__ = ["Conversation"]
+__all__ = ["RobotClock", "RobotConversation", "StatusCounts", "StatusWatch"]
 
 _WRAP = 1 << 32
+_HALF = _WRAP // 2
+_WINDOW_NS = 5_000_000_000
+
+
+@dataclass
+class StatusCounts:
+    """What came from the robot in this session, and what did not."""
+
+    received: int = 0
+    lost: int = 0
+    repeated: int = 0
+    """Twice, or behind a newer one."""
+
+    unread: int = 0
+    """Dropped here because nobody read them."""
+
+    malformed: int = 0
+    foreign: int = 0
+    """Of another session."""
+
+
+class StatusWatch:
+    """Follows the numbers of the statuses."""
+
+    def __init__(self) -> None:
+        self.counts = StatusCounts()
+        self._last: int | None = None
+
+    def see(self, sequence: int) -> int | None:
+        """Return how many are missing before a status; None where it is not newer than the last."""
+        ahead = 1 if self._last is None else (sequence - self._last) % _WRAP
+        if not 0 < ahead < _HALF:
+            self.counts.repeated += 1
+            return None
+        self._last = sequence
+        self.counts.received += 1
+        self.counts.lost += ahead - 1
+        return ahead - 1
+
+
+class RobotClock:
+    """What time it is at least on the clock of the robot, and how long a datagram takes there and back.
+
+    The robot's time of sending, taken as that of arrival, is behind by what the datagram took. Of the last 5 to 10
+    seconds the one that was least behind is used: older ones do not count, because no two clocks run alike.
+    """
+
+    def __init__(self) -> None:
+        self.round_trip_s: float | None = None
+        """The last one that was measured."""
+
+        self.worst_round_trip_s = 0.0
+        self._ahead_ns: list[int] = []
+        self._since_ns = 0
+        self._echo_ns = 0
+
+    def see(self, head: Head, now_ns: int) -> None:
+        """Take the times of a datagram that arrived at `now_ns`."""
+        ahead_ns = head.sent_ns - now_ns
+        if not self._ahead_ns or now_ns - self._since_ns > _WINDOW_NS:
+            self._ahead_ns = [*self._ahead_ns[-1:], ahead_ns]
+            self._since_ns = now_ns
+        self._ahead_ns[-1] = max(self._ahead_ns[-1], ahead_ns)
+        if head.echo_ns > self._echo_ns:
+            self._echo_ns = head.echo_ns
+            self.round_trip_s = max(now_ns - head.echo_ns - 1000 * head.held_us, 0) / 1e9
+            self.worst_round_trip_s = max(self.worst_round_trip_s, self.round_trip_s)
+
+    def at(self, now_ns: int) -> int:
+        """Return the time of the robot, or one somewhat before, at `now_ns` here; 0 where it was never heard."""
+        return max(now_ns + max(self._ahead_ns), 1) if self._ahead_ns else 0
+
+
 _KEPT = 2000
 _GONE = (Result.OLD_SESSION, Result.BUSY)
 
 
-class Conversation:
+class RobotConversation:
     """One session with a robot over `link`.
 
     Whoever waits reads for all: a status goes to `statuses` with how many are missing before it and when it came, an
@@ -30,7 +112,7 @@ class Conversation:
         self.link, self._clock, self.session = link, clock, session
         self._again_s, self._silence_us = again_s, round(silence_s * 1e6)
         self.watch, self.robot_clock = StatusWatch(), RobotClock()
-        self.statuses: deque[tuple[Status, int, int]] = deque()
+        self.statuses: deque[tuple[RobotStatus, int, int]] = deque()
         self.heard_ns = clock.now_ns()
         self.lost_control: Result | None = None
         """Why the robot no longer obeys this session."""
@@ -47,7 +129,7 @@ class Conversation:
         return self._number
 
     def command(
-        self, kind: Kind, within_s: float, target: float = 0.0, speed: float = 0.0, *, timely: bool = True
+        self, kind: RobotKind, within_s: float, target: float = 0.0, speed: float = 0.0, *, timely: bool = True
     ) -> tuple[Result | None, int]:
         """Send a command until it is answered; return what became of it, None where no answer came, and its number.
 
@@ -62,7 +144,7 @@ class Conversation:
             del self._answers[number]
 
     def _until_answered(
-        self, kind: Kind, number: int, within_s: float, target: float, speed: float, timely: bool
+        self, kind: RobotKind, number: int, within_s: float, target: float, speed: float, timely: bool
     ) -> Result | None:
         self._catch_up()
         deadline_ns = self.robot_clock.at(self._clock.now_ns()) + round(within_s * 1e9) if timely else 0
@@ -84,7 +166,7 @@ class Conversation:
 
     def heartbeat(self, within_s: float) -> None:
         """Send a heartbeat that is valid for `within_s`."""
-        self._send(Kind.ALIVE, 0, self.robot_clock.at(self._clock.now_ns()) + round(within_s * 1e9))
+        self._send(RobotKind.ALIVE, 0, self.robot_clock.at(self._clock.now_ns()) + round(within_s * 1e9))
 
     def pump(self, timeout_s: float) -> bool:
         """Take one datagram, if one comes, and put it where it belongs; whether one came."""
@@ -100,14 +182,14 @@ class Conversation:
             if not self.pump(0):
                 return
 
-    def _send(self, kind: Kind, number: int, deadline_ns: int, target: float = 0.0, speed: float = 0.0) -> None:
+    def _send(self, kind: RobotKind, number: int, deadline_ns: int, target: float = 0.0, speed: float = 0.0) -> None:
         with self._counting:
             self._sequence = (self._sequence + 1) % _WRAP
             now_ns = self._clock.now_ns()
             echo_ns, received_ns = self._echo
             held_us = min((now_ns - received_ns) // 1000, _WRAP - 1) if echo_ns else 0
             head = Head(self.session, self._sequence, now_ns, echo_ns, held_us, number)
-            self.link.send(encode(Command(head, kind, deadline_ns, target, speed, self._silence_us)))
+            self.link.send(encode(RobotCommand(head, kind, deadline_ns, target, speed, self._silence_us)))
 
     def _take(self, data: bytes) -> None:
         now_ns = self._clock.now_ns()
@@ -120,13 +202,13 @@ class Conversation:
             return
         if isinstance(message, Answer) and message.result is Result.WRONG_VERSION:
             raise DeviceFault("robot: it does not speak version 1 of the protocol")
-        if isinstance(message, Command) or message.head.session != self.session:
+        if isinstance(message, RobotCommand) or message.head.session != self.session:
             self.watch.counts.foreign += 1
             return
         head = message.head
         self.robot_clock.see(head, now_ns)
         if isinstance(message, Answer):
-            if message.result in _GONE and message.asked != Kind.HELLO:
+            if message.result in _GONE and message.asked != RobotKind.HELLO:
                 self.lost_control = message.result
             if head.number in self._answers:
                 self._answers[head.number] = message

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from needleplan.devices import ForceSample, PoseSample
-from needleplan.devices.robot import Drive, DriveLimits, DriveState
+from needleplan.devices.robot import DriveLimits, RobotDrive, RobotDriveState
 from needleplan.simulation.lab import Lab
 
 __all__ = ["PlantDrive", "limits_of"]
@@ -14,14 +14,14 @@ _MOST_S = 0.05
 """A servo that stood still for longer does not make up for it."""
 
 
-class PlantDrive(Drive):
+class PlantDrive(RobotDrive):
     """The two axes of `lab`; `measured` is told the samples of force sensor and tracker as time goes on."""
 
     def __init__(self, lab: Lab, measured: Callable[[ForceSample | PoseSample], None]) -> None:
         self._lab, self._measured = lab, measured
         self._time_s: float | None = None
 
-    def advance(self, time_s: float) -> DriveState:
+    def advance(self, time_s: float) -> RobotDriveState:
         """Go on to a time, and say where the axes are."""
         lab, plant = self._lab, self._lab.plant
         passed_s = 0.0 if self._time_s is None else time_s - self._time_s
@@ -33,7 +33,7 @@ class PlantDrive(Drive):
         for pose in lab.tracker.waiting():
             self._measured(pose)
         insertion, roll = plant.insertion, plant.roll
-        return DriveState(
+        return RobotDriveState(
             insertion.measured, insertion.measured_velocity, roll.measured, roll.measured_velocity,
             insertion.reference, roll.reference, plant.moving,
         )  # fmt: skip

@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from needleplan.devices.closing import Closing
+from needleplan.devices import Closing
 from needleplan.devices.processes import (
     Failed,
     LabAddresses,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import socket
 from multiprocessing.connection import Connection
 
-from needleplan.devices import ForceSample, PoseSample
-from needleplan.devices.garbage import no_long_collections
+from needleplan.devices import ForceSample, PoseSample, no_long_collections
 from needleplan.devices.processes import FeedSender, LabPlaces, Ready, Served, call_at_end, place_or_tell, tell
 from needleplan.devices.robot import RobotLimits, RobotMachine, RobotServer
 from needleplan.simulation.lab import Lab

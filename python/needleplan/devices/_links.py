@@ -1,0 +1,246 @@
+"""Links, which carry bytes: UDP, TCP, serial ports, and a pair of ends in one process.
+
+A link is used as a context manager, and read with a deadline. Datagram links (UDP) deliver whole datagrams, stream
+links (TCP, serial) deliver bytes as they arrive. Protocols are separate modules without input and output.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import socket
+import time
+from abc import abstractmethod
+from pathlib import Path
+
+import serial
+
+from needleplan.devices._base import Closing
+from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake
+
+__all__ = ["Link", "MemoryLink", "SerialLink", "TcpLink", "UdpLink", "memory_pair"]
+
+
+class Link(Closing):
+    """A way to another device; abstract. May be used by one reader and one writer at the same time."""
+
+    @abstractmethod
+    def send(self, data: bytes) -> None:
+        """Send all of `data`. Raises LinkClosed where nobody can receive it any more."""
+
+    @abstractmethod
+    def receive(self, timeout_s: float) -> bytes:
+        """Return a datagram, or the bytes that are there; empty after `timeout_s`. Raises LinkClosed."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give the link up; closing twice is harmless."""
+
+
+class MemoryLink(Link):
+    """One end of a link in this process: what is sent arrives whole, in order, at the other end."""
+
+    def __init__(self, incoming: queue.SimpleQueue[bytes | None], outgoing: queue.SimpleQueue[bytes | None]) -> None:
+        self._incoming, self._outgoing = incoming, outgoing
+        self._closed = False
+
+    def send(self, data: bytes) -> None:
+        """Put `data` where the other end finds it."""
+        if self._closed:
+            raise LinkClosed("this end of the link is closed")
+        self._outgoing.put(bytes(data))
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Return the next message of the other end, or nothing."""
+        if self._closed:
+            raise LinkClosed("this end of the link is closed")
+        try:
+            data = self._incoming.get(timeout=timeout_s) if timeout_s > 0 else self._incoming.get_nowait()
+        except queue.Empty:
+            return b""
+        if data is None:
+            self._closed = True
+            raise LinkClosed("the other end of the link is closed")
+        return data
+
+    def close(self) -> None:
+        """Close this end; the other end finds out when it has read what was sent before."""
+        if not self._closed:
+            self._closed = True
+            self._outgoing.put(None)
+
+
+def memory_pair() -> tuple[MemoryLink, MemoryLink]:
+    """Return the two ends of a link in this process."""
+    there: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    back: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    return MemoryLink(there, back), MemoryLink(back, there)
+
+
+_LONGEST = 65_536
+
+
+class UdpLink(Link):
+    """Datagrams to and from one peer; those of anybody else are counted in `strangers` and dropped.
+
+    The socket is not connected in the sense of the operating system, which would drop strangers without a word.
+    """
+
+    def __init__(self, host: str, port: int, local_port: int = 0, local_host: str = "") -> None:
+        family, self.peer = _resolve(host, port, socket.SOCK_DGRAM)
+        self.strangers = 0
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((local_host, local_port))
+        except OSError as error:
+            self._socket.close()
+            raise DeviceFault(f"UDP port {local_port} of this machine cannot be used: {error.strerror}") from error
+
+    @property
+    def local_port(self) -> int:
+        """The port of this machine that the peer answers to."""
+        return int(self._socket.getsockname()[1])
+
+    def send(self, data: bytes) -> None:
+        """Send one datagram."""
+        try:
+            self._socket.sendto(data, self.peer)
+        except OSError as error:
+            raise LinkClosed(f"{_named('udp', self.peer)}: {error.strerror or error}") from error
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Return the next datagram of the peer; empty after `timeout_s`."""
+        end = time.monotonic() + timeout_s
+        while True:
+            data, sender = self._next(max(end - time.monotonic(), 0.0))
+            if sender is None or sender[:2] == self.peer[:2]:
+                return data
+            self.strangers += 1
+
+    def _next(self, timeout_s: float) -> tuple[bytes, tuple[str, int] | None]:
+        try:
+            self._socket.settimeout(timeout_s)
+            data, sender = self._socket.recvfrom(_LONGEST)
+        except (TimeoutError, BlockingIOError):
+            return b"", None
+        except OSError as error:
+            raise LinkClosed(f"{_named('udp', self.peer)}: {error.strerror or error}") from error
+        return data, sender
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._socket.close()
+
+
+class TcpLink(Link):
+    """A stream of bytes to a server."""
+
+    def __init__(self, host: str, port: int, timeout_s: float = 3.0) -> None:
+        _, self.peer = _resolve(host, port, socket.SOCK_STREAM)
+        try:
+            self._socket = socket.create_connection(self.peer[:2], timeout=timeout_s)
+        except OSError as error:
+            raise DeviceFault(f"{_named('tcp', self.peer)} cannot be reached: {error.strerror or error}") from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def send(self, data: bytes) -> None:
+        """Send all of `data`."""
+        try:
+            self._socket.settimeout(None)
+            self._socket.sendall(data)
+        except OSError as error:
+            raise self._gone(error) from error
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Return the bytes that are there; empty after `timeout_s`."""
+        try:
+            self._socket.settimeout(max(timeout_s, 0.0))
+            data = self._socket.recv(_LONGEST)
+        except (TimeoutError, BlockingIOError):
+            return b""
+        except OSError as error:
+            raise self._gone(error) from error
+        if not data:
+            raise LinkClosed(f"{_named('tcp', self.peer)}: closed by the other end")
+        return data
+
+    def _gone(self, error: OSError) -> LinkClosed:
+        return LinkClosed(f"{_named('tcp', self.peer)}: {error.strerror or error}")
+
+    def close(self) -> None:
+        """Close the connection."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+
+def _resolve(host: str, port: int, kind: socket.SocketKind) -> tuple[socket.AddressFamily, tuple[str, int]]:
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=kind)[0]
+    except (OSError, UnicodeError) as error:
+        raise AddressError(Mistake("host", host, "is not a name or number that this machine can find")) from error
+    return family, (str(address[0]), int(address[1]))
+
+
+def _named(scheme: str, peer: tuple[str, int]) -> str:
+    return f"{scheme}://{peer[0]}:{peer[1]}"
+
+
+_GONE = (OSError, TypeError)  # pyserial reads from the descriptor None, a TypeError, where another thread has closed it
+
+
+class SerialLink(Link):
+    """A stream of bytes over a serial port with 8 data bits, no parity, 1 stop bit, no handshake."""
+
+    def __init__(self, path: str, baud: int = 9600) -> None:
+        if baud <= 0:
+            raise AddressError(Mistake("baud", str(baud), "must be positive"))
+        self.path = path
+        if not Path(path).exists():
+            raise DeviceFault(f"serial://{path}: there is no such port")
+        try:
+            self._port = serial.Serial(path, baud, timeout=0, write_timeout=2.0, exclusive=True)
+        except (OSError, ValueError) as error:  # SerialException is an OSError
+            raise DeviceFault(f"serial://{path} cannot be opened: {error}") from error
+
+    @property
+    def baud(self) -> int:
+        """Bits in a second."""
+        return int(self._port.baudrate)
+
+    @baud.setter
+    def baud(self, baud: int) -> None:
+        try:
+            self._port.flush()
+            self._port.baudrate = baud
+        except (*_GONE, ValueError) as error:
+            raise LinkClosed(f"serial://{self.path}: {baud} baud: {error}") from error
+
+    def send_break(self, seconds: float = 0.25) -> None:
+        """Hold the line low, which resets some devices."""
+        try:
+            self._port.send_break(seconds)
+        except _GONE as error:
+            raise LinkClosed(f"serial://{self.path}: {error}") from error
+
+    def send(self, data: bytes) -> None:
+        """Send all of `data`."""
+        try:
+            self._port.write(data)
+        except _GONE as error:
+            raise LinkClosed(f"serial://{self.path}: {error}") from error
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Return the bytes that are there; empty after `timeout_s`. Raises LinkClosed where the cable is out."""
+        try:
+            self._port.timeout = max(timeout_s, 0.0)
+            first = bytes(self._port.read(1))
+            waiting = self._port.in_waiting if first else 0
+            return first + bytes(self._port.read(min(waiting, _LONGEST))) if waiting else first
+        except _GONE as error:
+            raise LinkClosed(f"serial://{self.path}: {error}") from error
+
+    def close(self) -> None:
+        """Give the port back."""
+        with contextlib.suppress(*_GONE):
+            self._port.close()

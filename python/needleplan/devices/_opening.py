@@ -1,0 +1,147 @@
+"""Addresses of devices, and the links that they name.
+
+An address is `udp://host:port`, `tcp://host:port` or `serial:///dev/ttyUSB0?baud=9600`. Options follow the question
+mark, as in `udp://192.168.1.1:49152?slot=2`; an unknown option is a mistake, and the message suggests a known one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import TypeVar
+from urllib.parse import parse_qsl, urlsplit
+
+from needleplan.devices._links import Link, SerialLink, TcpLink, UdpLink
+from needleplan.errors import AddressError, Mistake
+
+__all__ = ["Address", "open_link", "require_called_heartbeat"]
+
+_LAST_PORT = 65_535
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Address:
+    """The parts of an address. `path` is that of a serial port, `host` and `port` those of a network device."""
+
+    scheme: str
+    host: str = ""
+    port: int | None = None
+    path: str = ""
+    options: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, text: str) -> Address:
+        """Return the parts of `text`. Raises AddressError with what is wrong and what would be right."""
+        try:
+            parts = urlsplit(text.strip())
+            port = parts.port
+            pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
+        except ValueError as error:
+            raise AddressError(Mistake("address", text, f"is not an address: {error}")) from error
+        if not parts.scheme or "://" not in text:
+            rule = "must begin with the kind of link, as in udp://192.168.1.1:49152 or serial:///dev/ttyUSB0"
+            raise AddressError(Mistake("address", text, rule))
+        if parts.fragment or parts.username is not None:
+            raise AddressError(Mistake("address", text, "has neither a user nor a part after #"))
+        options = dict(pairs)
+        if len(options) < len(pairs):
+            raise AddressError(Mistake("address", text, "names an option twice"))
+        return cls(parts.scheme, parts.hostname or "", port, parts.path, options)
+
+    def network(self, default_port: int | None = None) -> tuple[str, int]:
+        """Return host and port. Raises AddressError where one is missing."""
+        port = default_port if self.port is None else self.port
+        if not self.host:
+            raise AddressError(Mistake("address", str(self), f"must name a host: {self.scheme}://host:port"))
+        if port is None or not 0 < port <= _LAST_PORT:
+            raise AddressError(
+                Mistake("address", str(self), f"must name a port from 1 to 65535: {self.scheme}://host:port")
+            )
+        if self.path not in ("", "/"):
+            raise AddressError(Mistake("address", str(self), "has no path after the port"))
+        return self.host, port
+
+    def option(self, name: str, read: Callable[[str], _T], default: _T) -> _T:
+        """Return an option as `read` understands it. Raises AddressError."""
+        if name not in self.options:
+            return default
+        try:
+            return read(self.options[name])
+        except (ValueError, KeyError) as error:
+            rule = f"is not what the option {name} takes"
+            raise AddressError(Mistake(name, self.options[name], rule), str(self)) from error
+
+    def only(self, known: Collection[str]) -> None:
+        """Raise AddressError, with a suggestion, where an option is not among `known`."""
+        mistakes = []
+        for name in self.options:
+            if name not in known:
+                close = get_close_matches(name, known, n=1)
+                hint = f'; did you mean "{close[0]}"?' if close else ""
+                rule = f"must be one of {', '.join(sorted(known))}{hint}" if known else "no option is known here"
+                mistakes.append(Mistake("option", name, rule))
+        if mistakes:
+            raise AddressError(mistakes, str(self))
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        port = "" if self.port is None else f":{self.port}"
+        options = "&".join(f"{name}={value}" for name, value in self.options.items())
+        return f"{self.scheme}://{host}{port}{self.path}{'?' if options else ''}{options}"
+
+
+def require_called_heartbeat(address: Address) -> None:
+    """Raise AddressError for `alive=reading`, by which reading once counted as a heartbeat.
+
+    `alive=calls`, which addresses of older scripts may carry, is how every stage works now.
+    """
+    asked = address.options.get("alive", "calls")
+    if asked != "calls":
+        rule = "must be calls: reading is no heartbeat; call heartbeat() in the loop that decides"
+        raise AddressError(Mistake("alive", asked, rule), str(address))
+
+
+def open_link(address: str | Address, default_port: int | None = None) -> Link:
+    """Open the link that an address names.
+
+    `udp://host:port[?local_port=n]`, `tcp://host:port[?timeout_s=3]`, `serial:///dev/ttyUSB0[?baud=9600]`. Options that
+    belong to the device, not to the link, must have been taken out. Raises AddressError where the address is wrong,
+    DeviceFault where nothing can be opened there.
+    """
+    parsed = Address.parse(address) if isinstance(address, str) else address
+    if parsed.scheme not in _OPENERS:
+        close = get_close_matches(parsed.scheme, _OPENERS, n=1)
+        hint = f'; did you mean "{close[0]}"?' if close else ""
+        raise AddressError(Mistake("address", str(parsed), f"must begin with {', '.join(_OPENERS)}://{hint}"))
+    return _OPENERS[parsed.scheme](parsed, default_port)
+
+
+def _udp(address: Address, default_port: int | None) -> Link:
+    address.only(("local_port",))
+    host, port = address.network(default_port)
+    local_port = address.option("local_port", int, 0)
+    if not 0 <= local_port <= 65_535:
+        raise AddressError(Mistake("local_port", str(local_port), "must be from 0 to 65535"), str(address))
+    return UdpLink(host, port, local_port)
+
+
+def _tcp(address: Address, default_port: int | None) -> Link:
+    address.only(("timeout_s",))
+    host, port = address.network(default_port)
+    timeout_s = address.option("timeout_s", float, 3.0)
+    if not 0 < timeout_s < 3600:
+        raise AddressError(Mistake("timeout_s", str(timeout_s), "must be positive, less than an hour"), str(address))
+    return TcpLink(host, port, timeout_s)
+
+
+def _serial(address: Address, _: int | None) -> Link:
+    address.only(("baud",))
+    if address.host or address.port is not None or len(address.path) < 2:
+        rule = "must name a port of this machine after three slashes: serial:///dev/ttyUSB0"
+        raise AddressError(Mistake("address", str(address), rule))
+    return SerialLink(address.path, address.option("baud", int, 9600))
+
+
+_OPENERS: dict[str, Callable[[Address, int | None], Link]] = {"udp": _udp, "tcp": _tcp, "serial": _serial}

@@ -1,0 +1,123 @@
+"""The configuration of an ATI box, read by HTTP: counts per unit of force and torque, and the units.
+
+The factors depend on the active configuration of the box (for example a million counts per newton, or one per pound).
+They are read at every start, never assumed. An unknown unit or an impossible factor is refused.
+"""
+
+from __future__ import annotations
+
+import math
+import urllib.error
+import urllib.request
+from dataclasses import dataclass
+from types import MappingProxyType
+from xml.etree import ElementTree
+
+from needleplan.errors import ConfigurationError, DeviceFault, Mistake
+
+__all__ = ["FORCE_UNITS", "TORQUE_UNITS", "Configuration", "fetch_configuration", "parse_configuration"]
+
+_POUND_N = 0.453_592_37 * 9.806_65
+_INCH_MM = 25.4
+
+FORCE_UNITS = MappingProxyType({
+    "N": 1.0, "kN": 1e3, "lbf": _POUND_N, "klbf": 1e3 * _POUND_N, "kgf": 9.806_65, "kg": 9.806_65,
+})  # fmt: skip
+"""Newtons in a unit of force, by the name that the box gives it."""
+
+TORQUE_UNITS = MappingProxyType({
+    "N-mm": 1.0, "N-m": 1e3, "kN-m": 1e6, "lbf-in": _POUND_N * _INCH_MM, "lbf-ft": _POUND_N * 12 * _INCH_MM,
+    "kgf-cm": 98.066_5, "kg-cm": 98.066_5, "kgf-mm": 9.806_65,
+})  # fmt: skip
+"""Newton millimetres in a unit of torque. The box also leaves the hyphen out: `Nmm`."""
+
+_LONGEST = 1_000_000
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """The parts of `netftapi2.xml` that a measurement needs."""
+
+    counts_per_force: float
+    counts_per_torque: float
+    force_unit: str
+    torque_unit: str
+    product: str = ""
+    serial: str = ""
+    rate_hz: float | None = None
+
+    @property
+    def newton_per_count(self) -> float:
+        """Force of one count, in N."""
+        return FORCE_UNITS[self.force_unit] / self.counts_per_force
+
+    @property
+    def newton_mm_per_count(self) -> float:
+        """Torque of one count, in N mm."""
+        return TORQUE_UNITS[self.torque_unit] / self.counts_per_torque
+
+
+def parse_configuration(xml: bytes, source: str = "") -> Configuration:
+    """Read `netftapi2.xml`. Raises ConfigurationError with every factor and unit that is missing or wrong."""
+    if b"<!DOCTYPE" in xml or b"<!ENTITY" in xml:
+        raise ConfigurationError("must be plain XML, without a document type", source)
+    try:
+        root = ElementTree.fromstring(xml)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise ConfigurationError(f"is not XML: {error}", source) from error
+    found = {element.tag: (element.text or "").strip() for element in root.iter()}
+    mistakes: list[Mistake] = []
+    factors = [_factor(found, key, mistakes) for key in ("cfgcpf", "cfgcpt")]
+    units = [_unit(found, key, known, mistakes) for key, known in (("scfgfu", FORCE_UNITS), ("scfgtu", TORQUE_UNITS))]
+    if found.get("comrdte", "Enabled").lower() not in ("enabled", "1"):
+        mistakes.append(Mistake("comrdte", found["comrdte"], "RDT must be enabled in the box"))
+    if mistakes:
+        raise ConfigurationError(mistakes, source)
+    return Configuration(
+        factors[0], factors[1], units[0], units[1],
+        found.get("prodname", ""), found.get("setserial", ""), _number(found.get("comrdtrate", "")),
+    )  # fmt: skip
+
+
+def fetch_configuration(host: str, port: int = 80, slot: int | None = None, timeout_s: float = 2.0) -> Configuration:
+    """Read the configuration of the box at `host`; `slot` is one of its 16, None the active one.
+
+    Raises DeviceFault where nobody answers, ConfigurationError where the answer cannot be used.
+    """
+    name = f"[{host}]" if ":" in host else host
+    url = f"http://{name}:{port}/netftapi2.xml" + ("" if slot is None else f"?index={slot}")
+    try:
+        # The address is the user's own box: no proxy stands between.
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        with opener.open(url, timeout=timeout_s) as answer:
+            xml = answer.read(_LONGEST)
+    except (OSError, ValueError, urllib.error.URLError) as error:
+        reason = getattr(error, "reason", error)  # of an URLError: what really happened
+        why = getattr(reason, "strerror", None) or reason
+        raise DeviceFault(f"{url}: the configuration of the force sensor cannot be read: {why}") from error
+    return parse_configuration(xml, url)
+
+
+def _factor(found: dict[str, str], key: str, mistakes: list[Mistake]) -> float:
+    value = _number(found.get(key, ""))
+    if value is None or not value > 0:
+        mistakes.append(Mistake(key, found.get(key, ""), "must be the counts in one unit: a positive number"))
+        return math.nan
+    return value
+
+
+def _unit(found: dict[str, str], key: str, known: MappingProxyType[str, float], mistakes: list[Mistake]) -> str:
+    text = found.get(key, "")
+    for name in known:
+        if text.replace("-", "").casefold() == name.replace("-", "").casefold():
+            return name
+    mistakes.append(Mistake(key, text, f"must be one of {', '.join(known)}"))
+    return ""
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None

@@ -1,0 +1,333 @@
+"""An ATI Net F/T or Ethernet Axia as a force sensor.
+
+The box sends records to one client, the last one that requested them, until it is stopped. A problem that the box
+reports makes a sample SUSPECT. A problem that makes the sensor unusable raises DeviceFault at every read until `start`
+is called, because the bias may be lost and a person has to check.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from statistics import fmean, pstdev
+
+from needleplan.devices._base import ForceSample, ForceSensor, Health, Stamp
+from needleplan.devices._clock import Clock, Deadline, SystemClock
+from needleplan.devices._links import Link, UdpLink
+from needleplan.devices._opening import Address, open_link
+from needleplan.devices.ati._configuration import Configuration, fetch_configuration
+from needleplan.devices.ati.rdt import (
+    RDT_PORT,
+    RdtCommand,
+    RdtCounts,
+    RdtOrder,
+    RdtRecord,
+    RdtSeverity,
+    StreamWatch,
+    decode_records,
+    encode_request,
+    read_status,
+)
+from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake, ProtocolError
+
+__all__ = ["ForceLimits", "NetFt", "Plausibility"]
+
+_FULL = (1 << 31) - 1
+_Three = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ForceLimits:
+    """When a sample is suspect, and when the sensor is given up."""
+
+    silence_s: float = 0.1
+    """The stream has stopped where nothing has come for so long."""
+
+    start_s: float = 0.3
+    """The first record must have come within this time of the start request; it is sent three times."""
+
+    most_force_n: float = 50.0
+    most_torque_n_mm: float = 5000.0
+    step_n: float = 10.0
+    """Largest change of a force from one sample to the next."""
+
+    stuck_samples: int = 50
+    """All six counts of a living sensor do not stay the same for so many samples."""
+
+    frozen_samples: int = 10
+    """The box has stopped measuring where `ft_sequence` stands still for so many records."""
+
+    malformed: int = 50
+    """So many datagrams in a row that are no records are another device."""
+
+    bias_samples: int = 20
+    steady_n: float = 0.1
+    """Before a bias, the standard deviation of each force over `bias_samples` is at most this."""
+
+    unloaded_n: float = 0.5
+    """Once biased, the force is at most this where it is biased again: more is a needle under load."""
+
+
+@dataclass
+class Plausibility:
+    """Compares each wrench with what is possible, and with the one before."""
+
+    limits: ForceLimits
+    _counts: tuple[int, ...] = ()
+    _same: int = 0
+    _force_n: _Three | None = field(default=None)
+
+    def forget(self) -> None:
+        """The next sample may be far from the last, as after a bias."""
+        self._force_n, self._counts, self._same = None, (), 0
+
+    def notes(self, record: RdtRecord, force_n: _Three, torque_n_mm: _Three) -> tuple[str, ...]:
+        """Return what is wrong with a wrench; nothing where it is plausible."""
+        notes = []
+        self._same = self._same + 1 if record.counts == self._counts else 1
+        self._counts = record.counts
+        if self._same >= self.limits.stuck_samples:
+            notes.append(f"the same wrench {self._same} times")
+        if any(not -_FULL <= count < _FULL for count in record.counts):
+            notes.append("counts at the end of their range")
+        if not all(map(math.isfinite, (*force_n, *torque_n_mm))):
+            notes.append("not finite")
+        elif max(map(abs, force_n)) > self.limits.most_force_n:
+            notes.append(f"more than {self.limits.most_force_n:g} N")
+        elif max(map(abs, torque_n_mm)) > self.limits.most_torque_n_mm:
+            notes.append(f"more than {self.limits.most_torque_n_mm:g} N mm")
+        if self._force_n is not None:
+            step_n = max(abs(now - before) for now, before in zip(force_n, self._force_n, strict=True))
+            if not step_n <= self.limits.step_n:
+                notes.append(f"a step of {step_n:.3g} N")
+        self._force_n = force_n
+        return tuple(notes)
+
+
+_ATTEMPTS = 3
+_SETTLING_S = 1.0
+
+
+class NetFt(ForceSensor):
+    """A force sensor that speaks RDT over `link`; `configure` reads the configuration of the box."""
+
+    def __init__(
+        self,
+        link: Link,
+        configure: Callable[[], Configuration],
+        *,
+        limits: ForceLimits | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        self._link, self._configure = link, configure
+        self._clock: Clock = SystemClock() if clock is None else clock
+        self.limits = ForceLimits() if limits is None else limits
+        self._pending: deque[tuple[RdtRecord, int]] = deque()
+        self._fault: DeviceFault | None = None
+        self._closed = self._biased = False
+        try:
+            self.start()
+        except BaseException:
+            self.close()
+            raise
+
+    @classmethod
+    def open(cls, address: str, *, limits: ForceLimits | None = None) -> NetFt:
+        """Open `udp://host[:49152][?http_port=80&slot=2]` and start the stream.
+
+        Raises AddressError, ConfigurationError where the units cannot be used, DeviceFault where nobody answers.
+        """
+        parsed = Address.parse(address)
+        if parsed.scheme != "udp":
+            raise AddressError(Mistake("address", address, "a Net F/T is reached by udp://host"))
+        parsed.only(("http_port", "slot", "local_port"))
+        host, port = parsed.network(RDT_PORT)
+        http_port = parsed.option("http_port", int, 80)
+        slot = parsed.option("slot", int, -1)
+        if not -1 <= slot < 16:
+            raise AddressError(Mistake("slot", str(slot), "must be from 0 to 15"), address)
+        _, http_port = Address("http", host, http_port).network()
+        local = {name: value for name, value in parsed.options.items() if name == "local_port"}
+        link = open_link(Address("udp", host, port, options=local))
+        return cls(link, lambda: fetch_configuration(host, http_port, None if slot < 0 else slot), limits=limits)
+
+    @property
+    def configuration(self) -> Configuration:
+        """What the box said of itself at the last start."""
+        return self._configuration
+
+    @property
+    def counts(self) -> RdtCounts:
+        """Records received, lost, doubled, late, malformed and frozen since the start."""
+        return self._watch.counts
+
+    @property
+    def strangers(self) -> int:
+        """Datagrams that somebody else sent to our port."""
+        return self._link.strangers if isinstance(self._link, UdpLink) else 0
+
+    @property
+    def local_port(self) -> int:
+        """Our port, 0 where there is none."""
+        return self._link.local_port if isinstance(self._link, UdpLink) else 0
+
+    def start(self) -> None:
+        """Read the configuration anew, ask for the stream, and wait for its first record.
+
+        Raises ConfigurationError, and DeviceFault where no record comes; the request is sent three times.
+        """
+        self._fault = None
+        self._malformed = 0
+        self._configuration = self._configure()
+        self._watch, self._plausible = StreamWatch(), Plausibility(self.limits)
+        self._pending.clear()
+        self._link.send(encode_request(RdtCommand.STOP))
+        while self._link.receive(0):
+            pass
+        self._last_ns = self._clock.now_ns()
+        for _ in range(_ATTEMPTS):
+            self._link.send(encode_request(RdtCommand.START))
+            deadline = Deadline(self._clock, self.limits.start_s)
+            while not self._pending and not deadline.passed:
+                self._take(self._link.receive(deadline.left_s))
+            if self._pending:
+                return
+        waited_s = _ATTEMPTS * self.limits.start_s
+        raise self._give_up(f"no record within {waited_s:g} s of the start request; an RDT port? a firewall?")
+
+    def read(self, timeout_s: float) -> ForceSample | None:
+        """Return the next sample, or None after `timeout_s`. Raises DeviceFault, again and again until `start`."""
+        if self._closed:
+            raise LinkClosed("the force sensor is closed")
+        if self._fault is not None:
+            raise self._fault
+        deadline = Deadline(self._clock, timeout_s)
+        while True:
+            while self._pending:
+                sample = self._validate(*self._pending.popleft())
+                if sample is not None:
+                    return sample
+            silent_s = (self._clock.now_ns() - self._last_ns) / 1e9
+            wait_s = min(deadline.left_s, max(self.limits.silence_s - silent_s, 0.0))
+            data = self._link.receive(wait_s)
+            self._take(data)
+            if self._pending:
+                continue
+            silent_s = (self._clock.now_ns() - self._last_ns) / 1e9
+            if silent_s >= self.limits.silence_s:
+                raise self._give_up(
+                    f"silent for {silent_s:.3g} s; cable, power, or another client that has taken the stream"
+                )
+            if deadline.passed:
+                return None
+
+    def bias(self) -> None:
+        """Take the present wrench as zero, and see that it has become zero.
+
+        Raises DeviceFault where the force is not steady, where a sensor that was biased before is under load, where
+        samples stay suspect, and where the box does not follow. The first bias cannot know of a constant load.
+        """
+        mean_n, deviation_n = self._look("bias")
+        if max(deviation_n) > self.limits.steady_n:
+            raise DeviceFault(f"bias refused: the force is not steady ({max(deviation_n):.3g} N standard deviation)")
+        if self._biased and max(map(abs, mean_n)) > self.limits.unloaded_n:
+            raise DeviceFault(f"bias refused: the needle is under load ({max(map(abs, mean_n)):.3g} N)")
+        for _ in range(_ATTEMPTS):
+            self._link.send(encode_request(RdtCommand.BIAS))
+            deadline = Deadline(self._clock, _SETTLING_S / _ATTEMPTS)
+            while not deadline.passed:
+                mean_n, _ = self._look("bias", strict=False)
+                if max(map(abs, mean_n)) <= self.limits.steady_n:
+                    self._biased = True
+                    self._plausible.forget()
+                    return
+        raise DeviceFault(f"bias failed: the box still reports {max(map(abs, mean_n)):.3g} N")
+
+    def reset_latch(self) -> None:
+        """Forget the threshold condition that the box has latched."""
+        self._link.send(encode_request(RdtCommand.RESET_LATCH))
+
+    def check_configuration(self) -> None:
+        """Read the configuration anew. Raises DeviceFault where units or factors have changed since the start."""
+        now = self._configure()
+        if now != self._configuration:
+            raise self._give_up(f"its configuration has changed from {self._configuration} to {now}")
+
+    def close(self) -> None:
+        """Ask the box to stop, and give the port back."""
+        if not self._closed:
+            self._closed = True
+            with contextlib.suppress(LinkClosed):
+                self._link.send(encode_request(RdtCommand.STOP))
+            self._link.close()
+
+    def _look(self, purpose: str, strict: bool = True) -> tuple[list[float], list[float]]:
+        """Return mean and standard deviation of the force over some samples in a row, all of them good where `strict`.
+
+        A suspect one lets it begin again, a few times: the first after a start may be one.
+        """
+        forces_n: list[tuple[float, float, float]] = []
+        why: tuple[str, ...] = ()
+        for _ in range(_ATTEMPTS * self.limits.bias_samples):
+            sample = self.read(self.limits.silence_s)
+            if sample is None:
+                raise DeviceFault(f"{purpose} refused: no sample")
+            if strict and sample.health is not Health.GOOD:
+                why = sample.notes
+                forces_n.clear()
+                continue
+            forces_n.append(sample.force_n)
+            if len(forces_n) == self.limits.bias_samples:
+                axes = list(zip(*forces_n, strict=True))
+                return [fmean(axis) for axis in axes], [pstdev(axis) for axis in axes]
+        raise DeviceFault(f"{purpose} refused: {', '.join(why)}")
+
+    def _take(self, datagram: bytes) -> None:
+        """Keep the records of a datagram until somebody reads them."""
+        if not datagram:
+            return
+        try:
+            records = decode_records(datagram)
+        except ProtocolError as error:
+            self._watch.counts.malformed += 1
+            self._storm(str(error))
+            return
+        now_ns = self._clock.now_ns()
+        self._pending.extend((record, now_ns) for record in records)
+
+    def _storm(self, why: str) -> None:
+        self._malformed += 1
+        if self._malformed >= self.limits.malformed:
+            raise self._give_up(f"{self._malformed} datagrams in a row that are not of this stream: {why}")
+
+    def _validate(self, record: RdtRecord, now_ns: int) -> ForceSample | None:
+        arrival = self._watch.see(record, now_ns)
+        if arrival.order is RdtOrder.IMPLAUSIBLE:
+            self._storm("sequence numbers far from the last ones")
+        if arrival.order is RdtOrder.RESTARTED:
+            raise self._give_up("it was switched off and on: its bias is lost")
+        if arrival.order not in (RdtOrder.NEXT, RdtOrder.AFRESH):
+            return None
+        self._malformed, self._last_ns = 0, now_ns
+        severity, notes = read_status(record.status, self._configuration.product)
+        if severity is RdtSeverity.FAULT:
+            raise self._give_up(f"status 0x{record.status:08X}: {', '.join(notes)}")
+        if arrival.frozen >= self.limits.frozen_samples:
+            raise self._give_up(f"it has not measured for {arrival.frozen} records")
+        if arrival.frozen:
+            notes += ("not measured anew",)
+        fx, fy, fz, tx, ty, tz = record.counts
+        n, n_mm = self._configuration.newton_per_count, self._configuration.newton_mm_per_count
+        force_n, torque_n_mm = (fx * n, fy * n, fz * n), (tx * n_mm, ty * n_mm, tz * n_mm)
+        notes += self._plausible.notes(record, force_n, torque_n_mm)
+        if arrival.order is RdtOrder.AFRESH:
+            notes += ("the stream has begun anew",)
+        stamp = Stamp(now_ns, record.rdt_sequence, arrival.lost)
+        return ForceSample(stamp, force_n, torque_n_mm, Health.SUSPECT if notes else Health.GOOD, notes)
+
+    def _give_up(self, why: str) -> DeviceFault:
+        self._fault = DeviceFault(f"force sensor: {why}")
+        return self._fault

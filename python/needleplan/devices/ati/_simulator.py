@@ -1,0 +1,267 @@
+"""A simulated ATI Net F/T box, which speaks the bytes of the real one and can be given faults.
+
+`NetFtBox` has neither socket nor clock. `BoxLink` connects it within a process on a virtual clock; `NetFtServer` serves
+it by UDP and HTTP in real time. The wrench is a function of time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+from needleplan.devices._base import Closing
+from needleplan.devices._clock import VirtualClock
+from needleplan.devices._links import Link
+from needleplan.devices.ati._configuration import FORCE_UNITS, TORQUE_UNITS
+from needleplan.devices.ati.rdt import RdtCommand, RdtRecord, decode_request, encode_records
+from needleplan.errors import LinkClosed, ProtocolError
+
+__all__ = ["BoxFaults", "BoxLink", "BoxSettings", "NetFtBox", "NetFtServer", "Peer"]
+
+Peer = tuple[str, int]
+_Wrench = Callable[[float], tuple[float, float, float, float, float, float]]
+_MEASUREMENTS_PER_S = 7000
+_WRAP = 1 << 32
+
+
+@dataclass
+class BoxSettings:
+    """The active configuration of the box."""
+
+    counts_per_force: float = 1_000_000
+    counts_per_torque: float = 1_000_000
+    force_unit: str = "N"
+    torque_unit: str = "N-m"
+    product: str = "Ethernet 6-Axis F/T Sensor"
+    divisor: int = 35
+    """The rate is 7000 Hz divided by this."""
+
+    def xml(self) -> bytes:
+        """Return `netftapi2.xml`."""
+        tags = {
+            "prodname": self.product, "setserial": "FT00000", "runstat": "0x00000000", "comrdte": "Enabled",
+            "comrdtrate": round(_MEASUREMENTS_PER_S / self.divisor), "comrdtbsiz": 1,
+            "cfgcpf": f"{self.counts_per_force:g}" if self.counts_per_force < 1 else f"{self.counts_per_force:.0f}",
+            "cfgcpt": f"{self.counts_per_torque:g}" if self.counts_per_torque < 1 else f"{self.counts_per_torque:.0f}",
+            "scfgfu": self.force_unit, "scfgtu": self.torque_unit,
+        }  # fmt: skip
+        body = "".join(f"<{name}>{value}</{name}>" for name, value in tags.items())
+        return f'<?xml version="1.0" encoding="UTF-8"?><netft>{body}</netft>'.encode()
+
+
+@dataclass
+class BoxFaults:
+    """What goes wrong from now on; numbers count down the records that they concern."""
+
+    silent: bool = False
+    lose: int = 0
+    duplicate: int = 0
+    reorder: int = 0
+    """So many records are held back and sent after the one that follows."""
+
+    freeze: bool = False
+    """The box sends, but no longer measures."""
+
+    deaf_to_bias: bool = False
+    status: int = 0
+    instead: list[bytes] = field(default_factory=list)
+    """Datagrams to send before the next record."""
+
+
+class NetFtBox:
+    """The box itself. `wrench` returns three forces in N and three torques in N mm for a time in seconds."""
+
+    def __init__(self, wrench: _Wrench, settings: BoxSettings | None = None) -> None:
+        self.wrench = wrench
+        self.settings = BoxSettings() if settings is None else settings
+        self.faults = BoxFaults()
+        self.client: Peer | None = None
+        self.rdt_sequence = self.ft_sequence = 0
+        self.before_first = 0
+        """The number before that of the first record of a stream; near 2^32 the stream soon wraps."""
+
+        self._left: int | None = None
+        self._latched = 0
+        self._bias = (0, 0, 0, 0, 0, 0)
+        self._counts = self._bias
+        self._held: list[bytes] = []
+
+    def request(self, datagram: bytes, sender: Peer) -> None:
+        """Follow a request; what is not one is ignored, as the box does."""
+        try:
+            command, samples = decode_request(datagram)
+        except ProtocolError:
+            return
+        if command in (RdtCommand.START, RdtCommand.START_BUFFERED, RdtCommand.START_MULTI_UNIT):
+            self.client, self.rdt_sequence, self._left = sender, self.before_first, samples or None
+            self._held.clear()
+        elif command is RdtCommand.STOP and sender == self.client:
+            self.client = None
+        elif command is RdtCommand.RESET_LATCH:
+            self._latched = 0
+        elif command is RdtCommand.BIAS and not self.faults.deaf_to_bias:
+            self._bias = tuple(map(sum, zip(self._counts, self._bias, strict=True)))  # type: ignore[assignment]
+
+    def exceed_threshold(self) -> None:
+        """Latch a threshold condition, as where a force limit set in the box is passed."""
+        self._latched = 0x8001_0000
+
+    def reboot(self) -> None:
+        """Lose power for a moment: bias, client and the count of measurements are gone."""
+        self.client = None
+        self.rdt_sequence = self.ft_sequence = self._latched = 0
+        self._bias = (0, 0, 0, 0, 0, 0)
+
+    def step(self, time_s: float) -> list[bytes]:
+        """Measure at `time_s`, and return the datagrams for `client`."""
+        if not self.faults.freeze:
+            self.ft_sequence = (self.ft_sequence + self.settings.divisor) % _WRAP
+            self._counts = self._measure(time_s)
+        if self.client is None or self._left == 0:
+            return []
+        if self._left is not None:
+            self._left -= 1
+        self.rdt_sequence = (self.rdt_sequence + 1) % _WRAP
+        status = self.faults.status | self._latched
+        record = encode_records([RdtRecord(self.rdt_sequence, self.ft_sequence, status, self._counts)])
+        return self._through_faults(record)
+
+    def _measure(self, time_s: float) -> tuple[int, int, int, int, int, int]:
+        n = self.settings.counts_per_force / FORCE_UNITS.get(self.settings.force_unit, 1.0)
+        n_mm = self.settings.counts_per_torque / TORQUE_UNITS.get(self.settings.torque_unit, 1.0)
+        factors = (n, n, n, n_mm, n_mm, n_mm)
+        values = zip(self.wrench(time_s), factors, self._bias, strict=True)
+        return tuple(max(min(round(value * factor) - bias, 2**31 - 1), -(2**31)) for value, factor, bias in values)  # type: ignore[return-value]
+
+    def _through_faults(self, record: bytes) -> list[bytes]:
+        faults = self.faults
+        if faults.silent:
+            return []
+        before, faults.instead = faults.instead, []
+        if faults.lose:
+            faults.lose -= 1
+            return before
+        if faults.reorder:
+            faults.reorder -= 1
+            self._held.append(record)
+            return before
+        held, self._held = self._held, []
+        twice = faults.duplicate > 0
+        faults.duplicate -= twice
+        return [*before, record, *([record] if twice else []), *held]
+
+
+class NetFtServer(Closing):
+    """A box on real sockets of this machine: RDT on `port`, its XML on `http_port`; a context manager."""
+
+    def __init__(self, box: NetFtBox, host: str = "127.0.0.1", port: int = 0, http_port: int = 0) -> None:
+        self.box = box
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((host, port))
+        self._http = ThreadingHTTPServer((host, http_port), _pages(box))
+        self.host, self.port = self._socket.getsockname()
+        self.http_port = self._http.server_port
+        self._stopping = threading.Event()
+        self._threads = [
+            threading.Thread(target=work, daemon=True)
+            for work in (self._stream, lambda: self._http.serve_forever(poll_interval=0.02))
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def address(self) -> str:
+        """The address by which a client opens the box."""
+        return f"udp://{self.host}:{self.port}?http_port={self.http_port}"
+
+    def _stream(self) -> None:
+        began = due = time.monotonic()
+        while not self._stopping.is_set():
+            period_s = self.box.settings.divisor / _MEASUREMENTS_PER_S
+            due = max(due + period_s, time.monotonic() - 20 * period_s)
+            self._listen_until(due)
+            for datagram in self.box.step(due - began):
+                if self.box.client is not None:
+                    with contextlib.suppress(OSError):
+                        self._socket.sendto(datagram, self.box.client)
+
+    def _listen_until(self, due: float) -> None:
+        while (left_s := due - time.monotonic()) > 0:
+            self._socket.settimeout(left_s)
+            try:
+                datagram, sender = self._socket.recvfrom(2048)
+            except OSError:
+                continue
+            self.box.request(datagram, sender)
+
+    def close(self) -> None:
+        """Switch it off."""
+        self._stopping.set()
+        self._http.shutdown()
+        for thread in self._threads:
+            thread.join()
+        self._http.server_close()
+        self._socket.close()
+
+
+def _pages(box: NetFtBox) -> type[BaseHTTPRequestHandler]:
+    class _Page(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            known = self.path.split("?")[0] == "/netftapi2.xml"
+            body = box.settings.xml() if known else b"not found"
+            self.send_response(200 if known else 404)
+            self.send_header("Content-Type", "text/xml")
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, format: str, *args: object) -> None:
+            del format, args
+
+    return _Page
+
+
+_HERE = ("in this process", 0)
+_NANO = 1_000_000_000
+
+
+class BoxLink(Link):
+    """Carries datagrams to and from `box`; waiting on it moves `clock`, and the box measures as time passes."""
+
+    def __init__(self, box: NetFtBox, clock: VirtualClock) -> None:
+        self.box, self._clock = box, clock
+        self._due_ns = clock.now_ns()
+        self._waiting: deque[bytes] = deque()
+        self._closed = False
+
+    def send(self, data: bytes) -> None:
+        """Give a request to the box."""
+        if self._closed:
+            raise LinkClosed("the link to the box is closed")
+        self.box.request(data, _HERE)
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Return the next datagram, or let `timeout_s` pass."""
+        if self._closed:
+            raise LinkClosed("the link to the box is closed")
+        end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
+        while not self._waiting and self._due_ns <= end_ns:
+            self._clock.advance((self._due_ns - self._clock.now_ns()) / _NANO)
+            datagrams = self.box.step(self._due_ns / _NANO)
+            # What goes to another client does not come here.
+            self._waiting.extend(datagrams if self.box.client == _HERE else ())
+            self._due_ns += round(self.box.settings.divisor / _MEASUREMENTS_PER_S * _NANO)
+        if self._waiting:
+            return self._waiting.popleft()
+        self._clock.advance((end_ns - self._clock.now_ns()) / _NANO)
+        return b""
+
+    def close(self) -> None:
+        """Give the link up."""
+        self._closed = True

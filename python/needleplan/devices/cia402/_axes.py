@@ -1,0 +1,237 @@
+"""The state of the axes as received from their drives, its validation, and the SYNC cycle that requests it."""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from needleplan.devices._base import StageSample, Stamp
+from needleplan.devices.cia402._drive import CanBus
+from needleplan.devices.cia402.objects import Bit, Cia402State, state_of
+from needleplan.devices.cia402.setup import AxisSetup
+
+__all__ = ["Cia402Axis", "DriveTiming", "Rounds"]
+
+
+@dataclass(frozen=True)
+class DriveTiming:
+    """How long each side believes in the other."""
+
+    sync_s: float = 0.005
+    """The drives are asked where they are so often."""
+
+    heartbeat_s: float = 0.01
+    """Both sides say that they live so often."""
+
+    watchdog_s: float = 0.04
+    """A drive that does not hear us for so long stops by itself."""
+
+    silence_s: float = 0.04
+    """We give the drives up where they do not say where they are for so long."""
+
+    answer_s: float = 0.3
+    """A drive has so long to answer a question."""
+
+    change_s: float = 0.5
+    """A change of state, or taking a new target, may take so long."""
+
+    slack_s: float = 0.3
+    """A motion may begin so late, or rest so long on its way."""
+
+
+_STATUS = struct.Struct("<Hi")
+_VELOCITY = struct.Struct("<i")
+_LATENCY_S = 0.05
+
+
+@dataclass(frozen=True)
+class _Motion:
+    target: float
+    velocity: float
+
+
+class Cia402Axis:
+    """Follows one drive. `slack_s` is how late it may begin to move, or arrive."""
+
+    def __init__(self, setup: AxisSetup, name: str, slack_s: float) -> None:
+        self.setup, self.name, self.slack_s = setup, name, slack_s
+        self.position = self.velocity = 0.0
+        self.word = 0
+        self.received_ns = 0
+        self.stopped = False
+        """Whether the drive was told to stop: then it may be in QUICK STOP ACTIVE."""
+
+        self._motion: _Motion | None = None
+        self._nearest = self._leeway = 0.0
+        self._moved_ns = 0
+        self._known_ns: int | None = None
+        self.has_status = self.has_velocity = False
+
+    @property
+    def complete(self) -> bool:
+        """Whether the drive has answered the last SYNC."""
+        return self.has_status and self.has_velocity
+
+    def expect(self) -> None:
+        """Forget what was answered: a SYNC goes out."""
+        self.has_status = self.has_velocity = False
+
+    def begin(self, target: float, velocity: float, position: float, now_ns: int) -> None:
+        """Know of a motion that begins, from `position`."""
+        self._motion, self.stopped, self.position = _Motion(target, velocity), False, position
+        # An axis that is sent back goes on for a while.
+        speed, limits = abs(self.velocity), self.setup.limits
+        self._leeway = speed**2 / (2 * limits.acceleration) + speed * _LATENCY_S
+        self._nearest = abs(target - position)
+        self._moved_ns = now_ns
+
+    def stop(self) -> None:
+        """Know of a stop."""
+        self._motion, self.stopped = None, True
+
+    def enabled(self, position: float) -> None:
+        """Know that the drive was enabled, at a place."""
+        self._motion, self.stopped, self._known_ns = None, False, None
+        self.position = position
+
+    @property
+    def moving(self) -> bool:
+        """Whether the axis is on its way, or not yet at rest after a stop."""
+        reached = bool(self.word & Bit.TARGET_REACHED)
+        if self._motion is None:
+            return self.stopped and not reached
+        return not reached or abs(self._motion.target - self.position) > self.setup.limits.margin
+
+    def take_velocity(self, data: bytes) -> str:
+        """Take the velocity; return what is wrong."""
+        if len(data) != _VELOCITY.size:
+            return f"a velocity of {len(data)} bytes"
+        self.velocity, self.has_velocity = self.setup.velocity(_VELOCITY.unpack(data)[0]), True
+        return ""
+
+    def take_status(self, data: bytes, asked_ns: int, now_ns: int) -> str:
+        """Take statusword and position, as they were between `asked_ns` and `now_ns`; return what is wrong."""
+        if len(data) != _STATUS.size:
+            return f"a status of {len(data)} bytes"
+        self.word, counts = _STATUS.unpack(data)
+        before, self.position = self.position, self.setup.position(counts)
+        since_ns, self._known_ns = self._known_ns, asked_ns
+        self.has_status, self.received_ns = True, now_ns
+        return self._wrong_state() or self._wrong_step(before, since_ns, now_ns) or self._wrong_motion(now_ns)
+
+    def _wrong_state(self) -> str:
+        state = state_of(self.word)
+        if state in (Cia402State.FAULT, Cia402State.FAULT_REACTION):
+            return "FAULT"
+        if state is not Cia402State.ENABLED and not (self.stopped and state is Cia402State.QUICK_STOP):
+            return f"left OPERATION ENABLED for {state}: emergency stop, STO, or it did not hear us"
+        if self.word & Bit.FOLLOWING_ERROR and not self.stopped:
+            return "following error"
+        if self.word & Bit.LIMIT:
+            return "a limit is active: limit switch or an internal one"
+        return ""
+
+    def _wrong_step(self, before: float, since_ns: int | None, now_ns: int) -> str:
+        """A step is too far where no speed that is allowed, in the longest time that it can have taken, explains it."""
+        limits = self.setup.limits
+        step = abs(self.position - before)
+        if since_ns is None or step <= limits.margin + limits.fastest * (now_ns - since_ns) / 1e9:
+            return ""
+        return f"its encoder jumped by {step:.3g}"
+
+    def _wrong_motion(self, now_ns: int) -> str:
+        motion, margin = self._motion, self.setup.limits.margin
+        if motion is None:
+            return ""
+        left = abs(motion.target - self.position)
+        if left > self._nearest + self._leeway + margin:
+            return "it moves away from its target: is its direction set right?"
+        if left < self._nearest - margin / 2:
+            self._nearest, self._leeway, self._moved_ns = left, 0.0, now_ns
+        idle_s = (now_ns - self._moved_ns) / 1e9
+        if self.moving and idle_s > self.slack_s + margin / motion.velocity:
+            return f"it does not move: {left:.3g} from its target for {idle_s:.2g} s"
+        return ""
+
+
+_NANO = 1_000_000_000
+_PATIENCE = 4
+"""So many times the time between two rounds a round waits for its answers."""
+
+_MOST_OPEN = 8
+
+
+class Rounds:
+    """One round at a time, by `axes`: insertion and roll. A round that is not answered is lost, and counted."""
+
+    def __init__(self, bus: CanBus, axes: Sequence[Cia402Axis], timing: DriveTiming) -> None:
+        self._bus, self._axes, self._clock = bus, axes, bus.clock
+        self._sync_ns, self._silence_s = round(timing.sync_s * _NANO), timing.silence_s
+        self._number = self._lost = 0
+        self.asked_ns: int | None = None
+        """When the round under way began; None where there is none."""
+
+        self._due_ns = self._heard_ns = 0
+        self._open: deque[int] = deque(maxlen=_MOST_OPEN)
+
+    @property
+    def earliest_ns(self) -> int | None:
+        """When what is answered now was asked at the earliest: a round that was given up may be answered late."""
+        return self._open[0] if self._open else None
+
+    def begin_anew(self) -> None:
+        """Forget the round under way, and what was lost before."""
+        self.asked_ns, self._due_ns, self._lost = None, 0, 0
+        self._open.clear()
+        self._heard_ns = self._clock.now_ns()
+
+    def forget(self) -> None:
+        """Give the round under way up: what it asked is not told any more."""
+        self._lost += self.asked_ns is not None
+        self.asked_ns, self._due_ns = None, 0
+        self._open.clear()
+        for axis in self._axes:
+            axis.expect()
+
+    def ask(self) -> None:
+        """Begin a round where one is due. Raises LinkClosed."""
+        now_ns = self._clock.now_ns()
+        if self.asked_ns is None:
+            if now_ns < self._due_ns:
+                return
+            # Who did not read for a while has not asked either: that is nobody's silence.
+            if now_ns > self._due_ns + self._sync_ns:
+                self._heard_ns = now_ns
+        elif now_ns < self.asked_ns + _PATIENCE * self._sync_ns:
+            return
+        else:
+            self._lost += 1
+        for axis in self._axes:
+            axis.expect()
+        self._number += 1
+        self.asked_ns = now_ns
+        self._open.append(now_ns)
+        self._bus.sync()
+
+    def sample(self) -> StageSample | None:
+        """Return the sample of the round under way, where all have answered, and end it."""
+        if self.asked_ns is None or not all(axis.complete for axis in self._axes):
+            return None
+        self._heard_ns, self._due_ns, self.asked_ns = self._clock.now_ns(), self.asked_ns + self._sync_ns, None
+        self._open.popleft()
+        insertion, roll = self._axes
+        stamp = Stamp(max(insertion.received_ns, roll.received_ns), self._number, self._lost)
+        self._lost = 0
+        moving = insertion.moving or roll.moving
+        return StageSample(stamp, insertion.position, insertion.velocity, roll.position, moving)
+
+    def silent(self) -> str:
+        """Return who has been silent for too long, and for how long; nothing where nobody was."""
+        now_ns = self._clock.now_ns()
+        silent_s = (now_ns - self._heard_ns) / _NANO
+        if silent_s <= self._silence_s or self.asked_ns is None or now_ns <= self.asked_ns + self._sync_ns:
+            return ""
+        names = ", ".join(axis.name for axis in self._axes if not axis.complete)
+        return f"{names}: silent for {silent_s:.3g} s: power, cable, or bus-off"

@@ -1,0 +1,289 @@
+"""Two CiA-402 drives on a CAN bus as a stage: one inserts the needle, one rotates it.
+
+Motions use the profile position mode: a drive moves to its target and stops there by itself, even if the controller is
+gone. In a cyclic velocity mode it would move on until its heartbeat watchdog expires.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+from dataclasses import replace
+
+from needleplan.devices._base import Stage, StageSample
+from needleplan.devices._clock import Clock, Deadline, SystemClock
+from needleplan.devices._opening import Address, require_called_heartbeat
+from needleplan.devices.cia402._axes import Cia402Axis, DriveTiming, Rounds
+from needleplan.devices.cia402._drive import CanBus, Cia402Drive, Frame
+from needleplan.devices.cia402.objects import Cia402Entry, Service, decode_emergency
+from needleplan.devices.cia402.setup import DrivesSetup
+from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake
+
+__all__ = ["CanopenStage"]
+
+_OPERATIONAL = 5
+_NANO = 1_000_000_000
+
+
+class CanopenStage(Stage):
+    """The two drives on `bus`; `node` is our own number there.
+
+    Heartbeats are sent by `heartbeat` and before each question of a command, because a command may take longer than
+    the watchdog of the other drive. Reading sends none: a thread that still reads must not hide that the loop has died.
+    """
+
+    def __init__(self, bus: CanBus, setup: DrivesSetup, *, node: int = 127, timing: DriveTiming | None = None) -> None:
+        self.timing = DriveTiming() if timing is None else timing
+        self.setup, self._node = setup, node
+        self._bus, self._clock = bus, bus.clock
+        self._lock = threading.RLock()
+        self._fault: DeviceFault | None = None
+        self._closed = self._running = False
+        self._beat_ns = 0
+        self._drives: list[Cia402Drive] = []
+        self._axes: list[Cia402Axis] = []
+        try:
+            for each in (setup.insertion, setup.roll):
+                drive = Cia402Drive(bus, each, self.timing.answer_s, self.timing.change_s, self._beat)
+                self._drives.append(drive)
+                self._axes.append(Cia402Axis(each, drive.name, self.timing.slack_s))
+            self._rounds = Rounds(bus, self._axes, self.timing)
+            self.start()
+        except BaseException:
+            self.close()
+            raise
+
+    @classmethod
+    def open(cls, address: str, *, timing: DriveTiming | None = None, clock: Clock | None = None) -> CanopenStage:
+        """Open `canopen://can0?setup=drives.toml` and enable both drives.
+
+        Options: `interface` (socketcan; any of python-can), `bitrate`, `node` (our own number, 127),
+        `watchdog_s` (0.04).
+
+        Raises AddressError, ConfigurationError for a setup that is wrong or without the extra `canopen`, DeviceFault.
+        """
+        parsed = Address.parse(address)
+        if parsed.scheme != "canopen" or not parsed.host or parsed.port is not None or parsed.path not in ("", "/"):
+            raise AddressError(Mistake("address", address, "must name a bus, as in canopen://can0?setup=drives.toml"))
+        parsed.only(("setup", "interface", "bitrate", "node", "watchdog_s", "alive"))
+        require_called_heartbeat(parsed)
+        if "setup" not in parsed.options:
+            raise AddressError(Mistake("setup", "", "is missing: a TOML file with [insertion] and [roll]"), address)
+        node = parsed.option("node", int, 127)
+        if not 1 <= node <= 127:
+            raise AddressError(Mistake("node", str(node), "must be from 1 to 127"), address)
+        bitrate = parsed.option("bitrate", int, 0)
+        usual = DriveTiming() if timing is None else timing
+        watchdog_s = parsed.option("watchdog_s", float, usual.watchdog_s)
+        if not 0.02 <= watchdog_s <= 60:
+            raise AddressError(Mistake("watchdog_s", f"{watchdog_s:g}", "must be from 0.02 to 60 s"), address)
+        setup = DrivesSetup.read(parsed.options["setup"])
+        if node in (setup.insertion.node, setup.roll.node):
+            raise AddressError(Mistake("node", str(node), "must be another than those of the drives"), address)
+        interface = parsed.options.get("interface", "socketcan")
+        options = {"bitrate": bitrate} if bitrate else {}
+        bus = CanBus(parsed.host, interface, SystemClock() if clock is None else clock, **options)
+        asked = replace(usual, watchdog_s=watchdog_s)
+        return cls(bus, setup, node=node, timing=asked)
+
+    def start(self) -> None:
+        """Set both drives up, reset faults whose cause is gone, and enable; nothing moves.
+
+        It is an act of a person: nothing here calls it after a fault. Raises DeviceFault.
+        """
+        with self._lock:
+            self._fault, self._running = None, False
+            try:
+                for drive in self._drives:
+                    drive.configure(self._node, self.timing.watchdog_s, self.timing.heartbeat_s)
+                    drive.reset_fault()
+                # A drive watches us from the first time on that it hears us.
+                self._beat(due=True)
+                for which in range(len(self._drives)):
+                    self._enable(which)
+            except DeviceFault as fault:
+                raise self._give_up(fault) from None
+            # What was said up to now was said of the time before.
+            while self._next_frame(0) is not None:
+                pass
+            self._rounds.begin_anew()
+            self._running = True
+
+    def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
+        """Begin to move to a depth at a speed. Raises DeviceFault."""
+        self._move(0, depth_mm, velocity_mm_s)
+
+    def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
+        """Begin to turn the base to a roll. Raises DeviceFault."""
+        self._move(1, roll_rad, velocity_rad_s)
+
+    def stop(self) -> None:
+        """Stop both axes by their quick stop; the next motion enables its axis again.
+
+        Raises DeviceFault where a drive does not acknowledge it; it then stops by itself, because it hears nothing.
+        """
+        if self._closed:
+            raise LinkClosed("the stage is closed")
+        try:
+            # Who reads in another thread must know of the stop before he sees what comes of it.
+            for axis in self._axes:
+                axis.stop()
+            for drive in self._drives:
+                drive.quick_stop()  # both are under way before anybody waits, here or in another thread
+            with self._lock:
+                for axis in self._axes:
+                    axis.stop()
+                faults = [fault for drive in self._drives if (fault := _tried(drive)) is not None]
+        except DeviceFault as fault:
+            raise self._give_up(fault) from None
+        if faults:
+            raise self._give_up(faults[0])
+
+    def heartbeat(self) -> None:
+        """Send a heartbeat if `timing.heartbeat_s` has passed since the last. Raises DeviceFault if the bus is gone."""
+        if self._closed:
+            raise LinkClosed("the stage is closed")
+        try:
+            self._beat()
+        except DeviceFault as fault:
+            raise self._give_up(fault) from None
+
+    def read(self, timeout_s: float) -> StageSample | None:
+        """Return the next sample, or None after `timeout_s`. Raises DeviceFault, again and again until `start`."""
+        self._require_sound()
+        deadline = Deadline(self._clock, timeout_s)
+        waited = False
+        while True:
+            with self._lock:
+                sample = self._step()
+            if sample is not None:
+                return sample
+            if waited and deadline.passed:
+                return None
+            frame = self._next_frame(min(deadline.left_s, self.timing.sync_s / 2))
+            waited = True
+            if frame is not None:
+                with self._lock:
+                    self._guarded(frame)
+
+    def close(self) -> None:
+        """Stop, take the power away, and leave the bus."""
+        if self._closed:
+            return
+        with contextlib.suppress(DeviceFault):
+            self.stop()
+        self._closed = True
+        for drive in self._drives:
+            with contextlib.suppress(DeviceFault):
+                drive.disable()
+        self._bus.close()
+
+    def _move(self, which: int, target: float, velocity: float) -> None:
+        self._require_sound()
+        drive, axis = self._drives[which], self._axes[which]
+        limits = axis.setup.limits
+        if not (limits.least <= target <= limits.most and 0 < velocity <= limits.fastest):
+            allowed = f"{limits.least:g} to {limits.most:g} at up to {limits.fastest:g}"
+            raise DeviceFault(f"{axis.name}: {target:g} at a speed of {velocity:g} is not a motion: {allowed}")
+        if axis.setup.speed(velocity) < 1:
+            raise DeviceFault(f"{axis.name}: a speed of {velocity:g} is less than the drive can count")
+        with self._lock:
+            self._drain()
+            try:
+                if axis.stopped:
+                    self._enable(which)
+                self._beat(due=True)
+                drive.move(target, velocity)
+                position = axis.setup.position(drive.read(Cia402Entry.POSITION))
+            except DeviceFault as fault:
+                raise self._give_up(fault) from None
+            # What was asked before the motion began is not told as if it were after it.
+            self._rounds.forget()
+            self._drain()
+            axis.begin(target, velocity, position, self._clock.now_ns())
+
+    def _enable(self, which: int) -> None:
+        drive, axis = self._drives[which], self._axes[which]
+        drive.enable()
+        axis.enabled(axis.setup.position(drive.read(Cia402Entry.POSITION)))
+
+    def _step(self) -> StageSample | None:
+        """Return the sample if all drives have answered; otherwise ask them again when the next SYNC is due."""
+        self._drain()
+        if (sample := self._rounds.sample()) is not None:
+            return sample
+        if silent := self._rounds.silent():
+            raise self._give_up(DeviceFault(silent))
+        try:
+            self._rounds.ask()
+        except DeviceFault as fault:
+            raise self._give_up(fault) from None
+        return None
+
+    def _beat(self, due: bool = False) -> None:
+        now_ns = self._clock.now_ns()
+        if due or now_ns - self._beat_ns >= self.timing.heartbeat_s * _NANO:
+            self._beat_ns = now_ns
+            self._bus.send(Service.HEARTBEAT + self._node, bytes([_OPERATIONAL]))
+
+    def _next_frame(self, timeout_s: float) -> Frame | None:
+        try:
+            return self._bus.frames.get(timeout=timeout_s) if timeout_s > 0 else self._bus.frames.get_nowait()
+        except queue.Empty:
+            return None
+
+    def _drain(self) -> None:
+        while (frame := self._next_frame(0)) is not None:
+            self._guarded(frame)
+
+    def _guarded(self, frame: Frame) -> None:
+        """Take a frame; give up where it tells of a fault."""
+        which = next(at for at, axis in enumerate(self._axes) if axis.setup.node == frame.node)
+        wrong = self._take(self._axes[which], frame)
+        if not wrong or self._fault is not None:
+            return
+        if wrong == "FAULT":
+            with contextlib.suppress(DeviceFault):
+                wrong = f"FAULT: {self._drives[which].cause()}"
+        raise self._give_up(DeviceFault(f"{self._axes[which].name}: {wrong}"))
+
+    def _take(self, axis: Cia402Axis, frame: Frame) -> str:
+        if frame.service is Service.EMERGENCY:
+            emergency = decode_emergency(frame.data)
+            return "" if emergency is not None and emergency.code >> 8 == 0 else str(emergency or "emergency")
+        if frame.service is Service.HEARTBEAT:
+            state = frame.data[0] & 0x7F if frame.data else -1
+            return "" if state == _OPERATIONAL or not self._running else f"is not operational: NMT state {state}"
+        earliest_ns = self._rounds.earliest_ns
+        if self._rounds.asked_ns is None or earliest_ns is None:
+            return ""
+        if frame.service is Service.VELOCITY:
+            return axis.take_velocity(frame.data)
+        return axis.take_status(frame.data, earliest_ns, frame.received_ns)
+
+    def _require_sound(self) -> None:
+        if self._closed:
+            raise LinkClosed("the stage is closed")
+        if self._fault is not None:
+            raise self._fault
+
+    def _give_up(self, fault: DeviceFault) -> DeviceFault:
+        """Stop both axes, and stay stopped until somebody starts again; return the first fault."""
+        if self._fault is None:
+            self._fault = fault
+        self._running = False
+        for drive in self._drives:
+            with contextlib.suppress(DeviceFault):
+                drive.quick_stop()
+        for axis in self._axes:
+            axis.stop()
+        return self._fault
+
+
+def _tried(drive: Cia402Drive) -> DeviceFault | None:
+    try:
+        drive.confirm_stop()
+    except DeviceFault as fault:
+        return fault
+    return None

@@ -1,0 +1,296 @@
+"""A simulated PLUS server, which sends the bytes of the real one and can be given faults.
+
+`PlusDevice` makes the bytes. `PlusLink` connects it within a process on a virtual clock, `PlusServer` serves it by TCP.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from needleplan.devices._base import Closing
+from needleplan.devices._clock import VirtualClock
+from needleplan.devices._links import Link
+from needleplan.devices.igtl._tracker import PoseKind
+from needleplan.devices.igtl.contents import decode_start, encode_reply
+from needleplan.devices.igtl.messages import IgtlMessage, MessageReader, encode_message, stamp_of
+from needleplan.devices.igtl.poses import (
+    IgtlPose,
+    IgtlTool,
+    ToolKind,
+    encode_position,
+    encode_qtdata,
+    encode_tdata,
+    encode_transform,
+)
+from needleplan.errors import LinkClosed
+
+__all__ = ["PlusDevice", "PlusFaults", "PlusLink", "PlusServer", "TrackedTool"]
+
+_NANO = 1_000_000_000
+_LONGEST = 65_536
+_BEGAN_S = 1_700_000_000.0
+
+
+@dataclass
+class TrackedTool:
+    """A tool by the name of its transform. `pose` returns position (mm) and quaternion (w, x, y, z) for a time."""
+
+    name: str
+    pose: Callable[[float], tuple[tuple[float, float, float], tuple[float, float, float, float]]]
+    status: str = "OK"
+    kind: ToolKind = ToolKind.SIX_DOF
+
+
+@dataclass
+class PlusFaults:
+    """What goes wrong from now on."""
+
+    damage: int = 0
+    """A bit is wrong in so many of the next messages."""
+
+    cut: int = 0
+    """Of so many of the next messages only the first half comes."""
+
+    noise_before: bytes = b""
+    """Bytes before the next message."""
+
+    absurd: int = 0
+    """So many of the next messages say that they are larger than any disk."""
+
+    freeze: bool = False
+    """The same frame, with the same time, again and again."""
+
+    skip: int = 0
+    """So many of the next frames do not come."""
+
+    mute: bool = False
+    time_step_s: float = 0.0
+    """The clock of the server is set by so much."""
+
+    stretch: float = 1.0
+    """Rotations are not rotations any more."""
+
+    flip: bool = False
+    """Quaternions come with the other sign."""
+
+    timeless: bool = False
+    """Messages carry no time."""
+
+
+@dataclass
+class PlusDevice:
+    """The server itself. With `on_request` TDATA and QTDATA come only to who has asked for them.
+
+    As PLUS does, it sends header version 1 until it has heard of a later one, and goes up to `version`.
+    """
+
+    tools: Sequence[TrackedTool]
+    kind: PoseKind = PoseKind.TRANSFORM
+    rate_hz: float = 40.0
+    version: int = 2
+    on_request: bool = False
+    refuse: bool = False
+    valid_only: bool = True
+    """As `SendValidTransformsOnly` of PLUS: what is not seen is left out."""
+
+    faults: PlusFaults = field(default_factory=PlusFaults)
+    queries: list[str] = field(default_factory=list)
+    asked: bool = False
+    spoken: int = 1
+    _reader: MessageReader = field(default_factory=MessageReader)
+    _last_s: float = 0.0
+
+    def frame(self, time_s: float) -> bytes:
+        """Return what is sent for a moment, in seconds since the start."""
+        faults = self.faults
+        if faults.mute or (self.on_request and not self.asked):
+            return b""
+        if faults.skip:
+            faults.skip -= 1
+            return b""
+        if not faults.freeze:
+            self._last_s = time_s
+        return b"".join(self._through_faults(encode_message(each)) for each in self._messages(self._last_s))
+
+    def answer(self, data: bytes) -> bytes:
+        """Take the bytes of a client, and return the replies."""
+        self._reader.feed(data)
+        replies = b""
+        while (query := self._reader.next()) is not None:
+            self.queries.append(query.kind)
+            self.spoken = min(max(self.spoken, query.version), self.version)
+            prefix, _, kind = query.kind.partition("_")
+            if prefix in ("STT", "STP"):
+                if prefix == "STT":
+                    decode_start(query.content)
+                self.asked = prefix == "STT" and not self.refuse
+                replies += encode_message(IgtlMessage(f"RTS_{kind}", query.device, encode_reply(not self.refuse)))
+        return replies
+
+    def _messages(self, time_s: float) -> list[IgtlMessage]:
+        faults = self.faults
+        stamp = 0 if faults.timeless else stamp_of(_BEGAN_S + time_s + faults.time_step_s)
+        seen = [each for each in self.tools if each.status == "OK" or not self.valid_only]
+        poses = [self._pose(each, time_s) for each in seen]
+        kind = self.kind.upper()
+        if self.kind.holds_tools:
+            tools = [IgtlTool(each.name[:20], pose, each.kind) for each, pose in zip(seen, poses, strict=True)]
+            content = encode_tdata(tools) if self.kind is PoseKind.TDATA else encode_qtdata(tools)
+            metadata = {f"{each.name}Status": each.status for each in seen}
+            return [self._message(kind, f"TDATA_{len(seen)}Elem", content, stamp, metadata)]
+        encode = encode_transform if self.kind is PoseKind.TRANSFORM else encode_position
+        return [
+            self._message(kind, each.name[:20], encode(pose), stamp, _told(each))
+            for each, pose in zip(seen, poses, strict=True)
+        ]
+
+    def _pose(self, tool: TrackedTool, time_s: float) -> IgtlPose:
+        if tool.status != "OK":
+            return IgtlPose((0.0, 0.0, 0.0))
+        position_mm, quaternion = tool.pose(time_s)
+        scale = self.faults.stretch * (-1 if self.faults.flip else 1)
+        w, x, y, z = (each * scale for each in quaternion)
+        return IgtlPose(position_mm, (w, x, y, z))
+
+    def _message(self, kind: str, device: str, content: bytes, stamp: int, metadata: dict[str, str]) -> IgtlMessage:
+        if self.spoken < 2:
+            return IgtlMessage(kind, device, content, stamp)
+        return IgtlMessage(kind, device, content, stamp, self.spoken, metadata=metadata)
+
+    def _through_faults(self, data: bytes) -> bytes:
+        faults = self.faults
+        before, faults.noise_before = faults.noise_before, b""
+        if faults.damage:
+            faults.damage -= 1
+            data = data[:-1] + bytes([data[-1] ^ 0x10])
+        if faults.absurd:
+            faults.absurd -= 1
+            data = data[:42] + b"\x7f" + b"\xff" * 7 + data[50:]
+        if faults.cut:
+            faults.cut -= 1
+            data = data[: len(data) // 2]
+        return before + data
+
+
+def _told(tool: TrackedTool) -> dict[str, str]:
+    long = {"IGTL_DEVICE_NAME": tool.name} if len(tool.name) > 20 else {}
+    return {"TransformStatus": tool.status, **long}
+
+
+class PlusLink(Link):
+    """A line to `device` in this process: frames come as the clock moves, and wait where nobody reads them."""
+
+    def __init__(self, device: PlusDevice, clock: VirtualClock) -> None:
+        self.device, self._clock = device, clock
+        self._began_ns = clock.now_ns()
+        self._frames = 0
+        self._coming: deque[bytes] = deque()
+        self._closed = False
+
+    def send(self, data: bytes) -> None:
+        """Give bytes to the device."""
+        self._check()
+        if reply := self.device.answer(data):
+            self._coming.append(reply)
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Return what has come, or let time pass until something does, at most `timeout_s`."""
+        self._check()
+        end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
+        while True:
+            self._catch_up()
+            if self._coming:
+                data = b"".join(self._coming)
+                self._coming.clear()
+                return data
+            due_ns = min(self._due_ns, end_ns)
+            if self._clock.now_ns() >= end_ns:
+                return b""
+            self._clock.advance((due_ns - self._clock.now_ns()) / _NANO)
+
+    def say(self, data: bytes) -> None:
+        """Let bytes come that are no frame."""
+        self._coming.append(data)
+
+    def unplug(self) -> None:
+        """Take the cable out."""
+        self._closed = True
+
+    def close(self) -> None:
+        """Give the link up."""
+        self._closed = True
+
+    @property
+    def _due_ns(self) -> int:
+        return self._began_ns + round((self._frames + 1) / self.device.rate_hz * _NANO)
+
+    def _catch_up(self) -> None:
+        while self._due_ns <= self._clock.now_ns():
+            self._frames += 1
+            if data := self.device.frame(self._frames / self.device.rate_hz):
+                self._coming.append(data)
+
+    def _check(self) -> None:
+        if self._closed:
+            raise LinkClosed("the link to the tracker is closed")
+
+
+class PlusServer(Closing):
+    """A PLUS server on a TCP port of this machine, for one client after another; a context manager."""
+
+    def __init__(self, device: PlusDevice, host: str = "127.0.0.1", port: int = 0) -> None:
+        self.device = device
+        self._listener = socket.create_server((host, port))
+        self.host, self.port = self._listener.getsockname()[:2]
+        self._woken, self._wake = socket.socketpair()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """`igtl://host:port`, to which a client adds the name of a tool."""
+        return f"igtl://{self.host}:{self.port}"
+
+    def close(self) -> None:
+        """Switch it off; a client finds its link closed."""
+        if self._stopping:
+            return
+        self._stopping = True
+        self._wake.send(b"x")
+        self._thread.join()
+        for each in (self._listener, self._woken, self._wake):
+            each.close()
+
+    def _serve(self) -> None:
+        began_s = time.monotonic()
+        while not self._stopping:
+            select.select([self._listener, self._woken], [], [])
+            if self._stopping:
+                return
+            client, _ = self._listener.accept()
+            with client, contextlib.suppress(OSError):
+                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._stream(client, began_s)
+
+    def _stream(self, client: socket.socket, began_s: float) -> None:
+        period_s = 1 / self.device.rate_hz
+        number = int((time.monotonic() - began_s) / period_s)
+        while not self._stopping:
+            wait_s = began_s + (number + 1) * period_s - time.monotonic()
+            ready, _, _ = select.select([client, self._woken], [], [], max(wait_s, 0))
+            if client in ready:
+                data = client.recv(_LONGEST)
+                if not data:
+                    return
+                client.sendall(self.device.answer(data))
+            if time.monotonic() >= began_s + (number + 1) * period_s:
+                number += 1
+                client.sendall(self.device.frame(number * period_s))

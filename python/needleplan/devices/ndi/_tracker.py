@@ -1,0 +1,304 @@
+"""An NDI Aurora or Polaris as a tracker of the coil in the tip of the needle."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+
+from needleplan.devices._base import PoseSample, Tracker
+from needleplan.devices._clock import Clock, Deadline, SystemClock
+from needleplan.devices._links import Link, SerialLink
+from needleplan.devices._opening import Address, open_link
+from needleplan.devices.ndi._validation import NdiPoseLimits, NdiPoseValidator
+from needleplan.devices.ndi.commands import BAUD_CODES, NdiConversation, NdiRefused
+from needleplan.devices.ndi.frames import Frames, parse_bx, parse_tx
+from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed, Mistake, ProtocolError
+
+__all__ = ["NDI_PORT", "NdiCounts", "NdiTool", "NdiTracker", "choose_tool", "enable_tools", "set_speed", "wake"]
+
+_FIRST_ANSWER_S = 2.0
+_RESET_S = 5.0
+_SETTLING_S = 0.1
+_ROUNDS = 8
+_STALE, _OCCUPIED, _INITIALISED, _ENABLED = "01", "02", "03", "04"
+
+
+@dataclass(frozen=True)
+class NdiTool:
+    """A tool that is enabled: its handle, which may change with every start, and its serial number, which may not."""
+
+    handle: int
+    serial: str
+    kind: str
+
+
+def wake(talk: NdiConversation) -> None:
+    """Initialise the device; over a serial line reset it first where it does not answer. Raises DeviceFault."""
+    serial = isinstance(talk.link, SerialLink)
+    try:
+        talk.ask("INIT", timeout_s=_FIRST_ANSWER_S if serial else None)
+    except NdiRefused:
+        talk.ask("TSTOP")  # somebody left it tracking
+        talk.ask("INIT")
+    except DeviceFault:
+        if not isinstance(talk.link, SerialLink):
+            raise
+        talk.hush()
+        talk.link.baud = 9600
+        talk.link.send_break()
+        deadline = Deadline(talk.clock, _RESET_S)
+        while not deadline.passed and talk.receive(deadline.left_s) != "RESET":
+            pass
+        talk.ask("INIT")
+
+
+def set_speed(talk: NdiConversation, baud: int) -> None:
+    """Change both ends of a serial line to `baud`. Raises DeviceFault where the device does not follow."""
+    if not isinstance(talk.link, SerialLink):
+        raise ConfigurationError(Mistake("speed", str(baud), "only a serial line has a speed"))
+    if baud not in BAUD_CODES:
+        raise ConfigurationError(Mistake("speed", str(baud), f"must be one of {', '.join(map(str, BAUD_CODES))}"))
+    before = talk.link.baud
+    talk.ask("COMM", f"{BAUD_CODES[baud]}0000")  # answered at the old speed
+    talk.link.baud = baud
+    talk.clock.sleep(_SETTLING_S)
+    try:
+        talk.ask("VER", "0", timeout_s=_FIRST_ANSWER_S)
+    except DeviceFault as fault:
+        raise DeviceFault(f"tracker: answers at {before} baud, but after COMM not at {baud}: {fault}") from fault
+
+
+def enable_tools(talk: NdiConversation) -> list[NdiTool]:
+    """Free the handles of tools that are gone, initialise and enable those that are there. Raises DeviceFault."""
+    for handle in _handles(talk, _STALE):
+        talk.ask("PHF", f"{handle:02X}")
+    # Some tools show further handles once the first has been initialised.
+    for _ in range(_ROUNDS):
+        waiting = _handles(talk, _OCCUPIED)
+        if not waiting:
+            break
+        for handle in waiting:
+            talk.ask("PINIT", f"{handle:02X}")
+    for handle in _handles(talk, _INITIALISED):
+        talk.ask("PENA", f"{handle:02X}D")
+    return [_tool(talk, handle) for handle in _handles(talk, _ENABLED)]
+
+
+def choose_tool(tools: list[NdiTool], wanted: str) -> NdiTool:
+    """Return the tool with the serial number `wanted`, or the only one. Raises ConfigurationError."""
+    there = ", ".join(f"{tool.serial or 'without number'} (handle {tool.handle:02X})" for tool in tools) or "none"
+    found = [tool for tool in tools if wanted in ("", tool.serial)]
+    if len(found) != 1:
+        rule = "must be the serial number of one tool" if wanted else "must be given where there is not one tool"
+        raise ConfigurationError(Mistake("tool", wanted, f"{rule}; there: {there}"), "tracker")
+    return found[0]
+
+
+def _handles(talk: NdiConversation, which: str) -> list[int]:
+    reply = talk.ask("PHSR", which)
+    try:
+        count = int(reply[:2], 16)
+        handles = [int(reply[at : at + 2], 16) for at in range(2, 2 + 5 * count, 5)]
+    except ValueError as error:
+        raise ProtocolError(f"tracker: {reply[:40]!r} does not answer PHSR:{which}") from error
+    if len(reply) != 2 + 5 * count:
+        raise ProtocolError(f"tracker: PHSR:{which} announces {count} handles in {len(reply)} characters")
+    return handles
+
+
+def _tool(talk: NdiConversation, handle: int) -> NdiTool:
+    """Ask who a tool is: kind (8 characters), maker (12), revision (3), serial number (8), port status (2)."""
+    try:
+        reply = talk.ask("PHINF", f"{handle:02X}0001")
+    except NdiRefused:
+        return NdiTool(handle, "", "")
+    return NdiTool(handle, reply[23:31].strip(), reply[:8].strip())
+
+
+NDI_PORT = 8765
+
+_POLL_S = 0.004
+_TRANSIENT = (0x04, 0x05)  # the command was damaged on its way: ask again
+
+
+@dataclass
+class NdiCounts:
+    """What came from the tracker since the start, and what did not."""
+
+    samples: int = 0
+    lost: int = 0
+    repeated: int = 0
+    damaged: int = 0
+    refused: int = 0
+
+
+class NdiTracker(Tracker):
+    """Tracks one tool over `link`: that with the serial number `tool`, or the only one.
+
+    `speed` is the baud rate to change to after the start. With `text` replies are asked for by TX, else by BX. `beyond`
+    asks for poses outside the volume too; they come as SUSPECT.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        *,
+        tool: str = "",
+        speed: int = 0,
+        text: bool = False,
+        beyond: bool = False,
+        limits: NdiPoseLimits | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        self._clock: Clock = SystemClock() if clock is None else clock
+        self.limits = NdiPoseLimits() if limits is None else limits
+        self.counts = NdiCounts()
+        self._talk = NdiConversation(link, self._clock, self.limits.reply_s)
+        self._wanted, self._speed = tool, speed
+        self._name, self._mode = "TX" if text else "BX", "0801" if beyond else "0001"
+        self._closed = self._tracking = False
+        try:
+            self.start()
+        except BaseException:
+            self.close()
+            raise
+
+    @classmethod
+    def open(cls, address: str, *, limits: NdiPoseLimits | None = None) -> NdiTracker:
+        """Open `serial:///dev/ttyUSB0[?baud=9600&speed=115200]` or `tcp://host[:8765]` and start tracking.
+
+        Further options: `tool` (a serial number), `reply` (bx or tx), `beyond` (yes or no). Raises AddressError,
+        ConfigurationError where the tool is not there, DeviceFault where nobody answers as an NDI device does.
+        """
+        parsed = Address.parse(address)
+        if parsed.scheme not in ("serial", "tcp"):
+            raise AddressError(Mistake("address", address, "a tracker is reached by serial:///port or tcp://host"))
+        ours = ("tool", "speed", "reply", "beyond")
+        parsed.only((*ours, "baud") if parsed.scheme == "serial" else (*ours, "timeout_s"))
+        text = parsed.option("reply", {"bx": False, "tx": True}.__getitem__, False)
+        beyond = parsed.option("beyond", {"no": False, "yes": True}.__getitem__, False)
+        speed = parsed.option("speed", int, 0)
+        rest = {name: value for name, value in parsed.options.items() if name not in ours}
+        link = open_link(Address(parsed.scheme, parsed.host, parsed.port, parsed.path, rest), NDI_PORT)
+        return cls(link, tool=parsed.options.get("tool", ""), speed=speed, text=text, beyond=beyond, limits=limits)
+
+    @property
+    def tool(self) -> NdiTool:
+        """The tool that is tracked."""
+        return self._tool
+
+    def start(self) -> None:
+        """Initialise the device and its tools, and begin to track. Raises DeviceFault, ConfigurationError."""
+        self._fault: DeviceFault | None = None
+        self._asked_ns: int | None = None
+        self._heard_ns = 0
+        self._took_s = 0.0
+        self._bad = 0
+        wake(self._talk)
+        if self._speed:
+            set_speed(self._talk, self._speed)
+        self._tool = choose_tool(enable_tools(self._talk), self._wanted)
+        self._validator = NdiPoseValidator(self._tool.handle, self.limits)
+        self._talk.ask("TSTART")
+        self._tracking = True
+        self._talk.hush()
+
+    def read(self, timeout_s: float) -> PoseSample | None:
+        """Return the next frame, or None after `timeout_s`; a slow reply is waited for by the next call.
+
+        Raises DeviceFault, again and again until `start`.
+        """
+        if self._closed:
+            raise LinkClosed("the tracker is closed")
+        if self._fault is not None:
+            raise self._fault
+        deadline = Deadline(self._clock, timeout_s)
+        try:
+            while True:
+                frames = self._exchange(deadline)
+                sample = None
+                if frames is not None:
+                    sample = self._validator.validate(frames, self._clock.now_ns(), self._took_s)
+                if sample is not None:
+                    self.counts.samples += 1
+                    self.counts.lost += sample.stamp.lost
+                    return sample
+                self.counts.repeated += frames is not None
+                if deadline.passed:
+                    return None
+                if frames is not None:
+                    self._clock.sleep(min(_POLL_S, deadline.left_s))
+        except LinkClosed:
+            raise
+        except DeviceFault as fault:
+            self._fault = fault
+            raise
+
+    def _exchange(self, deadline: Deadline) -> Frames | None:
+        """Ask where nothing is asked, and return the reply; None where it has not come, or came damaged."""
+        now_ns = self._clock.now_ns()
+        if self._asked_ns is None:
+            # What comes unasked is the answer to a question that was given up: old. Or the device has reset itself.
+            if "RESET" in self._talk.hush():
+                self._understand("RESET")
+            self._talk.send(self._name, self._mode)
+            self._asked_ns = self._heard_ns = now_ns
+        before = self._talk.reader.pending
+        wait_s = min(deadline.left_s, self.limits.gap_s)
+        damaged = self._talk.reader.damaged
+        reply = self._talk.receive(wait_s)
+        if reply is not None:
+            self._took_s = (self._clock.now_ns() - self._asked_ns) / 1e9
+            self._asked_ns = None
+            return self._understand(reply)
+        now_ns = self._clock.now_ns()
+        pending = self._talk.reader.pending
+        if pending != before:
+            self._heard_ns = now_ns
+        cut_short = bool(pending) and now_ns - self._heard_ns >= self.limits.gap_s * 1e9
+        if cut_short:
+            self._talk.reader.clear()
+        if cut_short or (self._talk.reader.damaged > damaged and not pending):
+            self._damaged("cut short" if cut_short else "wrong CRC")
+        elif (now_ns - self._asked_ns) / 1e9 >= self.limits.reply_s:
+            raise DeviceFault(f"tracker: no reply to {self._name} for {self.limits.reply_s:g} s")
+        return None
+
+    def _understand(self, reply: str | bytes) -> Frames | None:
+        if reply == "RESET":
+            raise DeviceFault("tracker: it reset itself; was its power gone for a moment?")
+        try:
+            if isinstance(reply, str):
+                self._talk.refuse(self._name, reply)
+            frames = parse_tx(reply) if isinstance(reply, str) else parse_bx(reply)
+        except NdiRefused as refusal:
+            if refusal.code not in _TRANSIENT:
+                raise
+            self.counts.refused += 1
+            self._damaged(str(refusal))
+            return None
+        except ProtocolError as error:
+            self._damaged(str(error))
+            return None
+        self._bad = 0
+        return frames
+
+    def _damaged(self, why: str) -> None:
+        """Count a reply that is no use, and ask again."""
+        self._asked_ns = None
+        self._bad += 1
+        self.counts.damaged += 1
+        if self._bad >= self.limits.damaged:
+            raise DeviceFault(f"tracker: {self._bad} damaged replies in a row: {why}; speed and cable?")
+
+    def close(self) -> None:
+        """Stop tracking, return to 9600 baud where the speed was changed, and give the link back."""
+        if self._closed:
+            return
+        self._closed = True
+        with contextlib.suppress(DeviceFault):
+            if self._tracking:
+                self._talk.ask("TSTOP", timeout_s=1.0)
+            if isinstance(self._talk.link, SerialLink) and self._speed and self._tracking:
+                self._talk.ask("COMM", "00000", timeout_s=1.0)
+        self._talk.link.close()

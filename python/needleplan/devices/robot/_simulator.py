@@ -1,0 +1,295 @@
+"""Simulated robots: drives without physics, a robot on a UDP socket, and a network within a process."""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import math
+import select
+import socket
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+from needleplan.devices._clock import VirtualClock
+from needleplan.devices._links import Link
+from needleplan.devices.robot._machine import Peer, RobotDrive, RobotDriveState, RobotMachine
+from needleplan.devices.robot.messages import Fault
+from needleplan.errors import DeviceFault, LinkClosed
+
+__all__ = ["RobotDriveFaults", "RobotLink", "RobotNetwork", "RobotServer", "SteadyDrive", "Way"]
+
+_MOST_OVERTIME = 256
+"""So many datagrams are heard when a tick is due already."""
+
+
+@dataclass
+class RobotDriveFaults:
+    """What goes wrong from now on."""
+
+    reported: Fault = Fault(0)
+    """What the drives report: DRIVE, LIMIT, ESTOP. The emergency stop takes the power away as long as it is pressed."""
+
+    stuck: bool = False
+    slow: float = 1.0
+    """The axes go only this share of their way."""
+
+    reversed: bool = False
+    """The encoders count the wrong way."""
+
+    jump_mm: float = 0.0
+    """The encoder of the insertion jumps by this much, once."""
+
+
+class SteadyDrive(RobotDrive):
+    """Two axes that go at the speed they are told, from one moment to the next."""
+
+    def __init__(self, deepest_mm: float = 180.0, fastest_mm_s: float = 50.0, fastest_rad_s: float = 12.0) -> None:
+        self.faults = RobotDriveFaults()
+        self._deepest_mm, self._fastest = deepest_mm, (fastest_mm_s, fastest_rad_s)
+        self._goals, self._speeds = [0.0, 0.0], [0.0, 0.0]
+        self._wanted, self._measured = [0.0, 0.0], [0.0, 0.0]
+        self._velocities = [0.0, 0.0]
+        self._time_s: float | None = None
+
+    def advance(self, time_s: float) -> RobotDriveState:
+        """Go on to a time, and say where the axes are."""
+        passed_s = 0.0 if self._time_s is None else max(time_s - self._time_s, 0.0)
+        self._time_s = time_s
+        faults = self.faults
+        if Fault.ESTOP in faults.reported:
+            self.stop()
+        share = 0.0 if faults.stuck else -faults.slow if faults.reversed else faults.slow
+        for axis in range(2):
+            left = self._goals[axis] - self._wanted[axis]
+            step = math.copysign(min(abs(left), self._speeds[axis] * passed_s), left)
+            self._wanted[axis] += step
+            self._measured[axis] += share * step
+            self._velocities[axis] = share * step / passed_s if passed_s else 0.0
+        self._measured[0] += faults.jump_mm
+        faults.jump_mm = 0.0
+        depth_mm, roll_rad = self._measured
+        return RobotDriveState(
+            depth_mm, self._velocities[0], roll_rad, self._velocities[1], self._wanted[0],
+            self._wanted[1], self._wanted != self._goals, faults.reported,
+        )  # fmt: skip
+
+    def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
+        """Begin to move to a depth. Raises DeviceFault beyond the travel or the fastest speed."""
+        if not (abs(depth_mm) <= self._deepest_mm and velocity_mm_s <= self._fastest[0]):
+            raise DeviceFault(f"simulated drive: {depth_mm:g} mm at {velocity_mm_s:g} mm/s is beyond its limits")
+        self._goals[0], self._speeds[0] = depth_mm, velocity_mm_s
+
+    def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
+        """Begin to turn to a roll. Raises DeviceFault above the fastest speed."""
+        if not velocity_rad_s <= self._fastest[1]:
+            raise DeviceFault(f"simulated drive: {velocity_rad_s:g} rad/s is beyond its limits")
+        self._goals[1], self._speeds[1] = roll_rad, velocity_rad_s
+
+    def stop(self) -> None:
+        """Stand still where the axes are."""
+        self._wanted = [self._measured[0], self._measured[1]]
+        self._goals = list(self._wanted)
+
+
+class RobotServer:
+    """A robot on a UDP socket of this machine, in real time; a context manager.
+
+    `run` serves in the thread that calls it, until `close`; a context manager serves in a thread of its own.
+    """
+
+    def __init__(
+        self, machine: RobotMachine, host: str = "127.0.0.1", port: int = 0, interval_s: float = 0.001
+    ) -> None:
+        self.machine = machine
+        self.interval_s = interval_s
+        self.worst_overrun_s = 0.0
+        self.ticks = 0
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((host, port))
+        except OSError:
+            self._socket.close()
+            raise
+        self._socket.setblocking(False)
+        self.host, self.port = self._socket.getsockname()
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def address(self) -> str:
+        """The address by which a client opens the robot."""
+        return f"udp://{self.host}:{self.port}"
+
+    def run(self) -> None:
+        """Tick and answer until `close`; a tick that begins more than its interval late is an overrun."""
+        due_s = time.monotonic()
+        while not self._stopping.is_set():
+            due_s += self.interval_s
+            self._listen_until(due_s)
+            late_s = time.monotonic() - due_s
+            if late_s > self.interval_s:
+                self.machine.overruns += 1
+                self.worst_overrun_s = max(self.worst_overrun_s, late_s)
+                due_s += late_s  # the time that is lost is not made up for
+            self.ticks += 1
+            sent = self.machine.tick(time.monotonic_ns())
+            if sent is not None:
+                self._send(*sent)
+
+    def _listen_until(self, due_s: float) -> None:
+        # What has come is heard before the watchdog looks, also where this process was stopped for a while; but who
+        # sends without end does not keep the watchdog from looking.
+        overtime = _MOST_OVERTIME
+        while overtime:
+            left_s = max(due_s - time.monotonic(), 0.0)
+            overtime -= left_s == 0
+            # A time-out of the socket would be rounded up to whole milliseconds.
+            if not select.select([self._socket], [], [], left_s)[0]:
+                return
+            try:
+                datagram, sender = self._socket.recvfrom(2048)
+            except OSError:
+                continue
+            answer = self.machine.receive(datagram, sender, time.monotonic_ns())
+            if answer:
+                self._send(answer, sender)
+
+    def _send(self, datagram: bytes, peer: Peer) -> None:
+        with contextlib.suppress(OSError):
+            self._socket.sendto(datagram, peer)
+
+    def stop(self) -> None:
+        """Let `run` return after its tick."""
+        self._stopping.set()
+
+    def close(self) -> None:
+        """Switch it off."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        self._thread = threading.Thread(target=self.run, daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+_NANO = 1_000_000_000
+_TICK_NS = 1_000_000
+
+
+@dataclass
+class Way:
+    """What happens to datagrams of one direction from now on."""
+
+    cut: bool = False
+    lose: int = 0
+    """So many of the next are lost."""
+
+    double: int = 0
+    delay_s: float = 0.0
+    seen: list[bytes] = field(default_factory=list)
+    """All that were sent, lost or not."""
+
+    def copies(self, datagram: bytes) -> int:
+        """Return how many of a datagram arrive."""
+        self.seen.append(datagram)
+        if self.cut or self.lose:
+            self.lose -= bool(self.lose)
+            return 0
+        self.double -= (twice := self.double > 0)
+        return 1 + twice
+
+
+class RobotNetwork:
+    """Carries datagrams between a robot and its controllers; the robot's clock is `ahead_ns` ahead of `clock`."""
+
+    def __init__(self, machine: RobotMachine, clock: VirtualClock, ahead_ns: int = 77_000_000_000) -> None:
+        self.machine, self.clock, self.ahead_ns = machine, clock, ahead_ns
+        self.to_robot, self.from_robot = Way(), Way()
+        self._due_ns = clock.now_ns() + _TICK_NS
+        self._count = 0
+        self._coming: list[tuple[int, int, bytes, Peer]] = []
+        self._going: list[tuple[int, int, bytes, Peer]] = []
+        self._inboxes: dict[Peer, deque[bytes]] = {}
+
+    def link(self, name: str = "controller") -> RobotLink:
+        """Return a link of a controller with a name, which is its host."""
+        peer = (name, 1)
+        self._inboxes[peer] = deque()
+        return RobotLink(self, peer, self._inboxes[peer])
+
+    def send(self, datagram: bytes, peer: Peer) -> None:
+        """Send a datagram to the robot."""
+        self._put(self._coming, self.to_robot, datagram, peer)
+
+    def pass_until(self, end_ns: int, inbox: deque[bytes] | None = None) -> None:
+        """Let time pass, at most until there is something in `inbox`."""
+        while not inbox:
+            now_ns = self.clock.now_ns()
+            waiting = [queue[0][0] for queue in (self._coming, self._going) if queue]
+            next_ns = min([self._due_ns, *waiting])
+            if next_ns > end_ns:
+                self.clock.advance((end_ns - now_ns) / _NANO)
+                return
+            self.clock.advance((next_ns - now_ns) / _NANO)
+            self._happen(next_ns)
+
+    def _happen(self, now_ns: int) -> None:
+        if self._going and self._going[0][0] <= now_ns:
+            _, _, datagram, peer = heapq.heappop(self._going)
+            if peer in self._inboxes:
+                self._inboxes[peer].append(datagram)
+        elif self._coming and self._coming[0][0] <= now_ns:
+            _, _, datagram, peer = heapq.heappop(self._coming)
+            answer = self.machine.receive(datagram, peer, now_ns + self.ahead_ns)
+            if answer:
+                self._put(self._going, self.from_robot, answer, peer)
+        else:
+            self._due_ns += _TICK_NS
+            sent = self.machine.tick(now_ns + self.ahead_ns)
+            if sent is not None:
+                self._put(self._going, self.from_robot, *sent)
+
+    def _put(self, queue: list[tuple[int, int, bytes, Peer]], way: Way, datagram: bytes, peer: Peer) -> None:
+        due_ns = self.clock.now_ns() + round(way.delay_s * _NANO)
+        for _ in range(way.copies(datagram)):
+            self._count += 1
+            heapq.heappush(queue, (due_ns, self._count, datagram, peer))
+
+
+class RobotLink(Link):
+    """The end of a controller."""
+
+    def __init__(self, network: RobotNetwork, peer: Peer, inbox: deque[bytes]) -> None:
+        self._network, self._peer, self._inbox = network, peer, inbox
+        self._closed = False
+
+    def send(self, data: bytes) -> None:
+        """Send a datagram to the robot."""
+        self._require_open()
+        self._network.send(data, self._peer)
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Return the next datagram, or let `timeout_s` pass."""
+        self._require_open()
+        self._network.pass_until(self._network.clock.now_ns() + round(timeout_s * _NANO), self._inbox)
+        return self._inbox.popleft() if self._inbox else b""
+
+    def close(self) -> None:
+        """Give the link up."""
+        self._closed = True
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise LinkClosed("the link to the robot is closed")
