@@ -43,7 +43,7 @@ def test_34_no_module_of_the_loop_asks_for_the_time_of_day() -> None:
     assert len(SOURCES) > 50
     asking = {str(file.relative_to(PACKAGE)): wall_clock(ast.parse(file.read_text())) for file in SOURCES}
     # Messages of OpenIGTLink carry the time of day, for others to look at.
-    assert {name for name, how in asking.items() if how} <= {"devices/igtl/server.py"}
+    assert {name for name, how in asking.items() if how} <= {"devices/igtl/_server.py"}
 
 
 def test_34_a_run_does_not_notice_that_the_time_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
