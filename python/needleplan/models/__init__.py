@@ -1,6 +1,16 @@
-"""The mechanics: axial force, friction, tissue motion and deflection as one family of models.
+"""Mechanical models of needle insertion: axial force, friction, tissue motion, deflection and the path of the tip.
 
-Units: mm, N, s, rad. See `needleplan.models.base` for what a model is.
+All models have one interface. `simulate` drives a model along a motion, `fit` identifies its parameters from records,
+and `profile_intervals`, `bootstrap_intervals` and `residual_findings` examine a fit. Units are mm, N, s and rad.
+
+| package | models |
+|---|---|
+| `needleplan.models.force` | axial force as a function of depth (chapter 2 of the thesis) |
+| `needleplan.models.friction` | friction along the shaft (chapter 3), cutting at the tip |
+| `needleplan.models.tissue` | friction on tissue that moves with the needle (chapter 4) |
+| `needleplan.models.deflection` | bending of the needle in tissue (chapter 5) |
+| `needleplan.models.path` | path of a bevel tip in the plane and in space (chapter 6) |
+| `needleplan.models.effects` | effects that can be added to a model |
 """
 
 from needleplan.models._base import (

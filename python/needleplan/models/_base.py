@@ -82,7 +82,6 @@ class Parameter:
     >>> stiffness = npl.models.LumpedLuGre.parameters()["sigma0"]
     >>> stiffness.unit, stiffness.lower, stiffness.upper, stiffness.free
     ('1/mm', 0.0001, 10000.0, True)
-
     """
 
     unit: str
@@ -144,7 +143,6 @@ def parameter(
     >>> declared = parameter("N/mm", 1e-3, 1e3, "stiffness of a spring")
     >>> str(declared.metadata["parameter"].scale)
     'log'
-
     """
     scale = Scale.LOG if typical is None else Scale.LINEAR
     what = Parameter(unit, lower, upper, about, scale, 1.0 if typical is None else typical, free)
@@ -175,7 +173,6 @@ def constant(unit: str, lower: float, upper: float, about: str, *, default: Any 
     >>> from needleplan.models import constant
     >>> constant("mm", 0, 1e3, "length of the needle").metadata["parameter"].free
     False
-
     """
     return parameter(unit, lower, upper, about, default=default, typical=max(abs(lower), abs(upper)), free=False)
 
@@ -199,7 +196,6 @@ class Channel(StrEnum):
     >>> import needleplan as npl
     >>> str(npl.models.LumpedLuGre.channel), npl.models.SpatialBicycle.channel.columns
     ('force_n', ('x_mm', 'y_mm', 'z_mm'))
-
     """
 
     FORCE = "force_n"
@@ -256,7 +252,6 @@ class Model(ABC):
     >>> import needleplan as npl
     >>> npl.models.Bicycle(curvature_per_mm=0.01).values()
     {'curvature_per_mm': 0.01, 'heading_rad': 0.0, 'offset_mm': 0.0}
-
     """
 
     name: ClassVar[str]
@@ -325,7 +320,6 @@ class Model(ABC):
         ------
         ModelError
             If the model has no field of that name, or a value is outside of its range.
-
         """
         known = {each.name for each in fields(self)}
         unknown = [Mistake(name, "", f"is not a parameter of {self.name}") for name in values if name not in known]
@@ -346,7 +340,6 @@ class LinearStateModel(Model):
     >>> import needleplan as npl
     >>> issubclass(npl.models.LumpedLuGre, npl.models.LinearStateModel)
     True
-
     """
 
     @abstractmethod
@@ -374,7 +367,6 @@ class SelfIntegratingModel(Model):
     >>> import needleplan as npl
     >>> issubclass(npl.models.Bicycle, npl.models.SelfIntegratingModel)
     True
-
     """
 
     @abstractmethod

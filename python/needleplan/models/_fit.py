@@ -43,7 +43,6 @@ class FitStatus(StrEnum):
     >>> import needleplan as npl
     >>> [str(status) for status in npl.models.FitStatus]
     ['converged', 'evaluation_limit', 'at_bound', 'diverged']
-
     """
 
     CONVERGED = "converged"
@@ -77,7 +76,6 @@ class Estimate:
     >>> import needleplan as npl
     >>> npl.models.Estimate(value=40.0, sd=1.0, low=38.0, high=42.0, unit="mm", identified=True).high
     42.0
-
     """
 
     value: float
@@ -120,7 +118,6 @@ class Fit:
     Examples
     --------
     See `fit`.
-
     """
 
     model: Model
@@ -203,7 +200,7 @@ def fit(
     >>> import numpy as np
     >>> import needleplan as npl
     >>> from needleplan.signals import Record, insertion_cycles
-    >>> motion = insertion_cycles(60.0, 10.0, rate_hz=50.0)
+    >>> motion = insertion_cycles(60.0, 10.0, rate_hz=20.0)
     >>> noise = np.random.default_rng(0).normal(0.0, 0.1, len(motion))
     >>> measured = npl.models.simulate(npl.models.Bicycle(curvature_per_mm=0.01), motion).output + noise
     >>> record = Record({"time_s": motion.time_s, "depth_mm": motion.depth_mm, "y_mm": measured})
@@ -211,7 +208,6 @@ def fit(
     >>> curvature = found.estimates["curvature_per_mm"]
     >>> found.ok, curvature.low < 0.01 < curvature.high
     (True, True)
-
     """
     from scipy.optimize import least_squares
 

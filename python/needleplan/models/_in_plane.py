@@ -1,8 +1,8 @@
-"""What a plan in the plane can take of the path of a tip in space: curvature by depth, and the roll of the bevel.
+"""What a planner in the plane can use of the path of a tip in space: curvature by depth, and roll angles of the bevel.
 
-A plan knows arcs to the left and to the right. Any model of a steered tip (`SteeredModel`) says how the path bends
-where the bevel looks somewhere. Rolled so that nothing of it leads out of the plane, it bends to the left by kl and to
-the right by kr; their mean is the curvature of the plan. Nothing here knows the effects of a model by name.
+The planner knows arcs to the left and to the right. A `SteeredModel` gives the curvature of the path for any roll
+angle. For each side this module finds the roll angle at which the path does not leave the plane, and the curvature at
+that angle. The planner uses the mean of the two curvatures. The module does not refer to single effects of a model.
 """
 
 from __future__ import annotations
@@ -30,11 +30,26 @@ _SPACING_MM = 0.5
 
 @dataclass(frozen=True, eq=False)
 class InPlane:
-    """A path in the plane, by the inserted length: all arrays have the shape (n,).
+    """Path of the tip in the plane as a function of the inserted length.
 
-    `roll_left_rad` and `roll_right_rad` are the angles at which the needle bends to the left and to the right and not
-    out of the plane: 0 and pi, if nothing is odd. `lag_rad` is how far the tip is behind the base while that turns.
-    `heading_rad` and `elevation_rad` are how the path goes in beside the direction that is thought.
+    Parameters
+    ----------
+    depth_mm : Array
+        Inserted length, shape (n,), as all arrays below.
+    left_per_mm, right_per_mm : Array
+        Curvature to the left and to the right, both positive.
+    roll_left_rad, roll_right_rad : Array
+        Roll angle of the base at which the path stays in the plane; 0 and pi for an ideal needle.
+    lag_rad : Array
+        Angle by which the tip lags behind the base while the base rotates.
+    along_mm : Array
+        Distance along x of a path of this length that is flipped at half of its length.
+    heading_rad, elevation_rad : float
+        Direction of the path at the entry relative to the assumed direction.
+
+    Examples
+    --------
+    See `in_plane`.
     """
 
     depth_mm: Array
@@ -51,20 +66,45 @@ class InPlane:
 
     @property
     def curvature_per_mm(self) -> Array:
-        """The curvature that a plan takes: the mean of both sides."""
+        """Curvature that the planner uses: the mean of both sides, shape (n,)."""
         return np.maximum((self.left_per_mm + self.right_per_mm) / 2, _LEAST_PER_MM)
 
     def roll_rad(self, bevel: int, depth_mm: float) -> float:
-        """Return the angle for a bevel of the plan, +1 to the left and -1 to the right, at an inserted length."""
+        """Return the roll angle of the base for a bevel of the plan, +1 (left) or -1 (right), at an inserted length."""
         rolls = self.roll_left_rad if bevel > 0 else self.roll_right_rad
         return float(np.interp(depth_mm, self.depth_mm, rolls))
 
 
 def in_plane(model: Model, deepest_mm: float, velocity_mm_s: float = 5.0) -> InPlane:
-    """Return what a plan can take of a model of a tip's path that goes in at a speed, down to a depth.
+    """Return what a planner in the plane can use of a model of the tip's path.
 
-    What is of the sensor is left out. Raises ModelError for models of anything else, and for a path that does not bend
-    to both sides.
+    Effects of the sensor are left out.
+
+    Parameters
+    ----------
+    model : Model
+        A `SteeredModel`, with or without effects.
+    deepest_mm : float
+        Largest inserted length.
+    velocity_mm_s : float
+        Velocity of the insertion.
+
+    Returns
+    -------
+    InPlane
+        Curvature and roll angles by inserted length.
+
+    Raises
+    ------
+    ModelError
+        If the model is of another kind, or its path does not bend to both sides.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> flat = npl.models.in_plane(npl.models.SpatialBicycle(curvature_per_mm=0.01), deepest_mm=50.0)
+    >>> print(f"{flat.curvature_per_mm[-1]:.3f} {flat.roll_rad(-1, 20.0):.4f}")
+    0.010 3.1416
     """
     plant = model.plant if isinstance(model, AugmentedModel) else model
     whole = plant.whole if isinstance(plant, AugmentedModel) else plant
@@ -88,7 +128,7 @@ def in_plane(model: Model, deepest_mm: float, velocity_mm_s: float = 5.0) -> InP
 
 
 def _rolled(model: SteeredModel, depth: Array, velocity_mm_s: float, wanted_rad: float) -> tuple[Array, Array]:
-    """Return how the path bends toward a side, and the roll for it."""
+    """Return the curvature toward a side, and the roll angle at which the path stays in the plane."""
     roll = np.full(depth.size, wanted_rad)
 
     def bend(roll: Array) -> Array:
@@ -107,7 +147,7 @@ def _motion(depth: Array, velocity_mm_s: float, roll: Array) -> Motion:
 
 
 def _along(left: Array, right: Array, depth: Array) -> Array:
-    """Return how far along its line each length gets, if the needle is turned at half of that length."""
+    """Return the distance along x of paths of each length that are flipped at half of their length."""
     bend = (left + right) / 2
     turned = np.concatenate([[0.0], np.cumsum((bend[1:] + bend[:-1]) / 2 * np.diff(depth))])
     found = []

@@ -56,7 +56,6 @@ class Intervals:
     Examples
     --------
     See `profile_intervals`.
-
     """
 
     estimates: dict[str, Estimate]
@@ -110,7 +109,6 @@ def profile_intervals(
     >>> interval = npl.models.profile_intervals(found, record).estimates["curvature_per_mm"]
     >>> interval.low < 0.01 < interval.high
     True
-
     """
     wanted = _names(found, names)
     records = (data,) if isinstance(data, Record) else tuple(data)
@@ -170,7 +168,6 @@ def bootstrap_intervals(
     >>> found = npl.models.fit(npl.models.Bicycle(0.005), record, free=["curvature_per_mm"])
     >>> npl.models.bootstrap_intervals(found, record, runs=20).refits
     20
-
     """
     records = (data,) if isinstance(data, Record) else tuple(data)
     shortest = min(int(np.isfinite(left).sum()) for left in found.residuals)

@@ -1,6 +1,6 @@
 """The kinds of models that a model file can hold, by `Model.name`.
 
-A new member is added to `MEMBERS`; a test finds those that were forgotten.
+Add a new model to `MEMBERS`; a test fails if a model is missing.
 """
 
 from __future__ import annotations
@@ -38,7 +38,29 @@ KINDS: dict[str, type[Model]] = {member.name: member for member in MEMBERS}
 
 
 def kind_of(name: str) -> type[Model]:
-    """Return the class of a kind of model. Raises ModelError with a suggestion."""
+    """Return the model class of a kind.
+
+    Parameters
+    ----------
+    name : str
+        A key of `KINDS`.
+
+    Returns
+    -------
+    type
+        The class.
+
+    Raises
+    ------
+    ModelError
+        If the kind is unknown; the message suggests the closest one.
+
+    Examples
+    --------
+    >>> from needleplan.models import kind_of
+    >>> kind_of("bicycle").__name__
+    'Bicycle'
+    """
     if name in KINDS:
         return KINDS[name]
     close = get_close_matches(name, KINDS, n=1)

@@ -54,7 +54,6 @@ class Finding:
     Examples
     --------
     See `residual_findings`.
-
     """
 
     name: str
@@ -97,7 +96,6 @@ def residual_findings(found: Fit, records: Sequence[Record]) -> tuple[Finding, .
     >>> whiteness = npl.models.residual_findings(found, [record])[0]
     >>> whiteness.name, whiteness.p_value > 0.05
     ('whiteness', True)
-
     """
     if len(records) != len(found.residuals) or any(
         len(record) != left.size for record, left in zip(records, found.residuals, strict=True)
@@ -133,7 +131,6 @@ def findings_of(residuals: Sequence[Array], motions: Sequence[Motion], unit: str
     >>> mean = findings_of([np.random.default_rng(0).normal(0.5, 0.1, len(motion))], [motion], "mm")[1]
     >>> mean.p_value < 0.01
     True
-
     """
     good = [np.isfinite(values) for values in residuals]
     left = [values[mask] for values, mask in zip(residuals, good, strict=True)]
@@ -179,7 +176,6 @@ def ljung_box(residuals: Sequence[Array], lags: int | None = None) -> tuple[floa
     >>> statistic, p_value, lags = ljung_box([np.random.default_rng(0).normal(size=200)])
     >>> p_value > 0.05, lags
     (True, 20)
-
     """
     from scipy.special import chdtrc  # scipy.stats takes as long to load as a whole diagnosis
 

@@ -63,7 +63,6 @@ def recurrence(factor: Array, offset: Array, start: Array | float) -> Array:
     >>> from needleplan.models import recurrence
     >>> recurrence(np.array([0.5, 0.5]), np.array([1.0, 1.0]), 0.0)
     array([0. , 1. , 1.5])
-
     """
     n = len(factor) + 1
     band = np.zeros((2, n), order="F")
@@ -96,7 +95,6 @@ class Trajectory:
     >>> run = npl.models.simulate(npl.models.Bicycle(0.01), insertion_cycles(50.0, 5.0))
     >>> run.states.shape == (2, len(run.motion)), run.finite
     (True, True)
-
     """
 
     motion: Motion
@@ -143,7 +141,6 @@ def simulate(model: Model, motion: Motion, state: Array | None = None, *, subste
     >>> run = npl.models.simulate(npl.models.Bicycle(curvature_per_mm=0.01), motion)
     >>> print(f"{run.output.max():.2f} mm at a depth of {motion.depth_mm.max():.0f} mm")
     12.24 mm at a depth of 50 mm
-
     """
     initial = model.initial_state(motion)
     start = initial if state is None else np.asarray(state, float)

@@ -1,49 +1,30 @@
-"""The force-depth model: LuGre friction with the inserted length l in the place of the velocity (eqs. 2.1 to 2.4).
+"""Axial force as a function of depth: LuGre friction driven by the inserted length l (thesis, eqs. 2.1 to 2.4).
 
 ::
 
     z' = l (beta - sigma0 z / g(l)),        g(l) = f1 + f2 exp(-alpha l)
     f  = sigma0 z l + sign(l') l { sigma1 exp(-alpha l) (beta - sigma0 z / g(l)) + sigma2 }
 
-The print has lost where the dot of the velocity belongs. It belongs into the sign: with sign(l), which is always +1, or
-with "sign(l) l' {...}" the force of a retraction would not turn negative, against Figs. 2.7 and 2.9. The first term is
-read as sigma0 z l; with "sigma0 z" the statements of the text about sigma0 and sigma1 do not hold.
+**Corrections to the print.** Eq. 2.1 has lost a dot. It belongs to the argument of the sign: with sign(l), which is
+always +1, the force of a retraction would not become negative, in contradiction to Figs. 2.7 and 2.9. The first term is
+sigma0 z l; with sigma0 z, the statements of the text about sigma0 and sigma1 would not hold.
 
-At rest the sign is the last one that was not zero (`Motion.direction`). Relaxation is not in the model: z goes on while
-the needle dwells, since its input is l and not l'.
+At rest the sign keeps its last value (`Motion.direction`). The model has no relaxation: z also changes during a dwell,
+because its input is l and not l'.
 
-Units with l in mm: beta 1/(mm s), f1, f2 and sigma1 N s, sigma0 and sigma2 N/mm, alpha 1/mm; z has none. The scale of
-z is free (`needleplan.models.force.gauge`), so that beta, f1, f2, sigma0 and sigma1 mean something only together.
+**Units** with l in mm: beta 1/(mm s); f1, f2 and sigma1 N s; sigma0 and sigma2 N/mm; alpha 1/mm; z is dimensionless.
 
-----
-
-Model I of chapter 2: beta is a fixed normalisation, everything else is identified (eqs. 2.1, 2.2).
-
-----
-
-Model II of chapter 2: f2 and alpha are fixed, taken from Model I, and beta is identified (eqs. 2.3, 2.4).
-
-----
-
-Closed forms of the force-depth model once z has settled: the force far behind the peak.
-
-z follows its equilibrium z = beta g(l) / sigma0 with the rate l sigma0 / g(l). Where that is fast beside the change of
-l, the damping term is gone and, exactly in the limit,
-
-    insertion  f -> (beta g(l) + sigma2) l,        retraction  f -> (beta g(l) - sigma2) l.
-
-----
-
-The exact symmetry of the force-depth model: nobody has ever measured the scale of z.
-
-For every c > 0::
+**Symmetry.** The scale of z is arbitrary. For every c > 0 the following change leaves the force as it is::
 
     (beta, f1, f2, sigma0, sigma1, z) -> (beta/c, c f1, c f2, c sigma0, c sigma1, z/c)
 
-leaves the force as it is: z' keeps its form, as sigma0/g does not change, and sigma0 z, sigma1 beta and
-sigma1 sigma0 z/g do not either. sigma2 and alpha stay. So the seven numbers are six, and no data can tell all seven.
-Model I takes one away by fixing beta, Model II by fixing f2. Compare parameters of two identifications only after
-`with_gauge` has brought both to the same beta.
+Of the seven parameters only six are therefore identifiable. Model I fixes beta, Model II fixes f2 and alpha. Compare
+two identifications only after `with_gauge` has brought both to the same beta.
+
+**Asymptotes.** z approaches the equilibrium beta g(l) / sigma0 with the rate l sigma0 / g(l). Where this rate is large
+compared with the rate of change of l, the damping term vanishes and::
+
+    insertion  f -> (beta g(l) + sigma2) l,        retraction  f -> (beta g(l) - sigma2) l
 """
 
 from __future__ import annotations
@@ -72,10 +53,10 @@ __all__ = [
 
 @dataclass(frozen=True)
 class DepthForce(LinearStateModel):
-    """Axial force as a function of depth; abstract: the two models differ only in what is free.
+    """Abstract base class of the force-depth models, which differ only in the free parameters.
 
-    A g(l) that is not positive somewhere makes z unstable there; it is no error, since identification may try it, and
-    `proper` says it.
+    If g(l) is not positive at some depth, z is unstable there. The constructor accepts such parameters, because a fit
+    may try them; `proper` tells.
     """
 
     channel: ClassVar[Channel] = Channel.FORCE
@@ -90,19 +71,20 @@ class DepthForce(LinearStateModel):
 
     @property
     def proper(self) -> bool:
-        """Whether g(l) > 0 for all l >= 0, without which the force grows without bound."""
+        """Whether g(l) > 0 for all l >= 0. Otherwise the force grows without bound."""
         return self.f1 > 0 and self.f1 + self.f2 > 0
 
     def g(self, depth_mm: Array) -> Array:
-        """Return what z saturates at, in N s, of the shape of `depth_mm` (eq. 2.2); NaN where it is not positive.
+        """Return the level g (N s) of eq. 2.2, of the shape of `depth_mm`; NaN where it is not positive.
 
-        z would grow without bound there, and so the simulation says: it ends in NaN, and no fit accepts it.
+        z would grow without bound there. The NaN propagates to the simulated force, so that no fit accepts the
+        parameters.
         """
         g = np.asarray(self.f1 + self.f2 * np.exp(-self.alpha * depth_mm))
         return np.where(g > 0, g, np.nan)
 
     def coefficients(self, motion: Motion) -> tuple[Array, Array]:
-        """Return l beta and l sigma0 / g(l)."""
+        """Return the forcing l beta and the rate l sigma0 / g(l)."""
         depth = motion.depth_mm
         return np.asarray(depth * self.beta), np.asarray(depth * self.sigma0 / self.g(depth))
 
@@ -111,7 +93,7 @@ class DepthForce(LinearStateModel):
         return self._force(state, motion.depth_mm, motion.direction)
 
     def output_as_printed(self, state: Array, motion: Motion) -> Array:
-        """Return the force (N) with sign(l), as eq. 2.1 reads without the dot: a deep retraction would push."""
+        """Return the force (N) of eq. 2.1 as printed, with sign(l): a deep retraction would push."""
         return self._force(state, motion.depth_mm, np.sign(motion.depth_mm))
 
     def _force(self, state: Array, depth: Array, sign: Array) -> Array:
@@ -122,10 +104,19 @@ class DepthForce(LinearStateModel):
 
 @dataclass(frozen=True)
 class ForceModel1(DepthForce):
-    """The force-depth model with fixed beta.
+    """Force-depth model I (eqs. 2.1, 2.2): beta is fixed, the other parameters are identified.
 
-    The thesis calls beta0 "a normalized constant" and gives no value; none is needed, as every value gives the same
-    forces (`needleplan.models.force.gauge`). The default keeps f1, f2 and sigma0 at the size printed for Model II.
+    The thesis calls beta0 "a normalized constant" and prints no value. Any value gives the same forces. With the
+    default, f1, f2 and sigma0 have the magnitude of the values that the thesis prints for Model II.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import insertion_cycles
+    >>> model = npl.models.ForceModel1(sigma0=8e-3, sigma1=2.5, sigma2=4e-3, f1=0.056, f2=-0.021, alpha=0.05)
+    >>> run = npl.models.simulate(model, insertion_cycles(80.0, 10.0))
+    >>> print(f"{run.output.max():.2f} N")
+    0.41 N
     """
 
     name: ClassVar[str] = "force_model_1"
@@ -135,10 +126,21 @@ class ForceModel1(DepthForce):
 
 @dataclass(frozen=True)
 class ForceModel2(DepthForce):
-    """The force-depth model with fixed f2 and alpha.
+    """Force-depth model II (eqs. 2.3, 2.4): f2 and alpha are fixed at the values of Model I, beta is identified.
 
-    Up to the scale of z it is Model I with alpha fixed and f2 / f1 free: nothing that Model I could not do
-    (`needleplan.models.force.gauge`). That it did better in the thesis is a matter of the estimator.
+    Up to the scale of z, Model II is Model I with a fixed alpha and a free ratio f2 / f1. It cannot represent more than
+    Model I. Its smaller errors in the thesis are due to the estimator.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import insertion_cycles
+    >>> model = npl.models.ForceModel2(
+    ...     sigma0=7.9e-3, sigma1=2.46, sigma2=4.14e-3, f1=0.0559, f2=-0.0211, alpha=0.0525, beta=0.0255
+    ... )
+    >>> run = npl.models.simulate(model, insertion_cycles(80.0, 10.0))
+    >>> print(f"{run.output.max():.2f} N")
+    0.44 N
     """
 
     name: ClassVar[str] = "force_model_2"
@@ -148,17 +150,17 @@ class ForceModel2(DepthForce):
 
 
 def steady_state(model: DepthForce, depth_mm: Array) -> Array:
-    """Return the equilibrium of z at each depth, shape as given."""
+    """Return the equilibrium of z at each depth, of the shape of `depth_mm`."""
     return np.asarray(model.beta * model.g(depth_mm) / model.sigma0)
 
 
 def insertion_asymptote(model: DepthForce, depth_mm: Array) -> Array:
-    """Return the force (N) of an insertion at each depth, shape as given, once z has settled."""
+    """Return the force (N) of an insertion after z has settled, of the shape of `depth_mm`."""
     return np.asarray((model.beta * model.g(depth_mm) + model.sigma2) * depth_mm)
 
 
 def retraction_asymptote(model: DepthForce, depth_mm: Array) -> Array:
-    """Return the force (N) of a retraction at each depth, shape as given, once z has settled."""
+    """Return the force (N) of a retraction after z has settled, of the shape of `depth_mm`."""
     return np.asarray((model.beta * model.g(depth_mm) - model.sigma2) * depth_mm)
 
 
@@ -168,7 +170,7 @@ _Force = TypeVar("_Force", bound=DepthForce)
 def regauged(model: _Force, c: float) -> _Force:
     """Return the model with the scale of z changed by 1/c; its forces are those of `model`.
 
-    Raises ModelError where c is not positive, or a parameter would leave its range.
+    Raises ModelError if c is not positive, or a parameter would leave its range.
     """
     if not c > 0:
         raise ModelError(Mistake("c", f"{c}", "must be positive"), model.name)
@@ -177,12 +179,12 @@ def regauged(model: _Force, c: float) -> _Force:
 
 
 def regauged_state(state: Array, c: float) -> Array:
-    """Return the state, of any shape, that belongs to `regauged(model, c)`."""
+    """Return the state of `regauged(model, c)` that corresponds to a state of `model`; any shape."""
     return state / c
 
 
 def with_gauge(model: _Force, beta: float) -> _Force:
-    """Return the model with the same forces whose beta (1/(mm s)) is the given one. Raises ModelError as `regauged`."""
+    """Return the model with the given beta (1/(mm s)) and the same forces. Raises ModelError as `regauged` does."""
     if not beta > 0:
         raise ModelError(Mistake("beta", f"{beta}", "must be positive"), model.name)
     return regauged(model, model.beta / beta)

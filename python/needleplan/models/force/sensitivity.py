@@ -1,7 +1,7 @@
-"""One step and one output of the force-depth model with their derivatives, for filters.
+"""One integration step and one output of the force-depth model with their derivatives, for Kalman filters.
 
-Everything is a plain float: a filter asks for one sample at a time, and for that NumPy takes ten times as long. The
-parameters are a tuple in the order of `NAMES`; derivatives by the parameters are tuples in the same order.
+All functions use Python floats, because a filter processes one sample at a time and NumPy would take ten times as long.
+The parameters are a tuple in the order of `NAMES`, and so are the derivatives with respect to the parameters.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ NAMES = ("sigma0", "sigma1", "sigma2", "f1", "f2", "alpha", "beta")
 Values = tuple[float, float, float, float, float, float, float]
 
 Row = tuple[float, float, Values]
-"""A number, its derivative by z, its derivatives by the parameters."""
+"""A value, its derivative with respect to z, and its derivatives with respect to the parameters."""
 
 
 def slope(z: float, values: Values, depth_mm: float) -> Row:
-    """Return z' (1/s). Raises ZeroDivisionError where g is zero, OverflowError where exp(-alpha l) is none."""
+    """Return z' (1/s). Raises ZeroDivisionError if g is zero, and OverflowError if exp(-alpha l) overflows."""
     sigma0, _, _, f1, f2, alpha, beta = values
     fading = exp(-alpha * depth_mm)
     g = f1 + f2 * fading
@@ -32,7 +32,7 @@ def slope(z: float, values: Values, depth_mm: float) -> Row:
 
 
 def force(z: float, values: Values, depth_mm: float, direction: float) -> Row:
-    """Return the axial force (N). Raises as `slope`."""
+    """Return the axial force (N). Raises the errors of `slope`."""
     sigma0, sigma1, sigma2, f1, f2, alpha, beta = values
     fading = exp(-alpha * depth_mm)
     g = f1 + f2 * fading
@@ -56,7 +56,7 @@ def force(z: float, values: Values, depth_mm: float, direction: float) -> Row:
 
 
 def exponential_step(z: float, values: Values, depth_mm: float, step_s: float) -> Row:
-    """Return z after `step_s` at a depth held at `depth_mm`: exact for that, and bounded however long the step is."""
+    """Return z after `step_s` at the constant depth `depth_mm`: exact, and bounded for any length of the step."""
     sigma0, _, _, f1, f2, alpha, beta = values
     fading = exp(-alpha * depth_mm)
     g = f1 + f2 * fading
@@ -83,9 +83,9 @@ def exponential_step(z: float, values: Values, depth_mm: float, step_s: float) -
 
 
 def kutta_step(z: float, values: Values, depths_mm: tuple[float, float, float], step_s: float) -> Row:
-    """Return z after a step of Kutta's third-order method, as in the thesis; depths at its begin, middle and end.
+    """Return z after one step of Kutta's third-order method, as in the thesis.
 
-    Raises as `slope`.
+    `depths_mm` are the depths at the begin, the middle and the end of the step. Raises the errors of `slope`.
     """
     h = step_s
     k1, k1z, k1p = slope(z, values, depths_mm[0])

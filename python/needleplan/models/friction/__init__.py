@@ -1,15 +1,15 @@
-"""Friction along the shaft of a needle: thesis, chapter 3.
+"""Friction along the shaft of a needle (thesis, chapter 3), and cutting at the tip.
 
-| here | thesis |
+| name | in the thesis |
 |---|---|
-| `Karnopp` | benchmark: Coulomb and viscous |
+| `Karnopp` | benchmark: Coulomb and viscous friction |
 | `QuasiStatic` | Model I |
 | `LumpedLuGre` | Model II; with a `profile`, its normal force follows the inserted length |
-| `AveragedLuGre(profile=RIGHT)`, `AveragedLuGre()` | Models III-A, III-B |
+| `AveragedLuGre(profile=Profile.RIGHT)`, `AveragedLuGre()` | Models III-A and III-B |
+| `distributed` | the partial differential equation (3.1) to (3.4) |
 | `ShaftAndTip` | none: Dahl friction along the shaft and cutting at the tip |
-| `distributed` | the partial differential equation (3.1) to (3.4) itself |
 
-Units mm, N, s. Forces are tenths of a newton for Fn = 1 N.
+Units are mm, N and s. With Fn = 1 N the friction forces are some tenths of a newton.
 """
 
 from needleplan.models.friction._base import Friction, Profile, StribeckFriction, intensity, normal_length_mm

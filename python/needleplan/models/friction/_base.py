@@ -1,4 +1,9 @@
-"""How the normal force is spread along the inserted shaft.
+"""Base classes of the friction models: the contact patch, its normal force, and the velocity dependence.
+
+The patch is the part of the shaft within tissue of the thickness `thickness_mm`. While the tip is in the tissue, the
+inserted length is the depth. After the needle has passed through, it is the thickness. The normal force follows the
+`profile`. It is `normal_force_n` at the inserted length `reference_mm`: 1 N at 76 mm in the thesis, which fixes the
+scale of mu_c, mu_s and sigma2.
 
 fn(zeta) is the normal force per length at the distance zeta from the entry, for an inserted length L (thesis, (3.15)).
 With a plateau f and ramps of the length w::
@@ -6,17 +11,9 @@ With a plateau f and ramps of the length w::
     right trapezoid          zeta/w on the first w, then 1                                  Fn = f (L - w/2)
     isosceles trapezoid      zeta/w on the first w, then 1, (L - zeta)/w on the last w      Fn = f (L - w)
 
-Short lengths are triangles: up to zeta = L for L <= w, Fn = f L^2/(2w); up to L/2 and down again for L <= 2w,
-Fn = f L^2/(4w). The thesis keeps f (L - w) for any length in (3.19), which is negative for L < w.
-
-----
-
-What all models of shaft friction share: the patch of tissue around the needle, and the surfaces that rub.
-
-The patch: tissue of `thickness_mm` around the needle. A tip inside of it has inserted its depth; a needle that has
-passed through has inserted the thickness, whatever its depth. The normal force follows the `profile`, and is
-`normal_force_n` where `reference_mm` are inserted: 1 N at 76 mm in the thesis, which fixes the scale of mu_c, mu_s and
-sigma2.
+Short patches are triangles. For L <= w the right profile rises up to zeta = L, with Fn = f L^2/(2w). For L <= 2w the
+isosceles profile rises to L/2 and falls again, with Fn = f L^2/(4w). Equation (3.19) of the thesis uses f (L - w) for
+any length, which is negative for L < w.
 """
 
 from __future__ import annotations
@@ -35,23 +32,31 @@ __all__ = ["Friction", "Profile", "StribeckFriction", "choice", "intensity", "no
 
 
 class Profile(StrEnum):
-    """Which function fn(zeta) is."""
+    """Distribution fn(zeta) of the normal force along the inserted shaft.
+
+    Examples
+    --------
+    >>> from needleplan.models import Profile
+    >>> [str(profile) for profile in Profile]
+    ['constant', 'uniform', 'right', 'isosceles']
+    """
 
     CONSTANT = "constant"
-    """Total normal force Fn whatever the length: the thesis, which sets Fn = 1 N for Models I and II."""
+    """The total normal force Fn does not depend on the length. The thesis uses this with Fn = 1 N for Models I and II.
+    """
 
     UNIFORM = "uniform"
-    """fn = f: the force grows in proportion to the inserted length."""
+    """fn = f: the normal force is proportional to the inserted length."""
 
     RIGHT = "right"
-    """Right trapezoid: Model III-A."""
+    """Right trapezoid, Model III-A."""
 
     ISOSCELES = "isosceles"
-    """Isosceles trapezoid: Model III-B."""
+    """Isosceles trapezoid, Model III-B."""
 
 
 def normal_length_mm(profile: Profile, length_mm: Array, ramp_mm: float) -> Array:
-    """Return Fn/f (mm) for inserted lengths, any shape; for the constant profile 1, as that has no f."""
+    """Return Fn/f (mm) for inserted lengths of any shape; 1 for the constant profile, which has no f."""
     length = np.asarray(length_mm, float)
     if profile is Profile.CONSTANT:
         return np.ones_like(length)
@@ -63,9 +68,9 @@ def normal_length_mm(profile: Profile, length_mm: Array, ramp_mm: float) -> Arra
 
 
 def intensity(profile: Profile, position_mm: Array, length_mm: Array | float, ramp_mm: float) -> Array:
-    """Return fn/f at positions from the entry; zero outside of (0, length). The shapes broadcast.
+    """Return fn/f at positions from the entry, zero outside of (0, length). The arguments broadcast.
 
-    The constant profile is taken as a uniform one: it says nothing about how its force is spread.
+    The constant profile does not define a distribution; it is treated as uniform.
     """
     position, length = np.broadcast_arrays(np.asarray(position_mm, float), np.asarray(length_mm, float))
     inside = (position >= 0) & (position <= length)
@@ -81,7 +86,7 @@ _Choice = TypeVar("_Choice", bound=StrEnum)
 
 
 def choice(kind: type[_Choice], value: object, key: str, model: str) -> _Choice:
-    """Return the member of an enumeration, also for its text. Raises ModelError that names the others."""
+    """Return the member of an enumeration for a value or its text. Raises ModelError that lists the members."""
     try:
         return kind(str(value))
     except ValueError:
@@ -91,7 +96,10 @@ def choice(kind: type[_Choice], value: object, key: str, model: str) -> _Choice:
 
 @dataclass(frozen=True, kw_only=True)
 class Friction(Model):
-    """Friction along the inserted shaft, positive on insertion; abstract. Symbols as in chapter 3 of the thesis."""
+    """Abstract base class of friction along the inserted shaft, positive on insertion.
+
+    The symbols are those of chapter 3 of the thesis.
+    """
 
     channel: ClassVar[Channel] = Channel.FORCE
     mu_c: float = parameter("", 1e-4, 100, "friction coefficient at high speed")
@@ -107,7 +115,7 @@ class Friction(Model):
         object.__setattr__(self, "profile", choice(Profile, self.profile, "profile", type(self).__name__))
 
     def inserted_mm(self, motion: Motion) -> Array:
-        """Return the length of shaft in tissue, shape (...): the depth, from 0 to the thickness."""
+        """Return the length of the shaft in the tissue, shape (...): the depth, clipped to [0, thickness]."""
         return np.asarray(np.clip(motion.depth_mm, 0.0, self.thickness_mm))
 
     def plateau_n_mm(self) -> float:
@@ -116,18 +124,18 @@ class Friction(Model):
         return self.normal_force_n / float(normal_length_mm(self.profile, reference, self.ramp_mm))
 
     def total_normal_force_n(self, motion: Motion) -> Array:
-        """Return Fn for the inserted length, shape (...)."""
+        """Return Fn (N) for the inserted length, shape (...)."""
         length = normal_length_mm(self.profile, self.inserted_mm(motion), self.ramp_mm)
         return np.asarray(self.plateau_n_mm() * length)
 
 
 @dataclass(frozen=True, kw_only=True)
 class StribeckFriction(Friction):
-    """Friction whose coefficient goes from mu_s at rest to mu_c; abstract.
+    """Abstract base class of friction whose coefficient changes from mu_s at rest to mu_c at high velocity.
 
-    In all the thesis' Tables 3.2 to 3.4 mu_c is ten to thirty times mu_s: friction rises with the speed, and there is
-    no Stribeck drop. The labels are not swapped: with the names exchanged, the excess of the Karnopp model over Model
-    II would be 8 to 12 times the published one.
+    In Tables 3.2 to 3.4 of the thesis, mu_c is ten to thirty times mu_s: friction rises with the velocity, without a
+    Stribeck drop. The two labels are not interchanged in print. With the labels exchanged, the error of the Karnopp
+    model relative to Model II would be 8 to 12 times the published one.
     """
 
     sigma0: float = parameter("1/mm", 1e-4, 1e4, "stiffness of the bristles")
@@ -136,7 +144,7 @@ class StribeckFriction(Friction):
     gamma: float = constant("", 0.1, 4, "exponent of the speed in that transition", default=1.0)
 
     def level(self, motion: Motion) -> Array:
-        """Return g(v), (3.2), shape (...)."""
+        """Return the friction level g(v) of (3.2), shape (...)."""
         speed = np.abs(motion.velocity_mm_s)
         power = speed if self.gamma == 1 else speed**self.gamma
         return np.asarray(self.mu_c + (self.mu_s - self.mu_c) * np.exp(-self.alpha * power))

@@ -1,28 +1,25 @@
-"""The term beta of the averaged LuGre model: what the spread of the normal force does to the mean bristle.
-
-For bristles that are carried along the shaft with the speed v, whose bending is z = psi(zeta) phi(t), psi =
-zeta^lambda, the mean bending weighted with fn obeys (thesis, (3.11)) z' = v - sigma0 |v| z/g + beta v z, and by parts
-
-    beta = [ int_0^L psi fn' dzeta - psi(L) fn(L) ] / int_0^L psi fn dzeta.
-
-What was wrong in print: (3.12) divides its last term by Fn where it has to be Fn z; (3.16), the right trapezoid, leaves
-that term out although fn(L) = f is not zero there, and so becomes practically zero (positive, 5e-10 to 2e-3 per mm at
-L = 76 mm) where it should be -0.017 to -0.079. (3.17), the isosceles one, is right.
-
-What no choice of psi mends: the partial differential equation gives a bending that is flat beyond the first g/sigma0
-(0.03 to 0.5 mm), which is lambda -> 0 and beta -> 0. See `needleplan.models.friction.distributed`.
-
-----
-
-Friction with bristles: Model II (lumped), Models III-A and III-B (averaged over the patch).
+"""Friction with bristles: Model II (lumped) and Models III-A and III-B (averaged over the patch).
 
 The state is the mean bending z (mm) of the bristles, weighted with the normal force (thesis, (3.11))::
 
     z' = v - sigma0 |v| z / g(v) + beta v z
     F  = Fn(L) (sigma0 z + sigma1 z' + sigma2 v)
 
-Not stiff in mm and s: sigma0 |v|/g is at most 24 to 31 1/s for the published parameters. A needle outside of the tissue
-has no bent bristles.
+The equation is not stiff in mm and s: with the published parameters sigma0 |v|/g is at most 31 1/s. Outside of the
+tissue the bristles are straight.
+
+**The term beta.** Bristles are carried along the shaft with the velocity v. With the bending z = psi(zeta) phi(t) and
+psi = zeta^lambda, integration by parts gives::
+
+    beta = [ int_0^L psi fn' dzeta - psi(L) fn(L) ] / int_0^L psi fn dzeta
+
+**Corrections to the print.** (3.12) divides its last term by Fn; it must be Fn z. (3.16), for the right trapezoid,
+omits the end term although fn(L) = f is not zero there. Its beta is therefore almost zero (5e-10 to 2e-3 per mm at L =
+76 mm) instead of -0.017 to -0.079 per mm. (3.17), for the isosceles trapezoid, is right.
+
+**A limit of the ansatz.** The partial differential equation gives a bending that is constant beyond the first g/sigma0
+(0.03 to 0.5 mm) of the patch. This corresponds to lambda -> 0 and beta -> 0; no psi of the thesis has this form. See
+`distributed`.
 """
 
 from __future__ import annotations
@@ -46,27 +43,37 @@ _SHORTEST_MM = 1e-3
 
 
 class Beta(StrEnum):
-    """Which term stands in the equation."""
+    """The transport term in the equation of the averaged LuGre model.
+
+    Examples
+    --------
+    >>> from needleplan.models import Beta
+    >>> [str(term) for term in Beta]
+    ['transport', 'printed', 'absolute', 'tip']
+    """
 
     TRANSPORT = "transport"
     """beta v: (3.17) for the isosceles trapezoid, (3.16) with its end term for the right one.
 
-    It lowers |F| on insertion and raises it on retraction, by 2 to 5 % each, and makes the bristle unstable on
-    retraction where -beta > sigma0/g (isosceles, lambda 5: below a length of 1.4 to 4.4 mm).
+    The term lowers |F| on insertion and raises it on retraction, by 2 to 5 % each. On retraction the state is unstable
+    if -beta > sigma0/g: for the isosceles profile and lambda = 5, below a length of 1.4 to 4.4 mm.
     """
 
     PRINTED = "printed"
-    """beta v as printed: (3.16) without its end term for the right trapezoid; (3.17) for the isosceles one."""
+    """beta v as printed: (3.16) without its end term for the right trapezoid, (3.17) for the isosceles one."""
 
     ABSOLUTE = "absolute"
-    """beta |v|, isosceles only: a patch of fixed length that fresh bristles enter at whichever end is upstream."""
+    """beta |v|, isosceles only: a patch of fixed length which fresh bristles enter at the upstream end."""
 
     TIP = "tip"
-    """beta v for a tip inside of the tissue, L' = v, where fn grows with the patch (Leibniz's rule); 0 for lambda 0."""
+    """beta v for a tip in the tissue (L' = v), where fn grows with the patch (Leibniz's rule); 0 for lambda = 0."""
 
 
 def beta_per_mm(profile: Profile, term: Beta, length_mm: Array, ramp_mm: float, exponent: float) -> Array:
-    """Return beta (1/mm) for inserted lengths, any shape; `profile` is RIGHT or ISOSCELES, `exponent` lambda >= 0."""
+    """Return beta (1/mm) for inserted lengths of any shape.
+
+    `profile` must be RIGHT or ISOSCELES; `exponent` is lambda >= 0.
+    """
     length = np.maximum(np.asarray(length_mm, float), _SHORTEST_MM)
     # Each branch is evaluated on lengths of its own side only, so that no power of a negative number appears.
     if profile is Profile.RIGHT:
@@ -104,30 +111,37 @@ _FORGETTING_PER_S = 1e3
 
 
 class OutputForm(StrEnum):
-    """Which output equation the averaged model has."""
+    """The output equation of the averaged LuGre model.
+
+    Examples
+    --------
+    >>> from needleplan.models import OutputForm
+    >>> [str(form) for form in OutputForm]
+    ['consistent', 'printed']
+    """
 
     CONSISTENT = "consistent"
-    """F = Fn (sigma0 z + sigma1 z' + sigma2 v): (3.11), and what (3.18) is once its integral is done by parts."""
+    """F = Fn (sigma0 z + sigma1 z' + sigma2 v): (3.11), and (3.18) after integration by parts."""
 
     PRINTED = "printed"
     """(3.19): F = f (L - w) {(1 - sigma1 |v|/g) sigma0 z - sigma1 z' + (sigma1 + sigma2) v}.
 
-    Wrong twice. The integral of -sigma1 v dz/dzeta is sigma1 beta v Fn z and not -sigma1 z' Fn: as printed, the damping
-    of the bristles cancels and a one-signed force -sigma1 beta v z is left (53 to 222 mN at full speed). And f (L - w)
-    is Fn for L >= 2w only, negative for L < w. Tables 3.4 and 3.5 cannot have been made with it: a fit drives sigma1 to
-    zero.
+    The printed equation has two errors. The integral of -sigma1 v dz/dzeta is sigma1 beta v Fn z and not -sigma1 z' Fn:
+    as printed, the damping of the bristles cancels and leaves a force -sigma1 beta v z of one sign (53 to 222 mN at the
+    largest velocity). And f (L - w) is Fn only for L >= 2w; it is negative for L < w. Tables 3.4 and 3.5 cannot result
+    from this equation: a fit drives sigma1 to zero.
     """
 
 
 @dataclass(frozen=True, kw_only=True)
 class LuGre(StribeckFriction, LinearStateModel):
-    """Friction whose bristles have one state, their mean bending in mm; abstract."""
+    """Abstract base class of friction with one bristle state, the mean bending in mm."""
 
     sigma1: float = parameter("s/mm", 1e-5, 1e3, "damping of the bristles")
 
     @abstractmethod
     def transport_per_s(self, motion: Motion) -> Array:
-        """Return what the spread of the normal force adds to z'/z (1/s), shape (...)."""
+        """Return the transport term of z'/z (1/s), shape (...)."""
 
     def coefficients(self, motion: Motion) -> tuple[Array, Array]:
         """Return forcing (mm/s) and rate (1/s), shape (...) each."""
@@ -146,26 +160,45 @@ class LuGre(StribeckFriction, LinearStateModel):
 
 @dataclass(frozen=True, kw_only=True)
 class LumpedLuGre(LuGre):
-    """Model II, (3.13): all bristles as one, beta = 0.
+    """Model II, (3.13): one bristle for the whole patch, beta = 0.
 
-    With the constant profile it is the published model, which knows nothing of the inserted length; with any other
-    profile the normal force follows the length, which is what predicts friction with the tip inside (8 mN beside 60 to
-    74 mN where data come from Model III-B).
+    With the constant profile this is the published model, whose force does not depend on the inserted length. With
+    another profile the normal force follows the length. Such a model predicts friction with the tip in the tissue: its
+    error is 8 mN on data of Model III-B, compared with 60 to 74 mN for the published model.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import sinusoid
+    >>> model = npl.models.LumpedLuGre(mu_c=0.73, sigma2=0.016, sigma0=1.3, sigma1=0.46, mu_s=0.034, alpha=0.09)
+    >>> motion = sinusoid(offset_mm=126.0, amplitude_mm=25.0, frequency_hz=0.05, cycles=1.0)
+    >>> run = npl.models.simulate(model, motion)
+    >>> print(f"{run.output.max():.2f} N")
+    0.51 N
     """
 
     name: ClassVar[str] = "lumped_lugre"
 
     def transport_per_s(self, motion: Motion) -> Array:
-        """Return zero."""
+        """Return zero, shape (...)."""
         return np.zeros_like(np.asarray(motion.velocity_mm_s, float))
 
 
 @dataclass(frozen=True, kw_only=True)
 class AveragedLuGre(LuGre):
-    """Models III-A (profile `RIGHT`) and III-B (`ISOSCELES`, the default): psi = zeta^exponent along the patch.
+    """Models III-A (profile `RIGHT`) and III-B (profile `ISOSCELES`, the default): psi = zeta^exponent along the patch.
 
-    `beta` and `form` choose between the equations that were printed and what they should be. Raises ModelError for a
-    profile or a term that does not go with it.
+    `beta` and `form` select the printed equations or the corrected ones. The constructor raises ModelError for another
+    profile, and for a `beta` that does not apply to the profile.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import insertion_cycles
+    >>> model = npl.models.AveragedLuGre(mu_c=0.79, sigma2=0.014, sigma0=1.2, sigma1=0.37, mu_s=0.033, alpha=0.09)
+    >>> run = npl.models.simulate(model, insertion_cycles(50.0, 5.0))
+    >>> print(f"{run.output.max():.2f} N")
+    0.23 N
     """
 
     name: ClassVar[str] = "averaged_lugre"
@@ -186,7 +219,7 @@ class AveragedLuGre(LuGre):
             raise ModelError(Mistake("beta", self.beta, rule), source)
 
     def transport_per_s(self, motion: Motion) -> Array:
-        """Return beta v, or beta |v|."""
+        """Return beta v, or beta |v| (1/s), shape (...)."""
         velocity = np.asarray(motion.velocity_mm_s, float)
         term = Beta.TRANSPORT if self.beta is Beta.ABSOLUTE else self.beta
         beta = beta_per_mm(self.profile, term, self.inserted_mm(motion), self.ramp_mm, self.exponent)

@@ -1,8 +1,6 @@
-"""Friction without memory: the benchmark of Karnopp's kind, and Model I.
+"""Friction models without a state, and the separation of friction from a measured force.
 
-----
-
-What of a measured axial force is not friction: inertia of the needle, and cutting at the tip (thesis, 3.4.2).
+The models are the benchmark of Karnopp's kind and Model I of the thesis.
 """
 
 from __future__ import annotations
@@ -23,20 +21,28 @@ __all__ = ["ForceParts", "Karnopp", "QuasiStatic", "cutting_force", "into_fresh_
 
 @dataclass(frozen=True, kw_only=True)
 class Karnopp(Friction):
-    """F = (sign(v) mu_c + sigma2 v) Fn: the benchmark of the thesis, linear in its parameters (after Okamura 2004).
+    """F = (sign(v) mu_c + sigma2 v) Fn: the benchmark of the thesis (after Okamura 2004).
 
-    Karnopp's dead zone is left out, as a width was not published and a prescribed motion does not need one. At rest the
-    friction keeps the sign of the last movement.
+    The model is linear in its parameters. Karnopp's dead zone is left out: the thesis prints no width, and a prescribed
+    motion does not need it. At rest the friction keeps the sign of the last movement.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import insertion_cycles
+    >>> run = npl.models.simulate(npl.models.Karnopp(mu_c=0.5, sigma2=0.02), insertion_cycles(50.0, 5.0))
+    >>> print(f"{run.output.max():.2f} N, {run.output.min():.2f} N")
+    0.60 N, -0.60 N
     """
 
     name: ClassVar[str] = "karnopp"
 
     def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
-        """Return no state, shape (0,)."""
+        """Return the empty state, shape (0,)."""
         return np.zeros(0)
 
     def derivative(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return no rates, shape (0,)."""
+        """Return the empty rates, shape (0,)."""
         return np.zeros_like(state)
 
     def output(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
@@ -47,21 +53,30 @@ class Karnopp(Friction):
 
 @dataclass(frozen=True, kw_only=True)
 class QuasiStatic(StribeckFriction):
-    """Model I, (3.9): the steady bending of bristles that are carried in at one end of the patch.
+    """Model I, (3.9): the steady bending of bristles that enter at one end of the patch.
 
-    F = {sign(v) g [1 - g/(sigma0 L) (1 - e^(-sigma0 L/g))] + sigma2 v} Fn. For L = 76 mm the bracket is above 0.99:
-    sigma0 cannot be identified from such a patch. The steady bending (3.7) solves (3.6) only for v > 0; for v < 0 it is
-    what transport with |v|, bristles entering at the other end, gives.
+    F = {sign(v) g [1 - g/(sigma0 L) (1 - exp(-sigma0 L/g))] + sigma2 v} Fn. For L = 76 mm the bracket is above 0.99, so
+    that sigma0 is not identifiable from such a patch. The steady bending (3.7) solves (3.6) only for v > 0. For v < 0
+    it is the solution of transport with |v|, with the bristles entering at the other end.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import insertion_cycles
+    >>> model = npl.models.QuasiStatic(mu_c=0.7, sigma2=0.017, sigma0=1.3, mu_s=0.04, alpha=0.08)
+    >>> run = npl.models.simulate(model, insertion_cycles(50.0, 5.0))
+    >>> print(f"{run.output.max():.2f} N")
+    0.34 N
     """
 
     name: ClassVar[str] = "quasi_static"
 
     def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
-        """Return no state, shape (0,)."""
+        """Return the empty state, shape (0,)."""
         return np.zeros(0)
 
     def derivative(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return no rates, shape (0,)."""
+        """Return the empty rates, shape (0,)."""
         return np.zeros_like(state)
 
     def output(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
@@ -78,7 +93,21 @@ _N_PER_KG_MM_S2 = 1e-3
 
 @dataclass(frozen=True)
 class ForceParts:
-    """The parts of the axial force (N), shape (samples,) each; they add up to what was measured."""
+    """Components of a measured axial force (N), shape (samples,) each; their sum is the measured force.
+
+    Parameters
+    ----------
+    friction_n : Array
+        Friction along the shaft.
+    inertia_n : Array
+        Inertia of needle and holder.
+    cutting_n : Array
+        Remainder: cutting at the tip.
+
+    Examples
+    --------
+    See `cutting_force`.
+    """
 
     friction_n: Array
     inertia_n: Array
@@ -86,12 +115,43 @@ class ForceParts:
 
 
 def cutting_force(record: Record, friction: Friction, mass_kg: float) -> ForceParts:
-    """Return the cutting force of a trial: measured - friction - inertia.
+    """Return the cutting force of a trial: measured force minus friction minus inertia (thesis, 3.4.2).
 
-    `mass_kg` is the needle with its holder beyond the sensor. The sensor pushes the mass as well as the needle through
-    the tissue, so inertia is mass times acceleration in the direction of insertion (the thesis' F = Fz + m a has its
-    sensor axis the other way round); at 0.05 Hz it is 0.1 mN. The friction is simulated from rest along the record's
-    motion. Raises DataError without `force_n`, ModelError for a mass that is negative or no number.
+    The sensor accelerates the needle and its holder. The inertia is therefore mass times acceleration in the direction
+    of insertion; at 0.05 Hz it is about 0.1 mN. (F = Fz + m a in the thesis has the opposite sensor axis.) The friction
+    is simulated from rest along the motion of the record.
+
+    Parameters
+    ----------
+    record : Record
+        The trial, with the column `force_n`.
+    friction : Friction
+        Identified friction model.
+    mass_kg : float
+        Mass of the needle and its holder beyond the sensor.
+
+    Returns
+    -------
+    ForceParts
+        The three components.
+
+    Raises
+    ------
+    DataError
+        If the record has no column `force_n`.
+    ModelError
+        If the mass is negative or not a number.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import Record, insertion_cycles
+    >>> motion, friction = insertion_cycles(50.0, 5.0), npl.models.Karnopp(mu_c=0.5, sigma2=0.02)
+    >>> measured = npl.models.simulate(friction, motion).output + 0.2
+    >>> record = Record({"time_s": motion.time_s, "depth_mm": motion.depth_mm,
+    ...                  "velocity_mm_s": motion.velocity_mm_s, "force_n": measured})
+    >>> print(f"{npl.models.cutting_force(record, friction, mass_kg=0.0).cutting_n.mean():.2f} N")
+    0.20 N
     """
     if not 0 <= mass_kg < np.inf:
         raise ModelError(Mistake("mass_kg", str(mass_kg), "must be a number that is not negative"), "cutting_force")
@@ -103,9 +163,28 @@ def cutting_force(record: Record, friction: Friction, mass_kg: float) -> ForcePa
 
 
 def into_fresh_tissue(motion: Motion, margin_mm: float = 0.0) -> NDArray[np.bool_]:
-    """Return where the tip is deeper than ever before, less `margin_mm`, and moving in: where it cuts; bool (samples,).
+    """Return where the tip cuts: where it moves in, deeper than ever before.
 
-    The first sample counts as reached before.
+    Parameters
+    ----------
+    motion : Motion
+        The motion. The depth of its first sample counts as already cut.
+    margin_mm : float
+        Distance behind the largest previous depth that still counts as cutting.
+
+    Returns
+    -------
+    NDArray
+        Mask, bool of shape (samples,).
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import insertion_cycles
+    >>> motion = insertion_cycles(50.0, 5.0, cycles=2)
+    >>> cutting = npl.models.into_fresh_tissue(motion)
+    >>> bool(cutting[motion.time_s > 25.0].any())  # the second insertion follows the path of the first
+    False
     """
     reached = np.concatenate([[motion.depth_mm[0]], np.maximum.accumulate(motion.depth_mm)[:-1]])
     return np.asarray((motion.depth_mm > reached - margin_mm) & (motion.velocity_mm_s > 0))

@@ -1,4 +1,4 @@
-"""Identification from periodic motion: which samples count, and where the search begins (thesis, section 3.4.1)."""
+"""Preparation of a friction fit from periodic motion: selection of samples and start values (thesis, section 3.4.1)."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ _PRESLIDING = 0.01
 
 
 def steady(record: Record, skip_cycles: int = 1, phases: Sequence[str] = ()) -> NDArray[np.bool_]:
-    """Return which samples count, bool (samples,): those after the first cycles, and in one of the phases where given.
+    """Return which samples to use, bool of shape (samples,).
 
-    The first cycle holds what repetition wears away: the path is cut, bubbles leave, unknown bristles forget how they
-    stood. Raises DataError for a phase that the record does not have, and where nothing is left.
+    These are the samples after the first `skip_cycles` cycles, and in one of the `phases` if any are given.
+
+    The first cycle contains effects that disappear with repetition: the path is cut, bubbles escape, and the unknown
+    initial bending decays. Raises DataError for a phase that the record does not have, and if no sample is left.
     """
     unknown = [each for each in phases if each not in record.phase]
     if unknown:
@@ -40,10 +42,10 @@ def steady(record: Record, skip_cycles: int = 1, phases: Sequence[str] = ()) -> 
 
 
 def first_guess(records: Sequence[Record]) -> dict[str, float]:
-    """Return values for all six parameters from which a fit finds its way, from forces at high and low speed.
+    """Return start values of the six parameters for a fit, from the forces at high and at low velocity.
 
-    They are of the right order for a normal force of 1 N; sigma2 and mu_c share what the speed adds. Raises DataError
-    for records without movement or without force.
+    The values have the right order of magnitude for a normal force of 1 N. Raises DataError for records without
+    movement or without force.
     """
     speed = np.concatenate([np.abs(record.motion().velocity_mm_s) for record in records])
     force = np.concatenate([np.abs(record["force_n"]) for record in records])

@@ -1,19 +1,16 @@
-"""Dahl's bristle along a motion: what friction that knows the path only does.
-
-----
-
-Friction along the inserted shaft and cutting at the tip: the axial force of an insertion, lumped.
+"""Friction along the inserted shaft and cutting at the tip: a lumped model of the axial force of an insertion.
 
 ::
 
     z' = (v - |v| z) / presliding                                       -1 <= z <= 1: Dahl's bristle
     F  = friction L z + cutting (1 - exp(-L / onset)) (1 + z)/2
 
-L is the inserted length. The bristle knows the path only, not the speed: friction is the same at any speed, and rest
-keeps the force that the last movement left. The tip resists where it is pushed in, and not on the way out:
-(1 + z)/2 is exp(-x / presliding) after it was drawn back by x. Literature:
-Dahl, AIAA J. 14 (1976) 1675; Okamura et al., IEEE Trans. Biomed. Eng. 51 (2004) 1707, who take apart the forces of
-shaft and tip. What the tissue or the sensor does besides is an effect (`needleplan.models.effects`).
+L is the inserted length. The bristle depends on the path only and not on the velocity: friction is the same at any
+velocity, and at rest the force keeps its value. The tip resists while it is pushed in and not on retraction: after a
+retraction by x, (1 + z)/2 is exp(-x / presliding).
+
+Sources: Dahl, AIAA J. 14 (1976) 1675; Okamura et al., IEEE Trans. Biomed. Eng. 51 (2004) 1707, who separate the forces
+of shaft and tip. Further phenomena of tissue and sensor are effects (`needleplan.models.effects`).
 """
 
 from __future__ import annotations
@@ -33,21 +30,21 @@ __all__ = ["ShaftAndTip", "slid", "slid_along"]
 
 
 def slid(motion: Motion, length_mm: float, start: float = 0.0) -> Array:
-    """Return z of z' = (v - |v| z)/length along a motion, shape (samples,), not to be written to.
+    """Return Dahl's bristle z with z' = (v - |v| z)/length along a motion, shape (samples,), read-only.
 
-    `start` is z at the first sample.
-
-    Exact for a velocity that is linear between samples, a reversal within a step too: on either side of it z goes
-    exponentially with the way to the sign of the velocity.
+    `start` is z at the first sample. The result is exact for a velocity that is linear between samples, including
+    reversals within a step: on each side of a reversal, z approaches the sign of the velocity exponentially with the
+    travel.
     """
     velocity, time = np.asarray(motion.velocity_mm_s, float), np.asarray(motion.time_s, float)
     return _slid(velocity.tobytes(), time.tobytes(), float(length_mm), float(start))
 
 
 def slid_along(velocity_mm_s: Array, time_s: Array, length_mm: float) -> Array:
-    """Return z of many motions at the same times, (motions, samples), that starts at 0; `velocity_mm_s` has its shape.
+    """Return Dahl's bristle for many motions at the same times, shape (motions, samples), each from z = 0.
 
-    One recurrence for all: what takes the end of a motion to the begin of the next one forgets it.
+    `velocity_mm_s` has the shape (motions, samples). One recurrence serves all motions; a factor of zero separates
+    them.
     """
     factor, offset = np.zeros(velocity_mm_s.shape), np.zeros(velocity_mm_s.shape)
     factor[:, :-1], offset[:, :-1] = _steps(*_ways_of(velocity_mm_s, np.diff(time_s)), length_mm)
@@ -56,7 +53,7 @@ def slid_along(velocity_mm_s: Array, time_s: Array, length_mm: float) -> Array:
 
 @lru_cache(maxsize=32)
 def _slid(velocity_mm_s: bytes, time_s: bytes, length_mm: float, start: float) -> Array:
-    """Return it for the bytes of a motion: a fit asks for it many times with the same length, term after term."""
+    """Return the bristle for the bytes of a motion; cached, because a fit repeats motion and length."""
     found = recurrence(*_steps(*_ways(velocity_mm_s, time_s), length_mm), start)
     found.flags.writeable = False
     return found
@@ -66,7 +63,7 @@ _Turns = tuple[NDArray[np.intp], ...]
 
 
 def _steps(way: Array, back: Array, turns: _Turns, length_mm: float) -> tuple[Array, Array]:
-    """Return how much of z is left after every step, and what is added to it."""
+    """Return factor and summand of the bristle for every step."""
     e1 = np.exp(-np.abs(way) / length_mm)
     offset = np.sign(way) * (1 - e1)
     if back.size:
@@ -78,14 +75,14 @@ def _steps(way: Array, back: Array, turns: _Turns, length_mm: float) -> tuple[Ar
 
 @lru_cache(maxsize=16)
 def _ways(velocity_mm_s: bytes, time_s: bytes) -> tuple[Array, Array, _Turns]:
-    """Return it for the bytes of a motion: it does not depend on the length, of which a fit tries many."""
+    """Return the travel of every step for the bytes of a motion; cached, because it does not depend on the length."""
     return _ways_of(np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s)))
 
 
 def _ways_of(velocity: Array, h: Array) -> tuple[Array, Array, _Turns]:
-    """Return the way of every step, up to a reversal within it; the way back after each reversal; and in which steps.
+    """Return the travel of every step up to a reversal, the travel after each reversal, and the steps with a reversal.
 
-    The last axis of `velocity` is that of the samples, one more than `h` has.
+    The last axis of `velocity` holds the samples, one more than `h`.
     """
     first, last = velocity[..., :-1], velocity[..., 1:]
     way = (first + last) / 2 * h
@@ -98,7 +95,19 @@ def _ways_of(velocity: Array, h: Array) -> tuple[Array, Array, _Turns]:
 
 @dataclass(frozen=True, kw_only=True)
 class ShaftAndTip(SelfIntegratingModel):
-    """Axial force of friction and cutting (N), positive where it resists insertion. State: the bristle, -1 to 1."""
+    """Axial force of friction and cutting (N), positive where it resists insertion.
+
+    The state is the bristle, from -1 to 1.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import insertion_cycles
+    >>> model = npl.models.ShaftAndTip(friction=0.01, cutting=0.5, onset_mm=3.0, presliding_mm=0.5)
+    >>> run = npl.models.simulate(model, insertion_cycles(50.0, 5.0))
+    >>> print(f"{run.output.max():.2f} N, {run.output.min():.2f} N")
+    1.00 N, -0.47 N
+    """
 
     name: ClassVar[str] = "shaft_and_tip"
     channel: ClassVar[Channel] = Channel.FORCE
@@ -109,7 +118,7 @@ class ShaftAndTip(SelfIntegratingModel):
     presliding_mm: float = parameter("mm", 1e-3, 20, "travel over which friction turns round")
 
     def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
-        """Return a bristle that is not bent, shape (1,)."""
+        """Return the straight bristle, shape (1,)."""
         return np.zeros(1)
 
     def derivative(self, state: Array, motion: Motion) -> Array:
@@ -142,5 +151,5 @@ def _growing(depth_mm: Array, onset_mm: float) -> Array:
 
 @lru_cache(maxsize=32)
 def _grown(depth_mm: bytes, onset_mm: float) -> Array:
-    """Return it for the bytes of depths: a fit asks for the same ones with one friction or cutting after another."""
+    """Return the growth of the cutting force for the bytes of the depths; cached for fits."""
     return _growing(np.frombuffer(depth_mm), onset_mm)

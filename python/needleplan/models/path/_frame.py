@@ -1,16 +1,13 @@
-"""The bicycle model in space: a bevel tip bends in the direction in which its bevel looks.
+"""Rotation-minimising frames along the path of a tip in space.
 
-The frame of the tip is its tangent t and two directions n and b across it that do not turn about t on their own
-(Bishop's frame), so that the roll of the needle is counted from n. With the curvature (kn, kb) = k (cos phi, sin phi)::
+The frame of the tip consists of the tangent t and two normals n and b that do not rotate about t (Bishop's frame). The
+roll of the needle is counted from n. With the curvature (kn, kb) = k (cos phi, sin phi), per length of the path::
 
     p' = t,    t' = kn n + kb b,    n' = -kn t,    b' = -kb t
 
-per length of the path. For phi = 0 and pi this is `arc_step` in the plane of t and n (Webster et al., Int. J. Robotics
-Research 25 (2006) 509).
-
-----
-
-Rotations of a frame that goes along a path, all at once: quaternions (w, x, y, z) with a leading axis of four.
+For phi = 0 and pi the path is `arc_step` in the plane of t and n (Webster et al., Int. J. Robotics Research 25 (2006)
+509). `TipFrame` takes single arcs. `quaternions_along` rotates a frame through many arcs at once; quaternions are (w,
+x, y, z) along a leading axis of length four.
 """
 
 from __future__ import annotations
@@ -32,7 +29,23 @@ _STRAIGHT_PER_MM = 1e-18
 
 @dataclass(frozen=True, slots=True)
 class TipFrame:
-    """A place on a path: position (mm), tangent, and the directions n and b across it; right-handed, orthonormal."""
+    """Position and orientation of the tip in space.
+
+    Parameters
+    ----------
+    position_mm : tuple of float
+        Position x, y, z.
+    tangent, normal, binormal : tuple of float
+        Right-handed orthonormal axes t, n and b.
+
+    Examples
+    --------
+    >>> import math
+    >>> from needleplan.models import TipFrame
+    >>> quarter = TipFrame.planar(0.0, 0.0, 0.0).arc(0.1, 0.0, 5 * math.pi)
+    >>> [round(value, 6) for value in quarter.position_mm]
+    [10.0, 10.0, 0.0]
+    """
 
     position_mm: Vector
     tangent: Vector
@@ -41,12 +54,36 @@ class TipFrame:
 
     @classmethod
     def planar(cls, x_mm: float, y_mm: float, heading_rad: float) -> TipFrame:
-        """Return a frame in the plane z = 0; n points to the left of the path, b along +z."""
+        """Return a frame in the plane z = 0, with n to the left of the path and b along +z.
+
+        Parameters
+        ----------
+        x_mm, y_mm, heading_rad : float
+            Pose in the plane.
+
+        Returns
+        -------
+        TipFrame
+            The frame.
+        """
         cos, sin = math.cos(heading_rad), math.sin(heading_rad)
         return cls((x_mm, y_mm, 0.0), (cos, sin, 0.0), (-sin, cos, 0.0), (0.0, 0.0, 1.0))
 
     def arc(self, along_n_per_mm: float, along_b_per_mm: float, length_mm: float) -> TipFrame:
-        """Return the frame after an arc of constant curvature; for any length and curvature, zero as well."""
+        """Return the frame after an arc of constant curvature.
+
+        Parameters
+        ----------
+        along_n_per_mm, along_b_per_mm : float
+            Components of the curvature along n and b; both may be zero.
+        length_mm : float
+            Length of the arc.
+
+        Returns
+        -------
+        TipFrame
+            The frame at the end of the arc.
+        """
         bend = math.hypot(along_n_per_mm, along_b_per_mm)
         if bend < _STRAIGHT_PER_MM:
             return TipFrame(_added(self.position_mm, length_mm, self.tangent), self.tangent, self.normal, self.binormal)
@@ -70,7 +107,18 @@ class TipFrame:
         )
 
     def moved(self, shift_mm: Vector) -> TipFrame:
-        """Return the frame shifted."""
+        """Return the frame shifted by a vector.
+
+        Parameters
+        ----------
+        shift_mm : tuple of float
+            The shift.
+
+        Returns
+        -------
+        TipFrame
+            The shifted frame.
+        """
         return TipFrame(_added(self.position_mm, 1.0, shift_mm), self.tangent, self.normal, self.binormal)
 
 
@@ -79,10 +127,10 @@ def _added(start: Vector, length: float, direction: Vector) -> Vector:
 
 
 def quaternions_along(turns_rad: Array, start: Array) -> Array:
-    """Return the rotation after each of n turns, shape (4, n + 1), the first being `start`, shape (4,).
+    """Return the orientation after each of n rotations, shape (4, n + 1).
 
-    `turns_rad`, shape (3, n), are rotation vectors in the frame that is turned. Products of neighbours are joined in
-    log2(n) passes over all of them.
+    `turns_rad`, shape (3, n), are rotation vectors in the moving frame; `start`, shape (4,), is the first orientation.
+    The products are computed by a parallel prefix in log2(n) passes.
     """
     angle = np.sqrt((turns_rad**2).sum(axis=0))
     share = np.sinc(angle / (2 * np.pi)) / 2
@@ -99,7 +147,7 @@ def quaternions_along(turns_rad: Array, start: Array) -> Array:
 
 
 def axes_of(quaternions: Array) -> tuple[Array, Array, Array]:
-    """Return the three axes of turned frames, shape (3, ...) each."""
+    """Return the three axes of rotated frames, shape (3, ...) each."""
     w, x, y, z = quaternions
     return (
         np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]),
@@ -109,7 +157,7 @@ def axes_of(quaternions: Array) -> tuple[Array, Array, Array]:
 
 
 def quaternion_of(tangent: Array, normal: Array) -> Array:
-    """Return the rotation of a frame with these first two axes, shape (3,) each, orthonormal; shape (4,)."""
+    """Return the quaternion of a frame with the given orthonormal tangent and normal, shape (3,) each; shape (4,)."""
     (a, b, c), (d, e, f) = tangent.tolist(), normal.tolist()
     m = np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
     trace = m[0, 0] + m[1, 1] + m[2, 2]

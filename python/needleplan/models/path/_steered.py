@@ -1,13 +1,13 @@
-"""The path of a bevel tip in space, as a tracker sees it: the bicycle model with the roll of the needle.
+"""The path of a bevel tip in space, as a tracker measures it: the bicycle model with the roll of the needle.
 
-With l the length of the path, t its tangent, n and b the two directions across it that do not turn about t on their own
-(see `spatial`), and (kn, kb) the curvature in these directions::
+With the length l of the path, its tangent t, the rotation-minimising normals n and b (see `TipFrame`) and the curvature
+(kn, kb)::
 
     dp/dl = t,    dt/dl = kn n + kb b,    dn/dl = -kn t,    db/dl = -kb t
 
-For the plain bicycle (kn, kb) = k (cos phi, sin phi) with phi the roll of the tip, which is the angle of the base. The
-x axis leads in; at angle 0 the needle bends toward +y, and a positive angle turns that toward +z. State: position,
-tangent, n (three numbers each), and the roll of the tip.
+For the plain bicycle, (kn, kb) = k (cos phi, sin phi), where the roll phi of the tip is the angle of the base. The
+needle enters along the x axis. At angle 0 it bends toward +y; a positive angle rotates this direction toward +z. The
+state holds position, tangent and n (three numbers each) and the roll of the tip.
 """
 
 from __future__ import annotations
@@ -30,23 +30,29 @@ _FOLLOWING_S = 1e-3
 
 @dataclass(frozen=True)
 class SteeredModel(SelfIntegratingModel):
-    """Position of a tip (mm), shape (3, ...), that moves along its tangent; abstract.
+    """Abstract base class of models of the path of a tip in space; the output is the position, shape (3, ...).
 
-    A member says how its path bends, where it begins, and how its roll follows the base.
+    A member defines the curvature of the path, its entry, and how the roll of the tip follows the base.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> issubclass(npl.models.SpatialBicycle, npl.models.SteeredModel)
+    True
     """
 
     channel: ClassVar[Channel] = Channel.TIP
 
     @abstractmethod
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature along n and b, shape (2, ...), where the tip has rolled by `roll_rad`, shape (...)."""
+        """Return the curvature along n and b, shape (2, ...), for roll angles of the tip, shape (...)."""
 
     @abstractmethod
     def entry(self, motion: Motion) -> tuple[Array, Array]:
-        """Return where the path begins (mm), shape (3,), and its slopes along y and z there (rad), shape (2,)."""
+        """Return the entry point (mm), shape (3,), and the slopes of the path along y and z there (rad), shape (2,)."""
 
     def following(self, roll_rad: Array, motion: Motion) -> Array:
-        """Return where the roll goes from `roll_rad` under the angle of the base, shape (...). Here: it follows."""
+        """Return the roll that the base imposes on a tip at `roll_rad`, shape (...). Default: the angle of the base."""
         return np.asarray(motion.angle_rad + 0 * roll_rad)
 
     def rolls(self, motion: Motion, start_rad: float) -> Array:  # noqa: ARG002
@@ -54,7 +60,7 @@ class SteeredModel(SelfIntegratingModel):
         return motion.angle_rad
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return the state at the first sample, as if its depth were reached with the angle and speed of then."""
+        """Return the state at the first sample, as after an insertion with constant angle and velocity; shape (10,)."""
         first = motion[:1]
         place, slopes = self.entry(first)
         tangent = np.array([1.0, *slopes]) / np.sqrt(1 + slopes @ slopes)
@@ -66,7 +72,7 @@ class SteeredModel(SelfIntegratingModel):
         return self._arcs(start, self.bend_per_mm(first, first.angle_rad), np.array([depth]), start[9:])[:, -1]
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of all ten, shape (10, ...)."""
+        """Return the rates of the state, shape (10, ...)."""
         tangent, normal, roll = state[3:6], state[6:9], state[9]
         speed = np.where(np.asarray(motion.depth_mm) > 0, motion.velocity_mm_s, 0.0)
         kn, kb = self.bend_per_mm(motion, roll)
@@ -77,17 +83,20 @@ class SteeredModel(SelfIntegratingModel):
         )
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states at every sample, shape (10, samples): an exact arc from each to the next."""
+        """Return the states at every sample, shape (10, samples), by an exact arc between samples."""
         roll = self.rolls(motion, float(start[9]))
         bend = self.bend_per_mm(motion.between(0.5), (roll[1:] + roll[:-1]) / 2)
         return self._arcs(start, bend, np.diff(np.maximum(motion.depth_mm, 0.0)), roll)
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the position, shape (3, ...)."""
+        """Return the position of the tip, mm, shape (3, ...)."""
         return self.shown(state, motion, self)
 
     def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:  # noqa: ARG002
-        """Return the position, shape (3, ...), as a part of `whole`, which says how the path bends and begins."""
+        """Return the position, mm, shape (3, ...).
+
+        `whole` is the model with all effects; it gives the curvature and the entry.
+        """
         return np.asarray(state[:3])
 
     @staticmethod
@@ -110,7 +119,17 @@ class SteeredModel(SelfIntegratingModel):
 
 @dataclass(frozen=True)
 class SpatialBicycle(SteeredModel):
-    """A bevel tip on arcs whose plane turns with the base; the depth is the length of the path in the tissue."""
+    """A bevel tip on arcs whose plane rotates with the base. The depth is the length of the path in the tissue.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import insertion_cycles
+    >>> motion = insertion_cycles(50.0, 5.0)
+    >>> run = npl.models.simulate(npl.models.SpatialBicycle(curvature_per_mm=0.01), motion)
+    >>> print(f"x {run.output[0].max():.1f} mm, y {run.output[1].max():.1f} mm")
+    x 47.9 mm, y 12.2 mm
+    """
 
     name: ClassVar[str] = "spatial_bicycle"
 
@@ -122,10 +141,10 @@ class SpatialBicycle(SteeredModel):
     entry_z_mm: float = parameter("mm", -1e4, 1e4, "place of the entry along z", default=0.0, typical=0.03)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:  # noqa: ARG002
-        """Return the curvature, toward the bevel."""
+        """Return the curvature toward the bevel, shape (2, ...)."""
         return self.curvature_per_mm * np.array([np.cos(roll_rad), np.sin(roll_rad)])
 
     def entry(self, motion: Motion) -> tuple[Array, Array]:  # noqa: ARG002
-        """Return the parameters of the entry."""
+        """Return the entry point and the slopes from the parameters."""
         place = np.array([self.entry_x_mm, self.entry_y_mm, self.entry_z_mm])
         return place, np.array([self.heading_y_rad, self.heading_z_rad])

@@ -1,15 +1,15 @@
-"""Torsional lag: the tip turns less than the base, because the tissue holds the shaft.
+"""Torsional lag: the tip rotates less than the base, because the tissue resists the rotation of the shaft.
 
-The tissue resists rotation with a Coulomb torque per length, tau (N mm/mm), over the inserted length L2; the needle, of
-torsional stiffness GJ (N mm^2), twists over that and over the length L1 outside. While all of the shaft slips, the tip
-is behind the base by::
+The tissue exerts a Coulomb torque per length, tau (N mm/mm), on the inserted length L2. The needle with the torsional
+stiffness GJ (N mm2) twists over L2 and over the length L1 outside. While the whole shaft slips, the tip lags behind the
+base by::
 
     lag = tau L2 (L1 + L2 / 2) / GJ
 
-and after a reversal it stands still until the base has gone back by twice that: a play of half-width `lag`. So the tip
-reaches an angle, and the base stands at the same angle, if the base goes beyond it by the lag and then back by the lag.
-The thesis' largest lag, 4.22 degrees for an 18 gauge needle, would need a torque some hundred times what its axial
-friction suggests; it is a bound, not a prediction.
+After a reversal the tip stands still until the base has rotated back by twice the lag: a backlash of half-width `lag`.
+To bring tip and base to the same angle, rotate the base beyond it by the lag and then back by the lag. The largest lag
+of the thesis, 4.22 degrees for an 18 gauge needle, would need about a hundred times the torque that its axial friction
+suggests. It is an upper bound and not a prediction.
 """
 
 from __future__ import annotations
@@ -26,13 +26,28 @@ __all__ = ["Torsion", "dragged"]
 
 
 def dragged(tip_rad: float, base_rad: float, lag_rad: float) -> float:
-    """Return where the tip goes from `tip_rad` when the base is at `base_rad`: a play of half-width `lag_rad`."""
+    """Return the new angle of a tip at `tip_rad` when the base is at `base_rad`: a backlash of half-width `lag_rad`."""
     return min(max(tip_rad, base_rad - lag_rad), base_rad + lag_rad)
 
 
 @dataclass(frozen=True)
 class Torsion:
-    """Torsional stiffness GJ of a needle (N mm^2) and the torque per length that tissue resists with (N mm/mm)."""
+    """Torsional lag between base and tip.
+
+    Parameters
+    ----------
+    stiffness_n_mm2 : float
+        Torsional stiffness GJ of the needle.
+    torque_per_length_n : float
+        Torque per inserted length with which the tissue resists rotation (N mm/mm).
+
+    Examples
+    --------
+    >>> from needleplan.models import Torsion
+    >>> torsion = Torsion(stiffness_n_mm2=4000.0, torque_per_length_n=0.01)
+    >>> round(torsion.lag_rad(outside_mm=100.0, inserted_mm=50.0), 6)
+    0.015625
+    """
 
     stiffness_n_mm2: float
     torque_per_length_n: float
@@ -47,22 +62,61 @@ class Torsion:
             raise ModelError(mistakes, "Torsion")
 
     def lag_rad(self, outside_mm: float, inserted_mm: float) -> float:
-        """Return how far the tip is behind the base while the base turns. Raises ModelError for negative lengths."""
+        """Return the angle by which the tip lags behind the rotating base.
+
+        Parameters
+        ----------
+        outside_mm, inserted_mm : float
+            Length of the shaft outside of and inside the tissue.
+
+        Returns
+        -------
+        float
+            The lag.
+
+        Raises
+        ------
+        ModelError
+            If a length is negative.
+        """
         if not (outside_mm >= 0 and inserted_mm >= 0):
             rule = "must be lengths, at least 0"
             raise ModelError(Mistake("outside_mm, inserted_mm", f"{outside_mm:g}, {inserted_mm:g}", rule), "Torsion")
         return self.torque_per_length_n * inserted_mm * (outside_mm + inserted_mm / 2) / self.stiffness_n_mm2
 
     def dead_zone_rad(self, outside_mm: float, inserted_mm: float) -> float:
-        """Return how far the base turns back before the tip does: twice the lag."""
+        """Return the angle by which the base rotates back before the tip moves: twice the lag.
+
+        Parameters
+        ----------
+        outside_mm, inserted_mm : float
+            Length of the shaft outside of and inside the tissue.
+
+        Returns
+        -------
+        float
+            The dead zone.
+        """
         return 2 * self.lag_rad(outside_mm, inserted_mm)
 
     def tip_angle_rad(
         self, base_rad: Array, outside_mm: float, inserted_mm: float, start_rad: float | None = None
     ) -> Array:
-        """Return the angle of the tip for a history of the base, shape (samples,), at a fixed depth.
+        """Return the angle of the tip for a history of the base at a fixed depth.
 
-        `start_rad` is the angle of the tip before the first sample; by default that of the base there: untwisted.
+        Parameters
+        ----------
+        base_rad : Array
+            Angle of the base, shape (samples,).
+        outside_mm, inserted_mm : float
+            Length of the shaft outside of and inside the tissue.
+        start_rad : float, optional
+            Angle of the tip before the first sample. The default is the first angle of the base: untwisted.
+
+        Returns
+        -------
+        Array
+            Angle of the tip, shape (samples,).
         """
         lag = self.lag_rad(outside_mm, inserted_mm)
         base = np.asarray(base_rad, float)
@@ -71,9 +125,21 @@ class Torsion:
         return np.array(list(behind)[1:])
 
     def compensated_rad(self, start_rad: float, target_rad: float, outside_mm: float, inserted_mm: float) -> Array:
-        """Return the turning points of the base that bring the tip to the target and the base there too, shape (3,).
+        """Return the angles of the base that bring tip and base to a target angle.
 
-        From the angle at which both stand, beyond the target by the lag, and back to the target.
+        Parameters
+        ----------
+        start_rad : float
+            Angle of base and tip at the start.
+        target_rad : float
+            Target angle.
+        outside_mm, inserted_mm : float
+            Length of the shaft outside of and inside the tissue.
+
+        Returns
+        -------
+        Array
+            Start, overshoot by the lag, and target, shape (3,).
         """
         lag = self.lag_rad(outside_mm, inserted_mm)
         beyond = target_rad + np.copysign(lag, target_rad - start_rad) if target_rad != start_rad else target_rad

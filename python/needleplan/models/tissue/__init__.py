@@ -1,12 +1,12 @@
-"""Tissue that gives way under friction: thesis, chapter 4, as a model instead of a slow observer.
+"""Tissue that moves with the needle under friction (thesis, chapter 4), as a model and by the slow observer.
 
-| here | what |
+| name | meaning |
 |---|---|
-| `MovingTissue` | Kelvin-Voigt tissue under any friction with one linear state; abstract |
-| `LumpedOnTissue` | under Model II of chapter 3 |
-| `AveragedOnTissue` | under Models III-A and III-B |
-| `fit_on_tissue` | stiffness and damping together with the friction |
-| `tune_slow_observer` | the thesis' way, without the person |
+| `MovingTissue` | abstract: Kelvin-Voigt tissue under any friction with one linear state |
+| `LumpedOnTissue` | with Model II of chapter 3 |
+| `AveragedOnTissue` | with Models III-A and III-B |
+| `fit_on_tissue` | joint identification of tissue and friction |
+| `tune_slow_observer` | the method of the thesis, with automatic tuning |
 """
 
 from needleplan.models.tissue._joint_fit import fit_on_tissue, lag_with_sd, tissue_lag_rad, tissue_start

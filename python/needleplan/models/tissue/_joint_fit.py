@@ -1,9 +1,9 @@
-"""Stiffness and damping of the tissue together with its friction, from the force of a periodic motion.
+"""Joint identification of tissue stiffness, tissue damping and friction from the force of a periodic motion.
 
-The alternative to a slow observer: nothing is tuned, amplitude and lag of the tissue follow from two parameters with
-intervals, and data of several amplitudes and frequencies go in together. Starts come from the data: friction as large
-as the force, tissue as soft as the gap of the loop says. The first fit is on every fifth sample, and shows which start
-leads where; the last one on all of them.
+This is the alternative to a slow observer. Nothing is tuned: amplitude and lag of the tissue follow from two parameters
+with intervals, and records of several amplitudes and frequencies are used together. The start values come from the
+data: the friction from the measured force, the stiffness from the opening of the friction-velocity loop. A coarse fit
+to thinned records chooses among the starts; the final fit uses all samples.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _COARSE = 25
 
 
 def tissue_start(record: Record) -> LumpedOnTissue:
-    """Return where to start: of the size of the record's force and velocity. Raises DataError for missing columns."""
+    """Return start values from the magnitudes of force and velocity. Raises DataError if a column is missing."""
     motion, force = record.motion(), record["force_n"]
     frequency = dominant_frequency_hz(motion.time_s, motion.depth_mm)
     top = float(np.percentile(np.abs(motion.velocity_mm_s), 98))
@@ -61,11 +61,48 @@ def fit_on_tissue(
     free: Sequence[str] | None = None,
     mask: Callable[[Record], Array] | None = None,
 ) -> Fit:
-    """Fit friction and tissue to all records at once; columns time_s, depth_mm, velocity_mm_s, force_n.
+    """Fit friction and tissue to all records at once.
 
-    The velocity must not be late (`velocity_without_delay`). `average` is the number of samples that the force sensor
-    has averaged; 1 for none. Further `starts` are drawn around the first, within a factor of about two. Raises
-    DataError for records that cannot be used.
+    Parameters
+    ----------
+    records : sequence of Record
+        Records with the columns time_s, depth_mm, velocity_mm_s and force_n. The velocity must have no delay
+        (`needleplan.signals.velocity_without_delay`).
+    start : LumpedOnTissue, optional
+        First start. The default is `tissue_start` of the first record.
+    average : int
+        Number of samples that the force sensor averages; 1 for none.
+    starts : int
+        Number of starts. Further starts are drawn around the first one, within a factor of about two.
+    free : sequence of str, optional
+        Names of the parameters to estimate. The default is all free ones.
+    mask : callable, optional
+        Function from a record to the samples to use, bool of shape (samples,).
+
+    Returns
+    -------
+    Fit
+        The fit of a `LumpedOnTissue`.
+
+    Raises
+    ------
+    DataError
+        If a record is unusable.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import Record, sinusoid
+    >>> true = npl.models.LumpedOnTissue(
+    ...     mu_c=0.73, sigma2=0.016, sigma0=1.3, sigma1=0.46, mu_s=0.034, alpha=0.09, stiffness=0.5, damping=0.1
+    ... )
+    >>> motion = sinusoid(offset_mm=60.0, amplitude_mm=10.0, frequency_hz=0.2, cycles=2.0, rate_hz=20.0)
+    >>> force = npl.models.simulate(true, motion).output
+    >>> record = Record({"time_s": motion.time_s, "depth_mm": motion.depth_mm,
+    ...                  "velocity_mm_s": motion.velocity_mm_s, "force_n": force})
+    >>> found = npl.models.fit_on_tissue([record], start=true, average=1, starts=1, free=["stiffness", "damping"])
+    >>> abs(found.model.stiffness - 0.5) < 0.01
+    True
     """
     if not records:
         raise DataError(Mistake("records", "", "there is none"))
@@ -83,7 +120,7 @@ def fit_on_tissue(
 
 
 def tissue_lag_rad(model: LumpedOnTissue, record: Record, frequency_hz: float) -> float:
-    """Return by how much the velocity against the tissue lags that of the needle, without the first cycle."""
+    """Return the lag of the relative velocity behind the needle's velocity, without the first cycle."""
     motion = record.motion()
     states = simulate(model, motion).states
     settled = motion.time_s - motion.time_s[0] >= min(1 / frequency_hz, 0.5 * float(np.ptp(motion.time_s)))

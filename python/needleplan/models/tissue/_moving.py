@@ -1,22 +1,18 @@
-"""Friction on tissue that gives way: a needle, the tissue around it, and the springs that hold that tissue.
+"""Friction on moving tissue: a needle, the tissue around it, and the spring and damper that hold the tissue.
 
-The needle moves with the velocity v, the tissue with s = u'. What rubs is the difference w = v - s, and the friction
-that the needle feels is what moves the tissue (Kelvin and Voigt)::
+The needle moves with the velocity v, the tissue with s = u'. Friction depends on the difference w = v - s, and the
+friction on the needle is the force that moves the tissue (Kelvin and Voigt)::
 
     z' = forcing(w) - rate(w) z          the bristle of any friction model with one linear state
     u' = s
     m s' = F(z, w) - c s - k u
 
-The mass m of the tissue that moves is a few grams and its inertia below a millinewton. It is there because without it
-the balance F = k u + c s is no equation for s where friction falls with the speed faster than damping rises: with a
-bent bristle and mu_s below mu_c that happens at every reversal, and the balance then has three roots. With a mass,
-however small, the tissue goes from its present speed to the first root in the direction of the force: that is which
-root is taken here. Where friction falls with the speed by itself (mu_c below mu_s) needle and tissue stick and slip in
-earnest; the jumps then take less than a sample, and single samples of the force are not to be trusted.
-
-----
-
-LuGre friction on tissue that gives way: Models II and III of chapter 3 under the tissue motion of chapter 4.
+The moving mass m is a few grams, and its inertia is below a millinewton. The equation needs the mass: without it, the
+balance F = k u + c s does not determine s where friction falls with the velocity faster than damping rises. With a bent
+bristle and mu_s below mu_c, this happens at every reversal, and the balance has three roots. With any mass, the tissue
+accelerates from its present velocity to the first root in the direction of the force; the integration takes this root.
+If friction itself falls with the velocity (mu_c below mu_s), needle and tissue stick and slip. The jumps are then
+shorter than a sample, and single samples of the force are unreliable.
 """
 
 from __future__ import annotations
@@ -39,9 +35,16 @@ __all__ = ["AveragedOnTissue", "LuGreLaw", "LumpedOnTissue", "MovingTissue", "Po
 
 @dataclass(frozen=True, kw_only=True)
 class MovingTissue(SelfIntegratingModel):
-    """Friction on tissue that is held by a spring and a damper; abstract. State: bristle, u (mm), u' (mm/s).
+    """Abstract base class of friction on tissue that a spring and a damper hold.
 
-    The force on the needle is the friction. A member says what rubs (`friction`), and may give a faster `law`.
+    The state is the bristle, the displacement u (mm) and the velocity u' (mm/s) of the tissue. The output is the
+    friction on the needle. A member defines the friction model (`friction`), and may define a faster `law`.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> issubclass(npl.models.LumpedOnTissue, npl.models.MovingTissue)
+    True
     """
 
     channel: ClassVar[Channel] = Channel.FORCE
@@ -51,19 +54,19 @@ class MovingTissue(SelfIntegratingModel):
 
     @abstractmethod
     def friction(self) -> LinearStateModel:
-        """Return what rubs; the velocity in its motion is that of the needle relative to the tissue."""
+        """Return the friction model; the velocity of its motion is relative to the tissue."""
 
     def law(self, motion: Motion) -> FrictionLaw:
-        """Return the friction on plain numbers: here by way of `friction`, for any of them, slowly."""
+        """Return the friction in Python floats. Default: by calls of `friction`, which is slow."""
         return PointwiseLaw(self.friction(), motion)
 
     def relative(self, state: Array, motion: Motion) -> Motion:
-        """Return the motion of the needle relative to the tissue; the inserted depth is taken as that of the needle."""
+        """Return the motion relative to the tissue, with the depth of the needle."""
         velocity = np.asarray(motion.velocity_mm_s - state[2])
         return Motion(motion.time_s, motion.depth_mm, velocity, np.sign(velocity), motion.angle_rad)
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return straight bristles and tissue where it rests, with the speed that balances the friction, shape (3,)."""
+        """Return the state at rest, shape (3,): its tissue velocity balances the friction."""
         law = self.law(motion)
         velocity = float(np.atleast_1d(motion.velocity_mm_s)[0])
 
@@ -86,12 +89,12 @@ class MovingTissue(SelfIntegratingModel):
         return self.friction().output(state[:1], self.relative(state, motion))
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states, shape (3, samples); NaN from where they grow without bound."""
+        """Return the states, shape (3, samples); NaN after they have grown without bound."""
         return step_through(self.law(motion), self.stiffness, self.damping, self.mass, motion, start)
 
 
 class PointwiseLaw:
-    """Any friction model with one linear state, one number at a time: slow."""
+    """Any friction model with one linear state in Python floats: slow, and the reference for `LuGreLaw`."""
 
     def __init__(self, friction: LinearStateModel, motion: Motion) -> None:
         self._friction, self._motion = friction, motion
@@ -114,7 +117,20 @@ class PointwiseLaw:
 
 @dataclass(frozen=True, kw_only=True)
 class LumpedOnTissue(StribeckFriction, MovingTissue):
-    """Model II on Kelvin-Voigt tissue: what is fitted instead of a slow observer."""
+    """Model II on Kelvin-Voigt tissue: the alternative to a slow observer.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import sinusoid
+    >>> model = npl.models.LumpedOnTissue(
+    ...     mu_c=0.73, sigma2=0.016, sigma0=1.3, sigma1=0.46, mu_s=0.034, alpha=0.09, stiffness=0.5, damping=0.1
+    ... )
+    >>> motion = sinusoid(offset_mm=60.0, amplitude_mm=10.0, frequency_hz=0.2, cycles=1.0, rate_hz=50.0)
+    >>> run = npl.models.simulate(model, motion)
+    >>> run.finite, run.states.shape == (3, len(motion))
+    (True, True)
+    """
 
     name: ClassVar[str] = "lumped_lugre_on_tissue"
     sigma1: float = parameter("s/mm", 1e-5, 1e3, "damping of the bristles")
@@ -130,7 +146,19 @@ class LumpedOnTissue(StribeckFriction, MovingTissue):
 
 @dataclass(frozen=True, kw_only=True)
 class AveragedOnTissue(StribeckFriction, MovingTissue):
-    """Models III-A and III-B on Kelvin-Voigt tissue; see `AveragedLuGre` for the choices."""
+    """Models III-A and III-B on Kelvin-Voigt tissue; `AveragedLuGre` explains `profile` and `beta`.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import sinusoid
+    >>> model = npl.models.AveragedOnTissue(
+    ...     mu_c=0.79, sigma2=0.014, sigma0=1.2, sigma1=0.37, mu_s=0.033, alpha=0.09, stiffness=0.5, damping=0.1
+    ... )
+    >>> motion = sinusoid(offset_mm=60.0, amplitude_mm=10.0, frequency_hz=0.2, cycles=1.0, rate_hz=50.0)
+    >>> npl.models.simulate(model, motion).finite
+    True
+    """
 
     name: ClassVar[str] = "averaged_lugre_on_tissue"
     sigma1: float = parameter("s/mm", 1e-5, 1e3, "damping of the bristles")
@@ -149,7 +177,7 @@ class AveragedOnTissue(StribeckFriction, MovingTissue):
 
 
 class LuGreLaw:
-    """LuGre friction with the consistent output, one number at a time: what `PointwiseLaw` gives, 50 times as fast."""
+    """LuGre friction with the consistent output in Python floats: the values of `PointwiseLaw` in 1/50 of the time."""
 
     coefficients: Callable[[int, float], tuple[float, float]]
     force: Callable[[int, float, float, float], float]
@@ -184,7 +212,7 @@ class LuGreLaw:
 
 
 def _transport(friction: LuGre, motion: Motion, sign: float) -> list[float]:
-    """Return what the transport along the patch adds to z'/z for a velocity of 1 mm/s in the direction of `sign`."""
+    """Return the transport term of z'/z for a velocity of 1 mm/s in the direction of `sign`, at every sample."""
     velocity = np.full(len(motion), sign)
     moved = Motion(motion.time_s, motion.depth_mm, velocity, velocity, motion.angle_rad)
     return [float(each) for each in friction.transport_per_s(moved)]

@@ -1,16 +1,18 @@
-"""Tuning the slow observer of chapter 4 without a person: the gap of the loop at zero force.
+"""Automatic tuning of the slow observer of chapter 4: the opening of the friction-velocity loop at zero force.
 
-The thesis chooses alpha1 of the slow observer "by trial and error" until the friction-velocity loop is centred. Here:
-with the force F as late as the fast observer makes the velocity (both through the same low pass; otherwise alpha1 comes
-out 1 to 4 too large), the gap
+The thesis chooses alpha1 of the slow observer "by trial and error" until the friction-velocity loop is centred. Here
+the force F passes the same low-pass filter as the velocity of the fast observer; otherwise alpha1 would be 1 to 4 too
+large. The opening of the loop::
 
-    G(alpha1) = median of v_s where F goes up through zero - median of v_s where it goes down
+    G(alpha1) = median of v_s where F rises through zero - median of v_s where F falls through zero
 
-is positive where the slow observer delays too little, and falls as it delays more. alpha1 is its last change of sign.
+is positive if the slow observer delays too little, and decreases with the delay. The tuned alpha1 is the last change of
+sign of G.
 
-What it is worth (docs/explanation/tissue-motion.md): it is within two degrees of the true lag where friction rises with
-the speed, and 8 to 12 degrees too late where it is nearly dry, since bristles that bend before they slide open the loop
-as well. With a stiff tissue their damping closes it, and there is nothing to compensate: the status says so.
+**Accuracy** (docs/explanation/tissue-motion.md). If friction rises with the velocity, the lag is right within two
+degrees. If friction is almost dry, the lag is 8 to 12 degrees too large, because bristles that bend before they slide
+open the loop too. On stiff tissue the damping of the bristles closes the loop. There is then nothing to compensate, and
+the status says so.
 """
 
 from __future__ import annotations
@@ -35,23 +37,24 @@ _PRECISION = 1e-6
 
 
 class TuningStatus(StrEnum):
-    """How a tuning ended."""
+    """How the tuning of a slow observer ended."""
 
     COMPENSATED = "compensated"
 
     NO_COMPENSATION = "no_compensation"
-    """The gap does not change its sign: no slow observer closes the loop. Use the velocity of the fast one."""
+    """G does not change its sign: no slow observer closes the loop. Use the velocity of the fast observer."""
 
     TOO_FEW_CROSSINGS = "too_few_crossings"
-    """The force does not go up and down through zero at least once each."""
+    """The force does not cross zero at least once in each direction."""
 
 
 @dataclass(frozen=True)
 class SlowObserver:
-    """The outcome of a tuning; `projection` is None unless the status is COMPENSATED.
+    """Result of a tuning.
 
-    `alphas` and `gaps_mm_s`, shape (40,), are the curve G(alpha1), the latter empty without crossings; `gap_sd_mm_s` is
-    the standard deviation of the gap at the root, from how far the crossings scatter (infinite with one each).
+    `projection` is None unless the status is COMPENSATED. `alphas` (1/s) and `gaps_mm_s`, shape (40,), are the curve
+    G(alpha1); `gaps_mm_s` is empty without crossings. `upward` and `downward` count the crossings. `gap_sd_mm_s` is the
+    standard deviation of G at its root from the scatter of the crossings; infinite with one crossing in a direction.
     """
 
     status: TuningStatus
@@ -64,13 +67,13 @@ class SlowObserver:
 
     @property
     def alpha1(self) -> float | None:
-        """alpha1 of the slow observer, 1/s."""
+        """alpha1 of the slow observer, 1/s; None if the status is not COMPENSATED."""
         return self.projection.slow.alpha1 if self.projection else None
 
     def lag_sd_rad(self, frequency_hz: float) -> float:
-        """Return the standard deviation of the lag at a frequency, from the scatter of the crossings; to first order.
+        """Return the standard deviation of the lag at a frequency, to first order, from the scatter of the crossings.
 
-        It says how well the crossings agree, and nothing of how far friction misleads all of them alike.
+        It measures how well the crossings agree. It does not contain the bias that friction causes in all of them.
         """
         if self.projection is None or self.alpha1 is None:
             return np.inf
@@ -87,9 +90,38 @@ class SlowObserver:
 def tune_slow_observer(
     time_s: Array, depth_mm: Array, force_n: Array, *, fast_alpha1: float = FAST_ALPHA1, skip_s: float = 1.0
 ) -> SlowObserver:
-    """Choose the slow observer for a record, shape (samples,) each; the first `skip_s` seconds do not count.
+    """Choose alpha1 of the slow observer for a record.
 
-    Raises DataError where shapes differ, a number is not finite, or the times are not even (to 2 %).
+    Parameters
+    ----------
+    time_s, depth_mm, force_n : Array
+        Samples at even times, shape (samples,) each.
+    fast_alpha1 : float
+        alpha1 of the fast observer, 1/s.
+    skip_s : float
+        Time at the begin of the record that is not used.
+
+    Returns
+    -------
+    SlowObserver
+        Status, and the tuned pair of observers.
+
+    Raises
+    ------
+    DataError
+        If the shapes differ, a number is not finite, or the sampling intervals differ by more than 2 %.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> from needleplan.signals import sinusoid
+    >>> model = npl.models.LumpedOnTissue(
+    ...     mu_c=0.73, sigma2=0.016, sigma0=1.3, sigma1=0.46, mu_s=0.034, alpha=0.09, stiffness=0.1, damping=0.02
+    ... )
+    >>> motion = sinusoid(offset_mm=60.0, amplitude_mm=25.0, frequency_hz=0.1, cycles=2.0, rate_hz=50.0)
+    >>> force = npl.models.simulate(model, motion).output
+    >>> str(npl.models.tune_slow_observer(motion.time_s, motion.depth_mm, force).status)
+    'compensated'
     """
     from scipy.optimize import bisect
 
@@ -150,7 +182,7 @@ def _even_interval(time: Array, depth: Array, force: Array) -> float:
 
 
 def _crossings(force: Array, begin: int) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
-    """Return the sample before each zero of the force from `begin` on, how far behind it lies, and whether it rises."""
+    """Return the sample before each zero crossing from `begin` on, the fraction of a step, and if the force rises."""
     below = force < 0
     before = np.flatnonzero(below[:-1] != below[1:])
     before = before[before >= begin]

@@ -1,14 +1,14 @@
-"""Steps of a needle through tissue that gives way: one scalar equation a sample, on plain numbers.
+"""Integration of a needle in moving tissue: one scalar equation a sample, in Python floats.
 
-From one sample to the next, a step h, with means of the coefficients at its two ends::
+A step h from one sample to the next, with the means of the coefficients at its two ends::
 
     z+ = (z + A (1 + B/2)) / (1 + B + B^2/2),   A = h (forcing + forcing+)/2,   B = h (rate + rate+)/2
     u+ = u + h (s + s+)/2
     m (s+ - s)/h + c s+ + k u+ = F(z+, v+ - s+)
 
-The first line is exp(-B) z + A (1 - exp(-B))/B to second order, and stays stable however large B is. The last is solved
-for s+: by secants that start from the speeds before, and where those do not lead onto a stable root by a search for
-the first one.
+The first line is exp(-B) z + A (1 - exp(-B))/B to second order, and is stable for any B. The last line is solved for s+
+by the secant method, from an extrapolation of the previous velocities. If the secant method does not reach a stable
+root, `first_root` searches for it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _FARTHEST_MM_S = 1e5
 
 
 class FrictionLaw(Protocol):
-    """A friction model on plain numbers, at the samples of one motion; `w_mm_s` is the velocity against the tissue."""
+    """A friction model in Python floats; `w_mm_s` is the velocity relative to the tissue."""
 
     def coefficients(self, sample: int, w_mm_s: float) -> tuple[float, float]:
         """Return forcing and rate of the bristle."""
@@ -41,9 +41,9 @@ class FrictionLaw(Protocol):
 
 
 def step_through(law: FrictionLaw, k: float, c: float, m: float, motion: Motion, start: Array) -> Array:
-    """Return bristle, tissue displacement and tissue velocity, shape (3, samples), from `start`, shape (3,).
+    """Return bristle, displacement and velocity of the tissue at the samples of a motion, shape (3, samples).
 
-    NaN from where they grow without bound.
+    `start`, shape (3,), is the state at the first sample. After the state has grown without bound, it is NaN.
     """
     times, needle = motion.time_s.tolist(), motion.velocity_mm_s.tolist()
     bent, moved, speed = (float(each) for each in start)
@@ -63,11 +63,11 @@ def step_through(law: FrictionLaw, k: float, c: float, m: float, motion: Motion,
 def stepping(
     law: FrictionLaw, k: float, c: float, m: float, velocity: float, start: tuple[float, float, float]
 ) -> Generator[tuple[float, float, float, float], tuple[int, float, float], None]:
-    """Take steps as they come: for motions that are not known beforehand.
+    """Integrate step by step, for motions that are not known in advance.
 
-    Send the sample, by which `law` knows where the needle is, the length of the step (s) and the velocity of the needle
-    at its end; get bristle, displacement and velocity of the tissue, and the force on the needle (N). NaN once they
-    have grown without bound. `velocity` is that of the needle in the state `start`, at the sample 0.
+    The generator receives the sample (an index for `law`), the length of the step (s) and the velocity of the needle at
+    its end. It yields bristle, displacement and velocity of the tissue, and the force on the needle (N); NaN after they
+    have grown without bound. `velocity` is the velocity of the needle at sample 0, in the state `start`.
     """
     coefficients, friction = law.coefficients, law.force
     bent, moved, speed = start
@@ -112,9 +112,9 @@ def stepping(
 
 
 def first_root(balance: Callable[[float], float], speed: float) -> float:
-    """Return the speed at which the tissue comes to balance from `speed`; NaN where it never does.
+    """Return the first equilibrium velocity of the tissue from `speed` in the direction of the force; NaN if none.
 
-    `balance` is the force against the motion less the force for it: where it is positive the tissue slows down.
+    `balance` is the resisting force minus the driving force: the tissue decelerates where `balance` is positive.
     """
     error = balance(speed)
     if error == 0:
