@@ -24,15 +24,16 @@ from typing import Any
 
 import needleplan as npl
 from needleplan.devices.cia402 import DrivesSetup
-from needleplan.devices.cia402.setup import SCHEMA as DRIVES
 from needleplan.estimation import Registration
-from needleplan.estimation.registration.toml import SCHEMA as REGISTRATION
 from needleplan.simulation import Experiment
-from needleplan.simulation.toml import SCHEMA as EXPERIMENT
 
 ROOT = Path(__file__).parent.parent
 _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-_KINDS = {EXPERIMENT: Experiment, REGISTRATION: Registration, DRIVES: DrivesSetup}
+_KINDS = {
+    "needleplan.experiment/1": Experiment,
+    "needleplan.registration/1": Registration,
+    "needleplan.drives/1": DrivesSetup,
+}
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 

@@ -19,8 +19,9 @@ import numpy as np
 
 from needleplan.estimation import JointFilter, JointForce, Recipe, Sample, Use, identify_by_passes, mean_absolute_error
 from needleplan.models import simulate
-from needleplan.models.force import PUBLISHED_FORCES, DepthForce, PublishedForce
+from needleplan.models.force import DepthForce
 from needleplan.signals import MovingAverage, Record, insertion_cycles
+from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES, PublishedForce
 
 AVERAGE = MovingAverage(5)
 WHITE_SD_N = 1.9e-3 * 5**0.5

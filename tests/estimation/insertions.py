@@ -6,8 +6,9 @@ import numpy as np
 
 from needleplan.estimation import JointForce
 from needleplan.models import simulate
-from needleplan.models.force import PUBLISHED_FORCES, DepthForce
+from needleplan.models.force import DepthForce
 from needleplan.signals import Array, Motion, MovingAverage, Record, insertion_cycles
+from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES
 
 AVERAGE = MovingAverage(5)
 

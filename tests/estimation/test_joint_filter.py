@@ -21,8 +21,9 @@ from needleplan.estimation import (
     replay,
 )
 from needleplan.models import fit, simulate
-from needleplan.models.force import PUBLISHED_FORCES, ForceModel1, with_gauge
+from needleplan.models.force import ForceModel1, with_gauge
 from needleplan.signals import Array, Motion, Record, insertion_cycles
+from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES
 from tests.estimation.insertions import AVERAGE, JOINT, MODEL, as_record, moved, recorded
 from tests.models.lag import Lag
 

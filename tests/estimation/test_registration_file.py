@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from needleplan.artifacts import Parent
 from needleplan.errors import DataError, InputError
 from needleplan.estimation import Registration, register
-from needleplan.estimation.registration.toml import Parent
 
 POINTS = ((0.0, 0.0, 0.0), (100.0, 0.0, 5.0), (0.0, 80.0, -5.0), (90.0, 70.0, 30.0))
 
@@ -68,7 +68,7 @@ def test_errors_at_a_target_are_those_of_the_fit() -> None:
         ("registration/1", "registration/2", 'schema = "needleplan.registration/2": must be'),
         ("offset_mm = 9.3", "offset_mm = -1", "coil.offset_mm = -1: must be a finite number in mm at least 0"),
         ("offset_mm = 9.3", "ofset_mm = 9.3", 'coil.ofset_mm: unknown key; did you mean "offset_mm"'),
-        ("axis = -1", "axis = 0", "coil_axis = 0: must be 1 or -1"),
+        ("axis = -1", "axis = 0", "coil.axis = 0: must be 1 or -1"),
         ("[frame]", "[fram]", 'unknown key; did you mean "frame"'),
         ("quaternion = [", "quaternion = [0.0, ", "must be 4 numbers"),
         ("translation_mm = [", "translation_mm = [1", "must be what the points give"),

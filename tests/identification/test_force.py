@@ -9,8 +9,9 @@ from needleplan.errors import DataError
 from needleplan.estimation.force_start import starting_force
 from needleplan.identification import force
 from needleplan.models import FitStatus, simulate
-from needleplan.models.force import PUBLISHED_FORCES, ForceModel1, ForceModel2, with_gauge
+from needleplan.models.force import ForceModel1, ForceModel2, with_gauge
 from needleplan.signals import Record, Role
+from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES
 from tests.estimation.insertions import AVERAGE, MODEL, recorded
 
 TRUTH = with_gauge(ForceModel1(**MODEL.values()), 0.02)

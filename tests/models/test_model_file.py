@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from needleplan import models
 from needleplan.errors import ModelError
 from needleplan.models import KINDS, Bicycle, Estimate, Model, ModelFile, Parent
-from needleplan.models.model_file import SCHEMA
 
+SCHEMA = "needleplan.model/1"
 MODEL = Bicycle(1 / 1200, 0.01)
 FILE = ModelFile(
     MODEL,
@@ -85,19 +85,19 @@ digst = "x"
     assert str(raised.value).splitlines() == [
         "m.toml: 8 mistakes",
         '  titel: unknown key; did you mean "title"?',
-        "  remarks = none: must be a list of texts",
+        '  remarks = "none": must be a list of texts',
         '  parent 1.digst: unknown key; did you mean "digest"?',
-        "  parent 1.name = 3: must be a text",
+        "  parent 1.name = 3: must be a text of at most 100000 characters",
         '  parameters.ofset_mm: unknown key; did you mean "offset_mm"?',
-        '  parameters.curvature_per_mm.unit = 1/m: must be "1/mm"',
-        "  parameters.curvature_per_mm.value = high: must be a number in 1/mm",
+        '  parameters.curvature_per_mm.unit = "1/m": must be "1/mm"',
+        '  parameters.curvature_per_mm.value = "high": must be a number in 1/mm',
         "  parameters.heading_rad.low, high = 0.2, 0.3: must hold the value between them, and sd be 0 or more",
     ]
 
 
 CASES = [
     ("schema", f'kind = "bicycle"\n{FILE.to_toml().split(chr(10), 2)[2]}', f'schema: must be "{SCHEMA}"'),
-    ("kind", FILE.to_toml().replace('"bicycle"', '"bicicle"'), 'kind = bicicle: must be one of'),
+    ("kind", FILE.to_toml().replace('"bicycle"', '"bicicle"'), 'kind = "bicicle": must be one of'),
     ("range", FILE.to_toml().replace("value = 0.01\n", "value = 7.0\n"), "must be from -1.6 to 1.6 rad"),
     ("missing", f'schema = "{SCHEMA}"\nkind = "bicycle"\n', "parameters.curvature_per_mm: is missing"),
     ("no toml", "schema = ", "is not TOML"),
@@ -114,7 +114,7 @@ def test_a_mistake_has_a_clear_message(text: str, message: str) -> None:
 def test_options_are_checked() -> None:
     text = ModelFile(KINDS["karnopp"](mu_c=1.0, sigma2=0.1)).to_toml()
     assert "[options]" in text
-    with pytest.raises(ModelError, match=r"options.profile = round: must be one of"):
+    with pytest.raises(ModelError, match=r'options.profile = "round": must be one of'):
         ModelFile.from_toml(text.replace('profile = "constant"', 'profile = "round"'))
 
 

@@ -11,8 +11,8 @@ import pytest
 from needleplan.errors import ModelError, ScenarioError
 from needleplan.estimation import path_curvature
 from needleplan.models import Bicycle, Estimate, ModelFile, Parent, TipPath, arc_step
-from needleplan.models.force import PUBLISHED_FORCES
 from needleplan.scenario import Layer, Needle, Scenario, Target, Tissue, Workspace, identified
+from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES
 
 SQUARE = [(10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0)]
 

@@ -8,9 +8,10 @@ import pytest
 
 from needleplan.estimation import JointForce, identify_by_passes
 from needleplan.models import simulate
-from needleplan.models.force import PUBLISHED_FORCES, ForceModel1
+from needleplan.models.force import ForceModel1
 from needleplan.reports.comparison import Agreement
 from needleplan_thesis.chapter2.bank_table import phases_of, tables_2_1_and_2_2
+from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES
 from needleplan_thesis.chapter2.forward import forward
 from needleplan_thesis.chapter2.generator import SENSOR, insertion_record
 from needleplan_thesis.chapter2.loops import Loop, table_2_3_and_loops

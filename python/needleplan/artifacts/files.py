@@ -7,11 +7,20 @@ import hashlib
 import os
 import secrets
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from needleplan.errors import Mistake, OutputError
 
-__all__ = ["digest", "require_different", "require_writable", "version", "write_whole"]
+__all__ = ["Parent", "digest", "require_different", "require_writable", "version", "write_whole"]
+
+
+@dataclass(frozen=True)
+class Parent:
+    """An artefact that another one was made from: a name for people, and the digest of its file or an empty text."""
+
+    name: str
+    digest: str
 
 
 def digest(content: str | bytes | memoryview) -> str:

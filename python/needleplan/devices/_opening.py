@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from typing import TypeVar
 from urllib.parse import parse_qsl, urlsplit
 
+from needleplan.config import suggestion
 from needleplan.devices._links import Link, SerialLink, TcpLink, UdpLink
 from needleplan.errors import AddressError, Mistake
 
@@ -78,8 +78,7 @@ class Address:
         mistakes = []
         for name in self.options:
             if name not in known:
-                close = get_close_matches(name, known, n=1)
-                hint = f'; did you mean "{close[0]}"?' if close else ""
+                hint = suggestion(name, known)
                 rule = f"must be one of {', '.join(sorted(known))}{hint}" if known else "no option is known here"
                 mistakes.append(Mistake("option", name, rule))
         if mistakes:
@@ -112,8 +111,7 @@ def open_link(address: str | Address, default_port: int | None = None) -> Link:
     """
     parsed = Address.parse(address) if isinstance(address, str) else address
     if parsed.scheme not in _OPENERS:
-        close = get_close_matches(parsed.scheme, _OPENERS, n=1)
-        hint = f'; did you mean "{close[0]}"?' if close else ""
+        hint = suggestion(parsed.scheme, _OPENERS)
         raise AddressError(Mistake("address", str(parsed), f"must begin with {', '.join(_OPENERS)}://{hint}"))
     return _OPENERS[parsed.scheme](parsed, default_port)
 

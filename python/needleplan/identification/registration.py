@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from needleplan.artifacts import Parent
 from needleplan.errors import DataError
 from needleplan.estimation import (
     Outlier,
@@ -19,7 +20,6 @@ from needleplan.estimation import (
     register,
     worst_pair,
 )
-from needleplan.estimation.registration import Parent
 from needleplan.estimation.registration.files import Points, Poses, read_points, read_poses
 from needleplan.signals import Array
 

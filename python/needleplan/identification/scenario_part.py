@@ -22,14 +22,14 @@ from needleplan.models import arc_step
 from needleplan.scenario import Scenario
 from needleplan.signals import Array, Record, Role
 
-__all__ = ["Piece", "ScenarioPart", "scenario_part"]
+__all__ = ["PathPiece", "ScenarioPart", "scenario_part"]
 
 _MOST_WINDOWS = 6
 _POINTS_A_WINDOW = 4
 
 
 @dataclass(frozen=True)
-class Piece:
+class PathPiece:
     """Curvature of a piece of the path, 1/mm, the mean of all insertions, with its 95 % interval.
 
     `low_mm` is the x at which the piece begins.
@@ -49,7 +49,7 @@ class ScenarioPart:
     """
 
     scenario: Scenario
-    pieces: tuple[Piece, ...]
+    pieces: tuple[PathPiece, ...]
     noise: TipNoise | None
     remarks: tuple[str, ...]
 
@@ -99,21 +99,21 @@ def scenario_part(
     return ScenarioPart(changed, pieces, noise, tuple(remarks))
 
 
-def _pieces(paths: Sequence[Array], edges_mm: Array) -> tuple[Piece, ...]:
+def _pieces(paths: Sequence[Array], edges_mm: Array) -> tuple[PathPiece, ...]:
     """Return the pieces between edges in x."""
     found = [path_curvature(path, _along(path, edges_mm))[0] for path in paths]
     starts = [0.0, *edges_mm.tolist()]
     return tuple(_mean(each, start) for each, start in zip(zip(*found, strict=True), starts, strict=True))
 
 
-def _mean(trials: Sequence[Curvature], low_mm: float) -> Piece:
+def _mean(trials: Sequence[Curvature], low_mm: float) -> PathPiece:
     """Return the mean of a piece over trials. Raises DataError where it may be straight."""
     if len(trials) == 1:
         only = trials[0]
-        piece = Piece(only.curvature_per_mm, only.low_per_mm, only.high_per_mm, low_mm)
+        piece = PathPiece(only.curvature_per_mm, only.low_per_mm, only.high_per_mm, low_mm)
     else:
         together = agreement(trials)
-        piece = Piece(together.mean_per_mm, together.low_per_mm, together.high_per_mm, low_mm)
+        piece = PathPiece(together.mean_per_mm, together.low_per_mm, together.high_per_mm, low_mm)
     if piece.low_per_mm <= 0 <= piece.high_per_mm:
         value = f"{piece.low_per_mm:.3g} to {piece.high_per_mm:.3g} from x = {low_mm:.4g} mm on"
         rule = "contains a straight path, and a plan needs a radius; take fewer layers, or longer insertions"

@@ -13,6 +13,7 @@ and `profile_intervals`, `bootstrap_intervals` and `residual_findings` examine a
 | `needleplan.models.effects` | effects that can be added to a model |
 """
 
+from needleplan.artifacts import Parent
 from needleplan.models._base import (
     Channel,
     LinearStateModel,
@@ -45,7 +46,7 @@ from needleplan.models.friction import (
     distributed,
     into_fresh_tissue,
 )
-from needleplan.models.model_file import ModelFile, Parent
+from needleplan.models.model_file import ModelFile
 from needleplan.models.path import Bicycle, SpatialBicycle, SteeredModel, TipFrame, Torsion, arc_step
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, fit_on_tissue, tune_slow_observer
 

@@ -5,8 +5,7 @@ Add a new model to `MEMBERS`; a test fails if a model is missing.
 
 from __future__ import annotations
 
-from difflib import get_close_matches
-
+from needleplan.config import suggestion
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Model
 from needleplan.models.deflection import InsertionForce, SpatialBeam, TipPath
@@ -63,6 +62,4 @@ def kind_of(name: str) -> type[Model]:
     """
     if name in KINDS:
         return KINDS[name]
-    close = get_close_matches(name, KINDS, n=1)
-    rule = f"must be one of {', '.join(sorted(KINDS))}"
-    raise ModelError(Mistake("kind", name, rule + (f'; did you mean "{close[0]}"?' if close else "")))
+    raise ModelError(Mistake("kind", name, f"must be one of {', '.join(sorted(KINDS))}{suggestion(name, KINDS)}"))

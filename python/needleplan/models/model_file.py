@@ -10,65 +10,181 @@
     [parameters.curvature_per_mm]
     value = 0.00083
     unit = "1/mm"
-    sd = 2e-5                 # these four only where it was identified
+    sd = 2e-5                 # these four only if it was identified
     low = 0.00079
     high = 0.00087
     identified = true
 
-    [options]                 # what is not a number: which variant of the model
+    [options]                 # choices of the model that are not parameters
     profile = "constant"
 
-    [[parent]]                # what it was identified from
+    [[parent]]                # data from which it was identified
     name = "trial 3"
     digest = "sha256:..."
 
-    [[effect]]                # what was added to the model: see `needleplan.models.effect_file`
+    [[effect]]                # an effect that was added to the model
+    name = "puncture"
+    version = "1"
+    found_by = "sha256:..."   # digest of the diagnosis that named it; empty if a person added it
+    [effect.parameters.size]  # as the parameters of the model
+    value = 0.31
+    unit = "N"
 
-Parameters that the file does not name have the default of the model; `unit` must be that of the model.
+Parameters that the file does not name have the default of the model; `unit` must be the unit of the model.
 """
 
 from __future__ import annotations
 
-import json
-import math
 import os
-import tomllib
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields
-from difflib import get_close_matches
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, field, fields
 from enum import StrEnum
 from functools import cached_property
-from pathlib import Path
 from typing import Any, get_type_hints
 
-from needleplan.artifacts import digest, version, write_whole
+from needleplan.artifacts import Parent, digest, version, write_whole
+from needleplan.config import (
+    Choice,
+    ConfigTable,
+    Flag,
+    Given,
+    Integer,
+    Keyed,
+    Number,
+    ParentList,
+    Rule,
+    TableList,
+    Text,
+    Texts,
+    Violation,
+    parse_toml,
+    ruled,
+    text_of,
+    toml_text,
+    under,
+)
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Model, Parameter
 from needleplan.models._fit import Estimate
 from needleplan.models._kinds import kind_of
-from needleplan.models.effect_file import effect_lines, read_effects
-from needleplan.models.effects import AugmentedModel
+from needleplan.models.effects import AddedEffect, AugmentedModel, Effect, effect_named
 
-__all__ = ["SCHEMA", "ModelFile", "Parent"]
+__all__ = ["ModelFile"]
 
-SCHEMA = "needleplan.model/1"
-_KEYS = ("schema", "kind", "title", "made_by", "parameters", "options", "parent", "remarks", "effect")
-_NUMBERS = ("value", "sd", "low", "high")
-_ESTIMATE = ("sd", "low", "high", "identified")
-_OPTIONS = (StrEnum, bool, int, float, str)
+_TEXT = Text(100_000)
+_OPTIONS: dict[type, Rule] = {bool: Flag(), int: Integer(-(2**63), 2**63 - 1), float: Number(), str: _TEXT}
+
+_Entry = tuple[float, Estimate | None]
 
 
 @dataclass(frozen=True)
-class Parent:
-    """What a model was identified from: a name for people, and the digest of the file, empty where there is none."""
+class _ParameterRule:
+    """The table of a parameter: value and unit, and where it was identified its estimate."""
 
-    name: str
-    digest: str
+    what: Parameter
+
+    def read(self, value: object) -> _Entry:
+        """Return the value, and the estimate or None. Raises Violation."""
+        if not isinstance(value, Mapping):
+            raise Violation("must be a table with value and unit", value)
+        unit, number = self.what.unit, Number(self.what.unit or "1", finite=False)
+        rules: dict[str, Rule] = {
+            "unit": Choice({unit: unit}),
+            "value": number,
+            "sd": number,
+            "low": number,
+            "high": number,
+        }
+        needed = ("value", "sd", "low", "high") if "sd" in value else ("value",)
+        required = {"unit": f"must be {rules['unit']}"} | dict.fromkeys(needed, "")
+        read = Keyed({**rules, "identified": Flag()}, required).read(value)
+        if "sd" not in read:
+            return read["value"], None
+        low, high = read["low"], read["high"]
+        if not (low <= read["value"] <= high and read["sd"] >= 0):
+            rule = "must hold the value between them, and sd be 0 or more"
+            raise Violation([Mistake("low, high", f"{low:g}, {high:g}", rule)])
+        return read["value"], Estimate(read["value"], read["sd"], low, high, unit, read.get("identified", True))
+
+
+@dataclass(frozen=True)
+class _NameRule:
+    """A name that a registry knows."""
+
+    find: Callable[[str], Any]
+
+    def read(self, value: object) -> Any:
+        """Return what has the name. Raises Violation."""
+        try:
+            return self.find(_TEXT.read(value))
+        except ModelError as error:
+            raise Violation(error.mistakes[0].rule, value) from None
+
+
+def _parameters_of(what: type[Model] | Effect) -> Rule:
+    """Return the rule of all parameters of a model or an effect."""
+    if isinstance(what, Effect):
+        return Keyed({name: _ParameterRule(each) for name, each in what.parameters.items()})
+    known = what.parameters()
+    return Keyed({name: _ParameterRule(each) for name, each in known.items()}, _required(what, known))
+
+
+def _options_of(kind: type[Model]) -> Rule:
+    """Return the rule of the fields of a model that are not parameters."""
+    hints = get_type_hints(kind)
+    rules: dict[str, Rule] = {}
+    for name in _options(kind):
+        hint = hints[name]
+        enumeration = isinstance(hint, type) and issubclass(hint, StrEnum)
+        if not enumeration and hint not in _OPTIONS:
+            raise TypeError(f"{kind.__name__}.{name}: a model file cannot hold {hint}")
+        rules[name] = Choice(hint) if enumeration else _OPTIONS[hint]
+    return Keyed(rules, _required(kind, rules))
+
+
+def _effect_holds(name: Effect, parameters: dict[str, _Entry]) -> Iterator[Mistake]:
+    try:
+        AddedEffect(name.name, {key: value for key, (value, _) in parameters.items()})
+    except ModelError as error:
+        yield from under("parameters", error.mistakes)
+
+
+def _model_holds(kind: type[Model], parameters: dict[str, _Entry], options: dict[str, Any]) -> Iterator[Mistake]:
+    try:
+        kind(**{key: value for key, (value, _) in parameters.items()}, **options)
+    except ModelError as error:
+        yield from under("parameters", error.mistakes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _EffectTable(ConfigTable, key="effect", between=(_effect_holds,)):
+    name: Effect = ruled(_NameRule(effect_named))
+    version: str = ruled(_TEXT, "1")
+    found_by: str = ruled(_TEXT, "")
+    parameters: dict[str, _Entry] = ruled(Given("name", _parameters_of), factory=dict)
+
+    @property
+    def made(self) -> AddedEffect:
+        """The effect."""
+        values, estimates = _split(self.parameters)
+        return AddedEffect(self.name.name, values, estimates, self.found_by, self.version)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ModelTable(ConfigTable, error=ModelError, schema="needleplan.model/1", between=(_model_holds,)):
+    kind: type[Model] = ruled(_NameRule(kind_of))
+    title: str = ruled(_TEXT, "")
+    made_by: str = ruled(_TEXT, "")
+    remarks: tuple[str, ...] = ruled(Texts(), ())
+    parent: tuple[Parent, ...] = ruled(ParentList(), ())
+    parameters: dict[str, _Entry] = ruled(Given("kind", _parameters_of))
+    options: dict[str, Any] = ruled(Given("kind", _options_of))
+    effect: tuple[_EffectTable, ...] = ruled(TableList(_EffectTable), ())
 
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A model with the intervals of its parameters, where it came from, and what was remarked about it."""
+    """A model with the intervals of its parameters, its parents, and remarks of its identification."""
 
     model: Model
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
@@ -80,32 +196,35 @@ class ModelFile:
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> ModelFile:
         """Read a model file. Raises ModelError with every mistake of the file."""
-        source = os.fspath(path)
-        try:
-            text = Path(path).read_bytes().decode()
-        except UnicodeDecodeError:
-            raise ModelError("is not UTF-8", source) from None
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise ModelError(f"cannot be read: {reason}", source) from error
-        return cls.from_toml(text, source)
+        return cls.from_toml(text_of(path, ModelError), os.fspath(path))
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> ModelFile:
-        """Return what the text of a model file says. Raises ModelError with every mistake of the text."""
-        try:
-            document = tomllib.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise ModelError(f"is not TOML: {error}", source) from None
-        reader = _Reader(document)
-        found = reader.read()
-        if found is None or reader.mistakes:
-            raise ModelError(reader.mistakes, source)
-        return found
+        """Return the model file of a text. Raises ModelError with every mistake of the text."""
+        read = parse_toml(text, _ModelTable, source)
+        values, estimates = _split(read.parameters)
+        model: Model = read.kind(**values, **read.options)
+        if read.effect:
+            model = AugmentedModel(model, tuple(each.made for each in read.effect))
+        return cls(model, estimates, read.parent, read.remarks, read.title, read.made_by)
 
     def to_toml(self) -> str:
         """Return the text of a model file that reads back as exactly this."""
-        return "\n".join(self._lines()) + "\n"
+        effects = self.model.effects if isinstance(self.model, AugmentedModel) else ()
+        model = self.model.base if isinstance(self.model, AugmentedModel) else self.model
+        kind = type(model)
+        document = {
+            "schema": _ModelTable.schema,
+            "kind": kind.name,
+            "title": self.title,
+            "made_by": self.made_by,
+            "remarks": self.remarks,
+            "parameters": _raw_parameters(kind.parameters(), model.values(), self.estimates),
+            "options": {name: getattr(model, name) for name in _options(kind)},
+            "parent": [{"name": each.name, "digest": each.digest} for each in self.parents],
+            "effect": [_raw_effect(each) for each in effects],
+        }
+        return toml_text({key: value for key, value in document.items() if value or key not in _MAY_LACK})
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write a model file. Raises OutputError."""
@@ -116,197 +235,41 @@ class ModelFile:
         """SHA-256 of the text, by which what is made from the model names it."""
         return digest(self.to_toml())
 
-    def _lines(self) -> Iterator[str]:
-        effects = self.model.effects if isinstance(self.model, AugmentedModel) else ()
-        model = self.model.base if isinstance(self.model, AugmentedModel) else self.model
-        kind = type(model)
-        yield from (f"schema = {_text(SCHEMA)}", f"kind = {_text(kind.name)}", f"title = {_text(self.title)}")
-        yield f"made_by = {_text(self.made_by)}"
-        yield f"remarks = [{', '.join(map(_text, self.remarks))}]"
-        for name, what in kind.parameters().items():
-            yield from (
-                "",
-                f"[parameters.{name}]",
-                f"value = {getattr(model, name)!r}",
-                f"unit = {_text(what.unit)}",
-            )
-            if name in self.estimates:
-                each = self.estimates[name]
-                yield from (f"{key} = {_number(getattr(each, key))}" for key in ("sd", "low", "high"))
-                yield f"identified = {str(bool(each.identified)).lower()}"
-        options = _options(kind)
-        if options:
-            yield from ("", "[options]")
-            yield from (f"{name} = {_option(getattr(model, name))}" for name in options)
-        for parent in self.parents:
-            yield from ("", "[[parent]]", f"name = {_text(parent.name)}", f"digest = {_text(parent.digest)}")
-        for added in effects:
-            yield from effect_lines(added)
+
+_MAY_LACK = ("parameters", "options", "parent", "effect")
+"""Keys that a written file leaves out if they hold nothing."""
 
 
-class _Reader:
-    """Reads a document and collects its mistakes."""
-
-    def __init__(self, document: Mapping[str, Any]) -> None:
-        self.document = document
-        self.mistakes: list[Mistake] = []
-
-    def read(self) -> ModelFile | None:
-        self._unknown("", self.document, _KEYS)
-        if self.document.get("schema") != SCHEMA:
-            self._wrong("schema", self.document.get("schema", ""), f'must be "{SCHEMA}"')
-        texts = {key: self._string(key, self.document.get(key, "")) for key in ("kind", "title", "made_by")}
-        remarks = self._strings("remarks")
-        parents = tuple(self._parents())
-        try:
-            kind = kind_of(texts["kind"])
-        except ModelError as error:
-            self.mistakes += error.mistakes
-            return None
-        parameters = self._table("parameters")
-        known = kind.parameters()
-        self._unknown("parameters", parameters, known)
-        effects = read_effects(self.document.get("effect", []), self._wrong)
-        values: dict[str, Any] = self._choices(kind)
-        estimates: dict[str, Estimate] = {}
-        for name, what in known.items():
-            if name in parameters:
-                self._parameter(name, what, parameters[name], values, estimates)
-            elif _default(kind, name) is MISSING:
-                self._wrong(f"parameters.{name}", "", "is missing")
-        if self.mistakes:
-            return None
-        try:
-            model: Model = kind(**values)
-        except ModelError as error:
-            self.mistakes += [Mistake(f"parameters.{each.key}", each.value, each.rule) for each in error.mistakes]
-            return None
-        if effects:
-            model = AugmentedModel(model, effects)
-        return ModelFile(model, estimates, parents, remarks, texts["title"], texts["made_by"])
-
-    def _parameter(
-        self, name: str, what: Parameter, raw: object, values: dict[str, Any], estimates: dict[str, Estimate]
-    ) -> None:
-        key = f"parameters.{name}"
-        if not isinstance(raw, dict):
-            self._wrong(key, raw, f"must be a table with value and unit, [{key}]")
-            return
-        self._unknown(key, raw, ("value", "unit", *_ESTIMATE))
-        before = len(self.mistakes)
-        if raw.get("unit") != what.unit:
-            self._wrong(f"{key}.unit", raw.get("unit", ""), f'must be "{what.unit}"')
-        for number in _NUMBERS:
-            each = raw.get(number)
-            if each is None and (number == "value" or "sd" in raw):
-                self._wrong(f"{key}.{number}", "", "is missing")
-            elif each is not None and (isinstance(each, bool) or not isinstance(each, int | float) or math.isnan(each)):
-                self._wrong(f"{key}.{number}", each, f"must be a number in {what.unit or '1'}")
-        if not isinstance(raw.get("identified", True), bool):
-            self._wrong(f"{key}.identified", raw["identified"], "must be true or false")
-        if len(self.mistakes) > before:
-            return
-        values[name] = float(raw["value"])
-        if "sd" in raw:
-            low, high = float(raw["low"]), float(raw["high"])
-            if not (low <= values[name] <= high and raw["sd"] >= 0):
-                self._wrong(
-                    f"{key}.low, high", f"{low:g}, {high:g}", "must hold the value between them, and sd be 0 or more"
-                )
-            identified = raw.get("identified", True)
-            estimates[name] = Estimate(values[name], float(raw["sd"]), low, high, what.unit, identified)
-
-    def _choices(self, kind: type[Model]) -> dict[str, Any]:
-        raw, known = self._table("options"), _options(kind)
-        self._unknown("options", raw, known)
-        values: dict[str, Any] = {}
-        for name, its_type in known.items():
-            if name not in raw:
-                if _default(kind, name) is MISSING:
-                    self._wrong(f"options.{name}", "", "is missing")
-                continue
-            value = raw[name]
-            if issubclass(its_type, StrEnum):
-                if value in list(its_type):
-                    values[name] = its_type(value)
-                else:
-                    self._wrong(f"options.{name}", value, f"must be one of {', '.join(its_type)}")
-            elif isinstance(value, bool) is (its_type is bool) and isinstance(value, its_type | int):
-                values[name] = its_type(value)
-            else:
-                self._wrong(f"options.{name}", value, f"must be of the type {its_type.__name__}")
-        return values
-
-    def _parents(self) -> Iterator[Parent]:
-        raw = self.document.get("parent", [])
-        if not isinstance(raw, list) or not all(isinstance(each, dict) for each in raw):
-            self._wrong("parent", raw, "must be tables, each below its own [[parent]]")
-            return
-        for number, each in enumerate(raw, start=1):
-            self._unknown(f"parent {number}", each, ("name", "digest"))
-            texts = {key: self._string(f"parent {number}.{key}", each.get(key, "")) for key in ("name", "digest")}
-            yield Parent(**texts)
-
-    def _table(self, key: str) -> dict[str, Any]:
-        raw = self.document.get(key, {})
-        if isinstance(raw, dict):
-            return raw
-        self._wrong(key, raw, f"must be a table, [{key}]")
-        return {}
-
-    def _strings(self, key: str) -> tuple[str, ...]:
-        raw = self.document.get(key, [])
-        if isinstance(raw, list) and all(isinstance(each, str) for each in raw):
-            return tuple(raw)
-        self._wrong(key, raw, "must be a list of texts")
-        return ()
-
-    def _string(self, key: str, raw: object) -> str:
-        if isinstance(raw, str):
-            return raw
-        self._wrong(key, raw, "must be a text")
-        return ""
-
-    def _unknown(self, key: str, raw: Mapping[str, Any], known: Iterable[str]) -> None:
-        for name in raw:
-            if name not in known:
-                close = get_close_matches(name, list(known), n=1)
-                rule = "unknown key" + (f'; did you mean "{close[0]}"?' if close else "")
-                self._wrong(f"{key}.{name}".lstrip("."), "", rule)
-
-    def _wrong(self, key: str, value: object, rule: str) -> None:
-        self.mistakes.append(Mistake(key, str(value), rule))
+def _raw_effect(added: AddedEffect) -> dict[str, Any]:
+    what = effect_named(added.name).parameters
+    texts = {"name": added.name, "version": added.version, "found_by": added.found_by}
+    return {**texts, "parameters": _raw_parameters(what, added.values, added.estimates)}
 
 
-def _fields(kind: type[Model]) -> dict[str, Field[Any]]:
-    return {each.name: each for each in fields(kind)}
+def _raw_parameters(
+    what: Mapping[str, Parameter], values: Mapping[str, float], estimates: Mapping[str, Estimate]
+) -> dict[str, dict[str, Any]]:
+    raw: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        raw[name] = {"value": value, "unit": what[name].unit}
+        if name in estimates:
+            each = estimates[name]
+            raw[name] |= {"sd": float(each.sd), "low": float(each.low), "high": float(each.high)}
+            raw[name]["identified"] = bool(each.identified)
+    return raw
 
 
-def _default(kind: type[Model], name: str) -> object:
-    each = _fields(kind)[name]
-    return each.default if each.default is not MISSING else each.default_factory
+def _split(parameters: Mapping[str, _Entry]) -> tuple[dict[str, float], dict[str, Estimate]]:
+    """Return values and estimates."""
+    values = {name: value for name, (value, _) in parameters.items()}
+    return values, {name: each for name, (_, each) in parameters.items() if each}
 
 
-def _options(kind: type[Model]) -> dict[str, type[Any]]:
-    """Return the fields that are not parameters, with their type: enumerations, truth values, numbers, texts."""
-    hints = get_type_hints(kind)
-    found = {name: hints[name] for name in _fields(kind) if name not in kind.parameters()}
-    for name, hint in found.items():
-        if not (isinstance(hint, type) and issubclass(hint, _OPTIONS)):
-            raise TypeError(f"{kind.__name__}.{name}: a model file cannot hold {hint}")
-    return found
+def _options(kind: type[Model]) -> list[str]:
+    return [each.name for each in fields(kind) if each.name not in kind.parameters()]
 
 
-def _option(value: object) -> str:
-    return (
-        _text(str(value)) if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else repr(value)
-    )
-
-
-def _number(value: float) -> str:
-    return repr(float(value))
-
-
-def _text(value: str) -> str:
-    # The strings of JSON are those of TOML but for one character.
-    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007F")
+def _required(kind: type[Model], names: Mapping[str, object]) -> dict[str, str]:
+    """Return the names without a default, as `Keyed` takes them."""
+    needed = (each for each in fields(kind) if each.default is MISSING and each.default_factory is MISSING)
+    return {each.name: "" for each in needed if each.name in names}

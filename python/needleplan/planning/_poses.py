@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from needleplan.config import suggestion
 from needleplan.errors import Mistake, PoseError
-from needleplan.scenario.rules import suggestion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 import numpy as np
 
+from needleplan.config import closest
 from needleplan.errors import Mistake
 from needleplan.signals import UNITS, Array, Record, Role
 
@@ -78,8 +78,8 @@ def _meant(name: str, names: Sequence[str]) -> str:
     if lower in _BARE:
         wanted = _BARE[lower]
         return f'must carry its unit, {UNITS[wanted]}: convert where necessary and rename it "{wanted}"'
-    close = get_close_matches(lower, [*NUMBERS, *TEXTS], n=1, cutoff=0.8)
-    return f'is not a known column; did you mean "{close[0]}"?' if close and close[0] not in names else ""
+    close = closest(lower, [*NUMBERS, *TEXTS], cutoff=0.8)
+    return f'is not a known column; did you mean "{close}"?' if close and close not in names else ""
 
 
 @dataclass(frozen=True)

@@ -1,24 +1,26 @@
 """The scenario: anatomy, target, needle, tip noise, grid, objective and solver, read from and written to TOML."""
 
-from needleplan.scenario.choices import Method, Priority, Transition
-from needleplan.scenario.identified import Identified, identified
-from needleplan.scenario.parts import (
+from needleplan.scenario._identified import CurvaturePiece, Identified, identified, pieces_of, within
+from needleplan.scenario._parts import (
     Grid,
     Layer,
+    Method,
     Motion,
     Needle,
     Objective,
     Obstacle,
+    Priority,
     Solver,
     Target,
     Tissue,
+    Transition,
     Workspace,
 )
-from needleplan.scenario.pieces import Piece, pieces_of, within
-from needleplan.scenario.scenario import Scenario
-from needleplan.scenario.shipped import shipped
+from needleplan.scenario._scenario import Scenario
+from needleplan.scenario._template import shipped, template
 
 __all__ = [
+    "CurvaturePiece",
     "Grid",
     "Identified",
     "Layer",
@@ -27,7 +29,6 @@ __all__ = [
     "Needle",
     "Objective",
     "Obstacle",
-    "Piece",
     "Priority",
     "Scenario",
     "Solver",
@@ -38,5 +39,6 @@ __all__ = [
     "identified",
     "pieces_of",
     "shipped",
+    "template",
     "within",
 ]

@@ -10,7 +10,7 @@ from needleplan.plotting.canvas import BLACK, GREY, VERMILLION, axes_in_mm
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from needleplan.scenario.parts import Needle, Obstacle, Target, Tissue, Workspace
+    from needleplan.scenario._parts import Needle, Obstacle, Target, Tissue, Workspace
 
 __all__ = ["Scene", "draw_scene"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from urllib.parse import parse_qsl, unquote, urlsplit
 
+from needleplan.config import suggestion
 from needleplan.devices import VirtualClock
 from needleplan.errors import ExperimentError, Mistake
-from needleplan.scenario.rules import suggestion
 from needleplan.simulation.experiment import Experiment
 from needleplan.simulation.lab import Lab
 

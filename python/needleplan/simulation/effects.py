@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, dataclass, field
+from dataclasses import MISSING, dataclass
 from typing import Any
 
-from needleplan.scenario.rules import Number
-from needleplan.simulation.parts import Setting
+from needleplan.config import ConfigTable, Number, ruled
+from needleplan.errors import ExperimentError
 
 __all__ = ["Effects"]
 
 
 def _size(unit: str, at_most: float, default: float = 0.0, *, signed: bool = False) -> Any:
-    rule = Number(unit, at_least=-at_most if signed else 0.0, at_most=at_most)
-    return field(default=default, metadata={"rule": rule, "key": ""})
+    return ruled(Number(unit, at_least=-at_most if signed else 0.0, at_most=at_most), default)
 
 
 def _scale(unit: str, at_most: float, default: object = MISSING) -> Any:
-    return field(default=default, metadata={"rule": Number(unit, above=0, at_most=at_most), "key": ""})
+    return ruled(Number(unit, above=0, at_most=at_most), default)
 
 
 @dataclass(frozen=True)
-class Effects(Setting):
+class Effects(ConfigTable, key="effects", error=ExperimentError):
     """Sizes of all effects; the scales of time and length that go with them have defaults that are not 0."""
 
     curvature_error: float = _size("", 0.95, signed=True)

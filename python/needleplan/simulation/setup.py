@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -15,7 +15,39 @@ from needleplan.simulation.effects import Effects
 from needleplan.simulation.modelled import require_simulated
 from needleplan.simulation.parts import Entry, Layer, Robot, Shaft, Tissue
 
-__all__ = ["Setup", "disagreements"]
+__all__ = ["BETWEEN", "Setup"]
+
+
+def _layers_increase(layer: Sequence[Layer | None]) -> Iterator[Mistake]:
+    for number, (before, after) in enumerate(pairwise(layer), start=2):
+        if before and after and after.from_mm <= before.from_mm:
+            rule = f"must be beyond the layer before it, {before.from_mm:g}: layers are in their order"
+            yield Mistake(f"layer {number}.from_mm", f"{after.from_mm:g}", rule)
+
+
+def _robot_holds(robot: Robot) -> Iterator[Mistake]:
+    if robot.servo_hz % FORCE_HZ:
+        rule = f"must be a multiple of {FORCE_HZ}, the rate of the force sensor"
+        yield Mistake("robot.servo_hz", f"{robot.servo_hz}", rule)
+    if robot.deepest_mm <= robot.shallowest_mm:
+        rule = f"must be above shallowest_mm, {robot.shallowest_mm:g}"
+        yield Mistake("robot.deepest_mm", f"{robot.deepest_mm:g}", rule)
+
+
+def _shaft_reaches(shaft: Shaft, robot: Robot) -> Iterator[Mistake]:
+    if robot.deepest_mm > shaft.length_mm:
+        rule = f"must be at most the length of the shaft, {shaft.length_mm:g}"
+        yield Mistake("robot.deepest_mm", f"{robot.deepest_mm:g}", rule)
+
+
+def _entry_is_reached(entry: Entry, robot: Robot) -> Iterator[Mistake]:
+    if not robot.shallowest_mm <= entry.depth_mm <= robot.deepest_mm:
+        rule = f"must be where the robot can be, {robot.shallowest_mm:g} to {robot.deepest_mm:g}"
+        yield Mistake("entry.depth_mm", f"{entry.depth_mm:g}", rule)
+
+
+BETWEEN = (_layers_increase, _robot_holds, _shaft_reaches, _entry_is_reached)
+"""Rules between the tables of an experiment, named as in its file."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +77,12 @@ class Setup:
         for model, channel in ((self.path, Channel.TIP), (self.force, Channel.FORCE)):
             if model is not None:
                 require_simulated(model, channel)
-        mistakes = disagreements(self.entry, self.layers, self.shaft, self.robot)
+        mistakes = [
+            *_layers_increase(self.layers),
+            *_robot_holds(self.robot),
+            *_shaft_reaches(self.shaft, self.robot),
+            *_entry_is_reached(self.entry, self.robot),
+        ]
         if mistakes:
             raise ExperimentError(mistakes)
 
@@ -65,28 +102,3 @@ class Setup:
             (each.from_mm, usual if each.curvature_per_mm is None else each.curvature_per_mm)
             for each in self.all_layers
         )
-
-
-def disagreements(
-    entry: Entry | None, layers: Sequence[Layer], shaft: Shaft | None, robot: Robot | None
-) -> list[Mistake]:
-    """Return the mistakes that lie between parts; those that could not be read are None or left out."""
-    mistakes = []
-    for number, (before, layer) in enumerate(pairwise(layers), start=2):
-        if layer.from_mm <= before.from_mm:
-            rule = f"must be beyond the layer before it, {before.from_mm:g}: layers are in their order"
-            mistakes.append(Mistake(f"layer {number}.from_mm", f"{layer.from_mm:g}", rule))
-    if robot:
-        if robot.servo_hz % FORCE_HZ:
-            rule = f"must be a multiple of {FORCE_HZ}, the rate of the force sensor"
-            mistakes.append(Mistake("robot.servo_hz", f"{robot.servo_hz}", rule))
-        if robot.deepest_mm <= robot.shallowest_mm:
-            rule = f"must be above shallowest_mm, {robot.shallowest_mm:g}"
-            mistakes.append(Mistake("robot.deepest_mm", f"{robot.deepest_mm:g}", rule))
-        if shaft and robot.deepest_mm > shaft.length_mm:
-            rule = f"must be at most the length of the shaft, {shaft.length_mm:g}"
-            mistakes.append(Mistake("robot.deepest_mm", f"{robot.deepest_mm:g}", rule))
-        if entry and not robot.shallowest_mm <= entry.depth_mm <= robot.deepest_mm:
-            rule = f"must be where the robot can be, {robot.shallowest_mm:g} to {robot.deepest_mm:g}"
-            mistakes.append(Mistake("entry.depth_mm", f"{entry.depth_mm:g}", rule))
-    return mistakes

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from needleplan.models import simulate
-from needleplan.models.force import PUBLISHED_FORCES, ForceModel2, insertion_asymptote, regauged, retraction_asymptote
+from needleplan.models.force import ForceModel2, insertion_asymptote, regauged, retraction_asymptote
 from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.signals import Array, insertion_cycles
+from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES
 
 __all__ = ["forward"]
 

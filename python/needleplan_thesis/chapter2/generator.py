@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from needleplan.models import simulate
-from needleplan.models.force import PublishedForce
 from needleplan.signals import MovingAverage, Record, insertion_cycles
+from needleplan_thesis.chapter2.forces import PublishedForce
 
 __all__ = ["BUBBLES_N", "SENSOR", "insertion_record"]
 

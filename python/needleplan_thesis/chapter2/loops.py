@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass, replace
 
 from needleplan.estimation import FilterRun, JointForce, identify_by_passes, mean_absolute_error
-from needleplan.models.force import PUBLISHED_FORCES, ForceModel2, PublishedForce, with_gauge
+from needleplan.models.force import ForceModel2, with_gauge
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import Record
+from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES, PublishedForce
 from needleplan_thesis.chapter2.generator import SENSOR, insertion_record
 from needleplan_thesis.chapter2.published import NO_DATA
 from needleplan_thesis.chapter2.starts import corners

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from needleplan.errors import InputError, Mistake
-from needleplan.scenario import Piece, Scenario
+from needleplan.scenario import CurvaturePiece, Scenario
 from needleplan.simulation import Effects, Entry, Robot, Setup, Shaft
 
 __all__ = ["HIDDEN", "NOTHING", "SHAFT", "Hidden", "hidden_named", "laboratory"]
@@ -49,7 +49,7 @@ def _layers(pieces: Sequence[tuple[float, float]]) -> Callable[[Setup], Setup]:
     def hide(setup: Setup) -> Setup:
         assert setup.scenario is not None
         bend = setup.plan_curvature_per_mm
-        changed = setup.scenario.with_curvature([Piece(begin, share * bend) for begin, share in pieces])
+        changed = setup.scenario.with_curvature([CurvaturePiece(begin, share * bend) for begin, share in pieces])
         return replace(setup, scenario=changed)
 
     return hide

@@ -25,7 +25,7 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ("lead_mm = 2.0", "lead_mm = nan", "insertion.lead_mm"),
         ("node = 2", "node = 1", "roll.node = 1: must be another"),
         ("node = 2", "node = 127", "roll.node"),
-        ("[roll]", "[rol]", "roll: is missing"),
+        ("[roll]", "[rol]", "roll.node: is missing"),
         ("direction = -1", "direction = 0", "must be 1 or -1"),
         ("counts_per_turn = 4096", "counts_per_turn = 16000000", "32 bits of counts"),
         ("lead_mm = 2.0", "lead_mm = 2.0\nleast_mm = 5.0\nmost_mm = 4.0", "must be less than the most"),

@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 from needleplan.errors import ModelError
 from needleplan.models import Trajectory, simulate
 from needleplan.models.force import (
-    PUBLISHED_FORCES,
     ForceModel1,
     ForceModel2,
     insertion_asymptote,
@@ -22,6 +21,7 @@ from needleplan.models.force import (
     with_gauge,
 )
 from needleplan.signals import Motion, insertion_cycles
+from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES
 
 SETS = {each.title: each for each in PUBLISHED_FORCES}
 factor = st.floats(0.1, 10.0)

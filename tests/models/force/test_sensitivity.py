@@ -9,9 +9,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from needleplan.models import simulate
-from needleplan.models.force import PUBLISHED_FORCES
 from needleplan.models.force.sensitivity import NAMES, Row, Values, exponential_step, force, kutta_step, slope
 from needleplan.signals import Motion, insertion_cycles
+from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES
 
 factors = st.tuples(*[st.floats(0.4, 2.5)] * 8)
 

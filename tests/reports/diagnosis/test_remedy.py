@@ -13,7 +13,7 @@ from needleplan.errors import ModelError
 from needleplan.models import Model, ShaftAndTip, SpatialBicycle, in_plane, simulate
 from needleplan.models.effects import AddedEffect, with_effect
 from needleplan.reports.diagnosis.remedy import along_mm, remedy
-from needleplan.scenario import Piece, Scenario, pieces_of
+from needleplan.scenario import CurvaturePiece, Scenario, pieces_of
 from needleplan.signals import Motion, Record
 
 SCENARIO = Scenario.read("prostate")
@@ -109,5 +109,5 @@ def test_pieces_are_those_of_a_curvature_that_has_some(steps: list[tuple[float, 
     assert found[0].low_mm == 0
     again = np.array([[each for each in found if each.low_mm <= at][-1].curvature_per_mm for at in along])
     assert np.sqrt(np.mean((again / bend - 1) ** 2)) < 0.15
-    assert all(isinstance(each, Piece) for each in found)
+    assert all(isinstance(each, CurvaturePiece) for each in found)
     assert np.all(np.diff([each.low_mm for each in found]) >= 2)

@@ -1,4 +1,4 @@
-"""What two drives are connected to: encoder, gear and lead, and what they may do. A small TOML file.
+"""Setup of two drives, a TOML file: encoder, gear and lead of each axis, and the limits of its motion.
 
 ```toml
 schema = "needleplan.drives/1"
@@ -22,98 +22,82 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
+from needleplan.config import Choice, ConfigTable, Integer, Number, Sign, Subtable, parse_toml, read_toml, ruled
 from needleplan.errors import ConfigurationError, Mistake
-from needleplan.scenario.document import document
-from needleplan.scenario.parts import Part, checked
-from needleplan.scenario.rules import Choice, Integer, Number, Rule
 
-__all__ = ["SCHEMA", "AxisLimits", "AxisSetup", "DrivesSetup", "InsertionSetup", "RollSetup", "VelocityUnit"]
+__all__ = ["AxisLimits", "AxisSetup", "DrivesSetup", "InsertionSetup", "RollSetup", "VelocityUnit"]
 
-SCHEMA = "needleplan.drives/1"
-
+# Largest count of an encoder: positions are signed 32-bit integers on the wire.
 _MOST_COUNTS = (1 << 31) - 1
-_KEYS = ("schema", "insertion", "roll")
 _COUNTS = Integer(-_MOST_COUNTS, _MOST_COUNTS)
 _MM, _RAD = Number("mm", at_least=-1e4, at_most=1e4), Number("rad", at_least=-1e4, at_most=1e4)
-
-
-def _ruled(rule: Rule, default: object = MISSING) -> Any:
-    return field(default=default, metadata={"rule": rule, "key": ""})
 
 
 class VelocityUnit(StrEnum):
     """The unit in which a drive counts velocities; accelerations are per second of it."""
 
     RPM = "rpm"
-    """Turns of the motor in a minute, as EPOS4 counts from the factory."""
+    """Turns of the motor per minute, the factory setting of EPOS4."""
 
     COUNTS = "counts/s"
 
 
 @dataclass(frozen=True)
 class AxisLimits:
-    """What an axis may do, in mm or rad, and by seconds."""
+    """Limits of an axis, in mm or rad and seconds."""
 
     turn: float
-    """How far it goes in one turn."""
+    """Travel per turn of the axis."""
 
     least: float
     most: float
     fastest: float
     acceleration: float
     stop: float
-    """The deceleration of a quick stop."""
+    """Deceleration of a quick stop."""
 
     margin: float
-    """What is not yet a motion, a jump, or the wrong way."""
+    """Largest displacement that is not yet a motion, a jump, or a motion in the wrong direction."""
 
 
 @dataclass(frozen=True)
-class AxisSetup(Part, ABC):
-    """One axis; abstract. Positions, velocities and accelerations are in mm or rad, by seconds."""
+class AxisSetup(ConfigTable, ABC, error=ConfigurationError):
+    """One axis; abstract. Lengths are in mm or rad, times in s."""
 
-    node: int = _ruled(Integer(1, 126))
-    counts_per_turn: int = _ruled(Integer(1, 1 << 24))
-    """Of the motor, all four edges counted."""
+    node: int = ruled(Integer(1, 126))
+    counts_per_turn: int = ruled(Integer(1, 1 << 24))
+    """Counts per turn of the motor, with all four edges."""
 
-    gear: float = _ruled(Number(above=0, at_most=1e5), 1.0)
-    """Turns of the motor in a turn of the axis."""
+    gear: float = ruled(Number(above=0, at_most=1e5), 1.0)
+    """Turns of the motor per turn of the axis."""
 
-    direction: int = _ruled(Integer(-1, 1), 1)
-    """1, or -1 where counts grow as the axis goes back."""
+    direction: int = ruled(Sign(), 1)
+    """1, or -1 if the counts grow as the axis moves back."""
 
-    zero_counts: int = _ruled(_COUNTS, 0)
-    """What the encoder shows where the axis is at zero."""
+    zero_counts: int = ruled(_COUNTS, 0)
+    """Count of the encoder at position 0 of the axis."""
 
-    velocity_unit: VelocityUnit = _ruled(Choice(VelocityUnit), VelocityUnit.RPM)
-
-    def __post_init__(self) -> None:
-        values, mistakes = checked(type(self), vars(self), self.name)
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
-        mistakes = mistakes or self._disagreements()
-        if mistakes:
-            raise ConfigurationError(mistakes)
+    velocity_unit: VelocityUnit = ruled(Choice(VelocityUnit), VelocityUnit.RPM)
 
     @property
     def name(self) -> str:
         """`insertion` or `roll`."""
-        return type(self).__name__.removesuffix("Setup").lower()
+        return self.key
 
     @property
     @abstractmethod
     def limits(self) -> AxisLimits:
-        """What the axis may do."""
+        """Limits of the axis."""
 
     @property
     def counts_per_unit(self) -> float:
-        """Counts in a mm or rad, with their sign."""
+        """Counts per mm or rad, negative for direction -1."""
         return self.direction * self.counts_per_turn * self.gear / self.limits.turn
 
     def counts(self, position: float) -> int:
@@ -125,47 +109,44 @@ class AxisSetup(Part, ABC):
         return (counts - self.zero_counts) / self.counts_per_unit
 
     def speed(self, velocity: float) -> int:
-        """Return a velocity or an acceleration without its sign in the unit of the drive."""
+        """Return the magnitude of a velocity or an acceleration in the unit of the drive."""
         counts = abs(velocity * self.counts_per_unit)
         return round(counts * 60 / self.counts_per_turn if self.velocity_unit is VelocityUnit.RPM else counts)
 
     def velocity(self, speed: int) -> float:
-        """Return the velocity, with its sign, that a drive calls `speed`."""
+        """Return the signed velocity of a value in the unit of the drive."""
         counts = speed * self.counts_per_turn / 60 if self.velocity_unit is VelocityUnit.RPM else speed
         return counts / self.counts_per_unit
 
-    def _disagreements(self) -> list[Mistake]:
+    def contradictions(self) -> Iterator[Mistake]:
+        """Yield a mistake if the drive cannot count the range or the velocities of the axis."""
         limits = self.limits
-        if self.direction == 0:
-            return [Mistake(f"{self.name}.direction", "0", "must be 1 or -1")]
         if limits.least >= limits.most:
-            return [Mistake(f"{self.name}.least", f"{limits.least:g}", f"must be less than the most, {limits.most:g}")]
-        if max(abs(self.counts(limits.least)), abs(self.counts(limits.most))) > _MOST_COUNTS:
-            rule = "must leave the range within 32 bits of counts"
-            return [Mistake(f"{self.name}.counts_per_turn", str(self.counts_per_turn), rule)]
-        if self.speed(limits.fastest) < 1:
+            yield Mistake("least", f"{limits.least:g}", f"must be less than the most, {limits.most:g}")
+        elif max(abs(self.counts(limits.least)), abs(self.counts(limits.most))) > _MOST_COUNTS:
+            yield Mistake("counts_per_turn", str(self.counts_per_turn), "must leave the range within 32 bits of counts")
+        elif self.speed(limits.fastest) < 1:
             rule = "must be a velocity that the drive can count: take velocity_unit = counts/s"
-            return [Mistake(f"{self.name}.fastest", f"{limits.fastest:g}", rule)]
-        return []
+            yield Mistake("fastest", f"{limits.fastest:g}", rule)
 
 
 @dataclass(frozen=True)
-class InsertionSetup(AxisSetup):
+class InsertionSetup(AxisSetup, key="insertion"):
     """The axis along the needle; the table `[insertion]`."""
 
-    lead_mm: float = _ruled(Number("mm", above=0, at_most=1000), 1.0)
-    """Millimetres in a turn of the spindle."""
+    lead_mm: float = ruled(Number("mm", above=0, at_most=1000), 1.0)
+    """Travel per turn of the spindle (mm)."""
 
-    least_mm: float = _ruled(_MM, 0.0)
-    most_mm: float = _ruled(_MM, 150.0)
-    fastest_mm_s: float = _ruled(Number("mm/s", above=0, at_most=1000), 20.0)
-    acceleration_mm_s2: float = _ruled(Number("mm/s^2", above=0, at_most=1e5), 200.0)
-    stop_mm_s2: float = _ruled(Number("mm/s^2", above=0, at_most=1e5), 1000.0)
-    margin_mm: float = _ruled(Number("mm", above=0, at_most=10), 0.2)
+    least_mm: float = ruled(_MM, 0.0)
+    most_mm: float = ruled(_MM, 150.0)
+    fastest_mm_s: float = ruled(Number("mm/s", above=0, at_most=1000), 20.0)
+    acceleration_mm_s2: float = ruled(Number("mm/s^2", above=0, at_most=1e5), 200.0)
+    stop_mm_s2: float = ruled(Number("mm/s^2", above=0, at_most=1e5), 1000.0)
+    margin_mm: float = ruled(Number("mm", above=0, at_most=10), 0.2)
 
     @property
     def limits(self) -> AxisLimits:
-        """In mm."""
+        """Limits in mm."""
         return AxisLimits(
             self.lead_mm, self.least_mm, self.most_mm, self.fastest_mm_s, self.acceleration_mm_s2, self.stop_mm_s2,
             self.margin_mm,
@@ -173,69 +154,43 @@ class InsertionSetup(AxisSetup):
 
 
 @dataclass(frozen=True)
-class RollSetup(AxisSetup):
+class RollSetup(AxisSetup, key="roll"):
     """The axis about the needle; the table `[roll]`."""
 
-    least_rad: float = _ruled(_RAD, -200.0)
-    most_rad: float = _ruled(_RAD, 200.0)
-    fastest_rad_s: float = _ruled(Number("rad/s", above=0, at_most=1000), 12.0)
-    acceleration_rad_s2: float = _ruled(Number("rad/s^2", above=0, at_most=1e5), 200.0)
-    stop_rad_s2: float = _ruled(Number("rad/s^2", above=0, at_most=1e5), 1000.0)
-    margin_rad: float = _ruled(Number("rad", above=0, at_most=1), 0.05)
+    least_rad: float = ruled(_RAD, -200.0)
+    most_rad: float = ruled(_RAD, 200.0)
+    fastest_rad_s: float = ruled(Number("rad/s", above=0, at_most=1000), 12.0)
+    acceleration_rad_s2: float = ruled(Number("rad/s^2", above=0, at_most=1e5), 200.0)
+    stop_rad_s2: float = ruled(Number("rad/s^2", above=0, at_most=1e5), 1000.0)
+    margin_rad: float = ruled(Number("rad", above=0, at_most=1), 0.05)
 
     @property
     def limits(self) -> AxisLimits:
-        """In rad."""
+        """Limits in rad."""
         return AxisLimits(
             math.tau, self.least_rad, self.most_rad, self.fastest_rad_s, self.acceleration_rad_s2, self.stop_rad_s2,
             self.margin_rad,
         )  # fmt: skip
 
 
+def _two_nodes(insertion: InsertionSetup, roll: RollSetup) -> Iterator[Mistake]:
+    if insertion.node == roll.node:
+        yield Mistake("roll.node", str(roll.node), "must be another than insertion.node")
+
+
 @dataclass(frozen=True)
-class DrivesSetup:
-    """Both axes. Raises ConfigurationError where they are one node."""
+class DrivesSetup(ConfigTable, error=ConfigurationError, schema="needleplan.drives/1", between=(_two_nodes,)):
+    """Both axes. Raises ConfigurationError if they are one node."""
 
-    insertion: InsertionSetup
-    roll: RollSetup
-
-    def __post_init__(self) -> None:
-        if self.insertion.node == self.roll.node:
-            raise ConfigurationError(Mistake("roll.node", str(self.roll.node), "must be another than insertion.node"))
+    insertion: InsertionSetup = ruled(Subtable(InsertionSetup))
+    roll: RollSetup = ruled(Subtable(RollSetup))
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
-        """Return what a file says. Raises ConfigurationError with every mistake."""
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except OSError as error:
-            raise ConfigurationError(f"cannot be read: {error.strerror}", str(path)) from error
-        except ValueError as error:
-            raise ConfigurationError(f"is not text in UTF-8: {error}", str(path)) from error
-        return cls.from_toml(text, str(path))
+        """Return the setup of a file. Raises ConfigurationError with every mistake."""
+        return read_toml(path, cls)
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> Self:
-        """Return what the text of a file says. Raises ConfigurationError with every mistake."""
-        given, mistakes = document(text, SCHEMA, _KEYS)
-        if given is None:
-            raise ConfigurationError(mistakes, source)
-        tables: dict[str, Any] = {}
-        for name, kind in (("insertion", InsertionSetup), ("roll", RollSetup)):
-            raw = given.get(name)
-            if not isinstance(raw, Mapping):
-                mistakes.append(Mistake(name, "", f"is missing: a table [{name}]"))
-                continue
-            values, found = checked(kind, raw, name)
-            mistakes += found
-            try:
-                if not found:
-                    tables[name] = kind(**values)
-            except ConfigurationError as error:
-                mistakes += error.mistakes
-        if mistakes:
-            raise ConfigurationError(mistakes, source)
-        try:
-            return cls(**tables)
-        except ConfigurationError as error:
-            raise ConfigurationError(error.mistakes, source) from None
+        """Return the setup of the text of a file. Raises ConfigurationError with every mistake."""
+        return parse_toml(text, cls, source)

@@ -3,12 +3,10 @@
 from needleplan.estimation.registration.pivot import Pivot, PivotStatus, calibrate_axis, calibrate_pivot
 from needleplan.estimation.registration.registration import CoilPose, Registration
 from needleplan.estimation.registration.rigid import Outlier, RigidMotion, register, worst_pair
-from needleplan.estimation.registration.toml import Parent
 
 __all__ = [
     "CoilPose",
     "Outlier",
-    "Parent",
     "Pivot",
     "PivotStatus",
     "Registration",

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from needleplan.artifacts import digest
+from needleplan.config import suggestion
 from needleplan.errors import DataError, Mistake
 from needleplan.recording.csv_file import number_in, rows_of_cells
-from needleplan.scenario.rules import suggestion
 from needleplan.signals import Array
 
 __all__ = ["Points", "Poses", "read_points", "read_poses"]

@@ -1,25 +1,45 @@
-"""The registration of a needle: coil to tip, and the tracker's frame to that of the plan; a value, and a file."""
+"""The registration of a needle: coil to tip, and the tracker's frame to the frame of the plan. A value and a file."""
 
 from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from needleplan.artifacts import digest, version, write_whole
+from needleplan.artifacts import Parent, digest, version, write_whole
+from needleplan.config import (
+    ConfigTable,
+    Integer,
+    Number,
+    Numbers,
+    ParentList,
+    Sign,
+    Subtable,
+    TableList,
+    Text,
+    Violation,
+    build,
+    parse_toml,
+    ruled,
+    shown,
+    text_of,
+    toml_text,
+)
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation.registration import toml
 from needleplan.estimation.registration.rigid import RigidMotion, register
-from needleplan.scenario.rules import Integer, Number, Refused, Rule, Text, shown
 
 __all__ = ["CoilPose", "Registration"]
 
 Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+# Largest distance (mm) between a point moved by the stored frame and moved by the fit of the stored points.
+_SAME_FRAME_MM = 1e-3
 
 
 class CoilPose(NamedTuple):
@@ -29,51 +49,90 @@ class CoilPose(NamedTuple):
     direction: Vector
 
 
-def _ruled(rule: Rule, default: Any) -> Any:
-    return field(default=default, metadata={"rule": rule})
+def _made_by() -> str:
+    return f"needleplan {version()}"
+
+
+def _frame_fits_points(frame: _Frame, point: tuple[_Point | None, ...]) -> Iterator[Mistake]:
+    """Yield a mistake if the frame is not the fit of the points, as after an edit of the file by hand."""
+    pairs = [(each.tracker_mm, each.plan_mm) for each in point if each]
+    if len(pairs) < max(len(point), 1):
+        return
+    tracker, plan = (np.array([pair[side] for pair in pairs]) for side in (0, 1))
+    try:
+        motion = register(tracker, plan)
+    except DataError as error:
+        yield from error.mistakes
+        return
+    here = tracker @ np.array(_matrix(frame.quaternion)).T + np.array(frame.translation_mm)
+    if np.abs(here - motion.apply(tracker)).max() > _SAME_FRAME_MM:
+        left = float(np.sqrt(((here - plan) ** 2).sum(axis=1).mean()))
+        rule = f"must be what the points give: they are off by {left:.3g} mm, at best by {motion.fre_mm:.3g} mm"
+        yield Mistake("frame.quaternion", shown(frame.quaternion), rule)
+
+
+@dataclass(frozen=True)
+class _Coil(ConfigTable, key="coil"):
+    offset_mm: float = ruled(Number("mm", at_least=0, at_most=500))
+    offset_sd_mm: float = ruled(Number("mm", at_least=0, at_most=100))
+    axis: int = ruled(Sign())
+    rms_mm: float = ruled(Number("mm", at_least=0))
+    poses: int = ruled(Integer(0, 10**9))
+
+
+@dataclass(frozen=True)
+class _Frame(ConfigTable, key="frame"):
+    quaternion: Quaternion = ruled(Numbers(4, unit_length=True))
+    translation_mm: Vector = ruled(Numbers(3))
+
+
+@dataclass(frozen=True)
+class _Point(ConfigTable, key="point"):
+    tracker_mm: Vector = ruled(Numbers(3))
+    plan_mm: Vector = ruled(Numbers(3))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _RegistrationFile(
+    ConfigTable, error=DataError, schema="needleplan.registration/1", between=(_frame_fits_points,)
+):
+    title: str = ruled(Text(), "")
+    made_by: str = ruled(Text(), factory=_made_by)
+    coil: _Coil = ruled(Subtable(_Coil))
+    frame: _Frame = ruled(Subtable(_Frame))
+    point: tuple[_Point, ...] = ruled(TableList(_Point), ())
+    parent: tuple[Parent, ...] = ruled(ParentList(), ())
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Where the tip is before the coil, and the rigid motion from the tracker's frame to that of the plan.
+    """Distance from coil to tip, and the rigid motion from the tracker's frame to the frame of the plan.
 
-    The plan has x along the insertion, y lateral, to the left, and z out of its plane. `quaternion` (w, x, y, z) and
-    `translation_mm` take a point of the tracker there. The coil's own z axis lies along the needle; `coil_axis` is +1
-    where it points to the tip, -1 where it points away. `points` are the pairs of points it was made from: (tracker,
-    plan) each. Raises DataError with everything that cannot be.
+    The plan has x along the insertion, y lateral to the left, and z out of its plane. `quaternion` (w, x, y, z) and
+    `translation_mm` move a point of the tracker there. The z axis of the coil is parallel to the needle; `coil_axis` is
+    +1 if it points to the tip, else -1. `points` are the pairs (tracker, plan) from which the frame was fitted. Raises
+    DataError with all mistakes, their keys those of the file.
     """
 
-    quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
     translation_mm: Vector = (0.0, 0.0, 0.0)
-    coil_offset_mm: float = _ruled(Number("mm", at_least=0, at_most=500), 0.0)
-    coil_offset_sd_mm: float = _ruled(Number("mm", at_least=0, at_most=100), 0.0)
-    coil_axis: int = _ruled(Integer(-1, 1), 1)
-    pivot_rms_mm: float = _ruled(Number("mm", at_least=0), 0.0)
-    pivot_poses: int = _ruled(Integer(0, 10**9), 0)
+    coil_offset_mm: float = 0.0
+    coil_offset_sd_mm: float = 0.0
+    coil_axis: int = 1
+    pivot_rms_mm: float = 0.0
+    pivot_poses: int = 0
     points: tuple[tuple[Vector, Vector], ...] = ()
-    parents: tuple[toml.Parent, ...] = ()
-    title: str = _ruled(Text(), "")
-    made_by: str = field(default_factory=lambda: f"needleplan {version()}")
+    parents: tuple[Parent, ...] = ()
+    title: str = ""
+    made_by: str = field(default_factory=_made_by)
 
     def __post_init__(self) -> None:
-        mistakes = []
-        for each in fields(self):
-            rule = each.metadata.get("rule")
-            try:
-                if rule:
-                    object.__setattr__(self, each.name, rule.read(getattr(self, each.name)))
-            except Refused as refused:
-                mistakes.append(Mistake(each.name, shown(getattr(self, each.name)), str(refused)))
-        if self.coil_axis == 0:
-            mistakes.append(Mistake("coil_axis", "0", "must be 1 or -1"))
-        for name, count in (("quaternion", 4), ("translation_mm", 3)):
-            numbers = tuple(getattr(self, name))
-            if len(numbers) != count or not all(map(math.isfinite, numbers)):
-                mistakes.append(Mistake(name, shown(numbers), f"must be {count} finite numbers"))
-        if not mistakes and abs(math.hypot(*self.quaternion) - 1) > 1e-6:
-            mistakes.append(Mistake("quaternion", shown(self.quaternion), "must be of length 1"))
-        if mistakes:
-            raise DataError(mistakes, "registration")
+        try:
+            file = build(_RegistrationFile, self._raw())
+        except Violation as broken:
+            raise DataError(broken.mistakes, "registration") from None
+        for name, value in _values(file).items():
+            object.__setattr__(self, name, value)
 
     def place(self, position_mm: Vector, quaternion: tuple[float, float, float, float]) -> CoilPose:
         """Return a coil as the plan has it, from its position and quaternion (w, x, y, z) in the tracker's frame."""
@@ -109,32 +168,17 @@ class Registration:
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
         """Read a registration file. Raises DataError with every mistake of the file: key, value and rule."""
-        source = os.fspath(path)
-        try:
-            content = Path(path).read_text(encoding="utf-8")
-        except (OSError, ValueError) as error:
-            reason = error.strerror if isinstance(error, OSError) and error.strerror else "is not UTF-8 text"
-            raise DataError(Mistake("", "", f"cannot be read: {reason}"), source) from error
-        return cls.from_toml(content, source)
+        return cls.from_toml(text_of(path, DataError), os.fspath(path))
 
     @classmethod
     def from_toml(cls, content: str, source: str = "") -> Self:
-        """Return what the text of a registration file says. Raises DataError with every mistake of the text."""
-        values, mistakes = toml.parse(content)
-        if not mistakes:
-            try:
-                found = cls(**values)
-                if found.points:
-                    found._require_points()
-            except DataError as error:
-                mistakes = list(error.mistakes)
-            else:
-                return found
-        raise DataError(mistakes, source)
+        """Return the registration of the text of a file. Raises DataError with every mistake of the text."""
+        return cls(**_values(parse_toml(content, _RegistrationFile, source)))
 
     def to_toml(self) -> str:
         """Return the text of a registration file that reads back as exactly this."""
-        return toml.text(vars(self))
+        filled = {key: value for key, value in self._raw().items() if value != []}
+        return toml_text({"schema": _RegistrationFile.schema, **filled})
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write a registration file, whole or not at all. Raises OutputError."""
@@ -147,23 +191,51 @@ class Registration:
 
     @cached_property
     def _matrix(self) -> tuple[Vector, Vector, Vector]:
-        w, x, y, z = self.quaternion
-        return (
-            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        )
+        return _matrix(self.quaternion)
 
-    def _require_points(self) -> None:
-        """Raise DataError where quaternion and translation are not what the points say: a file edited by hand."""
-        motion = self.motion
-        assert motion is not None
-        tracker, plan = (np.array([pair[side] for pair in self.points]) for side in (0, 1))
-        here = tracker @ np.array(self._matrix).T + np.array(self.translation_mm)
-        if np.abs(here - motion.apply(tracker)).max() > 1e-3:
-            left = float(np.sqrt(((here - plan) ** 2).sum(axis=1).mean()))
-            rule = f"must be what the points give: they are off by {left:.3g} mm, at best by {motion.fre_mm:.3g} mm"
-            raise DataError(Mistake("frame.quaternion", shown(self.quaternion), rule))
+    def _raw(self) -> dict[str, Any]:
+        """Return the tables of the file."""
+        return {
+            "title": self.title,
+            "made_by": self.made_by,
+            "coil": {
+                "offset_mm": self.coil_offset_mm,
+                "offset_sd_mm": self.coil_offset_sd_mm,
+                "axis": self.coil_axis,
+                "rms_mm": self.pivot_rms_mm,
+                "poses": self.pivot_poses,
+            },
+            "frame": {"quaternion": self.quaternion, "translation_mm": self.translation_mm},
+            "point": [{"tracker_mm": tracker, "plan_mm": plan} for tracker, plan in self.points],
+            "parent": [{"name": each.name, "digest": each.digest} for each in self.parents],
+        }
+
+
+def _values(file: _RegistrationFile) -> dict[str, Any]:
+    """Return the fields of the registration that a file holds."""
+    return {
+        "quaternion": file.frame.quaternion,
+        "translation_mm": file.frame.translation_mm,
+        "coil_offset_mm": file.coil.offset_mm,
+        "coil_offset_sd_mm": file.coil.offset_sd_mm,
+        "coil_axis": file.coil.axis,
+        "pivot_rms_mm": file.coil.rms_mm,
+        "pivot_poses": file.coil.poses,
+        "points": tuple((each.tracker_mm, each.plan_mm) for each in file.point),
+        "parents": file.parent,
+        "title": file.title,
+        "made_by": file.made_by,
+    }
+
+
+def _matrix(quaternion: Quaternion) -> tuple[Vector, Vector, Vector]:
+    """Return the rotation matrix of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
 
 
 def _turned(matrix: tuple[Vector, Vector, Vector], vector: Vector) -> Vector:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields
 from dataclasses import field as _field
 from typing import Any
 
+from needleplan.config import Integer, Number, Rule, Violation, shown
 from needleplan.errors import Mistake, ModelError
-from needleplan.scenario.rules import Integer, Number, Refused, Rule, shown
 
 __all__ = ["TipSettings"]
 
@@ -88,7 +88,7 @@ class TipSettings:
             value = getattr(self, each.name)
             try:
                 object.__setattr__(self, each.name, each.metadata["rule"].read(value))
-            except Refused as refused:
-                mistakes.append(Mistake(each.name, shown(value), str(refused)))
+            except Violation as broken:
+                mistakes.append(Mistake(each.name, shown(value), str(broken)))
         if mistakes:
             raise ModelError(mistakes, "tip filter")

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import runpy
 from collections.abc import Callable, Mapping, Sequence
-from difflib import get_close_matches
 from functools import lru_cache
 from importlib import metadata
 
 import numpy as np
 
 import needleplan.models.effects._tip as tip
+from needleplan.config import suggestion
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Channel, Scale
 from needleplan.models.effects._base import SIZE, Effect, Enters, Family, Reach
@@ -171,6 +171,4 @@ def effect_named(name: str) -> Effect:
     known = known_effects()
     if name in known:
         return known[name]
-    close = get_close_matches(name, known, n=1)
-    rule = f"must be one of {', '.join(sorted(known))}"
-    raise ModelError(Mistake("effect", name, rule + (f'; did you mean "{close[0]}"?' if close else "")))
+    raise ModelError(Mistake("effect", name, f"must be one of {', '.join(sorted(known))}{suggestion(name, known)}"))

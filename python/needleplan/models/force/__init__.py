@@ -6,7 +6,6 @@
 | `insertion_asymptote`, `retraction_asymptote` | closed forms of the force far behind its peak |
 | `regauged`, `with_gauge` | the exact symmetry of the parameters |
 | `sensitivity` | one integration step with its derivatives, for Kalman filters |
-| `PUBLISHED_FORCES` | the parameters that the thesis identified |
 """
 
 from needleplan.models.force._depth_force import (
@@ -20,14 +19,11 @@ from needleplan.models.force._depth_force import (
     steady_state,
     with_gauge,
 )
-from needleplan.models.force.published import PUBLISHED_FORCES, PublishedForce
 
 __all__ = [
-    "PUBLISHED_FORCES",
     "DepthForce",
     "ForceModel1",
     "ForceModel2",
-    "PublishedForce",
     "insertion_asymptote",
     "regauged",
     "regauged_state",

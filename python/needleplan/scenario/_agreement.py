@@ -1,57 +1,29 @@
-"""Rules between the parts of a scenario, each its own sentence.
-
-A rule looks only at parts that are there, so that the mistakes of a file can be told all at once although some of its
-parts could not be read.
-"""
+"""Rules between the parts of a scenario. Entries of lists that could not be read are None."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+import math
+from collections.abc import Iterator
 
+from needleplan.config import shown
 from needleplan.errors import Mistake
-from needleplan.scenario.choices import Method, Transition
-from needleplan.scenario.parts import (
+from needleplan.scenario._parts import (
     Grid,
-    Motion,
+    Method,
     Needle,
-    Objective,
     Obstacle,
     Solver,
     Target,
     Tissue,
+    Transition,
     Workspace,
 )
-from needleplan.scenario.polygon import contains
-from needleplan.scenario.rules import shown
+from needleplan.scenario._polygon import contains
 
-__all__ = ["disagreements"]
+__all__ = ["BETWEEN"]
 
+# Largest number of different radii: the solver stores headings times bevels displacements for each of them.
 _MOST_RADII = 200
-
-
-def disagreements(parts: Mapping[str, Any]) -> list[Mistake]:
-    """Return the mistakes that lie between `parts`, which are named as the fields of a scenario; some may be absent."""
-    workspace, target, grid = parts.get("workspace"), parts.get("target"), parts.get("grid")
-    mistakes: list[Mistake] = []
-    if workspace and target:
-        mistakes += _target_in_workspace(workspace, target)
-    if target:
-        mistakes += _target_clear_of_obstacles(target, parts.get("obstacles", ()))
-    if workspace and parts.get("needle"):
-        mistakes += _layers_in_workspace(workspace, parts["needle"])
-    mistakes += _few_radii(parts.get("needle"), parts.get("tissues", ()))
-    if workspace and grid:
-        mistakes += _spacing_in_workspace(workspace, grid)
-    if workspace and grid and target and not mistakes:
-        mistakes += _target_on_grid(workspace, grid, target)
-    if workspace and grid and parts.get("solver"):
-        mistakes += _partitions_hold_points(workspace, grid, parts["solver"])
-    if parts.get("motion"):
-        mistakes += _noise_within_a_turn(parts["motion"])
-    if parts.get("objective"):
-        mistakes += _endless_insertion_costs(parts["objective"])
-    return mistakes
 
 
 def _target_in_workspace(workspace: Workspace, target: Target) -> Iterator[Mistake]:
@@ -76,11 +48,9 @@ def _layers_in_workspace(workspace: Workspace, needle: Needle) -> Iterator[Mista
             yield Mistake(f"needle.layer {number}.from_mm", shown(layer.from_mm), rule)
 
 
-def _few_radii(needle: Needle | None, tissues: tuple[Tissue | None, ...]) -> Iterator[Mistake]:
-    """Every radius has displacements of its own, headings times bevels of them, in the solver."""
+def _few_radii(needle: Needle, tissues: tuple[Tissue | None, ...]) -> Iterator[Mistake]:
     radii = {tissue.curvature_radius_mm for tissue in tissues if tissue}
-    if needle:
-        radii |= {needle.curvature_radius_mm, *(layer.curvature_radius_mm for layer in needle.layers)}
+    radii |= {needle.curvature_radius_mm, *(layer.curvature_radius_mm for layer in needle.layers)}
     if len(radii) > _MOST_RADII:
         rule = f"must take at most {_MOST_RADII} different values in needle, layers and tissues, not {len(radii)}"
         yield Mistake("curvature_radius_mm", "", rule)
@@ -93,14 +63,15 @@ def _spacing_in_workspace(workspace: Workspace, grid: Grid) -> Iterator[Mistake]
         yield Mistake("grid.spacing_mm", shown(grid.spacing_mm), rule)
 
 
-def _target_on_grid(workspace: Workspace, grid: Grid, target: Target) -> Iterator[Mistake]:
-    if grid.transition is not Transition.NEAREST:
+def _target_on_grid(workspace: Workspace, target: Target, grid: Grid) -> Iterator[Mistake]:
+    outside = any(_target_in_workspace(workspace, target)) or any(_spacing_in_workspace(workspace, grid))
+    if grid.transition is not Transition.NEAREST or outside:
         return
     gap = [
         coordinate - min(round(coordinate / spacing), points - 1) * spacing
         for coordinate, spacing, points in zip(target.center_mm, grid.spacing_mm, grid.points(workspace), strict=True)
     ]
-    distance = (gap[0] ** 2 + gap[1] ** 2) ** 0.5
+    distance = math.sqrt(gap[0] ** 2 + gap[1] ** 2)
     if distance > target.radius_mm:
         rule = (
             f'must be at least {distance:g}, the distance to the nearest grid point: with transition = "nearest" '
@@ -118,14 +89,13 @@ def _partitions_hold_points(workspace: Workspace, grid: Grid, solver: Solver) ->
         yield Mistake("solver.partitions", shown(solver.partitions), rule)
 
 
-def _noise_within_a_turn(motion: Motion) -> Iterator[Mistake]:
-    reach = len(motion.tip_noise) - 1
-    if 2 * reach >= motion.headings:
-        rule = f"must be more than {2 * reach}, so that the tip noise stays below half a turn"
-        yield Mistake("motion.headings", shown(motion.headings), rule)
-
-
-def _endless_insertion_costs(objective: Objective) -> Iterator[Mistake]:
-    if objective.discount == 1 and objective.insertion_per_mm == 0:
-        rule = "must be above 0 where the discount is 1: circling for ever would be free"
-        yield Mistake("objective.insertion_per_mm", shown(objective.insertion_per_mm), rule)
+BETWEEN = (
+    _target_in_workspace,
+    _target_clear_of_obstacles,
+    _layers_in_workspace,
+    _few_radii,
+    _spacing_in_workspace,
+    _target_on_grid,
+    _partitions_hold_points,
+)
+"""All of them, in the order in which their mistakes are reported."""

@@ -1,4 +1,4 @@
-"""Simple polygons: what an obstacle may be, and whether a point is in one."""
+"""Simple polygons: the rule for their corners, and tests whether points lie in them."""
 
 from __future__ import annotations
 
@@ -8,49 +8,50 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from needleplan.scenario.rules import Number, Pair, Refused, sequence
+from needleplan.config import Number, Pair, Violation, sequence
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from shapely import Polygon
 
-__all__ = ["TOLERANCE_MM", "Points", "Simple", "contains", "covered"]
+__all__ = ["TOLERANCE_MM", "Points", "SimplePolygon", "contains", "covered"]
 
 TOLERANCE_MM = 1e-9
-"""A point this close to a boundary, by rounding of coordinates, is on it."""
+"""Distance (mm) from a boundary up to which a point lies on it: absorbs rounding of coordinates."""
 
 Points = tuple[tuple[float, float], ...]
 
+# Largest number of corners of a polygon.
 _MOST_POINTS = 100_000
 
 
 @dataclass(frozen=True)
-class Simple:
+class SimplePolygon:
     """The corners of a polygon whose boundary does not touch itself; the last corner need not repeat the first."""
 
     coordinate: Number
 
     def read(self, value: object) -> Points:
-        """Return the corners, each different from the one before. Raises Refused."""
+        """Return the corners, each different from the one before. Raises Violation."""
         entries = sequence(value)
         if entries is None or len(entries) > _MOST_POINTS:
-            raise Refused("must be a list of points, [[x, y], [x, y], [x, y], ...]")
+            raise Violation("must be a list of points, [[x, y], [x, y], [x, y], ...]", value)
         corners: list[tuple[float, float]] = []
         for number, entry in enumerate(entries, start=1):
             try:
                 corner = Pair(self.coordinate).read(entry)
-            except Refused as refused:
-                raise Refused(f"point {number} {refused}") from None
+            except Violation as broken:
+                raise Violation(f"point {number} {broken}", value) from None
             if not corners or corner != corners[-1]:
                 corners.append(corner)
         if len(corners) > 1 and corners[0] == corners[-1]:
             corners.pop()
         if len(set(corners)) < 3:
-            raise Refused("must have at least three different points")
+            raise Violation("must have at least three different points", value)
         flaw = _flaw(corners)
         if flaw:
-            raise Refused(flaw)
+            raise Violation(flaw, value)
         return tuple(corners)
 
 
@@ -71,7 +72,7 @@ def covered(polygon_mm: Points, x_mm: NDArray[np.float64], y_mm: NDArray[np.floa
 
 @lru_cache(maxsize=64)
 def _prepared(polygon_mm: Points) -> Polygon:
-    """Return the polygon ready for many questions: a loop asks for one point at a time."""
+    """Return the polygon prepared for many queries: a loop queries one point at a time."""
     import shapely
 
     polygon = shapely.Polygon(polygon_mm)
@@ -80,7 +81,7 @@ def _prepared(polygon_mm: Points) -> Polygon:
 
 
 def _flaw(corners: list[tuple[float, float]]) -> str:
-    """Return what is wrong with the polygon, or nothing."""
+    """Return the rule that the polygon violates, or an empty text."""
     from shapely import Polygon, is_valid_reason
 
     polygon = Polygon(corners)

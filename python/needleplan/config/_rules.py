@@ -1,0 +1,294 @@
+"""Rules for single values: numbers, texts, choices, and short sequences of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, is_dataclass
+from difflib import get_close_matches
+from enum import StrEnum
+from typing import Any, Protocol
+
+from needleplan.errors import Mistake
+
+__all__ = [
+    "Choice",
+    "Flag",
+    "Integer",
+    "Maybe",
+    "Number",
+    "Numbers",
+    "Pair",
+    "Rule",
+    "Sign",
+    "Text",
+    "Texts",
+    "Violation",
+    "closest",
+    "plain",
+    "sequence",
+    "shown",
+    "suggestion",
+]
+
+
+class Violation(Exception):
+    """A value violates a rule.
+
+    `mistakes` have keys relative to the value; the mistake of a single value has an empty key. `partial` is the part of
+    the value that obeys its rules, or None.
+    """
+
+    def __init__(self, mistakes: str | Sequence[Mistake], value: object = None, partial: object = None) -> None:
+        text = "" if value is None else shown(value)
+        self.mistakes = [Mistake("", text, mistakes)] if isinstance(mistakes, str) else list(mistakes)
+        self.partial = partial
+        super().__init__("; ".join(each.rule for each in self.mistakes))
+
+
+class Rule(Protocol):
+    """Reads one value of a file or of a constructor's argument."""
+
+    def read(self, value: object) -> Any:
+        """Return the value in its stored form. Raises Violation."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number in a range, finite unless told; integers become floats, truth values are not numbers."""
+
+    unit: str = ""
+    above: float | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+    finite: bool = True
+
+    def read(self, value: object) -> float:
+        """Return the number as a float. Raises Violation."""
+        try:
+            number = float(plain(value))  # type: ignore[arg-type]
+        except (TypeError, OverflowError):
+            raise Violation(f"must be {self}", value) from None
+        if (
+            math.isnan(number)
+            or (self.finite and math.isinf(number))
+            or not _within(number, self.above, self.at_least, self.at_most)
+        ):
+            raise Violation(f"must be {self}", value)
+        return number
+
+    def __str__(self) -> str:
+        unit = f" in {self.unit}" if self.unit else ""
+        return f"a {'finite ' * self.finite}number{unit}{_range(self.above, self.at_least, self.at_most)}"
+
+
+@dataclass(frozen=True)
+class Integer:
+    """A whole number in a range, written without a decimal point; `odd` excludes even numbers."""
+
+    at_least: int
+    at_most: int
+    odd: bool = False
+
+    def read(self, value: object) -> int:
+        """Return the integer. Raises Violation."""
+        number = plain(value)
+        if isinstance(number, int) and self.at_least <= number <= self.at_most and (number % 2 or not self.odd):
+            return number
+        raise Violation(f"must be {self}", value)
+
+    def __str__(self) -> str:
+        return f"{'an odd' if self.odd else 'a'} whole number from {self.at_least} to {self.at_most}"
+
+
+@dataclass(frozen=True)
+class Sign:
+    """The whole number 1 or -1."""
+
+    def read(self, value: object) -> int:
+        """Return the sign. Raises Violation."""
+        number = plain(value)
+        if isinstance(number, int) and abs(number) == 1:
+            return number
+        raise Violation("must be 1 or -1", value)
+
+
+@dataclass(frozen=True)
+class Flag:
+    """A truth value."""
+
+    def read(self, value: object) -> bool:
+        """Return the truth value. Raises Violation."""
+        if isinstance(value, bool):
+            return value
+        raise Violation("must be true or false", value)
+
+
+@dataclass(frozen=True)
+class Text:
+    """A text that UTF-8 can encode, of at most `at_most` characters; not only spaces if `filled`."""
+
+    at_most: int = 1000
+    filled: bool = False
+
+    def read(self, value: object) -> str:
+        """Return the text. Raises Violation."""
+        if not isinstance(value, str) or len(value) > self.at_most or not _encodes(value):
+            raise Violation(f"must be a text of at most {self.at_most} characters", value)
+        if self.filled and not value.strip():
+            raise Violation("must not be empty", value)
+        return value
+
+
+@dataclass(frozen=True)
+class Texts:
+    """A list of texts, each with the prefix `prefix`."""
+
+    prefix: str = ""
+
+    def read(self, value: object) -> tuple[str, ...]:
+        """Return the texts as a tuple. Raises Violation."""
+        entries = sequence(value)
+        if entries is None or not all(isinstance(each, str) and each.startswith(self.prefix) for each in entries):
+            form = f' of the form "{self.prefix}..."' if self.prefix else ""
+            raise Violation(f"must be a list of texts{form}", value)
+        return tuple(str(each) for each in entries)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of some names: the members of an enumeration, or the keys of a mapping, whose values are then stored."""
+
+    among: type[StrEnum] | Mapping[str, Any]
+
+    def read(self, value: object) -> Any:
+        """Return the member of the enumeration, or the value of the mapping. Raises Violation."""
+        known = self._known
+        if isinstance(value, str) and value in known:
+            return known[value]
+        raise Violation(f"must be {self}{suggestion(value, known) if len(known) > 1 else ''}", value)
+
+    @property
+    def _known(self) -> dict[str, Any]:
+        return dict(self.among) if isinstance(self.among, Mapping) else {each.value: each for each in self.among}
+
+    def __str__(self) -> str:
+        names = [f'"{name}"' for name in self._known]
+        return f"one of {', '.join(names)}" if len(names) > 1 else names[0]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two values of the same rule, `[x, y]`."""
+
+    rule: Number | Integer
+
+    def read(self, value: object) -> tuple[float, float]:
+        """Return the pair as a tuple. Raises Violation."""
+        entries = sequence(value)
+        if entries is None or len(entries) != 2:
+            raise Violation("must be two numbers, [x, y]", value)
+        try:
+            return (self.rule.read(entries[0]), self.rule.read(entries[1]))
+        except Violation as broken:
+            raise Violation(f"each of the two {broken}", value) from None
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """A fixed count of finite numbers, of Euclidean length 1 (to 1e-6) if `unit_length`."""
+
+    count: int
+    unit_length: bool = False
+
+    def read(self, value: object) -> tuple[float, ...]:
+        """Return the numbers as a tuple. Raises Violation."""
+        entries = sequence(value)
+        if entries is None or len(entries) != self.count:
+            raise Violation(f"must be {self.count} numbers", value)
+        try:
+            numbers = tuple(Number().read(entry) for entry in entries)
+        except Violation as broken:
+            raise Violation(f"each of the {self.count} {broken}", value) from None
+        if self.unit_length and abs(math.hypot(*numbers) - 1) > 1e-6:
+            raise Violation("must be of length 1", value)
+        return numbers
+
+
+@dataclass(frozen=True)
+class Maybe:
+    """A value of a rule, or None, which a file expresses by leaving the key out."""
+
+    rule: Rule
+
+    def read(self, value: object) -> Any:
+        """Return the value, or None. Raises Violation."""
+        return None if value is None else self.rule.read(value)
+
+
+def shown(value: object, depth: int = 3) -> str:
+    """Return the value in TOML syntax; levels nested deeper than `depth` are left out."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return f'"{value}"'
+    entries = sequence(value)
+    if entries is not None:
+        return f"[{', '.join(shown(entry, depth - 1) for entry in entries) if depth else '...'}]"
+    return "{...}" if isinstance(value, dict) or is_dataclass(value) else str(value)
+
+
+def closest(value: object, names: Iterable[str], cutoff: float = 0.6) -> str:
+    """Return the one of `names` that is most similar to `value`, or an empty text if none is.
+
+    `cutoff` is the least similarity by `difflib`, from 0 to 1.
+    """
+    close = get_close_matches(value, list(names), n=1, cutoff=cutoff) if isinstance(value, str) else []
+    return close[0] if close else ""
+
+
+def suggestion(value: object, names: Iterable[str]) -> str:
+    """Return `; did you mean "NAME"?` if one of `names` is similar to `value`, else an empty text."""
+    name = closest(value, names)
+    return f'; did you mean "{name}"?' if name else ""
+
+
+def sequence(value: object) -> list[object] | None:
+    """Return lists, tuples and arrays as a list, and None for anything else."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    return list(value) if isinstance(value, list | tuple) else None
+
+
+def plain(value: object) -> object:
+    """Return a number of NumPy or Python as a number of Python, and None for anything else."""
+    if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
+        value = value.item()
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return value
+
+
+def _within(number: float, above: float | None, at_least: float | None, at_most: float | None) -> bool:
+    return (
+        (above is None or number > above)
+        and (at_least is None or number >= at_least)
+        and (at_most is None or number <= at_most)
+    )
+
+
+def _range(above: float | None, at_least: float | None, at_most: float | None) -> str:
+    parts = [
+        f"{word} {limit:,.10g}"
+        for word, limit in (("above", above), ("at least", at_least), ("at most", at_most))
+        if limit is not None
+    ]
+    return f" {' and '.join(parts)}" if parts else ""
+
+
+def _encodes(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

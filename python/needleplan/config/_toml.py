@@ -1,0 +1,181 @@
+"""TOML files: text of a file, table of a text, and the writer."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from needleplan.config._rules import Violation, shown, suggestion
+from needleplan.config._table import ConfigTable, ParentList, TableList, build, key_of
+from needleplan.errors import InputError, Mistake
+
+__all__ = ["Commented", "parse_toml", "raw_of", "raw_toml", "read_toml", "shipped_names", "text_of", "toml_text"]
+
+_T = TypeVar("_T", bound=ConfigTable)
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def text_of(
+    path: str | os.PathLike[str], error: type[InputError], shipped: Path | None = None, noun: str = "file"
+) -> str:
+    """Return the text of a file, or of a file of the folder `shipped` by its name, if there is no file at `path`.
+
+    Raises `error` if there is neither, and for bytes that are not UTF-8; `noun` says what is looked for.
+    """
+    source, names = os.fspath(path), shipped_names(shipped)
+    try:
+        if shipped and source in names and not Path(path).exists():
+            return (shipped / f"{source}.toml").read_text(encoding="utf-8")
+        return Path(path).read_text(encoding="utf-8")
+    except UnicodeDecodeError as wrong:
+        rule = f"is not TOML: not UTF-8 at byte {wrong.start}"
+    except (OSError, ValueError) as wrong:
+        rule = f"cannot be read: {getattr(wrong, 'strerror', None) or wrong}"
+        if shipped and isinstance(wrong, FileNotFoundError):
+            known = f"({', '.join(names)}){suggestion(source, names)}"
+            rule = f"no such file, and no shipped {noun} of that name {known}"
+    raise error(rule, source)
+
+
+def shipped_names(folder: Path | None) -> list[str]:
+    """Return the names of the files that come with the package in a folder, without `.toml`."""
+    return sorted(file.stem for file in folder.glob("*.toml")) if folder else []
+
+
+def read_toml(path: str | os.PathLike[str], kind: type[_T]) -> _T:
+    """Return the table of a file. Raises `kind.error` with all mistakes of the file."""
+    return parse_toml(text_of(path, kind.error), kind, os.fspath(path))
+
+
+def parse_toml(text: str, kind: type[_T], source: str = "") -> _T:
+    """Return the table of a text. Raises `kind.error` with all mistakes of the text; `source` names the text there."""
+    raw = raw_toml(text, kind.error, source)
+    mistakes: list[Mistake] = []
+    if kind.schema and raw.get("schema") != kind.schema:
+        value = shown(raw["schema"]) if "schema" in raw else ""
+        mistakes.append(Mistake("schema", value, f'must be "{kind.schema}"'))
+    if kind.schema:
+        raw.pop("schema", None)
+    try:
+        made = build(kind, raw)
+    except Violation as broken:
+        mistakes += broken.mistakes
+    if mistakes:
+        raise kind.error(mistakes, source)
+    return made
+
+
+def raw_toml(text: str, error: type[InputError], source: str = "") -> dict[str, Any]:
+    """Return the tables of a text as they are. Raises `error` if the text is not TOML."""
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as wrong:
+        raise error(f"is not TOML: {wrong}", source) from None
+
+
+@dataclass(frozen=True)
+class Commented:
+    """A value or a table with a comment, which the writer puts behind it."""
+
+    value: Any
+    comment: str
+
+
+def raw_of(table: object, *, commented: bool = False) -> dict[str, Any]:
+    """Return a table as the dict of a file: None and empty lists of tables left out, the schema first.
+
+    With `commented` every value carries what its field says `about` it.
+    """
+    raw: dict[str, Any] = {}
+    if isinstance(table, ConfigTable) and table.schema:
+        raw["schema"] = table.schema
+    for each in fields(table):  # type: ignore[arg-type]
+        value = getattr(table, each.name)
+        if value is None or (value == () and isinstance(each.metadata.get("rule"), TableList | ParentList)):
+            continue
+        about = each.metadata.get("about") if commented else ""
+        value = _raw(value, commented)
+        raw[key_of(each) if each.metadata else each.name] = Commented(value, about) if about else value
+    return raw
+
+
+def toml_text(document: Mapping[str, Any], header: str = "") -> str:
+    """Return the text of a TOML file that reads back as `document`; `header` becomes comment lines above it.
+
+    Within a table, values come before tables; else the order stays. A blank line precedes every table, but for tables
+    within a table of a list. Raises TypeError for a value that TOML cannot hold.
+    """
+    head = [f"# {line}".rstrip() for line in header.splitlines()]
+    return "\n".join([*head, *_lines(document, "", False)]) + "\n"
+
+
+def _lines(table: Mapping[str, Any], path: str, listed: bool) -> Iterator[str]:
+    values = {key: value for key, value in table.items() if not _is_table(value)}
+    for key, value in values.items():
+        yield f"{_name(key)} = {_value(value)}{_comment(value)}"
+    for key, value in table.items():
+        if key in values:
+            continue
+        name, inner = f"{path}{_name(key)}", _bare(value)
+        if isinstance(inner, Mapping):
+            if not inner or not all(map(_is_table, inner.values())):
+                yield from ([] if listed else [""])
+                yield f"[{name}]{_comment(value)}"
+            yield from _lines(inner, f"{name}.", listed)
+        else:
+            for each in inner:
+                yield from ("", f"[[{name}]]{_comment(each) or _comment(value)}")
+                yield from _lines(_bare(each), f"{name}.", True)
+
+
+def _value(value: object) -> str:
+    value = _bare(value)
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # JSON and TOML write strings alike, except for one character.
+        return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007F")
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, Mapping):
+        inner = ", ".join(f"{_name(key)} = {_value(each)}" for key, each in value.items())
+        return f"{{ {inner} }}" if inner else "{}"
+    raise TypeError(f"TOML cannot hold a {type(value).__name__}")
+
+
+def _raw(value: object, commented: bool) -> object:
+    if is_dataclass(value):
+        return raw_of(value, commented=commented)
+    if isinstance(value, tuple) and any(map(is_dataclass, value)):
+        return [raw_of(each, commented=commented) for each in value]
+    return value
+
+
+def _is_table(value: object) -> bool:
+    value = _bare(value)
+    entries = (
+        isinstance(value, list | tuple) and bool(value) and all(isinstance(_bare(each), Mapping) for each in value)
+    )
+    return isinstance(value, Mapping) or entries
+
+
+def _bare(value: Any) -> Any:
+    return value.value if isinstance(value, Commented) else value
+
+
+def _comment(value: object) -> str:
+    return f"  # {value.comment}" if isinstance(value, Commented) and value.comment else ""
+
+
+def _name(key: str) -> str:
+    return key if _BARE.fullmatch(key) else _value(key)

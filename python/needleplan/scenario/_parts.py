@@ -1,0 +1,276 @@
+"""The parts of a scenario: one frozen dataclass per TOML table, one rule per field. Lengths are in mm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+
+from needleplan.config import (
+    Choice,
+    ConfigTable,
+    Integer,
+    Maybe,
+    Number,
+    Pair,
+    TableList,
+    Text,
+    Violation,
+    ruled,
+    sequence,
+)
+from needleplan.errors import Mistake, ScenarioError
+from needleplan.scenario._polygon import Points, SimplePolygon
+
+__all__ = [
+    "Grid",
+    "Layer",
+    "Method",
+    "Motion",
+    "Needle",
+    "Objective",
+    "Obstacle",
+    "Priority",
+    "Solver",
+    "Target",
+    "Tissue",
+    "Transition",
+    "Workspace",
+]
+
+_LENGTH = Number("mm", above=0, at_most=1e6)
+_COORDINATE = Number("mm", at_least=-1e6, at_most=1e6)
+_COST = Number(at_least=0, at_most=1e9)
+_POLYGON = SimplePolygon(_COORDINATE)
+
+# Largest number of probabilities in `motion.tip_noise`.
+_NOISE_ENTRIES = 8
+# Largest difference of the sum of all probabilities from 1.
+_NOISE_TOLERANCE = 1e-9
+
+
+class Transition(StrEnum):
+    """Grid points to which the end of an arc is mapped."""
+
+    NEAREST = "nearest"
+    """The nearest grid point, as in the thesis."""
+
+    INTERPOLATED = "interpolated"
+    """The four grid points around it, with bilinear weights: unbiased."""
+
+
+class Method(StrEnum):
+    """Algorithm that computes the optimal values."""
+
+    SWEEP = "sweep"
+    """Directional sweeps over the lattice: the fastest."""
+
+    PPVI = "ppvi"
+    """Prioritized-partitioned value iteration as in section 6.3 of the thesis."""
+
+    VALUE_ITERATION = "vi"
+    """Plain value iteration: the readable reference."""
+
+
+class Priority(StrEnum):
+    """Priority by which `Method.PPVI` chooses the next partition."""
+
+    H1 = "H1"
+    """The Bellman residual, equation (6.7)."""
+
+    H2 = "H2"
+    """The residual plus the value, equation (6.8)."""
+
+    BOUND = "bound"
+    """An upper bound on the residual: the sum of the changes of the neighbours since the last visit."""
+
+
+def _increasing(layers: tuple[Layer | None, ...]) -> Iterator[Mistake]:
+    for number, (before, after) in enumerate(pairwise(layers), start=2):
+        if before and after and after.from_mm <= before.from_mm:
+            rule = f"must increase from layer to layer; {after.from_mm:g} comes after {before.from_mm:g}"
+            yield Mistake(f"layer {number}.from_mm", f"{after.from_mm:g}", rule)
+
+
+def _noise_below_half_a_turn(headings: int, tip_noise: tuple[float, ...]) -> Iterator[Mistake]:
+    reach = len(tip_noise) - 1
+    if 2 * reach >= headings:
+        rule = f"must be more than {2 * reach}, so that the tip noise stays below half a turn"
+        yield Mistake("headings", f"{headings}", rule)
+
+
+def _insertion_costs(insertion_per_mm: float, discount: float) -> Iterator[Mistake]:
+    if discount == 1 and insertion_per_mm == 0:
+        rule = "must be above 0 where the discount is 1: circling for ever would be free"
+        yield Mistake("insertion_per_mm", f"{insertion_per_mm:g}", rule)
+
+
+class NoiseProbabilities:
+    """The rule of tip noise: P(0), P(+-1) ... heading steps, not negative, with the sum 1 if doubled from P(+-1) on."""
+
+    def read(self, value: object) -> tuple[float, ...]:
+        """Return the probabilities as a tuple. Raises Violation."""
+        entries = sequence(value)
+        if entries is None or not 1 <= len(entries) <= _NOISE_ENTRIES:
+            raise Violation(f"must be 1 to {_NOISE_ENTRIES} probabilities, [P(0), P(+-1), P(+-2), ...]", value)
+        try:
+            noise = tuple(Number(at_least=0, at_most=1).read(entry) for entry in entries)
+        except Violation as broken:
+            raise Violation(f"each probability {broken}", value) from None
+        total = noise[0] + 2 * math.fsum(noise[1:])
+        if abs(total - 1) > _NOISE_TOLERANCE:
+            raise Violation(f"P(0) + 2 * (P(+-1) + P(+-2) + ...) must be 1, not {total:.10g}", value)
+        return noise
+
+
+@dataclass(frozen=True)
+class Workspace(ConfigTable, key="workspace", error=ScenarioError):
+    """The rectangle [0, width] x [0, height] that the tip must not leave. Its edges belong to it."""
+
+    width_mm: float = ruled(_LENGTH, about="along x, the direction of insertion")
+    height_mm: float = ruled(_LENGTH, about="along y, lateral")
+
+
+@dataclass(frozen=True)
+class Obstacle(ConfigTable, key="obstacle", error=ScenarioError):
+    """A polygon that the tip must not touch. It may reach beyond the workspace.
+
+    Parameters
+    ----------
+    polygon_mm : array_like, shape (n, 2)
+        Corners in mm, at least three, in either direction. The last corner need not repeat the first. The boundary must
+        not cross or touch itself.
+    name : str, optional
+        Name for messages and figures.
+
+    Raises
+    ------
+    ScenarioError
+        If the corners are not a simple polygon.
+
+    Examples
+    --------
+    >>> from needleplan.scenario import Obstacle
+    >>> vessel = Obstacle([[25, 0], [40, 0], [40, 22]], "vessel")
+    >>> vessel.polygon_mm
+    ((25.0, 0.0), (40.0, 0.0), (40.0, 22.0))
+    """
+
+    polygon_mm: Points = ruled(_POLYGON, about="corners [x, y]; the tip must not touch the polygon")
+    name: str = ruled(Text(), "", about="for messages and figures")
+
+
+@dataclass(frozen=True)
+class Target(ConfigTable, key="target", error=ScenarioError):
+    """The disc that the tip must reach. Its rim belongs to it."""
+
+    center_mm: tuple[float, float] = ruled(Pair(_COORDINATE), about="[x, y], in the workspace, outside of obstacles")
+    radius_mm: float = ruled(_LENGTH, about="the tip must come this close to the centre")
+
+
+@dataclass(frozen=True)
+class Layer(ConfigTable, key="needle.layer", error=ScenarioError):
+    """Tissue from the depth x = from_mm up to the next layer, with its own radius."""
+
+    from_mm: float = ruled(Number("mm", at_least=0, at_most=1e6), about="x at which the layer begins")
+    curvature_radius_mm: float = ruled(_LENGTH, about="radius of the arc in this layer")
+
+
+@dataclass(frozen=True)
+class Needle(ConfigTable, key="needle", error=ScenarioError, between=(_increasing,)):
+    """The needle in its tissue: the radius of the arc that its bevel causes, up to the first of the layers."""
+
+    curvature_radius_mm: float = ruled(_LENGTH, about="radius of the arc that the needle follows without rotation")
+    layers: tuple[Layer, ...] = ruled(TableList(Layer), (), key="layer")
+
+
+@dataclass(frozen=True)
+class Tissue(ConfigTable, key="tissue", error=ScenarioError):
+    """A region with its own radius: a simple polygon with its boundary. It may reach beyond the workspace."""
+
+    polygon_mm: Points = ruled(_POLYGON, about="corners [x, y] of the region")
+    curvature_radius_mm: float = ruled(_LENGTH, about="radius of the arc in this region")
+    name: str = ruled(Text(), "", about="for messages, figures and identified radii")
+
+
+@dataclass(frozen=True)
+class Motion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_below_half_a_turn,)):
+    """One step: an arc of one heading step, after which the heading is disturbed.
+
+    `tip_noise` holds P(0), P(+-1), P(+-2) ... of the disturbance in heading steps. `arc_samples` is the number of
+    points of the arc that are tested for collision, exit and target; 1 is the thesis.
+    """
+
+    headings: int = ruled(Integer(4, 100_000), 60, about="headings of a full turn; a step turns by one of them")
+    tip_noise: tuple[float, ...] = ruled(
+        NoiseProbabilities(),
+        (0.466, 0.24, 0.027),
+        about="P(0), P(+-1), P(+-2) ... heading steps; sum 1 with both signs",
+    )
+    arc_samples: int = ruled(
+        Integer(1, 255), 4, about="points of every arc tested for collision, exit and target; 1: thesis"
+    )
+
+
+@dataclass(frozen=True)
+class Grid(ConfigTable, key="grid", error=ScenarioError):
+    """The grid of positions, and how the end of an arc is mapped to it.
+
+    With `success_refinement` k, the success of the policy is evaluated on a grid that is k times finer in x and y. k is
+    odd, so that each finer cell belongs to one grid point and uses its policy.
+    """
+
+    spacing_mm: tuple[float, float] = ruled(Pair(_LENGTH), (1.0, 1.0), about="distance of grid points, [dx, dy]")
+    transition: Transition = ruled(
+        Choice(Transition), Transition.NEAREST, about='"interpolated": unbiased; "nearest": the thesis'
+    )
+    success_refinement: int = ruled(
+        Integer(1, 9, odd=True), 1, about="success is evaluated on a grid so many times finer; an odd number"
+    )
+
+    def points(self, workspace: Workspace) -> tuple[int, int]:
+        """Return the number of grid points along x and y: 0, dx, 2 dx ... round(width / dx) dx."""
+        nx, ny = (
+            round(size / spacing) + 1
+            for size, spacing in zip((workspace.width_mm, workspace.height_mm), self.spacing_mm, strict=True)
+        )
+        return nx, ny
+
+
+@dataclass(frozen=True)
+class Objective(ConfigTable, key="objective", error=ScenarioError, between=(_insertion_costs,)):
+    """The costs that are minimised: of insertion per mm, of a rotation, and of the two failures.
+
+    The default reaches the target first and then causes the least trauma. The thesis uses rotation 40, collision 200,
+    exit 100 and discount 0.95.
+    """
+
+    insertion_per_mm: float = ruled(_COST, 1.0, about="cost of 1 mm of insertion")
+    rotation: float = ruled(_COST, 4.0, about="cost of a rotation by half a turn")
+    collision: float = ruled(_COST, 10_000.0, about="cost of touching an obstacle, which ends the insertion")
+    exit: float = ruled(_COST, 10_000.0, about="cost of leaving the workspace, which ends the insertion")
+    discount: float = ruled(Number(above=0, at_most=1), 1.0, about="weight of the next step's cost; the thesis: 0.95")
+
+
+@dataclass(frozen=True)
+class Solver(ConfigTable, key="solver", error=ScenarioError):
+    """The algorithm that computes the values, and its stopping rules.
+
+    `partitions` is their number along x and y for `Method.PPVI`; None means 12 x 8, or fewer on a smaller grid.
+    `tolerance` is the lambda of the thesis: with a discount below 1 the solve ends at a Bellman residual below
+    (1 - discount) * tolerance, which bounds the error of the values by `tolerance`. `threads` None means all cores.
+    """
+
+    method: Method = ruled(
+        Choice(Method), Method.SWEEP, about='"sweep": fastest; "ppvi": the thesis; "vi": plain value iteration'
+    )
+    partitions: tuple[int, int] | None = ruled(
+        Maybe(Pair(Integer(1, 65_536))), None, about='partitions along x and y, for "ppvi"'
+    )
+    priority: Priority = ruled(Choice(Priority), Priority.H2, about='which partition is next, for "ppvi"')
+    tolerance: float = ruled(Number(above=0, at_most=1e9), 0.01, about="largest admissible error of the values")
+    max_sweeps: int | None = ruled(Maybe(Integer(1, 1_000_000_000)), None, about="end the solve after so many sweeps")
+    time_limit_s: float | None = ruled(Maybe(Number("s", above=0, at_most=1e9)), None, about="end the solve then")
+    threads: int | None = ruled(Maybe(Integer(1, 1024)), None, about="number of threads; all cores without it")

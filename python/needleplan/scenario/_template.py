@@ -1,0 +1,64 @@
+"""The shipped scenarios, and a commented scenario file as a start for one's own."""
+
+from __future__ import annotations
+
+import os
+
+from needleplan.config import raw_of, shipped_names, toml_text
+from needleplan.scenario._scenario import FOLDER, ORDER, Scenario
+
+__all__ = ["shipped", "template"]
+
+
+def shipped() -> list[str]:
+    """Return the names of the scenarios that come with the package.
+
+    Returns
+    -------
+    list of str
+        Names in alphabetical order. `Scenario.read` accepts a name in place of a path.
+
+    Examples
+    --------
+    >>> from needleplan.scenario import shipped
+    >>> "four_obstacles" in shipped()
+    True
+    """
+    return shipped_names(FOLDER)
+
+
+def template(name: str | os.PathLike[str] = "four_obstacles") -> str:
+    """Return the text of a scenario file in which every value has a comment, as a start for one's own scenario.
+
+    `needleplan new` writes this text; `Scenario.from_toml` reads it back as the same scenario.
+
+    Parameters
+    ----------
+    name : str or path
+        A shipped scenario by its name, or a scenario file.
+
+    Returns
+    -------
+    str
+        TOML. Settings that have no value in the scenario, such as a time limit, are left out.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, or its file is wrong.
+
+    Examples
+    --------
+    >>> from needleplan.scenario import Scenario, template
+    >>> text = template("four_obstacles")
+    >>> print(next(line for line in text.splitlines() if line.startswith("headings")))
+    headings = 60  # headings of a full turn; a step turns by one of them
+    >>> Scenario.from_toml(text) == Scenario.read("four_obstacles")
+    True
+    """
+    raw = raw_of(Scenario.read(name), commented=True)
+    header = f"""\
+A scenario for needleplan, made from {os.fspath(name)}. Plan it: needleplan plan FILE.toml -o TABLE.h5
+Lengths are in mm. x is along the insertion, y lateral. Costs share one unit; only their ratios matter.
+All keys and their ranges: docs/reference/scenario.md"""
+    return toml_text({key: raw[key] for key in ORDER if key in raw}, header)
