@@ -30,6 +30,7 @@ __all__ = [
     "Method",
     "Motion",
     "Needle",
+    "NoiseProbabilities",
     "Objective",
     "Obstacle",
     "Priority",
