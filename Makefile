@@ -4,7 +4,7 @@
 VENV ?= .venv
 OUT ?= out
 BIN := $(VENV)/bin
-SOURCES := pyproject.toml Cargo.toml Cargo.lock rust/ppvi/Cargo.toml $(shell find rust -name '*.rs')
+SOURCES := pyproject.toml Cargo.toml Cargo.lock $(shell find rust -name Cargo.toml -o -name '*.rs')
 
 # Rust is in the virtual environment where scripts/install had to fetch it.
 ifneq ($(wildcard $(VENV)/rust),)

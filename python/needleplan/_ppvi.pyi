@@ -1,4 +1,4 @@
-"""The compiled module: the crate `ppvi` seen from Python. Only `needleplan.planning` imports it.
+"""The compiled module, built from the crate `needleplan-py`. Only `needleplan.planning` imports it.
 
 Errors are ValueError with one sentence, or MemoryError. Tables are shaped [nx, ny, headings, 2]; the last axis is
 bevel -1, bevel +1.

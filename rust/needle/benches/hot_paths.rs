@@ -7,9 +7,8 @@ mod scene;
 
 use std::hint::black_box;
 
+use needle::{Answers, Execution, Executor, Run, SteeringProblem, Table, TableGrid};
 use ppvi::lattice::{LatticeMdp, Transition, evaluation, sweep};
-use ppvi::lookup::{Answers, Table, TableGrid};
-use ppvi::rollout::{Execution, Executor, Run};
 use ppvi::{
     Partition, PrioritizedOptions, Priority, Result, StopRule, TabularMdp, prioritized, tabular_sweep, value_iteration,
 };
@@ -34,8 +33,8 @@ const PATHS: [&str; 9] = [
 
 #[unsafe(no_mangle)]
 #[inline(never)]
-fn counted_classify() -> Result<LatticeMdp> {
-    scene::lattice(black_box(SPACING), Transition::Nearest, Thesis)
+fn counted_classify() -> Result<SteeringProblem> {
+    scene::problem(black_box(SPACING), Transition::Nearest, Thesis)
 }
 
 #[unsafe(no_mangle)]
@@ -84,17 +83,20 @@ fn counted_roll_out(executor: &Executor, start: [f64; 4]) -> Result<Vec<Run>> {
 fn run(name: &str) -> Result<()> {
     let rule = scene::rule()?;
     let few = |max_sweeps| StopRule { max_sweeps, ..rule };
-    let thesis = |transition| scene::lattice(SPACING, transition, Thesis);
+    let thesis = |transition| scene::problem(SPACING, transition, Thesis);
     let nearest = || thesis(Transition::Nearest);
     match name {
         "classify" => drop(black_box(counted_classify()?)),
-        "solve_nearest" => drop(black_box(counted_solve(&nearest()?, rule)?)),
-        "solve_interpolated" => drop(black_box(counted_solve(&thesis(Transition::Interpolated)?, rule)?)),
-        "tabular_sweep" => drop(black_box(counted_tabular_sweep(&TabularMdp::from_mdp(&nearest()?)?, rule)?)),
-        "value_iteration" => drop(black_box(counted_value_iteration(&TabularMdp::from_mdp(&nearest()?)?, few(5))?)),
+        "solve_nearest" => drop(black_box(counted_solve(nearest()?.lattice(), rule)?)),
+        "solve_interpolated" => drop(black_box(counted_solve(thesis(Transition::Interpolated)?.lattice(), rule)?)),
+        "tabular_sweep" => drop(black_box(counted_tabular_sweep(&TabularMdp::from_mdp(nearest()?.lattice())?, rule)?)),
+        "value_iteration" => {
+            drop(black_box(counted_value_iteration(&TabularMdp::from_mdp(nearest()?.lattice())?, few(5))?))
+        }
         "prioritized" => {
-            let lattice = nearest()?;
-            drop(black_box(counted_prioritized(&lattice, &lattice.partition([6, 4])?, few(5))?));
+            let problem = nearest()?;
+            let lattice = problem.lattice();
+            drop(black_box(counted_prioritized(lattice, &lattice.partition([6, 4])?, few(5))?));
         }
         _ => run_on_a_table(name)?,
     }
@@ -103,17 +105,18 @@ fn run(name: &str) -> Result<()> {
 
 /// The paths that begin with a solved table.
 fn run_on_a_table(name: &str) -> Result<()> {
-    let lattice = scene::lattice(SPACING, Transition::Interpolated, Success)?;
-    let solved = sweep::solve(&lattice, scene::rule()?, None)?;
+    let problem = scene::problem(SPACING, Transition::Interpolated, Success)?;
+    let lattice = problem.lattice();
+    let solved = sweep::solve(lattice, scene::rule()?, None)?;
     match name {
-        "success" => drop(black_box(counted_success(&lattice, &solved.policy)?)),
+        "success" => drop(black_box(counted_success(lattice, &solved.policy)?)),
         "look_up" => {
             let grid = TableGrid::new(lattice.shape(), [SPACING; 2])?;
             let table = Table { values: &solved.values, policy: &solved.policy, success: &solved.values };
             drop(black_box(counted_look_up(&grid, &scene::poses(50_000), &table)?));
         }
         "roll_out" => {
-            let executor = Executor::new(&lattice, &solved.policy, &solved.values, Execution::Nearest, None)?;
+            let executor = Executor::new(&problem, &solved.policy, &solved.values, Execution::Nearest, None)?;
             drop(black_box(counted_roll_out(&executor, [0.0, 28.0, 0.314, -1.0])?));
         }
         _ => panic!("no path {name:?}; there are {PATHS:?}"),

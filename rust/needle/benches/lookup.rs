@@ -5,17 +5,17 @@ mod scene;
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use needle::{Pose, Table, TableGrid};
 use ppvi::Result;
 use ppvi::lattice::{Transition, sweep};
-use ppvi::lookup::{Pose, Table, TableGrid};
 use scene::Objective;
 
 fn look_up(criterion: &mut Criterion) -> Result<()> {
-    let lattice = scene::lattice(1.0, Transition::Nearest, Objective::Thesis)?;
-    let solution = sweep::solve(&lattice, scene::rule()?, None)?;
+    let problem = scene::problem(1.0, Transition::Nearest, Objective::Thesis)?;
+    let solution = sweep::solve(problem.lattice(), scene::rule()?, None)?;
     // Any numbers will do for the probabilities.
     let table = Table { values: &solution.values, policy: &solution.policy, success: &solution.values };
-    let grid = TableGrid::new(lattice.shape(), [1.0; 2])?;
+    let grid = TableGrid::new(problem.lattice().shape(), [1.0; 2])?;
     let poses = scene::poses(1 << 20);
     let mut group = criterion.benchmark_group("lookup");
     let mut next = poses.iter().cycle();

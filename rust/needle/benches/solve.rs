@@ -15,13 +15,13 @@ fn solves(criterion: &mut Criterion) -> Result<()> {
     group.sample_size(20);
     for (transition, kind) in transitions {
         for (objective, name) in objectives {
-            let lattice = scene::lattice(1.0, transition, objective)?;
+            let problem = scene::problem(1.0, transition, objective)?;
             for threads in [1, 2] {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a small pool");
                 let id = BenchmarkId::new(format!("{kind}/{name}"), threads);
                 let rule = scene::rule()?;
                 group.bench_function(id, |bencher| {
-                    bencher.iter(|| pool.install(|| sweep::solve(&lattice, rule, None)));
+                    bencher.iter(|| pool.install(|| sweep::solve(problem.lattice(), rule, None)));
                 });
             }
         }
@@ -35,10 +35,10 @@ fn layers(criterion: &mut Criterion) -> Result<()> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a small pool");
     for (transition, kind) in [(Transition::Nearest, "nearest"), (Transition::Interpolated, "interpolated")] {
         for count in [0, 4, 12, 30] {
-            let lattice = scene::layered(1.0, transition, Objective::Thesis, count)?;
+            let problem = scene::layered(1.0, transition, Objective::Thesis, count)?;
             let rule = scene::rule()?;
             group.bench_function(BenchmarkId::new(kind, count), |bencher| {
-                bencher.iter(|| pool.install(|| sweep::solve(&lattice, rule, None)));
+                bencher.iter(|| pool.install(|| sweep::solve(problem.lattice(), rule, None)));
             });
         }
     }

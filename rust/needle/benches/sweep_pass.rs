@@ -10,15 +10,15 @@ use scene::Objective;
 
 fn passes(criterion: &mut Criterion) -> Result<()> {
     for (transition, name) in [(Transition::Nearest, "nearest"), (Transition::Interpolated, "interpolated")] {
-        let lattice = scene::lattice(1.0, transition, Objective::Thesis)?;
+        let problem = scene::problem(1.0, transition, Objective::Thesis)?;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool of one thread");
         let mut group = criterion.benchmark_group(format!("sweep_pass/{name}"));
         group.sample_size(30);
         for max_sweeps in [1, 2, 4] {
             let rule = StopRule { max_sweeps, ..StopRule::new(1e-3)? };
-            group.throughput(Throughput::Elements(max_sweeps * lattice.shape().states() as u64));
+            group.throughput(Throughput::Elements(max_sweeps * problem.lattice().shape().states() as u64));
             group.bench_function(BenchmarkId::from_parameter(max_sweeps), |bencher| {
-                bencher.iter(|| pool.install(|| sweep::solve(&lattice, rule, None)));
+                bencher.iter(|| pool.install(|| sweep::solve(problem.lattice(), rule, None)));
             });
         }
     }

@@ -9,7 +9,7 @@ use ppvi::{Result, TabularMdp, tabular_sweep, value_iteration};
 use scene::Objective;
 
 fn tabular(criterion: &mut Criterion) -> Result<()> {
-    let mdp = TabularMdp::from_mdp(&scene::lattice(2.0, Transition::Nearest, Objective::Thesis)?)?;
+    let mdp = TabularMdp::from_mdp(scene::problem(2.0, Transition::Nearest, Objective::Thesis)?.lattice())?;
     let (parts, rule) = (mdp.parts(), scene::rule()?);
     let mut group = criterion.benchmark_group("tabular");
     group.sample_size(10);

@@ -6,7 +6,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::error::{Result, parameter};
+use ppvi::{Error, Result};
 
 /// Curvature radius and number of headings.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,10 +21,10 @@ impl Bicycle {
     /// Checks the fields.
     pub fn new(radius: f64, headings: usize) -> Result<Self> {
         if !(radius > 0.0 && radius.is_finite()) {
-            return Err(parameter("curvature_radius_mm", radius, "must be positive and finite"));
+            return Err(Error::parameter("curvature_radius_mm", radius, "must be positive and finite"));
         }
         if headings == 0 || headings > 1_000_000 {
-            return Err(parameter("headings", headings, "must be between 1 and 1,000,000"));
+            return Err(Error::parameter("headings", headings, "must be between 1 and 1,000,000"));
         }
         Ok(Bicycle { radius, headings })
     }

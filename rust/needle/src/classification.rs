@@ -1,78 +1,80 @@
-//! What every step does: goes on, or ends at the target, in an obstacle, outside.
+//! The outcome of every step: it continues, or it ends at the target, in an obstacle or outside the workspace.
 
-use rayon::prelude::*;
+use ppvi::lattice::{Shape, Shift, Transition, outcome};
 
-use crate::lattice::plane::{Plane, copy};
-use crate::lattice::region::Region;
-use crate::lattice::{LatticeMdp, Setup, Shape, Shift, Transition, outcome};
-use crate::memory::filled;
+use crate::regions::TissueRegions;
+use crate::setup::Setup;
 use crate::workspace::{ColumnScan, Event, fill};
 
-impl LatticeMdp {
-    /// Outcome codes, laid out as `LatticeMdp::outcomes` says.
-    pub(super) fn classify(&self) -> Vec<u8> {
-        let Shape { nx, ny, headings } = self.shape;
-        let points = classify_points(self.shape, &self.setup);
+/// Writes the outcome codes of a setup, one heading and bevel at a time.
+pub(crate) struct Classifier<'a> {
+    setup: &'a Setup,
+    shape: Shape,
+    regions: &'a TissueRegions,
+    /// Event at each grid point, or 0, `[i][j]`.
+    points: Vec<u8>,
+    /// Outcome code of each grid point that is absorbing, otherwise 0, `[i][j]`.
+    absorbing: Vec<u8>,
+}
+
+impl<'a> Classifier<'a> {
+    pub(crate) fn new(setup: &'a Setup, shape: Shape, regions: &'a TissueRegions) -> Self {
+        let points = classify_points(shape, setup);
         let absorbing = points.iter().map(|code| match *code {
             outcome::TARGET => outcome::AT_TARGET,
             outcome::COLLISION => outcome::AT_OBSTACLE,
             _ => 0,
         });
-        let absorbing: Vec<u8> = absorbing.collect();
-        let mut outcomes = filled(0u8, headings * 2 * nx * ny);
-        outcomes.par_chunks_mut(nx * ny).enumerate().for_each_init(
-            || (ColumnScan::new(&self.setup.workspace), vec![0u8; nx * ny], vec![0u8; ny]),
-            |(scan, plane, column), (row, to)| {
-                let (k, bevel) = (row / 2, row % 2);
-                for (i, codes) in plane.chunks_exact_mut(ny).enumerate() {
-                    if self.region_of.is_empty() {
-                        self.mark_column(scan, &self.regions[0], (i, k, bevel), &points, codes);
-                    } else {
-                        let here = &self.region_of[i * ny..][..ny];
-                        for (number, region) in self.regions.iter().enumerate() {
-                            if !here.contains(&(number as u8)) {
-                                continue;
-                            }
-                            self.mark_column(scan, region, (i, k, bevel), &points, column);
-                            let pairs = codes.iter_mut().zip(&*column).zip(here);
-                            let mine = pairs.filter(|(_, region)| usize::from(**region) == number);
-                            mine.for_each(|((code, marked), _)| *code = *marked);
-                        }
-                    }
-                    for (code, absorbing) in codes.iter_mut().zip(&absorbing[i * ny..]) {
-                        *code = if *absorbing != 0 { *absorbing } else { *code };
-                    }
-                }
-                let vertical = self.directions[k].is_vertical();
-                let from = Plane { start: 0, stride: ny };
-                let into = Plane { start: 0, stride: if vertical { nx } else { ny } };
-                copy((plane, from), (to, into), [nx, ny], vertical, |code| code);
-            },
-        );
-        outcomes
+        let absorbing = absorbing.collect();
+        Classifier { setup, shape, regions, points, absorbing }
     }
 
-    /// The outcomes of the steps from grid column `i`, as if it were all of one region.
+    /// Writes the codes of the steps with heading index `k` that arrive with bevel index `bevel` to `plane[i * ny + j]`.
+    pub(crate) fn write_outcomes(&self, k: usize, bevel: usize, plane: &mut [u8]) {
+        let ny = self.shape.ny;
+        let mut scan = ColumnScan::new(&self.setup.workspace);
+        let mut column = vec![0u8; ny];
+        for (i, codes) in plane.chunks_exact_mut(ny).enumerate() {
+            if self.regions.region_of.is_empty() {
+                self.mark_column(&mut scan, 0, (i, k, bevel), codes);
+            } else {
+                let here = &self.regions.region_of[i * ny..][..ny];
+                for region in 0..self.regions.steps.len() {
+                    if !here.contains(&(region as u8)) {
+                        continue;
+                    }
+                    self.mark_column(&mut scan, region, (i, k, bevel), &mut column);
+                    let pairs = codes.iter_mut().zip(&column).zip(here);
+                    let mine = pairs.filter(|(_, number)| usize::from(**number) == region);
+                    mine.for_each(|((code, marked), _)| *code = *marked);
+                }
+            }
+            for (code, absorbing) in codes.iter_mut().zip(&self.absorbing[i * ny..]) {
+                *code = if *absorbing != 0 { *absorbing } else { *code };
+            }
+        }
+    }
+
+    /// Writes the outcomes of the steps from grid column `i` as if the whole column were of one region.
     fn mark_column(
         &self,
         scan: &mut ColumnScan<'_>,
-        region: &Region,
+        region: usize,
         (i, k, bevel): (usize, usize, usize),
-        points: &[u8],
         codes: &mut [u8],
     ) {
-        let Setup { spacing, transition, .. } = &self.setup;
+        let Setup { spacing, transition, .. } = self.setup;
         codes.fill(outcome::CONTINUES);
-        for [dx, dy] in &region.arcs[k][bevel] {
+        for [dx, dy] in &self.regions.arcs[region][k][bevel] {
             scan.mark(i as f64 * spacing[0] + dx, *dy, spacing[1], codes);
         }
         if *transition == Transition::Nearest {
-            self.mark_landings(i, region.stencil[k][bevel], points, codes);
+            self.mark_landings(i, self.regions.steps[region].stencil[k][bevel], codes);
         }
     }
 
-    /// For nearest transitions, what the point landed on does to steps that go on so far.
-    fn mark_landings(&self, i: usize, shift: Shift, points: &[u8], column: &mut [u8]) {
+    /// For nearest transitions: gives the steps that still continue the event at the grid point where they land.
+    fn mark_landings(&self, i: usize, shift: Shift, column: &mut [u8]) {
         let Shape { nx, ny, .. } = self.shape;
         let to_i = i as i64 + i64::from(shift.cell[0]);
         let move_j = i64::from(shift.cell[1]);
@@ -80,7 +82,7 @@ impl LatticeMdp {
         let low = if on { (-move_j).clamp(0, ny as i64) as usize } else { ny };
         let high = if on { (ny as i64 - move_j).clamp(low as i64, ny as i64) as usize } else { ny };
         if low < high {
-            let landing = &points[to_i as usize * ny + (low as i64 + move_j) as usize..][..high - low];
+            let landing = &self.points[to_i as usize * ny + (low as i64 + move_j) as usize..][..high - low];
             for (code, landing) in column[low..high].iter_mut().zip(landing) {
                 *code = if *code == outcome::CONTINUES { *landing } else { *code };
             }
@@ -90,8 +92,8 @@ impl LatticeMdp {
     }
 }
 
-/// What the grid points are: 0, or the event there. A point beyond the border (where an extent is no multiple of the
-/// spacing) is a point still, so its exit does not count.
+/// The event at each grid point, or 0. Where an extent is not a multiple of the spacing, the last grid points lie outside
+/// the workspace; they are ordinary points, so their exit is not an event.
 fn classify_points(shape: Shape, setup: &Setup) -> Vec<u8> {
     let mut points = vec![0u8; shape.nx * shape.ny];
     let mut scan = ColumnScan::new(&setup.workspace);

@@ -1,10 +1,10 @@
 //! Poses to table entries: "insert or rotate?" at once.
 
+use ppvi::lattice::Shape;
+use ppvi::{Error, Result};
 use rayon::prelude::*;
 
 use crate::bicycle::Bicycle;
-use crate::error::{Error, Result, parameter};
-use crate::lattice::Shape;
 
 /// Position, mm, heading, rad, and bevel, -1 or +1, of the tip.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,10 +38,10 @@ impl TableGrid {
     /// The grid with this shape and spacing (mm).
     pub fn new(shape: Shape, spacing: [f64; 2]) -> Result<Self> {
         if !spacing.iter().all(|s| *s > 0.0 && s.is_finite()) {
-            return Err(parameter("spacing_mm", format!("{spacing:?}"), "must be positive and finite"));
+            return Err(Error::parameter("spacing_mm", format!("{spacing:?}"), "must be positive and finite"));
         }
         if shape.states() == 0 {
-            return Err(parameter("shape", format!("{shape:?}"), "must not be empty"));
+            return Err(Error::parameter("shape", format!("{shape:?}"), "must not be empty"));
         }
         let per_rad = 1.0 / Bicycle::new(1.0, shape.headings)?.heading_step();
         Ok(TableGrid { shape, per_mm: [1.0 / spacing[0], 1.0 / spacing[1]], per_rad })
@@ -100,7 +100,7 @@ impl TableGrid {
             None => Ok(answers),
             Some(row) => {
                 let rule = "must be finite, on the table's grid, with bevel -1 or +1";
-                Err(parameter("pose", format!("{:?} (row {row})", poses[row]), rule))
+                Err(Error::parameter("pose", format!("{:?} (row {row})", poses[row]), rule))
             }
         }
     }

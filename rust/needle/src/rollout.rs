@@ -4,15 +4,17 @@
 //! moves along the arc, tests the arc's points, and adds a random number of heading steps. Every run has a random stream
 //! of its own, so results do not depend on the number of threads.
 
+use ppvi::lattice::{LatticeMdp, Shape, outcome};
+use ppvi::{Error, Result};
 use rand::SeedableRng;
 use rand::rand_core::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 
 use crate::bicycle::Bicycle;
-use crate::error::{Error, Result, parameter};
-use crate::lattice::{LatticeMdp, Setup, Shape, outcome};
 use crate::lookup::{Pose, TableGrid};
+use crate::problem::SteeringProblem;
+use crate::setup::Setup;
 use crate::workspace::Event;
 
 /// How the needle is told what to do.
@@ -27,6 +29,7 @@ pub enum Execution {
 /// A table to execute and how.
 #[derive(Debug, Clone, Copy)]
 pub struct Executor<'a> {
+    setup: &'a Setup,
     lattice: &'a LatticeMdp,
     grid: TableGrid,
     policy: &'a [u8],
@@ -62,24 +65,25 @@ pub struct Trace {
 impl<'a> Executor<'a> {
     /// `policy` and `values` are tables of the lattice; `arc_samples` defaults to the lattice's.
     pub fn new(
-        lattice: &'a LatticeMdp,
+        problem: &'a SteeringProblem,
         policy: &'a [u8],
         values: &'a [f32],
         execution: Execution,
         arc_samples: Option<usize>,
     ) -> Result<Self> {
-        let expected = lattice.shape.states();
+        let (setup, lattice) = (problem.setup(), problem.lattice());
+        let expected = lattice.shape().states();
         for (name, found) in [("policy", policy.len()), ("values", values.len())] {
             if found != expected {
                 return Err(Error::Length { name, expected, found });
             }
         }
-        let arc_samples = arc_samples.unwrap_or(lattice.setup.arc_samples);
+        let arc_samples = arc_samples.unwrap_or(setup.arc_samples);
         if arc_samples == 0 || arc_samples > 10_000 {
-            return Err(parameter("arc_samples", arc_samples, "must be between 1 and 10,000"));
+            return Err(Error::parameter("arc_samples", arc_samples, "must be between 1 and 10,000"));
         }
-        let grid = TableGrid::new(lattice.shape, lattice.setup.spacing)?;
-        Ok(Executor { lattice, grid, policy, values, execution, arc_samples })
+        let grid = TableGrid::new(lattice.shape(), setup.spacing)?;
+        Ok(Executor { setup, lattice, grid, policy, values, execution, arc_samples })
     }
 
     /// `runs` executions from each start, start after start.
@@ -119,7 +123,7 @@ impl<'a> Executor<'a> {
             Some(_) => Ok(()),
             None => {
                 let rule = "must be finite, in the workspace, with bevel -1 or +1";
-                Err(parameter("start", format!("{start:?} (row {row})"), rule))
+                Err(Error::parameter("start", format!("{start:?} (row {row})"), rule))
             }
         }
     }
@@ -131,9 +135,8 @@ impl<'a> Executor<'a> {
         mut random: Option<&mut Xoshiro256PlusPlus>,
         mut record: impl FnMut(u8, Pose),
     ) -> Run {
-        let costs = &self.lattice.setup.costs;
-        let mut run =
-            Run { event: self.lattice.setup.workspace.event([start.x, start.y]), length: 0.0, turns: 0, cost: 0.0 };
+        let costs = &self.setup.costs;
+        let mut run = Run { event: self.setup.workspace.event([start.x, start.y]), length: 0.0, turns: 0, cost: 0.0 };
         let (mut pose, mut weight) = (start, 1.0);
         for _ in 0..max_steps {
             if run.event.is_some() {
@@ -149,11 +152,11 @@ impl<'a> Executor<'a> {
             let needle = self.needle_at(pose);
             run.length += needle.step_length();
             run.cost += weight
-                * (self.step_cost(needle) + f64::from(action) * costs.rotation + failure_cost(self.lattice, event));
+                * (self.step_cost(needle) + f64::from(action) * costs.rotation + failure_cost(self.setup, event));
             weight *= costs.discount;
             if let Some(random) = random.as_mut() {
-                let steps = heading_noise(&self.lattice.setup.noise, random);
-                next.heading += f64::from(steps) * self.lattice.setup.needle.heading_step();
+                let steps = heading_noise(&self.setup.noise, random);
+                next.heading += f64::from(steps) * self.setup.needle.heading_step();
             }
             record(action, next);
             run.event = event;
@@ -164,20 +167,20 @@ impl<'a> Executor<'a> {
 
     /// The needle as it bends where the tip is.
     fn needle_at(&self, pose: Pose) -> Bicycle {
-        let Setup { needle, tissues, .. } = &self.lattice.setup;
+        let Setup { needle, tissues, .. } = self.setup;
         tissues.needle_at(*needle, [pose.x, pose.y])
     }
 
     /// Cost of a step of a needle that bends like this.
     fn step_cost(&self, here: Bicycle) -> f64 {
-        let Setup { needle, costs, .. } = &self.lattice.setup;
+        let Setup { needle, costs, .. } = self.setup;
         if here.radius == needle.radius { costs.step } else { costs.step * (here.radius / needle.radius) }
     }
 
     /// Moves along the arc that `bevel` gives: the first event, and the pose it happens at or the pose at the end.
     fn step(&self, from: Pose, bevel: f64) -> (Option<Event>, Pose) {
-        let needle = &self.lattice.setup.needle;
-        if !self.lattice.setup.tissues.is_uniform() {
+        let needle = &self.setup.needle;
+        if !self.setup.tissues.is_uniform() {
             return self.step_through_tissues(from, bevel);
         }
         let mut pose = Pose { bevel, ..from };
@@ -190,7 +193,7 @@ impl<'a> Executor<'a> {
                 heading: from.heading + bevel * t * needle.heading_step(),
                 bevel,
             };
-            if let Some(event) = self.lattice.setup.workspace.event([pose.x, pose.y]) {
+            if let Some(event) = self.setup.workspace.event([pose.x, pose.y]) {
                 return (Some(event), pose);
             }
         }
@@ -208,7 +211,7 @@ impl<'a> Executor<'a> {
             let [dx, dy] = needle.displacement(pose.heading, bevel, t);
             let heading = pose.heading + bevel * t * needle.heading_step();
             pose = Pose { x: pose.x + dx, y: pose.y + dy, heading, bevel };
-            if let Some(event) = self.lattice.setup.workspace.event([pose.x, pose.y]) {
+            if let Some(event) = self.setup.workspace.event([pose.x, pose.y]) {
                 return (Some(event), pose);
             }
         }
@@ -216,7 +219,7 @@ impl<'a> Executor<'a> {
     }
 
     fn greedy_action(&self, pose: Pose) -> u8 {
-        let costs = &self.lattice.setup.costs;
+        let costs = &self.setup.costs;
         let insert = self.look_ahead(pose, pose.bevel);
         let rotate = self.look_ahead(pose, -pose.bevel) + costs.rotation;
         u8::from(rotate < insert)
@@ -224,19 +227,19 @@ impl<'a> Executor<'a> {
 
     /// Q-value of a step from the true pose, without the cost of turning.
     fn look_ahead(&self, pose: Pose, bevel: f64) -> f64 {
-        let costs = &self.lattice.setup.costs;
+        let costs = &self.setup.costs;
         let (event, end) = self.step(pose, bevel);
         if event.is_some() {
-            return self.step_cost(self.needle_at(pose)) + failure_cost(self.lattice, event);
+            return self.step_cost(self.needle_at(pose)) + failure_cost(self.setup, event);
         }
-        let Shape { nx, ny, headings } = self.lattice.shape;
-        let spacing = self.lattice.setup.spacing;
+        let Shape { nx, ny, headings } = self.lattice.shape();
+        let spacing = self.setup.spacing;
         let (u, v) = (end.x / spacing[0], end.y / spacing[1]);
         let (i, j) = (u.floor() as i64, v.floor() as i64);
         let (fu, fv) = (u - u.floor(), v - v.floor());
-        let k = self.lattice.setup.needle.nearest_heading(end.heading) as i64;
+        let k = self.setup.needle.nearest_heading(end.heading) as i64;
         let b = usize::from(bevel > 0.0);
-        let noise = &self.lattice.setup.noise;
+        let noise = &self.setup.noise;
         let reach = noise.len() as i64 - 1;
         let mut expectation = 0.0;
         for (di, wu) in [(0, 1.0 - fu), (1, fu)] {
@@ -265,10 +268,10 @@ impl<'a> Executor<'a> {
     }
 }
 
-fn failure_cost(lattice: &LatticeMdp, event: Option<Event>) -> f64 {
+fn failure_cost(setup: &Setup, event: Option<Event>) -> f64 {
     match event {
-        Some(Event::Collision) => lattice.setup.costs.collision,
-        Some(Event::Exit) => lattice.setup.costs.exit,
+        Some(Event::Collision) => setup.costs.collision,
+        Some(Event::Exit) => setup.costs.exit,
         _ => 0.0,
     }
 }

@@ -1,7 +1,8 @@
 //! Where the needle bends how much: layers by depth, and regions.
 
+use ppvi::{Error, Result};
+
 use crate::bicycle::Bicycle;
-use crate::error::{Result, parameter};
 use crate::workspace::{CLOSED_MM, Polygon};
 
 /// The radius of curvature by place; without layers and regions it is the needle's everywhere.
@@ -17,11 +18,11 @@ impl Tissues {
     /// Layers hold from their x on (to within [`CLOSED_MM`]), regions inside and on their polygon, over the layers.
     pub fn new(layers: Vec<(f64, f64)>, regions: Vec<(Polygon, f64)>) -> Result<Self> {
         if layers.iter().any(|(from, _)| !from.is_finite()) || !layers.is_sorted_by(|a, b| a.0 < b.0) {
-            return Err(parameter("layers", format!("{layers:?}"), "must begin at increasing finite depths"));
+            return Err(Error::parameter("layers", format!("{layers:?}"), "must begin at increasing finite depths"));
         }
         let radii = layers.iter().map(|layer| layer.1).chain(regions.iter().map(|region| region.1));
         if let Some(radius) = radii.into_iter().find(|radius| !(*radius > 0.0 && radius.is_finite())) {
-            return Err(parameter("curvature_radius_mm", radius, "must be positive and finite"));
+            return Err(Error::parameter("curvature_radius_mm", radius, "must be positive and finite"));
         }
         Ok(Tissues { layers, regions })
     }

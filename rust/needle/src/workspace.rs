@@ -3,7 +3,8 @@
 //! "Inside" is closed everywhere: a point on an edge is inside, up to [`CLOSED_MM`], far below any needle's accuracy and
 //! far above the rounding of coordinates of some hundred millimetres.
 
-use crate::error::{Error, Result, parameter};
+use ppvi::lattice::outcome;
+use ppvi::{Error, Result};
 
 /// Tolerance of the closed tests, in mm.
 pub const CLOSED_MM: f64 = 1e-9;
@@ -22,10 +23,14 @@ impl Polygon {
     /// is taken by the even-odd rule.
     pub fn new(vertices: Vec<[f64; 2]>) -> Result<Self> {
         if vertices.len() < 3 {
-            return Err(parameter("polygon", format!("{} points", vertices.len()), "must have at least three points"));
+            return Err(Error::parameter(
+                "polygon",
+                format!("{} points", vertices.len()),
+                "must have at least three points",
+            ));
         }
         if let Some(point) = vertices.iter().find(|point| !point.iter().all(|c| c.is_finite())) {
-            return Err(parameter("polygon", format!("{point:?}"), "must have finite coordinates"));
+            return Err(Error::parameter("polygon", format!("{point:?}"), "must have finite coordinates"));
         }
         let fold =
             |axis: usize, pick: fn(f64, f64) -> f64| vertices.iter().map(|p| p[axis]).reduce(pick).unwrap_or(0.0);
@@ -98,11 +103,11 @@ fn distance_to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
 #[repr(u8)]
 pub enum Event {
     /// Within the target's radius.
-    Target = 1,
+    Target = outcome::TARGET,
     /// Inside or on an obstacle.
-    Collision = 2,
+    Collision = outcome::COLLISION,
     /// Outside the closed rectangle.
-    Exit = 3,
+    Exit = outcome::EXIT,
 }
 
 /// The rectangle, the obstacles, the target.
@@ -124,11 +129,11 @@ impl Workspace {
         let lengths = [("width_mm", size[0]), ("height_mm", size[1]), ("target_radius_mm", target_radius)];
         for (name, value) in lengths {
             if !(value > 0.0 && value.is_finite()) {
-                return Err(parameter(name, value, "must be positive and finite"));
+                return Err(Error::parameter(name, value, "must be positive and finite"));
             }
         }
         if !target.iter().all(|c| c.is_finite()) {
-            return Err(parameter("target_center_mm", format!("{target:?}"), "must be finite"));
+            return Err(Error::parameter("target_center_mm", format!("{target:?}"), "must be finite"));
         }
         Ok(Workspace { size, obstacles, target, target_radius })
     }

@@ -1,11 +1,9 @@
 //! The structured solver against the general ones, on the same problems: each is the other's oracle.
 
-use ppvi::bicycle::Bicycle;
+use needle::{Bicycle, Polygon, Setup, SteeringProblem, Tissues, Workspace};
 use ppvi::lattice::evaluation::{self, Evaluation};
 use ppvi::lattice::sweep::{self, LatticeSolution};
-use ppvi::lattice::{Costs, LatticeMdp, Setup, Transition};
-use ppvi::tissues::Tissues;
-use ppvi::workspace::{Polygon, Workspace};
+use ppvi::lattice::{Costs, LatticeMdp, Transition};
 use ppvi::{
     Mdp, PrioritizedOptions, Priority, Status, StopRule, TabularMdp, prioritized, tabular_sweep, value_iteration,
 };
@@ -95,9 +93,10 @@ proptest! {
 
     #[test]
     fn all_solvers_give_the_same_values(setup in setups(), px in 1usize..4, py in 1usize..4) {
-        let lattice = LatticeMdp::new(setup).unwrap();
-        let swept = sweep::solve(&lattice, rule(1e-3), None).unwrap();
-        let reference = value_iteration(&lattice, rule(1e-6), None).unwrap();
+        let problem = SteeringProblem::new(setup).unwrap();
+        let lattice = problem.lattice();
+        let swept = sweep::solve(lattice, rule(1e-3), None).unwrap();
+        let reference = value_iteration(lattice, rule(1e-6), None).unwrap();
         prop_assume!(swept.report.status == Status::Converged && reference.report.status == Status::Converged);
         let largest = reference.values.iter().copied().fold(0.0, f64::max);
         let bound = swept.report.error_bound + reference.report.error_bound + 1e-9 * largest;
@@ -112,7 +111,7 @@ proptest! {
         let partition = lattice.partition([px, py]).unwrap();
         for priority in [Priority::H1, Priority::H2, Priority::Bound] {
             let options = PrioritizedOptions { priority, ..PrioritizedOptions::default() };
-            let blocks = prioritized(&lattice, &partition, options, rule(1e-3), None).unwrap();
+            let blocks = prioritized(lattice, &partition, options, rule(1e-3), None).unwrap();
             prop_assert_eq!(blocks.report.status, Status::Converged);
             let bound = blocks.report.error_bound + reference.report.error_bound + 1e-9 * largest;
             for (a, b) in blocks.values.iter().zip(&reference.values) {
@@ -130,9 +129,10 @@ proptest! {
 
     #[test]
     fn the_explicit_rows_are_the_same_problem(setup in setups()) {
-        let lattice = LatticeMdp::new(setup).unwrap();
-        let explicit = TabularMdp::from_mdp(&lattice).unwrap();
-        let swept = sweep::solve(&lattice, rule(1e-3), None).unwrap();
+        let problem = SteeringProblem::new(setup).unwrap();
+        let lattice = problem.lattice();
+        let explicit = TabularMdp::from_mdp(lattice).unwrap();
+        let swept = sweep::solve(lattice, rule(1e-3), None).unwrap();
         let tabular = tabular_sweep(&explicit, rule(1e-3), None).unwrap();
         prop_assume!(swept.report.status == Status::Converged && tabular.report.status == Status::Converged);
         let bound = swept.report.error_bound + tabular.report.error_bound + 1e-9;
@@ -143,7 +143,8 @@ proptest! {
 
     #[test]
     fn a_backup_is_the_better_q_value(setup in setups(), values in prop::collection::vec(0.0..100.0f64, 97)) {
-        let lattice = LatticeMdp::new(setup).unwrap();
+        let problem = SteeringProblem::new(setup).unwrap();
+        let lattice = problem.lattice();
         let values: Vec<f64> = values.into_iter().cycle().take(lattice.states()).collect();
         for state in 0..lattice.states() {
             let (value, action) = lattice.backup(state, &values);
@@ -163,14 +164,15 @@ proptest! {
         setup.costs = Costs { discount: 1.0, rotation: 4.0, ..setup.costs };
         setup.needle = Bicycle::new(setup.needle.radius / divide, setup.needle.headings).unwrap();
         setup.costs.step = setup.needle.step_length();
-        let lattice = LatticeMdp::new(setup).unwrap();
-        let swept = sweep::solve(&lattice, rule(1e-3), None).unwrap();
+        let problem = SteeringProblem::new(setup).unwrap();
+        let lattice = problem.lattice();
+        let swept = sweep::solve(lattice, rule(1e-3), None).unwrap();
         prop_assert_eq!(swept.report.status, Status::Converged, "{:?}", swept.report);
-        let proper = ppvi::proper_states(&lattice);
+        let proper = ppvi::proper_states(lattice);
         for (value, proper) in swept.values.iter().zip(&proper) {
             prop_assert_eq!(value.is_finite(), *proper);
         }
-        let reference = value_iteration(&lattice, rule(1e-6), None).unwrap();
+        let reference = value_iteration(lattice, rule(1e-6), None).unwrap();
         let bound = swept.report.error_bound + reference.report.error_bound + 1e-6;
         for (a, b) in swept.values.iter().zip(&reference.values) {
             prop_assert!(f64::from(*a) == *b || (f64::from(*a) - b).abs() <= bound, "{} against {}", a, b);
@@ -179,10 +181,11 @@ proptest! {
 
     #[test]
     fn any_number_of_threads_gives_the_same_bits(setup in setups()) {
-        let lattice = LatticeMdp::new(setup).unwrap();
+        let problem = SteeringProblem::new(setup).unwrap();
+        let lattice = problem.lattice();
         let solve = || {
-            let solution: LatticeSolution = sweep::solve(&lattice, rule(1e-2), None).unwrap();
-            let success: Evaluation = evaluation::success(&lattice, &solution.policy).unwrap();
+            let solution: LatticeSolution = sweep::solve(lattice, rule(1e-2), None).unwrap();
+            let success: Evaluation = evaluation::success(lattice, &solution.policy).unwrap();
             (solution.values, solution.policy, solution.report.residual.to_bits(), success.values)
         };
         let one = on_threads(1, solve);
@@ -193,11 +196,12 @@ proptest! {
 
     #[test]
     fn success_is_that_of_the_plain_chain(setup in setups()) {
-        let lattice = LatticeMdp::new(setup).unwrap();
-        let solution = sweep::solve(&lattice, rule(1e-2), None).unwrap();
-        let success = evaluation::success(&lattice, &solution.policy).unwrap();
+        let problem = SteeringProblem::new(setup).unwrap();
+        let lattice = problem.lattice();
+        let solution = sweep::solve(lattice, rule(1e-2), None).unwrap();
+        let success = evaluation::success(lattice, &solution.policy).unwrap();
         prop_assume!(success.converged);
-        let plain = evaluate_plainly(&lattice, &solution.policy);
+        let plain = evaluate_plainly(lattice, &solution.policy);
         for (a, b) in success.values.iter().zip(&plain) {
             prop_assert!((f64::from(*a) - b).abs() < 1e-4, "{} against {}", a, b);
         }

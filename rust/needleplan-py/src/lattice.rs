@@ -1,39 +1,41 @@
 //! The lattice: from a scenario's numbers to tables and executions.
 
+use needle::{Bicycle, Event, Execution, Executor, Polygon, Setup, SteeringProblem, Tissues, Workspace};
 use numpy::ndarray::Array4;
 use numpy::{
     IntoPyArray, PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
 };
+use ppvi::lattice::evaluation::{self, Evaluation};
+use ppvi::lattice::{Costs, LatticeMdp, Shape, Transition, sweep};
+use ppvi::{Mdp, PrioritizedOptions, Report, Solution, TabularMdp, prioritized, value_iteration};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use super::{detached, report_dict, solve_with_progress, stop_rule};
-use crate::bicycle::Bicycle;
-use crate::lattice::evaluation::{self, Evaluation};
-use crate::lattice::sweep;
-use crate::lattice::{Costs, LatticeMdp, Setup, Shape, Transition};
-use crate::rollout::{Execution, Executor};
-use crate::tissues::Tissues;
-use crate::workspace::{Event, Polygon, Workspace};
-use crate::{Mdp, PrioritizedOptions, Report, Solution, TabularMdp, prioritized, value_iteration};
+use crate::solve::{exception, report_dict, solve_with_progress, stop_rule};
+use crate::threads::detached;
 
 /// The needle-steering MDP on a regular grid.
 #[pyclass(frozen, module = "needleplan._ppvi")]
-pub(super) struct Lattice {
-    lattice: LatticeMdp,
+pub(crate) struct Lattice {
+    problem: SteeringProblem,
 }
 
 impl Lattice {
+    fn lattice(&self) -> &LatticeMdp {
+        self.problem.lattice()
+    }
+
+    /// The numbers of a table as an array of its shape.
     fn table<'py, T: numpy::Element>(&self, py: Python<'py>, values: Vec<T>) -> PyResult<Bound<'py, PyArray4<T>>> {
-        let Shape { nx, ny, headings } = self.lattice.shape();
+        let Shape { nx, ny, headings } = self.lattice().shape();
         let array = Array4::from_shape_vec((nx, ny, headings, 2), values);
         Ok(array.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
     }
 
     /// The elements of a table that has the lattice's shape.
     fn slice<'a, T: numpy::Element>(&self, name: &str, table: &'a PyReadonlyArray4<'_, T>) -> PyResult<&'a [T]> {
-        let Shape { nx, ny, headings } = self.lattice.shape();
+        let Shape { nx, ny, headings } = self.lattice().shape();
         if table.shape() != [nx, ny, headings, 2] {
             return Err(PyValueError::new_err(format!(
                 "{name}: expected shape [{nx}, {ny}, {headings}, 2], found {:?}",
@@ -80,27 +82,30 @@ impl Lattice {
         layers: Vec<(f64, f64)>,
         tissues: Vec<(Vec<[f64; 2]>, f64)>,
     ) -> PyResult<Self> {
-        let obstacles = polygons.into_iter().map(Polygon::new).collect::<crate::Result<_>>()?;
-        let workspace = Workspace::new([width_mm, height_mm], obstacles, target_center_mm, target_radius_mm)?;
-        let needle = Bicycle::new(curvature_radius_mm, headings)?;
+        let obstacles = polygons.into_iter().map(Polygon::new).collect::<ppvi::Result<_>>().map_err(exception)?;
+        let workspace =
+            Workspace::new([width_mm, height_mm], obstacles, target_center_mm, target_radius_mm).map_err(exception)?;
+        let needle = Bicycle::new(curvature_radius_mm, headings).map_err(exception)?;
         let costs = Costs { step: insertion_per_mm * needle.step_length(), rotation, collision, exit, discount };
         let transition = if interpolated { Transition::Interpolated } else { Transition::Nearest };
         let region = |(polygon, radius)| Ok((Polygon::new(polygon)?, radius));
-        let tissues = Tissues::new(layers, tissues.into_iter().map(region).collect::<crate::Result<_>>()?)?;
+        let regions = tissues.into_iter().map(region).collect::<ppvi::Result<_>>().map_err(exception)?;
+        let tissues = Tissues::new(layers, regions).map_err(exception)?;
         let setup =
             Setup { workspace, needle, spacing: spacing_mm, noise: tip_noise, arc_samples, transition, costs, tissues };
-        Ok(Lattice { lattice: py.detach(|| LatticeMdp::new(setup))? })
+        let problem = detached(py, None, || SteeringProblem::new(setup))?.map_err(exception)?;
+        Ok(Lattice { problem })
     }
 
     #[getter]
     fn shape(&self) -> (usize, usize, usize, usize) {
-        let Shape { nx, ny, headings } = self.lattice.shape();
+        let Shape { nx, ny, headings } = self.lattice().shape();
         (nx, ny, headings, 2)
     }
 
     #[getter]
     fn step_mm(&self) -> f64 {
-        self.lattice.setup().needle.step_length()
+        self.problem.setup().needle.step_length()
     }
 
     #[pyo3(signature = (*, method, partitions, priority, tolerance, max_sweeps=None, time_limit_s=None, threads=None, progress=None))]
@@ -118,7 +123,7 @@ impl Lattice {
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let rule = stop_rule(tolerance, max_sweeps, time_limit_s)?;
-        let lattice = &self.lattice;
+        let lattice = self.lattice();
         let (values, policy, report) = match method {
             "sweep" => {
                 let solved =
@@ -129,7 +134,10 @@ impl Lattice {
                 value_iteration(lattice, rule, Some(observer))
             })?),
             "ppvi" => {
-                let options = PrioritizedOptions { priority: priority.parse()?, ..PrioritizedOptions::default() };
+                let options = PrioritizedOptions {
+                    priority: priority.parse().map_err(exception)?,
+                    ..PrioritizedOptions::default()
+                };
                 narrow(solve_with_progress(py, threads, progress, |observer| {
                     prioritized(lattice, &lattice.partition(partitions)?, options, rule, Some(observer))
                 })?)
@@ -155,7 +163,7 @@ impl Lattice {
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let policy = self.slice("policy", &policy)?;
-        let result = detached(py, threads, || evaluation::success(&self.lattice, policy))??;
+        let result = detached(py, threads, || evaluation::success(self.lattice(), policy))?.map_err(exception)?;
         self.evaluation(py, "success", result)
     }
 
@@ -168,7 +176,8 @@ impl Lattice {
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let policy = self.slice("policy", &policy)?;
-        let expected = detached(py, threads, || evaluation::expectations(&self.lattice, policy))??;
+        let expected =
+            detached(py, threads, || evaluation::expectations(self.lattice(), policy))?.map_err(exception)?;
         let dict = PyDict::new(py);
         dict.set_item("length_mm", self.table(py, expected.length)?)?;
         dict.set_item("turns", self.table(py, expected.turns)?)?;
@@ -178,7 +187,7 @@ impl Lattice {
 
     /// What the step that arrives with a bevel does, for every state.
     fn outcomes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<u8>>> {
-        let outcomes = py.detach(|| self.lattice.outcome_table());
+        let outcomes = py.detach(|| self.lattice().outcome_table());
         self.table(py, outcomes)
     }
 
@@ -201,8 +210,10 @@ impl Lattice {
     ) -> PyResult<Bound<'py, PyDict>> {
         let (policy, values) = (self.slice("policy", &policy)?, self.slice("values", &values)?);
         let starts = poses(&starts)?;
-        let executor = Executor::new(&self.lattice, policy, values, execution(greedy), arc_samples)?;
-        let results = detached(py, threads, || executor.rollout(&starts, runs, seed, noise, max_steps))??;
+        let executor =
+            Executor::new(&self.problem, policy, values, execution(greedy), arc_samples).map_err(exception)?;
+        let results =
+            detached(py, threads, || executor.rollout(&starts, runs, seed, noise, max_steps))?.map_err(exception)?;
         let dict = PyDict::new(py);
         let shape = [starts.len(), runs];
         dict.set_item(
@@ -234,8 +245,9 @@ impl Lattice {
         max_steps: u32,
     ) -> PyResult<Bound<'py, PyDict>> {
         let (policy, values) = (self.slice("policy", &policy)?, self.slice("values", &values)?);
-        let executor = Executor::new(&self.lattice, policy, values, execution(greedy), arc_samples)?;
-        let trace = executor.trace(start, noise.then_some(seed), max_steps)?;
+        let executor =
+            Executor::new(&self.problem, policy, values, execution(greedy), arc_samples).map_err(exception)?;
+        let trace = executor.trace(start, noise.then_some(seed), max_steps).map_err(exception)?;
         let rows: Vec<f64> = trace.poses.iter().flat_map(|pose| [pose.x, pose.y, pose.heading, pose.bevel]).collect();
         let dict = PyDict::new(py);
         dict.set_item("poses", PyArray1::from_vec(py, rows).reshape([trace.poses.len(), 4])?)?;
@@ -249,7 +261,7 @@ impl Lattice {
 
     /// The same MDP as explicit sparse rows.
     fn tabular<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let mdp = py.detach(|| TabularMdp::from_mdp(&self.lattice))?;
+        let mdp = detached(py, None, || TabularMdp::from_mdp(self.lattice()))?.map_err(exception)?;
         let dict = PyDict::new(py);
         let parts = mdp.parts();
         let offsets = |offsets: &[usize]| PyArray1::from_iter(py, offsets.iter().map(|offset| *offset as i64));

@@ -1,12 +1,13 @@
 //! Look-ups in a table, which needs no lattice.
 
+use needle::{Table, TableGrid};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods};
+use ppvi::lattice::Shape;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::detached;
-use crate::lattice::Shape;
-use crate::lookup::{Table, TableGrid};
+use crate::solve::exception;
+use crate::threads::detached;
 
 /// Actions, values, success probabilities.
 type Looked<'py> = (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
@@ -14,7 +15,7 @@ type Looked<'py> = (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>, Bound<'
 /// Table entries of many poses.
 #[pyfunction]
 #[pyo3(signature = (values, policy, success, spacing_mm, poses, threads=None))]
-pub(super) fn lookup_many<'py>(
+pub(crate) fn lookup_many<'py>(
     py: Python<'py>,
     values: PyReadonlyArray4<'py, f32>,
     policy: PyReadonlyArray4<'py, u8>,
@@ -32,9 +33,9 @@ pub(super) fn lookup_many<'py>(
     if poses.shape()[1] != 4 {
         return Err(PyValueError::new_err(format!("poses: expected shape [n, 4], found {:?}", poses.shape())));
     }
-    let grid = TableGrid::new(Shape { nx, ny, headings }, spacing_mm)?;
+    let grid = TableGrid::new(Shape { nx, ny, headings }, spacing_mm).map_err(exception)?;
     let table = Table { values: values.as_slice()?, policy: policy.as_slice()?, success: success.as_slice()? };
     let (rows, _) = poses.as_slice()?.as_chunks::<4>();
-    let answers = detached(py, threads, || grid.look_up_many(rows, &table))??;
+    let answers = detached(py, threads, || grid.look_up_many(rows, &table))?.map_err(exception)?;
     Ok((answers.actions.into_pyarray(py), answers.values.into_pyarray(py), answers.success.into_pyarray(py)))
 }

@@ -1,19 +1,20 @@
 //! Anybody's sparse MDP.
 
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
+use ppvi::{
+    Dependencies, Mdp, Partition, PrioritizedOptions, StateDependents, TabularMdp, prioritized, tabular_sweep,
+    value_iteration,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use super::{report_dict, solve_with_progress, stop_rule};
-use crate::tabular_sweep::tabular_sweep;
-use crate::{
-    Dependencies, Mdp, Partition, PrioritizedOptions, StateDependents, TabularMdp, prioritized, value_iteration,
-};
+use crate::solve::{exception, report_dict, solve_with_progress, stop_rule};
+use crate::threads::detached;
 
 /// The arrays of a problem. They stay numpy's, without a copy, so they are validated again by every use.
 #[pyclass(frozen, module = "needleplan._ppvi")]
-pub(super) struct Tabular {
+pub(crate) struct Tabular {
     action_offsets: Py<PyArray1<i64>>,
     row_offsets: Py<PyArray1<i64>>,
     successors: Py<PyArray1<u32>>,
@@ -48,9 +49,10 @@ impl Tabular {
         let (successors, probabilities) = (successors.as_slice()?, probabilities.as_slice()?);
         let stage_costs = stage_costs.as_slice()?;
         let discount = self.discount;
-        let mdp = py.detach(|| {
+        let mdp = detached(py, None, || {
             TabularMdp::new(action_offsets, row_offsets, successors, probabilities, stage_costs, discount)
-        })?;
+        })?
+        .map_err(exception)?;
         use_it(py, &mdp)
     }
 }
@@ -103,7 +105,10 @@ impl Tabular {
                 }
                 "ppvi" => {
                     let partition = partition(labels.as_ref(), mdp.states())?;
-                    let options = PrioritizedOptions { priority: priority.parse()?, ..PrioritizedOptions::default() };
+                    let options = PrioritizedOptions {
+                        priority: priority.parse().map_err(exception)?,
+                        ..PrioritizedOptions::default()
+                    };
                     solve_with_progress(py, threads, progress, |observer| {
                         prioritized(mdp, &partition, options, rule, Some(observer))
                     })?
@@ -126,7 +131,7 @@ impl Tabular {
     fn dependencies<'py>(&self, py: Python<'py>, labels: PyReadonlyArray1<'py, u32>) -> PyResult<Bound<'py, PyDict>> {
         let (states, partitions, maps) = self.lend(py, |py, mdp| {
             let partition = partition(Some(&labels), mdp.states())?;
-            Ok(py.detach(|| (StateDependents::new(mdp), partition.count(), Dependencies::new(mdp, &partition))))
+            detached(py, None, || (StateDependents::new(mdp), partition.count(), Dependencies::new(mdp, &partition)))
         })?;
         let dict = PyDict::new(py);
         let (mut sds_offsets, mut sds) = (vec![0i64], Vec::new());
@@ -156,9 +161,9 @@ impl Tabular {
 /// From one label a state; without labels all states are one partition.
 fn partition(labels: Option<&PyReadonlyArray1<'_, u32>>, states: usize) -> PyResult<Partition> {
     let Some(labels) = labels else {
-        return Ok(Partition::whole(states)?);
+        return Partition::whole(states).map_err(exception);
     };
     let labels = labels.as_slice()?;
     let partitions = labels.iter().max().map_or(1, |label| *label as usize + 1);
-    Ok(Partition::from_labels(labels.to_vec(), partitions)?)
+    Partition::from_labels(labels.to_vec(), partitions).map_err(exception)
 }

@@ -130,7 +130,7 @@ impl Block {
     }
 
     /// Gives their final values to the states whose successors are all absorbing; returns their number.
-    pub fn settle_constants(&self, discount: f64, values: &impl SharedValues) -> u64 {
+    pub fn solve_constants(&self, discount: f64, values: &impl SharedValues) -> u64 {
         let mut count = 0;
         for (state, pattern) in self.active().filter(|&(_, pattern)| self.dictionary.is_constant(pattern)) {
             values.set(state, self.dictionary.backup(self.dictionary.start(pattern), state as u32, discount, values).0);

@@ -52,7 +52,9 @@ pub enum Error {
 /// Result of a fallible construction.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// An [`Error::Parameter`].
-pub(crate) fn parameter(name: &'static str, value: impl ToString, rule: &'static str) -> Error {
-    Error::Parameter { name, value: value.to_string(), rule }
+impl Error {
+    /// An [`Error::Parameter`].
+    pub fn parameter(name: &'static str, value: impl ToString, rule: &'static str) -> Error {
+        Error::Parameter { name, value: value.to_string(), rule }
+    }
 }

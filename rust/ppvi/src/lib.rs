@@ -40,12 +40,10 @@
 
 mod active;
 pub mod bellman;
-pub mod bicycle;
 mod block;
 pub mod dependency;
 pub mod error;
 pub mod lattice;
-pub mod lookup;
 pub mod mdp;
 mod memory;
 pub mod partition;
@@ -53,18 +51,13 @@ mod pattern;
 pub mod prioritized;
 pub mod priority;
 pub mod proper;
-#[cfg(feature = "python")]
-mod python;
 pub mod queue;
-pub mod rollout;
 pub mod solution;
 pub mod tabular;
 pub mod tabular_sweep;
 pub mod termination;
-pub mod tissues;
 pub mod value_iteration;
 mod waves;
-pub mod workspace;
 
 pub use dependency::{Dependencies, StateDependents};
 pub use error::{Error, Result};

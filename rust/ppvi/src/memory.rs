@@ -8,7 +8,7 @@ use std::alloc::{Layout, alloc, dealloc, handle_alloc_error};
 use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
 use std::ptr::NonNull;
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard};
 
 const HUGE_PAGE: usize = 2 << 20;
 
@@ -49,6 +49,14 @@ const KEPT_BYTES: usize = 64 << 20;
 /// Memory of dropped arrays.
 static KEPT: Mutex<Vec<Block>> = Mutex::new(Vec::new());
 
+/// Attempts to lock [`KEPT`] before the kept memory is left alone. It is held for less than a microsecond; if it stays
+/// locked, a fork has copied it in this state, and the thread that would unlock it does not exist in this process.
+const LOCK_ATTEMPTS: usize = 1000;
+
+fn lock_kept() -> Option<MutexGuard<'static, Vec<Block>>> {
+    (0..LOCK_ATTEMPTS).find_map(|_| KEPT.try_lock().inspect_err(|_| std::thread::yield_now()).ok())
+}
+
 /// A piece of allocated memory.
 struct Block {
     start: NonNull<u8>,
@@ -63,7 +71,7 @@ impl Block {
     fn take(bytes: usize) -> (Self, bool) {
         let align = if bytes >= HUGE_PAGE { HUGE_PAGE } else { 64 };
         let Ok(layout) = Layout::from_size_align(bytes, align) else { handle_alloc_error(Layout::new::<u8>()) };
-        if let Ok(mut kept) = KEPT.lock() {
+        if let Some(mut kept) = lock_kept() {
             let fits = |block: &Block| (bytes..=bytes + bytes / 4).contains(&block.layout.size());
             let best = (0..kept.len()).filter(|at| fits(&kept[*at])).min_by_key(|at| kept[*at].layout.size());
             if let Some(at) = best {
@@ -78,7 +86,7 @@ impl Block {
 
     /// Keeps the memory, or gives it back to the system.
     fn leave(self) {
-        if let Ok(mut kept) = KEPT.lock() {
+        if let Some(mut kept) = lock_kept() {
             let bytes: usize = kept.iter().map(|block| block.layout.size()).sum();
             if bytes + self.layout.size() <= KEPT_BYTES {
                 kept.push(self);

@@ -4,7 +4,7 @@
 //! solvers are correct for all of them, and only their speed depends on the choice. Blocks of neighbouring states are
 //! good, since most of the probability then stays inside.
 
-use crate::error::{Error, Result, parameter};
+use crate::error::{Error, Result};
 
 /// Labels `[states]` and, for every label, its members in index order.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -21,11 +21,11 @@ impl Partition {
     /// [`Error::Parameter`] names the first state whose label is not below `partitions`.
     pub fn from_labels(labels: Vec<u32>, partitions: usize) -> Result<Self> {
         if u32::try_from(labels.len()).is_err() || u32::try_from(partitions).is_err() {
-            return Err(parameter("labels", labels.len().max(partitions), "must number less than 2^32"));
+            return Err(Error::parameter("labels", labels.len().max(partitions), "must number less than 2^32"));
         }
         if let Some(state) = labels.iter().position(|&label| label as usize >= partitions) {
             let found = format!("{} at state {state}", labels[state]);
-            return Err(parameter("labels", found, "must be less than the number of partitions"));
+            return Err(Error::parameter("labels", found, "must be less than the number of partitions"));
         }
         let (offsets, members) = group(&labels, 0..labels.len() as u32, partitions);
         Ok(Partition { labels, offsets, members })
@@ -53,7 +53,7 @@ impl Partition {
     ) -> Result<Self> {
         if partitions[0] == 0 || partitions[1] == 0 || partitions[0] > points[0] || partitions[1] > points[1] {
             let found = format!("{partitions:?} over {points:?} points");
-            return Err(parameter(
+            return Err(Error::parameter(
                 "partitions",
                 found,
                 "must be between 1 and the number of grid points along each axis",
@@ -63,7 +63,7 @@ impl Partition {
         for state in 0..states {
             let [i, j] = place(state);
             if i >= points[0] || j >= points[1] {
-                return Err(parameter("place", format!("[{i}, {j}] for state {state}"), "must lie on the grid"));
+                return Err(Error::parameter("place", format!("[{i}, {j}] for state {state}"), "must lie on the grid"));
             }
             let (column, row) = (i * partitions[0] / points[0], j * partitions[1] / points[1]);
             labels.push((column * partitions[1] + row) as u32);

@@ -23,7 +23,7 @@ pub(crate) enum Class {
     /// Value 0.
     Absorbing,
     /// Infinite value: the execution cannot be made to end.
-    Endless,
+    Improper,
 }
 
 /// The problem, and the class of every state.
@@ -182,7 +182,7 @@ impl Dictionary {
             for (&next, &probability) in successors.iter().zip(probabilities).filter(|entry| *entry.1 > 0.0) {
                 match source.classes[next as usize] {
                     Class::Active => self.push(source.shift(state, next), probability),
-                    Class::Endless => self.numbers[head] = f64::INFINITY,
+                    Class::Improper => self.numbers[head] = f64::INFINITY,
                     Class::Absorbing => {}
                 }
             }

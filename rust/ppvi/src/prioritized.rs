@@ -11,7 +11,7 @@
 //!
 //! * *Inner loop.* In place, forwards and backwards in turn. It ends when the span of the change, max - min, is below the
 //!   inner tolerance (discount < 1, as printed), or the largest change is (discount 1, where a constant shift does not
-//!   fade). What it leaves behind remains a claim of the partition, so a coarse inner tolerance costs no accuracy.
+//!   fade). What it leaves behind remains a entry of the partition, so a coarse inner tolerance costs no accuracy.
 //! * *Start.* HP0(p) is the largest backup of V0 = 0 in p, the argmin of HP0 the first partition, the argmax all later
 //!   ones. Read literally the argmin is a partition of nothing but obstacles, with HP0 = 0, where there is nothing to do;
 //!   it is taken over the eligible partitions.
@@ -27,13 +27,13 @@ use std::time::Instant;
 use crate::active::{ActiveStates, back_up_in_place};
 use crate::bellman::{certificate, change, greedy, initial_values, solution};
 use crate::dependency::Dependencies;
-use crate::error::{Result, parameter};
+use crate::error::{Error, Result};
 use crate::mdp::Mdp;
 use crate::partition::Partition;
-use crate::priority::{Claim, Claims, Priority, h1, h2};
+use crate::priority::{Priority, PriorityEntry, PriorityTable, h1, h2};
 use crate::queue::IndexedMaxQueue;
 use crate::solution::Solution;
-use crate::termination::{Certificate, Observer, Progress, Status, StopRule, Watch};
+use crate::termination::{Certificate, LimitMonitor, Observer, Progress, Status, StopRule};
 
 /// Choices of the prioritized solver.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,10 +58,10 @@ impl PrioritizedOptions {
         if let Some(tolerance) = self.inner_tolerance
             && !(tolerance > 0.0 && tolerance.is_finite())
         {
-            return Err(parameter("inner_tolerance", tolerance, "must be positive and finite"));
+            return Err(Error::parameter("inner_tolerance", tolerance, "must be positive and finite"));
         }
         if self.inner_sweeps == 0 {
-            return Err(parameter("inner_sweeps", self.inner_sweeps, "must be at least 1"));
+            return Err(Error::parameter("inner_sweeps", self.inner_sweeps, "must be at least 1"));
         }
         Ok(())
     }
@@ -81,13 +81,13 @@ pub fn prioritized(
     rule.validate()?;
     options.validate()?;
     partition.check_states(mdp.states())?;
-    let mut watch = Watch::start(rule, observer);
+    let mut monitor = LimitMonitor::start(rule, observer);
     let mut run = Run::new(mdp, partition, options, rule.tolerance);
     let dependencies = Dependencies::new(mdp, partition);
     let mut policy = vec![0; mdp.states()];
-    run.seconds_priorities = watch.seconds();
+    run.seconds_priorities = monitor.seconds();
     let (status, check) = loop {
-        let stopped = run.process_all(&dependencies, &mut watch);
+        let stopped = run.process_all(&dependencies, &mut monitor);
         let check = greedy(mdp, &run.values, &mut policy);
         run.backups += mdp.states() as u64;
         run.lower_threshold(check.max_value);
@@ -103,7 +103,7 @@ pub fn prioritized(
     solution.report.partitions_processed = run.processed;
     solution.report.order = run.order;
     solution.report.seconds_priorities = run.seconds_priorities;
-    solution.report.seconds_solving = watch.seconds() - run.seconds_priorities;
+    solution.report.seconds_solving = monitor.seconds() - run.seconds_priorities;
     Ok(solution)
 }
 
@@ -166,15 +166,15 @@ impl<'m, M: Mdp> Run<'m, M> {
     }
 
     /// Processes partitions, level after level, until none reaches the threshold, or a limit is reached.
-    fn process_all(&mut self, dependencies: &Dependencies, watch: &mut Watch) -> Option<Status> {
+    fn process_all(&mut self, dependencies: &Dependencies, monitor: &mut LimitMonitor) -> Option<Status> {
         let clock = Instant::now();
-        let own: Vec<Claim> = (0..self.seen.len()).map(|p| self.claim_of_partition(p)).collect();
-        let mut claims = Claims::new(dependencies, own);
+        let own: Vec<PriorityEntry> = (0..self.seen.len()).map(|p| self.entry_of_partition(p)).collect();
+        let mut table = PriorityTable::new(dependencies, own);
         let mut queue = IndexedMaxQueue::new(self.seen.len());
         self.seconds_priorities += clock.elapsed().as_secs_f64();
         self.level = f64::INFINITY;
-        while self.lower_level(&claims, &mut queue) {
-            let stopped = self.process_level(&mut claims, &mut queue, watch);
+        while self.lower_level(&table, &mut queue) {
+            let stopped = self.process_level(&mut table, &mut queue, monitor);
             if stopped.is_some() {
                 return stopped;
             }
@@ -183,11 +183,11 @@ impl<'m, M: Mdp> Run<'m, M> {
     }
 
     /// Halves the residual that makes a partition eligible and fills the queue; false if no partition is left.
-    fn lower_level(&mut self, claims: &Claims, queue: &mut IndexedMaxQueue) -> bool {
-        let largest = (0..self.seen.len()).map(|p| self.claim(p, claims).residual).fold(0.0, f64::max);
+    fn lower_level(&mut self, table: &PriorityTable, queue: &mut IndexedMaxQueue) -> bool {
+        let largest = (0..self.seen.len()).map(|p| self.entry(p, table).residual).fold(0.0, f64::max);
         self.level = (largest / 2.0).max(self.threshold);
         for p in 0..self.seen.len() {
-            self.requeue(p, claims, queue);
+            self.requeue(p, table, queue);
         }
         if let (true, Some(start)) = (self.processed == 0, queue.least()) {
             queue.set(start, f64::INFINITY);
@@ -196,22 +196,27 @@ impl<'m, M: Mdp> Run<'m, M> {
     }
 
     /// Processes partitions until none reaches the level, or a limit is reached.
-    fn process_level(&mut self, claims: &mut Claims, queue: &mut IndexedMaxQueue, watch: &mut Watch) -> Option<Status> {
+    fn process_level(
+        &mut self,
+        table: &mut PriorityTable,
+        queue: &mut IndexedMaxQueue,
+        monitor: &mut LimitMonitor,
+    ) -> Option<Status> {
         while let Some((p, _)) = queue.pop() {
-            let result = self.process(p, watch);
+            let result = self.process(p, monitor);
             if result.stopped.is_some() {
                 return result.stopped;
             }
             let clock = Instant::now();
-            claims.settle(p, Claim { rank: result.left, residual: result.left });
-            self.requeue(p, claims, queue);
-            let dependencies = claims.dependencies();
+            table.reset(p, PriorityEntry { rank: result.left, residual: result.left });
+            self.requeue(p, table, queue);
+            let dependencies = table.dependencies();
             for pair in dependencies.pairs(p).filter(|&pair| dependencies.dependent(pair) != p) {
                 match self.options.priority {
-                    Priority::Bound => claims.pair_mut(pair).residual += self.mdp.discount() * result.change,
-                    _ => *claims.pair_mut(pair) = self.claim_of_states(dependencies.states(pair)),
+                    Priority::Bound => table.pair_mut(pair).residual += self.mdp.discount() * result.change,
+                    _ => *table.pair_mut(pair) = self.entry_of_states(dependencies.states(pair)),
                 }
-                self.requeue(dependencies.dependent(pair), claims, queue);
+                self.requeue(dependencies.dependent(pair), table, queue);
             }
             self.seconds_priorities += clock.elapsed().as_secs_f64();
         }
@@ -219,34 +224,34 @@ impl<'m, M: Mdp> Run<'m, M> {
     }
 
     /// HP of a partition.
-    fn claim(&self, p: usize, claims: &Claims) -> Claim {
+    fn entry(&self, p: usize, table: &PriorityTable) -> PriorityEntry {
         match self.options.priority {
-            Priority::Bound => claims.bound(p),
-            _ => claims.largest(p),
+            Priority::Bound => table.bound(p),
+            _ => table.largest(p),
         }
     }
 
-    fn requeue(&self, p: usize, claims: &Claims, queue: &mut IndexedMaxQueue) {
-        let claim = self.claim(p, claims);
-        if claim.residual >= self.level {
-            queue.set(p, claim.rank);
+    fn requeue(&self, p: usize, table: &PriorityTable, queue: &mut IndexedMaxQueue) {
+        let entry = self.entry(p, table);
+        if entry.residual >= self.level {
+            queue.set(p, entry.rank);
         } else {
             queue.remove(p);
         }
     }
 
     /// HP0 of a partition, or what it is to begin again with: the largest residual of its states.
-    fn claim_of_partition(&mut self, p: usize) -> Claim {
+    fn entry_of_partition(&mut self, p: usize) -> PriorityEntry {
         let states = self.active.of(p);
         self.backups += states.len() as u64;
         let residual = |&s: &u32| h1(self.mdp.backup(s as usize, &self.values).0, self.values[s as usize]);
         let residual = states.iter().map(residual).fold(0.0, f64::max);
-        Claim { rank: residual, residual }
+        PriorityEntry { rank: residual, residual }
     }
 
     /// HPP of some states of a partition.
-    fn claim_of_states(&mut self, states: &[u32]) -> Claim {
-        let mut claim = Claim::default();
+    fn entry_of_states(&mut self, states: &[u32]) -> PriorityEntry {
+        let mut entry = PriorityEntry::default();
         for &state in states {
             let value = self.values[state as usize];
             if value == f64::INFINITY {
@@ -259,13 +264,13 @@ impl<'m, M: Mdp> Run<'m, M> {
                 Priority::H2 => h2(backup, value),
                 _ => residual,
             };
-            claim = claim.join(Claim { rank, residual });
+            entry = entry.join(PriorityEntry { rank, residual });
         }
-        claim
+        entry
     }
 
     /// The inner loop: value iteration over the states of one partition.
-    fn process(&mut self, p: usize, watch: &mut Watch) -> Processed {
+    fn process(&mut self, p: usize, monitor: &mut LimitMonitor) -> Processed {
         let states = self.active.of(p);
         self.before.clear();
         self.before.extend(states.iter().map(|&s| self.values[s as usize]));
@@ -278,7 +283,7 @@ impl<'m, M: Mdp> Run<'m, M> {
             let largest = most.max(-least);
             result.left = discount * largest;
             let sweeps = self.backups as f64 / self.values.len() as f64;
-            result.stopped = watch.check(&Progress { sweeps, residual: largest, threshold: self.threshold });
+            result.stopped = monitor.check(&Progress { sweeps, residual: largest, threshold: self.threshold });
             let spread = if discount < 1.0 { most - least } else { largest };
             if spread < inner_tolerance || result.stopped.is_some() {
                 break;

@@ -43,7 +43,7 @@
 //! number of threads. (This is what [`crate::tabular_sweep()`] does.)
 
 use crate::dependency::Dependencies;
-use crate::error::{Error, parameter};
+use crate::error::Error;
 
 /// How partitions are ranked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -76,7 +76,7 @@ impl std::str::FromStr for Priority {
             "H1" => Ok(Priority::H1),
             "H2" => Ok(Priority::H2),
             "bound" => Ok(Priority::Bound),
-            _ => Err(parameter("priority", format!("{name:?}"), "must be \"H1\", \"H2\" or \"bound\"")),
+            _ => Err(Error::parameter("priority", format!("{name:?}"), "must be \"H1\", \"H2\" or \"bound\"")),
         }
     }
 }
@@ -93,32 +93,32 @@ pub fn h2(backup: f64, value: f64) -> f64 {
 
 /// A rank and the residual it stands for.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Claim {
+pub struct PriorityEntry {
     /// What the queue sorts by.
     pub rank: f64,
     /// Upper bound on |B| of the states meant.
     pub residual: f64,
 }
 
-impl Claim {
+impl PriorityEntry {
     /// The larger rank and the larger residual.
-    pub fn join(self, other: Claim) -> Claim {
-        Claim { rank: self.rank.max(other.rank), residual: self.residual.max(other.residual) }
+    pub fn join(self, other: PriorityEntry) -> PriorityEntry {
+        PriorityEntry { rank: self.rank.max(other.rank), residual: self.residual.max(other.residual) }
     }
 }
 
 /// The table HPP: one claim for every pair of `dependencies`, and what every partition claims by itself.
 #[derive(Debug, Clone)]
-pub struct Claims<'a> {
+pub struct PriorityTable<'a> {
     dependencies: &'a Dependencies,
-    pairs: Vec<Claim>,
-    own: Vec<Claim>,
+    pairs: Vec<PriorityEntry>,
+    own: Vec<PriorityEntry>,
 }
 
-impl<'a> Claims<'a> {
+impl<'a> PriorityTable<'a> {
     /// `own` holds the initial claims, HP0 of the thesis; all HPP are zero.
-    pub fn new(dependencies: &'a Dependencies, own: Vec<Claim>) -> Self {
-        Claims { dependencies, pairs: vec![Claim::default(); dependencies.pair_count()], own }
+    pub fn new(dependencies: &'a Dependencies, own: Vec<PriorityEntry>) -> Self {
+        PriorityTable { dependencies, pairs: vec![PriorityEntry::default(); dependencies.pair_count()], own }
     }
 
     /// The pairs that the table is about.
@@ -127,28 +127,28 @@ impl<'a> Claims<'a> {
     }
 
     /// HPP of a pair (p, p'), by the number that [`Dependencies`] gives it.
-    pub fn pair_mut(&mut self, pair: usize) -> &mut Claim {
+    pub fn pair_mut(&mut self, pair: usize) -> &mut PriorityEntry {
         &mut self.pairs[pair]
     }
 
     /// Forgets what others claim for `partition`, which has just been processed and left `own`.
-    pub fn settle(&mut self, partition: usize, own: Claim) {
+    pub fn reset(&mut self, partition: usize, own: PriorityEntry) {
         self.own[partition] = own;
         for &pair in self.dependencies.incoming(partition) {
-            self.pairs[pair as usize] = Claim::default();
+            self.pairs[pair as usize] = PriorityEntry::default();
         }
     }
 
     /// HP of a partition that keeps exact claims (H1, H2): the maximum.
-    pub fn largest(&self, partition: usize) -> Claim {
+    pub fn largest(&self, partition: usize) -> PriorityEntry {
         let incoming = self.dependencies.incoming(partition).iter().map(|&pair| self.pairs[pair as usize]);
-        incoming.fold(self.own[partition], Claim::join)
+        incoming.fold(self.own[partition], PriorityEntry::join)
     }
 
     /// HP of a partition that keeps accumulated changes: L + discount * max A; the pairs hold discount * A.
-    pub fn bound(&self, partition: usize) -> Claim {
+    pub fn bound(&self, partition: usize) -> PriorityEntry {
         let incoming = self.dependencies.incoming(partition).iter().map(|&pair| self.pairs[pair as usize].residual);
         let bound = self.own[partition].residual + incoming.fold(0.0, f64::max);
-        Claim { rank: bound, residual: bound }
+        PriorityEntry { rank: bound, residual: bound }
     }
 }

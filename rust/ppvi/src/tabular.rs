@@ -10,7 +10,7 @@ use std::borrow::Cow;
 
 use rayon::prelude::*;
 
-use crate::error::{Error, Result, parameter};
+use crate::error::{Error, Result};
 use crate::mdp::Mdp;
 
 /// How far the probabilities of a row may sum from one.
@@ -159,11 +159,11 @@ impl<'a> TabularMdp<'a> {
 
     fn check_arrays(&self) -> Result<()> {
         if !(self.discount > 0.0 && self.discount <= 1.0) {
-            return Err(parameter("discount", self.discount, "must be in (0, 1]"));
+            return Err(Error::parameter("discount", self.discount, "must be in (0, 1]"));
         }
         let rows = check_offsets("action_offsets", &self.action_offsets)?;
         if u32::try_from(self.action_offsets.len()).is_err() {
-            return Err(parameter("states", self.action_offsets.len() - 1, "must number less than 2^32"));
+            return Err(Error::parameter("states", self.action_offsets.len() - 1, "must number less than 2^32"));
         }
         check_length("row_offsets", rows.saturating_add(1), self.row_offsets.len())?;
         check_length("stage_costs", rows, self.stage_costs.len())?;
@@ -211,7 +211,7 @@ impl<'a> TabularMdp<'a> {
 fn check_offsets(name: &'static str, offsets: &[usize]) -> Result<usize> {
     match (offsets.first(), offsets.last()) {
         (Some(0), Some(&last)) => Ok(last),
-        (Some(&first), _) => Err(parameter(name, first, "must begin with 0")),
+        (Some(&first), _) => Err(Error::parameter(name, first, "must begin with 0")),
         _ => Err(Error::Length { name, expected: 1, found: 0 }),
     }
 }

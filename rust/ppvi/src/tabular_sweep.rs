@@ -25,8 +25,8 @@ use crate::pattern::{Class, Source, Values};
 use crate::proper::proper_states;
 use crate::solution::Solution;
 use crate::tabular::TabularMdp;
-use crate::termination::{Observer, Progress, Status, StopRule, Watch};
-use crate::waves::{Ledger, Task, waves};
+use crate::termination::{LimitMonitor, Observer, Progress, Status, StopRule};
+use crate::waves::{ResidualBoundTracker, Task, waves};
 
 /// Smaller blocks would be gone before another thread wakes up.
 const LEAST_LOG_SIZE: u32 = 12;
@@ -55,7 +55,7 @@ pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer
     rule.validate()?;
     let states = mdp.states();
     check_size(mdp)?;
-    let mut watch = Watch::start(rule, observer);
+    let mut monitor = LimitMonitor::start(rule, observer);
     let certificate = certificate(mdp);
     let discount = mdp.discount();
     let classes = classify(mdp);
@@ -67,18 +67,18 @@ pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer
         .collect();
     let values = initial_values(&classes);
     let mut sweeps = Sweeps::new(&blocks, discount, states);
-    sweeps.backups = blocks.par_iter().map(|block| block.settle_constants(discount, &values)).sum();
+    sweeps.backups = blocks.par_iter().map(|block| block.solve_constants(discount, &values)).sum();
     let mut policy = vec![0; states];
     let (status, check) = loop {
         let threshold = match discount < 1.0 {
             true => certificate.threshold(rule.tolerance, 0.0),
             false => certificate.threshold(rule.tolerance, largest(&values)),
         };
-        let stopped = match sweeps.is_settled(threshold) {
+        let stopped = match sweeps.is_below(threshold) {
             true => None,
             false => {
                 let residual = sweeps.pass(&values, threshold);
-                let stopped = watch.check(&Progress { sweeps: sweeps.count(), residual, threshold });
+                let stopped = monitor.check(&Progress { sweeps: sweeps.count(), residual, threshold });
                 if stopped.is_none() {
                     continue;
                 }
@@ -92,7 +92,7 @@ pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer
             _ if check.residual < threshold => break (Status::Converged, check),
             Some(status) => break (status, check),
             // Rounding, or a threshold that fell: begin the book-keeping again.
-            None => sweeps.ledger = Ledger::new(&blocks, discount),
+            None => sweeps.tracker = ResidualBoundTracker::new(&blocks, discount),
         }
     };
     let values = values.0.into_iter().map(|value| f64::from_bits(value.into_inner())).collect();
@@ -101,7 +101,7 @@ pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer
     solution.report.partitions = blocks.len();
     solution.report.partitions_processed = sweeps.updates;
     solution.report.order = sweeps.order;
-    solution.report.seconds_solving = watch.seconds();
+    solution.report.seconds_solving = monitor.seconds();
     Ok(solution)
 }
 
@@ -109,7 +109,7 @@ pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer
 struct Sweeps<'b> {
     blocks: &'b [Block],
     waves: Vec<Vec<Task>>,
-    ledger: Ledger<'b>,
+    tracker: ResidualBoundTracker<'b>,
     discount: f64,
     states: usize,
     backups: u64,
@@ -119,13 +119,13 @@ struct Sweeps<'b> {
 
 impl<'b> Sweeps<'b> {
     fn new(blocks: &'b [Block], discount: f64, states: usize) -> Self {
-        let (waves, ledger) = (waves(blocks), Ledger::new(blocks, discount));
-        Sweeps { blocks, waves, ledger, discount, states, backups: 0, updates: 0, order: Vec::new() }
+        let (waves, tracker) = (waves(blocks), ResidualBoundTracker::new(blocks, discount));
+        Sweeps { blocks, waves, tracker, discount, states, backups: 0, updates: 0, order: Vec::new() }
     }
 
     /// Whether the residuals of all lists are below the threshold.
-    fn is_settled(&self, threshold: f64) -> bool {
-        self.waves.iter().flatten().all(|&task| self.ledger.bound(task) < threshold)
+    fn is_below(&self, threshold: f64) -> bool {
+        self.waves.iter().flatten().all(|&task| self.tracker.bound(task) < threshold)
     }
 
     /// Work done, in units of n backups.
@@ -137,13 +137,13 @@ impl<'b> Sweeps<'b> {
     fn pass(&mut self, values: &Shared, threshold: f64) -> f64 {
         let mut largest = 0.0f64;
         for wave in &self.waves {
-            let due: Vec<Task> = wave.iter().copied().filter(|&task| self.ledger.bound(task) >= threshold).collect();
+            let due: Vec<Task> = wave.iter().copied().filter(|&task| self.tracker.bound(task) >= threshold).collect();
             let update = |task: &Task| self.blocks[task.block].update(task.side, self.discount, values);
             let changes: Vec<f64> = match due.len() {
                 0 | 1 => due.iter().map(update).collect(),
                 _ => due.par_iter().map(update).collect(),
             };
-            self.ledger.record(&due, &changes);
+            self.tracker.record(&due, &changes);
             for task in &due {
                 self.backups += self.blocks[task.block].list_len(task.side) as u64;
                 self.updates += 1;
@@ -173,7 +173,7 @@ fn classify(mdp: &TabularMdp) -> Vec<Class> {
     if mdp.discount() == 1.0 {
         for (class, proper) in classes.iter_mut().zip(proper_states(mdp)) {
             if !proper {
-                *class = Class::Endless;
+                *class = Class::Improper;
             }
         }
     }
@@ -181,7 +181,7 @@ fn classify(mdp: &TabularMdp) -> Vec<Class> {
 }
 
 fn initial_values(classes: &[Class]) -> Shared {
-    let value = |class: &Class| if *class == Class::Endless { f64::INFINITY } else { 0.0 };
+    let value = |class: &Class| if *class == Class::Improper { f64::INFINITY } else { 0.0 };
     Shared(classes.par_iter().with_min_len(4096).map(|class| AtomicU64::new(value(class).to_bits())).collect())
 }
 

@@ -13,7 +13,7 @@
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
-use crate::error::{Result, parameter};
+use crate::error::{Error, Result};
 
 /// A residual near the least stage cost proves nothing, and all values zero have just that residual.
 const MOST_OF_LEAST_COST: f64 = 0.5;
@@ -68,10 +68,10 @@ impl StopRule {
     /// Checks the fields, which are public.
     pub fn validate(&self) -> Result<()> {
         if !(self.tolerance > 0.0 && self.tolerance.is_finite()) {
-            return Err(parameter("tolerance", self.tolerance, "must be positive and finite"));
+            return Err(Error::parameter("tolerance", self.tolerance, "must be positive and finite"));
         }
         if self.max_sweeps == 0 {
-            return Err(parameter("max_sweeps", self.max_sweeps, "must be at least 1"));
+            return Err(Error::parameter("max_sweeps", self.max_sweeps, "must be at least 1"));
         }
         Ok(())
     }
@@ -127,16 +127,16 @@ impl Certificate {
 }
 
 /// Watches the limits of a [`StopRule`] during a solve.
-pub struct Watch<'a> {
+pub struct LimitMonitor<'a> {
     rule: StopRule,
     started: Instant,
     observer: Option<Observer<'a>>,
 }
 
-impl<'a> Watch<'a> {
+impl<'a> LimitMonitor<'a> {
     /// Starts the clock.
     pub fn start(rule: StopRule, observer: Option<Observer<'a>>) -> Self {
-        Watch { rule, started: Instant::now(), observer }
+        LimitMonitor { rule, started: Instant::now(), observer }
     }
 
     /// Reports progress, then says whether a limit ends the solve now.

@@ -7,7 +7,7 @@ use crate::bellman::{bellman_operator, certificate, initial_values, solution};
 use crate::error::Result;
 use crate::mdp::Mdp;
 use crate::solution::Solution;
-use crate::termination::{Observer, Progress, Status, StopRule, Watch};
+use crate::termination::{LimitMonitor, Observer, Progress, Status, StopRule};
 
 /// Solves a problem by sweeps over all states, in parallel on the current rayon pool; the values are the same bit for
 /// bit for any number of threads.
@@ -16,7 +16,7 @@ use crate::termination::{Observer, Progress, Status, StopRule, Watch};
 /// Only for an invalid `rule`. Reaching a limit is a status, not an error.
 pub fn value_iteration(mdp: &impl Mdp, rule: StopRule, observer: Option<Observer>) -> Result<Solution> {
     rule.validate()?;
-    let mut watch = Watch::start(rule, observer);
+    let mut monitor = LimitMonitor::start(rule, observer);
     let certificate = certificate(mdp);
     let mut values = initial_values(mdp);
     let mut next = values.clone();
@@ -28,12 +28,12 @@ pub fn value_iteration(mdp: &impl Mdp, rule: StopRule, observer: Option<Observer
         let threshold = certificate.threshold(rule.tolerance, check.max_value);
         let converged = (check.residual < threshold).then_some(Status::Converged);
         let progress = Progress { sweeps: sweeps as f64, residual: check.residual, threshold };
-        if let Some(status) = converged.or_else(|| watch.check(&progress)) {
+        if let Some(status) = converged.or_else(|| monitor.check(&progress)) {
             let mut solution = solution(values, policy, status, check, &certificate);
             solution.report.backups = sweeps * mdp.states() as u64;
             solution.report.partitions_processed = sweeps;
             solution.report.order = vec![0];
-            solution.report.seconds_solving = watch.seconds();
+            solution.report.seconds_solving = monitor.seconds();
             return Ok(solution);
         }
         std::mem::swap(&mut values, &mut next);

@@ -4,7 +4,7 @@
 //! the forward lists, another one down with the backward lists. [`waves`] cuts this sequence into waves whose tasks do
 //! not touch each other, so that the outcome is that of the sequence, bit for bit, on any number of threads (the proof is
 //! in [`crate::priority`]). Where blocks read only their neighbours both fronts move at once, until they cross.
-//! [`Ledger`] keeps the accumulated-change bound of the same page for every list.
+//! [`ResidualBoundTracker`] keeps the accumulated-change bound of the same page for every list.
 
 use crate::block::Block;
 
@@ -55,7 +55,7 @@ pub(crate) fn waves(blocks: &[Block]) -> Vec<Vec<Task>> {
 /// discount * its own largest change. (A mixed state may since have been updated by the other list of its block: then its
 /// residual was zero at that later moment, and the growth bounds all the more what has come after.)
 #[derive(Debug)]
-pub(crate) struct Ledger<'b> {
+pub(crate) struct ResidualBoundTracker<'b> {
     blocks: &'b [Block],
     discount: f64,
     /// Changes of every block, summed over all updates.
@@ -66,12 +66,12 @@ pub(crate) struct Ledger<'b> {
     left: Vec<f64>,
 }
 
-impl<'b> Ledger<'b> {
+impl<'b> ResidualBoundTracker<'b> {
     /// Nothing is known of any list: its bound is infinite.
     pub fn new(blocks: &'b [Block], discount: f64) -> Self {
         let count = blocks.len();
         let (totals, seen) = (vec![0.0; count], vec![0.0; 2 * count * count]);
-        Ledger { blocks, discount, totals, seen, left: vec![f64::INFINITY; 2 * count] }
+        ResidualBoundTracker { blocks, discount, totals, seen, left: vec![f64::INFINITY; 2 * count] }
     }
 
     /// Upper bound on the residuals of the members of a list.

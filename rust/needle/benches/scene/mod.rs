@@ -2,10 +2,8 @@
 
 #![allow(dead_code)]
 
-use ppvi::bicycle::Bicycle;
-use ppvi::lattice::{Costs, LatticeMdp, Setup, Transition};
-use ppvi::tissues::Tissues;
-use ppvi::workspace::{Polygon, Workspace};
+use needle::{Bicycle, Polygon, Setup, SteeringProblem, Tissues, Workspace};
+use ppvi::lattice::{Costs, Transition};
 use ppvi::{Result, StopRule};
 
 const OBSTACLES: [&[[f64; 2]]; 4] = [
@@ -25,12 +23,12 @@ pub enum Objective {
 }
 
 /// The workspace, solved for one of the objectives; obstacles are tested at four points of an arc.
-pub fn lattice(spacing: f64, transition: Transition, objective: Objective) -> Result<LatticeMdp> {
+pub fn problem(spacing: f64, transition: Transition, objective: Objective) -> Result<SteeringProblem> {
     layered(spacing, transition, objective, 0)
 }
 
 /// The same, with a needle that bends differently in each of some layers of equal depth.
-pub fn layered(spacing: f64, transition: Transition, objective: Objective, layers: usize) -> Result<LatticeMdp> {
+pub fn layered(spacing: f64, transition: Transition, objective: Objective, layers: usize) -> Result<SteeringProblem> {
     let depths = (0..layers).map(|layer| (120.0 * layer as f64 / layers as f64, 40.0 + layer as f64)).collect();
     let obstacles = OBSTACLES.iter().map(|points| Polygon::new(points.to_vec())).collect::<Result<_>>()?;
     let needle = Bicycle::new(40.0, 60)?;
@@ -39,7 +37,7 @@ pub fn layered(spacing: f64, transition: Transition, objective: Objective, layer
         Objective::Thesis => Costs { step, rotation: 40.0, collision: 200.0, exit: 100.0, discount: 0.95 },
         Objective::Success => Costs { step, rotation: 4.0, collision: 1e4, exit: 1e4, discount: 1.0 },
     };
-    LatticeMdp::new(Setup {
+    SteeringProblem::new(Setup {
         workspace: Workspace::new([120.0, 80.0], obstacles, [100.0, 50.0], 2.0)?,
         needle,
         spacing: [spacing; 2],

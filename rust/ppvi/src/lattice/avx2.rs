@@ -8,7 +8,7 @@
 use std::arch::x86_64::*;
 
 use crate::lattice::lanes::{Lanes, Narrow};
-use crate::lattice::{LANES, outcome};
+use crate::lattice::parts::{LANES, outcome};
 
 /// Eight numbers of single precision.
 #[derive(Clone, Copy)]
@@ -64,13 +64,13 @@ impl Lanes<f32> for Single {
     }
 
     #[inline(always)]
-    fn lesser(self, other: Self) -> Self {
+    fn minimum(self, other: Self) -> Self {
         // SAFETY: see the module.
         Single(unsafe { _mm256_min_ps(self.0, other.0) })
     }
 
     #[inline(always)]
-    fn lesser_marked(self, other: Self) -> Self {
+    fn min_with_argmin(self, other: Self) -> Self {
         // SAFETY: see the module.
         Single(unsafe {
             let less = _mm256_cmp_ps::<_CMP_LT_OQ>(self.0, other.0);
@@ -79,18 +79,18 @@ impl Lanes<f32> for Single {
     }
 
     #[inline(always)]
-    fn or_ended(self, codes: &[u8; LANES], ended: &[f32; outcome::CODES]) -> Self {
+    fn or_terminal(self, codes: &[u8; LANES], terminal: &[f32; outcome::CODES]) -> Self {
         // SAFETY: see the module.
         Single(unsafe {
-            let ended = _mm256_permutevar8x32_ps(Self::load(ended).0, integers(codes));
-            _mm256_blendv_ps(ended, self.0, _mm256_castsi256_ps(are_zero(codes)))
+            let terminal = _mm256_permutevar8x32_ps(Self::load(terminal).0, integers(codes));
+            _mm256_blendv_ps(terminal, self.0, _mm256_castsi256_ps(are_zero(codes)))
         })
     }
 
     #[inline(always)]
-    fn or_turned(self, turned: Self, turns: &[u8; LANES]) -> Self {
+    fn or_rotated(self, rotated: Self, mask: &[u8; LANES]) -> Self {
         // SAFETY: see the module.
-        Single(unsafe { _mm256_blendv_ps(turned.0, self.0, _mm256_castsi256_ps(are_zero(turns))) })
+        Single(unsafe { _mm256_blendv_ps(rotated.0, self.0, _mm256_castsi256_ps(are_zero(mask))) })
     }
 
     #[inline(always)]
@@ -205,13 +205,13 @@ impl Lanes<f64> for Double {
     }
 
     #[inline(always)]
-    fn lesser(self, other: Self) -> Self {
+    fn minimum(self, other: Self) -> Self {
         // SAFETY: see the module.
         self.halves(other, |a, b| unsafe { _mm256_min_pd(a, b) })
     }
 
     #[inline(always)]
-    fn lesser_marked(self, other: Self) -> Self {
+    fn min_with_argmin(self, other: Self) -> Self {
         // SAFETY: see the module.
         self.halves(other, |a, b| unsafe {
             let less = _mm256_cmp_pd::<_CMP_LT_OQ>(a, b);
@@ -220,13 +220,13 @@ impl Lanes<f64> for Double {
     }
 
     #[inline(always)]
-    fn or_ended(self, codes: &[u8; LANES], ended: &[f64; outcome::CODES]) -> Self {
-        self.where_zero(codes, Self::load(&codes.map(|code| ended[usize::from(code) % outcome::CODES])))
+    fn or_terminal(self, codes: &[u8; LANES], terminal: &[f64; outcome::CODES]) -> Self {
+        self.where_zero(codes, Self::load(&codes.map(|code| terminal[usize::from(code) % outcome::CODES])))
     }
 
     #[inline(always)]
-    fn or_turned(self, turned: Self, turns: &[u8; LANES]) -> Self {
-        self.where_zero(turns, turned)
+    fn or_rotated(self, rotated: Self, mask: &[u8; LANES]) -> Self {
+        self.where_zero(mask, rotated)
     }
 
     #[inline(always)]
@@ -277,8 +277,8 @@ mod tests {
         let mut numbers = || -> [T; LANES] {
             std::array::from_fn(|_| if next(9) == 0 { T::of(f64::INFINITY) } else { T::of(f64::from(next(7)) / 3.0) })
         };
-        let (a, b, ended) = (numbers(), numbers(), numbers());
-        let turns = codes.map(|code| code % 2);
+        let (a, b, terminal) = (numbers(), numbers(), numbers());
+        let mask = codes.map(|code| code % 2);
         let (u, v) = (V::load(&a), V::load(&b));
         let array = |vector: V| {
             let mut array = [T::default(); LANES];
@@ -293,17 +293,17 @@ mod tests {
         same(V::splat(b[0]), [b[0]; LANES]);
         same(u.add(v), a.add(b));
         same(u.mul(v), a.mul(b));
-        same(u.lesser(v), a.lesser(b));
-        same(u.lesser_marked(v), a.lesser_marked(b));
-        same(u.or_ended(&codes, &ended), a.or_ended(&codes, &ended));
-        same(u.or_turned(v, &turns), a.or_turned(b, &turns));
+        same(u.minimum(v), a.minimum(b));
+        same(u.min_with_argmin(v), a.min_with_argmin(b));
+        same(u.or_terminal(&codes, &terminal), a.or_terminal(&codes, &terminal));
+        same(u.or_rotated(v, &mask), a.or_rotated(b, &mask));
         let mut narrow = [0.0; LANES];
         u.narrow().store(&mut narrow);
         assert_eq!(narrow, a.narrow());
         same(u.larger_finite(v), a.larger_finite(b));
-        let marked = u.lesser_marked(v).narrow().split();
+        let marked = u.min_with_argmin(v).narrow().split();
         marked.0.store(&mut narrow);
-        assert_eq!((narrow, marked.1), a.lesser_marked(b).narrow().split());
+        assert_eq!((narrow, marked.1), a.min_with_argmin(b).narrow().split());
         let rows: [[T; LANES]; LANES] = std::array::from_fn(|_| numbers());
         let columns = V::transpose(rows.each_ref().map(|row| V::load(row)));
         columns.into_iter().zip(<[T; LANES]>::transpose(rows)).for_each(|(column, expected)| same(column, expected));

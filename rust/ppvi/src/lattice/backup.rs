@@ -5,22 +5,22 @@
 
 use std::ops::Range;
 
-use crate::lattice::LANES;
-use crate::lattice::endings::SectorEndings;
 use crate::lattice::halo::Halo;
-use crate::lattice::kernel::{Step, blend, convolve, convolve_five, q_values};
+use crate::lattice::kernel::{StepCosts, Vectorized, blend, convolve, convolve_five, q_values};
 use crate::lattice::lanes::Lanes;
+use crate::lattice::parts::LANES;
 use crate::lattice::real::Real;
-use crate::lattice::sector::{Sector, Task};
-use crate::lattice::store::{Kept, Part};
+use crate::lattice::sector::{PassInputs, Sector};
+use crate::lattice::store::{StagingBuffer, TableWriter};
+use crate::lattice::terminal_mask::TerminalMask;
 
 /// What the sweep of a sector needs beside it.
-pub(crate) struct Around<'a, T: Copy> {
-    pub task: Task<'a, T>,
-    pub endings: &'a SectorEndings,
+pub(crate) struct SweepContext<'a, T: Copy> {
+    pub inputs: PassInputs<'a, T>,
+    pub terminal_mask: &'a TerminalMask,
     pub halo: &'a Halo<T>,
     /// Where there is one, all values are written there, and the better actions unless there is a policy.
-    pub table: Option<Part<'a>>,
+    pub table: Option<TableWriter<'a>>,
 }
 
 /// What a sweep has seen.
@@ -32,56 +32,56 @@ pub(crate) struct Swept {
 }
 
 /// Sweeps a sector once.
-pub(crate) fn sweep<T: Real>(sector: &mut Sector<T>, around: Around<'_, T>) -> Swept {
-    match (around.task.lattice.is_interpolated(), sector.has_policy()) {
-        (false, false) => dispatch::<T, false, false>(sector, around),
-        (false, true) => dispatch::<T, false, true>(sector, around),
-        (true, false) => dispatch::<T, true, false>(sector, around),
-        (true, true) => dispatch::<T, true, true>(sector, around),
+pub(crate) fn sweep<T: Vectorized>(sector: &mut Sector<T>, context: SweepContext<'_, T>) -> Swept {
+    match (context.inputs.lattice.is_interpolated(), sector.has_policy()) {
+        (false, false) => dispatch::<T, false, false>(sector, context),
+        (false, true) => dispatch::<T, false, true>(sector, context),
+        (true, false) => dispatch::<T, true, false>(sector, context),
+        (true, true) => dispatch::<T, true, true>(sector, context),
     }
 }
 
 /// Chooses the vectors that the processor has.
-fn dispatch<T: Real, const INTERPOLATED: bool, const POLICY: bool>(
+fn dispatch<T: Vectorized, const INTERPOLATED: bool, const POLICY: bool>(
     sector: &mut Sector<T>,
-    around: Around<'_, T>,
+    context: SweepContext<'_, T>,
 ) -> Swept {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") {
         // SAFETY: the processor has AVX2.
-        return unsafe { sweep_avx2::<T, INTERPOLATED, POLICY>(sector, around) };
+        return unsafe { sweep_avx2::<T, INTERPOLATED, POLICY>(sector, context) };
     }
-    sweep_columns::<T, [T; LANES], INTERPOLATED, POLICY>(sector, around)
+    sweep_columns::<T, [T; LANES], INTERPOLATED, POLICY>(sector, context)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn sweep_avx2<T: Real, const INTERPOLATED: bool, const POLICY: bool>(
+fn sweep_avx2<T: Vectorized, const INTERPOLATED: bool, const POLICY: bool>(
     sector: &mut Sector<T>,
-    around: Around<'_, T>,
+    context: SweepContext<'_, T>,
 ) -> Swept {
-    sweep_columns::<T, T::Vector, INTERPOLATED, POLICY>(sector, around)
+    sweep_columns::<T, T::Vector, INTERPOLATED, POLICY>(sector, context)
 }
 
 /// All of this file is inlined into the function that knows the processor.
 #[inline(always)]
-fn sweep_columns<T: Real, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: bool>(
+fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: bool>(
     sector: &mut Sector<T>,
-    around: Around<'_, T>,
+    context: SweepContext<'_, T>,
 ) -> Swept {
-    let Around { task: Task { noise, numbers, .. }, endings, halo, mut table } = around;
+    let SweepContext { inputs: PassInputs { noise, costs, .. }, terminal_mask, halo, mut table } = context;
     let count = sector.arc.count;
-    let mut values = halo.around(count);
-    let mut kept = Kept::new(count);
+    let mut values = halo.strip_buffer(count);
+    let mut staging = StagingBuffer::new(count);
     let mut reads = Vec::new();
     let mut change = T::default();
     if INTERPOLATED && sector.downstream {
         // Beyond the last column.
-        sector.convolved.fill(numbers.outside());
+        sector.convolved.fill(costs.outside());
     }
     for u in (0..sector.extent[0]).rev() {
         let place = sector.place(u);
-        let pieces = endings.pieces(place);
+        let pieces = terminal_mask.pieces(place);
         reads.clear();
         for piece in pieces {
             reads.extend((0..count).map(|q| [0, 1].map(|bevel| read(sector, u, piece.region, q, bevel))));
@@ -98,11 +98,11 @@ fn sweep_columns<T: Real, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: b
                     convolved: &sector.convolved,
                     reads,
                     first,
-                    codes: endings.strip(place, strip),
-                    turns: sector.turns(place, strip),
-                    step: &numbers.steps[piece.region],
-                    discount: numbers.discount,
-                    rotation: numbers.rotation,
+                    codes: terminal_mask.strip(place, strip),
+                    policy_mask: sector.policy_mask(place, strip),
+                    step: &costs.steps[piece.region],
+                    discount: costs.discount,
+                    rotation: costs.rotation,
                 };
                 let lanes = lanes.start - first..lanes.end - first;
                 if table.is_some() {
@@ -110,19 +110,19 @@ fn sweep_columns<T: Real, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: b
                         work,
                         lanes,
                         halo.own(&mut values, count),
-                        kept.rows(count),
+                        staging.rows(count),
                     );
                 } else {
                     back_up::<T, V, INTERPOLATED, POLICY, false>(
                         work,
                         lanes,
                         halo.own(&mut values, count),
-                        kept.rows(count),
+                        staging.rows(count),
                     );
                 }
             }
             if let Some(table) = &mut table {
-                kept.write::<V::Narrow>(table, place, first);
+                staging.write::<V::Narrow>(table, place, first);
             }
             sector.put_edges(place, strip, halo.own(&mut values, count));
             let at = sector.column(u + sector.pad[0]) + sector.pad[1] + first;
@@ -132,7 +132,7 @@ fn sweep_columns<T: Real, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: b
             store_convolved::<T, V>(sector, at, halo.taps(&values), noise);
         }
     }
-    Swept { change: change.widen(), largest: kept.largest() }
+    Swept { change: change.widen(), largest: staging.largest() }
 }
 
 /// Where the W stands that a step from the beginning of a column reads.
@@ -165,8 +165,8 @@ struct Work<'a, T> {
     first: usize,
     codes: &'a [[[u8; LANES]; 2]],
     /// Empty without a policy.
-    turns: &'a [[[u8; LANES]; 2]],
-    step: &'a Step<T>,
+    policy_mask: &'a [[[u8; LANES]; 2]],
+    step: &'a StepCosts<T>,
     discount: T,
     rotation: T,
 }
@@ -177,29 +177,29 @@ fn back_up<T: Real, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: bool, c
     work: Work<'_, T>,
     lanes: Range<usize>,
     values: [&mut [[T; LANES]]; 2],
-    kept: &mut [[[f32; LANES]; 2]],
+    staging: &mut [[[f32; LANES]; 2]],
 ) {
     let whole = lanes.len() == LANES;
     let rotation = V::splat(work.rotation);
-    for q in 0..kept.len() {
+    for q in 0..staging.len() {
         let on: [V; 2] = [q_row::<T, V, INTERPOLATED>(work, q, 0), q_row::<T, V, INTERPOLATED>(work, q, 1)];
-        let turned = [on[1].add(rotation), on[0].add(rotation)];
+        let rotated = [on[1].add(rotation), on[0].add(rotation)];
         for bevel in 0..2 {
             let (value, note) = match (POLICY, KEEP) {
                 (true, _) => {
-                    let value = on[bevel].or_turned(turned[bevel], &work.turns[q][bevel]);
+                    let value = on[bevel].or_rotated(rotated[bevel], &work.policy_mask[q][bevel]);
                     (value, value)
                 }
-                (false, true) => (turned[bevel].lesser(on[bevel]), turned[bevel].lesser_marked(on[bevel])),
+                (false, true) => (rotated[bevel].minimum(on[bevel]), rotated[bevel].min_with_argmin(on[bevel])),
                 (false, false) => {
-                    let value = turned[bevel].lesser(on[bevel]);
+                    let value = rotated[bevel].minimum(on[bevel]);
                     (value, value)
                 }
             };
             if whole {
                 value.store(&mut values[bevel][q]);
                 if KEEP {
-                    note.narrow().store(&mut kept[q][bevel]);
+                    note.narrow().store(&mut staging[q][bevel]);
                 }
             } else {
                 let mut all = [T::default(); LANES];
@@ -208,7 +208,7 @@ fn back_up<T: Real, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: bool, c
                 if KEEP {
                     let mut all = [0.0; LANES];
                     note.narrow().store(&mut all);
-                    kept[q][bevel][lanes.clone()].copy_from_slice(&all[lanes.clone()]);
+                    staging[q][bevel][lanes.clone()].copy_from_slice(&all[lanes.clone()]);
                 }
             }
         }

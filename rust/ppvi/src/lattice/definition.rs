@@ -1,19 +1,20 @@
 //! The lattice as an MDP like any other: the definition of what the sweeps compute.
 
-use crate::lattice::{LatticeMdp, Region, Shape, Shift, outcome};
+use crate::lattice::model::LatticeMdp;
+use crate::lattice::parts::{Region, Shape, Shift, outcome};
 use crate::mdp::Mdp;
 
 impl LatticeMdp {
     /// `(i, j, k, b)` of a state number.
     pub(crate) fn coordinates(&self, state: usize) -> (usize, usize, usize, usize) {
-        let Shape { ny, headings, .. } = self.shape;
+        let Shape { ny, headings, .. } = self.parts.shape;
         let (b, k) = (state % 2, state / 2 % headings);
         (state / 2 / headings / ny, state / 2 / headings % ny, k, b)
     }
 
     /// Calls `visit(None or Some((i, j)), weight)` for the grid points a displaced position is split into.
     fn for_each_corner(&self, from: (usize, usize), shift: Shift, mut visit: impl FnMut(Option<(usize, usize)>, f64)) {
-        let Shape { nx, ny, .. } = self.shape;
+        let Shape { nx, ny, .. } = self.parts.shape;
         for (u, wu) in [(0, 1.0 - shift.fraction[0]), (1, shift.fraction[0])] {
             for (v, wv) in [(0, 1.0 - shift.fraction[1]), (1, shift.fraction[1])] {
                 if wu * wv > 0.0 {
@@ -29,16 +30,16 @@ impl LatticeMdp {
     /// Q-value of the step that arrives with a bevel, without the cost of turning.
     #[inline]
     fn q_arriving(&self, (i, j, k): (usize, usize, usize), arriving: usize, values: &[f64]) -> f64 {
-        let costs = &self.setup.costs;
-        let Region { step, stencil, .. } = self.region(i, j);
+        let costs = &self.parts.costs;
+        let Region { step_cost: step, stencil, .. } = self.parts.region(i, j);
         match self.outcome(i, j, k, arriving) {
             outcome::TARGET => return *step,
             outcome::COLLISION => return step + costs.collision,
             outcome::EXIT => return step + costs.exit,
             _ => {}
         }
-        let Shape { ny, headings, .. } = self.shape;
-        let noise = &self.setup.noise;
+        let Shape { ny, headings, .. } = self.parts.shape;
+        let noise = &self.parts.noise;
         let reach = noise.len() - 1;
         let turned = (k + headings * noise.len() + 2 * arriving - 1) % headings;
         let mut expectation = 0.0;
@@ -68,11 +69,11 @@ impl LatticeMdp {
 
 impl Mdp for LatticeMdp {
     fn states(&self) -> usize {
-        self.shape.states()
+        self.parts.shape.states()
     }
 
     fn discount(&self) -> f64 {
-        self.setup.costs.discount
+        self.parts.costs.discount
     }
 
     fn actions(&self, state: usize) -> usize {
@@ -87,10 +88,10 @@ impl Mdp for LatticeMdp {
 
     fn stage_cost(&self, state: usize, action: usize) -> f64 {
         let (i, j, k, b) = self.coordinates(state);
-        let costs = &self.setup.costs;
+        let costs = &self.parts.costs;
         let arriving = b ^ action;
-        let region = self.region(i, j);
-        let mut cost = region.step + if action == 1 { costs.rotation } else { 0.0 };
+        let region = self.parts.region(i, j);
+        let mut cost = region.step_cost + if action == 1 { costs.rotation } else { 0.0 };
         match self.outcome(i, j, k, arriving) {
             outcome::COLLISION => cost += costs.collision,
             outcome::EXIT => cost += costs.exit,
@@ -106,18 +107,18 @@ impl Mdp for LatticeMdp {
 
     fn for_each_successor(&self, state: usize, action: usize, mut visit: impl FnMut(usize, f64)) {
         let (i, j, k, b) = self.coordinates(state);
-        let Shape { ny, headings, .. } = self.shape;
+        let Shape { ny, headings, .. } = self.parts.shape;
         let arriving = b ^ action;
         if self.outcome(i, j, k, arriving) != outcome::CONTINUES {
             return;
         }
         let turned = k as i64 + if arriving == 1 { 1 } else { -1 };
-        let reach = self.setup.noise.len() as i64 - 1;
-        self.for_each_corner((i, j), self.region(i, j).stencil[k][arriving], |corner, weight| {
+        let reach = self.parts.noise.len() as i64 - 1;
+        self.for_each_corner((i, j), self.parts.region(i, j).stencil[k][arriving], |corner, weight| {
             let Some((i, j)) = corner else { return };
             for m in -reach..=reach {
                 let heading = (turned + m).rem_euclid(headings as i64) as usize;
-                let probability = weight * self.setup.noise[m.unsigned_abs() as usize];
+                let probability = weight * self.parts.noise[m.unsigned_abs() as usize];
                 if probability > 0.0 {
                     visit(((i * ny + j) * headings + heading) * 2 + arriving, probability);
                 }
@@ -132,17 +133,17 @@ impl Mdp for LatticeMdp {
             return (self.value_at(code), 0);
         }
         let insert = self.q_arriving((i, j, k), b, values);
-        let rotate = self.q_arriving((i, j, k), 1 - b, values) + self.setup.costs.rotation;
+        let rotate = self.q_arriving((i, j, k), 1 - b, values) + self.parts.costs.rotation;
         if rotate < insert { (rotate, 1) } else { (insert, 0) }
     }
 
     /// Without a discount the cheaper failure, which is what most of a hard workspace is worth; with one, 0 as in the thesis.
     fn start_value(&self) -> f64 {
-        let costs = &self.setup.costs;
+        let costs = &self.parts.costs;
         if costs.discount < 1.0 { 0.0 } else { costs.exit.min(costs.collision) }
     }
 
     fn least_stage_cost(&self) -> f64 {
-        self.regions.iter().fold(f64::INFINITY, |least, region| least.min(region.step))
+        self.parts.regions.iter().fold(f64::INFINITY, |least, region| least.min(region.step_cost))
     }
 }

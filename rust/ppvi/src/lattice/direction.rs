@@ -1,7 +1,9 @@
 //! The four directions in which headings move over the grid, and the headings of each.
 
+use std::f64::consts::TAU;
+
+use crate::lattice::parts::{Shape, Shift};
 use crate::lattice::plane::Plane;
-use crate::lattice::{Shape, Shift};
 
 /// The grid direction in which a heading moves the most, in cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -15,8 +17,14 @@ pub(crate) enum Direction {
 impl Direction {
     pub(crate) const ALL: [Direction; 4] = [Direction::Right, Direction::Up, Direction::Left, Direction::Down];
 
-    /// The direction of a heading, measured in cells.
-    pub(crate) fn of(heading: f64, spacing: [f64; 2]) -> Self {
+    /// The directions of all headings of a circle, on a grid of this spacing.
+    pub(crate) fn of_headings(headings: usize, spacing: [f64; 2]) -> Vec<Self> {
+        let step = TAU / headings as f64;
+        (0..headings).map(|k| Self::of(k as f64 * step, spacing)).collect()
+    }
+
+    /// The direction of a heading (rad), measured in cells.
+    fn of(heading: f64, spacing: [f64; 2]) -> Self {
         let (sin, cos) = heading.sin_cos();
         let (x, y) = (cos / spacing[0], sin / spacing[1]);
         match (x.abs() >= y.abs(), x > 0.0, y > 0.0) {

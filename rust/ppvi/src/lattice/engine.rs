@@ -2,24 +2,24 @@
 
 use rayon::prelude::*;
 
-use crate::lattice::LatticeMdp;
-use crate::lattice::backup::{self, Around};
+use crate::lattice::backup::{self, SweepContext};
 use crate::lattice::direction::Arc;
-use crate::lattice::endings::Endings;
 use crate::lattice::halo::Halo;
-use crate::lattice::kernel::Numbers;
+use crate::lattice::kernel::{StageCosts, Vectorized};
+use crate::lattice::model::LatticeMdp;
 use crate::lattice::real::Real;
-use crate::lattice::sector::{Sector, Task};
-use crate::lattice::store::{Part, Store};
+use crate::lattice::sector::{PassInputs, Sector};
+use crate::lattice::store::{Store, TableWriter};
+use crate::lattice::terminal_mask::TerminalMask;
 
 /// The state of an iteration; with a policy its passes evaluate that, without they take the better action.
 pub(crate) struct Engine<'a, T: Copy> {
     lattice: &'a LatticeMdp,
-    endings: &'a Endings,
+    terminal_masks: &'a [TerminalMask],
     sectors: Vec<Sector<T>>,
     halos: Vec<Halo<T>>,
     noise: Vec<T>,
-    numbers: Numbers<T>,
+    costs: StageCosts<T>,
     /// By sector.
     changes: Vec<Change>,
     /// What sweeps have kept.
@@ -33,7 +33,7 @@ pub(crate) struct Engine<'a, T: Copy> {
 struct Change {
     /// During its last sweep.
     during: f64,
-    /// Since then, at the seams.
+    /// Since then, at the interfaces between sectors.
     since: f64,
 }
 
@@ -50,30 +50,30 @@ pub(crate) struct Tables {
     pub again: bool,
 }
 
-impl<'a, T: Real> Engine<'a, T> {
-    /// `endings` are those of the lattice, or others of the same shape.
+impl<'a, T: Vectorized> Engine<'a, T> {
+    /// `terminal_masks` are those of the lattice, or others of the same shape.
     pub(crate) fn new(
         lattice: &'a LatticeMdp,
-        endings: &'a Endings,
-        numbers: &Numbers<f64>,
+        terminal_masks: &'a [TerminalMask],
+        costs: &StageCosts<f64>,
         start: f64,
         policy: Option<&[u8]>,
     ) -> Self {
-        let numbers = numbers.cast::<T>();
-        let noise: Vec<T> = lattice.setup.noise.iter().map(|p| T::of(*p)).collect();
-        let task = Task { lattice, noise: &noise, numbers: &numbers };
+        let costs = costs.cast::<T>();
+        let noise: Vec<T> = lattice.parts.noise.iter().map(|p| T::of(*p)).collect();
+        let inputs = PassInputs { lattice, noise: &noise, costs: &costs };
         let start = T::of(start);
         let (sectors, halos): (Vec<_>, Vec<_>) = Arc::all(&lattice.directions)
             .into_par_iter()
             .map(|arc| {
-                let sector = Sector::new(task, arc, start, policy);
-                let halo = Halo::new(&sector, noise.len(), start, numbers.outside());
+                let sector = Sector::new(inputs, arc, start, policy);
+                let halo = Halo::new(&sector, noise.len(), start, costs.outside());
                 (sector, halo)
             })
             .unzip();
         let changes = sectors.iter().map(|_| Change::default()).collect();
         let kept = vec![None; sectors.len()];
-        Engine { lattice, endings, sectors, halos, noise, numbers, changes, store: None, kept }
+        Engine { lattice, terminal_masks, sectors, halos, noise, costs, changes, store: None, kept }
     }
 
     /// Number of sectors.
@@ -84,7 +84,7 @@ impl<'a, T: Real> Engine<'a, T> {
     /// Takes over the state of an engine of another precision.
     pub(crate) fn load<S: Real>(&mut self, other: &Engine<'_, S>) {
         self.sectors.par_iter_mut().zip(&other.sectors).for_each(|(sector, other)| sector.load(other));
-        let (sectors, headings) = (&self.sectors, self.lattice.shape.headings);
+        let (sectors, headings) = (&self.sectors, self.lattice.parts.shape.headings);
         self.halos.par_iter_mut().enumerate().for_each(|(of, halo)| halo.pull(sectors, of, headings));
     }
 
@@ -92,8 +92,8 @@ impl<'a, T: Real> Engine<'a, T> {
     ///
     /// There are two waves: right and left (`vertical` is false), up and down. The sectors of a wave read only themselves and
     /// their halos. A value is the exact backup of what it has read; its residual is at most the discount times what that
-    /// has changed since: the halos (the *seam*, seen as they are pulled again), and W of sectors in which steps read columns
-    /// that are swept later. Seams are not looked at closely where they are far from `threshold`. With `keep` the values are
+    /// has changed since: the halos (the *interface change*, computed when they are refreshed), and W of sectors in which steps read columns
+    /// that are swept later. Interface changes far above `threshold` are computed roughly. With `keep` the values are
     /// written for the tables.
     pub(crate) fn wave(&mut self, vertical: bool, threshold: f64, keep: bool) -> f64 {
         self.sweep(|sector| sector.arc.direction.is_vertical() == vertical, keep);
@@ -111,19 +111,19 @@ impl<'a, T: Real> Engine<'a, T> {
 
     /// Sweeps some sectors, side by side.
     fn sweep(&mut self, chosen: impl Fn(&Sector<T>) -> bool + Sync, keep: bool) {
-        let Engine { lattice, endings, sectors, halos, noise, numbers, changes, store, kept } = self;
-        let task = Task { lattice, noise, numbers };
+        let Engine { lattice, terminal_masks, sectors, halos, noise, costs, changes, store, kept } = self;
+        let inputs = PassInputs { lattice, noise, costs };
         let arcs = sectors.iter().map(|sector| sector.arc);
-        let tables: Vec<Option<Part<'_>>> = if keep {
-            store.get_or_insert_with(|| Store::new(lattice.shape)).parts(arcs).into_iter().map(Some).collect()
+        let tables: Vec<Option<TableWriter<'_>>> = if keep {
+            store.get_or_insert_with(|| Store::new(lattice.parts.shape)).parts(arcs).into_iter().map(Some).collect()
         } else {
             arcs.map(|_| None).collect()
         };
         let results = changes.par_iter_mut().zip(kept);
-        let all = sectors.par_iter_mut().zip(&*halos).zip(*endings).zip(tables).zip(results);
+        let all = sectors.par_iter_mut().zip(&*halos).zip(*terminal_masks).zip(tables).zip(results);
         let chosen = all.filter(|((((sector, _), _), _), _)| chosen(sector));
-        chosen.for_each(|((((sector, halo), endings), table), (change, kept))| {
-            let swept = backup::sweep(sector, Around { task, endings, halo, table });
+        chosen.for_each(|((((sector, halo), terminal_mask), table), (change, kept))| {
+            let swept = backup::sweep(sector, SweepContext { inputs, terminal_mask, halo, table });
             *change = Change { during: swept.change, since: 0.0 };
             *kept = keep.then_some(swept.largest);
         });
@@ -134,8 +134,8 @@ impl<'a, T: Real> Engine<'a, T> {
         let Engine { lattice, sectors, halos, noise, changes, .. } = self;
         let stale = halos.par_iter_mut().zip(&mut *changes).enumerate().filter(|(of, _)| stale(&sectors[*of]));
         stale.for_each(|(of, (halo, change))| {
-            halo.pull(sectors, of, lattice.shape.headings);
-            change.since += halo.seam(sectors[of].arc.count, noise, threshold);
+            halo.pull(sectors, of, lattice.parts.shape.headings);
+            change.since += halo.interface_change(sectors[of].arc.count, noise, threshold);
         });
         self.bound()
     }
@@ -143,7 +143,7 @@ impl<'a, T: Real> Engine<'a, T> {
     /// The bound of [`Engine::wave`].
     fn bound(&self) -> f64 {
         let largest = self.changes.iter().fold(0.0, |max, change| f64::max(max, change.during + change.since));
-        largest * self.numbers.discount.widen()
+        largest * self.costs.discount.widen()
     }
 
     /// About the largest finite value.
@@ -155,7 +155,7 @@ impl<'a, T: Real> Engine<'a, T> {
     ///
     /// Where the last sweep of a sector did not keep its values, every state is backed up once more, each sector with the
     /// halos that it has. For the wave that was swept last they are those of its last sweep, so that nothing changes; the
-    /// other wave has new ones, and so the last wave sees another seam.
+    /// other wave has new ones, and so the last wave finds another interface change.
     pub(crate) fn tables(&mut self, threshold: f64) -> Tables {
         let again = self.kept.iter().any(Option::is_none);
         if again {

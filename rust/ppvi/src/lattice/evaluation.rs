@@ -5,8 +5,9 @@
 
 use crate::error::{Error, Result};
 use crate::lattice::engine::Engine;
-use crate::lattice::kernel::{Numbers, Step};
-use crate::lattice::{LatticeMdp, Region, outcome};
+use crate::lattice::kernel::{StageCosts, StepCosts};
+use crate::lattice::model::LatticeMdp;
+use crate::lattice::parts::{Region, outcome};
 
 /// Limit on the passes of an evaluation.
 const MAX_PASSES: u64 = 2000;
@@ -27,30 +28,30 @@ pub struct Evaluation {
 
 /// Probability that the policy (table layout) reaches the target.
 pub fn success(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
-    let mut ended = [0.0; outcome::CODES];
-    ended[outcome::TARGET as usize] = 1.0;
-    ended[outcome::AT_TARGET as usize] = 1.0;
-    evaluate(lattice, policy, 0.0, |_| Step { cost: 0.0, ended })
+    let mut terminal = [0.0; outcome::CODES];
+    terminal[outcome::TARGET as usize] = 1.0;
+    terminal[outcome::AT_TARGET as usize] = 1.0;
+    evaluate(lattice, policy, 0.0, |_| StepCosts { cost: 0.0, terminal })
 }
 
 /// Probability that the execution ends at all.
 pub fn termination(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
-    evaluate(lattice, policy, 0.0, |_| Step { cost: 0.0, ended: [1.0; outcome::CODES] })
+    evaluate(lattice, policy, 0.0, |_| StepCosts { cost: 0.0, terminal: [1.0; outcome::CODES] })
 }
 
 /// Expected inserted length until the execution ends, mm; meaningful where [`termination`] is one.
 pub fn length(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
     evaluate(lattice, policy, 0.0, |region| {
-        let cost = region.needle.step_length();
-        let mut ended = [0.0; outcome::CODES];
-        ended[1..4].fill(cost);
-        Step { cost, ended }
+        let cost = region.step_length;
+        let mut terminal = [0.0; outcome::CODES];
+        terminal[1..4].fill(cost);
+        StepCosts { cost, terminal }
     })
 }
 
 /// Expected number of turns until the execution ends; meaningful where [`termination`] is one.
 pub fn turns(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
-    evaluate(lattice, policy, 1.0, |_| Step { cost: 0.0, ended: [0.0; outcome::CODES] })
+    evaluate(lattice, policy, 1.0, |_| StepCosts { cost: 0.0, terminal: [0.0; outcome::CODES] })
 }
 
 /// Expected length and number of turns, in table layout.
@@ -84,16 +85,16 @@ fn evaluate(
     lattice: &LatticeMdp,
     policy: &[u8],
     rotation: f64,
-    step: impl Fn(&Region) -> Step<f64>,
+    step: impl Fn(&Region) -> StepCosts<f64>,
 ) -> Result<Evaluation> {
-    let numbers = &Numbers { rotation, discount: 1.0, steps: lattice.regions.iter().map(step).collect() };
-    let states = lattice.shape.states();
+    let costs = &StageCosts { rotation, discount: 1.0, steps: lattice.parts.regions.iter().map(step).collect() };
+    let states = lattice.parts.shape.states();
     if policy.len() != states {
         return Err(Error::Length { name: "policy", expected: states, found: policy.len() });
     }
-    let mut engine = Engine::<f32>::new(lattice, &lattice.endings, numbers, 0.0, Some(policy));
-    let ended = numbers.steps.iter().flat_map(|step| step.ended);
-    let largest = ended.fold(numbers.rotation, f64::max);
+    let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, costs, 0.0, Some(policy));
+    let terminal = costs.steps.iter().flat_map(|step| step.terminal);
+    let largest = terminal.fold(costs.rotation, f64::max);
     let mut change = f64::INFINITY;
     let mut converged = false;
     let mut scale = largest;

@@ -5,8 +5,10 @@
 
 use multiversion::multiversion;
 
-use crate::lattice::LANES;
+use crate::lattice::kernel::Vectorized;
 use crate::lattice::lanes::Lanes;
+use crate::lattice::parts::LANES;
+use crate::lattice::plane::copy_few;
 use crate::lattice::real::Real;
 use crate::lattice::sector::Sector;
 use crate::memory::Array;
@@ -31,7 +33,7 @@ pub(crate) struct Halo<T: Copy> {
 /// V of a strip by bevel: the halo below, the sector, the halo above.
 pub(crate) type Values<T> = [Vec<[T; LANES]>; 2];
 
-impl<T: Real> Halo<T> {
+impl<T: Vectorized> Halo<T> {
     /// A halo of `start` values, for noise with `reach` = taps on one side, plus one for the step itself.
     pub(crate) fn new(sector: &Sector<T>, reach: usize, start: T, padding: T) -> Self {
         // Steps turn the heading by one to the side of their bevel.
@@ -56,7 +58,7 @@ impl<T: Real> Halo<T> {
     }
 
     /// Room for the values of a strip.
-    pub(crate) fn around(&self, count: usize) -> Values<T> {
+    pub(crate) fn strip_buffer(&self, count: usize) -> Values<T> {
         self.beyond.map(|[below, above]| vec![[T::default(); LANES]; below + count + above])
     }
 
@@ -111,7 +113,7 @@ impl<T: Real> Halo<T> {
 
     /// How much the last pull changes what a sector with `count` headings reads of W, at most; roughly, where that is far
     /// above `threshold`.
-    pub(crate) fn seam(&self, count: usize, noise: &[T], threshold: f64) -> f64 {
+    pub(crate) fn interface_change(&self, count: usize, noise: &[T], threshold: f64) -> f64 {
         // Steps that arrive with bevel -1 read headings -1 .. count - 1, those with bevel +1 the headings 1 .. count + 1.
         let centres = [0, 1].map(|bevel: usize| (2 * bevel as i64 - 1)..(count as i64 + 2 * bevel as i64 - 1));
         let mut rows = Vec::new();
@@ -134,16 +136,6 @@ impl<T: Real> Halo<T> {
     }
 }
 
-/// `to.copy_from_slice(from)`, quick for the numbers of planes that the noise of the thesis asks for.
-#[inline(always)]
-pub(crate) fn copy_few<A: Copy>(to: &mut [A], from: &[A]) {
-    match (to, from) {
-        ([to], [from]) => *to = *from,
-        ([a, b, c], [x, y, z]) => (*a, *b, *c) = (*x, *y, *z),
-        (to, from) => to.copy_from_slice(from),
-    }
-}
-
 /// The layout of a halo.
 #[derive(Clone, Copy)]
 struct To<T> {
@@ -163,7 +155,7 @@ fn copy_planes<T: Real>(source: &Sector<T>, to: &mut [T], To { planes, .. }: To<
 }
 
 /// Copies edges of a sector to a halo in which its places are the grid points of strips; `pairs` are planes from and to.
-fn transpose_planes<T: Real>(source: &Sector<T>, to: &mut [T], layout: To<T>, pairs: &[(usize, usize)]) {
+fn transpose_planes<T: Vectorized>(source: &Sector<T>, to: &mut [T], layout: To<T>, pairs: &[(usize, usize)]) {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") {
         // SAFETY: the processor has AVX2.
@@ -174,7 +166,7 @@ fn transpose_planes<T: Real>(source: &Sector<T>, to: &mut [T], layout: To<T>, pa
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn transpose_avx2<T: Real>(source: &Sector<T>, to: &mut [T], layout: To<T>, pairs: &[(usize, usize)]) {
+fn transpose_avx2<T: Vectorized>(source: &Sector<T>, to: &mut [T], layout: To<T>, pairs: &[(usize, usize)]) {
     transpose_squares::<T, T::Vector>(source, to, layout, pairs);
 }
 

@@ -1,50 +1,76 @@
 //! The arithmetic of a sweep, for a strip of [`LANES`] neighbouring grid points at a time.
 //!
-//! Numbers of a strip are vectors ([`Lanes`]).
+//! StageCosts of a strip are vectors ([`Lanes`]).
 
+#[cfg(target_arch = "x86_64")]
+use crate::lattice::avx2;
 use crate::lattice::lanes::Lanes;
+use crate::lattice::parts::{LANES, outcome};
 use crate::lattice::real::Real;
-use crate::lattice::{LANES, outcome};
 
-/// The numbers a backup needs.
+/// A floating-point type with the fastest vectors of the target: AVX2 on x86.
+pub(crate) trait Vectorized: Real {
+    type Vector: Lanes<Self>;
+}
+
+#[cfg(target_arch = "x86_64")]
+impl Vectorized for f32 {
+    type Vector = avx2::Single;
+}
+
+#[cfg(target_arch = "x86_64")]
+impl Vectorized for f64 {
+    type Vector = avx2::Double;
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+impl<T: Real> Vectorized for T {
+    type Vector = [T; LANES];
+}
+
+/// The costs and the discount that a backup needs.
 #[derive(Debug, Clone)]
-pub(crate) struct Numbers<T> {
-    /// Cost of turning.
+pub(crate) struct StageCosts<T> {
+    /// Cost of switching the bevel.
     pub rotation: T,
     /// Discount factor.
     pub discount: T,
     /// By region; there is at least one.
-    pub steps: Vec<Step<T>>,
+    pub steps: Vec<StepCosts<T>>,
 }
 
-/// The numbers of a step in a region.
+/// The costs of a step in a region.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Step<T> {
-    /// Cost of a step that goes on.
+pub(crate) struct StepCosts<T> {
+    /// Cost of a step that continues.
     pub cost: T,
     /// Q-value by outcome code; the first is not used.
-    pub ended: [T; outcome::CODES],
+    pub terminal: [T; outcome::CODES],
 }
 
-impl<T: Real> Numbers<T> {
+impl<T: Real> StageCosts<T> {
     pub(crate) fn outside(&self) -> T {
-        self.steps[0].ended[outcome::OUTSIDE as usize]
+        self.steps[0].terminal[outcome::OUTSIDE as usize]
     }
 
-    pub(crate) fn cast<S: Real>(&self) -> Numbers<S> {
+    pub(crate) fn cast<S: Real>(&self) -> StageCosts<S> {
         let cast = |value: T| S::of(value.widen());
-        Numbers {
+        StageCosts {
             rotation: cast(self.rotation),
             discount: cast(self.discount),
-            steps: self.steps.iter().map(|step| Step { cost: cast(step.cost), ended: step.ended.map(cast) }).collect(),
+            steps: self
+                .steps
+                .iter()
+                .map(|step| StepCosts { cost: cast(step.cost), terminal: step.terminal.map(cast) })
+                .collect(),
         }
     }
 }
 
 /// Q-values of steps, given E V(s') of those that go on.
 #[inline(always)]
-pub(crate) fn q_values<T: Real, V: Lanes<T>>(to: V, codes: &[u8; LANES], step: &Step<T>, discount: T) -> V {
-    V::splat(step.cost).add(V::splat(discount).mul(to)).or_ended(codes, &step.ended)
+pub(crate) fn q_values<T: Real, V: Lanes<T>>(to: V, codes: &[u8; LANES], step: &StepCosts<T>, discount: T) -> V {
+    V::splat(step.cost).add(V::splat(discount).mul(to)).or_terminal(codes, &step.terminal)
 }
 
 /// The bilinear mean of the four grid points around a displaced position.

@@ -3,8 +3,8 @@
 //! The loops of a sweep are written with these, once for all processors: arrays are the vectors that every processor has,
 //! [`avx2`](crate::lattice::avx2) has those of x86. Both compute the same bits: there are no fused multiply-adds.
 
+use crate::lattice::parts::{LANES, outcome};
 use crate::lattice::real::Real;
-use crate::lattice::{LANES, outcome};
 
 /// A vector of numbers; operations are element by element.
 pub(crate) trait Lanes<T>: Copy {
@@ -13,14 +13,15 @@ pub(crate) trait Lanes<T>: Copy {
     fn store(self, to: &mut [T; LANES]);
     fn add(self, other: Self) -> Self;
     fn mul(self, other: Self) -> Self;
-    /// `self` where it is less, else `other`.
-    fn lesser(self, other: Self) -> Self;
-    /// The same with a minus sign where it is `self`; for numbers that are not negative.
-    fn lesser_marked(self, other: Self) -> Self;
-    /// `self` for steps that go on, else what stands in the table for their code.
-    fn or_ended(self, codes: &[u8; LANES], ended: &[T; outcome::CODES]) -> Self;
-    /// `turned` where the policy says so, else `self`.
-    fn or_turned(self, turned: Self, turns: &[u8; LANES]) -> Self;
+    /// The lesser of `self` and `other`; `other` where neither is less.
+    fn minimum(self, other: Self) -> Self;
+    /// [`Lanes::minimum`] with the argument that attains it in the sign: minus for `self`, plus for `other`. For numbers that
+    /// are not negative.
+    fn min_with_argmin(self, other: Self) -> Self;
+    /// `self` for steps that continue, otherwise the entry of `terminal` for the code of the step.
+    fn or_terminal(self, codes: &[u8; LANES], terminal: &[T; outcome::CODES]) -> Self;
+    /// `rotated` where `mask` is not zero, otherwise `self`.
+    fn or_rotated(self, rotated: Self, mask: &[u8; LANES]) -> Self;
     /// In single precision.
     fn narrow(self) -> Self::Narrow;
     type Narrow: Narrow;
@@ -70,26 +71,26 @@ impl<T: Real> Lanes<T> for [T; LANES] {
     }
 
     #[inline(always)]
-    fn lesser(self, other: Self) -> Self {
+    fn minimum(self, other: Self) -> Self {
         std::array::from_fn(|l| if self[l] < other[l] { self[l] } else { other[l] })
     }
 
     #[inline(always)]
-    fn lesser_marked(self, other: Self) -> Self {
+    fn min_with_argmin(self, other: Self) -> Self {
         std::array::from_fn(|l| if self[l] < other[l] { self[l].negative() } else { other[l] })
     }
 
     #[inline(always)]
-    fn or_ended(self, codes: &[u8; LANES], ended: &[T; outcome::CODES]) -> Self {
+    fn or_terminal(self, codes: &[u8; LANES], terminal: &[T; outcome::CODES]) -> Self {
         std::array::from_fn(|l| match usize::from(codes[l]) % outcome::CODES {
             0 => self[l],
-            code => ended[code],
+            code => terminal[code],
         })
     }
 
     #[inline(always)]
-    fn or_turned(self, turned: Self, turns: &[u8; LANES]) -> Self {
-        std::array::from_fn(|l| if turns[l] != 0 { turned[l] } else { self[l] })
+    fn or_rotated(self, rotated: Self, mask: &[u8; LANES]) -> Self {
+        std::array::from_fn(|l| if mask[l] != 0 { rotated[l] } else { self[l] })
     }
 
     #[inline(always)]

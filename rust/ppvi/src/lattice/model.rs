@@ -1,226 +1,95 @@
-//! The structured MDP of a planar needle: positions on a grid, headings on a circle, two bevel sides.
-//!
-//! A state is `(i, j, k, b)`: grid column, grid row, heading index, bevel (0: -1, 1: +1). Action 0 inserts, action 1
-//! turns the needle by 180 degrees and then inserts, so the step always *arrives* with a bevel b' = b xor action.
-//! What the step does depends on (k, b') and the region of equal curvature, not on the action:
-//!
-//! ```text
-//! position   moves by stencil[k][b'], the same all over a region           (a displacement stencil)
-//! heading    k + (b' ? +1 : -1) + m with probability noise[|m|]            (a circular convolution)
-//! outcome    continues, or ends at target, obstacle or border              (2-3 bits, from `workspace`)
-//! ```
-//!
-//! so with W(k', b') = sum over m of noise[|m|] V(k' + m, b') the Q-values are shifted reads of W, and
-//! V(b) = min(Q(b), rotation + Q(1 - b)). `sector` and `sweep` turn that into code; this file is the definition, and it
-//! is an [`Mdp`](crate::Mdp) like any other, with the states numbered as in the table: `((i * ny + j) * headings + k) * 2 + b`.
+//! The lattice MDP: its parts, the outcomes of all steps, and how they are stored.
 
-#[cfg(target_arch = "x86_64")]
-pub(crate) mod avx2;
-pub(crate) mod backup;
-mod classification;
-mod definition;
-pub(crate) mod direction;
-pub(crate) mod endings;
-pub(crate) mod engine;
-pub mod evaluation;
-pub(crate) mod halo;
-pub(crate) mod kernel;
-pub(crate) mod lanes;
-pub(crate) mod plane;
-pub(crate) mod real;
-pub(crate) mod region;
-pub(crate) mod sector;
-pub(crate) mod store;
-pub mod sweep;
+use rayon::prelude::*;
 
-use crate::bicycle::Bicycle;
-use crate::error::{Error, Result, parameter};
+use crate::error::{Error, Result};
 use crate::lattice::direction::Direction;
-use crate::lattice::endings::{Endings, endings};
-pub use crate::lattice::region::Shift;
-use crate::lattice::region::{Region, regions};
+use crate::lattice::parts::{LatticeParts, Shape, Transition, outcome};
+use crate::lattice::plane::{Plane, copy};
+use crate::lattice::terminal_mask::{TerminalMask, terminal_masks};
+use crate::memory::filled;
 use crate::partition::Partition;
-use crate::tissues::Tissues;
-use crate::workspace::{Workspace, grid_points};
 
-/// Outcome codes of a step; [`Event`]s have the same numbers.
-pub mod outcome {
-    /// The execution goes on.
-    pub const CONTINUES: u8 = 0;
-    /// Ends at the target.
-    pub const TARGET: u8 = 1;
-    /// Ends in an obstacle.
-    pub const COLLISION: u8 = 2;
-    /// Ends outside the workspace.
-    pub const EXIT: u8 = 3;
-    /// The state itself is an obstacle point (absorbing).
-    pub const AT_OBSTACLE: u8 = 4;
-    /// The state itself is a target point (absorbing).
-    pub const AT_TARGET: u8 = 5;
-    /// Padding of rows: not a state.
-    pub(crate) const OUTSIDE: u8 = 6;
-    /// No policy surely ends from here: found by the solver, not by the geometry.
-    pub(crate) const ENDLESS: u8 = 7;
-    pub(crate) const CODES: usize = 8;
-}
-
-/// Grid points that a sweep looks at together: a vector of single precision. Rows are padded to a multiple of it.
-pub(crate) const LANES: usize = 8;
-
-/// Numbers of grid points and headings.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Shape {
-    /// Grid points along x.
-    pub nx: usize,
-    /// Grid points along y.
-    pub ny: usize,
-    /// Headings of a full turn.
-    pub headings: usize,
-}
-
-impl Shape {
-    /// Number of states.
-    pub fn states(&self) -> usize {
-        self.nx * self.ny * self.headings * 2
-    }
-}
-
-/// Costs of a step, of a rotation, of failures; the discount.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Costs {
-    /// Cost of inserting one step.
-    pub step: f64,
-    /// Cost of turning the needle.
-    pub rotation: f64,
-    /// Cost of hitting an obstacle.
-    pub collision: f64,
-    /// Cost of leaving the workspace.
-    pub exit: f64,
-    /// Discount factor, in (0, 1].
-    pub discount: f64,
-}
-
-impl Costs {
-    fn validate(&self) -> Result<()> {
-        for (name, value) in [("rotation", self.rotation), ("collision", self.collision), ("exit", self.exit)] {
-            if !(value >= 0.0 && value.is_finite()) {
-                return Err(parameter(name, value, "must be finite and not negative"));
-            }
-        }
-        if !(self.step >= 0.0 && self.step.is_finite()) {
-            return Err(parameter("insertion_per_mm", self.step, "must be finite and not negative"));
-        }
-        if !(self.discount > 0.0 && self.discount <= 1.0) {
-            return Err(parameter("discount", self.discount, "must be in (0, 1]"));
-        }
-        if self.discount == 1.0 && self.step == 0.0 {
-            return Err(parameter("insertion_per_mm", self.step, "must be positive where the discount is 1"));
-        }
-        Ok(())
-    }
-}
-
-/// How a displacement is brought back to the grid.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Transition {
-    /// To the nearest grid point (the thesis).
-    Nearest,
-    /// To the four grid points around it, with bilinear weights: unbiased.
-    Interpolated,
-}
-
-/// What a lattice is made from.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Setup {
-    /// Rectangle, obstacles, target.
-    pub workspace: Workspace,
-    /// Curvature and headings.
-    pub needle: Bicycle,
-    /// Grid spacing along x and y, mm.
-    pub spacing: [f64; 2],
-    /// P(0), P(+-1), P(+-2), ... heading steps.
-    pub noise: Vec<f64>,
-    /// Points of each arc that are tested.
-    pub arc_samples: usize,
-    /// Nearest or interpolated.
-    pub transition: Transition,
-    /// Costs and discount; the cost of a step is that of the needle's own radius.
-    pub costs: Costs,
-    /// Where the needle bends how much.
-    pub tissues: Tissues,
-}
-
-/// The lattice MDP; see the module for the mathematics.
+/// A Markov decision process on a lattice; [`crate::lattice`] has the mathematics.
 #[derive(Debug, Clone)]
 pub struct LatticeMdp {
-    pub(crate) setup: Setup,
-    pub(crate) shape: Shape,
-    /// The radii of curvature that occur at grid points.
-    pub(crate) regions: Vec<Region>,
-    /// Region by grid point, `[i][j]`; empty where there is only one.
-    pub(crate) region_of: Vec<u8>,
+    pub(crate) parts: LatticeParts,
     /// In which direction each heading moves.
     pub(crate) directions: Vec<Direction>,
-    /// `[heading][arriving bevel]` planes of `[i][j]`, or of `[j][i]` for headings that move vertically, since they are
-    /// swept in that order.
+    /// `[heading][arriving bevel]` planes of `[i][j]`, or of `[j][i]` for headings that move vertically, since sweeps
+    /// process them in that order.
     pub(crate) outcomes: Vec<u8>,
-    /// The same as runs.
-    pub(crate) endings: Endings,
+    /// The outcomes in the order of the sweeps, by sector.
+    pub(crate) terminal_masks: Vec<TerminalMask>,
 }
 
 impl LatticeMdp {
-    /// Validates the setup and classifies every arc.
-    pub fn new(setup: Setup) -> Result<Self> {
-        setup.costs.validate()?;
-        validate_noise(&setup.noise)?;
-        for (name, value) in [("spacing_mm", setup.spacing[0]), ("spacing_mm", setup.spacing[1])] {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(parameter(name, value, "must be positive and finite"));
-            }
-        }
-        if setup.arc_samples == 0 || setup.arc_samples > 1000 {
-            return Err(parameter("arc_samples", setup.arc_samples, "must be between 1 and 1000"));
-        }
-        let shape = Shape {
-            nx: grid_points(setup.workspace.size[0], setup.spacing[0])?,
-            ny: grid_points(setup.workspace.size[1], setup.spacing[1])?,
-            headings: setup.needle.headings,
-        };
-        let states = shape.nx as u128 * shape.ny as u128 * shape.headings as u128 * 2;
-        if states > 1 << 40 {
-            let rule = "more than 2^40 states; use a coarser grid or fewer headings";
-            return Err(Error::TooLarge { states, needed_bytes: states * 16, rule });
-        }
-        let (regions, region_of) = regions(&setup, shape)?;
-        let heading = |k| Direction::of(setup.needle.heading(k), setup.spacing);
-        let directions = (0..shape.headings).map(heading).collect();
-        let mut lattice =
-            LatticeMdp { setup, shape, regions, region_of, directions, outcomes: Vec::new(), endings: Vec::new() };
-        lattice.outcomes = lattice.classify();
-        lattice.endings = endings(&lattice, &lattice.outcomes);
-        Ok(lattice)
+    /// Validates the parts and takes the outcome of every step.
+    ///
+    /// `write_outcomes(k, bevel, codes)` is called once for each heading index `k` and arriving bevel index, on any
+    /// thread of the current rayon pool. It writes the [`outcome`] codes of the steps from all grid points to
+    /// `codes[i * ny + j]`; `codes` holds arbitrary codes before.
+    ///
+    /// # Errors
+    /// The errors of [`LatticeParts::validate`], and [`Error::Parameter`] for a code above [`outcome::AT_TARGET`].
+    ///
+    /// # Examples
+    /// A point that moves right on a row of five grid points, whichever its bevel, until it enters the last one:
+    ///
+    /// ```
+    /// use ppvi::StopRule;
+    /// use ppvi::lattice::{Costs, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, outcome, sweep};
+    ///
+    /// # fn main() -> ppvi::Result<()> {
+    /// let right = Shift { cell: [1, 0], fraction: [0.0, 0.0] };
+    /// let parts = LatticeParts {
+    ///     shape: Shape { nx: 5, ny: 1, headings: 1 },
+    ///     spacing: [1.0, 1.0],
+    ///     noise: vec![1.0],
+    ///     transition: Transition::Nearest,
+    ///     costs: Costs { step: 2.0, rotation: 1.0, collision: 100.0, exit: 100.0, discount: 1.0 },
+    ///     regions: vec![Region { step_length: 1.0, step_cost: 2.0, stencil: vec![[right, right]] }],
+    ///     region_of: Vec::new(),
+    /// };
+    /// let lattice = LatticeMdp::new(parts, |_, _, codes| {
+    ///     codes.copy_from_slice(&[0, 0, 0, outcome::TARGET, outcome::AT_TARGET]);
+    /// })?;
+    /// let solution = sweep::solve(&lattice, StopRule::new(1e-3)?, None)?;
+    /// assert_eq!(solution.values, [8.0, 8.0, 6.0, 6.0, 4.0, 4.0, 2.0, 2.0, 0.0, 0.0]);
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub fn new(parts: LatticeParts, write_outcomes: impl Fn(usize, usize, &mut [u8]) + Sync) -> Result<Self> {
+        parts.validate()?;
+        let directions = Direction::of_headings(parts.shape.headings, parts.spacing);
+        let outcomes = gather_outcomes(parts.shape, &directions, write_outcomes)?;
+        let terminal_masks = terminal_masks(&parts, &directions, &outcomes);
+        Ok(LatticeMdp { parts, directions, outcomes, terminal_masks })
     }
 
     /// Numbers of grid points and headings.
     pub fn shape(&self) -> Shape {
-        self.shape
+        self.parts.shape
     }
 
-    /// What it was made from.
-    pub fn setup(&self) -> &Setup {
-        &self.setup
+    /// The parts that define the problem.
+    pub fn parts(&self) -> &LatticeParts {
+        &self.parts
     }
 
     /// The regular grid partition of the thesis: `[px, py]` blocks of grid points, with all headings and bevels.
+    ///
+    /// # Errors
+    /// The errors of [`Partition::grid`].
     pub fn partition(&self, partitions: [usize; 2]) -> Result<Partition> {
-        let Shape { nx, ny, headings } = self.shape;
+        let Shape { nx, ny, headings } = self.parts.shape;
         let place = |state: usize| [state / 2 / headings / ny, state / 2 / headings % ny];
-        Partition::grid(self.shape.states(), [nx, ny], partitions, place)
+        Partition::grid(self.parts.shape.states(), [nx, ny], partitions, place)
     }
 
     /// Outcome codes in table layout.
     pub fn outcome_table(&self) -> Vec<u8> {
-        let Shape { nx, ny, headings } = self.shape;
+        let Shape { nx, ny, headings } = self.parts.shape;
         let states = (0..nx * ny).flat_map(|p| (0..headings * 2).map(move |plane| (p / ny, p % ny, plane)));
         states.map(|(i, j, plane)| self.outcome(i, j, plane / 2, plane % 2)).collect()
     }
@@ -230,58 +99,60 @@ impl LatticeMdp {
         self.outcomes[self.outcome_place(i, j, k, bevel)]
     }
 
-    /// Where the outcome of a step stands.
+    /// Index of the outcome of a step in `outcomes`.
     #[inline]
     pub(crate) fn outcome_place(&self, i: usize, j: usize, k: usize, bevel: usize) -> usize {
-        let Shape { nx, ny, .. } = self.shape;
+        let Shape { nx, ny, .. } = self.parts.shape;
         let vertical = self.directions[k].is_vertical();
-        self.outcome_plane(k, bevel) + if vertical { j * nx + i } else { i * ny + j }
-    }
-
-    /// How the needle bends at a grid point.
-    #[inline]
-    pub(crate) fn region(&self, i: usize, j: usize) -> &Region {
-        &self.regions[self.region_of.get(i * self.shape.ny + j).map_or(0, |region| usize::from(*region))]
-    }
-
-    /// Where the outcomes of a heading and an arriving bevel begin.
-    #[inline]
-    pub(crate) fn outcome_plane(&self, k: usize, bevel: usize) -> usize {
-        (k * 2 + bevel) * self.shape.nx * self.shape.ny
+        self.parts.shape.plane(k, bevel) + if vertical { j * nx + i } else { i * ny + j }
     }
 
     pub(crate) fn is_interpolated(&self) -> bool {
-        self.setup.transition == Transition::Interpolated
+        self.parts.transition == Transition::Interpolated
     }
 
-    /// Value of an absorbing state: zero, but with interpolation an obstacle point carries the collision's cost, since
-    /// it is a corner of cells from which one still can miss the obstacle.
+    /// Value of an absorbing state with this outcome code. It is zero, except for obstacle points with interpolation:
+    /// such a point is a corner of cells from which the obstacle can still be missed, so its value is the cost of a
+    /// collision.
     pub fn value_at(&self, code: u8) -> f64 {
-        match (code, self.setup.transition) {
-            (outcome::AT_OBSTACLE, Transition::Interpolated) => self.setup.costs.collision,
+        match (code, self.parts.transition) {
+            (outcome::AT_OBSTACLE, Transition::Interpolated) => self.parts.costs.collision,
             _ => 0.0,
         }
     }
 
-    /// The value of what lies outside the grid, where interpolation reaches there.
+    /// The value of positions outside the grid, which interpolation may read.
     pub fn value_outside(&self) -> f64 {
-        match self.setup.transition {
-            Transition::Interpolated => self.setup.costs.exit,
+        match self.parts.transition {
+            Transition::Interpolated => self.parts.costs.exit,
             Transition::Nearest => 0.0,
         }
     }
 }
 
-fn validate_noise(noise: &[f64]) -> Result<()> {
-    if noise.is_empty() || noise.len() > 64 {
-        return Err(parameter("tip_noise", format!("{} entries", noise.len()), "must have 1 to 64 entries"));
-    }
-    if let Some(p) = noise.iter().find(|p| !(**p >= 0.0 && p.is_finite())) {
-        return Err(parameter("tip_noise", p, "must be finite and not negative"));
-    }
-    let sum = noise[0] + 2.0 * noise[1..].iter().sum::<f64>();
-    if (sum - 1.0).abs() > 1e-9 {
-        return Err(parameter("tip_noise", sum, "P(0) + 2 P(1) + 2 P(2) + ... must be one"));
-    }
-    Ok(())
+/// All outcome codes, laid out as [`LatticeMdp::outcomes`] says.
+fn gather_outcomes(
+    shape: Shape,
+    directions: &[Direction],
+    write_outcomes: impl Fn(usize, usize, &mut [u8]) + Sync,
+) -> Result<Vec<u8>> {
+    let Shape { nx, ny, headings } = shape;
+    let mut outcomes = filled(0u8, headings * 2 * nx * ny);
+    outcomes.par_chunks_mut(nx * ny).enumerate().try_for_each_init(
+        || vec![0u8; nx * ny],
+        |plane, (row, to)| {
+            let (k, bevel) = (row / 2, row % 2);
+            write_outcomes(k, bevel, plane);
+            if let Some(code) = plane.iter().find(|code| **code > outcome::AT_TARGET) {
+                let found = format!("{code} at heading {k}, bevel index {bevel}");
+                return Err(Error::parameter("outcomes", found, "must be a code from CONTINUES to AT_TARGET"));
+            }
+            let vertical = directions[k].is_vertical();
+            let from = Plane { start: 0, stride: ny };
+            let into = Plane { start: 0, stride: if vertical { nx } else { ny } };
+            copy((plane, from), (to, into), [nx, ny], vertical, |code| code);
+            Ok(())
+        },
+    )?;
+    Ok(outcomes)
 }

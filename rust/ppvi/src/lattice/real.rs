@@ -2,7 +2,6 @@
 
 use std::ops::{Add, Mul, Sub};
 
-use crate::lattice::lanes::Lanes;
 use crate::memory::Plain;
 
 /// Single or double precision.
@@ -15,12 +14,10 @@ pub(crate) trait Real:
     fn widen(self) -> f64;
     fn magnitude(self) -> Self;
     fn negative(self) -> Self;
-    /// The fastest vectors, where they can be had: AVX2 on x86.
-    type Vector: Lanes<Self>;
 }
 
 macro_rules! real {
-    ($type:ty, $vector:ty) => {
+    ($type:ty) => {
         impl Real for $type {
             const EPSILON: f64 = <$type>::EPSILON as f64;
             #[inline(always)]
@@ -39,12 +36,8 @@ macro_rules! real {
             fn negative(self) -> Self {
                 -self
             }
-            #[cfg(target_arch = "x86_64")]
-            type Vector = $vector;
-            #[cfg(not(target_arch = "x86_64"))]
-            type Vector = [$type; crate::lattice::LANES];
         }
     };
 }
-real!(f32, crate::lattice::avx2::Single);
-real!(f64, crate::lattice::avx2::Double);
+real!(f32);
+real!(f64);

@@ -13,11 +13,11 @@
 use std::ops::Range;
 
 use crate::lattice::direction::Arc;
-use crate::lattice::halo::copy_few;
-use crate::lattice::kernel::Numbers;
-use crate::lattice::plane::{Plane, copy};
+use crate::lattice::kernel::StageCosts;
+use crate::lattice::model::LatticeMdp;
+use crate::lattice::parts::{LANES, Region, Shape, Shift};
+use crate::lattice::plane::{Plane, copy, copy_few};
 use crate::lattice::real::Real;
-use crate::lattice::{LANES, LatticeMdp, Region, Shape, Shift};
 use crate::memory::Array;
 
 /// W of the last columns, the values at the ends, and the steps of the headings of a sector.
@@ -37,7 +37,7 @@ pub(crate) struct Sector<T: Copy> {
     pub edges: Array<T>,
     pub ends: Ends,
     /// `[place][strip][count][bevel][LANES]`: whether the policy turns the needle; empty without a policy.
-    turns: Array<u8>,
+    policy_mask: Array<u8>,
     /// `[region][count][bevel]`, along (u, v).
     pub shifts: Vec<[Shift; 2]>,
     /// Whether every step reads only columns further downstream, as it does unless the grid is coarse for the step.
@@ -46,23 +46,23 @@ pub(crate) struct Sector<T: Copy> {
 
 /// What a whole pass is given.
 #[derive(Clone, Copy)]
-pub(crate) struct Task<'a, T> {
+pub(crate) struct PassInputs<'a, T> {
     pub lattice: &'a LatticeMdp,
     pub noise: &'a [T],
-    pub numbers: &'a Numbers<T>,
+    pub costs: &'a StageCosts<T>,
 }
 
 impl<T: Real> Sector<T> {
     /// A sector with values `start` everywhere; a policy makes its sweeps follow it.
-    pub(crate) fn new(task: Task<'_, T>, arc: Arc, start: T, policy: Option<&[u8]>) -> Self {
-        let Task { lattice, noise, numbers } = task;
-        let headings = lattice.shape.headings;
-        let extent = arc.extent(lattice.shape);
+    pub(crate) fn new(inputs: PassInputs<'_, T>, arc: Arc, start: T, policy: Option<&[u8]>) -> Self {
+        let PassInputs { lattice, noise, costs } = inputs;
+        let headings = lattice.parts.shape.headings;
+        let extent = arc.extent(lattice.parts.shape);
         let oriented = |region: &Region, q: usize| {
             region.stencil[arc.heading(q, headings)].map(|shift| arc.direction.orient(shift))
         };
         let by_heading = |region| (0..arc.count).map(move |q| oriented(region, q));
-        let shifts: Vec<[Shift; 2]> = lattice.regions.iter().flat_map(by_heading).collect();
+        let shifts: Vec<[Shift; 2]> = lattice.parts.regions.iter().flat_map(by_heading).collect();
         let downstream = shifts.iter().flatten().all(|shift| shift.cell[0] > 0);
         let reach = |axis: usize| {
             shifts.iter().flatten().map(|shift| shift.cell[axis].unsigned_abs() as usize + 1).max().unwrap_or(1)
@@ -76,11 +76,11 @@ impl<T: Real> Sector<T> {
             extent,
             lanes,
             pad,
-            convolved: Array::filled(numbers.outside(), columns * (arc.count + 2) * 2 * (lanes + 2 * pad[1])),
+            convolved: Array::filled(costs.outside(), columns * (arc.count + 2) * 2 * (lanes + 2 * pad[1])),
             mask: if downstream { columns - 1 } else { usize::MAX },
             edges: Array::filled(start, extent[0] * lanes * ends.planes()),
             ends,
-            turns: Array::filled(0, if policy.is_some() { extent[0] * arc.count * 2 * lanes } else { 0 }),
+            policy_mask: Array::filled(0, if policy.is_some() { extent[0] * arc.count * 2 * lanes } else { 0 }),
             shifts,
             downstream,
         };
@@ -88,7 +88,7 @@ impl<T: Real> Sector<T> {
             sector.fill_convolved(start);
         }
         if let Some(policy) = policy {
-            sector.import(policy, lattice.shape);
+            sector.import(policy, lattice.parts.shape);
         }
         sector
     }
@@ -134,7 +134,7 @@ impl<T: Real> Sector<T> {
     /// Copies the sector's part of a policy, given as a table.
     fn import(&mut self, policy: &[u8], shape: Shape) {
         let (arc, size) = (self.arc, self.arc.count * 2 * LANES);
-        for (number, strip) in self.turns.chunks_exact_mut(size).enumerate() {
+        for (number, strip) in self.policy_mask.chunks_exact_mut(size).enumerate() {
             let (place, first) = (number / (self.lanes / LANES), number % (self.lanes / LANES) * LANES);
             let length = LANES.min(self.extent[1] - first);
             for run in arc.runs(shape.headings) {
@@ -147,18 +147,18 @@ impl<T: Real> Sector<T> {
 
     /// Whether sweeps follow a policy.
     pub(crate) fn has_policy(&self) -> bool {
-        !self.turns.is_empty()
+        !self.policy_mask.is_empty()
     }
 
     /// What the policy says in a strip, `[heading][bevel]`; nothing without a policy.
     #[inline(always)]
-    pub(crate) fn turns(&self, place: usize, strip: usize) -> &[[[u8; LANES]; 2]] {
-        if self.turns.is_empty() {
+    pub(crate) fn policy_mask(&self, place: usize, strip: usize) -> &[[[u8; LANES]; 2]] {
+        if self.policy_mask.is_empty() {
             return &[];
         }
         let size = self.arc.count * 2 * LANES;
-        let turns = &self.turns[(place * self.strips() + strip) * size..][..size];
-        turns.as_chunks::<LANES>().0.as_chunks::<2>().0
+        let mask = &self.policy_mask[(place * self.strips() + strip) * size..][..size];
+        mask.as_chunks::<LANES>().0.as_chunks::<2>().0
     }
 
     /// The place of column `u`.

@@ -6,7 +6,7 @@ use std::marker::PhantomData;
 
 use crate::lattice::direction::Arc;
 use crate::lattice::lanes::Narrow;
-use crate::lattice::{LANES, Shape};
+use crate::lattice::parts::{LANES, Shape};
 use crate::memory::reserved;
 
 /// Tables that are being written, `[i][j][heading][bevel]`.
@@ -22,7 +22,7 @@ impl Store {
     }
 
     /// Parts of the tables, which may be written at the same time.
-    pub(crate) fn parts(&mut self, arcs: impl Iterator<Item = Arc>) -> Vec<Part<'_>> {
+    pub(crate) fn parts(&mut self, arcs: impl Iterator<Item = Arc>) -> Vec<TableWriter<'_>> {
         let (values, actions, shape) = (self.values.as_mut_ptr(), self.actions.as_mut_ptr(), self.shape);
         let mut owned = vec![false; shape.headings];
         let part = |arc: Arc| {
@@ -30,7 +30,7 @@ impl Store {
                 let before = std::mem::replace(&mut owned[arc.heading(q, shape.headings)], true);
                 assert!(!before, "no heading has two parts");
             }
-            Part { arc, shape, values, actions, table: PhantomData }
+            TableWriter { arc, shape, values, actions, table: PhantomData }
         };
         arcs.map(part).collect()
     }
@@ -52,7 +52,7 @@ impl Store {
 }
 
 /// The headings of a sector in tables.
-pub(crate) struct Part<'a> {
+pub(crate) struct TableWriter<'a> {
     arc: Arc,
     shape: Shape,
     values: *mut f32,
@@ -61,10 +61,10 @@ pub(crate) struct Part<'a> {
 }
 
 // SAFETY: parts of one table have no heading in common, so that no two write the same number; nothing is read.
-unsafe impl Send for Part<'_> {}
+unsafe impl Send for TableWriter<'_> {}
 
 /// A strip on the way to the tables.
-pub(crate) struct Kept {
+pub(crate) struct StagingBuffer {
     /// `[heading][bevel]`, a multiple of four headings.
     rows: Vec<[[f32; LANES]; 2]>,
     /// `[LANES][heading][bevel]`.
@@ -73,12 +73,12 @@ pub(crate) struct Kept {
     largest: [f32; LANES],
 }
 
-impl Kept {
+impl StagingBuffer {
     /// Room for `count` headings.
     pub(crate) fn new(count: usize) -> Self {
         let rows = vec![[[0.0; LANES]; 2]; count.next_multiple_of(LANES / 2)];
         let points = vec![0.0; rows.len() * 2 * LANES];
-        Kept { rows, points, largest: [0.0; LANES] }
+        StagingBuffer { rows, points, largest: [0.0; LANES] }
     }
 
     /// The values of the first `count` headings.
@@ -94,7 +94,7 @@ impl Kept {
 
     /// Writes the strip whose first grid point is `first` of the column at `place`.
     #[inline(always)]
-    pub(crate) fn write<V: Narrow>(&mut self, part: &mut Part<'_>, place: usize, first: usize) {
+    pub(crate) fn write<V: Narrow>(&mut self, part: &mut TableWriter<'_>, place: usize, first: usize) {
         let point = self.rows.len() * 2;
         let mut largest = V::load(&self.largest);
         for (number, rows) in self.rows.as_flattened().as_chunks::<LANES>().0.iter().enumerate() {
@@ -118,7 +118,7 @@ impl Kept {
     }
 }
 
-impl Part<'_> {
+impl TableWriter<'_> {
     /// Writes kept numbers of a few headings of this part from `at` on.
     #[inline(always)]
     fn write<V: Narrow>(&mut self, kept: &[f32], at: usize, largest: &mut V) {

@@ -12,8 +12,8 @@
 //! *Start.* V = the cheaper of the two failures, since that is what most of a hard workspace is worth.
 //!
 //! *Stop.* A value is the exact backup of what it has read, so its residual is at most the discount times the change of
-//! that since: within a sector there is none (steps lead downstream), and at the seams between sectors it is seen when the
-//! halos are pulled again. So a pass knows a bound on the residual of its values for next to nothing, and no pass is spent
+//! that since: within a sector there is none (steps lead downstream), and at the interfaces between sectors it is computed when
+//! the halos are refreshed. So a pass knows a bound on the residual of its values for next to nothing, and no pass is spent
 //! on proving what the others have done. To it comes the rounding of a backup.
 //!
 //! *Precision.* Single precision, and double precision from where rounding hides what the tolerance asks for.
@@ -21,15 +21,15 @@
 use std::time::Instant;
 
 use crate::error::Result;
-use crate::lattice::endings::{Endings, endings};
 use crate::lattice::engine::{Engine, Tables};
-use crate::lattice::kernel::{Numbers, Step};
-use crate::lattice::real::Real;
-use crate::lattice::{LatticeMdp, Region, Shift, outcome};
+use crate::lattice::kernel::{StageCosts, StepCosts, Vectorized};
+use crate::lattice::model::LatticeMdp;
+use crate::lattice::parts::{Region, Shift, outcome};
+use crate::lattice::terminal_mask::{TerminalMask, terminal_masks};
 use crate::mdp::Mdp;
 use crate::proper::proper_states;
 use crate::solution::Report;
-use crate::termination::{Certificate, Observer, Progress, Status, StopRule, Watch};
+use crate::termination::{Certificate, LimitMonitor, Observer, Progress, Status, StopRule};
 
 /// Values are written to the tables once the residual was below this many thresholds: a sweep divides it by five to ten, and
 /// two sweeps have to be kept.
@@ -49,25 +49,30 @@ pub struct LatticeSolution {
     pub report: Report,
 }
 
-/// The numbers of the planning problem itself.
-fn planning_numbers(lattice: &LatticeMdp) -> Numbers<f64> {
-    let costs = &lattice.setup.costs;
+/// The costs of the planning problem itself.
+fn planning_costs(lattice: &LatticeMdp) -> StageCosts<f64> {
+    let costs = &lattice.parts.costs;
     let at_obstacle = lattice.value_at(outcome::AT_OBSTACLE);
     let step = |region: &Region| {
-        let (cost, outside) = (region.step, lattice.value_outside());
+        let (cost, outside) = (region.step_cost, lattice.value_outside());
         let (collision, exit) = (cost + costs.collision, cost + costs.exit);
-        Step { cost, ended: [0.0, cost, collision, exit, at_obstacle, 0.0, outside, f64::INFINITY] }
+        StepCosts { cost, terminal: [0.0, cost, collision, exit, at_obstacle, 0.0, outside, f64::INFINITY] }
     };
-    Numbers { rotation: costs.rotation, discount: costs.discount, steps: lattice.regions.iter().map(step).collect() }
+    StageCosts {
+        rotation: costs.rotation,
+        discount: costs.discount,
+        steps: lattice.parts.regions.iter().map(step).collect(),
+    }
 }
 
-/// The endings with the states marked from which no policy surely ends, which have an infinite value without a
-/// discount: a step far shorter than the spacing may round to no movement at all. Every other lattice is finite, and needs
-/// no search. Both bevels of a pose have the same two steps to choose from, so both are endless, and so are both steps.
-fn with_endless_states(lattice: &LatticeMdp) -> Option<Endings> {
+/// The terminal masks with the improper states marked, or `None` where there are none: states from which no policy ends
+/// the execution with probability one, so that their value is infinite without a discount. A step far shorter than the
+/// spacing may round to no movement at all; without such a step all values are finite, and no search is needed. Both
+/// bevels of a pose have the same two steps to choose from, so both are improper, and so are both steps.
+fn masks_with_improper_states(lattice: &LatticeMdp) -> Option<Vec<TerminalMask>> {
     let stands_still = |shift: &Shift| shift.cell == [0, 0] && shift.fraction == [0.0, 0.0];
     if lattice.discount() < 1.0
-        || !lattice.regions.iter().flat_map(|region| &region.stencil).flatten().any(stands_still)
+        || !lattice.parts.regions.iter().flat_map(|region| &region.stencil).flatten().any(stands_still)
     {
         return None;
     }
@@ -75,15 +80,15 @@ fn with_endless_states(lattice: &LatticeMdp) -> Option<Endings> {
     let mut outcomes = lattice.outcomes.clone();
     for (state, _) in proper.iter().enumerate().filter(|(_, proper)| !**proper) {
         let (i, j, k, b) = lattice.coordinates(state);
-        outcomes[lattice.outcome_place(i, j, k, b)] = outcome::ENDLESS;
+        outcomes[lattice.outcome_place(i, j, k, b)] = outcome::IMPROPER;
     }
-    Some(endings(lattice, &outcomes))
+    Some(terminal_masks(&lattice.parts, &lattice.directions, &outcomes))
 }
 
 /// A bound on the rounding of one backup of values up to `largest`: of the convolution, the blend of four, discount, cost and
 /// turning, each half a unit in the last place.
-fn rounding<T: Real>(lattice: &LatticeMdp, largest: f64) -> f64 {
-    let operations = 2 * lattice.setup.noise.len() + if lattice.is_interpolated() { 4 } else { 0 } + 3;
+fn rounding<T: Vectorized>(lattice: &LatticeMdp, largest: f64) -> f64 {
+    let operations = 2 * lattice.parts.noise.len() + if lattice.is_interpolated() { 4 } else { 0 } + 3;
     operations as f64 * largest * T::EPSILON / 2.0
 }
 
@@ -92,26 +97,26 @@ pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>
     rule.validate()?;
     let started = Instant::now();
     let certificate = Certificate { discount: lattice.discount(), least_stage_cost: lattice.least_stage_cost() };
-    let watch = Watch::start(rule, observer);
-    let endless = with_endless_states(lattice);
-    let endings = endless.as_ref().unwrap_or(&lattice.endings);
-    let costs = &lattice.setup.costs;
-    let (start, numbers) = (costs.exit.min(costs.collision), planning_numbers(lattice));
+    let monitor = LimitMonitor::start(rule, observer);
+    let improper = masks_with_improper_states(lattice);
+    let terminal_masks = improper.as_ref().unwrap_or(&lattice.terminal_masks);
+    let costs = &lattice.parts.costs;
+    let (start, stage_costs) = (costs.exit.min(costs.collision), planning_costs(lattice));
     let mut run = Run {
         lattice,
         rule,
         certificate,
-        watch,
+        monitor,
         waves: 0,
         tables: 0,
         largest: costs.exit.max(costs.collision) + costs.step,
     };
-    let mut single = Engine::<f32>::new(lattice, endings, &numbers, start, None);
+    let mut single = Engine::<f32>::new(lattice, terminal_masks, &stage_costs, start, None);
     let sectors = single.sectors();
     let end = match run.iterate(&mut single) {
         Some(end) => end,
         None => {
-            let mut double = Engine::<f64>::new(lattice, endings, &numbers, start, None);
+            let mut double = Engine::<f64>::new(lattice, terminal_masks, &stage_costs, start, None);
             double.load(&single);
             drop(single);
             let Some(end) = run.iterate(&mut double) else { unreachable!("double precision has no successor") };
@@ -125,7 +130,7 @@ struct Run<'a, 'o> {
     lattice: &'a LatticeMdp,
     rule: StopRule,
     certificate: Certificate,
-    watch: Watch<'o>,
+    monitor: LimitMonitor<'o>,
     waves: u64,
     /// How often tables took another pass.
     tables: u64,
@@ -143,7 +148,7 @@ struct End {
 impl Run<'_, '_> {
     /// Makes passes until the residual is small enough, a limit is reached, or the precision exhausted: then None, if there
     /// is a better one.
-    fn iterate<T: Real>(&mut self, engine: &mut Engine<'_, T>) -> Option<End> {
+    fn iterate<T: Vectorized>(&mut self, engine: &mut Engine<'_, T>) -> Option<End> {
         let first = self.waves;
         let mut last = f64::INFINITY;
         loop {
@@ -158,7 +163,7 @@ impl Run<'_, '_> {
                 continue;
             }
             let residual = seen + rounding;
-            let stopped = self.watch.check(&Progress { sweeps: self.sweeps(), residual, threshold });
+            let stopped = self.monitor.check(&Progress { sweeps: self.sweeps(), residual, threshold });
             let exhausted = seen <= EXHAUSTED * rounding;
             if stopped.is_none() && residual >= threshold {
                 match exhausted {

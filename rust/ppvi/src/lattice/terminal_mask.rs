@@ -1,12 +1,12 @@
-//! Where the steps of a sector end, in the order in which a sweep looks at them.
+//! Which steps of a sector end the execution, in the order in which a sweep reads them.
 //!
 //! A sweep goes through a column in strips of [`LANES`] grid points, and through a strip heading by heading. Every step is
-//! computed as if it went on, and replaced where its code says how it ends: vector code without a branch.
+//! computed as if it continued, and replaced where its code says how it ends: vector code without a branch.
 
 use rayon::prelude::*;
 
-use crate::lattice::direction::Arc;
-use crate::lattice::{LANES, LatticeMdp, outcome};
+use crate::lattice::direction::{Arc, Direction};
+use crate::lattice::parts::{LANES, LatticeParts, outcome};
 use crate::memory::filled;
 
 /// Grid points `first .. end` of a column that are in one region.
@@ -19,7 +19,7 @@ pub(crate) struct Piece {
 
 /// The outcomes of the steps of a sector, and the regions where they start.
 #[derive(Debug, Clone)]
-pub(crate) struct SectorEndings {
+pub(crate) struct TerminalMask {
     /// `[place][strip][heading][bevel][LANES]`; the padding of the last strip is `OUTSIDE`.
     codes: Vec<u8>,
     /// Codes of a strip.
@@ -30,7 +30,7 @@ pub(crate) struct SectorEndings {
     pieces: Vec<Vec<Piece>>,
 }
 
-impl SectorEndings {
+impl TerminalMask {
     /// The codes of a strip, `[heading][bevel]`.
     #[inline(always)]
     pub(crate) fn strip(&self, place: usize, strip: usize) -> &[[[u8; LANES]; 2]] {
@@ -44,22 +44,20 @@ impl SectorEndings {
     }
 }
 
-/// The endings of all sectors.
-pub(crate) type Endings = Vec<SectorEndings>;
-
-/// Arranges `outcomes`, which are laid out as those of the lattice.
-pub(crate) fn endings(lattice: &LatticeMdp, outcomes: &[u8]) -> Endings {
-    Arc::all(&lattice.directions).into_iter().map(|arc| sector(lattice, outcomes, arc)).collect()
+/// The terminal masks of all sectors, from `outcomes` in the layout of the lattice.
+pub(crate) fn terminal_masks(parts: &LatticeParts, directions: &[Direction], outcomes: &[u8]) -> Vec<TerminalMask> {
+    Arc::all(directions).into_iter().map(|arc| terminal_mask(parts, outcomes, arc)).collect()
 }
 
-fn sector(lattice: &LatticeMdp, outcomes: &[u8], arc: Arc) -> SectorEndings {
-    let [places, length] = arc.extent(lattice.shape);
+fn terminal_mask(parts: &LatticeParts, outcomes: &[u8], arc: Arc) -> TerminalMask {
+    let shape = parts.shape;
+    let [places, length] = arc.extent(shape);
     let strips = length.div_ceil(LANES);
     let strip = arc.count * 2 * LANES;
     let mut codes = filled(outcome::OUTSIDE, places * strips * strip);
     codes.par_chunks_exact_mut(strips * strip).enumerate().for_each(|(place, column)| {
         for (plane, (q, bevel)) in arc.planes().enumerate() {
-            let start = lattice.outcome_plane(arc.heading(q, lattice.shape.headings), bevel) + place * length;
+            let start = shape.plane(arc.heading(q, shape.headings), bevel) + place * length;
             let (whole, rest) = outcomes[start..start + length].as_chunks::<LANES>();
             for (number, chunk) in whole.iter().enumerate() {
                 column[number * strip + plane * LANES..][..LANES].copy_from_slice(chunk);
@@ -68,18 +66,18 @@ fn sector(lattice: &LatticeMdp, outcomes: &[u8], arc: Arc) -> SectorEndings {
             column.iter_mut().skip(last).zip(rest).for_each(|(code, from)| *code = *from);
         }
     });
-    let pieces = (0..places).map(|place| pieces(lattice, arc.direction.is_vertical(), place, length)).collect();
-    SectorEndings { codes, strip, strips, pieces }
+    let pieces = (0..places).map(|place| pieces(parts, arc.direction.is_vertical(), place, length)).collect();
+    TerminalMask { codes, strip, strips, pieces }
 }
 
 /// The regions along a column of a sector: column i of the grid, or row j where the sector moves vertically.
-fn pieces(lattice: &LatticeMdp, vertical: bool, place: usize, length: usize) -> Vec<Piece> {
-    let ny = lattice.shape.ny;
+fn pieces(parts: &LatticeParts, vertical: bool, place: usize, length: usize) -> Vec<Piece> {
+    let ny = parts.shape.ny;
     let padded = length.next_multiple_of(LANES);
-    if lattice.region_of.is_empty() {
+    if parts.region_of.is_empty() {
         return vec![Piece { first: 0, end: padded, region: 0 }];
     }
-    let region = |v: usize| lattice.region_of[if vertical { v * ny + place } else { place * ny + v }];
+    let region = |v: usize| parts.region_of[if vertical { v * ny + place } else { place * ny + v }];
     let mut pieces: Vec<Piece> = Vec::new();
     for v in 0..padded {
         let region = usize::from(region(v.min(length - 1)));

@@ -1,0 +1,40 @@
+//! Markov decision processes on a lattice: positions on a plane grid, headings on a circle, two bevel sides.
+//!
+//! A state is `(i, j, k, b)`: grid column, grid row, heading index, bevel (0: -1, 1: +1). Action 0 steps forward,
+//! action 1 switches the bevel and then steps forward, so the step always *arrives* with a bevel b' = b xor action.
+//! What the step does depends on (k, b') and on the region of the grid point, not on the action:
+//!
+//! ```text
+//! position   moves by stencil[k][b'], which is the same all over a region  (a displacement stencil)
+//! heading    k + (b' ? +1 : -1) + m with probability noise[|m|]            (a circular convolution)
+//! outcome    continues, or ends the execution                              (one byte a step, given by the caller)
+//! ```
+//!
+//! With W(k', b') = sum over m of noise[|m|] V(k' + m, b') the Q-values are shifted reads of W, and
+//! V(b) = min(Q(b), rotation + Q(1 - b)).
+//!
+//! States are numbered as in the tables, `((i * ny + j) * headings + k) * 2 + b`. [`LatticeParts`] describes a problem,
+//! [`LatticeMdp`] is that problem as an [`Mdp`](crate::Mdp), [`sweep::solve`] solves it, and [`evaluation`] computes what
+//! a policy achieves. A steered needle is the problem that this was built for; the crate `needle` makes its lattices.
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+mod backup;
+mod definition;
+mod direction;
+mod engine;
+pub mod evaluation;
+mod halo;
+mod kernel;
+mod lanes;
+mod model;
+mod parts;
+mod plane;
+mod real;
+mod sector;
+mod store;
+pub mod sweep;
+mod terminal_mask;
+
+pub use model::LatticeMdp;
+pub use parts::{Costs, LatticeParts, Region, Shape, Shift, Transition, outcome};

@@ -1,0 +1,74 @@
+"""Planning in a forked process: a fork copies the memory of the solver, but not its threads."""
+
+from __future__ import annotations
+
+import multiprocessing
+from dataclasses import replace
+from multiprocessing.connection import Connection
+
+import pytest
+
+import needleplan as npl
+from needleplan.scenario import Grid, Method, Scenario
+
+LIMIT_S = 60
+
+pytestmark = [
+    pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="this system cannot fork"),
+    # Python 3.12 and newer warn in the parent, whose solver threads are still there.
+    pytest.mark.filterwarnings("ignore:This process .* is multi-threaded, use of fork:DeprecationWarning"),
+]
+
+
+def answers(scenario: Scenario) -> dict[str, bytes]:
+    """Everything that runs on the solver's threads."""
+    table = npl.plan(scenario)
+    start = table.best_entry().pose
+    problem = npl.mdp.TabularMdp.from_rows(**table.lattice.tabular())
+    return {
+        "values": table.values.tobytes(),
+        "policy": table.policy.tobytes(),
+        "success": table.success.tobytes(),
+        "expected length": table.expectations().length_mm.tobytes(),
+        "decisions": table.lookup_many([start] * 5000).value.tobytes(),
+        "outcomes": repr(table.rollout(start, runs=300, seed=1).outcomes).encode(),
+        "tabular": npl.mdp.solve(problem, tolerance=0.1).values.tobytes(),
+    }
+
+
+def work(scenario: Scenario, generations: int, answer: Connection) -> None:
+    """Answer in this process, or in one forked from it."""
+    answer.send(forked(scenario, generations - 1) if generations else answers(scenario))
+
+
+def forked(scenario: Scenario, generations: int = 0) -> dict[str, bytes]:
+    """The answers of a forked process; it must not keep its parent waiting."""
+    context = multiprocessing.get_context("fork")
+    received, answer = context.Pipe(duplex=False)
+    child = context.Process(target=work, args=(scenario, generations, answer))
+    child.start()
+    answer.close()
+    try:
+        assert received.poll(LIMIT_S), "the forked process does not answer"
+        return received.recv()
+    finally:
+        child.kill()
+        child.join()
+
+
+@pytest.fixture(scope="module")
+def scene(small: Scenario) -> Scenario:
+    return replace(small, grid=Grid((2, 2)))
+
+
+@pytest.mark.parametrize("method", Method)
+@pytest.mark.parametrize("threads", [None, 2])
+def test_a_forked_process_plans_as_its_parent_does(scene: Scenario, method: Method, threads: int | None) -> None:
+    scene = replace(scene, solver=replace(scene.solver, method=method, tolerance=0.1, threads=threads))
+    before = answers(scene)
+    assert forked(scene) == before
+    assert answers(scene) == before
+
+
+def test_so_does_a_process_forked_from_one_that_has_not_planned(scene: Scenario) -> None:
+    assert forked(scene, generations=1) == answers(scene)
