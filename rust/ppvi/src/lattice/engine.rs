@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::lattice::backup::{self, SweepContext};
-use crate::lattice::direction::Arc;
+use crate::lattice::direction::{Arc, Direction};
 use crate::lattice::halo::Halo;
 use crate::lattice::kernel::{StageCosts, Vectorized};
 use crate::lattice::model::LatticeMdp;
@@ -97,10 +97,12 @@ impl<'a, T: Vectorized> Engine<'a, T> {
     /// written for the tables.
     pub(crate) fn wave(&mut self, vertical: bool, threshold: f64, keep: bool) -> f64 {
         self.sweep(|sector| sector.arc.direction.is_vertical() == vertical, keep);
-        // The other wave has old halos now; so has this one, where halos reach beyond the other.
+        // The halos of the other wave are outdated now. So are those of this wave if they read sectors of this wave: beyond
+        // a short sector, or next to them where a direction has no headings.
         let reach = self.noise.len();
-        let short = self.sectors.iter().any(|sector| sector.arc.count < reach);
-        self.pull(|sector| short || sector.arc.direction.is_vertical() != vertical, threshold)
+        let reads_own_wave =
+            self.sectors.len() < Direction::ALL.len() || self.sectors.iter().any(|sector| sector.arc.count < reach);
+        self.pull(|sector| reads_own_wave || sector.arc.direction.is_vertical() != vertical, threshold)
     }
 
     /// Both waves.
