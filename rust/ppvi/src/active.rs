@@ -1,9 +1,9 @@
-//! The states that backups can change, partition by partition, and a sweep over some of them.
+//! The states whose values backups can change, by partition, and an in-place sweep over a list of states.
 
 use crate::mdp::Mdp;
 use crate::partition::Partition;
 
-/// States of every partition that are neither absorbing nor of infinite value, in index order.
+/// For every partition, its states that are neither absorbing nor of infinite value, in index order.
 #[derive(Debug)]
 pub(crate) struct ActiveStates {
     offsets: Vec<usize>,
@@ -26,7 +26,7 @@ impl ActiveStates {
     }
 }
 
-/// Backs up `states` in place, in their order or in reverse; returns the least and the largest signed change.
+/// Backs up `states` in place, in their order or in reverse. Returns the smallest and the largest signed change.
 pub(crate) fn back_up_in_place(mdp: &impl Mdp, states: &[u32], reverse: bool, values: &mut [f64]) -> (f64, f64) {
     let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
     let mut back_up = |&state: &u32| {

@@ -1,7 +1,7 @@
-//! The Bellman operator, the exact residual and the arithmetic of infinite values.
+//! The Bellman operator, the exact Bellman residual, and the arithmetic of infinite values.
 //!
-//! Values may be infinite where the execution cannot be made to end ([`crate::proper_states`]). There V = TV holds
-//! trivially, so a change from infinity to infinity counts as none.
+//! The value of an improper state is infinite ([`crate::proper_states`]). V = TV holds there trivially, so a change from
+//! infinity to infinity counts as zero.
 
 use rayon::prelude::*;
 
@@ -10,15 +10,16 @@ use crate::proper::proper_states;
 use crate::solution::{Report, Solution};
 use crate::termination::{Certificate, Status};
 
+/// States that one task of a parallel pass backs up.
 const CHUNK: usize = 4096;
 
-/// |new - old|, and 0 between equal infinities.
+/// Returns |new - old|, and 0 for equal infinities.
 #[inline]
 pub fn change(new: f64, old: f64) -> f64 {
     if new == old { 0.0 } else { (new - old).abs() }
 }
 
-/// Exact facts about a value function V.
+/// Exact Bellman residual and size of a value function V.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Check {
     /// max |TV - V|.
@@ -28,14 +29,19 @@ pub struct Check {
 }
 
 impl Check {
-    /// The facts about two sets of states together.
+    /// Combines the checks of two sets of states.
     pub fn join(self, other: Check) -> Check {
         Check { residual: self.residual.max(other.residual), max_value: self.max_value.max(other.max_value) }
     }
 }
 
-/// Writes TV to `next` and the greedy policy to `policy`; returns the facts about V, not about TV. Runs on the current
-/// rayon pool; maxima do not depend on the order in which they are formed, so neither does the result.
+/// Writes TV to `next` and the greedy policy to `policy`, and returns the check of V (not of TV).
+///
+/// Runs on the current rayon pool. A maximum does not depend on the order of its arguments, so the result is the same for
+/// any number of threads.
+///
+/// # Panics
+/// If `values`, `next` and `policy` do not have one element per state.
 pub fn bellman_operator(mdp: &impl Mdp, values: &[f64], next: &mut [f64], policy: &mut [u32]) -> Check {
     let chunks = next.par_chunks_mut(CHUNK).zip(policy.par_chunks_mut(CHUNK)).enumerate();
     chunks
@@ -43,7 +49,10 @@ pub fn bellman_operator(mdp: &impl Mdp, values: &[f64], next: &mut [f64], policy
         .reduce(|| Check { residual: 0.0, max_value: 0.0 }, Check::join)
 }
 
-/// The greedy policy with respect to `values`, and the exact facts about them.
+/// Writes the greedy policy with respect to `values` to `policy`, and returns the check of `values`.
+///
+/// # Panics
+/// If `values` and `policy` do not have one element per state.
 pub fn greedy(mdp: &impl Mdp, values: &[f64], policy: &mut [u32]) -> Check {
     let chunks = policy.par_chunks_mut(CHUNK).enumerate();
     chunks
@@ -72,7 +81,8 @@ fn check_chunk(
     check
 }
 
-/// V0: the start value, the absorbing values, and infinity where no policy ends the execution (looked for with discount 1 only).
+/// Returns the start values V0: [`Mdp::absorbing_value`] for absorbing states, infinity for improper states (searched for
+/// with discount 1 only), and [`Mdp::start_value`] for all others.
 pub fn initial_values(mdp: &impl Mdp) -> Vec<f64> {
     let start = mdp.start_value();
     let value = |state| if mdp.actions(state) == 0 { mdp.absorbing_value(state) } else { start };
@@ -87,13 +97,13 @@ pub fn initial_values(mdp: &impl Mdp) -> Vec<f64> {
     values
 }
 
-/// What decides the threshold of a problem.
+/// Returns the numbers of a problem that determine its residual threshold and its error bound.
 pub fn certificate(mdp: &impl Mdp) -> Certificate {
     let discount = mdp.discount();
     Certificate { discount, least_stage_cost: if discount < 1.0 { 0.0 } else { mdp.least_stage_cost() } }
 }
 
-/// The solution that `values` make, with the bound that `check` proves and all counts at zero.
+/// Assembles a solution. Its error bound follows from `check`, and all its counts are zero.
 pub(crate) fn solution(
     values: Vec<f64>,
     policy: Vec<u32>,

@@ -1,43 +1,45 @@
-//! Consecutive states, sorted by the direction in which their values should be found.
+//! Blocks of consecutive states, each with a forward and a backward update list.
 //!
-//! Sweeping with rising index, a state whose successors all have lower indices finds every one of them updated: its
-//! backup is worth as much as it can be. The same holds with falling index for a state with higher successors only. So a
-//! block keeps two lists: members of the *forward* list have no higher successors, those of the *backward* list no lower
-//! ones, and mixed states (and those that loop to themselves) are in both. A sweep each way visits little more than
-//! every state once, each of them at the right time; in the needle problem this replaces the choice "headings that point
-//! left or right" and needs no knowledge of the geometry. A state whose successors are all absorbing has its final value
-//! after one backup and is in neither list.
+//! In a sweep with rising index, all successors of a state have been updated before the state itself if their indices
+//! are lower. The same holds for a sweep with falling index if the indices of all successors are higher. A block
+//! therefore has two lists. States of the *forward* list have no successor with a higher index, and states of the
+//! *backward* list have none with a lower index. Mixed states and states with a self-loop are in both lists. A state
+//! whose successors are all absorbing gets its final value from one backup and is in neither list.
+//!
+//! One forward and one backward sweep together update most states once, with updated successors. The lists need no
+//! knowledge of the geometry: on a lattice of headings they separate the headings that point left from those that point
+//! right.
 
 use std::ops::Range;
 
 use crate::pattern::{Class, Dictionary, Source, Values};
 
-/// Largest number of blocks: one bit each in [`List::reads`].
+/// Largest number of blocks: [`List::reads`] has one bit for each block.
 pub(crate) const MOST_BLOCKS: usize = 128;
 
-/// States of a block that are updated together, in order.
+/// States of a block that one task updates, in this order.
 #[derive(Debug, Default)]
 pub(crate) struct List {
     members: Vec<Member>,
-    /// Bit b: some member may read a state of block b.
+    /// Bit b is set if the update of some member may read a state of block b.
     pub reads: u128,
-    /// Some member may read itself or one that comes after it.
+    /// Whether some member may read itself or a member that is updated after it.
     pub late: bool,
 }
 
 #[derive(Debug, Clone, Copy)]
 struct Member {
     state: u32,
-    /// Where its pattern begins in the dictionary.
+    /// Index in the dictionary of the first cell of its pattern.
     start: u32,
 }
 
-/// Values that may be written while others read them.
+/// Values that one thread may write while others read them.
 pub(crate) trait SharedValues: Values {
     fn set(&self, state: usize, value: f64);
 }
 
-/// A range of states, compiled.
+/// A range of consecutive states, compiled to patterns and update lists.
 #[derive(Debug)]
 pub(crate) struct Block {
     begin: usize,
@@ -48,11 +50,11 @@ pub(crate) struct Block {
     pub lists: [List; 2],
 }
 
-/// In place of a pattern: the state is not active.
+/// Entry of [`Block::patterns`] for a state that is not active.
 const FIXED: u32 = u32::MAX;
 
 impl Block {
-    /// Compiles the states of block number `number`; a block has `1 << log_size` states, the last one maybe fewer.
+    /// Compiles block number `number`. A block has `1 << log_size` states, and the last block may have fewer.
     pub fn new(source: Source, number: usize, log_size: u32) -> Self {
         let begin = number << log_size;
         let states = begin..source.classes.len().min((number + 1) << log_size);
@@ -79,7 +81,8 @@ impl Block {
         block
     }
 
-    /// Decides in which lists a pattern is, and notes what they read if its first and last states are those of `span`.
+    /// Returns in which lists (forward, backward) the states of a pattern belong, and adds the blocks that they read to
+    /// [`List::reads`] and [`List::late`]. `span` holds the first and the last state of the pattern.
     fn read(&mut self, pattern: u32, span: &Range<i64>, log_size: u32) -> [bool; 2] {
         let (mut lower, mut higher) = (false, false);
         self.dictionary.each_shift(pattern, |shift| {
@@ -92,7 +95,7 @@ impl Block {
         self.dictionary.each_shift(pattern, |shift| {
             let first = (span.start + i64::from(shift)) >> log_size;
             let last = (span.end + i64::from(shift)) >> log_size;
-            // The first state reads lowest, the last one highest, and the others in between.
+            // The first state reads the lowest index, the last state the highest, and all others between the two.
             let late = [shift >= 0 && first == own, shift <= 0 && last == own];
             for (side, list) in lists.iter_mut().enumerate().filter(|(side, _)| directions[*side]) {
                 list.late |= late[side];
@@ -118,7 +121,7 @@ impl Block {
         self.lists[side].members.len()
     }
 
-    /// Backs up a list in place, in order; returns the largest change.
+    /// Backs up the states of a list in place and in order. Returns the largest change.
     pub fn update(&self, side: usize, discount: f64, values: &impl SharedValues) -> f64 {
         let mut largest = 0.0f64;
         for member in &self.lists[side].members {
@@ -129,7 +132,7 @@ impl Block {
         largest
     }
 
-    /// Gives their final values to the states whose successors are all absorbing; returns their number.
+    /// Writes the final values of the states whose successors are all absorbing. Returns the number of these states.
     pub fn solve_constants(&self, discount: f64, values: &impl SharedValues) -> u64 {
         let mut count = 0;
         for (state, pattern) in self.active().filter(|&(_, pattern)| self.dictionary.is_constant(pattern)) {

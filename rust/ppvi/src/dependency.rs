@@ -1,4 +1,4 @@
-//! Who depends on whom: the maps of Table 6.1 of the thesis.
+//! Dependencies between states and partitions: the maps of Table 6.1 of the thesis.
 //!
 //! With T(s', u, s) the probability of reaching s from s' by action u,
 //!
@@ -9,36 +9,41 @@
 //! PDP(p) = { p' : some u, s in p', s' in p have T(s, u, s') != 0 }            partition dependents of a partition
 //! ```
 //!
-//! A dependent is therefore a *predecessor*: its value rests on the state or partition named. A partition whose states
-//! reach each other depends on itself. Absorbing states depend on nothing.
+//! A dependent is a *predecessor*: its backup reads the value of the state or partition on which it depends. A partition
+//! depends on itself if some state in it has a successor in it. Absorbing states depend on nothing.
 //!
-//! Memory: [`Dependencies`] is what a prioritized solver needs, SDP(p) cut into pieces by PDP(p). It stores 4 bytes for
-//! every (state, partition it reads): at most 3 of them for a state of the needle lattice with the partitions of the
-//! thesis, about 10 MB for a million states. [`StateDependents`], the full reverse graph, takes 4 bytes for every
-//! (state, successor), some 40 MB there, and is built only by those who ask for it.
+//! | structure | contents | bytes | on a needle lattice of 10^6 states |
+//! |---|---|---|---|
+//! | [`Dependencies`] | SDP(p), grouped by the partitions of PDP(p) | 4 for each pair of a state and a partition that it reads | 10 MB |
+//! | [`StateDependents`] | SDS(s): the reverse graph | 4 for each pair of a state and a successor | 40 MB |
+//!
+//! The prioritized solver needs [`Dependencies`] only.
 
 use std::ops::Range;
 
 use crate::mdp::Mdp;
 use crate::partition::{Partition, group};
 
-/// SDP and PDP. A *pair* (p, p') stands for "p' depends on p"; pairs are numbered by p, then p'.
+/// The maps SDP and PDP. A *pair* (p, p') means that p' depends on p. Pairs are numbered by p, then by p'.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Dependencies {
     /// Pairs of p: `offsets[p]..offsets[p + 1]`.
     offsets: Vec<usize>,
-    /// p' of every pair: PDP(p) is the slice of p.
+    /// p' of every pair. The pairs of p are PDP(p).
     dependents: Vec<u32>,
     /// States of every pair: `state_offsets[pair]..state_offsets[pair + 1]`.
     state_offsets: Vec<usize>,
     states: Vec<u32>,
-    /// Pairs with a given p', by rising p: the transpose of `offsets` and `dependents`.
+    /// For every p', the numbers of the pairs (p, p'), by rising p: the transpose of `offsets` and `dependents`.
     incoming_offsets: Vec<usize>,
     incoming: Vec<u32>,
 }
 
 impl Dependencies {
-    /// Reads every row of the problem once.
+    /// Builds the maps. Reads every row of the problem once.
+    ///
+    /// # Panics
+    /// If `partition` does not have as many states as `mdp`.
     pub fn new(mdp: &impl Mdp, partition: &Partition) -> Self {
         let labels = partition.labels();
         let (mut sources, mut readers) = (Vec::new(), Vec::new());
@@ -52,7 +57,7 @@ impl Dependencies {
                 }
             });
         }
-        // The readers come ordered by their partition, so within a source they fall into one run for each dependent.
+        // The readers are in the order of their partitions. So the readers of one source form one run for each dependent.
         let (read_offsets, states) = group(&sources, readers.iter().copied(), partition.count());
         let (mut offsets, mut dependents, mut state_offsets) = (vec![0], Vec::new(), Vec::new());
         for bounds in read_offsets.windows(2) {
@@ -81,7 +86,7 @@ impl Dependencies {
         &self.states[self.state_offsets[pairs.start]..self.state_offsets[pairs.end]]
     }
 
-    /// Numbers of the pairs (p, p'), p' running through PDP(p).
+    /// Numbers of the pairs (p, p') for all p' in PDP(p).
     pub fn pairs(&self, partition: usize) -> Range<usize> {
         self.offsets[partition]..self.offsets[partition + 1]
     }
@@ -96,18 +101,18 @@ impl Dependencies {
         self.dependents[pair] as usize
     }
 
-    /// The states of p' that depend on p, for the pair (p, p'): SDP(p) cut with p', ascending.
+    /// The states of p' that depend on p, for the pair (p, p'): the intersection of SDP(p) and p', ascending.
     pub fn states(&self, pair: usize) -> &[u32] {
         &self.states[self.state_offsets[pair]..self.state_offsets[pair + 1]]
     }
 
-    /// Numbers of the pairs (p, p') with the given p': what p' depends on.
+    /// Numbers of the pairs (p, p') with the given p': the partitions on which p' depends.
     pub fn incoming(&self, dependent: usize) -> &[u32] {
         &self.incoming[self.incoming_offsets[dependent]..self.incoming_offsets[dependent + 1]]
     }
 }
 
-/// SDS: the predecessors of every state.
+/// The map SDS: the predecessors of every state.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StateDependents {
     offsets: Vec<usize>,
@@ -115,7 +120,7 @@ pub struct StateDependents {
 }
 
 impl StateDependents {
-    /// Reads every row of the problem twice.
+    /// Builds the map. Reads every row of the problem twice.
     pub fn new(mdp: &impl Mdp) -> Self {
         let mut offsets = vec![0usize; mdp.states() + 1];
         each_edge(mdp, |_, next| offsets[next + 1] += 1);
@@ -150,7 +155,7 @@ impl StateDependents {
     }
 }
 
-/// Calls `visit` for the successors, of all actions, that have a positive probability.
+/// Calls `visit` for every successor of positive probability, action after action.
 fn each_successor(mdp: &impl Mdp, state: usize, mut visit: impl FnMut(usize)) {
     for action in 0..mdp.actions(state) {
         mdp.for_each_successor(state, action, |next, probability| {
@@ -161,7 +166,7 @@ fn each_successor(mdp: &impl Mdp, state: usize, mut visit: impl FnMut(usize)) {
     }
 }
 
-/// Calls `visit(state, successor)` once for every edge: repeated successors of a state count once.
+/// Calls `visit(state, successor)` once for every pair, even if several entries of the rows have this successor.
 fn each_edge(mdp: &impl Mdp, mut visit: impl FnMut(usize, usize)) {
     let mut seen: Vec<usize> = Vec::new();
     for state in 0..mdp.states() {

@@ -1,18 +1,18 @@
-//! What can be wrong with an input. Outcomes of a solve are not errors: see [`crate::Status`].
+//! Errors: rules that an input breaks. How a solve ended is not an error but a [`crate::Status`].
 
 use thiserror::Error;
 
-/// A rule that an input breaks; each message names the offending place and the value found there.
+/// A rule that an input breaks. The message names the place of the mistake and the value found there.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum Error {
     /// A scalar parameter is outside its range.
     #[error("{name} = {value}: {rule}")]
     Parameter {
-        /// Name of the parameter as the caller spells it.
+        /// Name of the parameter in the caller's interface.
         name: &'static str,
         /// The value found.
         value: String,
-        /// The rule it breaks, as a sentence without a subject ("must be ...").
+        /// The broken rule, as a sentence without a subject ("must be ...").
         rule: &'static str,
     },
     /// An array has the wrong length.
@@ -25,7 +25,7 @@ pub enum Error {
         /// The length it has.
         found: usize,
     },
-    /// A row of a tabular problem breaks a rule; the first offending state and action are named.
+    /// A row of a tabular problem breaks a rule. State and action are the first that do.
     #[error("state {state}, action {action}: {what} ({value})")]
     Row {
         /// First state, in index order, whose row is wrong.
@@ -40,20 +40,20 @@ pub enum Error {
     /// The problem does not fit the machine or the index type.
     #[error("the problem needs {needed_bytes} bytes ({states} states): {rule}")]
     TooLarge {
-        /// Number of states asked for.
+        /// Number of states of the problem.
         states: u128,
-        /// Bytes the solver would allocate.
+        /// Bytes that the solver would allocate.
         needed_bytes: u128,
         /// The limit that is exceeded.
         rule: &'static str,
     },
 }
 
-/// Result of a fallible construction.
+/// Result of a fallible function of this crate.
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// An [`Error::Parameter`].
+    /// Makes an [`Error::Parameter`].
     pub fn parameter(name: &'static str, value: impl ToString, rule: &'static str) -> Error {
         Error::Parameter { name, value: value.to_string(), rule }
     }

@@ -1,42 +1,44 @@
-//! Value iteration for Markov decision processes with costs: by prioritized partitions, and by sweeps along the structure
-//! of a lattice.
+//! Value iteration for Markov decision processes with costs: by prioritized partitions, and by directional sweeps.
 //!
 //! # The problem
 //!
-//! States `s`, actions `a`, stage costs `c(s, a) >= 0`, transition probabilities `p(s' | s, a)`, a discount `g` in (0, 1].
-//! Wanted is the optimal cost-to-go V*, the least fixed point of the Bellman operator
+//! A problem has states `s`, actions `a`, stage costs `c(s, a) >= 0`, transition probabilities `p(s' | s, a)` and a
+//! discount `g` in (0, 1]. A solver computes the optimal cost-to-go V*, the least fixed point of the Bellman operator
 //!
 //! ```text
 //! (TV)(s) = min over a of [ c(s, a) + g * sum over s' of p(s' | s, a) V(s') ],
 //! ```
 //!
-//! and a policy that attains the minimum. With g < 1, T is a contraction and V* its only fixed point. With g = 1 and
-//! positive costs it is a stochastic shortest-path problem. In both cases the *Bellman residual* B = TV - V proves a
-//! bound on |V - V*| ([`termination`]), and every solver here stops on that proof and returns it.
+//! and a policy that attains the minimum. With g < 1, T is a contraction, and V* is its only fixed point. With g = 1 and
+//! positive costs the problem is a stochastic shortest-path problem. In both cases the *Bellman residual* B = TV - V proves
+//! a bound on |V - V*| ([`termination`]). Every solver stops when this bound is below the tolerance, and returns the bound.
 //!
 //! # Two representations
 //!
-//! * [`TabularMdp`]: explicit sparse rows, validated; anybody's problem.
-//! * [`lattice::LatticeMdp`]: a needle in a plane. Positions on a grid, headings on a circle, two bevel sides; a step
-//!   moves by a stencil that depends on heading, bevel and the curvature of the region only, and noise is a convolution
-//!   along the headings. Nothing but a byte a state is stored, and a backup is a few vector operations.
+//! * [`TabularMdp`]: any problem, as explicit sparse rows, validated.
+//! * [`lattice::LatticeMdp`]: positions on a plane grid, headings on a circle, two bevel sides. A step moves by a stencil
+//!   that depends on heading, bevel and region only, and noise is a convolution along the headings. The lattice stores one
+//!   byte per state, and a backup is a few vector operations.
 //!
-//! Both are an [`Mdp`], so each is the other's oracle: [`TabularMdp::from_mdp`] expands a lattice.
+//! Both implement [`Mdp`], and [`TabularMdp::from_mdp`] expands a lattice to rows, so the solvers of each representation
+//! test those of the other.
 //!
 //! # Solvers
 //!
 //! | solver | takes | what it is |
 //! |---|---|---|
-//! | [`value_iteration()`] | any [`Mdp`] | the readable reference: V <- TV |
+//! | [`value_iteration()`] | any [`Mdp`] | plain value iteration V <- TV: the reference |
 //! | [`prioritized()`] | any [`Mdp`], any [`Partition`] | partitions in the order of a [`Priority`] (Wingate and Seppi 2005; the thesis, chapter 6) |
-//! | [`tabular_sweep()`] | [`TabularMdp`] | Gauss-Seidel in waves of independent blocks |
-//! | [`lattice::sweep`] | [`lattice::LatticeMdp`] | Gauss-Seidel against the direction of motion |
+//! | [`tabular_sweep()`] | [`TabularMdp`] | Gauss-Seidel sweeps in waves of independent blocks |
+//! | [`lattice::sweep`] | [`lattice::LatticeMdp`] | Gauss-Seidel sweeps against the direction of motion |
 //!
-//! The subtle part, why an accumulated change bounds a residual and why waves give the same bits on any number of
-//! threads, is argued in [`priority`].
+//! [`priority`] proves that an accumulated change bounds a residual, and that waves give the same bits on any number of
+//! threads.
 //!
-//! Outcomes (converged, a limit reached, interrupted) are values: [`Status`]. Wrong input is an [`Error`] that names the
-//! place. Nothing here knows Python but the binding behind the feature `python`.
+//! A solve that reaches a limit or is interrupted is not an error: [`Status`] says how it ended. Invalid input is an
+//! [`Error`] that names the place of the mistake.
+
+#![cfg_attr(doctest, doc = include_str!("../README.md"))]
 
 mod active;
 pub mod bellman;

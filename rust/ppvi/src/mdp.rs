@@ -1,9 +1,9 @@
-//! The Markov decision process that every solver of this crate takes.
+//! The trait of all problems: a finite Markov decision process with costs.
 //!
-//! States are `0..states()`; a state has `actions(s)` actions, or none: then it is *absorbing* and its value is fixed.
-//! Taking action `a` in `s` costs `stage_cost(s, a)` (an expectation, everything that happens in the step included) and
-//! moves to `s'` with probability `p(s' | s, a)`. The probabilities of a row may sum to less than one: the rest ends
-//! the execution with value zero. The optimal cost-to-go is the least fixed point of
+//! States are `0..states()`. State `s` has `actions(s)` actions; a state without actions is *absorbing*, and its value is
+//! fixed. Action `a` in state `s` has the expected cost `stage_cost(s, a)` and moves to `s'` with probability
+//! `p(s' | s, a)`. If the probabilities of a row sum to less than one, the execution ends with the remaining probability,
+//! at value zero. The optimal cost-to-go is the least fixed point of
 //!
 //! ```text
 //! V(s) = min over a of [ stage_cost(s, a) + discount * sum over s' of p(s' | s, a) V(s') ].
@@ -17,21 +17,22 @@ pub trait Mdp: Sync {
     /// Discount factor, in (0, 1]. With 1 every stage cost must be positive (a stochastic shortest-path problem).
     fn discount(&self) -> f64;
 
-    /// Number of actions of `state`; 0 for an absorbing state.
+    /// Number of actions of `state`, 0 for an absorbing state.
     fn actions(&self, state: usize) -> usize;
 
-    /// Value of an absorbing state; not asked for any other.
+    /// Value of an absorbing state. Solvers do not call it for other states.
     fn absorbing_value(&self, _state: usize) -> f64 {
         0.0
     }
 
-    /// Expected cost of the step.
+    /// Expected cost of the step that `action` starts in `state`.
     fn stage_cost(&self, state: usize, action: usize) -> f64;
 
-    /// Calls `visit(successor, probability)` for every successor, always in the same order.
+    /// Calls `visit(successor, probability)` for every successor, in the same order at every call.
     fn for_each_successor(&self, state: usize, action: usize, visit: impl FnMut(usize, f64));
 
-    /// `stage_cost + discount * E V(s')`; a successor of probability zero does not count, even if its value is infinite.
+    /// Returns the Q-value `stage_cost + discount * E V(s')`. Successors of probability zero are left out, because their
+    /// values may be infinite.
     fn q_value(&self, state: usize, action: usize, values: &[f64]) -> f64 {
         let mut expectation = 0.0;
         self.for_each_successor(state, action, |next, probability| {
@@ -42,7 +43,7 @@ pub trait Mdp: Sync {
         self.stage_cost(state, action) + self.discount() * expectation
     }
 
-    /// One Bellman backup: the least Q-value and the first action that attains it.
+    /// One Bellman backup: returns the smallest Q-value and the first action that attains it.
     fn backup(&self, state: usize, values: &[f64]) -> (f64, usize) {
         if self.actions(state) == 0 {
             return (self.absorbing_value(state), 0);
@@ -57,13 +58,13 @@ pub trait Mdp: Sync {
         best
     }
 
-    /// V0 of the states in which something can be done. Without a discount values creep up from zero by a stage cost a
-    /// sweep; a guess of their size saves that.
+    /// Start value V0 of the states that are not absorbing. With discount 1, values that start at zero grow by about one
+    /// stage cost per sweep, so a start value of the right size saves sweeps.
     fn start_value(&self) -> f64 {
         0.0
     }
 
-    /// The smallest stage cost of the problem: what the error bound of an undiscounted problem rests on.
+    /// The smallest stage cost of the problem, on which the error bound rests if the discount is 1.
     fn least_stage_cost(&self) -> f64 {
         let costs = (0..self.states())
             .flat_map(|state| (0..self.actions(state)).map(move |action| self.stage_cost(state, action)));

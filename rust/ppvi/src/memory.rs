@@ -1,8 +1,8 @@
-//! Large arrays on large pages.
+//! Large arrays on huge pages, with memory that is reused by the next solve.
 //!
-//! A solve of a few milliseconds would spend more time on the first touch of its memory, page by page, than on
-//! arithmetic. Where the system offers transparent huge pages on request (Linux, `madvise`), these arrays ask for them;
-//! elsewhere they are ordinary memory. Freed arrays are kept for the next solve.
+//! A solve may take only a few milliseconds. The system's work for the first access to each page of new memory would then
+//! take longer than the arithmetic. On Linux these arrays request transparent huge pages (`madvise`); on other systems
+//! they are ordinary memory. The memory of dropped arrays is kept for the next solve.
 
 use std::alloc::{Layout, alloc, dealloc, handle_alloc_error};
 use std::marker::PhantomData;
@@ -10,15 +10,16 @@ use std::ops::{Deref, DerefMut};
 use std::ptr::NonNull;
 use std::sync::{Mutex, MutexGuard};
 
+/// Size of a huge page, bytes.
 const HUGE_PAGE: usize = 2 << 20;
 
-/// Asks for huge pages; a refusal changes nothing but speed.
+/// Requests huge pages for a range of memory. If the system refuses, only speed is lost.
 #[cfg(target_os = "linux")]
 fn advise(start: *mut u8, bytes: usize) {
     let first = (start as usize).next_multiple_of(HUGE_PAGE);
     let end = (start as usize + bytes) / HUGE_PAGE * HUGE_PAGE;
     if first < end {
-        // SAFETY: the range lies inside an allocation of ours; the advice does not change its contents.
+        // SAFETY: the range lies inside an allocation of the caller, and the advice does not change its contents.
         unsafe { libc::madvise(first as *mut libc::c_void, end - first, libc::MADV_HUGEPAGE) };
     }
 }
@@ -26,27 +27,27 @@ fn advise(start: *mut u8, bytes: usize) {
 #[cfg(not(target_os = "linux"))]
 fn advise(_start: *mut u8, _bytes: usize) {}
 
-/// `vec![value; len]` that asks for huge pages; for arrays that leave the crate.
+/// `vec![value; len]` on huge pages, for arrays that are returned to the caller of the crate.
 ///
-/// Zeros are left to the system, which gives cleared memory anyway.
+/// For zeros `vec!` takes memory that the system has cleared already.
 pub(crate) fn filled<T: Copy>(value: T, len: usize) -> Vec<T> {
     let mut vec = vec![value; len];
     advise(vec.as_mut_ptr().cast(), len * size_of::<T>());
     vec
 }
 
-/// Memory for `len` numbers, asking for huge pages; for arrays that leave the crate.
+/// An empty vector with capacity `len` on huge pages, for arrays that are returned to the caller of the crate.
 pub(crate) fn reserved<T: Copy>(len: usize) -> Vec<T> {
     let mut vec: Vec<T> = Vec::with_capacity(len);
     advise(vec.as_mut_ptr().cast(), len * size_of::<T>());
     vec
 }
 
-/// Memory of dropped arrays is kept for the next ones up to this many bytes in all: a solver that is called again, as
-/// in a loop that plans again, does not wait for the system to clear pages for it.
+/// Largest total size, bytes, of the kept memory of dropped arrays. A solver that is called repeatedly then does not wait
+/// for the system to clear pages.
 const KEPT_BYTES: usize = 64 << 20;
 
-/// Memory of dropped arrays.
+/// The kept memory of dropped arrays.
 static KEPT: Mutex<Vec<Block>> = Mutex::new(Vec::new());
 
 /// Attempts to lock [`KEPT`] before the kept memory is left alone. It is held for less than a microsecond; if it stays
@@ -57,17 +58,18 @@ fn lock_kept() -> Option<MutexGuard<'static, Vec<Block>>> {
     (0..LOCK_ATTEMPTS).find_map(|_| KEPT.try_lock().inspect_err(|_| std::thread::yield_now()).ok())
 }
 
-/// A piece of allocated memory.
+/// A block of allocated memory.
 struct Block {
     start: NonNull<u8>,
     layout: Layout,
 }
 
-// SAFETY: a block is memory that nobody uses.
+// SAFETY: a block owns its memory, and no references to it exist.
 unsafe impl Send for Block {}
 
 impl Block {
-    /// Memory for `bytes`: kept one that is not much larger, or new one; and whether it is new, and so not initialised.
+    /// Returns a block of at least `bytes`, and whether it is new and so not initialised. Takes the smallest kept block that
+    /// is at most a quarter larger, otherwise new memory.
     fn take(bytes: usize) -> (Self, bool) {
         let align = if bytes >= HUGE_PAGE { HUGE_PAGE } else { 64 };
         let Ok(layout) = Layout::from_size_align(bytes, align) else { handle_alloc_error(Layout::new::<u8>()) };
@@ -84,7 +86,7 @@ impl Block {
         (Block { start, layout }, true)
     }
 
-    /// Keeps the memory, or gives it back to the system.
+    /// Keeps the memory if [`KEPT_BYTES`] allows it, otherwise frees it.
     fn leave(self) {
         if let Some(mut kept) = lock_kept() {
             let bytes: usize = kept.iter().map(|block| block.layout.size()).sum();
@@ -93,34 +95,34 @@ impl Block {
                 return;
             }
         }
-        // SAFETY: allocated in `take` with this layout, and nobody uses it.
+        // SAFETY: allocated in `take` with this layout, and no reference to it is left.
         unsafe { dealloc(self.start.as_ptr(), self.layout) };
     }
 }
 
-/// A fixed-size array, aligned to huge pages if it is that large.
+/// An array of fixed length, aligned to huge pages if it is at least as large as one.
 pub(crate) struct Array<T: Copy> {
-    /// None where the array is empty.
+    /// None if the array is empty.
     block: Option<Block>,
     len: usize,
     element: PhantomData<T>,
 }
 
-/// Plain numbers.
+/// Numbers without invalid bit patterns.
 ///
 /// # Safety
 ///
-/// Every pattern of bits is a value of the type.
+/// Every bit pattern must be a value of the type.
 pub(crate) unsafe trait Plain: Copy + Default {}
-// SAFETY: every pattern of bits is a number.
+// SAFETY: every bit pattern is an integer.
 unsafe impl Plain for u8 {}
-// SAFETY: every pattern of bits is a number, or not a number.
+// SAFETY: every bit pattern is a number or NaN.
 unsafe impl Plain for f32 {}
 // SAFETY: as above.
 unsafe impl Plain for f64 {}
 
 impl<T: Plain> Array<T> {
-    /// An array of any numbers, for one who will write them all.
+    /// An array with arbitrary contents; write before reading.
     pub(crate) fn any(len: usize) -> Self {
         Self::make(len, T::default(), false)
     }
@@ -131,7 +133,7 @@ impl<T: Copy> Array<T> {
         Self::make(len, value, true)
     }
 
-    /// Only new memory needs `value` where it is not to be `filled` with it.
+    /// Writes `value` to all elements if `filled` is set, or if the memory is new and therefore uninitialised.
     fn make(len: usize, value: T, filled: bool) -> Self {
         let Ok(layout) = Layout::array::<T>(len) else { handle_alloc_error(Layout::new::<T>()) };
         if layout.size() == 0 {
@@ -164,7 +166,7 @@ impl<T: Copy> Deref for Array<T> {
     type Target = [T];
 
     fn deref(&self) -> &[T] {
-        // SAFETY: start points to len initialised elements, owned by self.
+        // SAFETY: start points to len initialised elements that self owns.
         unsafe { std::slice::from_raw_parts(self.start().as_ptr(), self.len) }
     }
 }

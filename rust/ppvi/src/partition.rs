@@ -1,12 +1,12 @@
 //! Partitions of the state set.
 //!
-//! A partition assigns a label to every state; the members of a label are kept in index order. Any labels will do: the
-//! solvers are correct for all of them, and only their speed depends on the choice. Blocks of neighbouring states are
-//! good, since most of the probability then stays inside.
+//! A partition assigns a label to every state. The states with one label are its members, in index order. Solvers are
+//! correct for any labels; only their speed depends on the choice. Blocks of neighbouring states are a good choice, because
+//! most of the transition probability then stays inside a block.
 
 use crate::error::{Error, Result};
 
-/// Labels `[states]` and, for every label, its members in index order.
+/// A label for every state, and the members of every label in index order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Partition {
     labels: Vec<u32>,
@@ -15,7 +15,7 @@ pub struct Partition {
 }
 
 impl Partition {
-    /// Partitions `0..partitions` from one label a state. A partition may be empty.
+    /// Makes the partitions `0..partitions` from one label per state. A partition may be empty.
     ///
     /// # Errors
     /// [`Error::Parameter`] names the first state whose label is not below `partitions`.
@@ -31,7 +31,7 @@ impl Partition {
         Ok(Partition { labels, offsets, members })
     }
 
-    /// One partition that holds every state.
+    /// Makes one partition that holds every state.
     ///
     /// # Errors
     /// [`Error::Parameter`] for 2^32 states or more.
@@ -39,12 +39,25 @@ impl Partition {
         Self::from_labels(vec![0; states], 1)
     }
 
-    /// A regular grid of `[px, py]` partitions laid over `[nx, ny]` grid points, as in the thesis. `place` tells the
-    /// grid point of a state; all states of a point (headings, bevels) share a partition. The label is `a * py + b` for
-    /// the partition in column `a` and row `b`, and columns differ in width by at most one point.
+    /// Makes a regular grid of `[px, py]` partitions over `[nx, ny]` grid points, as in the thesis.
+    ///
+    /// `place(state)` returns the grid point of a state. All states of a grid point share a partition. The partition in
+    /// column `a` and row `b` has the label `a * py + b`, and the widths of columns differ by at most one point.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if there are more partitions than points along an axis, none, or if `place` leaves the grid.
+    /// [`Error::Parameter`] if the number of partitions along an axis is zero or larger than the number of points, or if
+    /// `place` returns a point outside the grid.
+    ///
+    /// # Examples
+    /// ```
+    /// use ppvi::Partition;
+    ///
+    /// // Six states on a row of six points, cut into three partitions.
+    /// let partition = Partition::grid(6, [6, 1], [3, 1], |state| [state, 0])?;
+    /// assert_eq!(partition.labels(), [0, 0, 1, 1, 2, 2]);
+    /// assert_eq!(partition.members(1), [2, 3]);
+    /// # Ok::<(), ppvi::Error>(())
+    /// ```
     pub fn grid(
         states: usize,
         points: [usize; 2],
@@ -91,7 +104,7 @@ impl Partition {
         &self.members[self.offsets[partition]..self.offsets[partition + 1]]
     }
 
-    /// Checks that this partition belongs to a problem of `states` states.
+    /// Checks that the partition has `states` states.
     pub(crate) fn check_states(&self, states: usize) -> Result<()> {
         if self.states() == states {
             return Ok(());
@@ -100,7 +113,8 @@ impl Partition {
     }
 }
 
-/// Stable counting sort of `values` by their keys, which are below `groups`: offsets `[groups + 1]`, sorted values.
+/// Sorts `values` stably by `keys`, which are less than `groups`. Returns the offsets of the groups `[groups + 1]` and the
+/// sorted values.
 pub(crate) fn group(keys: &[u32], values: impl Iterator<Item = u32>, groups: usize) -> (Vec<usize>, Vec<u32>) {
     let mut offsets = vec![0; groups + 1];
     for &key in keys {

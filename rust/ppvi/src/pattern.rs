@@ -1,28 +1,28 @@
-//! Rows that repeat, stored once.
+//! Compression of rows that repeat: equal patterns are stored once.
 //!
-//! In a problem laid out on a grid the same thing happens in many places: the actions of two states differ by a shift of
-//! the indices and by nothing else. Written relative to the state, as (successor - state, probability), they are equal.
-//! A [`Dictionary`] keeps every such *pattern* once, so that one number describes a state, and a sweep reads a few bytes a
-//! state instead of a hundred. It is exact: a pattern is shared only after every bit of it has been compared. Where
-//! nothing repeats it degenerates to a copy of the rows, and the search for repetitions is given up.
+//! In a problem on a grid the actions of many states differ only by a shift of the indices. Relative to the state, as
+//! pairs (successor - state, probability), their rows are equal. A [`Dictionary`] stores each such *pattern* once, so one
+//! number describes a state, and a sweep reads a few bytes per state instead of about a hundred. The compression is exact:
+//! two states share a pattern only if all its bits are equal. If the first few thousand states hardly repeat, the search
+//! for repetitions ends, and the dictionary is a copy of the rows.
 //!
-//! Absorbing successors (value 0) and those of probability zero contribute nothing and are left out of the rows that
-//! backups use; an action that may enter a state of infinite value gets an infinite cost. A backup then adds the same
-//! products in the same order as [`TabularMdp`] does, so both give the same bits.
+//! Successors that are absorbing (value 0) or of probability zero contribute nothing to a backup and are left out. An
+//! action that may enter an improper state gets an infinite cost. A backup then adds the same products in the same order
+//! as a backup of [`TabularMdp`], so both give the same bits.
 
 use std::collections::HashMap;
 use std::ops::Range;
 
 use crate::tabular::TabularMdp;
 
-/// What a state is to those that read it.
+/// Class of a state, which decides how backups of other states read it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Class {
-    /// Its value is sought.
+    /// The solver computes its value.
     Active,
-    /// Value 0.
+    /// Its value is 0.
     Absorbing,
-    /// Infinite value: the execution cannot be made to end.
+    /// Its value is infinite, because no policy ends the execution with probability one.
     Improper,
 }
 
@@ -34,7 +34,8 @@ pub(crate) struct Source<'s> {
 }
 
 impl Source<'_> {
-    /// The successor relative to the state, or a mark (no index reaches that far) if it is not active.
+    /// Returns the index of the successor minus that of the state. For a successor that is not active, returns a mark for its
+    /// class instead: a number outside the range of index differences.
     #[inline]
     fn shift(&self, state: usize, next: u32) -> i32 {
         let class = self.classes[next as usize];
@@ -42,12 +43,13 @@ impl Source<'_> {
     }
 }
 
-/// Values that a backup reads.
+/// Read access to the values of states.
 pub(crate) trait Values {
     fn get(&self, state: usize) -> f64;
 }
 
-/// What states are compared with: whole patterns in compressed rows, inactive successors as marks.
+/// The patterns found so far, in compressed rows with marks for successors that are not active: for the comparison with
+/// further states.
 #[derive(Debug)]
 struct Known {
     /// Rows of a pattern: `row_offsets[pattern]..row_offsets[pattern + 1]`.
@@ -103,24 +105,26 @@ impl Known {
     }
 }
 
-/// Patterns, numbered as they were found, packed for backups: two parallel arrays of cells. A row is a head cell, with
-/// the cost as its number and the count of entries as its shift (complemented, hence negative, in the last row of the
-/// pattern), followed by its entries. A backup reads both arrays from one place on, and needs no other index.
+/// Patterns, numbered in the order in which they were found, and packed for backups.
+///
+/// Two parallel arrays hold the cells of all rows. A row begins with a head cell: its number is the stage cost, and its
+/// shift is the count of entries. In the last row of a pattern the bits of this count are inverted, which makes it
+/// negative. The cells of the entries follow. A backup reads both arrays from the same index on and needs no other.
 #[derive(Debug)]
 pub(crate) struct Dictionary {
     shifts: Vec<i32>,
     numbers: Vec<f64>,
-    /// First cell of every pattern.
+    /// Index of the first cell of every pattern.
     starts: Vec<u32>,
     known: Known,
     by_hash: HashMap<u64, u32>,
-    /// The two patterns that came after a pattern last: the first guesses for the next state.
+    /// For every pattern, the two patterns that followed it most recently: the first guesses for the next state.
     followers: Vec<[u32; 2]>,
     previous: usize,
     looked_up: usize,
 }
 
-/// After so many states it is clear whether patterns repeat.
+/// Number of states after which the search for repetitions may end: if more than half of them had a new pattern.
 const TRIAL: usize = 4096;
 
 impl Dictionary {
@@ -137,12 +141,13 @@ impl Dictionary {
         }
     }
 
-    /// First cell of a pattern.
+    /// Index of the first cell of a pattern.
     pub fn start(&self, pattern: u32) -> u32 {
         self.starts[pattern as usize]
     }
 
-    /// The number of the pattern of an active state; expects the states of a neighbourhood in order.
+    /// Returns the number of the pattern of an active state, which it adds if it is new. Fast if consecutive calls are for
+    /// neighbouring states.
     pub fn pattern(&mut self, source: Source, state: usize) -> u32 {
         if self.looked_up >= TRIAL && self.starts.len() > self.looked_up / 2 {
             return self.add(source, state);
@@ -197,7 +202,7 @@ impl Dictionary {
         self.numbers.push(number);
     }
 
-    /// Calls `visit` for the successors, of all actions of a pattern, relative to the state.
+    /// Calls `visit` for every successor of every action of a pattern, as index difference to the state.
     pub fn each_shift(&self, pattern: u32, mut visit: impl FnMut(i32)) {
         let (mut cell, mut last) = (self.start(pattern) as usize, false);
         while !last {
@@ -208,14 +213,14 @@ impl Dictionary {
         }
     }
 
-    /// Whether the costs alone decide: every successor is absorbing.
+    /// Whether every successor is absorbing, so that a backup depends on costs only.
     pub fn is_constant(&self, pattern: u32) -> bool {
         let mut constant = true;
         self.each_shift(pattern, |_| constant = false);
         constant
     }
 
-    /// Cells of the entries of the row that begins at `cell`, and whether it is the last of its pattern.
+    /// Cells of the entries of the row that begins at `cell`, and whether this row is the last of its pattern.
     #[inline]
     fn entries(&self, cell: usize) -> (Range<usize>, bool) {
         let head = self.shifts[cell];
@@ -223,7 +228,8 @@ impl Dictionary {
         (cell + 1..cell + 1 + if last { !head } else { head } as usize, last)
     }
 
-    /// The backup of a state whose pattern begins at `start`, and the first action that attains it.
+    /// One Bellman backup of a state whose pattern begins at cell `start`: returns the smallest Q-value and the first action
+    /// that attains it.
     #[inline]
     pub fn backup(&self, start: u32, state: u32, discount: f64, values: &impl Values) -> (f64, usize) {
         let mut best = (f64::INFINITY, 0);
@@ -247,7 +253,7 @@ impl Dictionary {
         }
     }
 
-    /// Releases what only the search for repetitions needs.
+    /// Frees the memory that only the search for repetitions needs.
     pub fn finish(&mut self) {
         self.known = Known::new();
         self.by_hash = HashMap::new();
@@ -255,7 +261,7 @@ impl Dictionary {
     }
 }
 
-/// Equal patterns have equal hashes.
+/// Hash of the pattern of a state. Equal patterns have equal hashes.
 fn hash(source: Source, state: usize) -> u64 {
     let mut hash = 0u64;
     let mut mix = |word: u64| hash = (hash.rotate_left(23) ^ word).wrapping_mul(0x9E37_79B9_7F4A_7C15);

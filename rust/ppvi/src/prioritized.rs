@@ -1,4 +1,4 @@
-//! Prioritized-partitioned value iteration (the thesis, section 6.3; Wingate and Seppi 2005).
+//! Prioritized-partitioned value iteration (section 6.3 of the thesis; Wingate and Seppi 2005).
 //!
 //! ```text
 //! repeat  p = the partition of highest priority
@@ -7,19 +7,20 @@
 //! until   the Bellman residual of the problem is below the threshold
 //! ```
 //!
-//! Where the pseudocode leaves a choice:
+//! The pseudocode leaves four choices open:
 //!
-//! * *Inner loop.* In place, forwards and backwards in turn. It ends when the span of the change, max - min, is below the
-//!   inner tolerance (discount < 1, as printed), or the largest change is (discount 1, where a constant shift does not
-//!   fade). What it leaves behind remains a entry of the partition, so a coarse inner tolerance costs no accuracy.
-//! * *Start.* HP0(p) is the largest backup of V0 = 0 in p, the argmin of HP0 the first partition, the argmax all later
-//!   ones. Read literally the argmin is a partition of nothing but obstacles, with HP0 = 0, where there is nothing to do;
-//!   it is taken over the eligible partitions.
-//! * *Levels.* Ranked by H2, partitions of high value would be polished to the last digit before the others are looked at
-//!   (a tenfold cost on the thesis' own problem). So a partition is eligible when its residual reaches a *level*, and the
-//!   level is halved, down to the threshold, whenever no partition is eligible.
-//! * *End.* Only partitions whose residual may reach the threshold are queued ([`crate::priority`]). When none is left,
-//!   the exact residual is computed for all states. With discount 1 the threshold falls as the values grow, so this
+//! * *Inner loop.* Sweeps are in place, alternately forwards and backwards. With discount < 1 the loop ends when the span
+//!   of the change, max - min, is below the inner tolerance, as printed. With discount 1 a constant shift does not decay,
+//!   so the loop ends when the largest change is below the inner tolerance. The residual that remains stays in the
+//!   priority entry of the partition, so a coarse inner tolerance costs no accuracy.
+//! * *Start.* HP0(p) is the largest backup of V0 = 0 in p. The thesis begins with the partition of the smallest HP0 and
+//!   continues with the largest. Read literally, the first one would be a partition of obstacles only, with HP0 = 0 and
+//!   no work to do. Here the first one is the smallest among the eligible partitions.
+//! * *Levels.* With the rank H2 alone, partitions of high value would converge to the last digit before the others are
+//!   processed at all, which costs ten times as much on the problem of the thesis. Therefore a partition is eligible only
+//!   if its residual reaches a *level*. When no partition is eligible, the level is halved, down to the threshold.
+//! * *End.* Only partitions whose residual may reach the threshold are queued ([`crate::priority`]). When the queue is
+//!   empty, the exact residual of all states is computed. With discount 1 the threshold falls as the values grow, so this
 //!   check may queue partitions again. Partitions of absorbing states are never processed.
 
 use std::time::Instant;
@@ -35,14 +36,15 @@ use crate::queue::IndexedMaxQueue;
 use crate::solution::Solution;
 use crate::termination::{Certificate, LimitMonitor, Observer, Progress, Status, StopRule};
 
-/// Choices of the prioritized solver.
+/// Options of the prioritized solver.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PrioritizedOptions {
     /// The metric that ranks partitions.
     pub priority: Priority,
-    /// When the inner loop ends, in units of cost; `None`: the tolerance of the stop rule, as in the thesis.
+    /// Change of the values, in units of cost, below which the inner loop ends. `None` stands for the tolerance of the stop
+    /// rule, as in the thesis.
     pub inner_tolerance: Option<f64>,
-    /// Largest number of inner sweeps at a time. Unlimited in the thesis and by default; 2 is often the fastest.
+    /// Largest number of inner sweeps of one processing. Unlimited in the thesis and by default; 2 is often fastest.
     pub inner_sweeps: u64,
 }
 
@@ -53,7 +55,10 @@ impl Default for PrioritizedOptions {
 }
 
 impl PrioritizedOptions {
-    /// Checks the fields, which are public.
+    /// Checks the fields.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for an inner tolerance that is not positive and finite, or for zero inner sweeps.
     pub fn validate(&self) -> Result<()> {
         if let Some(tolerance) = self.inner_tolerance
             && !(tolerance > 0.0 && tolerance.is_finite())
@@ -67,10 +72,23 @@ impl PrioritizedOptions {
     }
 }
 
-/// Solves a problem partition by partition, on one thread (the last check uses the current rayon pool).
+/// Solves a problem partition by partition on one thread. The final check uses the current rayon pool.
 ///
 /// # Errors
-/// For an invalid rule or option, or a partition of another number of states. Reaching a limit is a status.
+/// [`Error::Parameter`] for an invalid rule or option, [`Error::Length`] if `partition` does not have as many states as
+/// `mdp`. Reaching a limit is a status, not an error.
+///
+/// # Examples
+/// ```
+/// use ppvi::{Partition, PrioritizedOptions, StopRule, TabularMdp, prioritized};
+///
+/// // Three steps of cost 1 lead from state 0 to the absorbing state 3.
+/// let mdp = TabularMdp::new(vec![0, 1, 2, 3, 3], vec![0, 1, 2, 3], vec![1, 2, 3], vec![1.0; 3], vec![1.0; 3], 1.0)?;
+/// let partition = Partition::from_labels(vec![0, 0, 1, 1], 2)?;
+/// let solution = prioritized(&mdp, &partition, PrioritizedOptions::default(), StopRule::new(1e-6)?, None)?;
+/// assert_eq!(solution.values, [3.0, 2.0, 1.0, 0.0]);
+/// # Ok::<(), ppvi::Error>(())
+/// ```
 pub fn prioritized(
     mdp: &impl Mdp,
     partition: &Partition,
@@ -113,12 +131,12 @@ struct Run<'m, M> {
     tolerance: f64,
     certificate: Certificate,
     threshold: f64,
-    /// Residual at which a partition is eligible now.
+    /// Residual from which on a partition is eligible.
     level: f64,
     max_value: f64,
     values: Vec<f64>,
     active: ActiveStates,
-    /// Values of a partition before it was processed.
+    /// Values of the partition before its current processing.
     before: Vec<f64>,
     seen: Vec<bool>,
     order: Vec<u32>,
@@ -127,11 +145,11 @@ struct Run<'m, M> {
     seconds_priorities: f64,
 }
 
-/// What one processing of a partition did.
+/// Result of one processing of a partition.
 struct Processed {
     /// Largest change of a state.
     change: f64,
-    /// Bound on the residual left in the partition.
+    /// Upper bound on the residual of the partition afterwards.
     left: f64,
     stopped: Option<Status>,
 }
@@ -159,13 +177,13 @@ impl<'m, M: Mdp> Run<'m, M> {
         }
     }
 
-    /// With discount 1 the threshold falls as the values grow; otherwise it is fixed.
+    /// Lowers the threshold for values up to `max_value`. It depends on the values with discount 1 only.
     fn lower_threshold(&mut self, max_value: f64) {
         self.max_value = self.max_value.max(max_value);
         self.threshold = self.certificate.threshold(self.tolerance, self.max_value);
     }
 
-    /// Processes partitions, level after level, until none reaches the threshold, or a limit is reached.
+    /// Processes partitions, level after level, until no residual reaches the threshold or a limit is reached.
     fn process_all(&mut self, dependencies: &Dependencies, monitor: &mut LimitMonitor) -> Option<Status> {
         let clock = Instant::now();
         let own: Vec<PriorityEntry> = (0..self.seen.len()).map(|p| self.entry_of_partition(p)).collect();
@@ -182,7 +200,7 @@ impl<'m, M: Mdp> Run<'m, M> {
         None
     }
 
-    /// Halves the residual that makes a partition eligible and fills the queue; false if no partition is left.
+    /// Halves the level and queues the eligible partitions. Returns false if no residual reaches the threshold.
     fn lower_level(&mut self, table: &PriorityTable, queue: &mut IndexedMaxQueue) -> bool {
         let largest = (0..self.seen.len()).map(|p| self.entry(p, table).residual).fold(0.0, f64::max);
         self.level = (largest / 2.0).max(self.threshold);
@@ -195,7 +213,7 @@ impl<'m, M: Mdp> Run<'m, M> {
         largest >= self.threshold
     }
 
-    /// Processes partitions until none reaches the level, or a limit is reached.
+    /// Processes partitions until no residual reaches the level or a limit is reached.
     fn process_level(
         &mut self,
         table: &mut PriorityTable,
@@ -223,7 +241,7 @@ impl<'m, M: Mdp> Run<'m, M> {
         None
     }
 
-    /// HP of a partition.
+    /// The priority HP of a partition.
     fn entry(&self, p: usize, table: &PriorityTable) -> PriorityEntry {
         match self.options.priority {
             Priority::Bound => table.bound(p),
@@ -240,7 +258,7 @@ impl<'m, M: Mdp> Run<'m, M> {
         }
     }
 
-    /// HP0 of a partition, or what it is to begin again with: the largest residual of its states.
+    /// The initial priority HP0 of a partition: the largest residual of its states, as rank and residual.
     fn entry_of_partition(&mut self, p: usize) -> PriorityEntry {
         let states = self.active.of(p);
         self.backups += states.len() as u64;
@@ -249,7 +267,7 @@ impl<'m, M: Mdp> Run<'m, M> {
         PriorityEntry { rank: residual, residual }
     }
 
-    /// HPP of some states of a partition.
+    /// The priority HPP of the given states of a partition.
     fn entry_of_states(&mut self, states: &[u32]) -> PriorityEntry {
         let mut entry = PriorityEntry::default();
         for &state in states {

@@ -1,31 +1,35 @@
-//! States from which the execution can be made to end.
+//! Proper states: states from which some policy ends the execution with probability one.
 //!
-//! With discount 1 and positive stage costs, V*(s) is finite exactly if some policy reaches an absorbing state from s
-//! with probability one: a policy that fails to do so with positive probability pays at least the least stage cost
-//! infinitely often with that probability, while one that succeeds can be chosen stationary, hence ends within a
-//! geometric time. The set of these states is the largest X with the property
+//! With discount 1 and positive stage costs, V*(s) is finite if and only if s is proper. A policy that may fail to end
+//! pays at least the smallest stage cost infinitely often, with positive probability. A policy that ends with probability
+//! one can be chosen stationary, and its expected number of steps is finite. The proper states are the largest set X with
+//! the property
 //!
 //! ```text
 //! X = least Y that holds the absorbing states and every s in X with an action that stays within X and may enter Y
 //! ```
 //!
-//! (de Alfaro 1997, "prob1E"). *Why:* within such an X, taking in every state the action that put it into Y lowers the
-//! rank at which a state entered Y with a probability bounded below, and never leaves X; so rank zero is reached with
-//! probability one. Conversely the states that can end almost surely satisfy the equation, hence lie in the largest
-//! solution. It is found from above: start with every state, compute Y, drop what is not in Y, repeat until nothing is
-//! dropped. Almost every problem needs one or two rounds. Y is computed by sweeps forwards and backwards in turn, which
-//! need no memory and are few where neighbours have near indices; should they be many, the rest is done by a backward
-//! search in the reverse graph, in time O(entries).
+//! (de Alfaro 1997, "prob1E").
+//!
+//! *Proof.* Let Y grow from the absorbing states, and let the rank of a state be the step in which it enters Y. In every
+//! state of X take the action that put it into Y. This action never leaves X, and it lowers the rank with a probability
+//! that is bounded from below, so rank zero is reached with probability one. Conversely, the proper states satisfy the
+//! equation, hence they lie in its largest solution. []
+//!
+//! *Algorithm.* Start with all states as X, compute Y, replace X by Y, and repeat until they are equal. Almost every
+//! problem needs one or two rounds. Y is computed by alternating forward and backward sweeps, which need no memory, and few
+//! of them if neighbours have near indices. After [`SWEEPS`] sweeps a backward search in the reverse graph computes the
+//! rest, in time O(entries).
 
 use crate::dependency::StateDependents;
 use crate::mdp::Mdp;
 use crate::tabular::ROW_SUM_TOLERANCE;
 
-/// Sweeps to try before the reverse graph is built.
+/// Number of sweeps before the reverse graph is built.
 const SWEEPS: usize = 16;
 
-/// For every state, whether some policy ends the execution from there with probability one. A row that sums to less
-/// than one (by more than 1e-9) may end, too.
+/// Returns for every state whether it is proper: whether some policy ends the execution from there with probability one.
+/// The execution may end in an absorbing state, or in a row whose probabilities sum to less than one (by more than 1e-9).
 pub fn proper_states(mdp: &impl Mdp) -> Vec<bool> {
     let mut allowed = vec![true; mdp.states()];
     let mut dependents = None;
@@ -38,7 +42,7 @@ pub fn proper_states(mdp: &impl Mdp) -> Vec<bool> {
     }
 }
 
-/// The least Y for a given X.
+/// The least Y for the X given by `allowed`.
 fn ending_states(mdp: &impl Mdp, dependents: &mut Option<StateDependents>, allowed: &[bool]) -> Vec<bool> {
     let mut reached: Vec<bool> = (0..mdp.states()).map(|state| allowed[state] && mdp.actions(state) == 0).collect();
     let mut missing: Vec<u32> = (0..mdp.states()).filter(|&s| allowed[s] && !reached[s]).map(|s| s as u32).collect();
@@ -68,7 +72,7 @@ fn ending_states(mdp: &impl Mdp, dependents: &mut Option<StateDependents>, allow
     reached
 }
 
-/// Whether some action stays within `allowed` and, with positive probability, ends or enters `reached`.
+/// Whether some action stays within `allowed` and, with positive probability, ends the execution or enters `reached`.
 fn may_enter(mdp: &impl Mdp, state: usize, allowed: &[bool], reached: &[bool]) -> bool {
     (0..mdp.actions(state)).any(|action| {
         let (mut stays, mut enters, mut total) = (true, false, 0.0);

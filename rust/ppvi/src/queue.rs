@@ -1,7 +1,20 @@
-//! A max-queue of indices with changeable keys.
+//! A priority queue of indices with changeable keys.
 
-/// Binary heap over the indices `0..capacity`, each queued at most once, with the position of every index at hand: a
-/// key changes in O(log n). Equal keys leave in order of rising index, so the order of a solve is reproducible.
+/// A binary max-heap over the indices `0..capacity`, each queued at most once.
+///
+/// The queue stores the position of every index, so a key changes in O(log n). Of equal keys the lowest index leaves first,
+/// so the order of a solve is reproducible.
+///
+/// # Examples
+/// ```
+/// use ppvi::queue::IndexedMaxQueue;
+///
+/// let mut queue = IndexedMaxQueue::new(3);
+/// (0..3).for_each(|index| queue.set(index, index as f64));
+/// queue.set(0, 5.0);
+/// assert_eq!(queue.pop(), Some((0, 5.0)));
+/// assert_eq!(queue.peek(), Some((2, 2.0)));
+/// ```
 #[derive(Debug, Clone)]
 pub struct IndexedMaxQueue {
     heap: Vec<u32>,
@@ -9,10 +22,11 @@ pub struct IndexedMaxQueue {
     keys: Vec<f64>,
 }
 
+/// Position of an index that is not queued.
 const ABSENT: u32 = u32::MAX;
 
 impl IndexedMaxQueue {
-    /// An empty queue for the indices `0..capacity`; the other methods panic on an index beyond.
+    /// Makes an empty queue for the indices `0..capacity`. The other methods panic if an index is not below `capacity`.
     pub fn new(capacity: usize) -> Self {
         IndexedMaxQueue { heap: Vec::new(), positions: vec![ABSENT; capacity], keys: vec![0.0; capacity] }
     }
@@ -45,7 +59,7 @@ impl IndexedMaxQueue {
         self.restore(position, index as u32);
     }
 
-    /// Takes `index` out; without effect if it is not queued.
+    /// Removes `index`, if it is queued.
     pub fn remove(&mut self, index: usize) {
         let position = std::mem::replace(&mut self.positions[index], ABSENT);
         if position == ABSENT {
@@ -58,20 +72,20 @@ impl IndexedMaxQueue {
         }
     }
 
-    /// The index with the largest key, left in the queue.
+    /// Returns the index with the largest key and the key. The index stays in the queue.
     pub fn peek(&self) -> Option<(usize, f64)> {
         let &index = self.heap.first()?;
         Some((index as usize, self.keys[index as usize]))
     }
 
-    /// Takes out the index with the largest key.
+    /// Removes and returns the index with the largest key, and the key.
     pub fn pop(&mut self) -> Option<(usize, f64)> {
         let (index, key) = self.peek()?;
         self.remove(index);
         Some((index, key))
     }
 
-    /// The index with the smallest key; equal keys: the lowest index. Looks at every queued index.
+    /// The index with the smallest key, of equal keys the lowest index. Takes time O(n).
     pub fn least(&self) -> Option<usize> {
         let key = |index: &u32| self.keys[*index as usize];
         self.heap.iter().copied().min_by(|a, b| key(a).total_cmp(&key(b)).then(a.cmp(b))).map(|index| index as usize)
@@ -86,7 +100,7 @@ impl IndexedMaxQueue {
         self.positions[index as usize] = position as u32;
     }
 
-    /// Puts `index` at `position`, whose occupant may be overwritten, and moves it up or down to where it belongs.
+    /// Writes `index` at `position`, over the index there, and moves it up or down until the heap is ordered.
     fn restore(&mut self, mut position: usize, index: u32) {
         while position > 0 && self.before(index, self.heap[(position - 1) / 2]) {
             self.place(position, self.heap[(position - 1) / 2]);

@@ -1,21 +1,21 @@
-//! What every solver returns.
+//! The result of a solver.
 
 use crate::termination::Status;
 
-/// Counts and proofs that come with a solution.
+/// Status, proven bounds and counts of a solve.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
     /// How the solve ended.
     pub status: Status,
-    /// max |TV - V| of the values returned: computed exactly, by `lattice::sweep` a bound on it (never the last change).
+    /// max |TV - V| of the returned values. It is exact, except that `lattice::sweep` gives an upper bound.
     pub residual: f64,
-    /// Proven bound on max |V - V*|; infinite where the problem gives none.
+    /// Proven upper bound on max |V - V*|; infinite if the problem allows none.
     pub error_bound: f64,
-    /// Bellman backups of single states, those of the residual checks and priorities included.
+    /// Number of Bellman backups of single states, including those for residual checks and priorities.
     pub backups: u64,
     /// Number of partitions.
     pub partitions: usize,
-    /// How many times a partition was processed.
+    /// Number of times that a partition was processed.
     pub partitions_processed: u64,
     /// Partitions in the order in which they were first processed.
     pub order: Vec<u32>,
@@ -25,13 +25,13 @@ pub struct Report {
     pub seconds_priorities: f64,
 }
 
-/// Values, greedy policy, report.
+/// Values, greedy policy and report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
-    /// Cost-to-go, `[states]`; infinite where the execution cannot be made to end (discount 1).
+    /// Cost-to-go, `[states]`; infinite for improper states (discount 1).
     pub values: Vec<f64>,
     /// Greedy action with respect to `values`, `[states]`; 0 for an absorbing state.
     pub policy: Vec<u32>,
-    /// Counts and proofs.
+    /// Status, bounds and counts.
     pub report: Report,
 }

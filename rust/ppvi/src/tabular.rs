@@ -1,10 +1,10 @@
-//! Explicit sparse problems.
+//! Problems in explicit sparse rows.
 //!
-//! Three levels of compressed rows: state `s` owns the rows `action_offsets[s]..action_offsets[s + 1]`, one for each of
-//! its actions in order; row `r` owns the entries `row_offsets[r]..row_offsets[r + 1]` of `successors` and
-//! `probabilities`, and costs `stage_costs[r]`. A state without rows is absorbing and has value 0.
+//! The rows are compressed. State `s` has the rows `action_offsets[s]..action_offsets[s + 1]`, one for each action, in
+//! order. Row `r` has the entries `row_offsets[r]..row_offsets[r + 1]` of `successors` and `probabilities`, and the stage
+//! cost `stage_costs[r]`. A state without rows is absorbing and has value 0.
 //!
-//! Everything is validated once, in the constructor, and borrowed or owned as the caller likes; nothing is copied.
+//! The constructor validates all arrays. They may be borrowed or owned, and they are not copied.
 
 use std::borrow::Cow;
 
@@ -13,10 +13,10 @@ use rayon::prelude::*;
 use crate::error::{Error, Result};
 use crate::mdp::Mdp;
 
-/// How far the probabilities of a row may sum from one.
+/// Largest difference between one and the sum of the probabilities of a row.
 pub const ROW_SUM_TOLERANCE: f64 = 1e-9;
 
-/// Largest admissible |stage cost|; below it no sum of costs that a solver can form overflows.
+/// Largest admissible |stage cost|. Sums of smaller costs do not overflow in any solver.
 pub const LARGEST_STAGE_COST: f64 = 1e100;
 
 /// A Markov decision process in compressed sparse rows.
@@ -46,14 +46,26 @@ pub struct Parts<'a> {
 }
 
 impl<'a> TabularMdp<'a> {
-    /// Takes and validates `action_offsets [n + 1]`, `row_offsets [rows + 1]`, `successors [entries]`,
-    /// `probabilities [entries]`, `stage_costs [rows]` (slices or vectors) and the discount in (0, 1].
+    /// Takes `action_offsets [n + 1]`, `row_offsets [rows + 1]`, `successors [entries]`, `probabilities [entries]`,
+    /// `stage_costs [rows]` (slices or vectors) and the discount in (0, 1], and validates them.
     ///
     /// # Errors
-    /// [`Error::Length`] and [`Error::Parameter`] for the arrays as a whole; [`Error::Row`] names the first state, and
-    /// its first action, that breaks a rule: offsets must rise and stay in range, successors must be states,
-    /// probabilities lie in [0, 1] and sum to one within 1e-9, costs be finite and at most 1e100 in size, and not
-    /// negative if the discount is 1.
+    /// [`Error::Length`] or [`Error::Parameter`] for an array as a whole. [`Error::Row`] names the first state and action
+    /// that break a rule: offsets must not fall and must stay in range, successors must be states, probabilities must lie
+    /// in [0, 1] and sum to one within 1e-9, costs must be at most 1e100 in size and, if the discount is 1, not negative.
+    ///
+    /// # Examples
+    /// State 0 has two actions, both of which lead to the absorbing state 1, at costs 5 and 3:
+    ///
+    /// ```
+    /// use ppvi::{StopRule, TabularMdp, value_iteration};
+    ///
+    /// let mdp = TabularMdp::new(vec![0, 2, 2], vec![0, 1, 2], vec![1, 1], vec![1.0, 1.0], vec![5.0, 3.0], 1.0)?;
+    /// let solution = value_iteration(&mdp, StopRule::new(1e-6)?, None)?;
+    /// assert_eq!(solution.values, [3.0, 0.0]);
+    /// assert_eq!(solution.policy, [1, 0]);
+    /// # Ok::<(), ppvi::Error>(())
+    /// ```
     pub fn new(
         action_offsets: impl Into<Cow<'a, [usize]>>,
         row_offsets: impl Into<Cow<'a, [usize]>>,
@@ -78,8 +90,11 @@ impl<'a> TabularMdp<'a> {
         }
     }
 
-    /// Expands any problem into an explicit one. If some row sums to less than one, an absorbing state is added at the
-    /// end that takes the rest; an absorbing state with a value other than 0 leads there at that cost.
+    /// Expands any problem into explicit rows.
+    ///
+    /// If some row sums to less than one, an absorbing state is added at the end, to which the remaining probability
+    /// leads. An absorbing state with a value other than 0 becomes a state with one action of that cost, which leads to
+    /// the added state.
     ///
     /// # Errors
     /// The errors of [`TabularMdp::new`].
@@ -90,7 +105,7 @@ impl<'a> TabularMdp<'a> {
         let mut has_end = false;
         for state in 0..states {
             if mdp.actions(state) == 0 && mdp.absorbing_value(state) != 0.0 {
-                // What is fixed at a value ends at that cost.
+                // An absorbing state of this value: one action of this cost that ends the execution.
                 successors.push(states as u32);
                 probabilities.push(1.0);
                 stage_costs.push(mdp.absorbing_value(state));
@@ -120,7 +135,7 @@ impl<'a> TabularMdp<'a> {
         TabularMdp::new(action_offsets, row_offsets, successors, probabilities, stage_costs, mdp.discount())
     }
 
-    /// The arrays it is made of.
+    /// The arrays of the problem.
     pub fn parts(&self) -> Parts<'_> {
         Parts {
             action_offsets: &self.action_offsets,
@@ -131,7 +146,7 @@ impl<'a> TabularMdp<'a> {
         }
     }
 
-    /// Rows of a state, one for each action.
+    /// Indices of the rows of a state, one for each action.
     #[inline]
     pub fn rows(&self, state: usize) -> std::ops::Range<usize> {
         self.action_offsets[state]..self.action_offsets[state + 1]
@@ -144,7 +159,7 @@ impl<'a> TabularMdp<'a> {
         (&self.successors[entries.clone()], &self.probabilities[entries], self.stage_costs[row])
     }
 
-    /// Number of rows and entries together.
+    /// Number of rows plus number of entries.
     pub(crate) fn cells(&self) -> usize {
         self.successors.len() + self.stage_costs.len()
     }
@@ -172,7 +187,7 @@ impl<'a> TabularMdp<'a> {
         check_length("probabilities", entries, self.probabilities.len())
     }
 
-    /// The rules for one state; the ends of the offset arrays are known to be right.
+    /// Checks the rows of one state. The lengths of the arrays and the ends of the offsets must have been checked.
     fn check_state(&self, state: usize) -> Result<()> {
         let (begin, end) = (self.action_offsets[state], self.action_offsets[state + 1]);
         let wrong = |action: usize, what, value: f64| Err(Error::Row { state, action, what, value });
@@ -207,7 +222,7 @@ impl<'a> TabularMdp<'a> {
     }
 }
 
-/// Checks that offsets begin with 0; returns the last.
+/// Checks that offsets begin with 0. Returns the last one.
 fn check_offsets(name: &'static str, offsets: &[usize]) -> Result<usize> {
     match (offsets.first(), offsets.last()) {
         (Some(0), Some(&last)) => Ok(last),

@@ -1,17 +1,17 @@
-//! The fast solver for explicit problems: directional sweeps over compressed blocks, in deterministic waves.
+//! The fastest solver for explicit rows: directional sweeps over compressed blocks, in deterministic waves.
 //!
-//! 1. *Compile.* The states are cut into at most 128 blocks of consecutive indices. A block stores rows that repeat once
-//!    (`pattern.rs`) and sorts its states into a forward and a backward list (`block.rs`).
-//! 2. *Sweep.* A pass updates all lists in place, Gauss-Seidel fashion, wave after wave, skipping those whose
-//!    accumulated-change bound shows that their residual is below the threshold already (`waves.rs`).
-//! 3. *Check.* When all bounds are below the threshold, the exact residual is computed for all states.
+//! 1. *Compile.* The states are cut into at most 128 blocks of consecutive indices. A block stores repeated rows once
+//!    (`pattern.rs`) and has a forward and a backward list of its states (`block.rs`).
+//! 2. *Sweep.* A pass updates all lists in place (Gauss-Seidel), wave after wave. It skips a list if the
+//!    accumulated-change bound proves that its residual is below the threshold (`waves.rs`).
+//! 3. *Check.* When all bounds are below the threshold, the exact residual of all states is computed.
 //!
-//! Nothing depends on the number of threads: not the blocks, not the waves, not what is skipped. The indices should be
-//! such that neighbours in the problem are near each other; with indices in random order the solver is still right, but
-//! no better than Gauss-Seidel on the plain rows.
+//! Blocks, waves and skipped lists do not depend on the number of threads. Neighbouring states of the problem should have
+//! near indices. With indices in random order the results are still correct, but the solver is no faster than Gauss-Seidel
+//! on the plain rows.
 //!
-//! Values are stored in relaxed atomics, which cost nothing on common machines and need no `unsafe`: the waves keep one
-//! thread from reading what another one writes, but it is not memory safety that rests on them.
+//! Values are stored in relaxed atomics, which cost nothing on common machines. The waves already prevent one thread from
+//! reading a value that another thread writes; with atomics, memory safety does not depend on the waves.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -28,9 +28,11 @@ use crate::tabular::TabularMdp;
 use crate::termination::{LimitMonitor, Observer, Progress, Status, StopRule};
 use crate::waves::{ResidualBoundTracker, Task, waves};
 
-/// Smaller blocks would be gone before another thread wakes up.
+/// Base-2 logarithm of the smallest number of states of a block. The update of a smaller block takes less time than another
+/// thread needs to start.
 const LEAST_LOG_SIZE: u32 = 12;
 
+/// Values as bits in atomics.
 struct Shared(Vec<AtomicU64>);
 
 impl Values for Shared {
@@ -47,10 +49,22 @@ impl SharedValues for Shared {
     }
 }
 
-/// Solves an explicit problem on the current rayon pool; the result is the same, bit for bit, for any number of threads.
+/// Solves an explicit problem on the current rayon pool. The result is the same, bit for bit, for any number of threads.
 ///
 /// # Errors
-/// For an invalid rule, or 2^31 states and 2^32 rows and entries or more. Reaching a limit is a status.
+/// [`Error::Parameter`] for an invalid rule; [`Error::TooLarge`] for 2^31 states or more, or for 2^32 or more rows and
+/// entries. Reaching a limit is a status, not an error.
+///
+/// # Examples
+/// ```
+/// use ppvi::{StopRule, TabularMdp, tabular_sweep};
+///
+/// // State 0 stays with probability 3/4 and ends with probability 1/4; every step costs 2.
+/// let mdp = TabularMdp::new(vec![0, 1, 1], vec![0, 2], vec![0, 1], vec![0.75, 0.25], vec![2.0], 1.0)?;
+/// let solution = tabular_sweep(&mdp, StopRule::new(1e-6)?, None)?;
+/// assert!((solution.values[0] - 8.0).abs() <= solution.report.error_bound);
+/// # Ok::<(), ppvi::Error>(())
+/// ```
 pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer>) -> Result<Solution> {
     rule.validate()?;
     let states = mdp.states();
@@ -91,7 +105,7 @@ pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer
         match stopped {
             _ if check.residual < threshold => break (Status::Converged, check),
             Some(status) => break (status, check),
-            // Rounding, or a threshold that fell: begin the book-keeping again.
+            // Rounding has exceeded the bounds, or the threshold has fallen: start the bounds afresh.
             None => sweeps.tracker = ResidualBoundTracker::new(&blocks, discount),
         }
     };
@@ -105,7 +119,7 @@ pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer
     Ok(solution)
 }
 
-/// The state of the passes, apart from the values.
+/// The state of the solve, except for the values.
 struct Sweeps<'b> {
     blocks: &'b [Block],
     waves: Vec<Vec<Task>>,
@@ -128,12 +142,12 @@ impl<'b> Sweeps<'b> {
         self.waves.iter().flatten().all(|&task| self.tracker.bound(task) < threshold)
     }
 
-    /// Work done, in units of n backups.
+    /// Backups so far, in sweeps of n backups.
     fn count(&self) -> f64 {
         self.backups as f64 / self.states.max(1) as f64
     }
 
-    /// Updates every list whose residual may reach the threshold; returns the largest change.
+    /// Updates every list whose residual may reach the threshold. Returns the largest change.
     fn pass(&mut self, values: &Shared, threshold: f64) -> f64 {
         let mut largest = 0.0f64;
         for wave in &self.waves {
@@ -157,7 +171,7 @@ impl<'b> Sweeps<'b> {
     }
 }
 
-/// Successors are stored relative to the state, and rows and entries counted, in 32 bits.
+/// Checks that the problem fits the index types: successors relative to the state, and rows and entries, in 32 bits.
 fn check_size(mdp: &TabularMdp) -> Result<()> {
     let (states, cells) = (mdp.states(), mdp.cells());
     if states < i32::MAX as usize && cells < u32::MAX as usize {
@@ -191,7 +205,7 @@ fn largest(values: &Shared) -> f64 {
     sizes.filter(|size| size.is_finite()).reduce(|| 0.0, f64::max)
 }
 
-/// The exact residual of all states, and the greedy policy.
+/// Writes the greedy policy, and returns the exact check of all states.
 fn check(blocks: &[Block], discount: f64, values: &Shared, policy: &mut [u32], log_size: u32) -> Check {
     let none = Check { residual: 0.0, max_value: 0.0 };
     let checks = blocks.par_iter().zip(policy.par_chunks_mut(1 << log_size)).map(|(block, policy)| {

@@ -1,40 +1,46 @@
-//! When a solver stops, and what it may then claim.
+//! Stop rules, and the error bounds that a Bellman residual proves.
 //!
 //! Let B(s) = (TV)(s) - V(s) be the Bellman residual and e = max |B|.
 //!
-//! *Discount g < 1.* T is a contraction, so |V - V*| <= e / (1 - g). Stopping at e < (1 - g) * tolerance (the rule of
-//! the thesis, section 6.3) makes every value correct to `tolerance`.
+//! *Discount g < 1.* T is a contraction, so |V - V*| <= e / (1 - g). If e < (1 - g) * tolerance (the rule of section 6.3
+//! of the thesis), every value is correct to `tolerance`.
 //!
-//! *Discount 1, stage costs >= c > e (a stochastic shortest-path problem), V >= 0.* Scale V: since
-//! T((1 + h)V) <= (1 + h) TV - h c <= (1 + h)(V + e) - h c <= (1 + h) V as soon as h >= e / (c - e), and U >= TU
-//! implies U >= V*, we get V* <= (1 + h) V; in the same way V* >= (1 - h) V. Hence |V - V*| <= V e / (c - e), and
-//! e <= tolerance * c / (max V + tolerance) makes every value correct to `tolerance`.
+//! *Discount 1, V >= 0, and stage costs of at least c > e (a stochastic shortest-path problem).* Scale V by 1 + h with
+//! h >= e / (c - e):
+//!
+//! ```text
+//! T((1 + h) V) <= (1 + h) TV - h c <= (1 + h) (V + e) - h c <= (1 + h) V
+//! ```
+//!
+//! U >= TU implies U >= V*, hence V* <= (1 + h) V. In the same way V* >= (1 - h) V. Therefore |V - V*| <= V e / (c - e).
+//! If e <= tolerance * c / (max V + tolerance), every value is correct to `tolerance`.
 
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use crate::error::{Error, Result};
 
-/// A residual near the least stage cost proves nothing, and all values zero have just that residual.
+/// Largest threshold, as a part of the smallest stage cost c. A residual near c proves nothing, and the residual of V = 0 is
+/// equal to c.
 const MOST_OF_LEAST_COST: f64 = 0.5;
 
 /// How a solve ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
-    /// The residual is below the threshold: the error bound holds and is at most the tolerance.
+    /// The residual is below the threshold, so the error bound is at most the tolerance.
     Converged,
-    /// The limit on sweeps (or on backups, counted in sweeps of n) was reached first.
+    /// The limit on sweeps was reached first. Solvers without sweeps count n backups as one sweep.
     IterationLimit,
     /// The time limit was reached first.
     TimeLimit,
-    /// Rounding hides what is left of the residual: the tolerance asks for more than double precision.
+    /// The residual is as small as rounding allows: the tolerance needs more than double precision.
     PrecisionLimit,
-    /// The progress callback asked to stop.
+    /// The progress callback stopped the solve.
     Interrupted,
 }
 
 impl Status {
-    /// The name used in files and in Python.
+    /// The name in files and in Python.
     pub fn name(self) -> &'static str {
         match self {
             Status::Converged => "converged",
@@ -46,26 +52,32 @@ impl Status {
     }
 }
 
-/// When to stop.
+/// Tolerance and limits of a solve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StopRule {
     /// Wanted bound on |V - V*|, in units of cost.
     pub tolerance: f64,
-    /// Limit on the number of sweeps; solvers that do not sweep count n backups as one.
+    /// Largest number of sweeps. Solvers without sweeps count n backups as one sweep.
     pub max_sweeps: u64,
-    /// Limit on the wall-clock time.
+    /// Largest wall-clock time.
     pub time_limit: Option<Duration>,
 }
 
 impl StopRule {
-    /// A rule with no time limit and 100,000 sweeps.
+    /// Makes a rule with at most 100,000 sweeps and no time limit.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for a tolerance that is not positive and finite.
     pub fn new(tolerance: f64) -> Result<Self> {
         let rule = StopRule { tolerance, max_sweeps: 100_000, time_limit: None };
         rule.validate()?;
         Ok(rule)
     }
 
-    /// Checks the fields, which are public.
+    /// Checks the fields.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for a tolerance that is not positive and finite, or for zero sweeps.
     pub fn validate(&self) -> Result<()> {
         if !(self.tolerance > 0.0 && self.tolerance.is_finite()) {
             return Err(Error::parameter("tolerance", self.tolerance, "must be positive and finite"));
@@ -77,21 +89,21 @@ impl StopRule {
     }
 }
 
-/// What the progress callback is told.
+/// Progress of a solve, for the callback.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Progress {
-    /// Sweeps done, in units of n backups.
+    /// Sweeps so far; n backups count as one.
     pub sweeps: f64,
-    /// Largest change or residual seen in the last sweep, in units of cost.
+    /// Largest change or residual of the last sweep, in units of cost.
     pub residual: f64,
-    /// The residual that ends the solve.
+    /// Residual below which the solve ends.
     pub threshold: f64,
 }
 
-/// Called once a sweep, or once a partition where partitions are processed one by one; `Break` stops the solve.
+/// Progress callback, called after every sweep, also after every inner sweep over a partition. `Break` stops the solve.
 pub type Observer<'a> = &'a mut (dyn FnMut(&Progress) -> ControlFlow<()> + Send);
 
-/// The facts about a problem that decide its threshold and its error bound.
+/// The numbers of a problem that determine its residual threshold and its error bound.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Certificate {
     /// Discount factor, in (0, 1].
@@ -101,8 +113,8 @@ pub struct Certificate {
 }
 
 impl Certificate {
-    /// The residual below which every value is correct to `tolerance`; where nothing can be proven (discount 1 and a
-    /// stage cost that is not positive) it is `tolerance` itself.
+    /// Returns the residual below which every value is correct to `tolerance`. If nothing can be proven (discount 1 and a
+    /// stage cost that is not positive), returns `tolerance` itself.
     pub fn threshold(&self, tolerance: f64, max_value: f64) -> f64 {
         if self.discount < 1.0 {
             (1.0 - self.discount) * tolerance
@@ -114,7 +126,8 @@ impl Certificate {
         }
     }
 
-    /// A proven bound on max |V - V*|, from the residual of V; infinite where nothing is proven.
+    /// Returns the upper bound on max |V - V*| that the residual of V proves, or infinity if it proves nothing.
+    /// `max_value` is the largest finite |V|.
     pub fn error_bound(&self, residual: f64, max_value: f64) -> f64 {
         if self.discount < 1.0 {
             residual / (1.0 - self.discount)
@@ -126,7 +139,7 @@ impl Certificate {
     }
 }
 
-/// Watches the limits of a [`StopRule`] during a solve.
+/// Checks the limits of a [`StopRule`] during a solve, and reports progress.
 pub struct LimitMonitor<'a> {
     rule: StopRule,
     started: Instant,
@@ -139,7 +152,7 @@ impl<'a> LimitMonitor<'a> {
         LimitMonitor { rule, started: Instant::now(), observer }
     }
 
-    /// Reports progress, then says whether a limit ends the solve now.
+    /// Reports progress, and returns a status if the callback or a limit ends the solve now.
     pub fn check(&mut self, progress: &Progress) -> Option<Status> {
         if let Some(observer) = &mut self.observer
             && observer(progress).is_break()

@@ -1,7 +1,7 @@
-//! Plain value iteration: the reference for every other solver.
+//! Plain value iteration: the reference for all other solvers.
 //!
-//! V(k+1) = T V(k) for all states at once (Jacobi), from V(0) = 0. The sweep that computes T V(k) also yields the exact
-//! residual of V(k), so that the values returned are those whose residual has been measured.
+//! V(k+1) = T V(k) for all states at once (Jacobi). The sweep that computes T V(k) also yields the exact residual of V(k).
+//! The solver returns V(k), because its residual is known.
 
 use crate::bellman::{bellman_operator, certificate, initial_values, solution};
 use crate::error::Result;
@@ -9,11 +9,28 @@ use crate::mdp::Mdp;
 use crate::solution::Solution;
 use crate::termination::{LimitMonitor, Observer, Progress, Status, StopRule};
 
-/// Solves a problem by sweeps over all states, in parallel on the current rayon pool; the values are the same bit for
-/// bit for any number of threads.
+/// Solves a problem by sweeps over all states on the current rayon pool. The values are the same, bit for bit, for any
+/// number of threads.
 ///
 /// # Errors
-/// Only for an invalid `rule`. Reaching a limit is a status, not an error.
+/// [`Error::Parameter`](crate::Error::Parameter) for an invalid rule. Reaching a limit is a status, not an error.
+///
+/// # Examples
+/// ```
+/// use std::ops::ControlFlow;
+///
+/// use ppvi::{Status, StopRule, TabularMdp, value_iteration};
+///
+/// // Every step costs 2, and the execution never ends: the value is 2 / (1 - 0.5).
+/// let mdp = TabularMdp::new(vec![0, 1], vec![0, 1], vec![0], vec![1.0], vec![2.0], 0.5)?;
+/// let solution = value_iteration(&mdp, StopRule::new(1e-9)?, None)?;
+/// assert!((solution.values[0] - 4.0).abs() <= 1e-9);
+///
+/// let mut stop = |_: &ppvi::Progress| ControlFlow::Break(());
+/// let solution = value_iteration(&mdp, StopRule::new(1e-9)?, Some(&mut stop))?;
+/// assert_eq!(solution.report.status, Status::Interrupted);
+/// # Ok::<(), ppvi::Error>(())
+/// ```
 pub fn value_iteration(mdp: &impl Mdp, rule: StopRule, observer: Option<Observer>) -> Result<Solution> {
     rule.validate()?;
     let mut monitor = LimitMonitor::start(rule, observer);

@@ -1,14 +1,14 @@
-//! Which lists of which blocks may be updated at the same time, and which need not be updated at all.
+//! The order of the updates of a pass, and the bounds that make updates unnecessary.
 //!
-//! A pass is the sequence of tasks F(1), B(m), F(2), B(m - 1), ..., F(m), B(1): one front walks up through the blocks with
-//! the forward lists, another one down with the backward lists. [`waves`] cuts this sequence into waves whose tasks do
-//! not touch each other, so that the outcome is that of the sequence, bit for bit, on any number of threads (the proof is
-//! in [`crate::priority`]). Where blocks read only their neighbours both fronts move at once, until they cross.
-//! [`ResidualBoundTracker`] keeps the accumulated-change bound of the same page for every list.
+//! A task updates one list of one block. A pass is the sequence of tasks F(1), B(m), F(2), B(m - 1), ..., F(m), B(1): the
+//! forward lists of blocks 1 to m, and in turn with them the backward lists of blocks m to 1. [`waves`] cuts this sequence
+//! into waves of tasks without conflicts. The tasks of a wave may run in parallel, and the result is the same, bit for bit,
+//! as that of the sequence ([`crate::priority`] has the proof). [`ResidualBoundTracker`] computes the accumulated-change
+//! bound, which [`crate::priority`] defines, for every list.
 
 use crate::block::Block;
 
-/// The list `side` (0 forward, 1 backward) of a block.
+/// The update of list `side` (0 forward, 1 backward) of a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Task {
     pub block: usize,
@@ -32,7 +32,7 @@ pub(crate) fn waves(blocks: &[Block]) -> Vec<Vec<Task>> {
     let tasks: Vec<Task> = pairs.flatten().filter(|task| blocks[task.block].list_len(task.side) > 0).collect();
     let mut waves: Vec<Vec<Task>> = Vec::new();
     for &task in &tasks {
-        // After the last wave that holds an earlier task in conflict with this one.
+        // The wave after the last one that has an earlier task in conflict with this one.
         let touches = |other: &Task| {
             task.block == other.block
                 || task.reads(blocks) >> other.block & 1 == 1
@@ -47,27 +47,27 @@ pub(crate) fn waves(blocks: &[Block]) -> Vec<Vec<Task>> {
     waves
 }
 
-/// Upper bounds on the residuals of the lists, without looking at states.
+/// Upper bounds on the residuals of the lists, computed without backups.
 ///
-/// For every block the largest change of each update is added up; a list remembers these totals as they were when it was
-/// updated. Its residual is at most what that update left plus discount * the largest growth, since then, of the total of
-/// a block that it reads. A list that reads none of its own members late leaves nothing; any other leaves at most
-/// discount * its own largest change. (A mixed state may since have been updated by the other list of its block: then its
-/// residual was zero at that later moment, and the growth bounds all the more what has come after.)
+/// The tracker sums the largest changes of all updates of each block. For every list it stores these totals at the last
+/// update of the list. The residual of a list is at most the residual after that update, plus discount * the largest growth
+/// of the total of a block that the list reads. The residual after an update is zero if no member reads itself or a later
+/// member, otherwise at most discount * the largest change of the update. (The other list of the block may have updated a
+/// mixed state since. The residual of this state was then zero at the later time, so the bound holds for it too.)
 #[derive(Debug)]
 pub(crate) struct ResidualBoundTracker<'b> {
     blocks: &'b [Block],
     discount: f64,
-    /// Changes of every block, summed over all updates.
+    /// Sum of the largest changes of all updates, by block.
     totals: Vec<f64>,
-    /// The totals when a list was last updated, `[lists][blocks]`.
+    /// The totals at the last update of each list, `[lists][blocks]`.
     seen: Vec<f64>,
-    /// The residual left by the last update of a list.
+    /// Upper bound on the residual of each list after its last update.
     left: Vec<f64>,
 }
 
 impl<'b> ResidualBoundTracker<'b> {
-    /// Nothing is known of any list: its bound is infinite.
+    /// Makes a tracker with infinite bounds for all lists.
     pub fn new(blocks: &'b [Block], discount: f64) -> Self {
         let count = blocks.len();
         let (totals, seen) = (vec![0.0; count], vec![0.0; 2 * count * count]);
@@ -87,7 +87,7 @@ impl<'b> ResidualBoundTracker<'b> {
         self.left[task.index()] + self.discount * growth
     }
 
-    /// Notes that the lists of a wave have been updated, with the largest change of each.
+    /// Records the updates of a wave, with the largest change of each.
     pub fn record(&mut self, wave: &[Task], changes: &[f64]) {
         for (task, change) in wave.iter().zip(changes) {
             self.totals[task.block] += change;

@@ -143,8 +143,10 @@ fn gather_outcomes(
         |plane, (row, to)| {
             let (k, bevel) = (row / 2, row % 2);
             write_outcomes(k, bevel, plane);
-            if let Some(code) = plane.iter().find(|code| **code > outcome::AT_TARGET) {
-                let found = format!("{code} at heading {k}, bevel index {bevel}");
+            // Not `Iterator::max`, which the compiler does not vectorise.
+            let largest = plane.iter().fold(0, |largest, code| if *code > largest { *code } else { largest });
+            if largest > outcome::AT_TARGET {
+                let found = format!("{largest} at heading {k}, bevel index {bevel}");
                 return Err(Error::parameter("outcomes", found, "must be a code from CONTINUES to AT_TARGET"));
             }
             let vertical = directions[k].is_vertical();
