@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing.connection import Connection
 
@@ -36,16 +38,29 @@ def answers(scenario: Scenario) -> dict[str, bytes]:
     }
 
 
-def work(scenario: Scenario, generations: int, answer: Connection) -> None:
-    """Answer in this process, or in one forked from it."""
-    answer.send(forked(scenario, generations - 1) if generations else answers(scenario))
+def in_a_fork(scenario: Scenario) -> dict[str, bytes]:
+    """The answers of a process forked from this one."""
+    return forked(answers, scenario)
 
 
-def forked(scenario: Scenario, generations: int = 0) -> dict[str, bytes]:
-    """The answers of a forked process; it must not keep its parent waiting."""
+def with_one_thread(scenario: Scenario) -> dict[str, bytes]:
+    """The answers given in every call of a progress callback, on a pool of one thread."""
+    os.environ["RAYON_NUM_THREADS"] = "1"
+    found: list[dict[str, bytes]] = []
+    npl.plan(scenario, lambda *_: found.append(answers(scenario)))
+    assert all(each == found[0] for each in found)
+    return found[0]
+
+
+def forked(work: Callable[[Scenario], dict[str, bytes]], scenario: Scenario) -> dict[str, bytes]:
+    """What `work` returns in a forked process, which must not keep its parent waiting."""
+
+    def send(answer: Connection) -> None:
+        answer.send(work(scenario))
+
     context = multiprocessing.get_context("fork")
     received, answer = context.Pipe(duplex=False)
-    child = context.Process(target=work, args=(scenario, generations, answer))
+    child = context.Process(target=send, args=(answer,))
     child.start()
     answer.close()
     try:
@@ -66,9 +81,13 @@ def scene(small: Scenario) -> Scenario:
 def test_a_forked_process_plans_as_its_parent_does(scene: Scenario, method: Method, threads: int | None) -> None:
     scene = replace(scene, solver=replace(scene.solver, method=method, tolerance=0.1, threads=threads))
     before = answers(scene)
-    assert forked(scene) == before
+    assert forked(answers, scene) == before
     assert answers(scene) == before
 
 
 def test_so_does_a_process_forked_from_one_that_has_not_planned(scene: Scenario) -> None:
-    assert forked(scene, generations=1) == answers(scene)
+    assert forked(in_a_fork, scene) == answers(scene)
+
+
+def test_a_progress_callback_may_plan_where_there_is_only_one_thread(scene: Scenario) -> None:
+    assert forked(with_one_thread, scene) == answers(scene)

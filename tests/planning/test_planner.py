@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
+import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -91,6 +95,24 @@ def test_progress_is_called_and_may_stop_the_solve(small: Scenario) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         npl.plan(small, stop)
+
+
+@pytest.mark.parametrize("threads", [None, 1, 3])
+def test_progress_is_called_on_the_thread_of_the_caller(small: Scenario, threads: int | None) -> None:
+    seen: set[int] = set()
+    npl.plan(replace(small, solver=replace(small.solver, threads=threads)), lambda *_: seen.add(threading.get_ident()))
+    assert seen == {threading.get_ident()}
+
+
+@pytest.mark.parametrize("threads", [None, 2])
+def test_ctrl_c_stops_a_solve(small: Scenario, threads: int | None) -> None:
+    solver = replace(small.solver, method=Method.VALUE_ITERATION, tolerance=1e-14, threads=threads, time_limit_s=60)
+    timer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        npl.plan(replace(small, solver=solver))
+    assert time.monotonic() - began < 30
 
 
 def test_an_unreachable_target_ends_with_no_success() -> None:

@@ -1,7 +1,7 @@
-//! How many instructions do the hot paths take? `benches/guard` runs each under callgrind and compares with its limits.
+//! Counts the instructions of the hot paths: `benches/guard` runs each under callgrind and compares with its limits.
 //!
 //! `hot_paths NAME` prepares a path and then calls its function `counted_*`; only in these are instructions counted.
-//! Everything happens on the main thread, for counts belong to threads. Without a name it lists them.
+//! Everything runs on the main thread, because counts belong to threads. Without NAME the program lists the paths.
 
 mod scene;
 
@@ -29,7 +29,7 @@ const PATHS: [&str; 9] = [
     "roll_out",
 ];
 
-// Plain names, by which valgrind finds them.
+// Valgrind finds the functions by these unmangled names.
 
 #[unsafe(no_mangle)]
 #[inline(never)]

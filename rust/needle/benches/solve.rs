@@ -1,5 +1,5 @@
-//! How long is a whole solve of 1,176,120 states: by the transition, by the objective, by the number of threads? What do
-//! layers cost, in which the needle bends differently?
+//! How long is a whole solve of 1,176,120 states, by transition, objective and number of threads? How much longer is it
+//! with layers of different curvature?
 
 mod scene;
 

@@ -1,5 +1,5 @@
-//! How long is one pass of the lattice solver over all states? The slope of the time over the number of passes; what is
-//! left at zero passes is the layout of the grid, and the last check with the greedy policy.
+//! How long is one pass of the lattice solver over all states? The answer is the slope of the time over the number of
+//! passes. The time at zero passes is that of the set-up of the grid and of the final tables.
 
 mod scene;
 

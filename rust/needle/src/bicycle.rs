@@ -1,14 +1,25 @@
-//! The planar bicycle model of a bevel-tip needle (Webster et al. 2006; thesis section 6.2).
+//! The planar bicycle model of a bevel-tip needle (Webster et al. 2006; section 6.2 of the thesis).
 //!
-//! The tip moves on a circle of radius rho to the side the bevel points to; a step is an arc of length
-//! delta = 2 pi rho / headings, so that the heading changes by one heading step alpha = 2 pi / headings. Turning the
-//! needle by 180 degrees mirrors the arc.
+//! The tip moves on a circle of radius rho, to the side of its bevel. A step is an arc of length
+//! delta = 2 pi rho / headings, so the heading changes by one heading step alpha = 2 pi / headings. Turning the needle by
+//! 180 degrees mirrors the arc.
 
 use std::f64::consts::TAU;
 
 use ppvi::{Error, Result};
 
-/// Curvature radius and number of headings.
+/// Curvature radius and number of headings of a needle.
+///
+/// # Examples
+/// ```
+/// use needle::Bicycle;
+///
+/// let needle = Bicycle::new(40.0, 60)?;
+/// assert!((needle.step_length() - 4.19).abs() < 0.01);
+/// let [x, y] = needle.displacement(0.0, 1.0, 1.0);
+/// assert!(x > 4.0 && y > 0.0);
+/// # Ok::<(), ppvi::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bicycle {
     /// Radius of curvature rho, mm.
@@ -18,7 +29,10 @@ pub struct Bicycle {
 }
 
 impl Bicycle {
-    /// Checks the fields.
+    /// Makes a needle from its radius of curvature, mm, and its number of headings.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for a radius that is not positive and finite, or for no headings or more than a million.
     pub fn new(radius: f64, headings: usize) -> Result<Self> {
         if !(radius > 0.0 && radius.is_finite()) {
             return Err(Error::parameter("curvature_radius_mm", radius, "must be positive and finite"));
@@ -39,10 +53,10 @@ impl Bicycle {
         self.radius * self.heading_step()
     }
 
-    /// Displacement, mm, after the fraction `t` of a step that starts at `heading` (rad) with `bevel` -1 or +1.
+    /// Displacement, mm, after the fraction `t` of a step that starts at `heading` (rad) with bevel -1 or +1.
     pub fn displacement(&self, heading: f64, bevel: f64, t: f64) -> [f64; 2] {
-        // Chord form of rho b (sin(h + b t alpha) - sin h): exact, and no difference of nearly equal numbers for
-        // large radii.
+        // The chord form of rho b (sin(h + b t alpha) - sin h) is exact, and for large radii it does not subtract nearly
+        // equal numbers.
         let half = 0.5 * t * self.heading_step();
         let chord = 2.0 * self.radius * half.sin();
         let (sin, cos) = (heading + bevel * half).sin_cos();

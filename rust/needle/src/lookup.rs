@@ -1,4 +1,4 @@
-//! Poses to table entries: "insert or rotate?" at once.
+//! Look-ups of poses in a solved table.
 
 use ppvi::lattice::Shape;
 use ppvi::{Error, Result};
@@ -6,27 +6,38 @@ use rayon::prelude::*;
 
 use crate::bicycle::Bicycle;
 
-/// Position, mm, heading, rad, and bevel, -1 or +1, of the tip.
+/// Pose of the tip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
-    /// Along insertion.
+    /// Position along the insertion, mm.
     pub x: f64,
-    /// Lateral.
+    /// Lateral position, mm.
     pub y: f64,
-    /// Counter-clockwise from +x.
+    /// Heading, rad, counter-clockwise from +x.
     pub heading: f64,
-    /// Sign of the arc's curvature.
+    /// Bevel, -1 or +1: the sign of the curvature of the arc.
     pub bevel: f64,
 }
 
 impl Pose {
-    /// From a row `[x, y, heading, bevel]`.
+    /// Makes a pose from a row `[x, y, heading, bevel]`.
     pub fn of(row: [f64; 4]) -> Self {
         Pose { x: row[0], y: row[1], heading: row[2], bevel: row[3] }
     }
 }
 
-/// The grid of a table.
+/// The grid of a table: finds the entry nearest to a pose.
+///
+/// # Examples
+/// ```
+/// use needle::{Pose, TableGrid};
+/// use ppvi::lattice::Shape;
+///
+/// let grid = TableGrid::new(Shape { nx: 4, ny: 3, headings: 8 }, [2.0, 1.0])?;
+/// assert_eq!(grid.index(Pose { x: 0.9, y: 0.4, heading: 0.0, bevel: -1.0 }), Some(0));
+/// assert_eq!(grid.index(Pose { x: 7.1, y: 0.0, heading: 0.0, bevel: -1.0 }), None);
+/// # Ok::<(), ppvi::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TableGrid {
     shape: Shape,
@@ -35,7 +46,10 @@ pub struct TableGrid {
 }
 
 impl TableGrid {
-    /// The grid with this shape and spacing (mm).
+    /// Makes a grid from its shape and its spacing along x and y, mm.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for a spacing that is not positive and finite, or a shape without states.
     pub fn new(shape: Shape, spacing: [f64; 2]) -> Result<Self> {
         if !spacing.iter().all(|s| *s > 0.0 && s.is_finite()) {
             return Err(Error::parameter("spacing_mm", format!("{spacing:?}"), "must be positive and finite"));
@@ -47,8 +61,8 @@ impl TableGrid {
         Ok(TableGrid { shape, per_mm: [1.0 / spacing[0], 1.0 / spacing[1]], per_rad })
     }
 
-    /// Index of the table entry nearest to a pose; `None` if the pose is not finite, more than half a cell outside the
-    /// grid, or its bevel neither -1 nor +1.
+    /// Index of the table entry nearest to a pose. `None` if the pose is not finite, if it is more than half a cell outside
+    /// the grid, or if its bevel is neither -1 nor +1.
     #[inline]
     pub fn index(&self, pose: Pose) -> Option<usize> {
         let Shape { nx, ny, headings } = self.shape;
@@ -62,7 +76,7 @@ impl TableGrid {
             return None;
         };
         let turns = pose.heading * self.per_rad;
-        // Beyond 2^53 heading steps an angle has no direction left.
+        // Beyond 2^53 heading steps the spacing of floating-point numbers is larger than a heading step.
         if turns.is_nan() || turns.abs() > 9e15 {
             return None;
         }
@@ -70,7 +84,11 @@ impl TableGrid {
         Some(((i * ny + j) * headings + k) * 2 + bevel)
     }
 
-    /// Actions, values and success probabilities of many poses; the error names the first that has none.
+    /// Looks up many poses, rows of x, y, heading and bevel, on the current rayon pool.
+    ///
+    /// # Errors
+    /// [`Error::Length`] if an array of the table does not have the size of the grid; [`Error::Parameter`] names the first
+    /// pose without a table entry.
     pub fn look_up_many(&self, poses: &[[f64; 4]], table: &Table<'_>) -> Result<Answers> {
         let states = self.shape.states();
         for (name, length) in
@@ -106,7 +124,7 @@ impl TableGrid {
     }
 }
 
-/// The three arrays of a table.
+/// The three arrays of a table, each in the order `[i][j][heading][bevel]`.
 #[derive(Debug, Clone, Copy)]
 pub struct Table<'a> {
     /// Cost-to-go.
@@ -117,7 +135,7 @@ pub struct Table<'a> {
     pub success: &'a [f32],
 }
 
-/// One element per pose.
+/// Results of a look-up, one element per pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answers {
     /// 0 insert, 1 rotate then insert.
@@ -128,7 +146,7 @@ pub struct Answers {
     pub success: Vec<f32>,
 }
 
-/// Half away from zero, without the library call that baseline processors need for it.
+/// Rounds half away from zero, without the library call that `f64::round` needs on baseline processors.
 #[inline]
 fn round(x: f64) -> f64 {
     (x + 0.5f64.copysign(x)).trunc()

@@ -1,8 +1,8 @@
 //! Executions of a policy in the continuous bicycle model with heading noise.
 //!
-//! The table is solved on a grid; the needle is not on it. A rollout keeps the true pose: each step asks the policy,
-//! moves along the arc, tests the arc's points, and adds a random number of heading steps. Every run has a random stream
-//! of its own, so results do not depend on the number of threads.
+//! A table is solved on a grid, but the needle moves continuously. A rollout keeps the exact pose. Each step takes an action
+//! from the policy, moves along the arc, tests points of the arc for events, and adds a random number of heading steps.
+//! Every run has its own random stream, so results do not depend on the number of threads.
 
 use ppvi::lattice::{LatticeMdp, Shape, outcome};
 use ppvi::{Error, Result};
@@ -17,16 +17,16 @@ use crate::problem::SteeringProblem;
 use crate::setup::Setup;
 use crate::workspace::Event;
 
-/// How the needle is told what to do.
+/// How the action at a pose between grid points is chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Execution {
-    /// By the policy at the nearest grid point.
+    /// The policy at the nearest grid point.
     Nearest,
-    /// By one step of look-ahead from the true pose, on values interpolated between grid points.
+    /// One step of look-ahead from the exact pose, with values interpolated between grid points.
     Greedy,
 }
 
-/// A table to execute and how.
+/// Executes the policy of a table.
 #[derive(Debug, Clone, Copy)]
 pub struct Executor<'a> {
     setup: &'a Setup,
@@ -41,13 +41,13 @@ pub struct Executor<'a> {
 /// One execution.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Run {
-    /// What ended it; `None`: the limit on steps.
+    /// The event at the end; `None` if the limit on steps was reached.
     pub event: Option<Event>,
     /// Inserted length, mm.
     pub length: f64,
     /// Number of turns.
     pub turns: u32,
-    /// Cost as the objective counts it, discounted.
+    /// Discounted cost, as in the objective.
     pub cost: f64,
 }
 
@@ -56,14 +56,18 @@ pub struct Run {
 pub struct Trace {
     /// Poses, the start first.
     pub poses: Vec<Pose>,
-    /// The action between each pose and the next.
+    /// The action between every pose and the next.
     pub actions: Vec<u8>,
     /// Totals.
     pub run: Run,
 }
 
 impl<'a> Executor<'a> {
-    /// `policy` and `values` are tables of the lattice; `arc_samples` defaults to the lattice's.
+    /// Takes the tables of a solved problem. `arc_samples` is the number of tested points of each arc, by default that of
+    /// the setup.
+    ///
+    /// # Errors
+    /// [`Error::Length`] for a table of the wrong size, [`Error::Parameter`] for arc samples outside 1 to 10,000.
     pub fn new(
         problem: &'a SteeringProblem,
         policy: &'a [u8],
@@ -86,7 +90,11 @@ impl<'a> Executor<'a> {
         Ok(Executor { setup, lattice, grid, policy, values, execution, arc_samples })
     }
 
-    /// `runs` executions from each start, start after start.
+    /// Runs `runs` executions from each start, a row of x, y, heading and bevel, on the current rayon pool. Returns them
+    /// start after start.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] names the first start that the table does not contain.
     pub fn rollout(
         &self,
         starts: &[[f64; 4]],
@@ -106,7 +114,10 @@ impl<'a> Executor<'a> {
         Ok((0..total).into_par_iter().with_min_len(64).map(run).collect())
     }
 
-    /// One execution, with noise if a seed is given.
+    /// Runs one execution and records its poses and actions; with tip noise if `seed` is given.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for a start that the table does not contain.
     pub fn trace(&self, start: [f64; 4], seed: Option<u64>, max_steps: u32) -> Result<Trace> {
         self.check(start, 0)?;
         let (mut poses, mut actions) = (vec![Pose::of(start)], Vec::new());
@@ -165,19 +176,19 @@ impl<'a> Executor<'a> {
         run
     }
 
-    /// The needle as it bends where the tip is.
+    /// The needle with the curvature at the position of the tip.
     fn needle_at(&self, pose: Pose) -> Bicycle {
         let Setup { needle, tissues, .. } = self.setup;
         tissues.needle_at(*needle, [pose.x, pose.y])
     }
 
-    /// Cost of a step of a needle that bends like this.
+    /// Cost of a step with this curvature.
     fn step_cost(&self, here: Bicycle) -> f64 {
         let Setup { needle, costs, .. } = self.setup;
         if here.radius == needle.radius { costs.step } else { costs.step * (here.radius / needle.radius) }
     }
 
-    /// Moves along the arc that `bevel` gives: the first event, and the pose it happens at or the pose at the end.
+    /// Moves along the arc of `bevel`. Returns the first event and its pose, or no event and the pose at the end.
     fn step(&self, from: Pose, bevel: f64) -> (Option<Event>, Pose) {
         let needle = &self.setup.needle;
         if !self.setup.tissues.is_uniform() {
@@ -200,8 +211,8 @@ impl<'a> Executor<'a> {
         (None, pose)
     }
 
-    /// The same where the needle bends differently from place to place: the length is that of the place where the step
-    /// starts, and each of the equally long pieces of the arc bends as at its start.
+    /// [`Executor::step`] where the curvature varies. The length of the step is that at its start. The arc consists of
+    /// equally long pieces, each with the curvature at its start.
     fn step_through_tissues(&self, from: Pose, bevel: f64) -> (Option<Event>, Pose) {
         let piece = self.needle_at(from).step_length() / self.arc_samples as f64;
         let mut pose = Pose { bevel, ..from };
@@ -225,7 +236,7 @@ impl<'a> Executor<'a> {
         u8::from(rotate < insert)
     }
 
-    /// Q-value of a step from the true pose, without the cost of turning.
+    /// Q-value of a step from the exact pose, without the cost of rotation.
     fn look_ahead(&self, pose: Pose, bevel: f64) -> f64 {
         let costs = &self.setup.costs;
         let (event, end) = self.step(pose, bevel);

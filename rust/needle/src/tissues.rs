@@ -1,21 +1,27 @@
-//! Where the needle bends how much: layers by depth, and regions.
+//! The curvature of the needle by position: layers by depth, and regions.
 
 use ppvi::{Error, Result};
 
 use crate::bicycle::Bicycle;
 use crate::workspace::{CLOSED_MM, Polygon};
 
-/// The radius of curvature by place; without layers and regions it is the needle's everywhere.
+/// The radius of curvature by position. Outside all layers and regions it is the needle's nominal radius.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Tissues {
-    /// (from x, mm; radius, mm), by increasing x.
+    /// (first x, mm; radius, mm), by increasing x.
     layers: Vec<(f64, f64)>,
-    /// (region, radius, mm); of overlapping ones the last counts.
+    /// (region; radius, mm). Of overlapping regions the last one applies.
     regions: Vec<(Polygon, f64)>,
 }
 
 impl Tissues {
-    /// Layers hold from their x on (to within [`CLOSED_MM`]), regions inside and on their polygon, over the layers.
+    /// Makes tissues from layers (first x, mm; radius, mm) and regions (polygon; radius, mm).
+    ///
+    /// A layer extends from its first x (to within [`CLOSED_MM`]) to that of the next layer. A region contains its border
+    /// and takes precedence over layers; of overlapping regions the last one applies.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for layers that do not begin at increasing finite x, or a radius that is not positive and finite.
     pub fn new(layers: Vec<(f64, f64)>, regions: Vec<(Polygon, f64)>) -> Result<Self> {
         if layers.iter().any(|(from, _)| !from.is_finite()) || !layers.is_sorted_by(|a, b| a.0 < b.0) {
             return Err(Error::parameter("layers", format!("{layers:?}"), "must begin at increasing finite depths"));
@@ -27,12 +33,12 @@ impl Tissues {
         Ok(Tissues { layers, regions })
     }
 
-    /// Whether the needle bends the same everywhere.
+    /// Whether the curvature is the same everywhere.
     pub fn is_uniform(&self) -> bool {
         self.layers.is_empty() && self.regions.is_empty()
     }
 
-    /// The needle as it bends at a place, mm.
+    /// `needle` with the radius of curvature at a position, mm.
     #[inline]
     pub fn needle_at(&self, needle: Bicycle, place: [f64; 2]) -> Bicycle {
         if self.is_uniform() {

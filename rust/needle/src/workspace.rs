@@ -1,7 +1,7 @@
-//! The plane the needle moves in: a closed rectangle `[0, width] x [0, height]`, polygonal obstacles and a round target.
+//! The workspace: a rectangle `[0, width] x [0, height]`, polygonal obstacles and a round target.
 //!
-//! "Inside" is closed everywhere: a point on an edge is inside, up to [`CLOSED_MM`], far below any needle's accuracy and
-//! far above the rounding of coordinates of some hundred millimetres.
+//! All sets are closed: a point on an edge, or within [`CLOSED_MM`] of it, is inside. This tolerance is far below the
+//! accuracy of a needle and far above the rounding of coordinates of a few hundred millimetres.
 
 use ppvi::lattice::outcome;
 use ppvi::{Error, Result};
@@ -9,18 +9,21 @@ use ppvi::{Error, Result};
 /// Tolerance of the closed tests, in mm.
 pub const CLOSED_MM: f64 = 1e-9;
 
-/// A simple polygon, convex or not; the first vertex is not repeated.
+/// A simple polygon, convex or not. The first vertex is not repeated at the end.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Polygon {
-    /// Each vertex with the one after it.
+    /// Every vertex with the next one.
     edges: Vec<[[f64; 2]; 2]>,
     low: [f64; 2],
     high: [f64; 2],
 }
 
 impl Polygon {
-    /// At least three finite vertices. Whether the polygon is simple is the caller's business: a self-intersecting one
-    /// is taken by the even-odd rule.
+    /// Makes a polygon from its vertices, mm. The caller checks that the polygon is simple; for one that intersects itself
+    /// the even-odd rule applies.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for fewer than three vertices, or a coordinate that is not finite.
     pub fn new(vertices: Vec<[f64; 2]>) -> Result<Self> {
         if vertices.len() < 3 {
             return Err(Error::parameter(
@@ -41,10 +44,11 @@ impl Polygon {
         Ok(Polygon { edges, low, high })
     }
 
-    /// Appends the closed intervals in which the line "coordinate `axis` = `at`" meets the polygon.
+    /// Appends the closed intervals in which the line "coordinate `axis` = `at`" intersects the polygon.
     ///
-    /// The section of a closed polygon is the union of its limits from both sides. Where a vertex is within the
-    /// tolerance both are taken, and the vertex itself, which a steep edge leaves between them.
+    /// The section of a closed polygon is the union of its limits from both sides. If a vertex is within the tolerance of
+    /// the line, both limits are appended, and also the vertex itself, because next to a steep edge it may lie between
+    /// the two.
     fn section(&self, axis: usize, at: f64, crossings: &mut Vec<f64>, intervals: &mut Vec<[f64; 2]>) {
         if at < self.low[axis] - CLOSED_MM || at > self.high[axis] + CLOSED_MM {
             return;
@@ -98,7 +102,7 @@ fn distance_to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     (p[0] - a[0] - t * dx).hypot(p[1] - a[1] - t * dy)
 }
 
-/// What ends an execution, in the order in which it is tested at one point.
+/// An event that ends an execution. The codes are those of [`ppvi::lattice::outcome`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Event {
@@ -124,7 +128,10 @@ pub struct Workspace {
 }
 
 impl Workspace {
-    /// Checks sizes and the target.
+    /// Makes a workspace: size along x and y, obstacles, centre and radius of the target, all in mm.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] for a size or radius that is not positive and finite, or a centre that is not finite.
     pub fn new(size: [f64; 2], obstacles: Vec<Polygon>, target: [f64; 2], target_radius: f64) -> Result<Self> {
         let lengths = [("width_mm", size[0]), ("height_mm", size[1]), ("target_radius_mm", target_radius)];
         for (name, value) in lengths {
@@ -138,7 +145,7 @@ impl Workspace {
         Ok(Workspace { size, obstacles, target, target_radius })
     }
 
-    /// The event at a point, if any: exit before collision before target.
+    /// The event at a point, if any. Exit takes precedence over collision, and collision over target.
     pub fn event(&self, point: [f64; 2]) -> Option<Event> {
         let outside = |axis: usize| !(point[axis] >= -CLOSED_MM && point[axis] <= self.size[axis] + CLOSED_MM);
         if outside(0) || outside(1) {
@@ -152,8 +159,8 @@ impl Workspace {
     }
 }
 
-/// A row of equally spaced points along y at one x, and the first event of each so far: the scan that classifies a
-/// million arcs in milliseconds, because a section of a polygon is computed once for all points of a column.
+/// Finds the events of equally spaced points along y at one x. The section of a polygon is computed once for all points of
+/// a column, so a million arcs are classified in milliseconds.
 pub(crate) struct ColumnScan<'a> {
     workspace: &'a Workspace,
     crossings: Vec<f64>,
@@ -165,7 +172,7 @@ impl<'a> ColumnScan<'a> {
         ColumnScan { workspace, crossings: Vec::new(), intervals: Vec::new() }
     }
 
-    /// Marks in `codes` (0: no event yet) what happens at the points `(x, y0 + j * spacing)`.
+    /// Writes the events at the points `(x, y0 + j * spacing)` to `codes[j]`, where no earlier event is (code 0).
     pub(crate) fn mark(&mut self, x: f64, y0: f64, spacing: f64, codes: &mut [u8]) {
         let [width, height] = self.workspace.size;
         if !(x >= -CLOSED_MM && x <= width + CLOSED_MM) {
@@ -200,7 +207,7 @@ fn span(interval: [f64; 2], y0: f64, spacing: f64, count: usize) -> std::ops::Ra
     first..end.max(first)
 }
 
-/// Marks the points of a range where nothing has happened yet.
+/// Writes an event to the points of a range that have none (code 0).
 pub(crate) fn fill(codes: &mut [u8], range: std::ops::Range<usize>, event: Event) {
     for code in &mut codes[range] {
         *code = if *code == 0 { event as u8 } else { *code };
@@ -208,6 +215,9 @@ pub(crate) fn fill(codes: &mut [u8], range: std::ops::Range<usize>, event: Event
 }
 
 /// Number of grid points along an extent: `round(extent / spacing) + 1`, ties to even as in Python.
+///
+/// # Errors
+/// [`Error::TooLarge`] for 2^32 points or more.
 pub fn grid_points(extent: f64, spacing: f64) -> Result<usize> {
     let count = (extent / spacing).round_ties_even() + 1.0;
     if count.is_finite() && count < f64::from(u32::MAX) {

@@ -51,8 +51,11 @@ impl<'a> TabularMdp<'a> {
     ///
     /// # Errors
     /// [`Error::Length`] or [`Error::Parameter`] for an array as a whole. [`Error::Row`] names the first state and action
-    /// that break a rule: offsets must not fall and must stay in range, successors must be states, probabilities must lie
-    /// in [0, 1] and sum to one within 1e-9, costs must be at most 1e100 in size and, if the discount is 1, not negative.
+    /// that break a rule:
+    ///
+    /// * Offsets do not fall, and stay in range. Successors are states.
+    /// * Probabilities lie in [0, 1], and those of a row sum to one within 1e-9.
+    /// * Costs are at most 1e100 in size and, if the discount is 1, not negative.
     ///
     /// # Examples
     /// State 0 has two actions, both of which lead to the absorbing state 1, at costs 5 and 3:

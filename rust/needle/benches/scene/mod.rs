@@ -13,12 +13,12 @@ const OBSTACLES: [&[[f64; 2]]; 4] = [
     &[[72.0, 56.0], [84.0, 50.0], [88.0, 66.0], [76.0, 74.0]],
 ];
 
-/// What is minimised.
+/// The objective.
 #[derive(Clone, Copy)]
 pub enum Objective {
     /// The costs of the thesis, discount 0.95.
     Thesis,
-    /// Success first: failures cost 10,000, discount 1.
+    /// Success first: a failure costs 10,000, discount 1.
     Success,
 }
 
@@ -27,7 +27,7 @@ pub fn problem(spacing: f64, transition: Transition, objective: Objective) -> Re
     layered(spacing, transition, objective, 0)
 }
 
-/// The same, with a needle that bends differently in each of some layers of equal depth.
+/// The same workspace with layers of equal depth and different curvature.
 pub fn layered(spacing: f64, transition: Transition, objective: Objective, layers: usize) -> Result<SteeringProblem> {
     let depths = (0..layers).map(|layer| (120.0 * layer as f64 / layers as f64, 40.0 + layer as f64)).collect();
     let obstacles = OBSTACLES.iter().map(|points| Polygon::new(points.to_vec())).collect::<Result<_>>()?;
@@ -54,7 +54,7 @@ pub fn rule() -> Result<StopRule> {
     StopRule::new(0.01)
 }
 
-/// Poses all over the workspace, always the same.
+/// Reproducible poses, uniform over the workspace.
 pub fn poses(count: usize) -> Vec<[f64; 4]> {
     let mut state = 0x9e37_79b9_7f4a_7c15u64;
     let mut uniform = move || {

@@ -14,18 +14,18 @@ use crate::lattice::sector::{PassInputs, Sector};
 use crate::lattice::store::{StagingBuffer, TableWriter};
 use crate::lattice::terminal_mask::TerminalMask;
 
-/// What the sweep of a sector needs beside it.
+/// Inputs and outputs of the sweep of a sector.
 pub(crate) struct SweepContext<'a, T: Copy> {
     pub inputs: PassInputs<'a, T>,
     pub terminal_mask: &'a TerminalMask,
     pub halo: &'a Halo<T>,
-    /// Where there is one, all values are written there, and the better actions unless there is a policy.
+    /// If present, the sweep writes all values to it, and the better actions unless there is a policy.
     pub table: Option<TableWriter<'a>>,
 }
 
-/// What a sweep has seen.
+/// Results of a sweep.
 pub(crate) struct Swept {
-    /// How much what was read has changed meanwhile: zero where all reads are downstream.
+    /// Largest change during the sweep of the values that it reads: zero if all reads are downstream.
     pub change: f64,
     /// The largest finite value written to a table.
     pub largest: f64,
@@ -135,7 +135,7 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
     Swept { change: change.widen(), largest: staging.largest() }
 }
 
-/// Where the W stands that a step from the beginning of a column reads.
+/// Index and weights of the W that a step from the first grid point of a column reads.
 #[derive(Clone, Copy)]
 struct Read<T> {
     /// In the column arrived at, and in the next one.
@@ -156,7 +156,7 @@ fn read<T: Real>(sector: &Sector<T>, u: usize, region: usize, q: usize, bevel: u
     Read { at: [to_u, to_u + 1].map(|u| sector.column(u) + in_column), weights: weights.map(T::of) }
 }
 
-/// What the backup of a strip needs; `[heading]` and `[heading][bevel]`.
+/// Inputs of the backup of a strip; arrays are `[heading]` or `[heading][bevel]`.
 #[derive(Clone, Copy)]
 struct Work<'a, T> {
     convolved: &'a [T],

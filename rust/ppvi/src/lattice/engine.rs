@@ -22,16 +22,16 @@ pub(crate) struct Engine<'a, T: Copy> {
     costs: StageCosts<T>,
     /// By sector.
     changes: Vec<Change>,
-    /// What sweeps have kept.
+    /// The tables that sweeps write.
     store: Option<Store>,
-    /// By sector: the largest finite value that its last sweep kept, where it did.
+    /// By sector: the largest finite value that its last sweep staged; None if it did not stage values.
     kept: Vec<Option<f64>>,
 }
 
-/// How much that what a sector has read has changed.
+/// Largest change in the inputs of a sector.
 #[derive(Clone, Copy, Default)]
 struct Change {
-    /// During its last sweep.
+    /// During the last sweep of the sector.
     during: f64,
     /// Since then, at the interfaces between sectors.
     since: f64,
@@ -148,7 +148,7 @@ impl<'a, T: Vectorized> Engine<'a, T> {
         largest * self.costs.discount.widen()
     }
 
-    /// About the largest finite value.
+    /// Approximate largest finite value.
     pub(crate) fn max(&self) -> f64 {
         self.sectors.iter().map(Sector::max).fold(0.0, f64::max)
     }

@@ -1,4 +1,4 @@
-//! What a policy does: probability of reaching the target, expected length, expected number of turns.
+//! Evaluation of a policy: probability of reaching the target, expected length, expected number of turns.
 //!
 //! The chain of the policy is evaluated by the sweeps of the solver, with other costs, no discount, and zero as the
 //! start: the iterates grow towards the smallest solution, which is the right one even where the policy never ends.
@@ -12,7 +12,7 @@ use crate::lattice::parts::{Region, outcome};
 /// Limit on the passes of an evaluation.
 const MAX_PASSES: u64 = 2000;
 
-/// Passes end when no number changes by more than this part of the largest possible (or found) one.
+/// Relative change that ends the passes: the largest change over the largest possible (or found) value.
 const RELATIVE_CHANGE: f64 = 1e-6;
 
 /// A number for every state, in table layout.
@@ -20,9 +20,9 @@ const RELATIVE_CHANGE: f64 = 1e-6;
 pub struct Evaluation {
     /// The number.
     pub values: Vec<f32>,
-    /// Residual of the last pass: how far the number of a state may be from what its successors say.
+    /// Upper bound on the residual of the evaluation equation after the last pass.
     pub change: f64,
-    /// Whether that was small enough before the limit on passes.
+    /// Whether the residual was small enough before the limit on passes.
     pub converged: bool,
 }
 
@@ -34,7 +34,7 @@ pub fn success(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
     evaluate(lattice, policy, 0.0, |_| StepCosts { cost: 0.0, terminal })
 }
 
-/// Probability that the execution ends at all.
+/// Probability that the execution ends.
 pub fn termination(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
     evaluate(lattice, policy, 0.0, |_| StepCosts { cost: 0.0, terminal: [1.0; outcome::CODES] })
 }
@@ -65,7 +65,7 @@ pub struct Expectations {
     pub converged: bool,
 }
 
-/// Below this probability of ending an execution is taken as one that need not end.
+/// Probability of termination below which expected length and number of turns are reported as infinite.
 const SURELY: f32 = 1.0 - 1e-4;
 
 /// [`length`] and [`turns`], infinite where the policy need not end.

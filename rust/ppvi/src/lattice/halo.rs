@@ -26,7 +26,7 @@ pub(crate) struct Halo<T: Copy> {
     padding: T,
     /// `[place][strip][plane][LANES]`.
     values: Array<T>,
-    /// What was there before the last pull.
+    /// The values before the last refresh.
     before: Array<T>,
 }
 
@@ -111,8 +111,8 @@ impl<T: Vectorized> Halo<T> {
         }
     }
 
-    /// How much the last pull changes what a sector with `count` headings reads of W, at most; roughly, where that is far
-    /// above `threshold`.
+    /// Largest change that the last refresh made to the W that a sector with `count` headings reads. A change above
+    /// `threshold` is computed from one column only, as a lower bound.
     pub(crate) fn interface_change(&self, count: usize, noise: &[T], threshold: f64) -> f64 {
         // Steps that arrive with bevel -1 read headings -1 .. count - 1, those with bevel +1 the headings 1 .. count + 1.
         let centres = [0, 1].map(|bevel: usize| (2 * bevel as i64 - 1)..(count as i64 + 2 * bevel as i64 - 1));

@@ -13,7 +13,7 @@ pub(crate) trait Lanes<T>: Copy {
     fn store(self, to: &mut [T; LANES]);
     fn add(self, other: Self) -> Self;
     fn mul(self, other: Self) -> Self;
-    /// The lesser of `self` and `other`; `other` where neither is less.
+    /// The minimum of `self` and `other`; `other` where neither is smaller.
     fn minimum(self, other: Self) -> Self;
     /// [`Lanes::minimum`] with the argument that attains it in the sign: minus for `self`, plus for `other`. For numbers that
     /// are not negative.

@@ -4,11 +4,10 @@
 //! reversed as well. Rows are contiguous in v and padded, so that a step is a read of a shifted row. What does not move along
 //! is stored by *place*, the grid column or row: u, or its reverse.
 //!
-//! A sweep against the motion needs nothing of the sweep before it: it makes all values anew from what stands around the
-//! sector (`halo`). So what is kept of a sector are the values at its ends, for the halos of the others, and W, its
-//! values convolved with the noise of the heading, of the last few columns only: the cache holds them, and a sweep costs
-//! arithmetic instead of memory. Only where the grid is so coarse that steps do not leave their column is W kept whole.
-//! Values of the whole sector are written when they are wanted (`Store`).
+//! A sweep against the motion computes all values of a sector from its halo alone; it reads no value of the previous sweep.
+//! A sector therefore stores only its values at the end headings, which are the halos of other sectors, and W, its values
+//! convolved with the heading noise. W is stored for the last few columns only, which fit into the cache. W is stored whole
+//! if the grid is so coarse that steps do not leave their column. `Store` takes the values of a whole sector on request.
 
 use std::ops::Range;
 
@@ -44,7 +43,7 @@ pub(crate) struct Sector<T: Copy> {
     pub downstream: bool,
 }
 
-/// What a whole pass is given.
+/// Inputs of a whole pass.
 #[derive(Clone, Copy)]
 pub(crate) struct PassInputs<'a, T> {
     pub lattice: &'a LatticeMdp,
@@ -131,7 +130,7 @@ impl<T: Real> Sector<T> {
         }
     }
 
-    /// Copies the sector's part of a policy, given as a table.
+    /// Copies the sector's part of a policy table to the policy mask.
     fn import(&mut self, policy: &[u8], shape: Shape) {
         let (arc, size) = (self.arc, self.arc.count * 2 * LANES);
         for (number, strip) in self.policy_mask.chunks_exact_mut(size).enumerate() {
@@ -150,7 +149,7 @@ impl<T: Real> Sector<T> {
         !self.policy_mask.is_empty()
     }
 
-    /// What the policy says in a strip, `[heading][bevel]`; nothing without a policy.
+    /// The policy mask of a strip, `[heading][bevel]`; empty without a policy.
     #[inline(always)]
     pub(crate) fn policy_mask(&self, place: usize, strip: usize) -> &[[[u8; LANES]; 2]] {
         if self.policy_mask.is_empty() {
@@ -191,15 +190,15 @@ impl<T: Real> Sector<T> {
     /// The largest finite value at the ends: about the largest value.
     pub(crate) fn max(&self) -> f64 {
         let larger = |max: T, value: &T| if *value > max && value.widen() < f64::INFINITY { *value } else { max };
-        // All lanes: those of the padding have the value outside, which is no larger than that of an exit.
+        // Over all lanes: the lanes of the padding hold the value outside the grid, which does not exceed the exit cost.
         self.edges.iter().fold(T::default(), larger).widen()
     }
 }
 
-/// The headings whose values others read, by bevel: those of a range at the low end and those of one at the high end.
+/// The headings whose values other sectors read: by bevel, a range at the low end and a range at the high end.
 ///
-/// Steps turn the heading by one to the side of their bevel, so that W of the sectors beyond reaches two headings less far
-/// on the one side than on the other.
+/// A step turns the heading by one, to the side of its bevel. So W of a neighbouring sector reaches two headings less far on
+/// one side than on the other.
 #[derive(Debug, Clone)]
 pub(crate) struct Ends {
     kept: [[Range<usize>; 2]; 2],

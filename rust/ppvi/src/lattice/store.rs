@@ -1,6 +1,7 @@
 //! Values and actions on the way from a sweep to the tables.
 //!
-//! Values are never negative. So the sign of a kept value is free to say that the needle is turned: one array instead of two.
+//! Values are never negative, so the sign of a staged value can hold the action: minus stands for action 1. One array then
+//! serves for both.
 
 use std::marker::PhantomData;
 
@@ -63,7 +64,7 @@ pub(crate) struct TableWriter<'a> {
 // SAFETY: parts of one table have no heading in common, so that no two write the same number; nothing is read.
 unsafe impl Send for TableWriter<'_> {}
 
-/// A strip on the way to the tables.
+/// A strip of values and actions before it is written to the tables.
 pub(crate) struct StagingBuffer {
     /// `[heading][bevel]`, a multiple of four headings.
     rows: Vec<[[f32; LANES]; 2]>,

@@ -31,11 +31,11 @@ use crate::proper::proper_states;
 use crate::solution::Report;
 use crate::termination::{Certificate, LimitMonitor, Observer, Progress, Status, StopRule};
 
-/// Values are written to the tables once the residual was below this many thresholds: a sweep divides it by five to ten, and
-/// two sweeps have to be kept.
+/// Multiple of the threshold: once the residual is below it, sweeps write their values to the tables. A sweep divides the
+/// residual by five to ten, and the last two sweeps must write their values.
 const KEEP_BELOW: f64 = 20.0;
 
-/// A precision is exhausted when the residual is this many times what rounding alone may make.
+/// A precision is exhausted if the residual is at most this multiple of the rounding of a backup.
 const EXHAUSTED: f64 = 4.0;
 
 /// Table of a lattice, as `[i][j][heading][bevel]`.
@@ -132,13 +132,13 @@ struct Run<'a, 'o> {
     certificate: Certificate,
     monitor: LimitMonitor<'o>,
     waves: u64,
-    /// How often tables took another pass.
+    /// Number of tables that took another pass.
     tables: u64,
-    /// About the largest value.
+    /// Approximate largest value.
     largest: f64,
 }
 
-/// What an iteration ended with.
+/// Result of an iteration.
 struct End {
     status: Status,
     residual: f64,
