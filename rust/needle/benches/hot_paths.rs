@@ -1,6 +1,6 @@
 //! Counts the instructions of the hot paths: `benches/guard` runs each under callgrind and compares with its limits.
 //!
-//! `hot_paths NAME` prepares a path and then calls its function `counted_*`; only in these are instructions counted.
+//! `hot_paths NAME` prepares a path and then calls its function `counted_*`. Only instructions in these functions count.
 //! Everything runs on the main thread, because counts belong to threads. Without NAME the program lists the paths.
 
 mod scene;
@@ -103,7 +103,7 @@ fn run(name: &str) -> Result<()> {
     Ok(())
 }
 
-/// The paths that begin with a solved table.
+/// Runs a path that starts from a solved table.
 fn run_on_a_table(name: &str) -> Result<()> {
     let problem = scene::problem(SPACING, Transition::Interpolated, Success)?;
     let lattice = problem.lattice();

@@ -1,4 +1,4 @@
-//! How long is one look-up, and how many a second are a million of them?
+//! How long is one look-up, and how many look-ups per second are there in a batch of a million?
 
 mod scene;
 

@@ -1,5 +1,5 @@
-//! How long does an explicit sparse problem take: to validate, to solve by directional sweeps, to solve by plain value
-//! iteration? 300,120 states (a spacing of 2 mm), on the threads of `RAYON_NUM_THREADS`.
+//! How long does an explicit sparse problem of 300,120 states take to validate, to solve by directional sweeps, and to solve
+//! by plain value iteration? `RAYON_NUM_THREADS` sets the number of threads.
 
 mod scene;
 

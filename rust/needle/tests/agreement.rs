@@ -1,4 +1,4 @@
-//! The structured solver against the general ones, on the same problems: each is the other's oracle.
+//! The lattice solver against the general solvers, on the same problems.
 
 use needle::{Bicycle, Polygon, Setup, SteeringProblem, Tissues, Workspace};
 use ppvi::lattice::evaluation::{self, Evaluation};
@@ -61,7 +61,7 @@ fn on_threads<R: Send>(threads: usize, work: impl FnOnce() -> R + Send) -> R {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
 }
 
-/// Follows the policy for many sweeps of the definition.
+/// Success probability of a policy, by many sweeps over the transition probabilities of the definition.
 fn evaluate_plainly(lattice: &LatticeMdp, policy: &[u8]) -> Vec<f64> {
     let codes = lattice.outcome_table();
     let at_target = |code: &u8| f64::from(u8::from(*code == ppvi::lattice::outcome::AT_TARGET));

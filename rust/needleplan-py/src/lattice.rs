@@ -1,4 +1,4 @@
-//! The lattice: from a scenario's numbers to tables and executions.
+//! The class `Lattice`: a steering problem, its solvers, evaluations of its policies, and executions.
 
 use needle::{Bicycle, Event, Execution, Executor, Polygon, Setup, SteeringProblem, Tissues, Workspace};
 use numpy::ndarray::Array4;
@@ -15,7 +15,7 @@ use pyo3::types::PyDict;
 use crate::solve::{exception, report_dict, solve_with_progress, stop_rule};
 use crate::threads::detached;
 
-/// The needle-steering MDP on a regular grid.
+/// The steering problem of a needle on a regular grid.
 #[pyclass(frozen, module = "needleplan._ppvi")]
 pub(crate) struct Lattice {
     problem: SteeringProblem,
@@ -26,14 +26,17 @@ impl Lattice {
         self.problem.lattice()
     }
 
-    /// The numbers of a table as an array of its shape.
+    /// Makes an array `[nx, ny, headings, 2]` from the elements of a table.
     fn table<'py, T: numpy::Element>(&self, py: Python<'py>, values: Vec<T>) -> PyResult<Bound<'py, PyArray4<T>>> {
         let Shape { nx, ny, headings } = self.lattice().shape();
         let array = Array4::from_shape_vec((nx, ny, headings, 2), values);
         Ok(array.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
     }
 
-    /// The elements of a table that has the lattice's shape.
+    /// Returns the elements of a table.
+    ///
+    /// # Errors
+    /// ValueError if the table does not have the shape of the lattice or is not contiguous.
     fn slice<'a, T: numpy::Element>(&self, name: &str, table: &'a PyReadonlyArray4<'_, T>) -> PyResult<&'a [T]> {
         let Shape { nx, ny, headings } = self.lattice().shape();
         if table.shape() != [nx, ny, headings, 2] {
@@ -167,7 +170,7 @@ impl Lattice {
         self.evaluation(py, "success", result)
     }
 
-    /// Expected length and number of turns of a policy; infinite where it need not end.
+    /// Expected length and number of rotations of a policy; infinite where the policy may not end.
     #[pyo3(signature = (policy, threads=None))]
     fn expectations<'py>(
         &self,
@@ -185,7 +188,7 @@ impl Lattice {
         Ok(dict)
     }
 
-    /// What the step that arrives with a bevel does, for every state.
+    /// Outcome code of the step that arrives with the bevel of the state, for every state.
     fn outcomes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<u8>>> {
         let outcomes = py.detach(|| self.lattice().outcome_table());
         self.table(py, outcomes)
@@ -229,7 +232,7 @@ impl Lattice {
         Ok(dict)
     }
 
-    /// One execution, every pose.
+    /// One execution in the continuous model, with all its poses.
     #[pyo3(signature = (policy, values, start, *, greedy=false, noise=false, seed=0, arc_samples=None, max_steps))]
     #[allow(clippy::too_many_arguments)]
     fn path<'py>(

@@ -1,4 +1,4 @@
-//! Look-ups in a table, which needs no lattice.
+//! Look-ups in a table. They need no lattice.
 
 use needle::{Table, TableGrid};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods};
@@ -12,7 +12,7 @@ use crate::threads::detached;
 /// Actions, values, success probabilities.
 type Looked<'py> = (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
 
-/// Table entries of many poses.
+/// Actions, values and success probabilities at the states nearest to many poses.
 #[pyfunction]
 #[pyo3(signature = (values, policy, success, spacing_mm, poses, threads=None))]
 pub(crate) fn lookup_many<'py>(

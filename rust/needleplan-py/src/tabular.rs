@@ -1,4 +1,4 @@
-//! Anybody's sparse MDP.
+//! The class `Tabular`: any finite MDP in compressed sparse rows.
 
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
 use ppvi::{
@@ -12,7 +12,8 @@ use pyo3::types::PyDict;
 use crate::solve::{exception, report_dict, solve_with_progress, stop_rule};
 use crate::threads::detached;
 
-/// The arrays of a problem. They stay numpy's, without a copy, so they are validated again by every use.
+/// The arrays of a problem. They belong to NumPy and are not copied. Because Python may change them, every use validates
+/// them again.
 #[pyclass(frozen, module = "needleplan._ppvi")]
 pub(crate) struct Tabular {
     action_offsets: Py<PyArray1<i64>>,
@@ -23,14 +24,14 @@ pub(crate) struct Tabular {
     discount: f64,
 }
 
-/// Offsets as the crate counts. A negative one becomes one that is far too large, which the validation names.
+/// Offsets as unsigned integers. A negative offset becomes a very large one, which the validation refuses.
 fn offsets<'a>(name: &str, array: &'a PyReadonlyArray1<'_, i64>) -> PyResult<&'a [usize]> {
     let cast = bytemuck::try_cast_slice(array.as_slice()?);
     cast.map_err(|_| PyValueError::new_err(format!("{name}: 64-bit offsets need a 64-bit machine")))
 }
 
 impl Tabular {
-    /// Locks the arrays against writing, validates them, and lends them as a problem.
+    /// Locks the arrays against writing, validates them, and calls `use_it` with the problem.
     fn lend<R>(&self, py: Python<'_>, use_it: impl FnOnce(Python<'_>, &TabularMdp<'_>) -> PyResult<R>) -> PyResult<R> {
         fn lock<'py, T: numpy::Element>(
             array: &Py<PyArray1<T>>,
@@ -126,7 +127,7 @@ impl Tabular {
         Ok(dict)
     }
 
-    /// The maps of Table 6.1: SDS as rows by state; PDP and, for each of its pairs, the states of SDP in it.
+    /// The maps of Table 6.1 of the thesis, in compressed rows: SDS by state, PDP by partition, and SDP by pair of PDP.
     #[pyo3(signature = (labels))]
     fn dependencies<'py>(&self, py: Python<'py>, labels: PyReadonlyArray1<'py, u32>) -> PyResult<Bound<'py, PyDict>> {
         let (states, partitions, maps) = self.lend(py, |py, mdp| {
@@ -158,7 +159,7 @@ impl Tabular {
     }
 }
 
-/// From one label a state; without labels all states are one partition.
+/// Makes a partition from one label per state. Without labels all states are in one partition.
 fn partition(labels: Option<&PyReadonlyArray1<'_, u32>>, states: usize) -> PyResult<Partition> {
     let Some(labels) = labels else {
         return Partition::whole(states).map_err(exception);

@@ -1,4 +1,4 @@
-//! Problems whose solution can be written down.
+//! Problems with a solution in closed form.
 
 mod cases;
 
@@ -8,7 +8,7 @@ use ppvi::{
     value_iteration,
 };
 
-/// Every solver, and the prioritized one with every metric on partitions of `size` states.
+/// Solutions of every solver; the prioritized one with every metric on partitions of `size` states.
 fn solve_all(mdp: &TabularMdp, tolerance: f64, size: usize) -> Vec<Solution> {
     let rule = StopRule::new(tolerance).unwrap();
     let labels = (0..mdp.states()).map(|s| (s / size) as u32).collect();

@@ -8,7 +8,7 @@ use ppvi::{
     value_iteration,
 };
 
-/// 13,000 states, so that the solvers have several blocks to share out.
+/// A problem of 13,000 states, which the solvers cut into several blocks.
 fn problem(discount: f64) -> TabularMdp<'static> {
     let mut rows = grid_world(130, 100, |i, j| i % 40 == 20 && j > 20, 0.7);
     for (s, actions) in rows.iter_mut().enumerate() {
@@ -21,7 +21,7 @@ fn on_threads(threads: usize, solve: impl Fn() -> Solution + Send + Sync) -> Sol
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(solve)
 }
 
-/// Everything but the clock.
+/// The whole solution except for the times.
 fn fingerprint(solution: Solution) -> (Vec<u64>, Vec<u32>, Report) {
     let bits = solution.values.iter().map(|value| value.to_bits()).collect();
     (bits, solution.policy, Report { seconds_solving: 0.0, seconds_priorities: 0.0, ..solution.report })

@@ -1,4 +1,4 @@
-//! Random problems: every solver against every other, the data structures against naive ones, bad input.
+//! Random problems: all solvers against each other, data structures against naive ones, and invalid input.
 
 mod cases;
 
@@ -17,7 +17,7 @@ use proptest::prelude::*;
 
 const METRICS: [Priority; 3] = [Priority::H1, Priority::H2, Priority::Bound];
 
-/// The residual of a solution, computed here and not by the solver.
+/// The exact residual, computed independently of the solvers.
 fn residual(mdp: &TabularMdp, values: &[f64]) -> f64 {
     (0..mdp.states()).map(|state| change(mdp.backup(state, values).0, values[state])).fold(0.0, f64::max)
 }
@@ -32,7 +32,7 @@ fn check_solution(mdp: &TabularMdp, tolerance: f64, solution: &Solution) {
     }
 }
 
-/// All solvers agree within the sum of their bounds.
+/// Checks that all solvers agree within the sum of their error bounds.
 fn check_agreement(mdp: &TabularMdp, partition: &Partition, tolerance: f64, inner_sweeps: u64) {
     let rule = StopRule::new(tolerance).unwrap();
     let reference = value_iteration(mdp, rule, None).unwrap();
@@ -57,8 +57,8 @@ fn partition(states: usize, partitions: usize, seed: usize) -> Partition {
     Partition::from_labels(labels.collect(), partitions).unwrap()
 }
 
-/// The largest X that equals the least Y holding the absorbing states and every state with an action that stays in X and
-/// may enter Y: sets, grown and cut one state at a time.
+/// Proper states by the definition: the largest set X that equals the least set Y with two kinds of states, the absorbing
+/// ones and those with an action that stays in X and may enter Y. The sets grow and shrink one state at a time.
 fn plainly_proper(rows: &Rows) -> Vec<bool> {
     let all: BTreeSet<u32> = (0..rows.len() as u32).collect();
     let mut x = all.clone();

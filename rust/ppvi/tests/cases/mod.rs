@@ -4,7 +4,7 @@
 use ppvi::{Mdp, TabularMdp};
 use proptest::prelude::*;
 
-/// Rows as a person would write them: for every state its actions, an action being a cost and (successor, probability).
+/// Rows in readable form: the actions of every state, each a cost and pairs (successor, probability).
 pub type Rows = Vec<Vec<(f64, Vec<(u32, f64)>)>>;
 
 /// Packs rows into the compressed form.
@@ -29,8 +29,8 @@ pub fn chain(states: usize, discount: f64) -> TabularMdp<'static> {
     tabular(&(0..states).map(step).collect(), discount).expect("a valid chain")
 }
 
-/// A grid world: four moves of cost 1 that succeed with probability `sure` and else stay; walls and borders reflect; the
-/// corner (0, 0) absorbs.
+/// A grid world. Each of four moves costs 1 and succeeds with probability `sure`, otherwise the state stays. Walls and
+/// borders reflect, and the corner (0, 0) absorbs.
 pub fn grid_world(columns: usize, rows: usize, wall: impl Fn(usize, usize) -> bool, sure: f64) -> Rows {
     let index = |i: usize, j: usize| (i * rows + j) as u32;
     let cells = (0..columns).flat_map(|i| (0..rows).map(move |j| (i, j)));
@@ -55,7 +55,7 @@ pub fn random_rows() -> impl Strategy<Value = Rows> {
     })
 }
 
-/// Actions with whole-number weights in place of probabilities.
+/// An action with integer weights instead of probabilities.
 type Weighted = (f64, Vec<(u32, u32)>);
 
 fn normalized(raw: Vec<Vec<Weighted>>) -> Rows {
@@ -71,7 +71,7 @@ fn normalized(raw: Vec<Vec<Weighted>>) -> Rows {
     raw.into_iter().map(|state| state.into_iter().map(row).collect()).collect()
 }
 
-/// V* to rounding by brute force: value iteration for a number of sweeps that suffices for any of the tests.
+/// V* up to rounding: value iteration with a fixed number of sweeps, which suffices for all tests.
 pub fn brute_force(mdp: &impl Mdp, sweeps: usize) -> Vec<f64> {
     let mut values = vec![0.0; mdp.states()];
     for _ in 0..sweeps {
