@@ -48,7 +48,14 @@ __all__ = [
 
 
 class Scale(StrEnum):
-    """The coordinate in which a parameter is estimated."""
+    """The coordinate in which a parameter is estimated.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> npl.models.Bicycle.parameters()["curvature_per_mm"].scale is npl.models.Scale.LINEAR
+    True
+    """
 
     LOG = "log"
     """u = ln(p), for positive parameters."""

@@ -1,4 +1,4 @@
-"""Signals: motions, records and filters; nothing here knows a needle or a tissue."""
+"""Signals: motions, records and filters. This package knows neither needles nor tissue."""
 
 from needleplan.signals._filters import (
     AverageStream,

@@ -1,15 +1,8 @@
-"""Linear filters of sampled signals: transfer function, whole records, one sample at a time, the inverse.
+"""Linear filters of sampled signals, the moving average of the force sensor, and velocity without delay.
 
-----
-
-The moving average of the force sensor: five samples at 200 Hz (thesis, appendix A).
-
-----
-
-Velocity of a whole record without delay, for work after the experiment.
-
-An observer or a causal filter delays, and a delay of the velocity is what tissue that gives way looks like: 0.1 s are
-3.6 degrees at 0.1 Hz (mechanics of the bristles suffer more: sigma0 and sigma1 come out over twice too large).
+**Delay of a velocity.** A causal filter delays the velocity, and this delay looks like compliant tissue: 0.1 s
+correspond to 3.6 degrees at 0.1 Hz. The parameters sigma0 and sigma1 of the bristles then become more than twice too
+large. Use `velocity_without_delay` for data that are processed after the experiment.
 """
 
 from __future__ import annotations
@@ -38,10 +31,10 @@ __all__ = [
 
 @dataclass(frozen=True)
 class DiscreteFilter:
-    """The transfer function B(z)/A(z) at samples `interval_s` apart.
+    """The transfer function B(z)/A(z) for samples at intervals of `interval_s`.
 
-    `numerator` and `denominator` are the coefficients of falling powers of z, of the same length; A begins with a
-    number that is not zero. Raises ModelError where they cannot be a causal filter.
+    `numerator` and `denominator` are the coefficients of descending powers of z and have the same length. The
+    constructor raises ModelError if they do not define a causal filter.
     """
 
     numerator: tuple[float, ...]
@@ -73,28 +66,31 @@ class DiscreteFilter:
 
     @property
     def stable(self) -> bool:
-        """Whether all poles lie inside of the unit circle."""
+        """Whether all poles are inside the unit circle."""
         return bool((np.abs(self.poles) < 1).all())
 
     @property
     def minimum_phase(self) -> bool:
-        """Whether the inverse is causal and stable as well: all poles and zeros lie inside of the unit circle."""
+        """Whether the inverse is causal and stable too: all poles and zeros are inside the unit circle."""
         return self.stable and self.numerator[0] != 0 and bool((np.abs(self.zeros) < 1).all())
 
     def response(self, frequency_hz: Array | float) -> ComplexArray:
-        """Return the complex gain at frequencies, shape as given; exact, at any frequency up to Nyquist."""
+        """Return the complex gain at frequencies of any shape, up to the Nyquist frequency."""
         z = np.exp(2j * np.pi * np.asarray(frequency_hz, float) * self.interval_s)
         return np.asarray(np.polyval(self.numerator, z) / np.polyval(self.denominator, z))
 
     def inverse(self) -> DiscreteFilter:
-        """Return A(z)/B(z). Raises ModelError where that is not causal or not stable."""
+        """Return A(z)/B(z). Raises ModelError if the inverse is not causal and stable."""
         if not self.minimum_phase:
             rule = "must lie inside of the unit circle, or the inverse is not causal and stable"
             raise ModelError(Mistake("zeros", np.array2string(self.zeros, precision=4), rule), "filter")
         return DiscreteFilter(self.denominator, self.numerator, self.interval_s)
 
     def apply(self, values: Array) -> Array:
-        """Filter a record, shape (samples,), as if its first value had been there for ever. Raises DataError."""
+        """Filter a signal, shape (samples,), from the steady state of its first value.
+
+        Raises DataError for another shape.
+        """
         from scipy.signal import lfilter
 
         values = np.asarray(values, float)
@@ -104,11 +100,11 @@ class DiscreteFilter:
         return np.asarray(filtered)
 
     def stream(self) -> FilterStream:
-        """Return the same filter for samples that come one at a time."""
+        """Return the filter for single samples."""
         return FilterStream(self)
 
     def _settled(self, value: float) -> Array:
-        """Return the memory of the filter after `value` has been there for ever, shape (order,)."""
+        """Return the steady state of the filter for a constant `value`, shape (order,)."""
         first = self.denominator[0]
         b, a = np.array(self.numerator) / first, np.array(self.denominator) / first
         out = value * b.sum() / a.sum()
@@ -117,7 +113,7 @@ class DiscreteFilter:
 
 
 class FilterStream:
-    """A filter at work, in transposed direct form II; gives what `DiscreteFilter.apply` gives."""
+    """A running filter in transposed direct form II; its output equals that of `DiscreteFilter.apply`."""
 
     def __init__(self, what: DiscreteFilter) -> None:
         first = what.denominator[0]
@@ -127,7 +123,7 @@ class FilterStream:
         self._memory: list[float] | None = None
 
     def push(self, value: float) -> float:
-        """Take a sample and return the filtered one."""
+        """Process one sample and return the filtered value."""
         if self._memory is None:
             self._memory = [*self._what._settled(value).tolist(), 0.0]
         memory, a, b = self._memory, self._a, self._b
@@ -139,10 +135,13 @@ class FilterStream:
 
 @dataclass(frozen=True)
 class MovingAverage:
-    """The mean of the last `samples` samples, at the start of those that there are. Raises ModelError.
+    """Mean of the last `samples` samples, of fewer at the begin of a record.
 
-    It delays by (samples - 1)/2 intervals at every frequency, and damps: compare a model with the measured force only
-    after the same average (`fit(..., smooth=MovingAverage(5).apply)`).
+    The force sensor of the thesis averages five samples at 200 Hz (appendix A).
+
+    The average delays by (samples - 1)/2 intervals at every frequency, and attenuates. Before comparing a model with
+    the measured force, apply the same average to the model (`fit(..., smooth=MovingAverage(5).apply)`). Raises
+    ModelError unless `samples` is a whole number of at least 1.
     """
 
     samples: int = 5
@@ -152,18 +151,18 @@ class MovingAverage:
             raise ModelError(Mistake("samples", str(self.samples), "must be a whole number from 1"), "moving average")
 
     def delay_s(self, interval_s: float) -> float:
-        """Return the delay at samples `interval_s` apart."""
+        """Return the delay for samples at intervals of `interval_s`."""
         return (self.samples - 1) / 2 * interval_s
 
     def response(self, frequency_hz: Array | float, interval_s: float) -> ComplexArray:
-        """Return the complex gain, shape as the frequencies."""
+        """Return the complex gain, of the shape of the frequencies."""
         turn = -2j * np.pi * np.asarray(frequency_hz, float)[..., None] * interval_s
         return np.asarray(np.exp(turn * np.arange(self.samples)).mean(axis=-1))
 
     def apply(self, values: Array) -> Array:
-        """Average a record, shape (samples,); what `stream` gives to 1e-12. Raises DataError for another shape.
+        """Average a signal, shape (samples,); equals `stream` to 1e-12. Raises DataError for another shape.
 
-        A NaN leaves the averages NaN that it is part of, and no others.
+        A NaN affects only the averages that contain it.
         """
         values = np.asarray(values, float)
         if values.ndim != 1:
@@ -173,10 +172,10 @@ class MovingAverage:
         return np.asarray(windows.sum(axis=1) / np.minimum(np.arange(values.size) + 1, self.samples))
 
     def centred(self, values: Array) -> Array:
-        """Average a record without delay, shape (samples,): over as many samples before each as after it.
+        """Average a signal without delay, shape (samples,), over as many samples before each sample as after it.
 
-        What `apply` gives with its delay taken out; at the ends the mean of those that there are. Raises DataError, and
-        ModelError where the number of samples is even.
+        Near the ends the average contains only the existing samples. Raises DataError for another shape, and ModelError
+        if the number of samples is even.
         """
         if self.samples % 2 == 0:
             raise ModelError(Mistake("samples", str(self.samples), "must be odd to have a middle"), "moving average")
@@ -189,18 +188,18 @@ class MovingAverage:
         return np.asarray(averages)
 
     def stream(self) -> AverageStream:
-        """Return the average for samples that come one at a time."""
+        """Return the average for single samples."""
         return AverageStream(self.samples)
 
 
 class AverageStream:
-    """A moving average at work."""
+    """A running moving average."""
 
     def __init__(self, samples: int) -> None:
         self._last: deque[float] = deque(maxlen=samples)
 
     def push(self, value: float) -> float:
-        """Take a sample and return the mean."""
+        """Process one sample and return the mean."""
         self._last.append(value)
         return sum(self._last) / len(self._last)
 
@@ -215,10 +214,10 @@ _MAD_TO_SD = 1.4826
 
 
 class VelocityMethod(StrEnum):
-    """How a velocity was made."""
+    """The method by which a velocity was computed."""
 
     POLYNOMIAL = "polynomial"
-    """Derivative of a cubic over 0.1 s about each sample (Savitzky and Golay): for encoders, at even times."""
+    """Derivative of a cubic over 0.1 s around each sample (Savitzky and Golay): for encoders at even times."""
 
     SMOOTHER = "smoother"
     """Kalman smoother with constant acceleration: for trackers, or uneven times."""
@@ -226,7 +225,7 @@ class VelocityMethod(StrEnum):
 
 @dataclass(frozen=True)
 class VelocityRecord:
-    """Velocity at every sample, shape (samples,), and the noise of the position that it was made from."""
+    """Velocity at every sample, shape (samples,), the estimated noise of the position, and the method."""
 
     velocity_mm_s: Array
     noise_mm: float
@@ -234,10 +233,11 @@ class VelocityRecord:
 
 
 def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:
-    """Return the velocity of a position, shape (samples,) each, by the method that its noise asks for.
+    """Return the velocity of a measured position, shape (samples,) each, without delay.
 
-    The density of the smoother's driving noise is that of a jerk as large as the record's own sine has, for as long as
-    a radian of it takes. Raises DataError for fewer than 15 samples, a record that does not move, or bad numbers.
+    The noise of the position selects the method. The smoother's process noise corresponds to the jerk of the dominant
+    sine in the record, correlated over a radian of this sine. Raises DataError for fewer than 15 samples, a constant
+    position, or invalid numbers.
     """
     from scipy.signal import savgol_filter
 

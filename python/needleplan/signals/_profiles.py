@@ -1,12 +1,10 @@
-"""Periodic motions of the needle: what friction is identified from (thesis, sections 3.4.1 and 3.4.2).
+"""Motion profiles: sines for the identification of friction, and trapezoidal velocities for insertions.
 
-----
-
-Motion profiles: linear segments with parabolic blends (LSPB), the trapezoidal velocity of a robot's linear stage.
-
-From one depth to the next the velocity rises linearly for `blend_s`, stays at the preset velocity v, and falls
-linearly for `blend_s`; the acceleration is a = v / blend_s. A segment shorter than v * blend_s never reaches v: its
-velocity is a triangle of the same acceleration. The position is the exact integral of the velocity.
+The trapezoidal profile (linear segments with parabolic blends, LSPB) is that of a robot's linear stage. From one depth
+to the next, the velocity rises linearly for `blend_s`, is constant at the preset velocity v, and falls linearly for
+`blend_s`, with the acceleration v / blend_s. On a segment shorter than v * blend_s the velocity is a triangle with the
+same acceleration. The position is the exact integral of the velocity. The sines are those of sections 3.4.1 and 3.4.2
+of the thesis.
 """
 
 from __future__ import annotations
@@ -28,13 +26,13 @@ _MOVING = 0.05
 
 
 class Start(StrEnum):
-    """Where a sine begins. Both begin at rest: a sine that begins at full speed gives bristles a blow (3 to 4 N)."""
+    """The begin of a sine. Both begin at rest, because a start at full speed would bend the bristles by 3 to 4 N."""
 
     END = "end"
-    """At an end of the stroke, where the velocity is zero: offset -+ amplitude cos."""
+    """At one end of the stroke, where the velocity is zero: offset -+ amplitude cos."""
 
     MIDDLE = "middle"
-    """In the middle of the stroke, with a clock that takes a while to reach its speed: offset +- amplitude sin."""
+    """In the middle of the stroke, with a phase that accelerates from rest: offset +- amplitude sin."""
 
 
 def sinusoid(
@@ -48,11 +46,11 @@ def sinusoid(
     outward: bool = False,
     ramp_cycles: float = 0.25,
 ) -> Motion:
-    """Return a sine about the depth `offset_mm`; `amplitude_mm` is from zero to peak. It moves in first, or `outward`.
+    """Return a sine around the depth `offset_mm`; `amplitude_mm` is from zero to peak. It first moves in, or `outward`.
 
-    From the middle, the phase speeds up evenly during the first `ramp_cycles` periods, so that the velocity begins at
-    zero and never exceeds 2 pi frequency amplitude. Velocities are the derivative, not differences. Raises DataError
-    for numbers that are not positive, or fewer than two samples.
+    From the middle, the phase accelerates uniformly during the first `ramp_cycles` periods, so that the velocity begins
+    at zero and never exceeds 2 pi frequency amplitude. The velocity is the exact derivative. Raises DataError for
+    numbers that are not positive.
     """
     numbers = {
         "amplitude_mm": amplitude_mm, "frequency_hz": frequency_hz, "cycles": cycles, "rate_hz": rate_hz,
@@ -82,10 +80,11 @@ def sinusoid(
 
 
 def cycles(motion: Motion) -> Array:
-    """Return for every sample how many cycles, each two reversals, are behind it; shape (samples,).
+    """Return the number of completed cycles, each of two reversals, at every sample; shape (samples,).
 
-    Samples slower than a twentieth of the largest speed belong to the movement before, so that the noise of a measured
-    velocity makes no reversals. A motion that begins in the middle has a first cycle of three quarters of a period.
+    Samples slower than a twentieth of the largest speed count as part of the previous movement, so that noise of a
+    measured velocity causes no reversals. A motion that begins in the middle has a first cycle of three quarters of a
+    period.
     """
     velocity = motion.velocity_mm_s
     sure = np.abs(velocity) >= _MOVING * np.abs(velocity).max()
@@ -107,11 +106,11 @@ def lspb(
     dwells_s: Sequence[float] | None = None,
     rate_hz: float = 200.0,
 ) -> Motion:
-    """Move through `depths_mm`, coming to rest at each.
+    """Return a motion through `depths_mm` that comes to rest at each depth.
 
-    `velocities_mm_s`, positive, is the speed of the linear part of each segment, one fewer than there are depths;
-    `dwells_s` is the time at rest at each depth but the first (default: none). Sampled at `rate_hz`; the last sample is
-    the first at or after the end. Raises DataError, with all mistakes, for numbers that make no profile.
+    `velocities_mm_s`, positive, are the speeds of the segments, one fewer than the depths. `dwells_s` are the times at
+    rest at each depth except the first (default: none). The motion is sampled at `rate_hz`; the last sample is the
+    first one at or after the end. Raises DataError, with all mistakes, for invalid numbers.
     """
     dwells = [0.0] * len(velocities_mm_s) if dwells_s is None else list(dwells_s)
     _require(depths_mm, velocities_mm_s, dwells, blend_s, rate_hz)
@@ -136,10 +135,10 @@ def insertion_cycles(
     pause_s: float = 0.0,
     rate_hz: float = 200.0,
 ) -> Motion:
-    """Insert from the surface to `depth_mm` and retract, `cycles` times.
+    """Return a motion that inserts from the surface to `depth_mm` and retracts, `cycles` times.
 
-    The retraction has the speed of the insertion unless `retraction_mm_s` says otherwise; `dwell_s` is the rest at full
-    depth, `pause_s` that at the surface between cycles. Raises DataError as `lspb` does.
+    `retraction_mm_s` is the speed of the retraction (default: that of the insertion). `dwell_s` is the time at rest at
+    full depth, `pause_s` the time at rest at the surface between cycles. Raises DataError as `lspb` does.
     """
     if not (isinstance(cycles, int) and cycles >= 1):
         raise DataError(Mistake("cycles", str(cycles), "must be a whole number of at least 1"))
@@ -156,7 +155,7 @@ def insertion_cycles(
 def _pieces(
     depths: Sequence[float], speeds: Sequence[float], dwells: Sequence[float], blend_s: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Return start time, depth, velocity and acceleration of every piece of constant acceleration, rest at the end."""
+    """Return start time, depth, velocity and acceleration of every piece, with rest at the end."""
     times, starts, velocities, accelerations = [0.0], [], [], []
     for begin, end, speed, dwell in zip(depths[:-1], depths[1:], speeds, dwells, strict=True):
         sign, distance = math.copysign(1.0, end - begin), abs(end - begin)

@@ -1,13 +1,4 @@
-"""The one kind of array that the mechanics use.
-
-----
-
-How a needle moves along its axis: what drives every model.
-
-----
-
-What was measured in one trial.
-"""
+"""Motions that drive models, and records of trials."""
 
 from __future__ import annotations
 
@@ -22,7 +13,7 @@ from needleplan.errors import DataError, Mistake
 __all__ = ["UNITS", "Array", "ComplexArray", "Motion", "Record", "Role", "last_direction"]
 
 Array = NDArray[np.float64]
-"""Double-precision numbers; the docstring of whoever takes or gives one says its shape."""
+"""Array of double-precision numbers; docstrings state the shape."""
 
 ComplexArray = NDArray[np.complex128]
 """Complex gains, poles and zeros."""
@@ -30,10 +21,28 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion sampled at increasing times; all fields have the shape (samples,), or are scalars for one instant.
+    """A sampled motion of the needle; all fields have the shape (samples,), or are scalars for one instant.
 
-    `direction` is the sign of the velocity, and at rest the last sign that was not zero: +1 in, -1 out (0 before the
-    first movement). `angle_rad` is the rotation of the base about the axis of the needle.
+    Parameters
+    ----------
+    time_s : Array
+        Increasing times.
+    depth_mm : Array
+        Inserted depth.
+    velocity_mm_s : Array
+        Velocity along the axis.
+    direction : Array
+        Sign of the velocity: +1 in, -1 out. At rest it keeps its last value; it is 0 before the first movement.
+    angle_rad : Array
+        Rotation of the base about the axis of the needle.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from needleplan.signals import Motion
+    >>> time = np.linspace(0.0, 2.0, 5)
+    >>> Motion.sampled(time, 10.0 * time).velocity_mm_s
+    array([10., 10., 10., 10., 10.])
     """
 
     time_s: Array
@@ -46,9 +55,26 @@ class Motion:
     def sampled(
         cls, time_s: Array, depth_mm: Array, velocity_mm_s: Array | None = None, angle_rad: Array | None = None
     ) -> Motion:
-        """Make a motion of samples, shape (samples,) each; a missing velocity is the central difference of the depth.
+        """Return a motion of samples, shape (samples,) each.
 
-        Raises DataError where shapes differ, a number is not finite, or times do not increase.
+        Parameters
+        ----------
+        time_s, depth_mm : Array
+            Times and depths.
+        velocity_mm_s : Array, optional
+            Velocities. The default is the central difference of the depth.
+        angle_rad : Array, optional
+            Rotation of the base. The default is zero.
+
+        Returns
+        -------
+        Motion
+            The motion.
+
+        Raises
+        ------
+        DataError
+            If the shapes differ, a number is not finite, or the times do not increase.
         """
         time = np.asarray(time_s, float)
         depth = np.asarray(depth_mm, float)
@@ -77,13 +103,14 @@ class Motion:
         return int(np.size(self.time_s))
 
     def __getitem__(self, index: object) -> Motion:
-        """Return samples, or one instant."""
+        """Return some samples, or one instant."""
         return Motion(*(getattr(self, each.name)[index] for each in fields(self)))
 
     def between(self, fraction: float) -> Motion:
         """Return the motion at `fraction` of each interval between samples, shape (samples - 1,).
 
-        Linear between samples; the direction is that of the velocity there, and at rest that of the sample before.
+        Depth, velocity and angle are interpolated linearly. The direction is the sign of the interpolated velocity, or
+        the previous direction if this velocity is zero.
         """
         moved = {
             name: values[:-1] + fraction * np.diff(values) for name, values in vars(self).items() if name != "direction"
@@ -93,14 +120,14 @@ class Motion:
 
     @property
     def interval_s(self) -> Array:
-        """Times between samples, shape (samples - 1,)."""
+        """Intervals between samples, shape (samples - 1,)."""
         return np.diff(self.time_s)
 
 
 def _central_difference(time: Array, depth: Array) -> Array:
-    """Return the second-order difference of uneven samples, shape (samples,): exactly zero where the depth rests.
+    """Return the second-order difference of uneven samples, shape (samples,): exactly zero where the depth is constant.
 
-    That of numpy leaves a rounding error there, whose sign would pass for a direction.
+    NumPy's gradient leaves a rounding error there, whose sign would be taken for a direction.
     """
     step = np.diff(time)
     slope = np.diff(depth) / step
@@ -109,7 +136,7 @@ def _central_difference(time: Array, depth: Array) -> Array:
 
 
 def last_direction(velocity: Array) -> Array:
-    """Return the sign of each velocity, and where that is zero the last one that was not; shape as given."""
+    """Return the sign of each velocity, or the last non-zero sign where the velocity is zero; shape as given."""
     sign = np.sign(velocity)
     moving = np.flatnonzero(sign)
     if not moving.size:
@@ -129,28 +156,48 @@ UNITS = {
     "y_mm": "mm",
     "z_mm": "mm",
 }
-"""Unit of every column of numbers; the names are those of the data files."""
+"""Unit of every numeric column; the names are those of the data files."""
 
 
 class Role(StrEnum):
-    """What a trial is for."""
+    """The purpose of a trial."""
 
     TRAIN = "train"
-    """Parameters are identified from it."""
+    """For the identification of parameters."""
 
     HOLDOUT = "holdout"
-    """It only judges what was identified."""
+    """For the validation of identified models only."""
 
     NOISE = "noise"
-    """The sensors with nothing happening."""
+    """A measurement at rest, for the noise of the sensors."""
 
 
 @dataclass(frozen=True)
 class Record:
-    """One trial: columns of one length, named and in the units of `UNITS`; `time_s` is always there.
+    """One trial: named columns of one length in the units of `UNITS`.
 
-    `phase` holds the name of the phase of every sample, or is empty. `digest` names the file that it came from, and
-    is empty for synthetic data.
+    Parameters
+    ----------
+    columns : dict of str to Array
+        Columns of the shape (samples,); `time_s` is required.
+    trial : str
+        Name of the trial.
+    role : Role
+        Purpose of the trial.
+    phase : tuple of str
+        Name of the phase of every sample, or empty.
+    digest : str
+        Digest of the source file; empty for synthetic data.
+    notes : tuple of str
+        Remarks of the reader, such as rows that were left out or suspicious units.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from needleplan.signals import Record
+    >>> record = Record({"time_s": np.arange(3.0), "depth_mm": np.arange(3.0), "force_n": np.full(3, 0.2)})
+    >>> len(record), float(record["force_n"][0])
+    (3, 0.2)
     """
 
     columns: dict[str, Array]
@@ -180,13 +227,13 @@ class Record:
         return int(self.columns["time_s"].size)
 
     def __getitem__(self, name: str) -> Array:
-        """Return a column, shape (samples,). Raises DataError where the trial does not have it."""
+        """Return a column, shape (samples,). Raises DataError if the trial does not have the column."""
         if name not in self.columns:
             raise DataError(Mistake(name, "", "is missing, and is needed here"), self.trial)
         return self.columns[name]
 
     def motion(self) -> Motion:
-        """Return what drove the trial: `depth_mm`, and where they are there `velocity_mm_s` and `angle_rad`."""
+        """Return the motion of the trial from `depth_mm` and, if present, `velocity_mm_s` and `angle_rad`."""
         return Motion.sampled(
             self["time_s"], self["depth_mm"], self.columns.get("velocity_mm_s"), self.columns.get("angle_rad")
         )
@@ -196,7 +243,7 @@ class Record:
         return replace(self, columns={**self.columns, name: values})
 
     def select(self, rows: Array | slice) -> Record:
-        """Return the record with only some rows: a slice, a mask or indices."""
+        """Return the record with a selection of rows: a slice, a mask or indices."""
         columns = {name: values[rows] for name, values in self.columns.items()}
         phase = tuple(np.asarray(self.phase, object)[rows]) if self.phase else ()
         return replace(self, columns=columns, phase=phase)

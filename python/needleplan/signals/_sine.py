@@ -1,4 +1,4 @@
-"""The sine in a periodic signal: its frequency, amplitude and phase."""
+"""Frequency, amplitude and phase of the sine in a periodic signal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["Sine", "dominant_frequency_hz", "lag_rad", "sine_at"]
 
 @dataclass(frozen=True)
 class Sine:
-    """offset + amplitude cos(2 pi frequency t + phase)."""
+    """The signal offset + amplitude cos(2 pi frequency t + phase)."""
 
     frequency_hz: float
     amplitude: float
@@ -31,10 +31,10 @@ def sine_at(frequency_hz: float, time_s: Array, values: Array) -> Sine:
 
 
 def dominant_frequency_hz(time_s: Array, values: Array) -> float:
-    """Return the frequency whose sine explains most of a record, shape (samples,) each, at nearly even times.
+    """Return the frequency of the sine that explains most of a signal, shape (samples,), at nearly even times.
 
-    The largest line of the spectrum, refined by least squares within half a line to either side. Raises DataError for
-    fewer than eight samples, or where the values do not change.
+    The largest line of the spectrum is refined by least squares within one line on each side. Raises DataError for
+    fewer than eight samples, or a constant signal.
     """
     from scipy.optimize import minimize_scalar
 
@@ -56,6 +56,6 @@ def dominant_frequency_hz(time_s: Array, values: Array) -> float:
 
 
 def lag_rad(frequency_hz: float, time_s: Array, values: Array, reference: Array) -> float:
-    """Return by how much the sine in `values` is later than that in `reference`, within -pi and pi."""
+    """Return the phase lag of the sine in `values` behind the sine in `reference`, in [-pi, pi)."""
     late = sine_at(frequency_hz, time_s, reference).phase_rad - sine_at(frequency_hz, time_s, values).phase_rad
     return float((late + np.pi) % (2 * np.pi) - np.pi)

@@ -1,8 +1,7 @@
 """Velocity from an electromagnetic tracker by a Kalman filter (thesis, appendix A and section 4.3).
 
-The thesis says that it used a Kalman filter and no more; its noise and its model are choices of whoever calls. The
-position follows a chain of integrators driven by white noise: of its velocity's rate (constant velocity) or of its
-acceleration's rate (constant acceleration).
+The thesis mentions a Kalman filter without its model or noise; both are arguments here. The position is a chain of
+integrators that white noise drives: at the acceleration (constant velocity) or at the jerk (constant acceleration).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ _UNKNOWN_ACCELERATION_MM_S2 = 1000.0
 
 
 class TrackerModel(IntEnum):
-    """What stays constant but for noise; the value is the number of integrators less one."""
+    """The motion model. The value is the number of integrators minus one."""
 
     CONSTANT_VELOCITY = 1
     CONSTANT_ACCELERATION = 2
@@ -31,9 +30,9 @@ class TrackerModel(IntEnum):
 
 @dataclass(frozen=True)
 class TrackerEstimate:
-    """Estimates at every sample, shape (samples,) each, NaN before the first position that was seen.
+    """Estimates at every sample, shape (samples,) each; NaN before the first measured position.
 
-    `missed` counts the samples without a measurement.
+    `missed` is the number of samples without a measurement.
     """
 
     position_mm: Array
@@ -46,8 +45,9 @@ class TrackerEstimate:
 class TrackerFilter:
     """A Kalman filter for one coordinate.
 
-    `position_sd_mm` is the standard deviation of the tracker's noise; `density` the spectral density of the driving
-    noise, mm^2/s^3 for constant velocity and mm^2/s^5 for constant acceleration. Raises ModelError unless positive.
+    `position_sd_mm` is the standard deviation of the tracker's noise. `density` is the spectral density of the process
+    noise, mm^2/s^3 for constant velocity and mm^2/s^5 for constant acceleration. The constructor raises ModelError
+    unless both are positive.
     """
 
     position_sd_mm: float
@@ -64,9 +64,9 @@ class TrackerFilter:
             raise ModelError(mistakes, "tracker filter")
 
     def apply(self, time_s: Array, position_mm: Array) -> TrackerEstimate:
-        """Filter a record, causally; bitwise what `stream` gives. NaN is a sample that the tracker did not see.
+        """Filter a record causally; equals `stream`, bit by bit. NaN is a sample without a measurement.
 
-        Raises DataError where the shapes differ, times do not increase, or nothing was seen.
+        Raises DataError if the shapes differ, the times do not increase, or all samples are NaN.
         """
         time, position = self._checked(time_s, position_mm)
         stream = self.stream()
@@ -75,9 +75,9 @@ class TrackerFilter:
         return TrackerEstimate(estimates[0], estimates[1], estimates[2], int(np.isnan(position).sum()))
 
     def smooth(self, time_s: Array, position_mm: Array) -> TrackerEstimate:
-        """Return estimates from all of the record, without the delay of the filter (Rauch, Tung and Striebel).
+        """Return estimates from the whole record, without delay (Rauch, Tung and Striebel).
 
-        For work after the experiment. Raises DataError as `apply` does.
+        Raises DataError as `apply` does.
         """
         time, position = self._checked(time_s, position_mm)
         unseen = int(np.flatnonzero(np.isfinite(position))[0])
@@ -99,11 +99,11 @@ class TrackerFilter:
         return TrackerEstimate(rows[0], rows[1], rows[2], int(np.isnan(position).sum()))
 
     def stream(self) -> TrackerStream:
-        """Return the filter for positions that come one at a time."""
+        """Return the filter for single positions."""
         return TrackerStream(self)
 
     def step(self, interval_s: float) -> tuple[Array, Array]:
-        """Return transition and covariance of the driving noise over an interval, shape (n, n) each."""
+        """Return transition matrix and covariance of the process noise over an interval, shape (n, n) each."""
         from filterpy.common import Q_continuous_white_noise
 
         n = self.model + 1
@@ -127,7 +127,7 @@ class TrackerFilter:
 
 
 class TrackerStream:
-    """A tracker's filter at work; before the first position that was seen all estimates are NaN."""
+    """A running filter; before the first measured position all estimates are NaN."""
 
     def __init__(self, what: TrackerFilter) -> None:
         from filterpy.kalman import KalmanFilter
@@ -145,18 +145,18 @@ class TrackerStream:
 
     @property
     def state(self) -> Array:
-        """Position, velocity and with constant acceleration that one too, shape (n,)."""
+        """Position, velocity and, for constant acceleration, acceleration; shape (n,)."""
         return np.array(self.kalman.x, float).ravel()
 
     @property
     def covariance(self) -> Array:
-        """Of the state, shape (n, n)."""
+        """Covariance of the state, shape (n, n)."""
         return np.array(self.kalman.P, float)
 
     def push(self, time_s: float, position_mm: float) -> tuple[float, float, float]:
-        """Take a position (NaN: not seen) and return position, velocity and the standard deviation of the velocity.
+        """Process a position (NaN: not measured) and return position, velocity and standard deviation of the velocity.
 
-        Raises DataError where the time is not later than the one before.
+        Raises DataError if the time does not increase.
         """
         last, self._time = self._time, time_s
         if last is not None and not time_s > last:

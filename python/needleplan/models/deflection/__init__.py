@@ -1,9 +1,16 @@
-"""Bending of a flexible needle on its way into tissue (chapter 5 of the thesis): two coupled sub-beams.
+"""Bending of a flexible needle in tissue (thesis, chapter 5): two coupled sub-beams.
 
-`Beam` is the equation of an instant, `solve_exact` and `solve_elements` solve it for many instants at once, `march`
-follows an insertion whose path the tissue remembers, and `tip_path_mm` is that path in closed form. `TipPath`, in a
-plane, and `SpatialBeam`, with a bevel that is turned, are members of the family of models. u > 0 is towards the push of
-the bevel, everywhere.
+| name | meaning |
+|---|---|
+| `NeedleShaft`, `ElasticTissue` | geometry and material of the needle; stiffness and friction of the tissue |
+| `Beam` | the beam equation at one instant, or at many |
+| `solve_elements`, `solve_exact` | its solution by finite elements, or in exponentials where that is possible |
+| `march` | an insertion step by step, in tissue that remembers the path of the tip |
+| `tip_path_mm` | the path of the tip in closed form |
+| `radius_from_axial_mm` | the radius of curvature from the axial force at the base |
+| `TipPath`, `SpatialBeam`, `InsertionForce` | members of the family of models |
+
+The deflection u is positive toward the push of the bevel.
 """
 
 from needleplan.models.deflection._beam import AxialTerms, Beam, ElasticTissue, Foundation, NeedleShaft

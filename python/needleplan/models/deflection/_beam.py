@@ -1,25 +1,17 @@
-"""The needle: geometry and material, and the stiffnesses that follow from them.
+"""The beam equation of the needle: needle, tissue, the choice of axial terms, and the coefficients.
 
-Lengths are in mm, angles in rad; moduli in GPa and the density in kg/m3, as tables of materials give them. Stiffnesses
-are N mm2: 1 GPa = 1000 N/mm2. The mass that belongs to N, mm and s is the tonne: 1 kg/m3 = 1e-12 t/mm3.
+Lengths are in mm, angles in rad, moduli in GPa and the density in kg/m3, as in material tables. Stiffnesses are in N
+mm2 (1 GPa = 1000 N/mm2). The unit of mass that is consistent with N, mm and s is the tonne: 1 kg/m3 = 1e-12 t/mm3.
 
-----
-
-The choices between the equations that were printed and the ones that hold.
-
-----
-
-The coefficients of the needle's equation at an instant, or at many at once.
-
-All four equations of `AxialTerms` are one, with u > 0 towards the push of the bevel and x from the base (0) past the
-entry point (l1 = L - depth) to the tip (L)::
+All four variants of `AxialTerms` are one equation. u > 0 is toward the push of the bevel. x runs from the base (0) past
+the entry point (l1 = L - depth) to the tip (L)::
 
     EI u'''' + N(x) u'' + b u' + kf (u - path) = 0     in the tissue, x > l1
     EI u'''' + N(l1) u''                       = 0     outside
     EI u''(L) = M,   EI u'''(L) = -(P + s u'(L)),   u and u' given at the base, u to u''' continuous at l1
     N(x) = N_tip + c (L - max(x, l1))
 
-Thesis: sections 5.2, 5.3; its w is -u where its Fc is positive.
+Source: sections 5.2 and 5.3 of the thesis, whose w is -u where its Fc is positive.
 """
 
 from __future__ import annotations
@@ -49,10 +41,30 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class NeedleShaft:
-    """A straight hollow (inner diameter above 0) or solid needle with a bevelled tip.
+    """Geometry and material of a straight needle with a bevelled tip, hollow or solid.
 
-    `bevel_angle_rad` is the angle between the bevel face and the axis: the force on the face, which is normal to it,
-    has the lateral part cos(bevel) and the axial part sin(bevel). Raises ModelError, which names all that is wrong.
+    The constructor raises ModelError, with all mistakes, for numbers out of range.
+
+    Parameters
+    ----------
+    outer_diameter_mm, inner_diameter_mm : float
+        Diameters; the inner diameter of a solid needle is 0.
+    length_mm : float
+        Length.
+    bevel_angle_rad : float
+        Angle between the bevel face and the axis. The force on the face is normal to it: its lateral component is
+        proportional to cos(bevel), its axial component to sin(bevel).
+    youngs_modulus_gpa, shear_modulus_gpa : float
+        Elastic moduli.
+    density_kg_m3 : float
+        Density.
+
+    Examples
+    --------
+    >>> from needleplan.models import NeedleShaft
+    >>> needle = NeedleShaft(outer_diameter_mm=0.718, inner_diameter_mm=0.413, length_mm=203.0, bevel_angle_rad=0.433)
+    >>> print(f"EI = {needle.bending_stiffness_n_mm2:.0f} N mm2")
+    EI = 2324 N mm2
     """
 
     outer_diameter_mm: float
@@ -88,65 +100,84 @@ class NeedleShaft:
 
     @property
     def bending_stiffness_n_mm2(self) -> float:
-        """EI, N mm2."""
+        """Bending stiffness EI, N mm2."""
         return 1000 * self.youngs_modulus_gpa * self.second_moment_mm4
 
     @property
     def torsional_stiffness_n_mm2(self) -> float:
-        """GJ of the round cross-section, J = 2 I, N mm2."""
+        """Torsional stiffness GJ of the round cross-section with J = 2 I, N mm2."""
         return 2000 * self.shear_modulus_gpa * self.second_moment_mm4
 
     @property
     def line_mass_t_mm(self) -> float:
-        """Mass per length, t/mm (1e-6 of it in kg/m): N = t mm/s2.
+        """Mass per length, t/mm.
 
-        The thesis prints the density in kg/m2; kg/m3 is what its numbers need.
+        The thesis prints the density in kg/m2; its numbers require kg/m3.
         """
         return 1e-12 * self.density_kg_m3 * self.area_mm2
 
 
 class AxialTerms(StrEnum):
-    """Which first-order effects of the axial load are in the beam's equation.
+    """The first-order terms of the axial load in the beam equation.
 
-    With c = vf v, the friction per length, u > 0 towards the push of the bevel, in the tissue (no c and kf outside)
+    c = vf v is the friction per length. The equations below hold in the tissue; c and kf are zero outside.
     """
 
     CONSISTENT = "consistent"
-    """EI u'''' + N u'' + kf (u - path) = 0, EI u'''(L) = -Fc cos a, N(x) = Fc sin a + c (L - max(x, l1)): all of
-    them. A needle that is pushed along a straight oblique line stays on it."""
+    """All terms: EI u'''' + N u'' + kf (u - path) = 0, EI u'''(L) = -Fc cos a, N(x) = Fc sin a + c (L - max(x, l1)).
+
+    A needle that is pushed along a straight oblique line stays on the line.
+    """
 
     PLAIN = "plain"
-    """EI u'''' + kf (u - path) = 0, EI u'''(L) = -Fc cos a: none of them."""
+    """No terms: EI u'''' + kf (u - path) = 0, EI u'''(L) = -Fc cos a."""
 
     PRINTED = "printed"
-    """EI u'''' + kf u - c u' = 0, EI u'''(L) = -(Fc cos a + Fc sin a u'(L)): (5.6) and (5.8) of the thesis.
+    """(5.6) and (5.8) as printed: EI u'''' + kf u - c u' = 0, EI u'''(L) = -(Fc cos a + Fc sin a u'(L)).
 
-    Wrong: the friction pushes forward, and the tip force turns against the tip, which makes the cantilever unstable at
-    Fc = 2 EI/(L^2 sin a). (The sign of Fc itself is that of a push towards the bevel; (5.3) has the other one.)"""
+    Both signs are wrong. The friction pushes forward, and the tip force follows the slope of the tip in the wrong
+    sense, which makes the cantilever unstable at Fc = 2 EI/(L^2 sin a). (The sign of Fc itself is that of a push toward
+    the bevel; (5.3) has the opposite sign.)
+    """
 
     FIXED = "fixed"
-    """EI u'''' + kf u + c u' = 0, EI u'''(L) = -(Fc cos a - Fc sin a u'(L)): the printed terms with the right signs.
+    """The printed terms with corrected signs: EI u'''' + kf u + c u' = 0, EI u'''(L) = -(Fc cos a - Fc sin a u'(L)).
 
-    Still half of the expansion: the axial load N, which is not there, cancels both terms exactly."""
+    The expansion is still incomplete: the omitted axial load N would cancel both terms exactly.
+    """
 
 
 class Foundation(StrEnum):
-    """What the springs of the tissue are anchored to."""
+    """The reference position of the tissue's springs."""
 
     MEMORY = "memory"
-    """To where the tip has cut the tissue: fresh tissue is unstressed. The path becomes a circle, R = EI lam/P."""
+    """The path that the tip has cut: fresh tissue is unstressed. The path becomes a circle, R = EI lam/P."""
 
     ANCHORED = "anchored"
-    """To the straight line of the insertion, as in (5.1): tissue resists as if the needle had been pressed into it
-    sideways, and a constant tip force makes no arc."""
+    """The straight line of the insertion, as in (5.1). A constant tip force then makes no arc."""
 
 
 @dataclass(frozen=True)
 class ElasticTissue:
-    """A uniform tissue.
+    """Uniform elastic tissue around the needle.
 
-    `stiffness_n_mm2` is kf, the force per length for a unit of displacement (1 kN/m2 = 1e-3 N/mm2), `friction_n_s_mm2`
-    is vf, the friction per length for a unit of velocity (1 N s/m2 = 1e-6 N s/mm2). Raises ModelError.
+    The constructor raises ModelError for numbers out of range.
+
+    Parameters
+    ----------
+    stiffness_n_mm2 : float
+        kf, force per length and displacement; 1 kN/m2 is 1e-3 N/mm2.
+    friction_n_s_mm2 : float
+        vf, friction per length and velocity; 1 N s/m2 is 1e-6 N s/mm2.
+
+    Examples
+    --------
+    >>> import math
+    >>> from needleplan.models import NeedleShaft
+    >>> from needleplan.models.deflection import ElasticTissue
+    >>> needle = NeedleShaft(0.718, 0.413, 203.0, math.radians(24.8))
+    >>> print(f"{1 / ElasticTissue(3.87e-3).decay_1_mm(needle):.1f} mm")
+    39.4 mm
     """
 
     stiffness_n_mm2: float
@@ -164,39 +195,39 @@ class ElasticTissue:
             raise ModelError(mistakes, "tissue")
 
     def decay_1_mm(self, needle: NeedleShaft) -> float:
-        """Return lam = (kf/4EI)^(1/4), 1/mm: what is done to the needle is felt over a length of some 1/lam."""
+        """Return lam = (kf/4EI)^(1/4), 1/mm. A local load bends the needle over about 1/lam."""
         return math.sqrt(math.sqrt(self.stiffness_n_mm2 / (4 * needle.bending_stiffness_n_mm2)))
 
 
 @dataclass(frozen=True)
 class Beam:
-    """Coefficients of the equation above; scalars or arrays that broadcast together, one entry for an insertion."""
+    """Coefficients of the beam equation: scalars, or arrays that broadcast, one entry for each insertion."""
 
     length_mm: Array
     depth_mm: Array
     bending_n_mm2: Array
-    """EI."""
+    """EI, bending stiffness."""
 
     foundation_n_mm2: Array
-    """kf."""
+    """kf, stiffness of the tissue."""
 
     slope_n_mm: Array
-    """b: force per length for a unit of slope."""
+    """b, lateral force per length and slope."""
 
     tip_axial_n: Array
-    """N_tip: compression at the tip."""
+    """N_tip, compression at the tip."""
 
     axial_rate_n_mm: Array
-    """c: growth of the compression from the tip to the entry point."""
+    """c, increase of the compression per length from the tip to the entry point."""
 
     tip_push_n: Array
-    """P: lateral force on the tip."""
+    """P, lateral force on the tip."""
 
     tip_follow_n: Array
-    """s: lateral force on the tip for a unit of its slope."""
+    """s, lateral force on the tip per slope of the tip."""
 
     tip_moment_n_mm: Array
-    """M: moment at the tip; a needle whose tip is bent by k0 (1/mm) has M = EI k0."""
+    """M, moment at the tip. A needle whose tip is bent with the curvature k0 (1/mm) has M = EI k0."""
 
     @classmethod
     def of(
@@ -211,11 +242,10 @@ class Beam:
         terms: AxialTerms = AxialTerms.CONSISTENT,
         tip_moment_n_mm: ArrayLike = 0.0,
     ) -> Beam:
-        """Set up the equation of `terms`; arguments broadcast.
+        """Return the coefficients for a needle in a tissue; the arguments broadcast.
 
-        `cutting_force_n` is Fc, normal to the bevel face; `bevel` is +1 where it pushes to u > 0, -1 to the other
-        side. Raises ModelError for a depth that is not between 0 and the needle's length, and for numbers that are not
-        finite.
+        `cutting_force_n` is Fc, normal to the bevel face. `bevel` is +1 if it pushes toward u > 0, and -1 otherwise.
+        Raises ModelError if a depth is not between 0 and the length of the needle, or a number is not finite.
         """
         depth, force, velocity, side, moment = np.broadcast_arrays(
             *(np.asarray(each, float) for each in (depth_mm, cutting_force_n, velocity_mm_s, bevel, tip_moment_n_mm))
@@ -241,15 +271,15 @@ class Beam:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the coefficients."""
+        """Common shape of the coefficients."""
         return np.broadcast_shapes(*(np.shape(each) for each in vars(self).values()))
 
     def flat(self) -> Beam:
-        """Return all coefficients as rows of one length."""
+        """Return all coefficients broadcast to one row."""
         return Beam(*(np.broadcast_to(each, self.shape).reshape(-1) for each in vars(self).values()))
 
     def rows(self, chosen: NDArray[np.intp]) -> Beam:
-        """Return some rows of flat coefficients."""
+        """Return selected entries of flat coefficients."""
         return Beam(*(each[chosen] for each in vars(self).values()))
 
 

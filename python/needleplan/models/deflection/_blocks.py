@@ -1,8 +1,8 @@
-"""Many block tridiagonal systems with blocks of 2 x 2, solved at once.
+"""Solution of many block-tridiagonal systems with 2 x 2 blocks at once.
 
-Few systems go to LAPACK as one band matrix, one after another. Many are eliminated block by block, each operation on a
-row of all systems: an order of magnitude fewer instructions than pivoting, and no pivots are needed where the beam is
-short of buckling.
+Few systems are solved by LAPACK as one band matrix. Many systems are eliminated block by block with array operations
+over all systems, without pivoting, which takes a tenth of the instructions. Pivoting is unnecessary below the buckling
+load.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ _FEW = 48
 
 
 def solve_blocks(diagonal: Blocks, lower: Blocks, upper: Blocks, loads: Sequence[Array]) -> tuple[Array, Array]:
-    """Return both unknowns of every block, shape (n, systems) each; `diagonal` has n blocks, the others n - 1.
+    """Return both unknowns of every block, shape (n, systems) each.
 
-    `lower[i]` couples block i + 1 to the unknowns of block i, `upper[i]` block i to those of block i + 1. A singular
-    system has unknowns that are infinite or NaN, or by rounding very large.
+    `diagonal` has n blocks, `lower` and `upper` have n - 1. `lower[i]` couples block i + 1 to the unknowns of block i,
+    `upper[i]` couples block i to the unknowns of block i + 1. The unknowns of a singular system are infinite, NaN or
+    very large.
     """
     systems = loads[0].shape[1]
     if systems < _FEW:

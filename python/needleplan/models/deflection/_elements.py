@@ -1,22 +1,20 @@
-"""The needle outside of the tissue: a clamped beam under a constant axial load, exactly.
+"""Finite elements for the inserted part of the needle, with the exact solution for the outer part.
 
-With z = N l^2/EI and the Stumpff functions c_k(z) = sum_j (-z)^j/(2j + k)!, entire in z, so that tension, compression
-and no load are one formula (c_0 = cos sqrt(z), c_1 = sin sqrt(z)/sqrt(z), ...)::
-
-    end stiffness, [force, moment] = K [u, u']:  K = EI/l^3 [[c1, -l c2], [-l c2, l^2 (c2 - c3)]]/(c3 - 2 c4)
-    shape, clamped at 0:                         u(x) = A x^2 c2(N x^2/EI) + B x^3 c3(N x^2/EI)
-
-----
-
-Hermite finite elements on the inserted part, with a node at the entry point and the outer beam exact.
-
-The weak form of the equation of `beam`, with v for the test functions and the parts of v N u'' integrated::
+Cubic Hermite elements discretise the weak form of the equation of `Beam`, with the test function v and the term v N u''
+integrated by parts::
 
     int EI v'' u'' - N v' u' + (b + c) v u' + kf v u  +  v (N - s) u'|_L  =  kf int v path + v P|_L + v' M|_L
 
-The elements of an insertion have one length h, at most a given one: a fixed number of them would be far too small
-just after entry, where the condition (depth/h)^4 costs all digits. Unknowns are u and h u'. Insertions with the same
-number of elements are solved together.
+All elements of an insertion have the same length h, up to a given maximum. A fixed number of elements would be much too
+short just after the entry, where rounding errors grow with (depth/h)^4. The unknowns are u and h u' at the nodes.
+Insertions with the same number of elements are solved together.
+
+The part outside of the tissue is a clamped beam under a constant axial load N. With z = N l^2/EI and the Stumpff
+functions c_k(z) = sum_j (-z)^j/(2j + k)!, tension, compression and no load are one formula (c_0 = cos sqrt(z), c_1 =
+sin sqrt(z)/sqrt(z), ...)::
+
+    end stiffness, [force, moment] = K [u, u']:  K = EI/l^3 [[c1, -l c2], [-l c2, l^2 (c2 - c3)]]/(c3 - 2 c4)
+    shape, clamped at 0:                         u(x) = A x^2 c2(N x^2/EI) + B x^3 c3(N x^2/EI)
 """
 
 from __future__ import annotations
@@ -38,7 +36,7 @@ _TERMS = 16
 
 
 def end_stiffness(bending_n_mm2: Array, axial_n: Array, length_mm: Array) -> tuple[Array, Array, Array]:
-    """Return K_uu (N/mm), K_ut (N), K_tt (N mm) of the free end of a beam that is clamped at the other."""
+    """Return K_uu (N/mm), K_ut (N) and K_tt (N mm) of the free end of a beam that is clamped at the other end."""
     z = axial_n * length_mm**2 / bending_n_mm2
     if not np.any(z):
         unit = bending_n_mm2 / length_mm**3
@@ -51,7 +49,7 @@ def end_stiffness(bending_n_mm2: Array, axial_n: Array, length_mm: Array) -> tup
 def outer_shape(
     place_mm: Array, bending_n_mm2: Array, axial_n: Array, length_mm: Array, end_mm: Array, end_slope_rad: Array
 ) -> tuple[Array, Array]:
-    """Return deflection and slope at `place_mm` from the base, given those at the end; all broadcast."""
+    """Return deflection and slope at `place_mm` from the clamped end, given both at the free end."""
     z = axial_n * length_mm**2 / bending_n_mm2
     c1, c2, c3 = (_stumpff(order, z) for order in (1, 2, 3))
     determinant = length_mm**4 * (c2**2 - c1 * c3)
@@ -63,7 +61,7 @@ def outer_shape(
 
 
 def _stumpff(order: int, z: Array) -> Array:
-    """Return c_k; good to rounding for |z| < 20, far beyond buckling (z = 2.5) of what is clamped at one end."""
+    """Return c_k(z), exact to rounding for |z| < 20; a beam that is clamped at one end buckles at z = 2.5."""
     total = np.zeros_like(z)
     for j in reversed(range(_TERMS)):
         total = 1 / math.factorial(2 * j + order) - z * total
@@ -78,7 +76,7 @@ _POINTS, _WEIGHTS = (_POINTS + 1) / 2, _WEIGHTS / 2
 
 
 def hermite(at: Array, order: int = 0) -> Array:
-    """Return the four Hermite functions, or a derivative, at `at` in [0, 1] of an element, shape (4, ...)."""
+    """Return the four Hermite functions, or their derivative of an order up to 2, at `at` in [0, 1]; shape (4, ...)."""
     x = np.asarray(at, float)
     if order == 0:
         rows = (1 - 3 * x**2 + 2 * x**3, x - 2 * x**2 + x**3, 3 * x**2 - 2 * x**3, x**3 - x**2)
@@ -102,9 +100,10 @@ _PATH = _integral(_H0, np.stack([1 - _POINTS, _POINTS]))
 
 @dataclass(frozen=True)
 class ElementShape:
-    """Bent needles with one number n of elements: `deflection_mm` and `slope_rad` at the nodes, (insertions, n + 1).
+    """Shapes of bent needles with the same number n of elements.
 
-    Nodes go from the entry point to the tip. `beam` is flat; `base_mm` and `base_slope_rad` are those of the base.
+    `deflection_mm` and `slope_rad` are the values at the nodes from the entry point to the tip, shape (insertions, n +
+    1). `beam` is flat. `base_mm` and `base_slope_rad` are the deflection and slope of the base.
     """
 
     beam: Beam
@@ -124,7 +123,7 @@ class ElementShape:
         return self.slope_rad[:, -1]
 
     def at(self, behind_tip_mm: ArrayLike) -> Array:
-        """Return the deflection (mm) at a distance behind the tip, shape (insertions,), also of the outer beam."""
+        """Return the deflection (mm) at a distance behind the tip, in or outside the tissue, shape (insertions,)."""
         flat, n = self.beam, self.deflection_mm.shape[1] - 1
         behind = np.broadcast_to(np.asarray(behind_tip_mm, float), flat.depth_mm.shape)
         h = flat.depth_mm / n
@@ -149,10 +148,12 @@ class ElementShape:
 
 
 def solve_elements(beam: Beam, behind_tip_mm: ArrayLike = 0.0, *, element_mm: float | None = None) -> Array:
-    """Return the deflection (mm) at a distance behind the tip, shape of the coefficients.
+    """Return the deflection (mm) at a distance behind the tip, without memory of the path.
 
-    Anchored to the straight line. Any depths together; elements of at most `element_mm`, by default a fifth of 1/lam,
-    which leaves a relative error below 1e-5. Raises ModelError where that is not positive.
+    The result has the shape of the coefficients.
+
+    The depths may differ. `element_mm` is the largest length of an element; the default, a fifth of 1/lam, gives a
+    relative error below 1e-5. Raises ModelError if `element_mm` is not positive.
     """
     if element_mm is not None and not element_mm > 0:
         raise ModelError(Mistake("element_mm", f"{element_mm:g}", "must be positive"), "deflection")
@@ -180,10 +181,9 @@ def solve_uniform(
 ) -> ElementShape:
     """Return the shapes of flat `beam` with `count` elements each.
 
-    `path_mm`, shape (insertions, count + 1), is where the tissue was cut, at the nodes and linear between them; None is
-    the straight line. `anchoring` is mu: the last entry of the path is not given, but mu times where the tip will be
-    (0: it is given). The base may be off the line and oblique. Where the load is at a point of buckling, the
-    deflection is infinite or NaN.
+    `path_mm`, shape (insertions, count + 1), is the path that was cut, at the nodes and linear between them; None is
+    the straight line. With `anchoring` mu > 0, the last value of the path is unknown and is mu times the deflection of
+    the tip. The base may have a deflection and a slope. At a buckling load the deflection is infinite or NaN.
     """
     flat = beam.flat()
     h = flat.depth_mm / count

@@ -1,13 +1,17 @@
-"""The needle anchored to the straight line (path = 0), exactly.
+"""Exact solution of the beam equation for a needle that is anchored to the straight line (path = 0).
 
-In the tissue EI r^4 + b r + kf = (r^2 + 2 p r + m)(r^2 - 2 p r + n) EI with a = 4 p^2 the positive root of
+In the tissue the characteristic polynomial is EI r^4 + b r + kf = (r^2 + 2 p r + m)(r^2 - 2 p r + n) EI. a = 4 p^2 is
+the positive root of::
 
-    a^3 - 4 (kf/EI) a - (b/EI)^2 = 0,      m = (a - b/(EI sqrt(a)))/2,   n = (a + b/(EI sqrt(a)))/2,
+    a^3 - 4 (kf/EI) a - (b/EI)^2 = 0,      m = (a - b/(EI sqrt(a)))/2,   n = (a + b/(EI sqrt(a)))/2
 
-so that u is exp(-p x) {cos, sin}(q1 x) from the entry point and exp(-p y) {cos, sin}(q2 y) from the tip: scaled, never
-above one. Outside u is a cubic, clamped at the base. Its two coefficients are eliminated by hand, which makes the
-6 x 6 system of the two sub-beams one of 4 x 4. Ten digits from a depth of a quarter of 1/lam on, eight at a fortieth,
-where the four functions are nearly dependent. Axial load (`AxialTerms.CONSISTENT`) has no such solution: `elements`.
+u is a sum of exp(-p x) {cos, sin}(q1 x), with x from the entry point, and exp(-p y) {cos, sin}(q2 y), with y from the
+tip. These functions never exceed one. Outside, u is a cubic, clamped at the base. Its two coefficients are eliminated
+by hand, which reduces the 6 x 6 system of the two sub-beams to 4 x 4.
+
+The result has ten correct digits for depths above a quarter of 1/lam. At a fortieth of 1/lam it has eight, because the
+four functions are then nearly dependent. Axial load (`AxialTerms.CONSISTENT`) has no such solution; use
+`solve_elements`.
 """
 
 from __future__ import annotations
@@ -28,7 +32,7 @@ _NEWTON_STEPS = 12
 
 @dataclass(frozen=True)
 class ExactShape:
-    """A bent needle; `weights` are those of the four functions, shape (4, insertions)."""
+    """Shape of a bent needle; `weights` are the coefficients of the four functions, shape (4, insertions)."""
 
     beam: Beam
     decay_1_mm: Array
@@ -37,11 +41,11 @@ class ExactShape:
 
     @property
     def tip_mm(self) -> Array:
-        """Deflection of the tip, shape of the beam's coefficients."""
+        """Deflection of the tip, of the shape of the beam's coefficients."""
         return self.at(0.0)
 
     def at(self, behind_tip_mm: ArrayLike) -> Array:
-        """Return the deflection (mm) at a distance behind the tip along the needle; broadcasts with the insertions."""
+        """Return the deflection (mm) at a distance behind the tip; the distance broadcasts with the insertions."""
         return self._derivative(np.asarray(behind_tip_mm, float), 0)
 
     def slope_at(self, behind_tip_mm: ArrayLike) -> Array:
@@ -69,7 +73,7 @@ class ExactShape:
 
 
 def solve_exact(beam: Beam) -> ExactShape:
-    """Return the shape of the needle for every entry of `beam`, with a clamped base and the path on the straight line.
+    """Return the exact shape of the needle for every entry of `beam`, with a clamped base and no memory of the path.
 
     Raises ModelError for axial load, and for friction so strong that the roots above are real.
     """
@@ -98,7 +102,7 @@ def solve_exact(beam: Beam) -> ExactShape:
 
 
 def _roots(flat: Beam) -> tuple[Array, tuple[Array, Array]]:
-    """Return p and (q1, q2) of the module's docstring."""
+    """Return p and (q1, q2) of the module docstring."""
     stiffness, friction = flat.foundation_n_mm2 / flat.bending_n_mm2, flat.slope_n_mm / flat.bending_n_mm2
     a: Array = 2 * np.sqrt(stiffness) + np.cbrt(friction**2)
     for _ in range(_NEWTON_STEPS if np.any(friction) else 0):  # from above, where the cubic is convex: no overshoot

@@ -1,22 +1,19 @@
-"""An insertion, depth by depth: the tip cuts the path that the needle behind it then follows.
+"""An insertion step by step, and the radius of curvature from the axial force at the base.
 
-The path is stored where the tissue is (X = x - l1), a node every step, so that the elements of the inserted part lie
-on it. The newest anchor is where the tip is now, which is part of the same equations (implicit).
+**March.** The tip cuts the path that the needle behind it follows. The path is stored in tissue coordinates (X = x -
+l1) with one node for each step, so that the elements of the inserted part lie on the nodes. The newest node is the
+present position of the tip, which is an unknown of the same equations (implicit).
 
-----
-
-Tip force and radius of curvature from the axial force at the base.
-
-The axial force is F = F0 + vf v l + Fc sin a: an offset F0 (Coulomb friction, which the viscous term leaves out, what
-is left of the rupture, the zero of the sensor), viscous friction along the inserted length, and the force Fc on the
-bevel face. The steady radius is EI lam/(Fc cos a), so that
+**Radius.** The axial force is F = F0 + vf v l + Fc sin a. F0 is an offset (Coulomb friction, the remainder of the
+rupture, the zero of the sensor), vf v l the viscous friction along the inserted length, and Fc the force on the bevel
+face. The steady radius is EI lam/(Fc cos a), so that::
 
     R = EI^(3/4) kf^(1/4) tan(a) / (sqrt(2) (F - F0 - vf v l)) g
 
-where g, about one beyond lam l = 1, is the effect of the base, which a needle just inserted still feels.
+g is the effect of the base at small depths; it is about one for lam l > 1.
 
-Fc is a small difference of large numbers. The thesis has no F0: with F0 = 0 its forces give a quarter of its radii. It
-has to be identified, and its standard deviation belongs to the answer.
+Fc is a small difference of large numbers. The thesis has no F0, and with F0 = 0 its forces give a quarter of its radii.
+F0 must be identified, and its standard deviation propagates to the radius.
 """
 
 from __future__ import annotations
@@ -37,16 +34,16 @@ __all__ = ["AxialOffset", "CutPath", "cutting_force_n", "finite_depth_factor", "
 
 @dataclass(frozen=True)
 class CutPath:
-    """An insertion: at every depth (steps + 1,) tip and tracked point, each (..., steps + 1)."""
+    """Result of `march` at the depths of the tip, shape (..., steps + 1) each."""
 
     depth_mm: Array
     tip_mm: Array
     tip_slope_rad: Array
     tracked_mm: Array
-    """Deflection of the point `behind_tip_mm` behind the tip, at the depth of the tip."""
+    """Deflection of the point `behind_tip_mm` behind the tip, by the depth of the tip."""
 
     last_shape: Array
-    """Deflection of the inserted needle at the end, at the nodes of `depth_mm`, (..., steps + 1)."""
+    """Deflection of the inserted needle after the last step, at the nodes of `depth_mm`."""
 
 
 def march(
@@ -63,12 +60,14 @@ def march(
     tip_moment_n_mm: float = 0.0,
     behind_tip_mm: float = 0.0,
 ) -> CutPath:
-    """Insert the needle by steps of `step_mm` with a force Fc on the bevel face at every depth, (..., steps + 1).
+    """Insert a needle in steps of `step_mm` with a given force on the bevel face.
 
-    `cutting_force_n` and `bevel` (+1, -1; a change is a flip) are those at the depths 0, 1, ... steps; the first does
-    nothing. Let the force begin gently: a force at no depth moves the tip of an unguided needle by millimetres.
-    `anchoring` is mu, the part of the tip's path that the memory keeps; Foundation.ANCHORED keeps none.
-    The error is of order step^2 where the force grows like depth^2, of order step where it jumps. Raises ModelError.
+    `cutting_force_n`, shape (..., steps + 1), is Fc at the depths 0, 1, ..., steps; the first value has no effect.
+    `bevel` is +1 or -1 at the same depths; a change is a flip. Let the force grow from zero: at very small depths a
+    force moves the tip of the unguided needle by millimetres. `anchoring` is mu, the share of the tip's path that the
+    tissue keeps; Foundation.ANCHORED keeps none. The error is of order step^2 if the force grows with the square of the
+    depth, and of order step if it jumps. Raises ModelError for a step that is not positive or an `anchoring` out of [0,
+    1].
     """
     force = np.atleast_1d(np.asarray(cutting_force_n, float))
     steps = force.shape[-1] - 1
@@ -103,7 +102,7 @@ def march(
 
 @dataclass(frozen=True)
 class AxialOffset:
-    """F0 with its standard deviation, N."""
+    """The offset F0 of the axial force and its standard deviation, N."""
 
     value_n: float
     sd_n: float
@@ -119,7 +118,7 @@ def cutting_force_n(
 ) -> tuple[Array, Array]:
     """Return Fc = (F - F0 - vf v l)/sin a and its standard deviation from that of F0, N; the arguments broadcast.
 
-    Negative where the record and F0 disagree: nothing is clipped.
+    Fc is not clipped: it is negative if the record and F0 disagree.
     """
     friction = tissue.friction_n_s_mm2 * np.asarray(velocity_mm_s, float) * np.asarray(depth_mm, float)
     sine = math.sin(needle.bevel_angle_rad)
@@ -137,10 +136,10 @@ def radius_from_axial_mm(
     *,
     factor: ArrayLike = 1.0,
 ) -> tuple[Array, Array]:
-    """Return the radius of curvature (mm) and its relative standard deviation, by depth, velocity, tissue and needle.
+    """Return the radius of curvature (mm) and its relative standard deviation.
 
-    `factor` is g (`finite_depth_factor`), 1 for a deep needle. The radius is infinite where nothing is left of the
-    axial force. Of the logarithm of R: +3/4 for EI, +1/4 for kf, -1 for the cutting part of the axial force.
+    `factor` is g (`finite_depth_factor`), 1 for a deep needle. The radius is infinite where Fc is not positive. The
+    sensitivity of ln R is 3/4 to ln EI, 1/4 to ln kf, and -1 to the logarithm of the cutting part of the axial force.
     """
     force, sd = cutting_force_n(needle, tissue, axial_force_n, depth_mm, velocity_mm_s, offset)
     push = force * math.cos(needle.bevel_angle_rad)
@@ -158,10 +157,10 @@ def finite_depth_factor(
     straight_start_mm: float = 20.0,
     step_mm: float = 1.0,
 ) -> Array:
-    """Return g, the local radius over the steady one for a constant force that begins at `straight_start_mm`.
+    """Return g: the local radius over the steady one, for a constant force that begins at `straight_start_mm`.
 
-    `depth_mm`, any shape, from two steps beyond the straight start to two steps short of the needle's length; one
-    march, without axial terms. Raises ModelError for other depths.
+    `depth_mm` may have any shape. It must be at least two steps beyond the straight start, and two steps short of the
+    length of the needle. One march without axial terms serves all depths. Raises ModelError for other depths.
     """
     depth = np.asarray(depth_mm, float)
     lowest, highest = straight_start_mm + 2 * step_mm, needle.length_mm - 2 * step_mm

@@ -1,25 +1,26 @@
-"""Where the tip goes in tissue that remembers its path, in closed form.
+"""The path of the tip in closed form, for tissue that remembers the path.
 
-Fresh tissue is unstressed where the tip passes, so the springs of a long needle are anchored to where the tip has been.
-With lam = (kf/4EI)^(1/4), P the lateral force on the tip and s the depth (free end of a semi-infinite beam, Hetenyi)::
+Fresh tissue is unstressed where the tip passes. The springs of a long needle are therefore anchored to the path of the
+tip. With lam = (kf/4EI)^(1/4), the lateral force P on the tip and the depth s (free end of a semi-infinite beam,
+Hetenyi)::
 
     y(s) = (2 lam/kf) P(s) + 2 lam int_0^inf exp(-lam xi) cos(lam xi) y(s - xi) dxi
 
-The kernel has the moments 1, 0, -1/lam^2: moving or turning everything changes nothing. Its solution needs no history
-but two integrals::
+The kernel has the moments 1, 0 and -1/lam^2: a translation or rotation of everything is a solution. The solution needs
+no history except two integrals::
 
     y = (2 lam/kf) [P + 2 lam int P + 2 lam^2 int int P],      y'' = (P + P'/lam + P''/(2 lam^2))/(EI lam)
 
-A constant P makes a circle, R = EI lam/P. Behind the tip the needle is at
-d(xi) = exp(-lam xi) sin(lam xi)/(2 lam^2 R) beside the path, and its tip looks 1/(2 lam R) to the outside of it.
-A bevel flip, P to -P, makes the path jump by 4 lam P/kf and turn by 8 lam^2 P/kf; no experiment has tested that.
+A constant P gives a circle, R = EI lam/P. At the distance xi behind the tip, the needle lies beside its path by d(xi) =
+exp(-lam xi) sin(lam xi)/(2 lam^2 R), and the tip points outward by the angle 1/(2 lam R). A flip of the bevel, P to -P,
+makes the path jump by 4 lam P/kf and turn by 8 lam^2 P/kf; no experiment has tested this prediction.
 
-Where the tissue keeps only a part mu of the tip's path, y is the response of a second-order system to P, and becomes
-a circle only for mu = 1::
+If the tissue keeps only a share mu of the tip's path, y is the response of a second-order system to P, and becomes a
+circle only for mu = 1::
 
     Y/P = (2 lam/kf) [(p + lam)^2 + lam^2]/[p^2 + 2 lam (1 - mu) p + 2 lam^2 (1 - mu)]
 
-The thesis has none of this: its foundation is anchored to the straight line (mu = 0).
+The thesis has no such law: its foundation is anchored to the straight line (mu = 0).
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ __all__ = ["FreePath", "circle_push_n", "flip_jump", "side_slip", "steady_radius
 
 @dataclass(frozen=True)
 class FreePath:
-    """The tip at a depth, to be advanced step by step at a cost that does not grow with the depth.
+    """State of the tip at a depth; advances step by step at constant cost.
 
-    `push_n` is P there, and `once_n_mm`, `twice_n_mm2` its first and second integral from the entry.
+    `push_n` is P at the depth. `once_n_mm` and `twice_n_mm2` are its first and second integral from the entry.
     """
 
     needle: NeedleShaft
@@ -52,9 +53,11 @@ class FreePath:
     twice_n_mm2: float = 0.0
 
     def advanced(self, depth_mm: float, push_n: float) -> FreePath:
-        """Return the tip at a greater depth, P linear on the way; at the same depth P jumps (a flip of the bevel).
+        """Return the state at a greater depth, with P linear in between.
 
-        Raises ModelError for a smaller depth: the law is that of fresh tissue.
+        At the same depth P jumps (a flip of the bevel).
+
+        Raises ModelError for a smaller depth: the law holds for fresh tissue only.
         """
         step = depth_mm - self.depth_mm
         if not step >= 0:
@@ -72,13 +75,13 @@ class FreePath:
 
     @property
     def heading_rad(self) -> float:
-        """Direction of the path where P is constant: the slope of y."""
+        """Slope of the path, for constant P."""
         lam = self.tissue.decay_1_mm(self.needle)
         return self._unit * (2 * lam * self.push_n + 2 * lam**2 * self.once_n_mm)
 
     @property
     def curvature_1_mm(self) -> float:
-        """Curvature of the path where P is constant: 1/R = P/(EI lam)."""
+        """Curvature of the path for constant P: 1/R = P/(EI lam)."""
         return 1 / steady_radius_mm(self.needle, self.tissue, self.push_n) if self.push_n else 0.0
 
     @property
@@ -87,10 +90,10 @@ class FreePath:
 
 
 def tip_path_mm(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLike, push_n: ArrayLike) -> Array:
-    """Return y at the depths, shape (..., samples): the law above for P that is linear between samples.
+    """Return y at the depths for P linear between samples, shape (..., samples).
 
-    `depth_mm` (samples,) does not decrease; two samples at one depth are a jump of P. `push_n` has the shape
-    (..., samples). Raises ModelError.
+    `depth_mm`, shape (samples,), must not decrease; two samples at the same depth are a jump of P. `push_n` has the
+    shape (..., samples). Raises ModelError for other shapes or depths.
     """
     depth, push = np.asarray(depth_mm, float), np.asarray(push_n, float)
     step = np.diff(depth)
@@ -106,10 +109,10 @@ def tip_path_mm(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLike,
 
 
 def steady_radius_mm(needle: NeedleShaft, tissue: ElasticTissue, push_n: float, axial_n: float = 0.0) -> float:
-    """Return the radius of the circle that a constant lateral force makes, EI lam/P, mm; infinite for no force.
+    """Return the radius EI lam/P (mm) of the circle for a constant lateral force; infinite for zero force.
 
-    `axial_n` is a constant compression N of the needle, which changes it by the factor 1 + N/(8 EI lam^2) at first
-    order. Raises ModelError where N is at the load that buckles the embedded needle, 2 sqrt(EI kf), or beyond.
+    `axial_n` is a constant compression N, which changes the radius by the factor 1 + N/(8 EI lam^2) to first order.
+    Raises ModelError if N reaches the buckling load of the embedded needle, 2 sqrt(EI kf).
     """
     bending, spring = needle.bending_stiffness_n_mm2, tissue.stiffness_n_mm2
     if push_n == 0:
@@ -126,7 +129,7 @@ def steady_radius_mm(needle: NeedleShaft, tissue: ElasticTissue, push_n: float, 
 
 
 def circle_push_n(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLike, radius_mm: float) -> Array:
-    """Return the lateral force (N) that makes a circle tangent at the entry: it rises over a length of some 1/lam."""
+    """Return the lateral force (N) for a circle that is tangent at the entry; it rises over a length of about 1/lam."""
     lam = tissue.decay_1_mm(needle)
     angle = lam * np.asarray(depth_mm, float)
     rise = 1 - np.exp(-angle) * (np.cos(angle) + np.sin(angle))
@@ -136,9 +139,9 @@ def circle_push_n(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLik
 def side_slip(
     needle: NeedleShaft, tissue: ElasticTissue, radius_mm: float, behind_tip_mm: ArrayLike = 0.0
 ) -> tuple[Array, float]:
-    """Return how far the needle lies beside its path at a distance behind the tip (mm), and its slope less the path's.
+    """Return the distance (mm) of the needle from its circular path behind the tip, and the slope of the tip (rad).
 
-    Of a circle, steady. The slope is that at the tip (rad): negative, to the outside.
+    The slope is relative to the path and negative: the tip points outward.
     """
     lam = tissue.decay_1_mm(needle)
     angle = lam * np.asarray(behind_tip_mm, float)
@@ -146,6 +149,6 @@ def side_slip(
 
 
 def flip_jump(needle: NeedleShaft, tissue: ElasticTissue, push_n: float) -> tuple[float, float]:
-    """Return the jump (mm) and turn (rad) of the path where P becomes -P, towards the new side; not validated."""
+    """Return the jump (mm) and turn (rad) of the path where P becomes -P, toward the new side; not validated."""
     lam, spring = tissue.decay_1_mm(needle), tissue.stiffness_n_mm2
     return 4 * lam * push_n / spring, 8 * lam**2 * push_n / spring

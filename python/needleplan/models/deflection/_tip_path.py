@@ -1,23 +1,17 @@
-"""The path of the tip as a member of the family: simulate it along a motion, fit it to a record, filter with it.
+"""Members of the family of models that are based on the beam: tip path in the plane and in space, and insertion force.
 
-----
-
-The path of a tip in space by the beam: what `path_law` says in a plane, for a bevel that may look anywhere.
-
-In the law y = (2 lam/kf) [P + 2 lam int P + 2 lam^2 int int P] let k = P/(EI lam), the curvature once P is steady, and
-f = 1/lam, the length over which the needle feels what is done to it. With Y'' = k it reads::
+`SpatialBeam` extends the law of `tip_path_mm` from the plane to a bevel in any direction. With the steady curvature k =
+P/(EI lam), the length f = 1/lam over which a local load bends the needle, and Y'' = k, the law in the plane is::
 
     y = Y + f Y' + (f^2/2) Y''
 
-In space Y is the path of `steered`, with place p, tangent t and curvature (kn, kb) along n and b. The tip is at::
+In space, Y is the path of `SpatialBicycle` with position p, tangent t and curvature (kn, kb) along n and b. The tip is
+at::
 
     p + f (t - t(0)) + (f^2/2) (kn n + kb b)
 
-So a tip that is turned at rest goes aside at once, since its needle is bent otherwise: no experiment has tested that.
-
-----
-
-The axial force of an insertion as the tip force of chapter 5 is read from it.
+A rotation at rest therefore moves the tip sideways at once, because it changes the bending. No experiment has tested
+this prediction.
 """
 
 from __future__ import annotations
@@ -38,24 +32,34 @@ __all__ = ["InsertionForce", "SpatialBeam", "TipPath"]
 
 @dataclass(frozen=True)
 class TipPath(SelfIntegratingModel):
-    """Lateral position of the tip (or of a point behind it) by the law of `path_law`; state x1, x2 (N mm2, N mm).
+    """Lateral position of the tip, or of a tracked point behind it, by the law of `tip_path_mm`.
 
-    With s the depth, m = 1 - mu, P = side Fc cos(a) cos(angle) (1 - (1 + s/e) exp(-s/e)) and e the length over which
-    the force comes up after the entry::
+    The state is x1 (N mm2) and x2 (N mm). With the depth s, m = 1 - mu, P = side Fc cos(a) cos(angle) (1 - (1 + s/e)
+    exp(-s/e)) and the length e over which the force rises after the entry::
 
         x1' = v x2,   x2' = v (P - 2 lam^2 m x1 - 2 lam m x2)
         y = offset + slope s + (2 lam/kf) (P + mu (2 lam x2 + 2 lam^2 x1))/g
 
-    The law is that of a deep needle, g = 1. A needle that is barely in still feels its base; `depth_factor` g is then
-    its mean radius over that of the law with the same force.
+    The law holds for a deep needle, g = 1. At small depths the base stiffens the needle; `depth_factor` g is the ratio
+    of the mean radius to the radius of the law for the same force. Half a turn of the base is a flip of the bevel. On
+    retraction without rotation, y returns along the same values. y > 0 is toward the push of the bevel, for side +1 and
+    the base at 0.
 
-    Half a turn of the base (`angle_rad` of the motion) is a flip of the bevel. On the way out y goes back the way it
-    came, as long as the base is not turned there.
+    **Identifiability.** Beside offset and slope, a record determines one number, the curvature Fc cos(a)/(EI lam);
+    these three are free. kf, EI and mu change the same number. They can be freed by name, but only a flip in the record
+    separates kf from Fc. The entry region would separate them too, but no model is valid there; mask it.
 
-    One record says about one number, the curvature Fc cos(a)/(EI lam), beside offset and slope: these three are free.
-    kf, EI and mu change the same number and can be freed by name, but only a flip in the record tells kf from Fc: the
-    other thing that would, the entry, is where no model holds and is better masked. Sign: y > 0 towards the push of
-    the bevel where side is +1 and the base at 0.
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from needleplan.models import NeedleShaft, TipPath, simulate
+    >>> from needleplan.signals import Motion
+    >>> depth = np.linspace(0.0, 80.0, 801)
+    >>> motion = Motion.sampled(depth / 10.0, depth)
+    >>> needle = NeedleShaft(0.718, 0.413, 203.0, np.radians(24.8))
+    >>> model = TipPath.of(needle, stiffness_n_mm2=3.87e-3, cutting_force_n=0.2)
+    >>> print(f"{simulate(model, motion).output[-1]:.1f} mm")
+    18.5 mm
     """
 
     name: ClassVar[str] = "tip_path"
@@ -75,22 +79,48 @@ class TipPath(SelfIntegratingModel):
 
     @classmethod
     def of(cls, needle: NeedleShaft, stiffness_n_mm2: float, cutting_force_n: float) -> TipPath:
-        """Return the path of a needle in a tissue, with the defaults for everything else."""
+        """Return the path of a needle in a tissue, with the defaults of the other parameters.
+
+        Parameters
+        ----------
+        needle : NeedleShaft
+            The needle.
+        stiffness_n_mm2 : float
+            Stiffness kf of the tissue.
+        cutting_force_n : float
+            Force Fc on the bevel face.
+
+        Returns
+        -------
+        TipPath
+            The model.
+        """
         return cls(cutting_force_n, needle.bending_stiffness_n_mm2, stiffness_n_mm2, needle.bevel_angle_rad)
 
     @property
     def decay_1_mm(self) -> float:
-        """Return lam = (kf/4EI)^(1/4), 1/mm."""
+        """Lam = (kf/4EI)^(1/4), 1/mm."""
         return math.sqrt(math.sqrt(self.stiffness / (4 * self.bending)))
 
     @property
     def curvature_1_mm(self) -> float:
-        """Curvature of the path well after the entry, signed by `side`: P/(EI lam g)."""
+        """Curvature P/(EI lam g) of the path far behind the entry, signed by `side`."""
         bend = self.bending * self.decay_1_mm * self.depth_factor
         return self.side * self.cutting_force * math.cos(self.bevel) / bend
 
     def push_n(self, motion: Motion) -> Array:
-        """Return P, shape of the motion's fields."""
+        """Return P (N), of the shape of the motion's fields.
+
+        Parameters
+        ----------
+        motion : Motion
+            The motion.
+
+        Returns
+        -------
+        Array
+            Lateral force on the tip.
+        """
         reach = np.maximum(motion.depth_mm, 0.0) / self.entry
         risen = 1 - (1 + reach) * np.exp(-reach)
         return np.asarray(self.side * self.cutting_force * math.cos(self.bevel) * np.cos(motion.angle_rad) * risen)
@@ -107,7 +137,7 @@ class TipPath(SelfIntegratingModel):
         return np.stack([in_tissue * state[1], in_tissue * force])
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states (2, samples) by Kutta's rule; on plain numbers, which takes a tenth of the time."""
+        """Return the states, shape (2, samples), by Kutta's rule in Python floats: ten times as fast as NumPy."""
         middle, lost, lam = motion.between(0.5), 1 - self.anchoring, self.decay_1_mm
         near, far = 2 * lam**2 * lost, 2 * lam * lost
         speed, half = (np.where(each.depth_mm >= 0, each.velocity_mm_s, 0.0) for each in (motion, middle))
@@ -126,9 +156,9 @@ class TipPath(SelfIntegratingModel):
         return np.array(states).T
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return y of the tracked point, mm, shape (...).
+        """Return the lateral position of the tracked point, mm, shape (...).
 
-        A point behind the tip is placed with the curvature of the moment, which is exact for a circle.
+        A point behind the tip is placed with the present curvature, which is exact for a circle.
         """
         lam, push = self.decay_1_mm, self.push_n(motion)
         unit = 2 * lam / (self.stiffness * self.depth_factor)
@@ -144,9 +174,20 @@ class TipPath(SelfIntegratingModel):
 
 @dataclass(frozen=True)
 class SpatialBeam(SpatialBicycle):
-    """A bevel tip at the end of a beam in tissue that remembers its path; as stiff as nothing, f = 0, the bicycle.
+    """Path in space of a bevel tip at the end of a beam, in tissue that remembers the path.
 
-    The force on the tip comes up behind the entry like 1 - (1 + s/e) exp(-s/e) with the depth s, as in `TipPath`.
+    For f = 0 the model is the bicycle. As in `TipPath`, the force on the tip rises with the depth s as 1 - (1 + s/e)
+    exp(-s/e).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from needleplan.models import SpatialBeam, simulate
+    >>> from needleplan.signals import Motion
+    >>> depth = np.linspace(0.0, 80.0, 801)
+    >>> run = simulate(SpatialBeam(curvature_per_mm=0.002), Motion.sampled(depth / 10.0, depth))
+    >>> print(f"y = {run.output[1, -1]:.1f} mm")
+    y = 12.1 mm
     """
 
     name: ClassVar[str] = "spatial_beam"
@@ -156,18 +197,33 @@ class SpatialBeam(SpatialBicycle):
 
     @classmethod
     def of(cls, needle: NeedleShaft, tissue: ElasticTissue, cutting_force_n: float) -> SpatialBeam:
-        """Return the path of a needle in a tissue, with the defaults for everything else."""
+        """Return the path of a needle in a tissue, with the defaults of the other parameters.
+
+        Parameters
+        ----------
+        needle : NeedleShaft
+            The needle.
+        tissue : ElasticTissue
+            The tissue.
+        cutting_force_n : float
+            Force Fc on the bevel face.
+
+        Returns
+        -------
+        SpatialBeam
+            The model.
+        """
         lam = tissue.decay_1_mm(needle)
         push = cutting_force_n * np.cos(needle.bevel_angle_rad)
         return cls(float(push / (needle.bending_stiffness_n_mm2 * lam)), felt_mm=1 / lam)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature toward the bevel, as it comes up."""
+        """Return the curvature toward the bevel, which rises behind the entry; shape (2, ...)."""
         reach = np.maximum(motion.depth_mm, 0.0) / self.rise_mm
         return np.asarray(super().bend_per_mm(motion, roll_rad) * (1 - (1 + reach) * np.exp(-reach)))
 
     def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:
-        """Return the place of the tip, shape (3, ...)."""
+        """Return the position of the tip, shape (3, ...)."""
         kn, kb = whole.bend_per_mm(motion, state[9])
         tangent, normal = state[3:6], state[6:9]
         lead = np.append(1.0, whole.entry(motion)[1])
@@ -178,10 +234,20 @@ class SpatialBeam(SpatialBicycle):
 
 @dataclass(frozen=True)
 class InsertionForce(Model):
-    """F = F0 + vf v l + Fc sin a while the needle goes in at depth l with velocity v; static, no state.
+    """F = F0 + vf v l + Fc sin a: the axial force of an insertion, without state.
 
-    F0 and Fc have one sum, and no insertion tells them apart: F0 is a constant of the fit once Fc is known from the
-    deflection, or Fc once F0 is known. Not for the way out, where nothing is cut and Coulomb friction turns round.
+    The data determine the sum of F0 and Fc sin a only. Fix F0 if Fc is known from the deflection, or Fc if F0 is known.
+    The model does not hold for retraction, where nothing is cut and Coulomb friction reverses.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from needleplan.models import InsertionForce, simulate
+    >>> from needleplan.signals import Motion
+    >>> depth = np.linspace(0.0, 80.0, 81)
+    >>> run = simulate(InsertionForce(0.1, 1e-4, 0.2), Motion.sampled(depth / 10.0, depth))
+    >>> print(f"{run.output[-1]:.2f} N")
+    0.28 N
     """
 
     name: ClassVar[str] = "insertion_force"
@@ -193,14 +259,14 @@ class InsertionForce(Model):
     bevel: float = constant("rad", 0.01, math.pi / 2, "angle between bevel face and axis", default=math.pi / 6)
 
     def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
-        """Return no state, shape (0,)."""
+        """Return the empty state, shape (0,)."""
         return np.zeros(0)
 
     def derivative(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return nothing, shape of the state."""
+        """Return the empty rates, shape (0,)."""
         return state
 
     def output(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return F, N, shape (...)."""
+        """Return F (N), shape (...)."""
         viscous = self.friction * motion.velocity_mm_s * motion.depth_mm
         return np.asarray(self.offset + viscous + self.cutting_force * math.sin(self.bevel))

@@ -1,13 +1,13 @@
-"""Effects that a model may lack, as physics: what they add, on their own, to any model of their channel.
+"""Effects that a model may lack, each with its physics: what an effect adds to any model of its channel.
 
-| here | what |
+| name | meaning |
 |---|---|
-| `Effect` | an effect that can be looked for and added; what a plug-in is |
-| `Term`, `WithTerm` | a force that is added, with a memory of its own |
-| `Memoryless` | a term without one |
-| `FORCE_EFFECTS`, `TIP_EFFECTS` | the effects of the axial force, and of the path of the tip |
-| `known_effects`, `effect_named` | all of them, plug-ins too |
-| `with_effect`, `AugmentedModel` | a model with effects, for model files, planner, twin and estimators |
+| `Effect` | abstract: an effect that the diagnosis can search for and add; the interface of plug-ins |
+| `Term`, `WithTerm` | an additional force with its own state, and a model with such a force |
+| `Memoryless` | a term without state |
+| `FORCE_EFFECTS`, `TIP_EFFECTS` | the shipped effects of the axial force, and of the path of the tip |
+| `known_effects`, `effect_named` | all effects by name, including plug-ins |
+| `with_effect`, `AugmentedModel` | a model with effects, for model files, planner, lab twin and estimators |
 """
 
 from needleplan.models.effects._augmented import AddedEffect, AugmentedModel, with_effect, without_effect

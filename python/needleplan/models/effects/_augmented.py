@@ -1,4 +1,4 @@
-"""A model with the effects that were added to it, and where they come from: what a model file holds of both."""
+"""A model with added effects and the origin of each effect, as a model file holds them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ __all__ = ["AddedEffect", "AugmentedModel", "with_effect", "without_effect"]
 
 @dataclass(frozen=True)
 class AddedEffect:
-    """An effect by name, with the values of all its parameters; `found_by` is the digest of the diagnosis."""
+    """An effect with the values of all its parameters.
+
+    `estimates` holds the fitted values with intervals. `found_by` is the digest of the diagnosis that found the effect.
+    """
 
     name: str
     values: Mapping[str, float]
@@ -50,24 +53,24 @@ class AddedEffect:
 
 @dataclass(frozen=True)
 class AugmentedModel(SelfIntegratingModel):
-    """A model with effects. What is of the sensor (`Enters.SENSOR`) belongs to the measurement only: see `plant`."""
+    """A model with effects. Effects of the sensor (`Enters.SENSOR`) belong to the measurement only (`plant`)."""
 
     base: Model
     effects: tuple[AddedEffect, ...] = ()
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Kind of the base, and the effects."""
+        """Kind of the base model and names of the effects, joined by "+"."""
         return "+".join([self.base.name, *(each.name for each in self.effects)])
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
-        """What the base predicts."""
+        """Channel of the base model."""
         return self.base.channel
 
     @cached_property
     def whole(self) -> Model:
-        """The model that the effects make of the base; the base itself, where all sizes are 0."""
+        """The base model with all effects applied; the base model itself if all amplitudes are 0."""
         model = self.base
         for each in self.effects:
             model = effect_named(each.name).apply(model, each.values) if each.values[SIZE] else model
@@ -75,7 +78,7 @@ class AugmentedModel(SelfIntegratingModel):
 
     @cached_property
     def plant(self) -> Model:
-        """The same without the effects of the sensor: what happens, and not what is shown of it."""
+        """The model without the effects of the sensor: the true quantity instead of the measured one."""
         own = tuple(each for each in self.effects if effect_named(each.name).enters is not Enters.SENSOR)
         return AugmentedModel(self.base, own) if own else self.base
 
@@ -88,7 +91,7 @@ class AugmentedModel(SelfIntegratingModel):
         return self.whole.derivative(state, motion)
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return what is measured, shape (...)."""
+        """Return the measured quantity, shape (...)."""
         return self.whole.output(state, motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
@@ -96,13 +99,13 @@ class AugmentedModel(SelfIntegratingModel):
         return np.asarray(simulate(self.whole, motion, start).states)
 
     def values(self) -> dict[str, float]:
-        """Return the parameters of the base, and those of effects as `effect.parameter`."""
+        """Return the parameters of the base model, and those of the effects as `effect.parameter`."""
         added = {f"{each.name}.{key}": value for each in self.effects for key, value in each.values.items()}
         return self.base.values() | added
 
 
 def with_effect(model: Model, added: AddedEffect | Sequence[AddedEffect]) -> AugmentedModel:
-    """Return the model with one more effect, or several. Raises ModelError for one of another channel."""
+    """Return the model with one or several effects added. Raises ModelError for an effect of another channel."""
     more = (added,) if isinstance(added, AddedEffect) else tuple(added)
     wrong = [
         Mistake("effect", each.name, f"is of the channel {effect_named(each.name).channel}, not {model.channel}")
@@ -117,7 +120,7 @@ def with_effect(model: Model, added: AddedEffect | Sequence[AddedEffect]) -> Aug
 
 
 def without_effect(model: Model, name: str) -> Model:
-    """Return the model without the effects of a name. Raises ModelError where it has none."""
+    """Return the model without the effects of a name. Raises ModelError if the model has no such effect."""
     if not isinstance(model, AugmentedModel) or name not in {each.name for each in model.effects}:
         raise ModelError(Mistake("effect", name, "is not there"), model.name)
     left = tuple(each for each in model.effects if each.name != name)

@@ -1,10 +1,10 @@
-"""What an effect is: something of the tissue, the needle or a sensor that a model lacks, and how it is added.
+"""Definition of an effect: a property of tissue, needle or sensor that a model lacks, and how it is added.
 
-An effect has a size, 0 where it is not there, and parameters that say where, when or how fast. Added to a model it
-makes another model, that simulates, filters, is fitted and written like any. At size 0 that model gives what the first
-gives, to the last bit.
+An effect has an amplitude (the parameter `size`), which is 0 if the effect is absent, and parameters for its place,
+time or rate. An effect that is applied to a model gives another model, which can be simulated, fitted and written like
+any other. With amplitude 0 this model gives the output of the original model, bit by bit.
 
-Most effects are a *term*: a force that is added to that of the model, with a memory of its own::
+Most effects are a *term*: an additional force with its own state::
 
     x' = rate(x, u)          F = F_model + size * shape(x, u)
 """
@@ -26,11 +26,11 @@ from needleplan.signals import Array, Motion
 __all__ = ["SIZE", "Effect", "Enters", "Family", "Memoryless", "Reach", "Term", "WithTerm"]
 
 SIZE = "size"
-"""Name of the parameter that is 0 where an effect is absent."""
+"""Name of the amplitude in model files and in the parameters of an effect."""
 
 
 class Family(StrEnum):
-    """Which physics an effect belongs to; effects of one family are the ones that are mistaken for one another."""
+    """The physical origin of an effect. Effects of one family are easily mistaken for one another."""
 
     CUTTING = "cutting"
     FRICTION = "friction"
@@ -41,18 +41,18 @@ class Family(StrEnum):
 
 
 class Enters(StrEnum):
-    """Where an effect enters: decides whether it belongs to the plant or to its measurement."""
+    """Where an effect acts: on the plant (tip, shaft, tissue) or on its measurement (sensor)."""
 
     TIP = "tip"
     SHAFT = "shaft"
     TISSUE = "tissue"
     SENSOR = "sensor"
-    """What is measured, and not what happens: planner and plant leave it out."""
+    """The effect changes the measurement only; planner and plant leave it out."""
 
 
 @dataclass(frozen=True)
 class Reach:
-    """What the motions at hand visit: the hull in which an effect can be looked for."""
+    """Ranges of depth, speed and duration of the available motions, within which an effect can be found."""
 
     depth_mm: tuple[float, float]
     speed_mm_s: tuple[float, float]
@@ -60,7 +60,7 @@ class Reach:
 
     @classmethod
     def of(cls, motions: Sequence[Motion]) -> Reach:
-        """Return the hull of some motions; the lower speed is that of the slowest twentieth of what moves."""
+        """Return the ranges of several motions; the lower speed is the 5 % quantile of the moving samples."""
         speeds = np.concatenate([np.abs(each.velocity_mm_s) for each in motions])
         moving = speeds[speeds > 0.02 * speeds.max()] if speeds.max() > 0 else np.ones(1)
         return cls(
@@ -71,9 +71,9 @@ class Reach:
 
 
 class Effect(ABC):
-    """An effect that can be looked for, named and added; abstract. A plug-in is an object of a member.
+    """Abstract base class of effects; a plug-in is an object of a subclass.
 
-    `parameters` gives units and bounds by name, `size` among them. Only `apply` must be written.
+    `parameters` declares unit and range of every parameter by name, including `size`. Only `apply` must be implemented.
     """
 
     name: str
@@ -86,29 +86,29 @@ class Effect(ABC):
     parameters: Mapping[str, Parameter]
     equation: str
     meaning: str
-    """In words for the lab."""
+    """Explanation for the user of the robot."""
 
     source: str
-    """Paper or page."""
+    """Publication."""
 
     version: str = "1"
 
     repeats: bool = False
-    """Whether there may be several of it."""
+    """Whether a model may have the effect several times."""
 
     is_lag: bool = False
-    """Whether it makes the reading late, as a calibration does too."""
+    """Whether the effect delays the measurement, as the calibrated sensor lag does."""
 
     def suits(self, model: Model) -> bool:  # noqa: ARG002
-        """Whether it can be added to a model. Default: to any of its channel."""
+        """Whether the effect can be added to a model. Default: to any model of its channel."""
         return True
 
     @abstractmethod
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
-        """Return `model` with the effect of these values; the model itself, where the size is 0."""
+        """Return `model` with the effect; `model` itself if the amplitude is 0."""
 
     def grid(self, reach: Reach) -> list[dict[str, float]]:  # noqa: ARG002
-        """Return where its other parameters are looked for: values by name, without the size. Default: nowhere else."""
+        """Return the search grid of the parameters except the amplitude. Default: one empty entry."""
         return [{}]
 
     def nearby(
@@ -117,17 +117,18 @@ class Effect(ABC):
         reach: Reach,  # noqa: ARG002
         scale: float,  # noqa: ARG002
     ) -> list[dict[str, float]]:
-        """Return what to try about where a fit is to start, the size too, from far (scale 1) to near. Default: nothing.
+        """Return further starts of a fit around `values`, from far (scale 1) to near. Default: none.
 
-        For effects that are far from linear: between two places of a grid there may be more than one hill.
+        Implement it for strongly nonlinear effects, which may have several local optima between two points of the grid.
         """
         return []
 
     def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
-        """Return what the output gains for a unit of size, shape (samples, len(grid)).
+        """Return the sensitivity of the output to the amplitude at every point of the grid, shape (samples, len(grid)).
 
-        Where the output has several axes, shape (axes, samples), they follow one another: (axes * samples, len(grid)).
-        Default: the difference of two simulations, with the size of the grid, or else a thousandth of its scale.
+        For an output of the shape (axes, samples) the rows of the axes follow one another: (axes * samples, len(grid)).
+        Default: the difference quotient of two simulations, with the amplitude of the grid, or a thousandth of its
+        typical magnitude.
         """
         plain = simulate(model, motion).output
         small = 1e-3 * self.parameters[SIZE].typical
@@ -141,14 +142,14 @@ class Effect(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Term(ABC):
-    """What is added to the output of a model, with a memory of its own; abstract. Its fields are its parameters.
+    """Abstract base class of a force that is added to the output of a model; its fields are its parameters.
 
-    Shapes as for a model. `states` is `rate` integrated along a motion, in closed form where there is one.
+    The term has its own state, here called memory, of k numbers. The shapes are those of a model.
     """
 
     name: ClassVar[str]
     order: ClassVar[int]
-    """How many numbers the memory has, k."""
+    """k, the number of states of the term."""
 
     size: float
 
@@ -162,65 +163,65 @@ class Term(ABC):
 
     @abstractmethod
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return the memory at the samples, shape (k, samples), from `start` at the first."""
+        """Return the memory at the samples, shape (k, samples), from `start` at the first sample."""
 
     @abstractmethod
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:
-        """Return what is added for size 1, shape (...); `plain` is the output of the model without the term."""
+        """Return the additional output for amplitude 1, shape (...); `plain` is the output without the term."""
 
     @classmethod
     def parameters(cls) -> dict[str, Parameter]:
-        """Return the parameters by name."""
+        """Return the declaration of every parameter, by name."""
         return parameters_of(cls)
 
     def with_values(self, **values: float) -> Self:
-        """Return the term with some parameters changed."""
+        """Return a copy of the term with some parameters changed."""
         changed: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)} | values
         return type(self)(**changed)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Memoryless(Term):
-    """A term without a memory; abstract. Only `shape` must be written."""
+    """Abstract base class of a term without memory. Only `shape` must be implemented."""
 
     order: ClassVar[int] = 0
 
     def initial(self, motion: Motion) -> Array:  # noqa: ARG002
-        """Return nothing, shape (0,)."""
+        """Return the empty memory, shape (0,)."""
         return np.zeros(0)
 
     def rate(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return nothing, shape (0, ...)."""
+        """Return the empty rates, shape (0, ...)."""
         return state
 
     def states(self, motion: Motion, start: Array) -> Array:  # noqa: ARG002
-        """Return nothing, shape (0, samples)."""
+        """Return the empty memory, shape (0, samples)."""
         return np.zeros((0, len(motion)))
 
 
 @dataclass(frozen=True)
 class WithTerm(SelfIntegratingModel):
-    """A model and a term. State: that of the model, then the memory of the term."""
+    """A model with an additional term. The state is that of the model, followed by the memory of the term."""
 
     base: Model
     term: Term
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
-        """What the base predicts."""
+        """Channel of the base model."""
         return self.base.channel
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return the states at rest, shape (n + k,)."""
+        """Return the state at rest, shape (n + k,)."""
         return np.concatenate([self.base.initial_state(motion), self.term.initial(motion)])
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of both, shape (n + k, ...)."""
+        """Return the rates of model and term, shape (n + k, ...)."""
         own, memory = self._split(state)
         return np.concatenate([self.base.derivative(own, motion), self.term.rate(memory, motion)])
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the output of the base and what the term adds; the first alone, where the size is 0."""
+        """Return the sum of the base output and the term; the base output itself if the amplitude is 0."""
         own, memory = self._split(state)
         plain = self.base.output(own, motion)
         return np.asarray(plain + self.term.size * self.term.shape(memory, motion, plain)) if self.term.size else plain

@@ -1,4 +1,4 @@
-"""The effects of the axial force: equation, meaning, source, and the grid on which the diagnosis searches."""
+"""The effects of the axial force: equation, explanation, source, and the grid on which the diagnosis searches."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _speeds(reach: Reach) -> np.ndarray:
 
 
 def _breaths(reach: Reach) -> list[dict[str, float]]:
-    """Return breaths that show in rests, and those that turn the movement round even where the needle advances."""
+    """Return breaths that are visible at rest, and breaths that reverse the movement even while the needle advances."""
     slowest = max(reach.speed_mm_s[0], 1e-2)
     found = []
     for frequency_hz in np.arange(0.12, 0.5, 0.03):
@@ -47,7 +47,7 @@ _STEEPEST = 0.65
 
 
 def _other_breaths(values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:
-    """Return breaths with another frequency, whose phase is told in the middle of a trial, phase and way."""
+    """Return breaths with another frequency, phase and amplitude; the phase is kept in the middle of a trial."""
     if not values[SIZE]:
         return []
     begin, apart = values["phase_rad"], 0.3 / reach.duration_s
@@ -208,4 +208,4 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         wrapper=BreathingTissue,
     ),
 )  # fmt: skip
-"""In the order in which they are shown."""
+"""The effects of the axial force, in the order of display."""

@@ -1,4 +1,4 @@
-"""Effects described by a table row: an equation, its words, a search grid, and the class that implements it."""
+"""Effects that a table row describes: equation, explanation, search grid, and the class that implements them."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from needleplan.signals import Array, Motion
 __all__ = ["TermEffect", "WrapEffect", "presliding_of"]
 
 Grid = Callable[[Reach], Mapping[str, Sequence[float] | Array] | Sequence[Mapping[str, float]]]
-"""The axes of a grid, or all of its places."""
+"""Function from the available ranges to the axes of a search grid, or to all of its points."""
 
 Nearby = Callable[[Mapping[str, float], Reach, float], list[dict[str, float]]]
 
 
 @dataclass(frozen=True)
 class _Described(Effect):
-    """The words of an effect, and its grid as a function of what the motions visit."""
+    """An effect whose texts are fields, and whose grid is a function of the available ranges."""
 
     name: str
     title: str
@@ -45,24 +45,24 @@ class _Described(Effect):
     repeats: bool = False
     is_lag: bool = False
     beside: tuple[type[Model], ...] = ()
-    """The models that it can be added to; empty for any."""
+    """Models that the effect can be added to; empty for any model."""
 
     def suits(self, model: Model) -> bool:
-        """Whether it can be added to a model."""
+        """Whether the effect can be added to a model."""
         inner = model
         while not isinstance(inner, self.beside) and hasattr(inner, "base"):
             inner = inner.base
         return not self.beside or isinstance(inner, self.beside)
 
     def grid(self, reach: Reach) -> list[dict[str, float]]:
-        """Return the product of the axes of the grid."""
+        """Return all points of the search grid."""
         axes = self.looked_for(reach)
         if not isinstance(axes, Mapping):
             return [dict(each) for each in axes]
         return [dict(zip(axes, map(float, each), strict=True)) for each in product(*axes.values())]
 
     def nearby(self, values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:
-        """Return what to try, within the bounds of the parameters."""
+        """Return further starts of a fit, clipped to the ranges of the parameters."""
         bounds = self.parameters
         return [
             {name: min(max(value, bounds[name].lower), bounds[name].upper) for name, value in each.items()}
@@ -72,21 +72,21 @@ class _Described(Effect):
 
 @dataclass(frozen=True)
 class TermEffect(_Described):
-    """An effect that is a term."""
+    """An effect that is implemented by a term."""
 
     term: type[Term] = Puncture
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:  # type: ignore[override]
-        """Size, and where, when or how fast."""
+        """Amplitude, and parameters for place, time or rate."""
         return {name: what for name, what in self.term.parameters().items() if what.free}
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
-        """Return the model with the term; the model itself at size 0."""
+        """Return the model with the term; the model itself if the amplitude is 0."""
         return WithTerm(model, self._term(model, values)) if values.get(SIZE, 0.0) else model
 
     def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
-        """Return the shape of the term; the same memories are integrated once."""
+        """Return the sensitivity to the amplitude; points with the same memory share its integration."""
         plain = simulate(model, motion).output
         memories: dict[tuple[float, ...], Array] = {}
         found = np.empty((len(motion), len(grid)))
@@ -107,22 +107,22 @@ class TermEffect(_Described):
 _REMEMBERED = {
     "relaxation": ("time_s", "recovery_mm"),
 }
-"""The parameters on which a memory depends."""
+"""Parameters that a term's memory depends on, by the name of the effect."""
 
 
 @dataclass(frozen=True)
 class WrapEffect(_Described):
-    """An effect that puts something around the model: `wrapper(base=model, size=..., ...)`."""
+    """An effect that is implemented by a model around the model: `wrapper(base=model, size=..., ...)`."""
 
     wrapper: type[Model] = Lagging
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:  # type: ignore[override]
-        """Size, and where, when or how fast."""
+        """Amplitude, and parameters for place, time or rate."""
         return parameters_of(self.wrapper)
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
-        """Return the model, wrapped; the model itself at size 0."""
+        """Return the wrapped model; the model itself if the amplitude is 0."""
         if not values.get(SIZE, 0.0):
             return model
         if self.beside and not isinstance(model, self.beside):
@@ -131,7 +131,7 @@ class WrapEffect(_Described):
         return made
 
     def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
-        """Return what the output gains for a unit of size; of many breaths about the plain base, all at once."""
+        """Return the sensitivity to the amplitude; breaths around a `ShaftAndTip` are computed together."""
         names = set(self.parameters)
         if not (
             self.wrapper is BreathingTissue
@@ -143,7 +143,7 @@ class WrapEffect(_Described):
         return np.asarray((gained / np.array([[each[SIZE]] for each in grid])).T)
 
     def _inside(self, model: Model, values: Mapping[str, float]) -> Model:
-        """Return a model that has effects already with this one put around its innermost base."""
+        """Return a model with effects in which the effect is wrapped around the innermost base."""
         if not self.suits(model):
             wanted = " or ".join(each.name for each in self.beside)
             raise ModelError(Mistake("effect", self.name, f"can be added to {wanted} only"), type(model).__name__)
@@ -153,12 +153,12 @@ class WrapEffect(_Described):
 
 
 def presliding_of(model: Model) -> float:
-    """Return the travel over which friction turns round in a model (mm), 0.05 where it does not say."""
+    """Return the travel over which friction reverses in a model (mm); 0.05 if the model does not define it."""
     return _of_base(model, "presliding_mm") or 0.05
 
 
 def _of_base(model: Model, name: str) -> float | None:
-    """Return a parameter of a model, or of the one that it is put around; None where none has it."""
+    """Return a parameter of a model or of the models that it wraps; None if none has it."""
     while not hasattr(model, name) and hasattr(model, "base"):
         model = model.base
     value = getattr(model, name, None)

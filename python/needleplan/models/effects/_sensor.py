@@ -1,12 +1,9 @@
-"""Effects of the sensor and of what hangs on it: they belong to what is measured, and not to the needle.
+"""Effects of the force sensor and of the mass on it; they change the measurement and not the needle.
 
-----
-
-A reading that is late: it arrives some time after the force.
-
-A line that delays has no finite state. 256 lags of first order in a row, each a 256th of the delay, are nearly
-one: what goes in as a step comes out within a sixteenth of the delay, give or take (an Erlang distribution; MacDonald,
-Time Lags in Biological Models, 1978). With fewer, what they smear would be taken for that of the sensor's own filter.
+**Delay.** A pure delay has no finite state. `Lagging` approximates it by 256 first-order lags in series, each with a
+256th of the delay. A step at the input reaches the output within a sixteenth of the delay (an Erlang distribution;
+MacDonald, Time Lags in Biological Models, 1978). With fewer lags, the spread would be mistaken for the sensor's own
+filter.
 """
 
 from __future__ import annotations
@@ -32,7 +29,7 @@ _DIFFERENCE_S = 0.005
 
 @dataclass(frozen=True, kw_only=True)
 class Bias(Memoryless):
-    """The sensor shows a force where there is none."""
+    """A constant offset of the sensor."""
 
     name: ClassVar[str] = "bias"
     size: float = parameter("N", -20, 20, "reading without a force", typical=0.01)
@@ -44,7 +41,7 @@ class Bias(Memoryless):
 
 @dataclass(frozen=True, kw_only=True)
 class Drift(Memoryless):
-    """The zero of the sensor moves evenly, from the begin of each trial."""
+    """A linear drift of the sensor's zero from the begin of each trial."""
 
     name: ClassVar[str] = "drift"
     size: float = parameter("N/s", -1, 1, "how fast the reading moves", typical=1e-3)
@@ -56,7 +53,7 @@ class Drift(Memoryless):
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalDrift(Memoryless):
-    """The zero of the sensor moves to another value while it warms up, from the begin of each trial."""
+    """An exponential drift of the sensor's zero while it warms up, from the begin of each trial."""
 
     name: ClassVar[str] = "thermal_drift"
     size: float = parameter("N", -20, 20, "how far the reading moves in the end", typical=0.01)
@@ -69,10 +66,10 @@ class ThermalDrift(Memoryless):
 
 @dataclass(frozen=True, kw_only=True)
 class GainError(Memoryless):
-    """The sensor shows forces too large, or too small.
+    """A wrong gain of the sensor.
 
-    Friction and cutting take it up wherever they are free: from forces alone it can be seen only beside a base whose
-    parameters are known.
+    Free friction and cutting parameters absorb this effect. It is visible only if the parameters of the base model are
+    known.
     """
 
     name: ClassVar[str] = "gain_error"
@@ -85,7 +82,7 @@ class GainError(Memoryless):
 
 @dataclass(frozen=True, kw_only=True)
 class Inertia(Term):
-    """What hangs on the sensor beyond the needle is accelerated with it."""
+    """Inertia of the mass on the sensor beyond the needle."""
 
     name: ClassVar[str] = "inertia"
     order: ClassVar[int] = 1
@@ -96,7 +93,7 @@ class Inertia(Term):
         return np.zeros(1)
 
     def rate(self, state: Array, motion: Motion) -> Array:
-        """Return how the smoothed velocity follows the velocity."""
+        """Return the rate of the smoothed velocity."""
         return np.asarray((np.asarray(motion.velocity_mm_s, float) - state) / _DIFFERENCE_S)
 
     def states(self, motion: Motion, start: Array) -> Array:
@@ -122,9 +119,10 @@ _FINER = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Lagging(SelfIntegratingModel):
-    """A model as it is measured by a sensor that is late by `size`.
+    """A model whose measurement is delayed by `size`.
 
-    State: that of the model, then y_1 to y_256, of which the last is read: (size/256) y_i' = y_(i-1) - y_i, y_0 = F.
+    The state is that of the model, followed by the stages y_1 to y_256 of (size/256) y_i' = y_(i-1) - y_i with y_0 = F.
+    The output is y_256.
     """
 
     base: Model
@@ -132,11 +130,11 @@ class Lagging(SelfIntegratingModel):
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
-        """What the base predicts."""
+        """Channel of the base model."""
         return self.base.channel
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return that of the base, and its output at every stage."""
+        """Return the state of the base, and its output at every stage."""
         own = self.base.initial_state(motion)
         first = motion[0] if np.ndim(motion.depth_mm) else motion
         return np.append(own, np.full(_STAGES, float(self.base.output(own, first))))
@@ -148,11 +146,11 @@ class Lagging(SelfIntegratingModel):
         return np.concatenate([self.base.derivative(own, motion), (before - stages) / self._lag_s])
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the reading; the output of the base, where the size is 0."""
+        """Return the delayed output; the output of the base if the amplitude is 0."""
         return np.asarray(state[-1]) if self.size else self.base.output(state[:-_STAGES], motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states; the stages exactly, for a force that is straight between even samples."""
+        """Return the states; the stages are exact for a force that is linear between evenly spaced samples."""
         states = simulate(self.base, motion, start[:-_STAGES]).states
         force = np.asarray(self.base.output(states, motion), float)
         found = np.empty((len(start), len(motion)))
@@ -166,7 +164,7 @@ class Lagging(SelfIntegratingModel):
 
 
 def _pass(force: Array, time_s: Array, start: Array, lag_s: float, found: Array) -> None:
-    """Write into `found` what every stage shows of a force, shape (stages, samples), from `start`."""
+    """Write the response of every stage to a force into `found`, shape (stages, samples), from the stages `start`."""
     step = np.diff(time_s)
     h = float(np.median(step)) if len(step) else 1.0
     if len(step) and float(np.abs(step - h).max()) > _EVEN * h:

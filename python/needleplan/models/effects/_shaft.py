@@ -1,12 +1,6 @@
-"""Memories of the path that terms share: which way the shaft is bent, and how deep the tip has been.
+"""Effects of friction along the shaft and of cutting at the tip.
 
-----
-
-Effects along the shaft: what friction does besides being the same everywhere and at any speed.
-
-----
-
-Effects at the tip: what it takes to cut, and where.
+The terms share a memory of the path: Dahl's bristle of the shaft, and the largest depth so far.
 """
 
 from __future__ import annotations
@@ -43,17 +37,17 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class PathTerm(Term):
-    """A term that knows z, Dahl's bristle of the shaft, and the greatest depth so far (mm); abstract."""
+    """Abstract base class of a term whose memory is Dahl's bristle z of the shaft and the largest depth so far (mm)."""
 
     order: ClassVar[int] = 2
     presliding_mm: float = constant("mm", 1e-4, 50, "travel over which the bristle turns round", default=0.05)
 
     def initial(self, motion: Motion) -> Array:
-        """Return a straight bristle, and the first depth as the greatest."""
+        """Return a straight bristle, and the first depth as the largest."""
         return np.array([0.0, float(np.ravel(motion.depth_mm)[0])])
 
     def rate(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of bristle and greatest depth."""
+        """Return the rates of bristle and largest depth."""
         velocity = np.asarray(motion.velocity_mm_s, float)
         fresh = np.asarray(motion.depth_mm) >= state[1]
         return np.array(
@@ -61,17 +55,17 @@ class PathTerm(Term):
         )
 
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return both along a motion."""
+        """Return bristle and largest depth along a motion."""
         return np.array([slid(motion, self.presliding_mm, float(start[0])), reached(motion, float(start[1]))])
 
 
 def reached(motion: Motion, start: float) -> Array:
-    """Return the greatest depth so far, shape (samples,)."""
+    """Return the largest depth so far, shape (samples,)."""
     return np.maximum(np.maximum.accumulate(motion.depth_mm), start)
 
 
 def decaying(decay: Array, target: Array, start: float) -> Array:
-    """Return y, shape (n + 1,), of y[k+1] = target[k] + (y[k] - target[k]) decay[k]."""
+    """Return y, shape (n + 1,), with y[k+1] = target[k] + (y[k] - target[k]) decay[k]."""
     return recurrence(decay, target * (1 - decay), start)
 
 
@@ -85,20 +79,20 @@ def _inserted(motion: Motion) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionLayer(PathTerm):
-    """Another layer rubs more, or less."""
+    """A deeper layer of tissue with higher or lower friction."""
 
     name: ClassVar[str] = "friction_layer"
     size: float = parameter("N/mm", -1, 1, "friction per length in the layer, above that before it", typical=1e-3)
     depth_mm: float = parameter("mm", 0, 500, "where the layer begins", typical=1.0)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return the length of shaft in the layer, with the sign of the friction."""
+        """Return the length of the shaft in the layer, with the sign of the friction."""
         return np.asarray(np.maximum(_inserted(motion) - self.depth_mm, 0.0) * state[0])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stribeck(PathTerm):
-    """Friction is larger at low speed: by a share of what the model has, which differs from trial to trial."""
+    """Friction that is higher at low speed, by a share of the model's friction, which differs from trial to trial."""
 
     name: ClassVar[str] = "stribeck"
     size: float = parameter("", 0, 20, "share of the friction that comes to it at rest", typical=0.1)
@@ -113,19 +107,19 @@ class Stribeck(PathTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class Viscous(PathTerm):
-    """Friction grows in proportion to the speed."""
+    """Friction in proportion to the speed."""
 
     name: ClassVar[str] = "viscous"
     size: float = parameter("N s/mm2", -1e-2, 1e-2, "friction per length and speed", typical=1e-4)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return length times velocity."""
+        """Return inserted length times velocity."""
         return np.asarray(_inserted(motion) * np.asarray(motion.velocity_mm_s))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation(PathTerm):
-    """The force sinks while the needle rests, and is there again after a little travel (Maxwell)."""
+    """Decay of the force while the needle rests; a short travel restores the force (Maxwell)."""
 
     name: ClassVar[str] = "relaxation"
     order: ClassVar[int] = 3
@@ -134,17 +128,17 @@ class Relaxation(PathTerm):
     recovery_mm: float = parameter("mm", 1e-3, 20, "travel after which it is back")
 
     def initial(self, motion: Motion) -> Array:
-        """Return nothing relaxed."""
+        """Return the initial memory, with nothing relaxed."""
         return np.asarray(np.append(super().initial(motion), 0.0))
 
     def rate(self, state: Array, motion: Motion) -> Array:
-        """Return the rates; what has relaxed grows with time and is undone by travel."""
+        """Return the rates; the relaxed share grows with time and decays with travel."""
         speed = np.abs(np.asarray(motion.velocity_mm_s, float))
         relaxed = (1 - state[2]) / self.time_s - state[2] * speed / self.recovery_mm
         return np.asarray(np.concatenate([super().rate(state[:2], motion), relaxed[None]]))
 
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return all three; exact for the mean speed between two samples."""
+        """Return the memory along a motion; exact for the mean speed between two samples."""
         rows = (np.asarray(row, float).tobytes() for row in (motion.depth_mm, motion.time_s))
         share = _relaxed(*rows, self.time_s, self.recovery_mm, float(start[2]))
         return np.asarray(np.vstack([super().states(motion, start[:2]), share]))
@@ -156,7 +150,7 @@ class Relaxation(PathTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class PathDamage(PathTerm):
-    """Tissue along which the shaft has slid rubs less. The memory is how far it slid past each part of the path."""
+    """Friction that decreases where the shaft has slid; the memory is the sliding distance in every cell."""
 
     name: ClassVar[str] = "path_damage"
     order: ClassVar[int] = 2 + _CELLS
@@ -165,11 +159,11 @@ class PathDamage(PathTerm):
     friction: float = constant("N/mm", 0, 10, "friction per inserted length of the model", default=1.0)
 
     def initial(self, motion: Motion) -> Array:
-        """Return a path along which nothing has slid."""
+        """Return the initial memory, with no sliding."""
         return np.asarray(np.concatenate([super().initial(motion), np.zeros(_CELLS)]))
 
     def rate(self, state: Array, motion: Motion) -> Array:
-        """Return the rates; every cell that the tip has left behind counts the travel."""
+        """Return the rates; the sliding distance grows in every cell behind the tip."""
         depth, speed = np.asarray(motion.depth_mm, float), np.abs(np.asarray(motion.velocity_mm_s, float))
         slid = np.zeros((_CELLS, *speed.shape))
         filled = _filled(depth)
@@ -177,7 +171,7 @@ class PathDamage(PathTerm):
         return np.asarray(np.concatenate([super().rate(state[:2], motion), slid]))
 
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return the memory; every step counts in the cells that it leaves behind."""
+        """Return the memory along a motion."""
         states = np.empty((self.order, len(motion)))
         states[:2] = super().states(motion, start[:2])
         states[2:] = start[2:, None]
@@ -186,7 +180,7 @@ class PathDamage(PathTerm):
         return states
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return minus the friction of the shaft that lies in worn tissue."""
+        """Return minus the friction of the shaft in worn tissue."""
         filled = _filled(_inserted(motion))
         worn = -np.expm1(-np.maximum(state[2 : 2 + len(filled)], 0.0) / self.sliding_mm)
         return np.asarray(-self.friction * (worn * filled * _CELL_MM).sum(axis=0) * state[0])
@@ -194,7 +188,7 @@ class PathDamage(PathTerm):
 
 @lru_cache(maxsize=8)
 def _slid_past(depth_mm: bytes) -> Array:
-    """Return how far the shaft slid past each cell by the end of each step, for the bytes of depths: (cells, steps)."""
+    """Return the sliding distance in each cell after each step, for the bytes of the depths; shape (cells, steps)."""
     depth = np.frombuffer(depth_mm)
     filled = _filled(depth)
     return _kept(np.cumsum(np.abs(np.diff(depth)) * (filled[:, 1:] + filled[:, :-1]) / 2, axis=1))
@@ -202,20 +196,20 @@ def _slid_past(depth_mm: bytes) -> Array:
 
 @lru_cache(maxsize=16)
 def _relaxed(depth_mm: bytes, time_s: bytes, relaxing_s: float, recovery_mm: float, start: float) -> Array:
-    """Return what has relaxed, (samples,), for the bytes of a motion: whatever base a fit tries, it is the same."""
+    """Return the relaxed share, shape (samples,), for the bytes of a motion; cached for fits."""
     step = np.diff(np.frombuffer(time_s))
     rate = 1 / relaxing_s + np.abs(np.diff(np.frombuffer(depth_mm))) / step / recovery_mm
     return _kept(decaying(np.exp(-rate * step), 1 / (relaxing_s * rate), start))
 
 
 def _kept(values: Array) -> Array:
-    """Return an array that several callers get, not to be written to."""
+    """Return the array read-only, because several callers share it."""
     values.flags.writeable = False
     return values
 
 
 def _filled(depth_mm: Array) -> Array:
-    """Return which part of every cell the shaft fills, down to the deepest one that it reaches, shape (cells, ...)."""
+    """Return the share of every cell that the shaft fills, down to the deepest cell it reaches, shape (cells, ...)."""
     count = math.ceil(min(max(1.0, float(np.max(depth_mm)) / _CELL_MM), _CELLS))
     edges = (np.arange(count) * _CELL_MM).reshape((-1,) + (1,) * np.ndim(depth_mm))
     return np.asarray(np.clip((depth_mm - edges) / _CELL_MM, 0.0, 1.0))
@@ -223,7 +217,7 @@ def _filled(depth_mm: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Bump(PathTerm):
-    """Something at one place resists the needle each time it passes, such as an air bubble, a fibre, a lesion."""
+    """Resistance at one place each time the tip passes it, such as an air bubble, a fibre or a lesion."""
 
     name: ClassVar[str] = "bump"
     size: float = parameter("N", -20, 20, "force at the place", typical=0.1)
@@ -231,18 +225,18 @@ class Bump(PathTerm):
     width_mm: float = parameter("mm", 0.1, 30, "half width, to 1/e")
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return a bell about the place, against the movement."""
+        """Return a Gaussian around the place, against the movement."""
         return np.asarray(np.exp(-(((np.asarray(motion.depth_mm) - self.depth_mm) / self.width_mm) ** 2)) * state[0])
 
 
 def _pushed(state: Array) -> Array:
-    """Return how much of the cutting force the tip takes: it resists only where it is pushed in."""
+    """Return the share of the cutting force that acts on the tip, which resists only while it is pushed in."""
     return np.asarray((1 + state[0]) / 2)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Puncture(PathTerm):
-    """A membrane bulges until it breaks: exp((L - depth)/bulge) up, then gone within a short way; on the first pass."""
+    """A membrane that deforms until it breaks: exp((L - depth)/bulge), then a fast decay; on the first pass only."""
 
     name: ClassVar[str] = "puncture"
     size: float = parameter("N", 0, 20, "force at which the membrane breaks", typical=0.1)
@@ -251,7 +245,7 @@ class Puncture(PathTerm):
     release_mm: float = constant("mm", 1e-3, 10, "way over which the force is gone once it broke", default=0.3)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return exp((L - depth)/bulge) until the membrane breaks, and what is left of it then."""
+        """Return exp((L - depth)/bulge) until the membrane breaks, and the decay after it."""
         before = np.exp(np.minimum((np.asarray(motion.depth_mm) - self.depth_mm) / self.bulge_mm, 0.0))
         broken = np.exp(-np.maximum(state[1] - self.depth_mm, 0.0) / self.release_mm)
         return np.asarray(before * broken * _pushed(state))
@@ -259,7 +253,7 @@ class Puncture(PathTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class CuttingLayer(PathTerm):
-    """Another layer takes more, or less, to cut."""
+    """A deeper layer of tissue with a higher or lower cutting force."""
 
     name: ClassVar[str] = "cutting_layer"
     size: float = parameter("N", -20, 20, "cutting force in the layer, above that before it", typical=0.1)
@@ -274,9 +268,9 @@ class CuttingLayer(PathTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class FreshCutting(PathTerm):
-    """What was cut once is not cut again: the tip meets less where it has been before.
+    """Lower cutting force where the tip has been before, because the tissue is already cut.
 
-    A share of what the model has for cutting, which differs from trial to trial and comes up with the depth.
+    The amplitude is a share of the model's cutting force, which differs from trial to trial and rises with the depth.
     """
 
     name: ClassVar[str] = "fresh_cutting"
@@ -286,7 +280,7 @@ class FreshCutting(PathTerm):
     onset_mm: float = constant("mm", 1e-2, 50, "depth over which it comes up in the model", default=1e-2)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return minus the cutting of a tip that is in its old path."""
+        """Return minus the cutting force of a tip within its old path."""
         depth = np.asarray(motion.depth_mm)
         full = -self.cutting * np.expm1(-np.maximum(depth, 0.0) / self.onset_mm)
         behind = np.maximum(state[1] - depth, 0.0)
@@ -295,7 +289,7 @@ class FreshCutting(PathTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class CuttingWithDepth(PathTerm):
-    """Cutting takes more the deeper the tip is."""
+    """Cutting force that grows with the depth."""
 
     name: ClassVar[str] = "cutting_with_depth"
     size: float = parameter("N/mm", -1, 1, "growth of the cutting force with depth", typical=1e-3)

@@ -1,12 +1,7 @@
-"""Effects on the path of a tip, as models around a model: each changes one thing of it and leaves the rest.
+"""Effects of the path of a tip, as models around a model: each changes one property of the model.
 
-----
-
-Effects that bend the path of a tip otherwise: of the tissue, of the tip and of the needle.
-
-----
-
-Effects on where a tip is shown: of the tracker, and of tissue that moves with the whole path.
+`Altered` effects change the curvature, the entry or the roll. `Shifted` effects change the position: effects of the
+tracker, and of tissue that moves with the whole path.
 """
 
 from __future__ import annotations
@@ -43,47 +38,47 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class Altered(SteeredModel):
-    """A model around another one, from which it takes what it does not change; abstract."""
+    """Abstract base class of a model around another one, whose unchanged properties it takes over."""
 
     base: SteeredModel
     size: float = parameter("", -1e9, 1e9, "how much of it", typical=1.0)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature of the base."""
+        """Return the curvature of the base model."""
         return self.base.bend_per_mm(motion, roll_rad)
 
     def entry(self, motion: Motion) -> tuple[Array, Array]:
-        """Return the entry of the base."""
+        """Return the entry of the base model."""
         return self.base.entry(motion)
 
     def following(self, roll_rad: Array, motion: Motion) -> Array:
-        """Return the roll that the base follows."""
+        """Return the roll that the base of the needle imposes."""
         return self.base.following(roll_rad, motion)
 
     def rolls(self, motion: Motion, start_rad: float) -> Array:
-        """Return the roll in the base."""
+        """Return the roll of the base model."""
         return self.base.rolls(motion, start_rad)
 
     def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:
-        """Return what the base shows."""
+        """Return the position of the base model."""
         return self.base.shown(state, motion, whole)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shifted(Altered):
-    """A model whose tip, or what is shown of it, is somewhere else; abstract."""
+    """Abstract base class of effects that shift the tip or its measured position."""
 
     @abstractmethod
     def shift(self, state: Array, motion: Motion) -> Array:
-        """Return where to it is moved for size 1, shape (3, ...)."""
+        """Return the shift for amplitude 1, shape (3, ...)."""
 
     def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:
-        """Return what the base shows, moved."""
+        """Return the position of the base model plus the shift."""
         return np.asarray(self.base.shown(state, motion, whole) + self.size * self.shift(state, motion))
 
 
 def direction_yz(angle_rad: float, like: Array) -> Array:
-    """Return a direction across the x axis, shape (3, ...) with the shape of `like` behind."""
+    """Return a unit vector across the x axis, shape (3, ...) with the shape of `like`."""
     one = np.ones_like(np.asarray(like, float))
     return np.array([0 * one, np.cos(angle_rad) * one, np.sin(angle_rad) * one])
 
@@ -95,7 +90,7 @@ _EDGE_MM = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class CurvatureLayer(Altered):
-    """From some depth on the path bends more, or less."""
+    """A deeper layer of tissue in which the curvature of the path is larger or smaller."""
 
     size: float = parameter("", -1, 5, "share by which the path bends more in the layer", typical=0.1)
     depth_mm: float = parameter("mm", 0.5, 1000, "depth at which the layer begins")
@@ -108,7 +103,7 @@ class CurvatureLayer(Altered):
 
 @dataclass(frozen=True, kw_only=True)
 class SpeedCurvature(Altered):
-    """The path bends more, or less, the faster the needle goes in."""
+    """A curvature that depends on the speed of the insertion."""
 
     size: float = parameter("", -0.9, 2, "share by which the path bends more for each 5 mm/s", typical=0.05)
 
@@ -120,7 +115,7 @@ class SpeedCurvature(Altered):
 
 @dataclass(frozen=True, kw_only=True)
 class EntryRupture(Altered):
-    """Just behind the entry the path bends otherwise: the skin guides the needle, or its rupture bends it."""
+    """A different curvature just behind the entry, where the skin guides the needle or its rupture bends it."""
 
     size: float = parameter("", -20, 50, "share by which the path bends more at the entry", typical=0.2)
     length_mm: float = parameter("mm", 0.2, 30, "over which that decays")
@@ -133,18 +128,18 @@ class EntryRupture(Altered):
 
 @dataclass(frozen=True, kw_only=True)
 class TwistedNeedle(Altered):
-    """The tip is behind the base when that turns: a play that widens with the inserted length (see `torsion`)."""
+    """A backlash between base and tip in rotation that grows with the inserted length (see `Torsion`)."""
 
     size: float = parameter("rad/mm", 0, 0.1, "lag of the tip, for each mm that is inserted", typical=1e-3)
 
     def following(self, roll_rad: Array, motion: Motion) -> Array:
-        """Return the roll, dragged by the base."""
+        """Return the roll of the tip within the backlash of the base."""
         lag = self.size * np.maximum(motion.depth_mm, 0.0)
         base = self.base.following(roll_rad, motion)
         return np.asarray(np.clip(roll_rad, base - lag, base + lag))
 
     def rolls(self, motion: Motion, start_rad: float) -> Array:
-        """Return the roll, dragged from sample to sample."""
+        """Return the roll of the tip at every sample."""
         base = self.base.rolls(motion, start_rad)
         lag = self.size * np.maximum(motion.depth_mm, 0.0)
         pairs = zip(base[1:].tolist(), lag[1:].tolist(), strict=True)
@@ -153,13 +148,13 @@ class TwistedNeedle(Altered):
 
 @dataclass(frozen=True, kw_only=True)
 class PreBend(Altered):
-    """The needle was bent before: its path bends in a direction that turns with the base."""
+    """A needle that was bent before the insertion: the additional curvature rotates with the base."""
 
     size: float = parameter("1/mm", -0.02, 0.02, "curvature of the bent needle", typical=1e-4)
     direction_rad: float = parameter("rad", -20, 20, "direction of the bend, from the bevel", typical=0.3)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature of the base, and that of the needle."""
+        """Return the curvature of the base model plus that of the needle."""
         angle = np.asarray(motion.angle_rad) + self.direction_rad
         return np.asarray(
             self.base.bend_per_mm(motion, roll_rad) + self.size * np.array([np.cos(angle), np.sin(angle)])
@@ -168,17 +163,17 @@ class PreBend(Altered):
 
 @dataclass(frozen=True, kw_only=True)
 class Sagging(Altered):
-    """The weight bends the path downwards, wherever the bevel looks; less, as less of the needle is outside.
+    """A downward curvature from the weight of the needle, which decreases with the length of the needle outside.
 
-    Weight has no other direction than down, along -z as in the lab twin. With one to choose it would be, but for its
-    fading, what a bent field of the tracker shows.
+    The weight acts along -z, as in the lab twin. With a free direction, the effect would resemble a distorted tracker
+    field, except for its decay.
     """
 
     size: float = parameter("1/mm", -0.02, 0.02, "curvature down at the entry; below 0 where z is down", typical=1e-4)
     fading_mm: float = parameter("mm", 5, 1e4, "inserted length over which it fades")
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature of the base, and that of the weight."""
+        """Return the curvature of the base model plus that of the weight."""
         down = np.exp(-np.maximum(motion.depth_mm, 0.0) / self.fading_mm) + 0 * np.asarray(roll_rad, float)
         aside = np.array([0 * down, -down])
         return np.asarray(self.base.bend_per_mm(motion, roll_rad) + self.size * aside)
@@ -186,13 +181,13 @@ class Sagging(Altered):
 
 @dataclass(frozen=True, kw_only=True)
 class Misalignment(Altered):
-    """The needle goes in along another direction than is thought."""
+    """An insertion direction that differs from the assumed one."""
 
     size: float = parameter("rad", -0.5, 0.5, "angle between the two directions", typical=5e-3)
     direction_rad: float = parameter("rad", -20, 20, "direction to which it is tilted, from y toward z", typical=0.3)
 
     def entry(self, motion: Motion) -> tuple[Array, Array]:
-        """Return the entry of the base, tilted."""
+        """Return the entry of the base model, tilted."""
         place, slopes = self.base.entry(motion)
         tilt = self.size * np.array([np.cos(self.direction_rad), np.sin(self.direction_rad)])
         return place, np.asarray(slopes + tilt)
@@ -203,25 +198,25 @@ _FIELD_MM = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class CoilOffset(Shifted):
-    """The coil of the tracker is beside the axis of the needle, and turns with the tip."""
+    """A tracker coil beside the axis of the needle, which rotates with the tip."""
 
     size: float = parameter("mm", -20, 20, "distance of the coil from the axis", typical=0.3)
     direction_rad: float = parameter("rad", -20, 20, "direction, from the bevel", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the direction, in the frame of the tip."""
+        """Return the direction of the coil in the frame of the tip."""
         tangent, normal, angle = state[3:6], state[6:9], state[9] + self.direction_rad
         return np.asarray(np.cos(angle) * normal + np.sin(angle) * np.cross(tangent, normal, axis=0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class CoilBehind(Shifted):
-    """The coil of the tracker is behind the tip, on the path; zeroed where the tip was at the entry."""
+    """A tracker coil behind the tip on the path; the position was zeroed with the tip at the entry."""
 
     size: float = parameter("mm", -30, 30, "distance of the coil behind the tip", typical=1.0)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the tangent backwards, against that along x."""
+        """Return the unit vector along x minus the tangent."""
         tangent = state[3:6]
         lead = np.zeros_like(tangent)
         lead[0] = 1.0
@@ -230,43 +225,43 @@ class CoilBehind(Shifted):
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerBias(Shifted):
-    """The tracker shows all places beside where they are."""
+    """A constant offset of the tracker."""
 
     size: float = parameter("mm", -50, 50, "how far beside", typical=0.3)
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the direction."""
+        """Return the direction of the offset."""
         return direction_yz(self.direction_rad, motion.depth_mm)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerDistortion(Shifted):
-    """The field of the tracker is bent by metal: places are shown further aside the deeper they are."""
+    """A tracker field that metal distorts: the lateral error grows with the square of the distance along x."""
 
     size: float = parameter("mm", -50, 50, "how far aside at 100 mm", typical=0.5)
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:
-        """Return the square of the place along x, in 100 mm, in that direction."""
+        """Return (x / 100 mm)^2 in the direction of the distortion."""
         return np.asarray((state[0] / _FIELD_MM) ** 2 * direction_yz(self.direction_rad, motion.depth_mm))
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriftingTissue(Shifted):
-    """The tissue, with the needle in it, moves slowly aside from the begin of each trial."""
+    """Tissue that drifts sideways with the needle, from the begin of each trial."""
 
     size: float = parameter("mm/s", -2, 2, "how fast", typical=0.01)
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the time, in that direction."""
+        """Return the time, in the direction of the drift."""
         return np.asarray(np.asarray(motion.time_s) * direction_yz(self.direction_rad, motion.depth_mm))
 
 
 @dataclass(frozen=True, kw_only=True)
 class BreathingTarget(Shifted):
-    """The tissue, with the needle in it, moves with the breath: there and back, and rests between."""
+    """Tissue that moves sideways with the needle and with the breath, and dwells between breaths."""
 
     size: float = parameter("mm", -40, 40, "how far it moves", typical=0.3)
     frequency_hz: float = parameter("Hz", 0.05, 2, "frequency of the breathing")

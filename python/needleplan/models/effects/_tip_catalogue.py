@@ -1,10 +1,7 @@
-"""The effects on the path of the tip: what each means, and where it is looked for.
+"""The effects of the path of the tip, and the registry of all effects by name.
 
-----
-
-All effects by name: those of this package, and those of others by the entry points `needleplan.effects`.
-
-An entry point names an object of a member of `Effect`, or a class that makes one without arguments.
+The registry holds the effects of this package, and plug-ins of other packages by the entry point `needleplan.effects`.
+An entry point names an object of a subclass of `Effect`, or such a class with a constructor without arguments.
 """
 
 from __future__ import annotations
@@ -114,7 +111,7 @@ TIP_EFFECTS: tuple[Effect, ...] = (
         "Metal near the tracker bends its field: the further away, the further aside places are shown.",
         "Franz et al., IEEE Trans. Med. Imaging 33 (2014) 1702", tip.TrackerDistortion, _around),
 )  # fmt: skip
-"""In the order in which they are shown."""
+"""The effects of the path of the tip, in the order of display."""
 
 
 GROUP = "needleplan.effects"
@@ -122,7 +119,7 @@ GROUP = "needleplan.effects"
 
 @lru_cache(maxsize=1)
 def known_effects() -> dict[str, Effect]:
-    """Return all effects by name. Raises ModelError for a plug-in that is none, or takes another one's name."""
+    """Return all effects by name. Raises ModelError if a plug-in is not an effect, or its name is already used."""
     found = {each.name: each for each in (*FORCE_EFFECTS, *TIP_EFFECTS)}
     for point in metadata.entry_points(group=GROUP):
         made = point.load()
@@ -136,9 +133,10 @@ def known_effects() -> dict[str, Effect]:
 
 
 def register_file(path: str) -> Effect:
-    """Make the effect of a Python file known to this process, and return it: `EFFECT`, or a class of that name.
+    """Register the effect of a Python file in this process, and return it: the object or class `EFFECT`.
 
-    The file is run. Raises ModelError where it cannot be, holds no effect, or takes another one's name.
+    The file is executed. Raises ModelError if it cannot be executed, defines no effect, or uses the name of another
+    effect.
     """
     found: list[Mistake] = []
     try:
@@ -162,12 +160,12 @@ def register_file(path: str) -> Effect:
 
 
 def effects_of(channel: Channel) -> tuple[Effect, ...]:
-    """Return the effects of a channel."""
+    """Return all effects of a channel."""
     return tuple(each for each in known_effects().values() if each.channel is channel)
 
 
 def effect_named(name: str) -> Effect:
-    """Return an effect. Raises ModelError with a suggestion."""
+    """Return an effect by name. Raises ModelError, with a suggestion, for an unknown name."""
     known = known_effects()
     if name in known:
         return known[name]

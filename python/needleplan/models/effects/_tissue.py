@@ -1,4 +1,4 @@
-"""Effects of tissue that moves: with the needle, because it gives way, or by itself, because somebody breathes."""
+"""Effects of tissue motion: with the needle, because the tissue is compliant, or by breathing."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ _AT_ONCE = 16
 
 @dataclass(frozen=True, kw_only=True)
 class SlowTurning(SelfIntegratingModel):
-    """A model whose friction turns round over a travel that is longer by `size`; the state is that of the model."""
+    """A model whose friction reverses over a travel that is longer by `size`; the state is that of the model."""
 
     base: ShaftAndTip
     size: float = parameter("mm", 0, 20, "travel beyond that of the model over which friction turns round", typical=0.1)
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
-        """What the base predicts."""
+        """Channel of the base model."""
         return self.base.channel
 
     @cached_property
     def slow(self) -> ShaftAndTip:
-        """The base with the longer travel; the base itself, where the size is 0."""
+        """The base with the longer travel; the base itself if the amplitude is 0."""
         longest = self.base.parameters()["presliding_mm"].upper
         travel = min(self.base.presliding_mm + self.size, longest)
         return self.base.with_values(presliding_mm=travel) if self.size else self.base
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return that of the base."""
+        """Return the state of the base at rest."""
         return self.base.initial_state(motion)
 
     def derivative(self, state: Array, motion: Motion) -> Array:
@@ -66,10 +66,11 @@ class SlowTurning(SelfIntegratingModel):
 
 @dataclass(frozen=True, kw_only=True)
 class GivingTissue(SelfIntegratingModel):
-    """A model in tissue that a spring and a damper hold (Kelvin and Voigt), and that gives way by `size`.
+    """A model in compliant tissue, which moves with the needle by up to `size` (Kelvin and Voigt).
 
-    Friction, from -1 to 1 in z, pulls the tissue along: lag u' = size z - u. Shaft and tip slide relative to it, with
-    the velocity v - u', and that is what bends the bristle of the base. State: that of the model, then u (mm).
+    Friction, represented by z from -1 to 1, displaces the tissue: lag u' = size z - u. Shaft and tip slide relative to
+    the tissue with the velocity v - u', which also drives the bristle of the base. The state is that of the model,
+    followed by u (mm).
     """
 
     base: ShaftAndTip | SlowTurning
@@ -78,15 +79,15 @@ class GivingTissue(SelfIntegratingModel):
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
-        """What the base predicts."""
+        """Channel of the base model."""
         return self.base.channel
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return that of the base, and tissue where it rests."""
+        """Return the state of the base, and undisplaced tissue."""
         return np.append(self.base.initial_state(motion), 0.0)
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates: of the base in its motion relative to the tissue, and of the tissue."""
+        """Return the rates of the base relative to the tissue, and of the tissue."""
         tissue = (self.size * state[0] - state[1]) / self.lag_s
         sliding = replace(motion, velocity_mm_s=np.asarray(motion.velocity_mm_s - tissue))
         return np.concatenate([self.base.derivative(state[:1], sliding), np.asarray(tissue)[None]])
@@ -96,7 +97,7 @@ class GivingTissue(SelfIntegratingModel):
         return self.base.output(state[:1], motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states; the base's own, and tissue at rest, where the size is 0."""
+        """Return the states; those of the base with tissue at rest if the amplitude is 0."""
         if not self.size:
             return np.vstack([self.base.integrate(motion, start[:1]), np.full(len(motion), float(start[1]))])
         inner = self.base.slow if isinstance(self.base, SlowTurning) else self.base
@@ -109,10 +110,11 @@ class GivingTissue(SelfIntegratingModel):
 def _dragged(
     velocity_mm_s: bytes, time_s: bytes, size: float, lag_s: float, presliding_mm: float, bristle: float, moved: float
 ) -> Array:
-    """Return bristle and tissue at the samples, shape (2, samples), not to be written to; kept as `slid` is.
+    """Return bristle and tissue at the samples, shape (2, samples), read-only and cached.
 
-    Step by step, with the trapezoidal rule for the tissue. The bristle z goes exponentially with the way s that is slid
-    in a step, so that s solves one equation, whose left side falls and is convex: Newton's steps come from below.
+    Each step uses the trapezoidal rule for the tissue. The bristle z decays exponentially with the distance s that
+    slides in a step, so that s solves one scalar equation. Its left side decreases and is convex: Newton's method
+    converges from below.
     """
     velocity, h = np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s))
     ways = (velocity[1:] + velocity[:-1]) / 2 * h
@@ -146,10 +148,10 @@ _MOST_STEPS = 50
 class BreathingTissue(SelfIntegratingModel):
     """A model whose tissue moves along the needle with the breath; the state is that of the model.
 
-    u = size/2 (sin a - rest/2 cos^2 a + rest), a = 2 pi f t + phase: from one end to the other and back. At rest 0 this
-    is a sine. At 1 it is size ((1 + sin a)/2)^2, which dwells where the breath is out, u = 0, and is the form that is
-    usual for organs (Lujan et al., Med. Phys. 26 (1999) 715, n = 2). At -1 it dwells at the other end: the needle comes
-    from the other side.
+    u = size/2 (sin a - rest/2 cos^2 a + rest), a = 2 pi f t + phase, is the displacement from one end to the other and
+    back. For rest 0 it is a sine. For rest 1 it is size ((1 + sin a)/2)^2, which dwells at exhalation (u = 0), the
+    usual form for organs (Lujan et al., Med. Phys. 26 (1999) 715, n = 2). For rest -1 it dwells at the other end: the
+    needle comes from the opposite side.
     """
 
     base: Model
@@ -160,11 +162,11 @@ class BreathingTissue(SelfIntegratingModel):
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
-        """What the base predicts."""
+        """Channel of the base model."""
         return self.base.channel
 
     def relative(self, motion: Motion) -> Motion:
-        """Return the motion of the needle relative to the tissue; `motion` itself, where the size is 0."""
+        """Return the motion of the needle relative to the tissue; `motion` itself if the amplitude is 0."""
         if not self.size:
             return motion
         times = np.asarray(motion.time_s, float).tobytes()
@@ -175,7 +177,7 @@ class BreathingTissue(SelfIntegratingModel):
         return Motion(motion.time_s, depth, velocity, np.sign(velocity), motion.angle_rad)
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return that of the base."""
+        """Return the state of the base at rest."""
         return self.base.initial_state(motion)
 
     def derivative(self, state: Array, motion: Motion) -> Array:
@@ -193,14 +195,14 @@ class BreathingTissue(SelfIntegratingModel):
 
 @lru_cache(maxsize=16)
 def _breath(time_s: bytes, frequency_hz: float, phase_rad: float, rest: float) -> tuple[Array, Array]:
-    """Return it for the bytes of times: a fit asks for it with one base after another."""
+    """Return displacement and velocity of the tissue for the bytes of the times; cached, because a fit repeats them."""
     place, velocity = _breathing(np.frombuffer(time_s), frequency_hz, phase_rad, rest)
     place.flags.writeable = velocity.flags.writeable = False
     return place, velocity
 
 
 def _breathing(time_s: Array, frequency_hz: Any, phase_rad: Any, rest: Any) -> tuple[Array, Array]:
-    """Return place and velocity of the tissue for size 1; numbers, or arrays of one shape with the times."""
+    """Return displacement and velocity of the tissue for amplitude 1; all arguments broadcast."""
     rate = 2 * np.pi * frequency_hz
     angle = rate * time_s + phase_rad
     sine, cosine = np.sin(angle), np.cos(angle)
@@ -208,9 +210,9 @@ def _breathing(time_s: Array, frequency_hz: Any, phase_rad: Any, rest: Any) -> t
 
 
 def breathing_forces(base: ShaftAndTip, motion: Motion, breaths: Sequence[Mapping[str, float]]) -> Array:
-    """Return the force in tissue that breathes, (breaths, samples), for breaths with all of their parameters.
+    """Return the force in breathing tissue, shape (breaths, samples), for breaths with all of their parameters.
 
-    What `BreathingTissue` simulates for each, for as many at once as stay in fast memory.
+    The result is that of `BreathingTissue`, for as many breaths at once as fit into the cache.
     """
     found = np.empty((len(breaths), len(motion)))
     sizes = np.array([[each["size"]] for each in breaths])
