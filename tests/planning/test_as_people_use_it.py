@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import needleplan as npl
-from needleplan.errors import NeedleplanError, PoseError, ScenarioError, TableError
+from needleplan.errors import MdpError, NeedleplanError, PoseError, ScenarioError, TableError
 from needleplan.planning import Decision, Stats
 from tests.conftest import SMALL
 
@@ -168,6 +168,7 @@ def test_lookup_many_names_the_row_in_degrees(table: npl.PolicyTable) -> None:
     assert len(table.lookup_many(poses[:2].astype(np.float32)).action) == 2
 
 
+MDP = npl.mdp.TabularMdp([[[1.0]]], [[1.0]], 0.5)
 WRONG: dict[str, tuple[Callable[[npl.PolicyTable, Any], object], list[Any]]] = {
     "noise_seed": (lambda table, value: table.path((0, 20, 0), noise_seed=value), [-1, 2**64, 1.5, "a", True]),
     "runs": (
@@ -189,6 +190,17 @@ WRONG: dict[str, tuple[Callable[[npl.PolicyTable, Any], object], list[Any]]] = {
     "progress": (lambda table, value: npl.plan(table.scenario, value), [3, "a"]),
     "values": (lambda table, value: rebuilt(table, values=value), [None, [1.0], np.zeros(3)]),
     "stats": (lambda table, value: rebuilt(table, stats=value), [None]),
+    "mdp": (lambda _, value: npl.mdp.solve(value), [None, 3]),
+    "method": (lambda _, value: npl.mdp.solve(MDP, method=value), ["swep", None, 3]),
+    "priority": (lambda _, value: npl.mdp.solve(MDP, priority=value), ["H3", None]),
+    "tolerance": (lambda _, value: npl.mdp.solve(MDP, tolerance=value), ["a", None, -1, math.nan]),
+    "max_sweeps": (lambda _, value: npl.mdp.solve(MDP, max_sweeps=value), [-1, 1.5, 2**70, "a"]),
+    "time_limit_s": (lambda _, value: npl.mdp.solve(MDP, time_limit_s=value), ["a", -1, math.nan]),
+    "threads": (lambda _, value: npl.mdp.solve(MDP, threads=value), [-4, 0, 1.5, 10**9, "a"]),
+    "labels": (lambda _, value: npl.mdp.solve(MDP, method="ppvi", labels=value), [["a"], [-1], [0.5], [0, 0], 2**33]),
+    "discount": (lambda _, value: npl.mdp.TabularMdp([[[1.0]]], [[1.0]], value), ["a", None, 0, 1.5, math.nan]),
+    "costs": (lambda _, value: npl.mdp.TabularMdp([[[1.0]]], value, 0.5), ["a", None, [1.0], [[1.0, 2.0]]]),
+    "transitions": (lambda _, value: npl.mdp.TabularMdp(value, [[1.0]], 0.5), ["a", None, 3, [[1.0]], [[[1.0, 0.0]]]]),
 }
 
 
@@ -201,7 +213,7 @@ def rebuilt(table: npl.PolicyTable, **changed: Any) -> npl.PolicyTable:
 def test_wrong_arguments_are_named(table: npl.PolicyTable, key: str, value: Any) -> None:
     with pytest.raises(NeedleplanError) as caught:
         WRONG[key][0](table, value)
-    assert isinstance(caught.value, PoseError | TableError | ScenarioError | npl.InputError)
+    assert isinstance(caught.value, PoseError | TableError | ScenarioError | MdpError | npl.InputError)
     (mistake,) = caught.value.mistakes
     assert mistake.key.split("[")[0] == key
     assert len(mistake.rule.split()) >= 3

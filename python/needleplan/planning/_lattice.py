@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import numpy as np
 
 from needleplan import _ppvi
-from needleplan.errors import ScenarioError
+from needleplan.errors import InputError, Mistake, ScenarioError
 from needleplan.scenario import Transition
 
 if TYPE_CHECKING:
@@ -19,7 +20,20 @@ if TYPE_CHECKING:
     from needleplan._ppvi import _Solution
     from needleplan.scenario import Scenario
 
-__all__ = ["Progress", "Stats", "Status", "finer", "lattice_of", "success_of"]
+__all__ = [
+    "Progress",
+    "Stats",
+    "Status",
+    "compiled_call",
+    "finer",
+    "lattice_of",
+    "require_callable",
+    "stats_of",
+    "success_of",
+]
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
 
 Progress = Callable[[float, float, float], None]
 """Called during a solve with the number of sweeps so far, the residual, and the residual at which the solve ends."""
@@ -94,39 +108,6 @@ class Stats:
     seconds_priorities: float
     order: tuple[int, ...]
 
-    @classmethod
-    def of(cls, solved: _Solution, states: int, seconds: float) -> Stats:
-        """Collect what the compiled solver reports.
-
-        Parameters
-        ----------
-        solved : dict
-            What the compiled solver returned.
-        states : int
-            Number of states.
-        seconds : float
-            Time of the whole solve in s.
-
-        Returns
-        -------
-        Stats
-            The same numbers with names.
-        """
-        return cls(
-            states=states,
-            partitions=solved["partitions"],
-            partitions_processed=solved["partitions_processed"],
-            backups=solved["backups"],
-            sweeps=solved["sweeps"],
-            residual=solved["residual"],
-            error_bound=solved["error_bound"],
-            status=Status(solved["status"]),
-            seconds=seconds,
-            seconds_solving=solved["seconds_solving"],
-            seconds_priorities=solved["seconds_priorities"],
-            order=tuple(solved["order"].tolist()),
-        )
-
     def __repr__(self) -> str:
         return (
             f"<Stats: {self.status.replace('_', ' ')} after {self.sweeps:.4g} sweeps of {self.states:,} states, "
@@ -134,32 +115,70 @@ class Stats:
         )
 
 
+def stats_of(solved: _Solution, states: int, seconds: float) -> Stats:
+    """Return the statistics of a solve from what the compiled solver reports; `seconds` is the whole time."""
+    return Stats(
+        states=states,
+        partitions=solved["partitions"],
+        partitions_processed=solved["partitions_processed"],
+        backups=solved["backups"],
+        sweeps=solved["sweeps"],
+        residual=solved["residual"],
+        error_bound=solved["error_bound"],
+        status=Status(solved["status"]),
+        seconds=seconds,
+        seconds_solving=solved["seconds_solving"],
+        seconds_priorities=solved["seconds_priorities"],
+        order=tuple(solved["order"].tolist()),
+    )
+
+
+def require_callable(progress: Progress | None, kind: type[InputError]) -> None:
+    """Raise a `kind` of InputError unless `progress` can be called or is None."""
+    if progress is not None and not callable(progress):
+        rule = "must be a function of sweeps, residual and threshold, or None"
+        raise kind(Mistake("progress", repr(progress), rule))
+
+
+def compiled_call(kind: type[InputError], function: Callable[_P, _T], *args: _P.args, **options: _P.kwargs) -> _T:
+    """Call a function of the compiled module, whose errors become a `kind` of InputError with key, value and rule.
+
+    An exception that a Python callback raises inside of the call is not changed.
+    """
+    try:
+        return function(*args, **options)
+    except (ValueError, MemoryError) as error:
+        if error.__traceback__ is not None and error.__traceback__.tb_next is not None:
+            raise  # frames below this one belong to a callback
+        parts = re.fullmatch(r"(\w+) = (.*): (must .*)", str(error), re.DOTALL)
+        raise kind(Mistake(*parts.groups()) if parts else str(error)) from error
+
+
 def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
     """Compile the lattice of a scenario: classify its grid points and the events of all arcs. Raises ScenarioError."""
     objective = scenario.objective
-    try:
-        return _ppvi.Lattice(
-            width_mm=scenario.workspace.width_mm,
-            height_mm=scenario.workspace.height_mm,
-            spacing_mm=scenario.grid.spacing_mm,
-            polygons=[obstacle.polygon_mm for obstacle in scenario.obstacles],
-            target_center_mm=scenario.target.center_mm,
-            target_radius_mm=scenario.target.radius_mm,
-            curvature_radius_mm=scenario.needle.curvature_radius_mm,
-            headings=scenario.motion.headings,
-            tip_noise=scenario.motion.tip_noise,
-            arc_samples=scenario.motion.arc_samples,
-            interpolated=scenario.grid.transition is Transition.INTERPOLATED,
-            insertion_per_mm=objective.insertion_per_mm,
-            rotation=objective.rotation,
-            collision=objective.collision,
-            exit=objective.exit,
-            discount=objective.discount,
-            layers=[(layer.from_mm, layer.curvature_radius_mm) for layer in scenario.needle.layers],
-            tissues=[(tissue.polygon_mm, tissue.curvature_radius_mm) for tissue in scenario.tissues],
-        )
-    except (ValueError, MemoryError) as error:
-        raise ScenarioError(str(error)) from error
+    return compiled_call(
+        ScenarioError,
+        _ppvi.Lattice,
+        width_mm=scenario.workspace.width_mm,
+        height_mm=scenario.workspace.height_mm,
+        spacing_mm=scenario.grid.spacing_mm,
+        polygons=[obstacle.polygon_mm for obstacle in scenario.obstacles],
+        target_center_mm=scenario.target.center_mm,
+        target_radius_mm=scenario.target.radius_mm,
+        curvature_radius_mm=scenario.needle.curvature_radius_mm,
+        headings=scenario.motion.headings,
+        tip_noise=scenario.motion.tip_noise,
+        arc_samples=scenario.motion.arc_samples,
+        interpolated=scenario.grid.transition is Transition.INTERPOLATED,
+        insertion_per_mm=objective.insertion_per_mm,
+        rotation=objective.rotation,
+        collision=objective.collision,
+        exit=objective.exit,
+        discount=objective.discount,
+        layers=[(layer.from_mm, layer.curvature_radius_mm) for layer in scenario.needle.layers],
+        tissues=[(tissue.polygon_mm, tissue.curvature_radius_mm) for tissue in scenario.tissues],
+    )
 
 
 def success_of(scenario: Scenario, lattice: _ppvi.Lattice, policy: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -168,19 +187,20 @@ def success_of(scenario: Scenario, lattice: _ppvi.Lattice, policy: NDArray[np.ui
     With `grid.success_refinement` above one, the policy is evaluated on a finer grid, each point of which follows the
     policy of the nearest coarse point. The reason: bilinear weights spread the tip with every step in proportion to the
     square of the spacing, and near obstacles part of that spread collides, so a coarse grid underestimates success.
-    Raises ValueError or MemoryError from the lattice.
+    Raises ScenarioError.
     """
     times, threads = scenario.grid.success_refinement, scenario.solver.threads
     success: NDArray[np.float32]
     if times == 1:
-        success = lattice.success(policy=policy, threads=threads)["success"]
+        success = compiled_call(ScenarioError, lattice.success, policy=policy, threads=threads)["success"]
     else:
         fine = finer(scenario)
         nearest = np.ix_(*(
             np.minimum(np.rint(np.arange(points) / times).astype(np.intp), most - 1)
             for points, most in zip(fine.shape[:2], policy.shape[:2], strict=True)
         ))  # fmt: skip
-        found = lattice_of(fine).success(policy=np.ascontiguousarray(policy[nearest]), threads=threads)["success"]
+        refined = np.ascontiguousarray(policy[nearest])
+        found = compiled_call(ScenarioError, lattice_of(fine).success, policy=refined, threads=threads)["success"]
         found = found[::times, ::times][: policy.shape[0], : policy.shape[1]]
         # A coarse point beyond the last fine point lies outside the workspace: its success is 0.
         success = np.zeros(policy.shape, np.float32)

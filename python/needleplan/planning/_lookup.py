@@ -11,7 +11,7 @@ import numpy as np
 
 from needleplan import _ppvi
 from needleplan.errors import Mistake, PoseError, TableError
-from needleplan.planning._lattice import Stats, lattice_of
+from needleplan.planning._lattice import Stats, compiled_call, lattice_of
 from needleplan.planning._poses import FULL_TURN_RAD, Action, Entry, Pose, require_full_turn
 from needleplan.scenario import Scenario
 
@@ -37,8 +37,8 @@ class Decision:
     Examples
     --------
     >>> import needleplan as npl
-    >>> npl.plan("four_obstacles").lookup(40.0, 36.0, 0.1, -1).action
-    <Action.INSERT: 0>
+    >>> print(npl.plan("four_obstacles").lookup(40.0, 36.0, 0.1, -1).action)
+    rotate, then insert
     """
 
     action: Action
@@ -216,18 +216,16 @@ class Lookups:
         if len(rows) and (headings.max() > FULL_TURN_RAD or headings.min() < -FULL_TURN_RAD):
             row = int(np.argmax(np.abs(headings) > FULL_TURN_RAD))
             require_full_turn(key.format(row=row), float(headings[row]))
-        try:
-            return Decisions(
-                *_ppvi.lookup_many(
-                    values=self.values,
-                    policy=self.policy,
-                    success=self.success,
-                    spacing_mm=self.scenario.grid.spacing_mm,
-                    poses=rows,
-                )
-            )
-        except ValueError as error:
-            raise PoseError(str(error)) from None
+        found = compiled_call(
+            PoseError,
+            _ppvi.lookup_many,
+            values=self.values,
+            policy=self.policy,
+            success=self.success,
+            spacing_mm=self.scenario.grid.spacing_mm,
+            poses=rows,
+        )
+        return Decisions(*found)
 
     def expectations(self) -> Expectations:
         """Evaluate the expected insertion length and number of rotations of the policy from every state.

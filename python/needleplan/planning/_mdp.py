@@ -1,12 +1,8 @@
-"""The solver for anybody's finite Markov decision process.
+"""The solver for any finite Markov decision process.
 
-Minimise the expected discounted cost, V(s) = min_a [c(s, a) + discount * sum_s' P(s' | s, a) V(s')].
+It minimises the expected discounted cost:
 
-::
-
-    problem = TabularMdp([stay, go], costs, discount=0.95)      # S x S matrices per action, costs [S, A]
-    solution = solve(problem, tolerance=1e-6)
-    solution.values, solution.policy, solution.stats.error_bound
+    V(s) = min_a [c(s, a) + discount * sum_s' P(s' | s, a) V(s')].
 """
 
 from __future__ import annotations
@@ -20,7 +16,18 @@ import numpy as np
 
 from needleplan import _ppvi
 from needleplan.errors import MdpError, Mistake
-from needleplan.planning._lattice import Progress, Stats
+from needleplan.planning._lattice import Progress, Stats, compiled_call, require_callable, stats_of
+from needleplan.planning._mdp_input import (
+    SparseRows,
+    choice,
+    compressed,
+    count,
+    interleaved,
+    labels_of,
+    number,
+    numbers,
+    whole_numbers,
+)
 from needleplan.scenario import Method, Priority
 
 if TYPE_CHECKING:
@@ -29,37 +36,60 @@ if TYPE_CHECKING:
 __all__ = ["Dependencies", "Solution", "TabularMdp", "dependencies", "solve", "value_iteration"]
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """An MDP in compressed sparse rows: rows `action_offsets[s]` to `action_offsets[s + 1]` are the actions of s."""
-
-    action_offsets: NDArray[np.int64]
-    row_offsets: NDArray[np.int64]
-    successors: NDArray[np.uint32]
-    probabilities: NDArray[np.float64]
-    stage_costs: NDArray[np.float64]
-
-
 class TabularMdp:
-    """A finite MDP of S states and A actions, made of sparse or dense matrices.
+    """A finite Markov decision process of S states and A actions.
 
-    `transitions` holds one S x S matrix per action (scipy.sparse, or an array), `costs` [S, A] expected stage costs,
-    `discount` lies in (0, 1]. An empty row means that the action is not to be had in that state; a state without any
-    action is terminal, with value 0. Raises MdpError naming the first state and action that break a rule.
+    Parameters
+    ----------
+    transitions : sequence of (S, S) matrices
+        One matrix of transition probabilities per action: scipy.sparse or an array. An empty row means that the action
+        is not available in that state. A state without any action is terminal and has the value 0.
+    costs : array_like of float, shape (S, A)
+        Expected stage costs.
+    discount : float
+        Discount factor in (0, 1].
+
+    Attributes
+    ----------
+    states : int
+        Number of states S.
+    actions : int
+        Number of actions A.
+
+    Raises
+    ------
+    MdpError
+        If a rule is broken; the message names the first state and action that break it.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> wait, repair = [[0.9, 0.1], [0.0, 1.0]], [[1.0, 0.0], [1.0, 0.0]]
+    >>> machine = npl.mdp.TabularMdp([wait, repair], costs=[[0.0, 5.0], [2.0, 5.0]], discount=0.9)
+    >>> machine.states, machine.actions
+    (2, 2)
     """
+
+    states: int
+    actions: int
+    _action_of_row: NDArray[np.uint32] | None
 
     def __init__(self, transitions: Sequence[Any] | NDArray[np.float64], costs: ArrayLike, discount: float) -> None:
         try:
-            matrices = [_compressed(matrix) for matrix in transitions]
-            stage_costs = np.asarray(costs, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise MdpError(f"transitions and costs must be matrices of numbers: {error}") from None
-        self.states, self.actions = len(matrices[0][0]) - 1 if matrices else 0, len(matrices)
+            parts = [] if isinstance(transitions, str) else list(transitions)
+        except TypeError:
+            parts = []
+        if not parts:
+            rule = "must be a sequence of square matrices of numbers, one per action"
+            raise MdpError(Mistake("transitions", repr(transitions), rule))
+        matrices = [compressed(matrix, f"transitions[{action}]") for action, matrix in enumerate(parts)]
+        stage_costs = numbers("costs", costs)
+        self.states, self.actions = len(matrices[0][0]) - 1, len(matrices)
         if stage_costs.shape != (self.states, self.actions):
             rule = f"must have the shape (states, actions) = {(self.states, self.actions)}"
             raise MdpError(Mistake("costs", f"shape {stage_costs.shape}", rule))
-        rows, self._action_of_row = _interleaved(matrices, stage_costs)
-        self._open(rows, discount)
+        rows, self._action_of_row = interleaved(matrices, stage_costs)
+        self._compile(rows, discount)
 
     @classmethod
     def from_rows(
@@ -72,54 +102,120 @@ class TabularMdp:
         stage_costs: ArrayLike,
         discount: float,
     ) -> TabularMdp:
-        """Make an MDP of compressed sparse rows, which need not have the same number of actions in every state.
+        """Make an MDP of compressed sparse rows, with any number of actions in every state.
 
-        Row r belongs to the state s with `action_offsets[s]` <= r < `action_offsets[s + 1]`, costs `stage_costs[r]` and
-        leads to `successors[i]` with `probabilities[i]`, `row_offsets[r]` <= i < `row_offsets[r + 1]`.
-        Raises MdpError.
+        Parameters
+        ----------
+        action_offsets : array_like of int, shape (S + 1,)
+            Row r is an action of the state s with `action_offsets[s]` <= r < `action_offsets[s + 1]`.
+        row_offsets : array_like of int, shape (R + 1,)
+            Entry i belongs to the row r with `row_offsets[r]` <= i < `row_offsets[r + 1]`.
+        successors : array_like of int
+            The successor state of every entry.
+        probabilities : array_like of float
+            The probability of every entry.
+        stage_costs : array_like of float, shape (R,)
+            The expected stage cost of every row.
+        discount : float
+            Discount factor in (0, 1].
+
+        Returns
+        -------
+        TabularMdp
+            The process. The policy of its solution holds the position of the chosen row among the rows of the state.
+
+        Raises
+        ------
+        MdpError
+            If a rule is broken; the message names the first state and action that break it.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> chain = npl.mdp.TabularMdp.from_rows(
+        ...     action_offsets=[0, 1, 1],
+        ...     row_offsets=[0, 1],
+        ...     successors=[1],
+        ...     probabilities=[1.0],
+        ...     stage_costs=[3.0],
+        ...     discount=1.0,
+        ... )
+        >>> npl.mdp.solve(chain).values
+        array([3., 0.])
         """
-        try:
-            rows = _Rows(
-                np.ascontiguousarray(action_offsets, dtype=np.int64),
-                np.ascontiguousarray(row_offsets, dtype=np.int64),
-                np.ascontiguousarray(successors, dtype=np.uint32),
-                np.ascontiguousarray(probabilities, dtype=np.float64),
-                np.ascontiguousarray(stage_costs, dtype=np.float64),
-            )
-        except (TypeError, ValueError, OverflowError) as error:
-            raise MdpError(f"rows must be arrays of numbers: {error}") from None
+        rows = SparseRows(
+            whole_numbers("action_offsets", action_offsets, np.int64),
+            whole_numbers("row_offsets", row_offsets, np.int64),
+            whole_numbers("successors", successors, np.uint32),
+            numbers("probabilities", probabilities),
+            numbers("stage_costs", stage_costs),
+        )
         mdp = cls.__new__(cls)
         mdp.states = len(rows.action_offsets) - 1
         mdp.actions = int(np.diff(rows.action_offsets).max(initial=0))
         mdp._action_of_row = None
-        mdp._open(rows, discount)
+        mdp._compile(rows, discount)
         return mdp
 
-    states: int
-    actions: int
-    _action_of_row: NDArray[np.uint32] | None
-
-    def _open(self, rows: _Rows, discount: float) -> None:
+    def _compile(self, rows: SparseRows, discount: float) -> None:
         self._action_offsets = rows.action_offsets
-        try:
-            self.compiled = _ppvi.Tabular(**vars(rows), discount=discount)
-        except (ValueError, TypeError, MemoryError) as error:
-            raise MdpError(str(error)) from None
+        self.compiled = compiled_call(
+            MdpError, _ppvi.Tabular, **vars(rows), discount=number("discount", discount, "in (0, 1]")
+        )
 
     def actions_of(self, choices: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """Return the actions [S] that are the `choices`-th to be had in each state; 0 in a terminal state."""
+        """Return the actions that stand at given positions among the available actions of each state.
+
+        Parameters
+        ----------
+        choices : ndarray of uint32, shape (S,)
+            Position among the available actions of every state.
+
+        Returns
+        -------
+        ndarray of uint32, shape (S,)
+            Numbers of the actions; 0 in a terminal state.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import needleplan as npl
+        >>> only_second = npl.mdp.TabularMdp([[[0.0]], [[1.0]]], costs=[[1.0, 1.0]], discount=0.5)
+        >>> only_second.actions_of(np.array([0], dtype=np.uint32))
+        array([1], dtype=uint32)
+        """
         if self._action_of_row is None:
             return choices
         first, end = self._action_offsets[:-1], self._action_offsets[1:]
         actions = np.zeros_like(choices)
-        alive = end > first
-        actions[alive] = self._action_of_row[first[alive] + choices[alive]]
+        acting = end > first
+        actions[acting] = self._action_of_row[first[acting] + choices[acting]]
         return actions
+
+    def __repr__(self) -> str:
+        return f"<TabularMdp: {self.states:,} states, {self.actions} actions>"
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Optimal values [S], a greedy policy [S] of action numbers, and how the solve went."""
+    """The solution of a Markov decision process.
+
+    Attributes
+    ----------
+    values : ndarray of float64, shape (S,)
+        Optimal expected costs.
+    policy : ndarray of uint32, shape (S,)
+        Number of the best action in every state.
+    stats : Stats
+        How the solve went.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> forever = npl.mdp.TabularMdp([[[1.0]]], costs=[[1.0]], discount=0.5)
+    >>> npl.mdp.solve(forever, tolerance=1e-9).values.round(6)
+    array([2.])
+    """
 
     values: NDArray[np.float64]
     policy: NDArray[np.uint32]
@@ -138,43 +234,123 @@ def solve(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Solution:
-    """Solve an MDP. `labels` [S] assigns states to partitions; the other arguments are those of `Solver` in a scenario.
+    """Solve a Markov decision process.
 
-    With a discount below one the solve ends at a Bellman residual below (1 - discount) * tolerance.
-    Raises MdpError. `progress` as for `plan`.
+    Parameters
+    ----------
+    mdp : TabularMdp
+        The process.
+    method : {"sweep", "ppvi", "vi"}, default "sweep"
+        Sweeps in a fixed order, prioritized-partitioned value iteration, or plain value iteration.
+    labels : array_like of int, shape (S,), optional
+        Number of the partition of every state.
+    priority : {"H1", "H2", "bound"}, default "H2"
+        Priority of a partition, for the method "ppvi".
+    tolerance : float, default 0.01
+        Largest error of a value. With a discount below one, the solve ends at a Bellman residual below
+        (1 - discount) * tolerance.
+    max_sweeps : int, optional
+        Number of sweeps after which the solve ends in any case.
+    time_limit_s : float, optional
+        Time in s after which the solve ends in any case.
+    threads : int, optional
+        Number of threads, from 1 to 1024. Without it, one per processor core.
+    progress : callable, optional
+        Called during the solve with the number of sweeps so far, the residual, and the residual at which the solve
+        ends. An exception that it raises stops the solve and leaves this function, as Ctrl-C does.
+
+    Returns
+    -------
+    Solution
+        Values, policy and statistics.
+
+    Raises
+    ------
+    MdpError
+        If an argument is wrong.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> wait, repair = [[0.9, 0.1], [0.0, 1.0]], [[1.0, 0.0], [1.0, 0.0]]
+    >>> machine = npl.mdp.TabularMdp([wait, repair], costs=[[0.0, 5.0], [2.0, 5.0]], discount=0.9)
+    >>> solution = npl.mdp.solve(machine, tolerance=1e-9)
+    >>> solution.policy, solution.values.round(3)
+    (array([0, 1], dtype=uint32), array([4.128, 8.716]))
     """
+    _require_mdp(mdp)
+    require_callable(progress, MdpError)
     began = perf_counter()
-    try:
-        solved = mdp.compiled.solve(
-            method=Method(method).value,
-            labels=None if labels is None else _one_a_state(labels, mdp.states),
-            priority=Priority(priority).value,
-            tolerance=tolerance,
-            max_sweeps=max_sweeps,
-            time_limit_s=time_limit_s,
-            threads=threads,
-            progress=progress,
-        )
-    except (ValueError, TypeError, OverflowError, MemoryError) as error:
-        raise MdpError(str(error)) from error
-    stats = Stats.of(solved, mdp.states, perf_counter() - began)
+    solved = compiled_call(
+        MdpError,
+        mdp.compiled.solve,
+        method=choice("method", method, Method).value,
+        labels=None if labels is None else labels_of(labels, mdp.states),
+        priority=choice("priority", priority, Priority).value,
+        tolerance=number("tolerance", tolerance, "above 0"),
+        max_sweeps=count("max_sweeps", max_sweeps, 0),
+        time_limit_s=None if time_limit_s is None else number("time_limit_s", time_limit_s, "of seconds"),
+        threads=count("threads", threads, 1),
+        progress=progress,
+    )
+    stats = stats_of(solved, mdp.states, perf_counter() - began)
     return Solution(solved["values"], mdp.actions_of(solved["policy"]), stats)
 
 
 def value_iteration(
     mdp: TabularMdp, *, tolerance: float = 0.01, max_sweeps: int | None = None, progress: Progress | None = None
 ) -> Solution:
-    """Solve an MDP by plain value iteration, the readable reference. Arguments and errors as for `solve`."""
+    """Solve a Markov decision process by plain value iteration, the reference for the other methods.
+
+    Parameters
+    ----------
+    mdp : TabularMdp
+        The process.
+    tolerance : float, default 0.01
+        Largest error of a value.
+    max_sweeps : int, optional
+        Number of sweeps after which the solve ends in any case.
+    progress : callable, optional
+        Called during the solve, as for `solve`.
+
+    Returns
+    -------
+    Solution
+        Values, policy and statistics.
+
+    Raises
+    ------
+    MdpError
+        If an argument is wrong.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> forever = npl.mdp.TabularMdp([[[1.0]]], costs=[[1.0]], discount=0.5)
+    >>> npl.mdp.value_iteration(forever, tolerance=1e-9).values.round(6)
+    array([2.])
+    """
     return solve(mdp, method=Method.VALUE_ITERATION, tolerance=tolerance, max_sweeps=max_sweeps, progress=progress)
 
 
 @dataclass(frozen=True, eq=False)
 class Dependencies:
-    """Who depends on whom: Table 6.1 of the thesis.
+    """Dependency maps of states and partitions (Table 6.1 of the thesis).
 
-    `states` holds, for every state, the states with an action that can lead to it (SDS). `partitions` holds, for every
-    partition, the partitions that depend on it (PDP, itself among them where a step can stay inside), each with those
-    of its states that do (SDP of the one within the other).
+    Attributes
+    ----------
+    states : tuple of ndarray of uint32
+        For every state, the states that have an action leading to it (SDS).
+    partitions : tuple of dict
+        For every partition, the partitions that depend on it (PDP), each with those of its states that do (SDP). A
+        partition depends on itself if a step can stay inside.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> forth = npl.mdp.TabularMdp([[[0.0, 1.0], [0.0, 1.0]]], costs=[[1.0], [1.0]], discount=0.5)
+    >>> npl.mdp.dependencies(forth, labels=[0, 1]).states[1]
+    array([0, 1], dtype=uint32)
     """
 
     states: tuple[NDArray[np.uint32], ...]
@@ -182,11 +358,34 @@ class Dependencies:
 
 
 def dependencies(mdp: TabularMdp, labels: ArrayLike) -> Dependencies:
-    """Return the dependency maps of an MDP whose states `labels` [S] assigns to partitions. Raises MdpError."""
-    try:
-        maps = mdp.compiled.dependencies(_one_a_state(labels, mdp.states))
-    except (ValueError, TypeError, OverflowError) as error:
-        raise MdpError(str(error)) from error
+    """Return the dependency maps of a Markov decision process whose states are divided into partitions.
+
+    Parameters
+    ----------
+    mdp : TabularMdp
+        The process.
+    labels : array_like of int, shape (S,)
+        Number of the partition of every state.
+
+    Returns
+    -------
+    Dependencies
+        The maps of states and of partitions.
+
+    Raises
+    ------
+    MdpError
+        If `labels` does not hold one whole number per state.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> forth = npl.mdp.TabularMdp([[[0.0, 1.0], [0.0, 1.0]]], costs=[[1.0], [1.0]], discount=0.5)
+    >>> sorted(npl.mdp.dependencies(forth, labels=[0, 1]).partitions[1])
+    [0, 1]
+    """
+    _require_mdp(mdp)
+    maps = compiled_call(MdpError, mdp.compiled.dependencies, labels_of(labels, mdp.states))
     pairs = np.split(maps["sdp"], maps["sdp_offsets"][1:-1])
     spans = zip(maps["pdp_offsets"][:-1].tolist(), maps["pdp_offsets"][1:].tolist(), strict=True)
     return Dependencies(
@@ -195,49 +394,6 @@ def dependencies(mdp: TabularMdp, labels: ArrayLike) -> Dependencies:
     )
 
 
-def _one_a_state(labels: ArrayLike, states: int) -> NDArray[np.uint32]:
-    """Return the labels as an array. Raises ValueError."""
-    array = np.ascontiguousarray(labels, dtype=np.uint32)
-    if array.shape != (states,):
-        raise ValueError(f"labels must have the shape ({states},), one a state, not {array.shape}")
-    return array
-
-
-def _compressed(matrix: Any) -> tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.float64]]:
-    """Return offsets, columns and entries of a square matrix. Raises ValueError."""
-    shape = np.shape(matrix) if not hasattr(matrix, "tocsr") else matrix.shape
-    if len(shape) != 2 or shape[0] != shape[1]:
-        raise ValueError(f"a matrix has the shape {shape}, which is not square")
-    if hasattr(matrix, "tocsr"):
-        rows = matrix.tocsr()
-        return rows.indptr.astype(np.int64), rows.indices.astype(np.uint32), rows.data.astype(np.float64)
-    dense = np.asarray(matrix, dtype=np.float64)
-    row, column = np.nonzero(dense)
-    offsets = np.concatenate(([0], np.cumsum(np.bincount(row, minlength=len(dense)))))
-    return offsets.astype(np.int64), column.astype(np.uint32), dense[row, column]
-
-
-def _interleaved(
-    matrices: Sequence[tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.float64]]], costs: NDArray[np.float64]
-) -> tuple[_Rows, NDArray[np.uint32]]:
-    """Merge the rows of the actions state by state, empty rows left out; also return the action of every row."""
-    states, actions = costs.shape
-    if any(len(offsets) != states + 1 for offsets, _, _ in matrices):
-        raise MdpError("all transition matrices must have the same shape")
-    lengths = np.stack([np.diff(offsets) for offsets, _, _ in matrices], axis=1)
-    starts = np.concatenate(([0], np.cumsum(lengths.ravel())))
-    successors = np.empty(starts[-1], dtype=np.uint32)
-    probabilities = np.empty(starts[-1], dtype=np.float64)
-    for action, (offsets, columns, entries) in enumerate(matrices):
-        places = np.repeat(starts[action:-1:actions] - offsets[:-1], lengths[:, action]) + np.arange(len(columns))
-        successors[places] = columns
-        probabilities[places] = entries
-    there = lengths > 0
-    rows = _Rows(
-        action_offsets=np.concatenate(([0], np.cumsum(there.sum(axis=1)))).astype(np.int64),
-        row_offsets=np.concatenate(([0], np.cumsum(lengths[there]))).astype(np.int64),
-        successors=successors,
-        probabilities=probabilities,
-        stage_costs=costs[there],
-    )
-    return rows, np.broadcast_to(np.arange(actions, dtype=np.uint32), costs.shape)[there]
+def _require_mdp(mdp: object) -> None:
+    if not isinstance(mdp, TabularMdp):
+        raise MdpError(Mistake("mdp", repr(mdp), "must be a TabularMdp"))

@@ -7,7 +7,7 @@ from pathlib import Path
 from time import perf_counter
 
 from needleplan.errors import InputError, Mistake, ScenarioError
-from needleplan.planning._lattice import Progress, Stats, lattice_of, success_of
+from needleplan.planning._lattice import Progress, compiled_call, lattice_of, require_callable, stats_of, success_of
 from needleplan.planning._table import PolicyTable
 from needleplan.scenario import Method, Scenario
 
@@ -59,28 +59,25 @@ def plan(scenario: Scenario | str | os.PathLike[str], progress: Progress | None 
             rule = "must be a Scenario, the path of a scenario file, or the name of a shipped scenario"
             raise ScenarioError(Mistake("scenario", repr(scenario), rule))
         scenario = Scenario.read(scenario)
-    if progress is not None and not callable(progress):
-        rule = "must be a function of sweeps, residual and threshold, or None"
-        raise InputError(Mistake("progress", repr(progress), rule))
+    require_callable(progress, InputError)
     require_memory(scenario)
     began = perf_counter()
     solver = scenario.solver
     lattice = lattice_of(scenario)
-    try:
-        solved = lattice.solve(
-            method=solver.method.value,
-            partitions=scenario.partitions,
-            priority=solver.priority.value,
-            tolerance=solver.tolerance,
-            max_sweeps=solver.max_sweeps,
-            time_limit_s=solver.time_limit_s,
-            threads=solver.threads,
-            progress=progress,
-        )
-        success = success_of(scenario, lattice, solved["policy"])
-    except (ValueError, MemoryError) as error:
-        raise ScenarioError(str(error)) from error
-    stats = Stats.of(solved, scenario.states, perf_counter() - began)
+    solved = compiled_call(
+        ScenarioError,
+        lattice.solve,
+        method=solver.method.value,
+        partitions=scenario.partitions,
+        priority=solver.priority.value,
+        tolerance=solver.tolerance,
+        max_sweeps=solver.max_sweeps,
+        time_limit_s=solver.time_limit_s,
+        threads=solver.threads,
+        progress=progress,
+    )
+    success = success_of(scenario, lattice, solved["policy"])
+    stats = stats_of(solved, scenario.states, perf_counter() - began)
     table = PolicyTable(solved["values"], solved["policy"], success, stats, scenario)
     vars(table)["lattice"] = lattice
     return table

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from needleplan.config import suggestion
-from needleplan.errors import Mistake, PoseError
+from needleplan.errors import InputError, Mistake, PoseError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -266,7 +266,7 @@ class Entry:
     --------
     >>> import needleplan as npl
     >>> npl.plan("four_obstacles").best_entry()
-    <Entry: x 0 mm, y 28 mm, heading 18 deg, bevel -1; success 0.943, cost 715>
+    <Entry: x 0 mm, y 28 mm, heading 18 deg, bevel -1; success 0.943, cost 715.4>
     """
 
     pose: Pose
@@ -332,14 +332,17 @@ def require_full_turn(key: str, heading_rad: float) -> float:
     return heading_rad
 
 
-def whole_number(key: str, value: Any, least: int, most: int, limits: str) -> int:
-    """Return a whole number as an int; raise PoseError unless it lies from `least` to `most`, which `limits` words."""
+def whole_number(key: str, value: Any, least: int, most: int, limits: str, kind: type[InputError] = PoseError) -> int:
+    """Return a whole number as an int; raise a `kind` of InputError unless it lies from `least` to `most`.
+
+    `limits` are the two numbers in words.
+    """
     try:
         number = int(value) if isinstance(value, int | np.integer | float) and value == int(value) else None
     except (ValueError, OverflowError):
         number = None
     if number is None or isinstance(value, bool) or not least <= number <= most:
-        raise PoseError(Mistake(key, str(value), f"must be a whole number {limits}"))
+        raise kind(Mistake(key, str(value), f"must be a whole number {limits}"))
     return number
 
 

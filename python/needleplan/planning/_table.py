@@ -189,7 +189,7 @@ class PolicyTable(Lookups):
         >>> import needleplan as npl
         >>> table = npl.plan("four_obstacles")
         >>> print(table.best_entry(y_mm=60).pose)
-        x 0 mm, y 60 mm, heading -18 deg, bevel +1
+        x 0 mm, y 60 mm, heading -48 deg, bevel +1
         """
         poses = edge_poses(self.scenario, edge, x_mm, y_mm)
         found = self.lookup_many(poses)
@@ -257,9 +257,10 @@ class PolicyTable(Lookups):
         >>> from dataclasses import replace
         >>> import needleplan as npl
         >>> from matplotlib.figure import Figure
-        >>> scenario = npl.Scenario.read("four_obstacles_thesis")
-        >>> coarse = replace(scenario, grid=replace(scenario.grid, spacing_mm=(4.0, 4.0)))
-        >>> axes = npl.plan(coarse).plot_order(Figure().subplots())
+        >>> scenario = npl.Scenario.read("four_obstacles")
+        >>> coarse = replace(scenario.grid, spacing_mm=(4.0, 4.0))
+        >>> solver = replace(scenario.solver, method="ppvi")
+        >>> axes = npl.plan(replace(scenario, grid=coarse, solver=solver)).plot_order(Figure().subplots())
         >>> axes.get_title(loc="left").startswith("Order of processing")
         True
         """

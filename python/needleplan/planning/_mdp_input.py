@@ -1,0 +1,135 @@
+"""Checked arguments of the MDP solver; matrices and costs become compressed sparse rows, as the solver reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from needleplan.config import suggestion
+from needleplan.errors import MdpError, Mistake
+from needleplan.planning._poses import whole_number
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "SparseRows",
+    "choice",
+    "compressed",
+    "count",
+    "interleaved",
+    "labels_of",
+    "number",
+    "numbers",
+    "whole_numbers",
+]
+
+# Largest number of sweeps or threads that the compiled solver can be given.
+_MOST = 2**31 - 1
+
+_Choice = TypeVar("_Choice", bound=StrEnum)
+
+_Integer = TypeVar("_Integer", bound=np.integer)
+_Matrix = tuple["NDArray[np.int64]", "NDArray[np.uint32]", "NDArray[np.float64]"]
+
+
+@dataclass(frozen=True)
+class SparseRows:
+    """An MDP in compressed sparse rows: rows `action_offsets[s]` to `action_offsets[s + 1]` are the actions of s."""
+
+    action_offsets: NDArray[np.int64]
+    row_offsets: NDArray[np.int64]
+    successors: NDArray[np.uint32]
+    probabilities: NDArray[np.float64]
+    stage_costs: NDArray[np.float64]
+
+
+def numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
+    """Return an array of numbers. Raises MdpError."""
+    try:
+        return np.ascontiguousarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise MdpError(Mistake(key, repr(value), "must be an array of numbers")) from None
+
+
+def whole_numbers(key: str, value: ArrayLike, kind: type[_Integer]) -> NDArray[_Integer]:
+    """Return an array of whole numbers of an integer type, none of them negative. Raises MdpError."""
+    array = np.asarray(value) if isinstance(value, np.ndarray) else numbers(key, value)
+    most = np.iinfo(kind).max
+    whole = np.issubdtype(array.dtype, np.integer) or np.all(array == np.rint(array))
+    if array.size and not (whole and array.min() >= 0 and array.max() <= most):
+        raise MdpError(Mistake(key, repr(value), f"must be an array of whole numbers from 0 to {most:,}"))
+    return np.ascontiguousarray(array, dtype=kind)
+
+
+def compressed(matrix: Any, key: str) -> _Matrix:
+    """Return offsets, columns and entries of a square matrix. Raises MdpError."""
+    sparse = hasattr(matrix, "tocsr")
+    dense = None if sparse else numbers(key, matrix)
+    shape = matrix.shape if dense is None else dense.shape
+    if len(shape) != 2 or shape[0] != shape[1]:
+        raise MdpError(Mistake(key, f"shape {shape}", "must be a square matrix"))
+    if dense is None:
+        rows = matrix.tocsr()
+        return rows.indptr.astype(np.int64), rows.indices.astype(np.uint32), rows.data.astype(np.float64)
+    row, column = np.nonzero(dense)
+    offsets = np.concatenate(([0], np.cumsum(np.bincount(row, minlength=len(dense)))))
+    return offsets.astype(np.int64), column.astype(np.uint32), dense[row, column]
+
+
+def interleaved(matrices: Sequence[_Matrix], costs: NDArray[np.float64]) -> tuple[SparseRows, NDArray[np.uint32]]:
+    """Merge the rows of the actions state by state without empty rows; also return the action of every row."""
+    states, actions = costs.shape
+    if any(len(offsets) != states + 1 for offsets, _, _ in matrices):
+        raise MdpError(Mistake("transitions", "", "all matrices must have the same shape"))
+    lengths = np.stack([np.diff(offsets) for offsets, _, _ in matrices], axis=1)
+    starts = np.concatenate(([0], np.cumsum(lengths.ravel())))
+    successors = np.empty(starts[-1], dtype=np.uint32)
+    probabilities = np.empty(starts[-1], dtype=np.float64)
+    for action, (offsets, columns, entries) in enumerate(matrices):
+        places = np.repeat(starts[action:-1:actions] - offsets[:-1], lengths[:, action]) + np.arange(len(columns))
+        successors[places] = columns
+        probabilities[places] = entries
+    available = lengths > 0
+    rows = SparseRows(
+        action_offsets=np.concatenate(([0], np.cumsum(available.sum(axis=1)))).astype(np.int64),
+        row_offsets=np.concatenate(([0], np.cumsum(lengths[available]))).astype(np.int64),
+        successors=successors,
+        probabilities=probabilities,
+        stage_costs=costs[available],
+    )
+    return rows, np.broadcast_to(np.arange(actions, dtype=np.uint32), costs.shape)[available]
+
+
+def number(key: str, value: Any, limits: str) -> float:
+    """Return a number. Raises MdpError."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise MdpError(Mistake(key, repr(value), f"must be a number {limits}")) from None
+
+
+def count(key: str, value: Any, least: int) -> int | None:
+    """Return a whole number, or None. Raises MdpError."""
+    return None if value is None else whole_number(key, value, least, _MOST, f"from {least} on, or None", MdpError)
+
+
+def choice(key: str, value: object, kind: type[_Choice]) -> _Choice:
+    """Return a member of an enumeration. Raises MdpError with a suggestion."""
+    if not isinstance(value, str) or value not in list(kind):
+        names = ", ".join(f'"{name}"' for name in kind)
+        rule = f"must be one of {names}{suggestion(str(value), list(kind))}"
+        raise MdpError(Mistake(key, f'"{value}"' if isinstance(value, str) else repr(value), rule))
+    return kind(value)
+
+
+def labels_of(labels: ArrayLike, states: int) -> NDArray[np.uint32]:
+    """Return one label per state. Raises MdpError."""
+    array = whole_numbers("labels", labels, np.uint32)
+    if array.shape != (states,):
+        raise MdpError(Mistake("labels", f"shape {array.shape}", f"must have the shape ({states},), one a state"))
+    return array

@@ -1,0 +1,98 @@
+"""The public interface: every public callable is documented in numpydoc sections and has an example."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from numpydoc.docscrape import NumpyDocString
+
+import needleplan as npl
+from needleplan import planning
+from tests.pages import ROOT
+
+# Public names that are no callables: the version, and the modules.
+NO_CALLABLES = {"__version__", "mdp", "models", "recording"}
+
+# Classes that the public methods return.
+ANSWERS = ("Action", "Decision", "Decisions", "Entry", "Expectations", "Outcome", "Path", "Rollouts", "Stats", "Status")
+
+
+def public() -> Iterator[tuple[str, Any]]:
+    """Yield the name and the object of every public class, function and method.
+
+    The names of `models` and `recording` are public; of their classes, what a user reads is the class itself.
+    """
+    whole = {name: getattr(npl, name) for name in npl.__all__ if name not in NO_CALLABLES}
+    whole |= {f"mdp.{name}": getattr(npl.mdp, name) for name in npl.mdp.__all__}
+    whole |= {name: getattr(planning, name) for name in ANSWERS} | {"recording.Recording": npl.recording.Recording}
+    for name, each in whole.items():
+        yield name, each
+        if inspect.isclass(each) and not issubclass(each, Exception):
+            for method in dir(each):
+                function = getattr(getattr(each, method), "__func__", getattr(each, method))
+                ours = inspect.isfunction(function) and function.__module__.startswith("needleplan.")
+                if ours and not method.startswith("_"):
+                    yield f"{name}.{method}", function
+    for module in (npl.models, npl.recording):
+        for name in module.__all__:
+            if inspect.isclass(getattr(module, name)) or inspect.isfunction(getattr(module, name)):
+                yield f"{module.__name__.removeprefix('needleplan.')}.{name}", getattr(module, name)
+
+
+PUBLIC = dict(public())
+# Not all documented in sections yet.
+OPEN = re.compile(r"^$")
+CHECKED = [name for name in PUBLIC if not OPEN.match(name)]
+
+
+def parameters(each: Any) -> list[str]:
+    """Return the names of the parameters of a callable, without `self` and `cls`."""
+    try:
+        names = list(inspect.signature(each).parameters)
+    except ValueError:
+        return []
+    return [name for name in names if name not in ("self", "cls")]
+
+
+@pytest.mark.parametrize("name", CHECKED)
+def test_sections(name: str) -> None:
+    each = PUBLIC[name]
+    text = inspect.getdoc(each)
+    assert text, "has no docstring"
+    sections = NumpyDocString(text)  # raises a warning, hence an error, for sections it does not know
+    assert text.splitlines()[0].endswith((".", ";")), "the first line is not a sentence"
+    entries = [*sections["Parameters"], *sections["Attributes"]]
+    documented = [part.strip() for entry in entries for part in entry.name.split(",")]
+    wanted = parameters(each) if not is_enumeration(each) else []
+    assert [part for part in documented if part in wanted] == wanted, "the parameters are not the signature's"
+    if inspect.isfunction(each):
+        assert documented == wanted, "documents parameters that do not exist"
+        returned = inspect.signature(each).return_annotation
+        assert bool(sections["Returns"]) == (returned not in (None, "None")), "Returns"
+    assert any(">>> " in line for line in sections["Examples"]), "has no example"
+
+
+def is_enumeration(each: Any) -> bool:
+    """Return whether `each` is an enumeration."""
+    return hasattr(each, "__members__")
+
+
+def test_the_page_names_every_public_name() -> None:
+    text = (ROOT / "docs/reference/python.md").read_text(encoding="utf-8")
+    for name in npl.__all__:
+        assert f"npl.{name}" in text, name
+    for method in [name for name in PUBLIC if name.startswith(("PolicyTable.", "Pose."))]:
+        assert re.search(rf"\b{method.split('.')[1]}\(", text), method
+
+
+def test_the_page_names_nothing_else() -> None:
+    text = (ROOT / "docs/reference/python.md").read_text(encoding="utf-8")
+    for name in re.findall(r"`npl\.([\w.]+)", text):
+        value: Any = npl
+        for part in name.split("."):
+            value = getattr(value, part) if hasattr(value, part) else importlib.import_module(f"needleplan.{name}")
