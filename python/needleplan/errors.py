@@ -73,7 +73,14 @@ class Mistake:
 
 
 class NeedleplanError(Exception):
-    """Root of all exceptions that needleplan raises on purpose."""
+    """Root of all exceptions that needleplan raises on purpose.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> issubclass(npl.InputError, npl.NeedleplanError)
+    True
+    """
 
 
 class DeviceFault(NeedleplanError):
@@ -100,9 +107,23 @@ class ProtocolError(DeviceFault):
 
 
 class InputError(NeedleplanError):
-    """What was supplied is wrong.
+    """Input is wrong; the exception carries all mistakes that were found.
 
-    `mistakes` holds all of them, `source` says where they are: a file, or nothing.
+    Parameters
+    ----------
+    mistakes : Mistake, sequence of Mistake, or str
+        The mistakes, or one rule that was broken.
+    source : str, optional
+        Name of the file that holds them.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> try:
+    ...     npl.plan("four_obstacle")
+    ... except npl.InputError as error:
+    ...     error.mistakes[0].rule[:12], error.source
+    ('no such file', 'four_obstacle')
     """
 
     def __init__(self, mistakes: Sequence[Mistake] | Mistake | str, source: str = "") -> None:
