@@ -15,16 +15,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan import _ppvi
+from needleplan.config import Choice, Integer, Maybe, Number
 from needleplan.errors import MdpError, Mistake
 from needleplan.planning._lattice import Progress, Stats, compiled_call, require_callable, stats_of
 from needleplan.planning._mdp_input import (
     SparseRows,
-    choice,
+    argument,
     compressed,
-    count,
     interleaved,
     labels_of,
-    number,
     numbers,
     whole_numbers,
 )
@@ -34,6 +33,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["Dependencies", "Solution", "TabularMdp", "dependencies", "solve", "value_iteration"]
+
+_DISCOUNT = Number(above=0, at_most=1)
 
 
 class TabularMdp:
@@ -160,7 +161,7 @@ class TabularMdp:
     def _compile(self, rows: SparseRows, discount: float) -> None:
         self._action_offsets = rows.action_offsets
         self.compiled = compiled_call(
-            MdpError, _ppvi.Tabular, **vars(rows), discount=number("discount", discount, "in (0, 1]")
+            MdpError, _ppvi.Tabular, **vars(rows), discount=argument("discount", _DISCOUNT, discount)
         )
 
     def actions_of(self, choices: NDArray[np.uint32]) -> NDArray[np.uint32]:
@@ -284,13 +285,13 @@ def solve(
     solved = compiled_call(
         MdpError,
         mdp.compiled.solve,
-        method=choice("method", method, Method).value,
+        method=argument("method", Choice(Method), method).value,
         labels=None if labels is None else labels_of(labels, mdp.states),
-        priority=choice("priority", priority, Priority).value,
-        tolerance=number("tolerance", tolerance, "above 0"),
-        max_sweeps=count("max_sweeps", max_sweeps, 0),
-        time_limit_s=None if time_limit_s is None else number("time_limit_s", time_limit_s, "of seconds"),
-        threads=count("threads", threads, 1),
+        priority=argument("priority", Choice(Priority), priority).value,
+        tolerance=argument("tolerance", Number(above=0), tolerance),
+        max_sweeps=argument("max_sweeps", Maybe(Integer(0, 2**31 - 1)), max_sweeps),
+        time_limit_s=argument("time_limit_s", Maybe(Number("s", at_least=0)), time_limit_s),
+        threads=argument("threads", Maybe(Integer(1, 1024)), threads),
         progress=progress,
     )
     stats = stats_of(solved, mdp.states, perf_counter() - began)

@@ -4,34 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from needleplan.config import suggestion
+from needleplan.config import Rule, Violation, shown
 from needleplan.errors import MdpError, Mistake
-from needleplan.planning._poses import whole_number
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "SparseRows",
-    "choice",
-    "compressed",
-    "count",
-    "interleaved",
-    "labels_of",
-    "number",
-    "numbers",
-    "whole_numbers",
-]
+__all__ = ["SparseRows", "argument", "compressed", "interleaved", "labels_of", "numbers", "whole_numbers"]
 
-# Largest number of sweeps or threads that the compiled solver can be given.
-_MOST = 2**31 - 1
-
-_Choice = TypeVar("_Choice", bound=StrEnum)
 
 _Integer = TypeVar("_Integer", bound=np.integer)
 _Matrix = tuple["NDArray[np.int64]", "NDArray[np.uint32]", "NDArray[np.float64]"]
@@ -105,26 +89,12 @@ def interleaved(matrices: Sequence[_Matrix], costs: NDArray[np.float64]) -> tupl
     return rows, np.broadcast_to(np.arange(actions, dtype=np.uint32), costs.shape)[available]
 
 
-def number(key: str, value: Any, limits: str) -> float:
-    """Return a number. Raises MdpError."""
+def argument(key: str, rule: Rule, value: object) -> Any:
+    """Return an argument as its rule reads it. Raises MdpError."""
     try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise MdpError(Mistake(key, repr(value), f"must be a number {limits}")) from None
-
-
-def count(key: str, value: Any, least: int) -> int | None:
-    """Return a whole number, or None. Raises MdpError."""
-    return None if value is None else whole_number(key, value, least, _MOST, f"from {least} on, or None", MdpError)
-
-
-def choice(key: str, value: object, kind: type[_Choice]) -> _Choice:
-    """Return a member of an enumeration. Raises MdpError with a suggestion."""
-    if not isinstance(value, str) or value not in list(kind):
-        names = ", ".join(f'"{name}"' for name in kind)
-        rule = f"must be one of {names}{suggestion(str(value), list(kind))}"
-        raise MdpError(Mistake(key, f'"{value}"' if isinstance(value, str) else repr(value), rule))
-    return kind(value)
+        return rule.read(value)
+    except Violation as violation:
+        raise MdpError(Mistake(key, shown(value), str(violation))) from None
 
 
 def labels_of(labels: ArrayLike, states: int) -> NDArray[np.uint32]:
