@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +13,18 @@ import pytest
 from hypothesis import given
 
 from needleplan.errors import OutputError, ScenarioError
-from needleplan.scenario import Grid, Needle, Obstacle, Scenario, Solver, Target, Transition, Workspace, shipped
+from needleplan.scenario import (
+    Grid,
+    Needle,
+    Obstacle,
+    Scenario,
+    Solver,
+    Target,
+    Transition,
+    Workspace,
+    shipped,
+    template,
+)
 from tests.scenario.scenes import scenarios
 
 SQUARE = [(10, 10), (20, 10), (20, 20), (10, 20)]
@@ -103,3 +116,28 @@ def test_a_file_beats_a_shipped_name(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.chdir(tmp_path)
     plain().write("four_obstacles")
     assert Scenario.read("four_obstacles") == plain()
+
+
+@given(scenarios())
+def test_copies_are_the_same_scenario(scenario: Scenario) -> None:
+    for again in (pickle.loads(pickle.dumps(scenario)), copy.deepcopy(scenario), copy.copy(scenario)):
+        assert again == scenario
+        assert again.digest == scenario.digest
+        assert hash(again) == hash(scenario)
+        assert again.grid.transition is scenario.grid.transition
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_a_template_reads_back_and_explains_every_value(name: str) -> None:
+    text = template(name)
+    assert Scenario.from_toml(text) == Scenario.read(name)
+    values = [line for line in text.splitlines() if " = " in line and not line.startswith(("#", "schema", "title"))]
+    assert values
+    assert all("  # " in line for line in values)
+
+
+def test_a_template_of_a_file_of_ones_own(tmp_path: Path) -> None:
+    plain().write(tmp_path / "mine.toml")
+    assert Scenario.from_toml(template(tmp_path / "mine.toml")) == plain()
+    with pytest.raises(ScenarioError, match="no shipped scenario of that name"):
+        template("four_obstacle")

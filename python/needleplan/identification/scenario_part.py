@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.config import raw_of, toml_text
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import (
     Curvature,
@@ -55,9 +56,8 @@ class ScenarioPart:
 
     def lines(self) -> list[str]:
         """Return the tables [needle], [[needle.layer]] and [motion] of the scenario file."""
-        tables = self.scenario.to_toml().strip().split("\n\n")
-        wanted = ("[needle]", "[[needle.layer]]", "[motion]")
-        return "\n\n".join(each for each in tables if each.startswith(wanted)).splitlines()
+        tables = {"needle": raw_of(self.scenario.needle), "motion": raw_of(self.scenario.motion)}
+        return toml_text(tables).strip().splitlines()
 
 
 def scenario_part(

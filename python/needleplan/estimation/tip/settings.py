@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from dataclasses import field as _field
+from dataclasses import dataclass
 from typing import Any
 
-from needleplan.config import Integer, Number, Rule, Violation, shown
-from needleplan.errors import Mistake, ModelError
+from needleplan.config import ConfigTable, Integer, Number, ruled
+from needleplan.errors import ModelError
 
 __all__ = ["TipSettings"]
 
 
-def _ruled(rule: Rule, default: float) -> Any:
-    return _field(default=default, metadata={"rule": rule})
-
-
 def _size(unit: str, at_most: float, default: float) -> Any:
-    return _ruled(Number(unit, at_least=0, at_most=at_most), default)
+    return ruled(Number(unit, at_least=0, at_most=at_most), default)
 
 
 def _positive(unit: str, at_most: float, default: float) -> Any:
-    return _ruled(Number(unit, above=0, at_most=at_most), default)
+    return ruled(Number(unit, above=0, at_most=at_most), default)
 
 
 @dataclass(frozen=True)
-class TipSettings:
+class TipSettings(ConfigTable, key="tip filter", error=ModelError):
     """Standard deviations and limits of the filter; the defaults are of an electromagnetic tracker near its field.
 
     Raises ModelError with every value that cannot be.
@@ -73,7 +68,7 @@ class TipSettings:
     gate: float = _positive("", 1, 1e-4)
     """A pose is an outlier where a true one would be as far off with this probability."""
 
-    lost_after: int = _ruled(Integer(1, 10_000), 12)
+    lost_after: int = ruled(Integer(1, 10_000), 12)
     """So many outliers, less the poses that agreed in between, and the track is lost."""
 
     lost_sd_mm: float = _positive("mm", 1000, 3.0)
@@ -81,14 +76,3 @@ class TipSettings:
 
     coasting_s: float = _positive("s", 100, 0.25)
     """Without a pose for so long, the estimate is coasting."""
-
-    def __post_init__(self) -> None:
-        mistakes = []
-        for each in fields(self):
-            value = getattr(self, each.name)
-            try:
-                object.__setattr__(self, each.name, each.metadata["rule"].read(value))
-            except Violation as broken:
-                mistakes.append(Mistake(each.name, shown(value), str(broken)))
-        if mistakes:
-            raise ModelError(mistakes, "tip filter")

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
 from textwrap import wrap
 
+from needleplan.config import toml_text
 from needleplan.diagnosis.next_motion import Exploring, NextMotion, Revealing, Separating, Separation
-from needleplan.diagnosis.program import Dwell, Insert, Program
+from needleplan.diagnosis.program import Dwell, Insert, Rotate
 from needleplan.models import Model
 from needleplan.simulation import Experiment
 
 __all__ = ["motion_text", "next_motion_document"]
 
 _HEAD = """\
-# The next motion to be measured: {about}.
+The next motion to be measured: {about}.
 {why}
-#
-# In the lab twin:   needleplan simulate next_motion.toml -o next.csv
-# On the robot:      each [[move]] is one call of Stage.insert or Stage.rotate, and the next one begins when the stage
-#                    rests (docs/reference/diagnosis.md); begin with the tip at entry.depth_mm below the surface.
-# Give the trial the role {role}, and diagnose again with all recordings.
+
+In the lab twin:   needleplan simulate next_motion.toml -o next.csv
+On the robot:      each [[move]] is one call of Stage.insert or Stage.rotate, and the next one begins when the stage
+                   rests (docs/reference/diagnosis.md); begin with the tip at entry.depth_mm below the surface.
+Give the trial the role {role}, and diagnose again with all recordings.
 """
 _WIDTH = 117
 
@@ -28,25 +27,23 @@ _WIDTH = 117
 def motion_text(next_: NextMotion, model: Model) -> str:
     """Return the text of an experiment file with the moves of a motion, in the tissue as far as `model` knows it."""
     program, limits = next_.program, next_.program.limits
-    lines = [
-        'schema = "needleplan.experiment/1"',
-        f"title = {json.dumps(f'next motion: {program.name}')}",
-        "",
-        "[entry]",
-        f"depth_mm = {min(limits.shallowest_mm, 0.0)!r}",
-        "",
-        "[tissue]",
-        f"curvature_per_mm = {float(getattr(model, 'curvature_per_mm', 0.0))!r}",
-        f"cutting_n = {float(getattr(model, 'cutting', 0.0))!r}",
-        "",
-        "[robot]",
-        f"top_velocity_mm_s = {max(limits.fastest_mm_s, 1.0)!r}",
-        f"acceleration_mm_s2 = {limits.acceleration_mm_s2!r}",
-        f"deepest_mm = {max(limits.deepest_mm, 0.0)!r}",
-        *_moves(program),
-    ]
-    why = "\n".join(f"# {line}" for line in wrap(next_.why, _WIDTH))
-    text = _HEAD.format(about=program.about, why=why, role=next_.role) + "\n".join(lines) + "\n"
+    document = {
+        "schema": "needleplan.experiment/1",
+        "title": f"next motion: {program.name}",
+        "entry": {"depth_mm": min(limits.shallowest_mm, 0.0)},
+        "tissue": {
+            "curvature_per_mm": float(getattr(model, "curvature_per_mm", 0.0)),
+            "cutting_n": float(getattr(model, "cutting", 0.0)),
+        },
+        "robot": {
+            "top_velocity_mm_s": max(limits.fastest_mm_s, 1.0),
+            "acceleration_mm_s2": limits.acceleration_mm_s2,
+            "deepest_mm": max(limits.deepest_mm, 0.0),
+        },
+        "move": [_move(each) for each in program.moves],
+    }
+    why = "\n".join(wrap(next_.why, _WIDTH))
+    text = toml_text(document, _HEAD.format(about=program.about, why=why, role=next_.role))
     Experiment.from_toml(text, "next_motion.toml")  # what is offered can be run
     return text
 
@@ -105,12 +102,10 @@ def _pair(each: Separation) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _moves(program: Program) -> Iterator[str]:
-    for move in program.moves:
-        yield from ("", "[[move]]")
-        if isinstance(move, Dwell):
-            yield f"dwell_s = {float(move.seconds)!r}"
-        elif isinstance(move, Insert):
-            yield from (f"insert_to_mm = {float(move.to_mm)!r}", f"velocity_mm_s = {float(move.velocity_mm_s)!r}")
-        else:
-            yield from (f"rotate_to_rad = {float(move.to_rad)!r}", f"velocity_rad_s = {float(move.velocity_rad_s)!r}")
+def _move(move: Dwell | Insert | Rotate) -> dict[str, float]:
+    """Return the table of a move."""
+    if isinstance(move, Dwell):
+        return {"dwell_s": float(move.seconds)}
+    if isinstance(move, Insert):
+        return {"insert_to_mm": float(move.to_mm), "velocity_mm_s": float(move.velocity_mm_s)}
+    return {"rotate_to_rad": float(move.to_rad), "velocity_rad_s": float(move.velocity_rad_s)}
