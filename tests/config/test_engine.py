@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleplan.artifacts import Parent
@@ -119,6 +119,7 @@ def test_a_good_document_is_read() -> None:
     assert (found.limit, found.value, found.main) == (9.0, {"it": 3.0}, Part(1.0, 5.0))
 
 
+@settings(deadline=None)
 @given(st.sets(st.sampled_from(sorted(WRONG)), min_size=1))
 def test_any_rules_violated_at_once_give_every_mistake(chosen: set[str]) -> None:
     found = mistakes(GOOD | {key: WRONG[key][0] for key in chosen})
@@ -132,6 +133,7 @@ def test_all_rules_violated_at_once_give_every_mistake() -> None:
     assert {each.key for each in found} == {key for name, (_, key, _) in WRONG.items() if name != "value"}
 
 
+@settings(deadline=None)
 @given(st.sets(st.sampled_from(["limit", "kind", "value"]), min_size=1))
 def test_missing_keys_are_named(gone: set[str]) -> None:
     found = mistakes({key: value for key, value in GOOD.items() if key not in gone})
@@ -167,6 +169,7 @@ def test_a_suggestion_needs_a_similar_name(wrong: object, expected: str) -> None
     assert suggestion(wrong, ["path", "policy"]) == (f'; did you mean "{expected}"?' if expected else "")
 
 
+@settings(deadline=None)
 @given(st.text("abcdefgh_", min_size=4, max_size=12), st.data())
 def test_one_slip_is_always_suggested(name: str, data: st.DataObject) -> None:
     place = data.draw(st.integers(0, len(name) - 1))

@@ -23,12 +23,13 @@ _VALUES = st.recursive(
 DOCUMENTS = st.dictionaries(_TEXTS, _VALUES, max_size=5)
 
 
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 @given(DOCUMENTS)
 def test_any_document_reads_back_as_it_was(document: dict[str, Any]) -> None:
     assert tomllib.loads(toml_text(document)) == document
 
 
+@settings(deadline=None)
 @given(DOCUMENTS, st.text(st.characters(codec="utf-8", exclude_categories=["Cc"]), max_size=30))
 def test_comments_change_nothing(document: dict[str, Any], comment: str) -> None:
     line = " ".join(comment.split())

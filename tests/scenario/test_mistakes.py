@@ -197,7 +197,7 @@ def test_unreadable_files_are_told(
     assert expected in str(caught.value)
 
 
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 @given(st.data())
 def test_damaged_text_gives_a_scenario_or_a_scenario_error(data: st.DataObject) -> None:
     text = Scenario.read(data.draw(st.sampled_from(shipped()))).to_toml()
@@ -225,7 +225,7 @@ ANY = st.recursive(
 LINES = [index for index, line in enumerate(TEXT.splitlines()) if " = " in line]
 
 
-@settings(max_examples=300)
+@settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(LINES), ANY), min_size=1, max_size=4))
 @example([(LINES[0], "{}")])
 def test_any_value_gives_a_scenario_or_a_scenario_error(changes: list[tuple[int, str]]) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 
 from needleplan.errors import OutputError, ScenarioError
 from needleplan.scenario import (
@@ -34,6 +34,7 @@ def plain() -> Scenario:
     return Scenario(Workspace(120, 80), Target((100, 50), 2), Needle(40))
 
 
+@settings(deadline=None)
 @given(scenarios())
 def test_text_reads_back_as_the_same_scenario(scenario: Scenario) -> None:
     again = Scenario.from_toml(scenario.to_toml())
@@ -118,6 +119,7 @@ def test_a_file_beats_a_shipped_name(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert Scenario.read("four_obstacles") == plain()
 
 
+@settings(deadline=None)
 @given(scenarios())
 def test_copies_are_the_same_scenario(scenario: Scenario) -> None:
     for again in (pickle.loads(pickle.dumps(scenario)), copy.deepcopy(scenario), copy.copy(scenario)):
