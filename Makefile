@@ -18,7 +18,7 @@ export PYO3_PYTHON := $(abspath $(VENV))/bin/python
 
 plan: install
 	mkdir -p $(OUT)
-	$(BIN)/needleplan plan four_obstacles -o $(OUT)/four_obstacles.h5 --figure $(OUT)/four_obstacles.png
+	$(BIN)/needleplan plan four_obstacles -o $(OUT)/four_obstacles.h5 --figure $(OUT)/four_obstacles.png --force
 
 test: install-test
 	$(MAKE) rust

@@ -44,8 +44,11 @@ def test_curvature_from_a_file_to_a_model(data: Path, tmp_path: Path, capsys: py
 
 def test_the_table_says_what_was_found(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["identify", "curvature", str(data)]) == 0
+    short = capsys.readouterr().out.splitlines()
+    assert main(["identify", "curvature", str(data), "--verbose"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "curvature: bicycle"
+    assert short == [*lines[:4], f"  ... {len(lines) - 4} more lines with --verbose"]
     assert any(line.startswith("  curvature_per_mm") and line.endswith("1/mm") for line in lines)
     assert any("agreement of trials" in line and "agree with one curvature" in line for line in lines)
 

@@ -42,7 +42,19 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_it_reaches_the_target_and_the_recording_replays(file: Path, quick: Path, tmp_path: Path) -> None:
     run, figure = tmp_path / "run.mcap", tmp_path / "run.svg"
-    arguments = ("--speed", 10, "--rotation-speed", 10, "--roll-left", 0.02, "-o", run, "--figure", figure, "--json")
+    arguments = (
+        "--speed",
+        10,
+        "--rotation-speed-deg",
+        573,
+        "--roll-left",
+        0.02,
+        "-o",
+        run,
+        "--figure",
+        figure,
+        "--json",
+    )
     done = needleplan("insert", file, "--robot", f"sim://{quick}?seed=4", *map(str, arguments))
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
@@ -50,6 +62,7 @@ def test_it_reaches_the_target_and_the_recording_replays(file: Path, quick: Path
     assert answer["error_mm"] <= small_table().scenario.target.radius_mm
     assert answer["true_error_mm"] == pytest.approx(answer["error_mm"], abs=0.3)
     assert answer["table"] == small_table().digest
+    assert "--roll-left is now --roll-left-deg" in done.stderr
     assert done.stderr.count("\nstep ") + done.stderr.startswith("step ") == answer["steps"]
     assert "<svg" in figure.read_text()
     session = Recording.read(run).session
@@ -86,9 +99,11 @@ def test_without_a_way_to_the_target_it_does_not_begin(file: Path, quick: Path) 
         (["--start=-5,20,0"], ["must lie in the workspace"]),
         (["--speed", "12"], ["--speed = 12", "at most the limit"]),
         (["--speed", "nan"], ["--speed = nan", "mm/s above 0"]),
-        (["--rotation-speed", "100"], ["--rotation-speed = 100", "at most the limit of the run, 12 rad/s"]),
+        (["--rotation-speed-deg", "1e4"], ["--rotation-speed-deg = 10000", "limit of the run, 687.549 degrees/s"]),
         (["--entry-depth", "1000"], ["--entry-depth = 1000", "from -100 to 150 mm"]),
-        (["--roll-left", "nan"], ["--roll-left = nan", "number of rad"]),
+        (["--roll-left-deg", "nan"], ["--roll-left-deg = nan", "number of degrees"]),
+        (["--rotation-speed", "100"], ["--rotation-speed-deg = 5729.58", "limit of the run, 687.549 degrees/s"]),
+        (["--limits", "REG", "-o", "old.mcap"], ["old.mcap", "exists already", "--overwrite overwrites it"]),
         (["--needle-length", "0"], ["--needle-length = 0", "above 0"]),
         (["--start", "0,20,0,2"], ["--start = 0,20,0,2", "X,Y,DEG"]),
         (["--figure", "run.bmp"], ["run.bmp", "must end in .png"]),
@@ -109,6 +124,7 @@ def test_what_is_refused(
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
     Registration().write("REG")
+    Path("old.mcap").write_text("")
     assert main(["insert", str(file), *arguments]) == 2
     said = capsys.readouterr()
     assert said.out == ""

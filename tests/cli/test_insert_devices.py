@@ -61,7 +61,7 @@ def test_the_same_loop_in_real_time(folder: Path, capsys: pytest.CaptureFixture[
     with RealTimeLab(setup, 1, places, RobotLimits(longest_silence_s=10.0)) as lab:
         at = lab.addresses
         run = str(folder / "run.mcap")
-        speeds = ("--speed", "20", "--rotation-speed", "12")
+        speeds = ("--speed", "20", "--rotation-speed-deg", "687")
         code = insert(folder, f"{at.robot}?watchdog_s=5&valid_s=1", at.force, at.tracker, *speeds, "-o", run, "--json")
     said = capsys.readouterr()
     assert code == 0, said.err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import math
 from collections.abc import Callable
@@ -39,7 +40,7 @@ def test_the_live_view_shows_what_is_now() -> None:
 
 def test_elsewhere_it_is_lines(capsys: pytest.CaptureFixture[str]) -> None:
     lab = a_lab(replace(NOISY, curvature_error=0.25), 1)
-    with view(small_table(), FAST) as shown:
+    with view(small_table(), FAST, argparse.Namespace(quiet=False, json=False)) as shown:
         assert type(shown) is PlainView
         report = insertion_in(lab, listeners=[shown]).run()
     lines = capsys.readouterr().err.splitlines()

@@ -24,7 +24,7 @@ from needleplan.devices.robot import RobotStage, RobotTiming
 from needleplan.errors import DeviceFault
 from needleplan.estimation.registration import Registration
 from needleplan.planning import PolicyTable
-from tests.cli.commands import needleplan, refused
+from tests.cli.commands import needleplan, program, refused
 
 PATIENT = {"silence_s": 20.0, "valid_s": 20.0, "answer_s": 20.0, "lost_s": 20.0}
 BEARING = ForceLimits(silence_s=20.0, start_s=20.0, frozen_samples=10_000)
@@ -124,7 +124,7 @@ def test_with_a_table_the_needle_is_where_its_insertion_begins_and_a_kill_leaves
     start: Callable[..., Running], table: PolicyTable, table_file: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "registration.toml"
-    lab = start("--tracker", "tcp", "--table", str(table_file), "--registration", str(file))
+    lab = start("--tracker", "tcp", "--table", str(table_file), "--output", str(file))
     with NdiTracker.open(lab.said["tracker"], limits=SLOW) as tracker:
         poses: list[PoseSample] = []
         assert before(30, lambda: _pose(tracker, poses).health is Health.GOOD)
@@ -195,7 +195,7 @@ def test_a_port_that_is_taken_is_one_clear_error(option: str, kind: socket.Socke
         if kind == socket.SOCK_STREAM:
             taken.listen()
         port = taken.getsockname()[1]
-        refused(needleplan("lab", option, str(port), "--tracker", "tcp"), device, str(port), "already in use")
+        refused(program("lab", option, port, "--tracker", "tcp"), device, str(port), "already in use")
 
 
 @pytest.mark.slow
@@ -203,7 +203,7 @@ def test_a_port_that_is_taken_is_one_clear_error(option: str, kind: socket.Socke
     ("arguments", "words"),
     [(("insertoin",), ("did you mean",)), (("--robot-port", "70000"), ("--robot-port = 70000", "from 1 to 65535")),
      (("--start", "0,20,0"), ("needs --table",)), (("--table", "no.h5"), ("no.h5",)),
-     (("--tracker-port", "8765"), ("needs --tracker tcp",)), (("--for", "nan"), ("positive number",)),
+     (("--tracker-port", "8765"), ("needs --tracker tcp",)), (("--duration", "nan"), ("positive number",)),
      (("--longest-silence", "0"), ("from 0.005 to 60",)), (("--seed", "-1"), ("whole number",)),
      (("--host", "name.invalid"), ("name.invalid",))],
 )  # fmt: skip
@@ -213,6 +213,7 @@ def test_what_cannot_be_is_refused(arguments: tuple[str, ...], words: tuple[str,
 
 @pytest.mark.slow
 def test_it_ends_by_itself_after_a_time() -> None:
-    done = needleplan("lab", "friction", "--for", "0.2")
+    done = program("lab", "friction", "--for", "0.2")
     assert done.returncode == 0
+    assert "--for is now --duration" in done.stderr
     assert [line.split()[0] for line in done.stdout.splitlines()[1:]] == ["--robot", "--force", "--tracker"]

@@ -37,11 +37,14 @@ def test_a_plan_takes_the_needle_and_a_tissue_from_models(folder: Path, capsys: 
     words = "radius 50 mm (95 % interval 47.62 to 51.28), bicycle identified from 2 trials"
     assert f"needle: {words}, needle.toml; it replaces 1 layer too" in said.err
     assert f"tissue tumour: {words}, needle.toml\n" in said.err
-    assert f"  needle       {words}" in said.out
     scenario = npl.PolicyTable.read(folder / "table.h5").scenario
     assert scenario.needle == Needle(50.0)
     assert scenario.tissues[0].curvature_radius_mm == 50.0
-    assert main([*arguments, "--json"]) == 0
+    assert main(arguments) == 2
+    assert "table.h5: exists already; --force overwrites it" in capsys.readouterr().err
+    assert main([*arguments, "--force", "--verbose"]) == 0
+    assert f"  needle       {words}" in capsys.readouterr().out
+    assert main([*arguments, "--force", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["scenario_digest"] == scenario.digest
     needle, tissue = answer["identified"]
@@ -72,7 +75,7 @@ def test_insertions_become_a_scenario(folder: Path, capsys: pytest.CaptureFixtur
     write_records(
         [each.with_column("depth_mm", each["x_mm"]) for each in insertions(6, deep_mm=100.0)], folder / "trials.csv"
     )
-    arguments = ["identify", "curvature", "trials.csv", "--for", "small.toml", "--layers", "2"]
+    arguments = ["identify", "curvature", "trials.csv", "--scenario", "small.toml", "--layers", "2"]
     assert main([*arguments, "--scenario-out", "new.toml"]) == 0
     said = capsys.readouterr().out
     new = Scenario.read("new.toml")
@@ -93,9 +96,12 @@ def test_insertions_become_a_scenario(folder: Path, capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["curvature", "x.csv", "--layers", "2"], "--for: is missing: --layers and --scenario-out need a scenario"),
-        (["curvature", "x.csv", "--scenario-out", "y.toml"], "--for: is missing"),
-        (["force", "x.csv", "--for", "small.toml"], "--for = force: must be curvature"),
+        (
+            ["curvature", "x.csv", "--layers", "2"],
+            "--scenario: is missing: --layers and --scenario-out need a scenario",
+        ),
+        (["curvature", "x.csv", "--scenario-out", "y.toml"], "--scenario: is missing"),
+        (["force", "x.csv", "--scenario", "small.toml"], "--scenario = force: must be curvature"),
         (["curvature", "x.csv", "--for", "smal.toml"], "smal.toml: no such file"),
     ],
 )

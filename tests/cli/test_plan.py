@@ -90,7 +90,7 @@ def test_outputs_that_cannot_be_written_are_told_before_planning(scenario_file: 
 
 
 def test_unknown_commands_and_options_are_told() -> None:
-    for arguments in ((), ("plam",), ("plan",), ("plan", "four_obstacles", "--tabel", "x")):
+    for arguments in (("plam",), ("plan",), ("plan", "four_obstacles", "--tabel", "x")):
         refused(needleplan(*arguments), "usage: needleplan")
 
 

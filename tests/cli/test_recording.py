@@ -23,7 +23,8 @@ def test_info(run: Path) -> None:
     found = json.loads(needleplan("recording", "info", run, "--json").stdout)
     assert found["topics"]["/stage"] == {"messages": 2000, "kind": "needleplan_msgs/msg/Stage"}
     assert (found["digests"], found["files"], found["recovery"]) == ({"table": "sha256:ab"}, ["run.toml"], None)
-    told = needleplan("recording", "info", run).stdout
+    told = needleplan("recording", "info", run, "--verbose").stdout
+    assert told.startswith(needleplan("recording", "info", run).stdout)
     assert "closed by its recorder" in told
     assert "2,000 messages" in told
     events = needleplan("recording", "info", run, "--events").stdout.splitlines()
@@ -39,7 +40,8 @@ def test_a_cut_recording_is_refused_and_recovered(run: Path, tmp_path: Path) -> 
     assert found["by_topic"]["/stage"] == 2000
     assert done.returncode == int(found["damaged_bytes"] > 0)
     assert "recovered" in needleplan("recording", "info", again).stdout
-    refused(needleplan("recording", "recover", cut, "-o", again), "is there already")
+    refused(needleplan("recording", "recover", cut, "-o", again), "again.mcap: exists already; --force overwrites it")
+    assert needleplan("recording", "recover", cut, "-o", again, "--force").returncode == done.returncode
 
 
 @pytest.mark.parametrize("place", [0, 1, -1])
@@ -74,5 +76,7 @@ def test_an_export_never_replaces_a_recording(to: str, run: Path, tmp_path: Path
     other = write_run(tmp_path / "other.mcap")
     (tmp_path / "link").symlink_to(run)
     for target in (run, other, tmp_path / "link"):
-        refused(needleplan("recording", "export", run, "--to", to, "-o", target), "is a recording", "never overwritten")
+        for force in ((), ("--force",)):
+            done = needleplan("recording", "export", run, "--to", to, "-o", target, *force)
+            refused(done, "is a recording", "never overwritten")
     assert run.read_bytes() == before

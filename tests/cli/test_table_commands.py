@@ -103,7 +103,10 @@ def test_starts_that_are_no_poses(table_file: Path, start: str) -> None:
 def test_numbers_that_cannot_be(table_file: Path) -> None:
     refused(needleplan("evaluate", table_file, "--runs", "0"), "runs = 0: must be a whole number from 1")
     refused(needleplan("evaluate", table_file, "--seed", "-1"), "seed = -1: must be a whole number")
-    refused(needleplan("evaluate", table_file, "--runs", "many"), "invalid int value")
+    refused(
+        needleplan("evaluate", table_file, "--runs", "many"),
+        "argument --runs: must be a whole number such as 500 or 1e4, not",
+    )
     refused(needleplan("entry", table_file, "--at", "99"), "y_mm = 99.0: must lie in the workspace")
 
 

@@ -57,6 +57,12 @@ def test_parquet(run: Recording, tmp_path: Path) -> None:
     assert {each.stem for each in (tmp_path / "run").iterdir()} == {each.strip("/") for each in run.counts}
     with pytest.raises(OutputError, match="is there already"):
         FORMATS["parquet"](run, tmp_path / "run")
+    (tmp_path / "run" / "stage.parquet").write_bytes(b"")
+    (tmp_path / "run" / "other").write_text("kept")
+    FORMATS["parquet"](run, tmp_path / "run", overwrite=True)
+    assert parquet.read_table(tmp_path / "run" / "stage.parquet").num_rows == 2000
+    assert (tmp_path / "run" / "other").read_text() == "kept"
+    assert [each.name for each in tmp_path.iterdir()] == ["run"]
 
 
 def test_ros_bag(run: Recording, tmp_path: Path) -> None:

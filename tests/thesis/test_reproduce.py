@@ -83,4 +83,4 @@ def test_a_folder_that_cannot_be(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("chapters", "seeds"), [(["ch2"], "3"), ([], "3"), (["diagnosis"], "0")])
 def test_seeds_are_those_of_the_diagnosis(chapters: list[str], seeds: str) -> None:
-    refused(needleplan("reproduce", *chapters, "--seeds", seeds), "--seeds", "diagnosis" if seeds == "3" else "from 1")
+    refused(needleplan("reproduce", *chapters, "--runs", seeds), "--runs", "diagnosis" if seeds == "3" else "from 1")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from needleplan.errors import Mistake, OutputError
 
-__all__ = ["Parent", "digest", "require_different", "require_writable", "version", "write_whole"]
+__all__ = ["Parent", "digest", "require_different", "require_new", "require_writable", "version", "write_whole"]
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,19 @@ def require_different(inputs: Iterable[str | os.PathLike[str]], outputs: Sequenc
         if place in taken and (place.is_file() or not place.exists()):
             raise OutputError(Mistake("", "", f"cannot be written: it would {taken[place]}"), os.fspath(path))
         taken[place] = "be written twice"
+
+
+def require_new(paths: Iterable[str | os.PathLike[str]], option: str = "--force") -> None:
+    """Raise OutputError if one of the files exists; the message names the command-line option that overwrites it.
+
+    Devices and pipes exist always and may be written to.
+    """
+    there = [os.fspath(path) for path in paths if Path(path).is_file() or Path(path).is_dir()]
+    rule = f"exists already; {option} overwrites it"
+    if len(there) == 1:
+        raise OutputError(Mistake("", "", rule), there[0])
+    if there:
+        raise OutputError([Mistake(path, "", rule) for path in there])
 
 
 def _place(path: str | os.PathLike[str]) -> Path:

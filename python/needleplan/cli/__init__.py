@@ -1,5 +1,85 @@
-"""The command line, `needleplan`."""
+"""The command line, `needleplan`.
 
-from needleplan.cli.program import main
+This module imports nothing that takes time: while the commands are imported, Ctrl-C must already find its handler.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType, TracebackType
+from typing import Never
 
 __all__ = ["main"]
+
+_INTERRUPTED = 130
+_MESSAGE = "needleplan: interrupted"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return the exit code.
+
+    Without `arguments` this is the program itself: it reads `sys.argv` and handles Ctrl-C at any moment.
+    """
+    interrupt = _Interrupt() if arguments is None else None
+    try:
+        from needleplan.cli.program import run_command
+
+        return run_command(arguments)
+    except KeyboardInterrupt:
+        if interrupt:
+            interrupt.exit()
+        print(_MESSAGE, file=sys.stderr)
+        return _INTERRUPTED
+    except Exception:
+        # A library may turn the interrupt into an error of its own, above all while it is imported.
+        if interrupt and interrupt.received:
+            interrupt.exit()
+        raise
+    finally:
+        if interrupt:
+            interrupt.end()
+
+
+class _Interrupt:
+    """The first Ctrl-C raises KeyboardInterrupt, so that files and processes are closed; the second ends at once."""
+
+    def __init__(self) -> None:
+        self.received = False
+        self._process = os.getpid()
+        self._caught = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN  # a background job of a shell ignores it
+        if self._caught:
+            signal.signal(signal.SIGINT, self._receive)
+            sys.unraisablehook = self._unraisable
+            sys.excepthook = self._uncaught
+
+    def end(self) -> None:
+        """Leave Ctrl-C to the system: while the interpreter ends, Python cannot receive it without a traceback."""
+        if self._caught:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    def _receive(self, _: int, __: FrameType | None) -> None:
+        if self.received or os.getpid() != self._process:
+            self.exit()
+        self.received = True
+        raise KeyboardInterrupt
+
+    def _unraisable(self, what: sys.UnraisableHookArgs) -> None:
+        """End here if the interrupt came where Python cannot raise it: in a destructor or a callback."""
+        if what.exc_type is KeyboardInterrupt:
+            self.exit()
+        sys.__unraisablehook__(what)
+
+    def _uncaught(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        """End here if C code reports the interrupt, as numpy's `import_array` does before it raises ImportError."""
+        if self.received and issubclass(kind, KeyboardInterrupt):
+            self.exit()
+        sys.__excepthook__(kind, error, trace)
+
+    def exit(self) -> Never:
+        """End the process at once: with `sys.exit`, the interpreter may still end itself by the signal."""
+        if os.getpid() == self._process:
+            os.write(2, f"{_MESSAGE}\n".encode())
+        os._exit(_INTERRUPTED)

@@ -2,23 +2,56 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import sys
-import time
-from collections.abc import Mapping, Sequence
-from typing import Any
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["ProgressLine", "complain", "note", "percent", "print_json", "print_lines"]
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+__all__ = [
+    "SUMMARY_LINES",
+    "Working",
+    "complain",
+    "note",
+    "percent",
+    "print_first",
+    "print_json",
+    "print_summary",
+    "set_quiet",
+    "working",
+]
+
+SUMMARY_LINES = 5
+"""Lines that a command prints without `--verbose`, the title included."""
+
+_DELAY_S = 1.0  # time after which a command begins to show its progress
+
+_quiet = False
+_shown: Working | None = None
+
+
+def set_quiet(quiet: bool) -> None:
+    """Choose whether `note` says anything."""
+    global _quiet
+    _quiet = quiet
 
 
 def note(text: str) -> None:
-    """Say on standard error what is going on."""
-    print(text, file=sys.stderr)
+    """Print a remark on standard error, unless the user asked for quiet."""
+    if _quiet:
+        return
+    if _shown is None or not _shown.say(text):
+        print(text, file=sys.stderr)
 
 
 def complain(text: str) -> int:
-    """Say on standard error why the answer is no, and return the exit code for that."""
+    """Print on standard error why the answer is no, and return the exit code for that."""
     print(f"needleplan: {text}", file=sys.stderr)
     return 1
 
@@ -33,11 +66,22 @@ def print_json(record: Mapping[str, object] | Sequence[object]) -> None:
     print(brackets[0], ",\n".join(f"  {entry}" for entry in entries), brackets[1], sep="\n")
 
 
-def print_lines(title: str, lines: Mapping[str, str]) -> None:
-    """Print a title and named lines."""
+def print_summary(
+    options: argparse.Namespace, title: str, lines: Mapping[str, str], more: Mapping[str, str] | None = None
+) -> None:
+    """Print a title and named lines, and with `--verbose` also the lines of `more`."""
     print(title)
-    for name, text in lines.items():
+    for name, text in {**lines, **(more or {} if options.verbose else {})}.items():
         print(f"  {name:<12} {text}")
+
+
+def print_first(options: argparse.Namespace, lines: Sequence[str]) -> None:
+    """Print all lines with `--verbose`, otherwise as many as a summary has and the number of the others."""
+    if not options.verbose and len(lines) > SUMMARY_LINES:
+        left = len(lines) - SUMMARY_LINES + 1
+        lines = [*lines[: SUMMARY_LINES - 1], f"  ... {left} more lines with --verbose"]
+    for line in lines:
+        print(line)
 
 
 def percent(probability: float) -> str:
@@ -45,29 +89,80 @@ def percent(probability: float) -> str:
     return f"{100 * probability:.1f} %"
 
 
-class ProgressLine:
-    """Shows the progress of a solve on standard error: one line that is rewritten, or now and then a new one."""
+class Working:
+    """Progress of a command: shown on a terminal from one second on, removed when the command has finished."""
 
-    def __init__(self) -> None:
-        self._on_screen = sys.stderr.isatty()
-        self._pause_s = 0.1 if self._on_screen else 1.0
-        self._due_s = time.monotonic() + self._pause_s
-        self._shown = False
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._fraction: float | None = None
+        self._lock = threading.Lock()
+        self._closed = False
+        self._display: Progress | None = None
+        self._task: TaskID | None = None
+        self._timer = threading.Timer(_DELAY_S, self._show)
+        self._timer.daemon = True
+        self._timer.start()
 
-    def __call__(self, sweeps: float, residual: float, threshold: float) -> None:
-        """Show the progress, if the last time is long enough ago."""
-        if time.monotonic() < self._due_s:
-            return
-        self._due_s = time.monotonic() + self._pause_s
-        line = f"solving: {sweeps:.1f} sweeps, residual {residual:.3g}, ends below {threshold:.3g}"
-        print(f"\r\x1b[K{line}" if self._on_screen else line, end="" if self._on_screen else "\n", file=sys.stderr)
-        sys.stderr.flush()
-        self._shown = True
+    def __call__(self, text: str, fraction: float | None = None) -> None:
+        """Show what is being done, and which fraction of it is finished if that is known."""
+        with self._lock:
+            self._text, self._fraction = text, fraction
+            self._update()
+
+    def say(self, text: str) -> bool:
+        """Print a line above the progress; False if no progress is shown."""
+        with self._lock:
+            if self._display is None:
+                return False
+            self._display.console.print(text, markup=False, highlight=False, soft_wrap=True)
+            return True
 
     def close(self) -> None:
-        """End the line."""
-        if self._on_screen and self._shown:
-            print(file=sys.stderr)
+        """Remove the progress from the terminal."""
+        self._timer.cancel()
+        with self._lock:
+            self._closed = True
+            if self._display:
+                self._display.stop()
+                self._display = None
+
+    def _show(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        with self._lock:
+            if self._closed:
+                return
+            columns = (
+                SpinnerColumn(),
+                TextColumn("{task.description}", markup=False),
+                BarColumn(),
+                TimeElapsedColumn(),
+            )
+            self._display = Progress(*columns, console=Console(file=sys.stderr), transient=True, redirect_stdout=False)
+            self._task = self._display.add_task("", total=None)
+            self._update()
+            self._display.start()
+
+    def _update(self) -> None:
+        if self._display and self._task is not None:
+            total = None if self._fraction is None else 1.0
+            self._display.update(self._task, description=self._text, total=total, completed=self._fraction or 0.0)
+
+
+@contextmanager
+def working(options: argparse.Namespace, text: str) -> Iterator[Callable[..., None]]:
+    """Show progress on standard error: on a terminal only, and neither with `--quiet` nor with `--json`."""
+    global _shown
+    if _quiet or getattr(options, "json", False) or not sys.stderr.isatty():
+        yield lambda *_: None
+        return
+    _shown = Working(text)
+    try:
+        yield _shown
+    finally:
+        _shown.close()
+        _shown = None
 
 
 def _plain(value: object) -> Any:

@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import note, print_json
-from needleplan.cli.options import add_json
+from needleplan.cli.answer import note, print_first, print_json, working
+from needleplan.cli.options import add_answer, add_output, require_free
+from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -32,8 +33,8 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("model", metavar="MODEL.toml", help="the model, as needleplan identify writes it")
     parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
-    parser.add_argument("-o", "--output", required=True, metavar="DIR", help="folder for the results")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the simulated data behind p-values (0)")
+    add_output(parser, "DIR", "folder for the results", required=True)
+    parser.add_argument("--seed", type=whole, default=0, metavar="N", help="of the simulated data behind p-values (0)")
     parser.add_argument(
         "--merge-anyway", action="store_true", help="write model.toml also where the verdict is not named"
     )
@@ -51,7 +52,7 @@ def add_to(commands: Any) -> None:
         "nothing was named)",
     )
     parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="of the next insertion, mm/s (5)")
-    add_json(parser)
+    add_answer(parser)
     parser.set_defaults(run=run)
 
 
@@ -59,22 +60,25 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from needleplan.diagnosis import Verdict
     from needleplan.models.effects import register_file
-    from needleplan.reports.diagnosis import diagnose_files, write_folder
+    from needleplan.reports.diagnosis import FILES, diagnose_files, write_folder
     from needleplan.reports.diagnosis.scenario_file import remedy_lines, write_scenario
 
     for file in options.effects:
         register_file(file)
     scenario = _scenario(options)
-    found, model, library = diagnose_files(
-        options.model, options.data, accept_units=options.accept_units, seed=options.seed
-    )
-    written = write_folder(found, model, library, options.output, merge_anyway=options.merge_anyway)
+    require_free(options, [Path(options.output) / name for name in FILES])
+    with working(options, "diagnosing"):
+        found, model, library = diagnose_files(
+            options.model, options.data, accept_units=options.accept_units, seed=options.seed
+        )
+        written = write_folder(found, model, library, options.output, merge_anyway=options.merge_anyway)
+        lines = [*_lines(found)]
+        if scenario:
+            name, what = write_scenario(found, scenario, options.output, options.speed)
+            written = (*written, name)
     if not options.json:
-        print("\n".join(_lines(found)))
-    if scenario:
-        name, what = write_scenario(found, scenario, options.output, options.speed)
-        written = (*written, name)
-        if not options.json:
+        print_first(options, lines)
+        if scenario:
             print("\n".join(remedy_lines(found, what)))
     for each in written:
         note(f"wrote {each}")

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, print_json
+from needleplan.cli.answer import complain, note, print_first, print_json, working
 from needleplan.cli.identify_options import add_knowledge, knowledge
-from needleplan.cli.options import add_figure, add_json, require_outputs
+from needleplan.cli.options import add_answer, add_figure, add_output, require_outputs
+from needleplan.cli.parser import add_old_spelling, whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -37,17 +38,18 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("kind", choices=KINDS, help="what to identify")
     parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
-    parser.add_argument("-o", "--output", metavar="MODEL.toml", help="write the model")
+    add_output(parser, "MODEL.toml", "write the model")
     parser.add_argument(
-        "--for",
-        dest="scenario",
+        "--scenario",
         metavar="SCENARIO.toml",
         help="curvature only: print the tables [needle] and [motion] of this scenario, or a shipped one, as identified",
     )
     parser.add_argument(
-        "--layers", type=int, default=1, metavar="N", help="with --for: a radius for each of N depths (1)"
+        "--layers", type=whole, default=1, metavar="N", help="with --scenario: a radius for each of N depths (1)"
     )
-    parser.add_argument("--scenario-out", metavar="FILE.toml", help="with --for: write the scenario with these tables")
+    parser.add_argument(
+        "--scenario-out", metavar="FILE.toml", help="with --scenario: write the scenario with these tables"
+    )
     parser.add_argument(
         "--accept-units",
         action="store_true",
@@ -55,7 +57,8 @@ def add_to(commands: Any) -> None:
     )
     add_knowledge(parser)
     add_figure(parser, "data, model and what is left")
-    add_json(parser)
+    add_answer(parser)
+    add_old_spelling(parser, "--for", "--scenario")
     parser.set_defaults(run=run)
 
 
@@ -64,32 +67,38 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.recording import read_records
 
     known = knowledge(options)
-    read = [*options.data, *([options.scenario] if options.scenario else [])]
-    require_outputs(read, options.figure, options.output, options.scenario_out)
+    require_outputs(options, [*options.data, options.scenario], options.output, options.scenario_out)
     scenario = _scenario(options)
-    records = read_records(options.data, accept_units=options.accept_units)
-    note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
-    found: Identification = _identifier(options.kind).identify(records, **known)
-    file = _model_file(found, records, options.kind)
-    if file and options.output:
-        file.write(options.output)
-        note(f"wrote {options.output}")
-    if options.figure:
-        from matplotlib.figure import Figure
-
-        from needleplan.plotting import save
-
-        figure = Figure(figsize=(8.0, 6.0), layout="constrained")
-        found.draw(figure)
-        save(figure, options.figure)
-        note(f"drew {options.figure}")
-    part = _part(scenario, records, options) if scenario and found.ok else None
+    with working(options, f"identifying {options.kind}") as tell:
+        records = read_records(options.data, accept_units=options.accept_units)
+        note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
+        found: Identification = _identifier(options.kind).identify(records, **known)
+        file = _model_file(found, records, options.kind)
+        if file and options.output:
+            file.write(options.output)
+            note(f"wrote {options.output}")
+        if options.figure:
+            tell(f"drawing {options.figure}")
+            _draw(found, options.figure)
+        part = _part(scenario, records, options) if scenario and found.ok else None
     if options.json:
         print_json(_record(found, records, file, options) | _part_record(part, options.scenario_out))
     else:
-        for line in (*_lines(found), *_part_lines(part)):
+        print_first(options, [*_lines(found)])
+        for line in _part_lines(part):
             print(line)
     return 0 if found.ok else complain("nothing could be identified from these data; the remarks say why")
+
+
+def _draw(found: Identification, file: str) -> None:
+    from matplotlib.figure import Figure
+
+    from needleplan.plotting import save
+
+    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+    found.draw(figure)
+    save(figure, file)
+    note(f"drew {file}")
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:
@@ -98,10 +107,10 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
 
     if options.scenario is None:
         if options.scenario_out or options.layers != 1:
-            raise InputError(Mistake("--for", "", "is missing: --layers and --scenario-out need a scenario"))
+            raise InputError(Mistake("--scenario", "", "is missing: --layers and --scenario-out need a scenario"))
         return None
     if options.kind != "curvature":
-        raise InputError(Mistake("--for", options.kind, "must be curvature: nothing else goes into a scenario"))
+        raise InputError(Mistake("--scenario", options.kind, "must be curvature: nothing else goes into a scenario"))
     return Scenario.read(options.scenario)
 
 

@@ -7,6 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from needleplan.cli.options import numbers
+from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
 __all__ = ["add_knowledge", "knowledge"]
@@ -26,16 +28,16 @@ class _Option:
 _OPTIONS = (
     _Option("--average", "average", ("force", "tissue-motion"),
             "samples that the force sensor averages, 1 for none (5, as the thesis' sensor)",
-            {"type": int, "metavar": "N"}),
+            {"type": whole, "metavar": "N"}),
     _Option("--marker", "marker", ("tissue-motion",),
             "column with the displacement of a sensor in the tissue", {"choices": ("x_mm", "y_mm", "z_mm")}),
     _Option("--thickness", "thickness_mm", ("friction",),
             "thickness of the tissue (76)", {"type": float, "metavar": "MM"}),
     _Option("--skip-cycles", "skip_cycles", ("friction",),
-            "cycles at the begin that do not count (1)", {"type": int, "metavar": "N"}),
+            "cycles at the begin that do not count (1)", {"type": whole, "metavar": "N"}),
     _Option("--plane", "plane", ("curvature",), "plane of bending (xy)", {"choices": ("xy", "xz")}),
     _Option("--segments", "segments", ("curvature",),
-            "equal parts of the path with a curvature each (2)", {"type": int, "metavar": "N"}),
+            "equal parts of the path with a curvature each (2)", {"type": whole, "metavar": "N"}),
     _Option("--skip", "skip_mm", ("curvature", "deflection"),
             "depth up to which samples do not count (curvature 0, deflection 20)", {"type": float, "metavar": "MM"}),
     _Option("--geometry", "needle", ("deflection",),
@@ -81,20 +83,10 @@ def _value(option: _Option, given: Any) -> Any:
     from needleplan.models.deflection import AxialOffset, ElasticTissue
 
     if option.keyword == "needle":
-        outer, inner, length, bevel = _numbers(option.flag, given, 4)
+        outer, inner, length, bevel = numbers(option.flag, given, 4)
         return NeedleShaft(outer, inner, length, math.radians(bevel))
     if option.keyword == "tissue":
         return ElasticTissue(given)
     if option.keyword == "axial_offset":
-        return AxialOffset(*_numbers(option.flag, given, 2))
+        return AxialOffset(*numbers(option.flag, given, 2))
     return given
-
-
-def _numbers(flag: str, text: str, count: int) -> list[float]:
-    try:
-        found = [float(word) for word in text.split(",")]
-    except ValueError:
-        found = []
-    if len(found) != count or not all(map(math.isfinite, found)):
-        raise InputError(Mistake(flag, text, f"must be {count} numbers with commas between them"))
-    return found

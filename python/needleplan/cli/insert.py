@@ -10,8 +10,18 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, percent, print_json, print_lines
-from needleplan.cli.options import add_figure, add_json, add_start, add_table, require_outputs, start_pose
+from needleplan.cli.answer import complain, note, percent, print_json, print_summary
+from needleplan.cli.options import (
+    add_answer,
+    add_figure,
+    add_output,
+    add_start,
+    add_table,
+    numbers,
+    require_outputs,
+    start_pose,
+)
+from needleplan.cli.parser import add_old_spelling
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
@@ -24,6 +34,13 @@ __all__ = ["add_to", "run"]
 
 _SIM, _RECORDING = "sim://", ".mcap"
 _REFUSED, _INTERRUPTED = 2, 130
+_OVERWRITE = "--overwrite"  # --force is the address of the force sensor
+_ROTATION_DEG_S = math.degrees(3.0)  # default speed of the needle's rotation
+
+
+def _degrees(text: str) -> float:
+    """Return the degrees of an angle in radians, or of a speed in rad/s."""
+    return math.degrees(float(text))
 
 
 def add_to(commands: Any) -> None:
@@ -49,10 +66,20 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--needle", metavar="MODEL.toml", help="refuse a table for a needle of another radius")
     parser.add_argument("--limits", metavar="FILE", help="limits of the run, in a table [safety]")
     parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="of insertion, mm/s (5)")
-    parser.add_argument("--rotation-speed", type=float, metavar="RAD_S", default=3.0, help="rad/s (3)")
+    parser.add_argument(
+        "--rotation-speed-deg",
+        type=float,
+        metavar="DEG_S",
+        default=_ROTATION_DEG_S,
+        help="of rotation, degrees/s (172)",
+    )
     parser.add_argument("--entry-depth", type=float, metavar="MM", default=0.0, help="of the stage at the entry (0)")
     parser.add_argument(
-        "--roll-left", type=float, metavar="RAD", default=0.0, help="of the stage where the needle bends left (0)"
+        "--roll-left-deg",
+        type=float,
+        metavar="DEG",
+        default=0.0,
+        help="roll of the stage, in degrees, where the needle bends left (0)",
     )
     parser.add_argument("--torsion", metavar="GJ,TAU", help="N mm^2 and N mm/mm: compensate the lag of the tip's roll")
     parser.add_argument("--needle-length", type=float, metavar="MM", help="of the shaft, for the torsion (200)")
@@ -62,9 +89,11 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--slicer", metavar="URL", help="show the run to 3D Slicer, which connects to igtl://host[:18944]"
     )
-    parser.add_argument("-o", "--output", metavar="RUN.mcap", help="record the run")
-    add_figure(parser, "the planned and the executed path, deviations and force")
-    add_json(parser)
+    add_output(parser, "RUN.mcap", "record the run", force=_OVERWRITE)
+    add_figure(parser, "the planned and the executed path, deviations and force", force=_OVERWRITE)
+    add_answer(parser)
+    add_old_spelling(parser, "--rotation-speed", "--rotation-speed-deg", convert=_degrees)
+    add_old_spelling(parser, "--roll-left", "--roll-left-deg", convert=_degrees)
     parser.set_defaults(run=run)
 
 
@@ -74,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.simulation.bench import are_simulated, open_bench
 
     read = (options.table, options.registration, options.scenario, options.needle, options.limits)
-    require_outputs([each for each in read if each], options.figure, options.output)
+    require_outputs(options, read, options.output)
     if options.output and not options.output.lower().endswith(_RECORDING):
         rule = f"must end in {_RECORDING}; `needleplan recording export` writes other formats"
         raise OutputError(Mistake("--output", options.output, rule))
@@ -115,11 +144,13 @@ def _insert(table: PolicyTable, bench: Bench, setup: RunSetup, options: argparse
     with ExitStack() as stack:
         listeners: list[Listener] = []
         if options.output:
-            recorder = stack.enter_context(RunRecorder(options.output, table, setup, bench.station.clock))
+            recorder = stack.enter_context(
+                RunRecorder(options.output, table, setup, bench.station.clock, overwrite=options.overwrite)
+            )
             listeners.append(recorder)
         if options.slicer:
             listeners.append(SlicerView(stack.enter_context(SlicerServer.open(options.slicer)), table))
-        listeners.append(stack.enter_context(view(table, setup.options)))
+        listeners.append(stack.enter_context(view(table, setup.options, options)))
         insertion = stack.enter_context(
             Insertion(
                 table, bench.station, setup.options, registration=setup.registration,
@@ -164,15 +195,16 @@ def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any
 
     registration = Registration.read(options.registration) if options.registration else None
     limits = SafetyLimits.read(options.limits) if options.limits else SafetyLimits()
-    torsion = Torsion(*_numbers("--torsion", options.torsion, 2)) if options.torsion else None
-    x, y, z = _numbers("--force-axis", options.force_axis, 3)
+    torsion = Torsion(*numbers("--torsion", options.torsion, 2)) if options.torsion else None
+    x, y, z = numbers("--force-axis", options.force_axis, 3)
     length = math.hypot(x, y, z)
     if not length:
         raise InputError(Mistake("--force-axis", options.force_axis, "must be a direction"))
     _require_numbers(options, limits)
     how = Options(
-        velocity_mm_s=options.speed, velocity_rad_s=options.rotation_speed, entry_depth_mm=options.entry_depth,
-        roll_left_rad=options.roll_left, longest_mm=limits.deepest_mm - options.entry_depth, torsion=torsion,
+        velocity_mm_s=options.speed, velocity_rad_s=math.radians(options.rotation_speed_deg),
+        entry_depth_mm=options.entry_depth, roll_left_rad=math.radians(options.roll_left_deg),
+        longest_mm=limits.deepest_mm - options.entry_depth, torsion=torsion,
         stops=options.stops, replan=not options.no_replan, force_axis=(x / length, y / length, z / length),
         expected_start=(wanted[0], wanted[1], wanted[2]) if wanted else None,
     )  # fmt: skip
@@ -190,7 +222,7 @@ def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
     mistakes = []
     for name, most, unit in (
         ("speed", limits.insertion_velocity_mm_s, "mm/s"),
-        ("rotation_speed", limits.rotation_velocity_rad_s, "rad/s"),
+        ("rotation_speed_deg", math.degrees(limits.rotation_velocity_rad_s), "degrees/s"),
     ):
         value, option = getattr(options, name), f"--{name.replace('_', '-')}"
         if not 0 < value < math.inf:
@@ -200,22 +232,12 @@ def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
     if not limits.shallowest_mm <= options.entry_depth < limits.deepest_mm:
         rule = f"must be in the limits of the run, from {limits.shallowest_mm:g} to {limits.deepest_mm:g} mm"
         mistakes.append(Mistake("--entry-depth", f"{options.entry_depth:g}", rule))
-    if not math.isfinite(options.roll_left):
-        mistakes.append(Mistake("--roll-left", f"{options.roll_left:g}", "must be a number of rad"))
+    if not math.isfinite(options.roll_left_deg):
+        mistakes.append(Mistake("--roll-left-deg", f"{options.roll_left_deg:g}", "must be a number of degrees"))
     if options.needle_length is not None and not 0 < options.needle_length < math.inf:
         mistakes.append(Mistake("--needle-length", f"{options.needle_length:g}", "must be a number of mm above 0"))
     if mistakes:
         raise InputError(mistakes)
-
-
-def _numbers(name: str, text: str, count: int) -> list[float]:
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise InputError(Mistake(name, text, f"must be {count} numbers with commas between them"))
-    return numbers
 
 
 def _answer(
@@ -241,15 +263,17 @@ def _answer(
             "ended": f"{report.ending}: {report.cause}",
             "error": f"{report.error_mm:.2f} mm from the centre of the target, {report.beyond_rim_mm:.2f} mm beyond "
             "its rim" + ("" if true_error is None else f"; in truth {true_error:.2f} mm from the centre"),
-            "deviation": f"at most {report.deviation_mm:.2f} mm from the planned path, {report.out_of_plane_mm:.2f} mm "
-            "out of the plane",
             "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
             "plan": f"success {percent(report.predicted_success)} promised; planned again {report.replans} times"
             if report.steps else "nothing was decided",
+        }  # fmt: skip
+        more = {
+            "deviation": f"at most {report.deviation_mm:.2f} mm from the planned path, {report.out_of_plane_mm:.2f} mm "
+            "out of the plane",
             "force": f"at most {report.largest_force_n:.2f} N",
             "time": f"{report.duration_s:.1f} s",
-        }  # fmt: skip
-        print_lines(table.scenario.title or options.table, lines)
+        }
+        print_summary(options, table.scenario.title or options.table, lines, more)
     if report.ending is Ending.TARGET:
         return 0
     complain(f"{report.ending}: {report.cause}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 import time
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["LiveView", "PlainView", "view"]
 
-_PERIOD_S = 0.1
+_PERIOD_S = 0.1  # between two updates of the terminal
+_DELAY_S = 1.0  # time after which a run begins to be shown
 _TOLD = {EventName.TABLE_SWAPPED, EventName.REPLAN_REFUSED, EventName.PAUSED, EventName.RESUMED, EventName.FAULT,
          EventName.STOP}  # fmt: skip
 
@@ -60,7 +62,7 @@ class LiveView(PlainView):
         self._samples: dict[type[Sample], Sample] = {}
         self._tip: TipEstimate | None = None
         self._step: Step | None = None
-        self._state, self._due_s, self._now_ns = "DISABLED", 0.0, 0
+        self._state, self._due_s, self._now_ns = "DISABLED", time.monotonic() + _DELAY_S, 0
         self._table, self._line = table, np.empty((0, 2))
 
     def sample(self, sample: Sample) -> None:
@@ -69,7 +71,8 @@ class LiveView(PlainView):
         self._now_ns = max(self._now_ns, sample.stamp.received_ns)
         if time.monotonic() >= self._due_s:
             self._due_s = time.monotonic() + _PERIOD_S
-            self._live.update(self.rows())
+            self._live.start()
+            self._live.update(self.rows(), refresh=True)
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
         """Keep where the tip is."""
@@ -120,13 +123,23 @@ class LiveView(PlainView):
 
 
 @contextmanager
-def view(table: PolicyTable, options: Options) -> Iterator[PlainView]:
-    """Show a run on standard error: live on a terminal, in lines elsewhere."""
-    if not sys.stderr.isatty():
+def view(table: PolicyTable, options: Options, command: argparse.Namespace) -> Iterator[Listener]:
+    """Show a run on standard error: live on a terminal, in lines elsewhere; nothing with `--quiet`.
+
+    With `--json`, nothing is shown on a terminal.
+    """
+    terminal = sys.stderr.isatty()
+    if command.quiet or (terminal and command.json):
+        yield Listener()
+        return
+    if not terminal:
         yield PlainView()
         return
     from rich.console import Console
     from rich.live import Live
 
-    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
+    live = Live(console=Console(stderr=True), auto_refresh=False, transient=True)
+    try:
         yield LiveView(live, table, options)
+    finally:
+        live.stop()

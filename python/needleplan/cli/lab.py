@@ -7,10 +7,13 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, print_json, print_lines
-from needleplan.cli.options import add_json, add_start, require_outputs, start_pose
+from needleplan.cli.answer import complain, note, print_json, print_summary
+from needleplan.cli.options import add_answer, add_output, add_start, require_outputs, start_pose
+from needleplan.cli.parser import add_old_spelling, whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -40,20 +43,22 @@ def add_to(commands: Any) -> None:
         help="put the needle where this table's insertion begins, and let it bend as planned, but for the effects",
     )  # fmt: skip
     add_start(parser)
-    parser.add_argument("--registration", metavar="FILE", help="write the registration that `insert` needs (.toml)")
-    parser.add_argument("--seed", type=int, metavar="N", help="instead of the seed of the experiment")
+    add_output(parser, "REGISTRATION.toml", "write the registration that `insert` needs")
+    parser.add_argument("--seed", type=whole, metavar="N", help="instead of the seed of the experiment")
     parser.add_argument("--host", default="127.0.0.1", metavar="HOST", help="where to listen (127.0.0.1)")
-    parser.add_argument("--robot-port", type=int, default=0, metavar="N", help="UDP port of the robot (a free one)")
-    parser.add_argument("--force-port", type=int, default=0, metavar="N", help="UDP port of the force sensor")
-    parser.add_argument("--http-port", type=int, default=0, metavar="N", help="HTTP port of its configuration")
+    parser.add_argument("--robot-port", type=whole, default=0, metavar="N", help="UDP port of the robot (a free one)")
+    parser.add_argument("--force-port", type=whole, default=0, metavar="N", help="UDP port of the force sensor")
+    parser.add_argument("--http-port", type=whole, default=0, metavar="N", help="HTTP port of its configuration")
     parser.add_argument("--tracker", choices=("pty", "tcp"), default="pty", help="how the tracker is reached (pty)")
-    parser.add_argument("--tracker-port", type=int, default=0, metavar="N", help="TCP port of the tracker")
+    parser.add_argument("--tracker-port", type=whole, default=0, metavar="N", help="TCP port of the tracker")
     parser.add_argument(
         "--longest-silence", type=float, default=0.34, metavar="S",
         help="longest time that the robot moves without hearing its controller, if that asks for it (0.34)",
     )  # fmt: skip
-    parser.add_argument("--for", type=float, dest="duration_s", metavar="S", help="end after so many seconds")
-    add_json(parser)
+    parser.add_argument("--duration", type=float, dest="duration_s", metavar="S", help="end after so many seconds")
+    add_answer(parser, verbose=False)
+    add_old_spelling(parser, "--for", "--duration", convert=float)
+    add_old_spelling(parser, "--registration", "--output")
     parser.set_defaults(run=run)
 
 
@@ -65,25 +70,21 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.simulation.processes import RealTimeLab
 
     _require(options)
-    read = [each for each in (options.experiment, options.table) if each]
-    require_outputs(read, None, options.registration)
+    require_outputs(options, [options.experiment, options.table], options.output)
     experiment = Experiment.read(options.experiment)
     seed = experiment.seed if options.seed is None else options.seed
     setup = _planned(experiment, options) if options.table else experiment.setup
-    if options.registration:
+    if options.output:
         from needleplan.estimation.registration import Registration
 
-        Registration(coil_offset_mm=setup.effects.coil_offset_mm, title="lab twin").write(options.registration)
+        Registration(coil_offset_mm=setup.effects.coil_offset_mm, title="lab twin").write(options.output)
     places = LabPlaces(
         options.host, options.robot_port, options.force_port, options.http_port, TrackerLine(options.tracker),
         options.tracker_port,
     )  # fmt: skip
-    ending = threading.Event()
-    # From before the first process on: whoever ends this one, the others end with it.
-    for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(each, lambda *_: ending.set())
     limits = RobotLimits(longest_silence_s=options.longest_silence)
-    with RealTimeLab(setup, seed, places, limits) as lab:
+    # The signals are caught before the first process starts, so no process is left behind.
+    with _ended_by_signals() as ending, _started(lambda: RealTimeLab(setup, seed, places, limits)) as lab:
         _print(options, experiment, seed, lab)
         all_died = _serve(lab, ending, options.duration_s)
     robot = lab.served.get("robot")
@@ -107,6 +108,28 @@ def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
         return bench.lab.plant.setup
 
 
+@contextmanager
+def _ended_by_signals() -> Iterator[threading.Event]:
+    """Yield an event that Ctrl-C and requests to end set."""
+    ending = threading.Event()
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda *_: ending.set()) for number in numbers}
+    try:
+        yield ending
+    finally:
+        for number, action in before.items():
+            signal.signal(number, action)
+
+
+def _started(start: Callable[[], RealTimeLab]) -> RealTimeLab:
+    """Return a started lab whose processes never see Ctrl-C, not even while they begin: they inherit the block."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        return start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _serve(lab: RealTimeLab, ending: threading.Event, duration_s: float | None) -> bool:
     """Wait for the end, and tell of processes that end before; whether all of them did."""
     end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
@@ -127,7 +150,7 @@ def _print(options: argparse.Namespace, experiment: Experiment, seed: int, lab: 
         )  # fmt: skip
     else:
         lines = {"--robot": addresses.robot, "--force": addresses.force, "--tracker": addresses.tracker}
-        print_lines(f"{experiment.title or options.experiment}, seed {seed}; Ctrl-C ends it", lines)
+        print_summary(options, f"{experiment.title or options.experiment}, seed {seed}; Ctrl-C ends it", lines)
     sys.stdout.flush()
 
 
@@ -146,6 +169,6 @@ def _require(options: argparse.Namespace) -> None:
     if not 0.005 <= options.longest_silence <= 60:
         mistakes.append(Mistake("--longest-silence", f"{options.longest_silence:g}", "must be from 0.005 to 60 s"))
     if options.duration_s is not None and not 0 < options.duration_s < 1e7:
-        mistakes.append(Mistake("--for", f"{options.duration_s:g}", "must be a positive number of seconds"))
+        mistakes.append(Mistake("--duration", f"{options.duration_s:g}", "must be a positive number of seconds"))
     if mistakes:
         raise InputError(mistakes)

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from needleplan.errors import Mistake, PoseError
+from needleplan.errors import InputError, Mistake, PoseError
 
 if TYPE_CHECKING:
     from needleplan.planning import Entry, Pose
 
 __all__ = [
     "EDGES",
+    "add_answer",
     "add_edge",
     "add_figure",
     "add_greedy",
-    "add_json",
+    "add_output",
     "add_start",
     "add_table",
     "entry_record",
+    "numbers",
     "pose_record",
+    "require_free",
     "require_outputs",
     "start_pose",
 ]
@@ -34,14 +38,35 @@ def add_table(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("table", metavar="TABLE.h5", help="a policy table that `needleplan plan` wrote")
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """Declare the option that prints JSON."""
-    parser.add_argument("--json", action="store_true", help="print the answer as JSON")
+def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: bool = True) -> None:
+    """Declare how the answer is printed: `--json`, `--verbose` and `--quiet`."""
+    if json:
+        parser.add_argument("--json", action="store_true", help="print the answer as JSON")
+    if verbose:
+        parser.add_argument("-v", "--verbose", action="store_true", help="print all of the answer, not a summary")
+    parser.add_argument(
+        "-q", "--quiet", action="store_true", help="print neither progress nor remarks; errors are still printed"
+    )
 
 
-def add_figure(parser: argparse.ArgumentParser, what: str) -> None:
-    """Declare the option that draws."""
-    parser.add_argument("--figure", metavar="PNG", help=f"draw {what} (.png, .pdf or .svg)")
+def add_output(
+    parser: argparse.ArgumentParser, metavar: str, what: str, *, required: bool = False, force: str = "--force"
+) -> None:
+    """Declare the main output, and the option that overwrites it."""
+    parser.add_argument("-o", "--output", required=required, metavar=metavar, help=what)
+    _add_force(parser, force)
+
+
+def add_figure(parser: argparse.ArgumentParser, what: str, *, force: str = "--force") -> None:
+    """Declare the option that draws, and the option that overwrites the drawing."""
+    parser.add_argument("--figure", metavar="FILE", help=f"draw {what} (.png, .pdf or .svg)")
+    _add_force(parser, force)
+
+
+def _add_force(parser: argparse.ArgumentParser, name: str) -> None:
+    if parser.get_default("overwrite") is None:
+        parser.add_argument(name, dest="overwrite", action="store_const", const=True, help="overwrite files that exist")
+        parser.set_defaults(overwrite=False, overwrite_option=name)
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:
@@ -70,28 +95,64 @@ def add_edge(parser: argparse.ArgumentParser) -> None:
 
 def start_pose(text: str) -> tuple[float, ...]:
     """Return x_mm, y_mm, heading_rad and, where given, the bevel. Raises PoseError."""
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        numbers = []
-    bevel = numbers[3] if len(numbers) == 4 else 1
-    if len(numbers) not in (3, 4) or not all(map(math.isfinite, numbers)) or abs(bevel) != 1:
+    found = _split(text)
+    bevel = found[3] if len(found) == 4 else 1
+    if len(found) not in (3, 4) or abs(bevel) != 1:
         raise PoseError(Mistake("--start", text, "must be X,Y,DEG or X,Y,DEG,BEVEL: numbers with commas between them"))
-    return (numbers[0], numbers[1], math.radians(numbers[2]), *numbers[3:])
+    return (found[0], found[1], math.radians(found[2]), *found[3:])
 
 
-def require_outputs(inputs: Iterable[str], figure: str | None, *others: str | None) -> None:
-    """Raise OutputError, before the work, for what could not be written after it."""
+def numbers(option: str, text: str, *counts: int, form: str = "") -> list[float]:
+    """Return the finite numbers of an option's value, as many as one of `counts`. Raises InputError."""
+    found = _split(text)
+    if len(found) not in counts:
+        wanted = f"{form}:" if form else f"{counts[0]}"
+        raise InputError(Mistake(option, text, f"must be {wanted} numbers with commas between them"))
+    return found
+
+
+def _split(text: str) -> list[float]:
+    """Return the finite numbers between commas; nothing if one of the words is none."""
+    try:
+        found = [float(word) for word in text.split(",")]
+    except ValueError:
+        return []
+    return found if all(map(math.isfinite, found)) else []
+
+
+def require_outputs(options: argparse.Namespace, inputs: Iterable[str | None], *outputs: str | None) -> None:
+    """Raise OutputError, before the work begins, if an output could not be written after it.
+
+    Parameters
+    ----------
+    options
+        Options of the command; its `figure`, if it has one, is an output too.
+    inputs
+        Files that the command reads; no output may replace one of them.
+    outputs
+        Files that the command writes; they must not exist unless the user allows to overwrite them.
+
+    """
     from needleplan.artifacts import require_different, require_writable
 
-    outputs = [output for output in (*others, figure) if output]
-    require_different(inputs, outputs)
-    for output in outputs:
-        require_writable(output)
+    figure = getattr(options, "figure", None)
+    files = [output for output in (*outputs, figure) if output]
+    require_different([each for each in inputs if each], files)
+    for file in files:
+        require_writable(file)
+    require_free(options, files)
     if figure:
         from needleplan.plotting import require_drawable
 
         require_drawable(figure)
+
+
+def require_free(options: argparse.Namespace, files: Iterable[str | os.PathLike[str]]) -> None:
+    """Raise OutputError if one of the files exists and the user does not allow to overwrite it."""
+    from needleplan.artifacts import require_new
+
+    if not options.overwrite:
+        require_new(files, options.overwrite_option)
 
 
 def pose_record(pose: Pose) -> dict[str, Any]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import ProgressLine, complain, note, percent, print_json, print_lines
-from needleplan.cli.options import add_edge, add_figure, add_json, entry_record, require_outputs
+from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
+from needleplan.cli.options import add_answer, add_edge, add_figure, add_output, entry_record, require_outputs
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def add_to(commands: Any) -> None:
         description="Solve a scenario into a policy table. Exit code 1: not converged, or the target is unreachable.",
     )
     parser.add_argument("scenario", metavar="SCENARIO.toml", help="a scenario file, or the name of a shipped scenario")
-    parser.add_argument("-o", "--output", metavar="TABLE.h5", help="write the table")
+    add_output(parser, "TABLE.h5", "write the table")
     parser.add_argument(
         "--needle",
         metavar="MODEL.toml",
@@ -61,7 +62,7 @@ def add_to(commands: Any) -> None:
     )
     add_edge(parser)
     add_figure(parser, "the path from the best entry and the success map")
-    add_json(parser)
+    add_answer(parser)
     parser.set_defaults(run=run)
 
 
@@ -70,29 +71,30 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.scenario import Scenario
 
     scenario, identified = with_identified(Scenario.read(options.scenario), options)
-    require_outputs([options.scenario, *(each.file for each in identified)], options.figure, options.output)
+    require_outputs(options, [options.scenario, *(each.file for each in identified)], options.output)
     from needleplan.planning import Status, plan
 
     note(f"{scenario.title or options.scenario}: {scenario.states:,} states, method {scenario.solver.method}")
-    progress = ProgressLine()
-    try:
-        table = plan(scenario, progress)
-    except ScenarioError as error:
-        raise ScenarioError(error.mistakes, options.scenario) from None
-    finally:
-        progress.close()
-    best = table.best_entry(options.edge)
-    if options.output:
-        table.write(options.output)
-        note(f"wrote {options.output}")
-    if options.figure:
-        _draw(table, best, options.figure)
-        note(f"drew {options.figure}")
+    with working(options, "solving") as tell:
+        try:
+            table = plan(
+                scenario,
+                lambda *state: tell("solving: {:.1f} sweeps, residual {:.3g}, ends below {:.3g}".format(*state)),
+            )
+        except ScenarioError as error:
+            raise ScenarioError(error.mistakes, options.scenario) from None
+        tell("looking for the best entry")
+        best = table.best_entry(options.edge)
+        if options.output:
+            tell(f"writing {options.output}")
+            table.write(options.output)
+        if options.figure:
+            tell(f"drawing {options.figure}")
+            _draw(table, best, options.figure)
     if options.json:
         print_json(_record(table, best, options) | {"identified": [each.record() for each in identified]})
     else:
-        lines = {each.place: str(each.found) for each in identified} | _lines(table, best, options)
-        print_lines(scenario.title or options.scenario, lines)
+        _print(table, best, identified, options)
     if table.stats.status is not Status.CONVERGED:
         return complain(f"not converged: {table.stats.status.replace('_', ' ')}, residual {table.stats.residual:.3g}")
     if best.success < UNREACHABLE_SUCCESS:
@@ -132,24 +134,25 @@ def _record(table: PolicyTable, best: Entry, options: argparse.Namespace) -> dic
     }
 
 
-def _lines(table: PolicyTable, best: Entry, options: argparse.Namespace) -> dict[str, str]:
+def _print(table: PolicyTable, best: Entry, identified: Sequence[Replaced], options: argparse.Namespace) -> None:
     scenario, stats = table.scenario, table.stats
     lines = {
+        "best entry": f"{best.pose}; success {percent(best.success)}, cost {best.value:.4g}",
         "grid": f"{' x '.join(map(str, scenario.shape))} = {stats.states:,} states, {scenario.grid.transition}",
-        "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, residual {stats.residual:.3g}, "
-        f"error at most {stats.error_bound:.3g}",
-        "work": f"{stats.sweeps:.2f} sweeps, {stats.backups:,} backups; {len(stats.order)} of {stats.partitions} "
-        f"partitions, {stats.partitions_processed} visits",
-        "time": f"{stats.seconds:.3f} s, of which {stats.seconds_solving:.3f} s solving and "
-        f"{stats.seconds_priorities:.3f} s priorities",
-        "best entry": f"{best.pose}",
-        "": f"success {percent(best.success)}, cost {best.value:.4g}",
+        "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, error at most {stats.error_bound:.3g}, "
+        f"{stats.seconds:.3f} s",
     }
-    if options.output:
-        lines["table"] = options.output
-    if options.figure:
-        lines["figure"] = options.figure
-    return lines
+    if options.output or options.figure:
+        lines["wrote"] = ", ".join(file for file in (options.output, options.figure) if file)
+    more = {each.place: str(each.found) for each in identified}
+    more |= {
+        "work": f"{stats.sweeps:.2f} sweeps, {stats.backups:,} backups, residual {stats.residual:.3g}; "
+        f"{len(stats.order)} of {stats.partitions} partitions, {stats.partitions_processed} visits",
+        "time": f"{stats.seconds_solving:.3f} s solving, {stats.seconds_priorities:.3f} s priorities",
+        "scenario": scenario.digest,
+        "table": table.digest,
+    }
+    print_summary(options, scenario.title or options.scenario, lines, more)
 
 
 def _draw(table: PolicyTable, best: Entry, file: str) -> None:

@@ -11,26 +11,39 @@ import os
 import sys
 from collections.abc import Sequence
 
-from needleplan.cli import diagnose, identify, insert, lab, plan, recording, register, reproduce, simulate, table
+from needleplan.cli import (
+    completion,
+    diagnose,
+    identify,
+    insert,
+    lab,
+    plan,
+    recording,
+    register,
+    reproduce,
+    scenarios,
+    simulate,
+    table,
+)
+from needleplan.cli.answer import set_quiet
+from needleplan.cli.parser import Parser
 from needleplan.errors import InputError
 
-__all__ = ["main"]
+__all__ = ["make_parser", "run_command"]
 
-_WRONG_INPUT, _INTERRUPTED, _NOBODY_READS = 2, 130, 141
+_WRONG_INPUT, _NOBODY_READS = 2, 141
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return the exit code."""
-    options = _parser().parse_args(arguments)
+def run_command(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return the exit code; `None` reads the arguments of the program. Raises KeyboardInterrupt."""
+    options = make_parser().parse_args(arguments)
+    set_quiet(getattr(options, "quiet", False))
     try:
         code: int = options.run(options)
         sys.stdout.flush()
     except InputError as error:
         print(f"needleplan: {error}", file=sys.stderr)
         return _WRONG_INPUT
-    except KeyboardInterrupt:
-        print("needleplan: interrupted", file=sys.stderr)
-        return _INTERRUPTED
     except BrokenPipeError:
         _drop_output()
         return _NOBODY_READS
@@ -41,16 +54,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def make_parser() -> Parser:
+    """Return the parser of all commands."""
+    parser = Parser(
         prog="needleplan",
         description="Plan, execute and diagnose the steering of flexible bevel-tip needles. Not a medical device.",
         epilog="Exit codes: 0 done, 1 the job ran and the answer is no, 2 the input is wrong.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in (plan, table, identify, register, simulate, lab, insert, diagnose, recording, reproduce):
+    for command in (
+        plan, table, scenarios, identify, register, simulate, lab, insert, diagnose, recording, reproduce,
+    ):  # fmt: skip
         command.add_to(commands)
+    completion.add_to(commands, make_parser)
     return parser
 
 

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, print_json, print_lines
-from needleplan.cli.options import add_json
+from needleplan.cli.answer import complain, note, print_first, print_json, print_summary, working
+from needleplan.cli.options import add_answer, add_output, require_free, require_outputs
 
 if TYPE_CHECKING:
     from needleplan.recording import Recording
 
 __all__ = ["add_to", "run_export", "run_info", "run_recover", "run_replay"]
 
-FORMATS = ("hdf5", "csv", "parquet", "rosbag")
+FOLDERS = ("parquet", "rosbag")
+FORMATS = ("hdf5", "csv", *FOLDERS)
 
 
 def add_to(commands: Any) -> None:
@@ -31,7 +33,7 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     info.add_argument("recording", metavar="RUN.mcap")
     info.add_argument("--events", action="store_true", help="print the events, one a line")
-    add_json(info)
+    add_answer(info)
     info.set_defaults(run=run_info)
     recover = subcommands.add_parser(
         "recover", help="make a recording of what a killed or damaged one still holds",
@@ -39,8 +41,8 @@ def add_to(commands: Any) -> None:
         "Exit code 1: something is known to be missing.",
     )  # fmt: skip
     recover.add_argument("recording", metavar="RUN.mcap.partial")
-    recover.add_argument("-o", "--output", required=True, metavar="RUN.mcap", help="the recording to write")
-    add_json(recover)
+    add_output(recover, "RUN.mcap", "the recording to write", required=True)
+    add_answer(recover)
     recover.set_defaults(run=run_recover)
     export = subcommands.add_parser(
         "export", help="write a recording in another format",
@@ -49,7 +51,8 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     export.add_argument("recording", metavar="RUN.mcap")
     export.add_argument("--to", required=True, choices=FORMATS)
-    export.add_argument("-o", "--output", required=True, metavar="PATH", help="file or folder to write")
+    add_output(export, "PATH", "file or folder to write", required=True)
+    add_answer(export, verbose=False, json=False)
     export.set_defaults(run=run_export)
     again = subcommands.add_parser(
         "replay", help="let the loop run on the recording of an insertion again",
@@ -58,7 +61,7 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     again.add_argument("recording", metavar="RUN.mcap")
     again.add_argument("--table", required=True, metavar="TABLE.h5", help="the policy table of the insertion")
-    add_json(again)
+    add_answer(again)
     again.set_defaults(run=run_replay)
 
 
@@ -66,7 +69,8 @@ def run_info(options: argparse.Namespace) -> int:
     """Show a recording and return the exit code."""
     from needleplan.recording import Recording
 
-    recording = Recording.read(options.recording)
+    with working(options, "verifying"):
+        recording = Recording.read(options.recording)
     if options.json:
         print_json(_record(recording))
         return 0
@@ -77,12 +81,16 @@ def run_info(options: argparse.Namespace) -> int:
     closed = (
         "closed by its recorder" if recovery is None else f"recovered; {recovery.get('damaged_bytes')} damaged bytes"
     )
-    print_lines(
+    print_summary(
+        options,
         recording.session.title or options.recording,
         {
             "made by": f"{recording.session.made_by}, checksums verified",
             "ended": closed,
             "duration": f"{recording.duration_s:.3f} s",
+            "messages": f"{sum(recording.counts.values()):,} on {len(recording.counts)} topics",
+        },
+        {
             **recording.session.digests,
             "files": ", ".join(recording.session.texts) or "none",
             **{
@@ -97,11 +105,14 @@ def run_recover(options: argparse.Namespace) -> int:
     """Recover a recording and return the exit code."""
     from needleplan.recording import recover
 
-    done = recover(options.recording, options.output)
+    require_outputs(options, [options.recording], options.output)
+    with working(options, "recovering"):
+        done = recover(options.recording, options.output, overwrite=options.overwrite)
     if options.json:
         print_json(asdict(done))
     else:
-        print_lines(options.output, {topic: f"{count:,} messages" for topic, count in done.by_topic.items()})
+        topics = [f"  {topic:<12} {count:,} messages" for topic, count in done.by_topic.items()]
+        print_first(options, [options.output, *topics])
     if not done.complete:
         note("the recorder did not close it: what it had not handed to the disk yet, some 20 ms, is not in it")
     if done.missing or done.damaged_bytes:
@@ -115,9 +126,24 @@ def run_export(options: argparse.Namespace) -> int:
     from needleplan.recording import Recording
     from needleplan.recording.export import FORMATS as WRITERS
 
-    for remark in WRITERS[options.to](Recording.read(options.recording), options.output):
+    _require_export(options)
+    with working(options, f"exporting to {options.to}"):
+        more = {"overwrite": options.overwrite} if options.to in FOLDERS else {}
+        remarks = WRITERS[options.to](Recording.read(options.recording), options.output, **more)
+    for remark in remarks:
         note(remark)
     return 0
+
+
+def _require_export(options: argparse.Namespace) -> None:
+    """Raise OutputError if the output cannot be written; another recording is never overwritten, whatever is forced."""
+    from needleplan.recording.export import require_no_recording
+
+    if Path(options.output).is_dir() and options.to in FOLDERS:
+        require_free(options, [options.output])
+    else:
+        require_no_recording(options.output)
+        require_outputs(options, [options.recording], options.output)
 
 
 def run_replay(options: argparse.Namespace) -> int:
@@ -126,7 +152,8 @@ def run_replay(options: argparse.Namespace) -> int:
     from needleplan.planning import PolicyTable
     from needleplan.recording import Recording
 
-    done = replay(Recording.read(options.recording), PolicyTable.read(options.table))
+    with working(options, "replaying"):
+        done = replay(Recording.read(options.recording), PolicyTable.read(options.table))
     if options.json:
         print_json({"same": done.same, "decisions": done.decisions, "recorded": done.recorded,
                     "differences": list(done.differences), "ending": done.report.ending})  # fmt: skip
@@ -134,7 +161,7 @@ def run_replay(options: argparse.Namespace) -> int:
         first = done.differences[0] if done.differences else "none"
         lines = {"decisions": f"{done.decisions}, recorded {done.recorded}", "differences": str(len(done.differences)),
                  "first": first}  # fmt: skip
-        print_lines(options.recording, lines)
+        print_summary(options, options.recording, lines)
     if not done.same:
         return complain(f"the loop does not decide as it did: {(*done.differences, 'it made fewer decisions')[0]}")
     return 0

@@ -6,9 +6,8 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, print_json, print_lines
-from needleplan.cli.options import add_json, require_outputs
-from needleplan.errors import InputError, Mistake
+from needleplan.cli.answer import complain, note, print_json, print_summary, working
+from needleplan.cli.options import add_answer, add_output, numbers, require_outputs
 
 if TYPE_CHECKING:
     from needleplan.identification.registration import Registered
@@ -27,12 +26,12 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("--pivot", required=True, metavar="POSES.csv", help="poses of the coil while the needle pivots")
     parser.add_argument("--points", required=True, metavar="POINTS.csv", help="points in both frames")
-    parser.add_argument("-o", "--output", metavar="REGISTRATION.toml", help="write the registration")
+    add_output(parser, "REGISTRATION.toml", "write the registration")
     parser.add_argument(
         "--target", metavar="X,Y[,Z]", help="a target of the plan, mm: tell the error that is to be expected there"
     )
     parser.add_argument("--title", default="", metavar="TEXT", help="a name for people, kept in the file")
-    add_json(parser)
+    add_answer(parser)
     parser.set_defaults(run=run)
 
 
@@ -41,30 +40,25 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.identification.registration import register_needle
 
     target = _target(options.target)
-    require_outputs([options.pivot, options.points], None, options.output)
-    done = register_needle(options.pivot, options.points, options.title)
+    require_outputs(options, [options.pivot, options.points], options.output)
+    with working(options, "registering"):
+        done = register_needle(options.pivot, options.points, options.title)
     if done.registration and options.output:
         done.registration.write(options.output)
         note(f"wrote {options.output}")
     if options.json:
         print_json(_record(done, target, options.output))
     else:
-        print_lines(options.title or "registration", _lines(done, target))
+        print_summary(options, options.title or "registration", _lines(done, target))
         for remark in done.remarks if done.ok else ():
-            print(f"  remark       {remark}")
+            note(f"remark: {remark}")
     return 0 if done.ok else complain("; ".join(done.remarks))
 
 
 def _target(text: str | None) -> tuple[float, float, float] | None:
     if text is None:
         return None
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
-        raise InputError(Mistake("--target", text, "must be X,Y or X,Y,Z: numbers with commas between them"))
-    x, y, z = (*numbers, 0.0)[:3]
+    x, y, z = (*numbers("--target", text, 2, 3, form="X,Y or X,Y,Z"), 0.0)[:3]
     return x, y, z
 
 

@@ -6,11 +6,14 @@ import argparse
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import note, print_json
+from needleplan.cli.answer import note, print_json, working
+from needleplan.cli.options import add_answer, add_output, require_free
+from needleplan.cli.parser import add_old_spelling, whole
 
 if TYPE_CHECKING:
     from needleplan.reports.comparison import Comparison
@@ -34,14 +37,17 @@ def add_to(commands: Any) -> None:
         metavar="CHAPTER",
         help="ch2, ch3, ch4, ch5, ch6, diagnosis; all where none is given",
     )
-    parser.add_argument("-o", "--figures", metavar="FOLDER", help="write figures and results into this folder")
+    add_output(parser, "DIR", "write figures and results into this folder")
     parser.add_argument(
         "--experiments", action="store_true", help="ch6: repeat the experiments of section 6.5 in the lab twin"
     )
-    parser.add_argument("--seeds", type=int, metavar="N", help="diagnosis: insertions for each hidden effect (40)")
+    parser.add_argument("--runs", type=whole, metavar="N", help="diagnosis: insertions for each hidden effect (40)")
     parser.add_argument(
         "--json", action="store_true", help="print a list of {id, published, ours, unit, verdict, reason}"
     )
+    add_answer(parser, verbose=False, json=False)
+    add_old_spelling(parser, "--figures", "--output")
+    add_old_spelling(parser, "--seeds", "--runs", convert=whole)
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument("--quick", action="store_true", help="coarse grids: whether everything runs, not the numbers")
     effort.add_argument("--full", action="store_true", help="finer grids besides; much longer")
@@ -54,8 +60,15 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.reports.comparison import Agreement
 
     effort = Effort.QUICK if options.quick else Effort.FULL if options.full else Effort.DEFAULT
-    folder = Path(options.figures) if options.figures else None
-    comparisons = reproduce(options.chapters, Request(folder, effort, note, options.experiments, options.seeds))
+    folder = Path(options.output) if options.output else None
+    with working(options, "reproducing") as tell:
+
+        def told(step: str) -> None:
+            note(step)
+            tell(step)
+
+        request = Request(folder, effort, told, options.experiments, options.runs)
+        comparisons = reproduce(options.chapters, request, require_new=partial(require_free, options))
     if options.json:
         print_json([asdict(each) for each in comparisons])
     else:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import note, print_json, print_lines
-from needleplan.cli.options import add_json, require_outputs
+from needleplan.cli.answer import note, print_first, print_json, working
+from needleplan.cli.options import add_answer, add_output, require_outputs
+from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -28,10 +30,10 @@ def add_to(commands: Any) -> None:
         "write what the sensors say as records for `needleplan identify`, or as a recording (MCAP).",
     )
     parser.add_argument("experiment", metavar="EXPERIMENT", help="an experiment file (.toml), or a shipped one by name")
-    parser.add_argument("-o", "--output", metavar="RUN", help="write the records (.csv or .h5), or a recording (.mcap)")
-    parser.add_argument("--seed", type=int, metavar="N", help="instead of the seed of the experiment")
-    parser.add_argument("--runs", type=int, default=1, metavar="N", help="trials, with consecutive seeds (1)")
-    add_json(parser)
+    add_output(parser, "RUN", "write the records (.csv or .h5), or a recording (.mcap)")
+    parser.add_argument("--seed", type=whole, metavar="N", help="instead of the seed of the experiment")
+    parser.add_argument("--runs", type=whole, default=1, metavar="N", help="trials, with consecutive seeds (1)")
+    add_answer(parser)
     parser.set_defaults(run=run)
 
 
@@ -41,15 +43,20 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.simulation import Experiment, record_run, run_experiment
 
     _require(options)
-    require_outputs([options.experiment], None, options.output)
+    require_outputs(options, [options.experiment], options.output)
     experiment = Experiment.read(options.experiment)
     first = experiment.seed if options.seed is None else options.seed
-    runs = [run_experiment(experiment, seed) for seed in range(first, first + options.runs)]
-    if options.output and Path(options.output).suffix.lower() == _RECORDING:
-        record_run(runs[0], options.output)
-        note(f"wrote {options.output}")
-    elif options.output:
-        write_records([each.record() for each in runs], options.output)
+    with working(options, "simulating") as tell:
+        runs = []
+        for seed in range(first, first + options.runs):
+            tell(f"simulating, seed {seed}", (seed - first) / options.runs if options.runs > 1 else None)
+            runs.append(run_experiment(experiment, seed))
+        tell(f"writing {options.output}")
+        if options.output and Path(options.output).suffix.lower() == _RECORDING:
+            record_run(runs[0], options.output, overwrite=options.overwrite)
+        elif options.output:
+            write_records([each.record() for each in runs], options.output)
+    if options.output:
         note(f"wrote {options.output}")
     if options.json:
         print_json(
@@ -57,17 +64,19 @@ def run(options: argparse.Namespace) -> int:
              "runs": [_summary(each) for each in runs]}
         )  # fmt: skip
     else:
-        for each in runs:
-            found = _summary(each)
-            x, y, z = found["tip_mm"]
-            lines = {
-                "simulated": f"{found['duration_s']:.4g} s, {found['samples']:,} samples, {len(each.phases)} moves",
-                "tip": f"x {x:.2f} mm, y {y:.2f} mm, z {z:.2f} mm",
-                "force": f"at most {found['largest_force_n']:.3g} N",
-                "tracker": f"{found['missing_frames']} of {len(each.poses)} frames missing",
-            }
-            print_lines(f"{experiment.title or options.experiment}, seed {each.seed}", lines)
+        title = experiment.title or options.experiment
+        print_first(options, [line for each in runs for line in _lines(each, title)])
     return 0
+
+
+def _lines(done: Run, title: str) -> Iterator[str]:
+    found = _summary(done)
+    x, y, z = found["tip_mm"]
+    yield f"{title}, seed {done.seed}"
+    yield f"  simulated    {found['duration_s']:.4g} s, {found['samples']:,} samples, {len(done.phases)} moves"
+    yield f"  tip          x {x:.2f} mm, y {y:.2f} mm, z {z:.2f} mm"
+    yield f"  force        at most {found['largest_force_n']:.3g} N"
+    yield f"  tracker      {found['missing_frames']} of {len(done.poses)} frames missing"
 
 
 def _require(options: argparse.Namespace) -> None:

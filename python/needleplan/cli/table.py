@@ -6,12 +6,12 @@ import argparse
 from dataclasses import asdict
 from typing import Any
 
-from needleplan.cli.answer import complain, note, percent, print_json, print_lines
+from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
 from needleplan.cli.options import (
+    add_answer,
     add_edge,
     add_figure,
     add_greedy,
-    add_json,
     add_start,
     add_table,
     entry_record,
@@ -19,6 +19,7 @@ from needleplan.cli.options import (
     require_outputs,
     start_pose,
 )
+from needleplan.cli.parser import whole
 from needleplan.cli.plan import UNREACHABLE_SUCCESS
 from needleplan.errors import ChecksumError
 
@@ -42,7 +43,7 @@ def _add_path(commands: Any) -> None:
     add_start(parser)
     add_greedy(parser)
     add_figure(parser, "the path in the workspace")
-    add_json(parser)
+    add_answer(parser)
     parser.set_defaults(run=_run_path)
 
 
@@ -51,7 +52,7 @@ def _run_path(options: argparse.Namespace) -> int:
     start = start_pose(options.start) if options.start is not None else None
     from needleplan.planning import Outcome, PolicyTable, Pose
 
-    require_outputs([options.table], options.figure)
+    require_outputs(options, [options.table])
     table = PolicyTable.read(options.table)
     path = table.path(start or table.best_entry().pose, greedy=options.greedy)
     decision = table.lookup(*path.start)
@@ -80,12 +81,14 @@ def _run_path(options: argparse.Namespace) -> int:
         lines = {
             "start": str(path.start),
             "outcome": str(path.outcome),
-            "length": f"{path.length_mm:.1f} mm in {len(path.actions)} steps",
-            "turns": ", ".join(f"({turn.x_mm:.1f}, {turn.y_mm:.1f})" for turn in turns) or "none",
-            "end": str(path.end),
+            "length": f"{path.length_mm:.1f} mm in {len(path.actions)} steps, {len(turns)} turns",
             "with noise": f"predicted success {percent(decision.success)}, cost {decision.value:.4g}",
         }
-        print_lines(table.scenario.title or options.table, lines)
+        more = {
+            "turns": ", ".join(f"({turn.x_mm:.1f}, {turn.y_mm:.1f})" for turn in turns) or "none",
+            "end": str(path.end),
+        }
+        print_summary(options, table.scenario.title or options.table, lines, more)
     if path.outcome is not Outcome.TARGET:
         return complain(f"the path does not reach the target: {path.outcome}")
     return 0
@@ -101,10 +104,12 @@ def _add_evaluate(commands: Any) -> None:
     )
     add_table(parser)
     add_start(parser)
-    parser.add_argument("--runs", type=int, default=10_000, metavar="N", help="number of executions (10000)")
-    parser.add_argument("--seed", type=int, default=0, help="the same seed gives the same executions (0)")
+    parser.add_argument("--runs", type=whole, default=10_000, metavar="N", help="number of executions (10000)")
+    parser.add_argument(
+        "--seed", type=whole, default=0, metavar="N", help="the same seed gives the same executions (0)"
+    )
     add_greedy(parser)
-    add_json(parser)
+    add_answer(parser)
     parser.set_defaults(run=_run_evaluate)
 
 
@@ -114,7 +119,8 @@ def _run_evaluate(options: argparse.Namespace) -> int:
     from needleplan.planning import PolicyTable
 
     table = PolicyTable.read(options.table)
-    found = table.rollout(start or table.best_entry().pose, options.runs, options.seed, greedy=options.greedy)
+    with working(options, f"executing the policy {options.runs:,} times"):
+        found = table.rollout(start or table.best_entry().pose, options.runs, options.seed, greedy=options.greedy)
     low, high = found.interval
     if options.json:
         print_json(
@@ -139,10 +145,10 @@ def _run_evaluate(options: argparse.Namespace) -> int:
             "success": f"{percent(found.success)} of {found.runs:,} runs, 95 % interval {percent(low)} to "
             f"{percent(high)}; predicted {percent(found.predicted_success)}",
             "cost": f"{found.mean_cost:.5g}; predicted {found.predicted_value:.5g}",
-            "outcomes": ", ".join(f"{outcome} {number:,}" for outcome, number in found.outcomes.items() if number),
             "mean": f"{found.mean_turns:.2f} turns, {found.mean_length_mm:.1f} mm",
         }
-        print_lines(table.scenario.title or options.table, lines)
+        more = {"outcomes": ", ".join(f"{outcome} {number:,}" for outcome, number in found.outcomes.items() if number)}
+        print_summary(options, table.scenario.title or options.table, lines, more)
     if found.success == 0:
         return complain("no run reached the target")
     return 0
@@ -159,7 +165,7 @@ def _add_entry(commands: Any) -> None:
     add_table(parser)
     add_edge(parser)
     parser.add_argument("--at", type=float, metavar="MM", help="search the headings at this place of the edge only")
-    add_json(parser)
+    add_answer(parser)
     parser.set_defaults(run=_run_entry)
 
 
@@ -173,8 +179,8 @@ def _run_entry(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"edge": options.edge, **entry_record(best)})
     else:
-        lines = {"best entry": str(best.pose), "": f"success {percent(best.success)}, cost {best.value:.4g}"}
-        print_lines(table.scenario.title or options.table, lines)
+        lines = {"best entry": str(best.pose), "success": f"{percent(best.success)}, cost {best.value:.4g}"}
+        print_summary(options, table.scenario.title or options.table, lines)
     if best.success < UNREACHABLE_SUCCESS:
         return complain(f"the target cannot be reached from the {options.edge} edge")
     return 0
@@ -189,7 +195,7 @@ def _add_info(commands: Any) -> None:
     )
     add_table(parser)
     parser.add_argument("--scenario", action="store_true", help="print the scenario that the table carries, as TOML")
-    add_json(parser)
+    add_answer(parser)
     parser.set_defaults(run=_run_info)
 
 
@@ -225,19 +231,22 @@ def _run_info(options: argparse.Namespace) -> int:
         )
         return 0
     dx, dy = scenario.grid.spacing_mm
-    print_lines(
+    print_summary(
+        options,
         scenario.title or options.table,
         {
-            "format": f"{TABLE_FORMAT}, checksums verified",
-            "digest": table.digest,
-            "scenario": scenario.digest,
             "grid": f"{' x '.join(map(str, scenario.shape))} = {stats.states:,} states, spacing {dx:g} x {dy:g} mm, "
             f"{scenario.grid.transition}",
             "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, residual {stats.residual:.3g}, "
             f"error at most {stats.error_bound:.3g}",
+            "success": f"{percent(float(table.success.mean()))} on average over all states",
+            "digest": f"{table.digest}, checksums verified",
+        },
+        {
+            "format": TABLE_FORMAT,
+            "scenario": scenario.digest,
             "work": f"{stats.sweeps:.2f} sweeps, {stats.backups:,} backups, {stats.seconds:.3f} s",
             "values": f"{table.values.min():.4g} to {table.values.max():.4g}",
-            "success": f"{percent(float(table.success.mean()))} on average over all states",
         },
     )
     return 0

@@ -93,7 +93,16 @@ class RunRecorder(Listener, Closing):
     file cannot be written.
     """
 
-    def __init__(self, path: PathLike, table: PolicyTable, setup: RunSetup, clock: Clock, title: str = "") -> None:
+    def __init__(
+        self,
+        path: PathLike,
+        table: PolicyTable,
+        setup: RunSetup,
+        clock: Clock,
+        title: str = "",
+        *,
+        overwrite: bool = False,
+    ) -> None:
         self._clock = clock
         self._simulated = isinstance(clock, VirtualClock)
         digests: Mapping[str, str] = {"scenario": table.scenario.digest, "table": table.digest} | setup.digests
@@ -101,7 +110,8 @@ class RunRecorder(Listener, Closing):
             title or table.scenario.title, digests, {"scenario.toml": table.scenario.to_toml()} | setup.texts,
             setup.options.force_axis, monotonic_ns=clock.now_ns(),
         )  # fmt: skip
-        self.recorder = Recorder(path, session, when_full=WhenFull.WAIT if self._simulated else WhenFull.DROP)
+        when_full = WhenFull.WAIT if self._simulated else WhenFull.DROP
+        self.recorder = Recorder(path, session, when_full=when_full, overwrite=overwrite)
         self._topics = {topic: self.recorder.channel(topic, kind) for topic, kind in TOPICS.items()}
         self._last_ns = 0
 

@@ -22,11 +22,11 @@ class Clock(Protocol):
         """Return the time in nanoseconds since a fixed, unknown moment."""
 
     def sleep(self, seconds: float) -> None:
-        """Wait; returns at once unless `seconds` is positive."""
+        """Wait; at once where `seconds` is not positive."""
 
 
 class SystemClock:
-    """The monotonic clock of the machine, which is independent of the time of day."""
+    """The clock of the machine; it does not jump when somebody sets the time of day."""
 
     def now_ns(self) -> int:
         """Return `time.monotonic_ns()`."""
@@ -39,7 +39,7 @@ class SystemClock:
 
 
 class VirtualClock:
-    """A clock that moves only by `sleep` and `advance`: for simulated time, and for tests without waiting."""
+    """A clock that moves when somebody sleeps on it or advances it: simulated time, and tests that do not wait."""
 
     def __init__(self, start_ns: int = 0) -> None:
         self._now_ns = start_ns
@@ -54,14 +54,14 @@ class VirtualClock:
         self.advance(seconds)
 
     def advance(self, seconds: float) -> None:
-        """Move the clock forward; a negative duration does nothing."""
+        """Move the clock forward; backward it does not go."""
         if seconds > 0:
             with self._lock:
                 self._now_ns += round(seconds * _NANO)
 
 
 class Deadline:
-    """A moment on a clock, `seconds` after its creation."""
+    """A moment on a clock by which something must have happened."""
 
     def __init__(self, clock: Clock, seconds: float) -> None:
         self._clock = clock
@@ -69,24 +69,24 @@ class Deadline:
 
     @property
     def left_s(self) -> float:
-        """Remaining time, s; 0 after the deadline."""
+        """Seconds that are left; zero once it has passed."""
         return max(self._end_ns - self._clock.now_ns(), 0) / _NANO
 
     @property
     def passed(self) -> bool:
-        """Whether the deadline has passed."""
+        """Whether it is too late."""
         return self._clock.now_ns() >= self._end_ns
 
 
-_TURN_S = 0.0005  # switch interval between Python threads
+_TURN_S = 0.0005
 
 
 @contextmanager
 def short_turns() -> Iterator[None]:
-    """Let the threads of the process alternate every 0.5 ms while they compute.
+    """Let threads that compute take turns every half millisecond, in all of the process.
 
-    Python's default of 5 ms is as long as the whole budget from a sample to its command, and the control loop shares
-    its process with the threads that read devices, write the recording and compute plans.
+    Python's 5 ms are as long as everything from a sample to its command may take, and the loop shares its process with
+    threads that read devices, write the recording and make plans.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(before, _TURN_S))
@@ -98,10 +98,10 @@ def short_turns() -> Iterator[None]:
 
 @contextmanager
 def no_long_collections() -> Iterator[None]:
-    """Exclude the objects that exist now from garbage collection, in the whole process.
+    """Keep what is there now from being looked at by every full collection of garbage, in all of the process.
 
-    A full collection over the libraries of an insertion takes 40 ms or more, and the watchdog of a robot expires after
-    30 ms. Objects created later are collected as usual.
+    That takes 40 ms and more with the libraries of an insertion, while a robot waits 30 ms for a sign of life.
+    What comes meanwhile is collected as ever.
     """
     gc.collect()
     gc.freeze()

@@ -160,11 +160,13 @@ class Recorder:
         Capacity of the queue, messages.
     when_full : WhenFull
         What `RecordingChannel.put` does if the queue is full.
+    overwrite : bool
+        Whether the closed recording may replace one that exists.
 
     Raises
     ------
     OutputError
-        The file cannot be written, or the recording or its partial file exists already.
+        The file cannot be written, the recording exists and may not be replaced, or its partial file exists.
 
     Examples
     --------
@@ -189,6 +191,7 @@ class Recorder:
         *,
         capacity: int = _CAPACITY,
         when_full: WhenFull = WhenFull.DROP,
+        overwrite: bool = False,
     ) -> None:
         self.path = Path(path)
         self.partial = self.path.with_name(self.path.name + PARTIAL)
@@ -206,7 +209,7 @@ class Recorder:
         self._latest_ns = self.session.wall_ns
         self._closing = threading.Event()
         self._lock = threading.Lock()
-        self._descriptor = self._create()
+        self._descriptor = self._create(overwrite)
         try:
             self._journal = Journal(self._descriptor, self.session)
         except OSError as error:
@@ -293,13 +296,13 @@ class Recorder:
     ) -> None:
         self.close()
 
-    def _create(self) -> int:
+    def _create(self, overwrite: bool) -> int:
         require_writable(self.path)
         for there, rule in (
             (self.path, "is there already: a recording is never overwritten"),
             (self.partial, "is there already: recover it with `needleplan recording recover`, or remove it"),
         ):
-            if there.exists():
+            if there.exists() and not (overwrite and there == self.path):
                 raise OutputError(rule, str(there))
         try:
             return os.open(self.partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)

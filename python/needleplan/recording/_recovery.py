@@ -64,7 +64,7 @@ class Recovery:
     complete: bool = False
 
 
-def recover(path: PathLike, target: PathLike) -> Recovery:
+def recover(path: PathLike, target: PathLike, *, overwrite: bool = False) -> Recovery:
     """Write all readable messages of a partial, cut or damaged recording to a new recording.
 
     Parameters
@@ -73,6 +73,8 @@ def recover(path: PathLike, target: PathLike) -> Recovery:
         The partial, cut or damaged recording; it is not changed.
     target : str or path
         The recording to write.
+    overwrite : bool
+        Whether `target` may replace a file that exists.
 
     Returns
     -------
@@ -84,7 +86,7 @@ def recover(path: PathLike, target: PathLike) -> Recovery:
     DataError
         The file holds no readable part of a recording of needleplan.
     OutputError
-        `target` exists already or cannot be written.
+        `target` exists and may not be replaced, or cannot be written.
 
     Examples
     --------
@@ -102,7 +104,7 @@ def recover(path: PathLike, target: PathLike) -> Recovery:
 
     """
     require_writable(target)
-    if Path(target).exists():
+    if Path(target).exists() and not overwrite:
         raise OutputError("is there already: a recording is never overwritten", os.fspath(target))
     with _mapped(path) as data:
         return _rewrite(data, os.fspath(path), Path(target), recovered=True)

@@ -24,12 +24,12 @@ from needleplan.recording._sample_kinds import FORCE, POSE, STAGE
 from needleplan.recording.csv_file import to_csv
 from needleplan.recording.hdf5_file import to_hdf5
 
-__all__ = ["FORMATS", "write_csv", "write_hdf5", "write_parquet", "write_rosbag"]
+__all__ = ["FORMATS", "require_no_recording", "write_csv", "write_hdf5", "write_parquet", "write_rosbag"]
 
 
 def write_csv(recording: Recording, path: PathLike) -> tuple[str, ...]:
     """Write the trial of a recording as CSV and return the notes of the trial. Raises DataError and OutputError."""
-    _require_no_recording(path)
+    require_no_recording(path)
     trial = recording.trial()
     write_whole(path, to_csv([trial]).encode())
     return trial.notes
@@ -43,7 +43,7 @@ def write_hdf5(recording: Recording, path: PathLike) -> tuple[str, ...]:
     """
     import h5py
 
-    _require_no_recording(path)
+    require_no_recording(path)
     trial = recording.trial()
     image = io.BytesIO(to_hdf5([trial]))
     with h5py.File(image, "r+") as file:
@@ -61,12 +61,15 @@ def write_hdf5(recording: Recording, path: PathLike) -> tuple[str, ...]:
     return trial.notes
 
 
-def write_parquet(recording: Recording, path: PathLike) -> tuple[str, ...]:
-    """Write a folder with one Parquet file for each topic, and return remarks. Raises OutputError."""
+def write_parquet(recording: Recording, path: PathLike, *, overwrite: bool = False) -> tuple[str, ...]:
+    """Write a folder with one Parquet file for each topic, and return remarks. Raises OutputError.
+
+    With `overwrite` the folder may exist; only files of the same names in it are replaced.
+    """
     arrow = _optional("pyarrow", path)
     parquet = _optional("pyarrow.parquet", path)
     remarks = []
-    with _NewFolder(path) as folder:
+    with _NewFolder(path, overwrite) as folder:
         for topic in recording.counts:
             table = arrow.table(_columns(recording, topic))
             session = json.dumps(recording.session.to_dict()).encode()
@@ -89,8 +92,10 @@ def _optional(module: str, path: PathLike) -> Any:
 class _NewFolder:
     """A folder that is renamed to its final name once it is complete, else removed. Raises OutputError."""
 
-    def __init__(self, path: PathLike) -> None:
+    def __init__(self, path: PathLike, overwrite: bool) -> None:
         self._target = Path(path)
+        if self._target.is_dir() and overwrite:
+            return
         if self._target.exists():
             raise OutputError("is there already", os.fspath(path))
         require_writable(path)
@@ -105,14 +110,19 @@ class _NewFolder:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         if error is None:
             self._made.chmod(0o755)
-            self._made.rename(self._target)
+            if self._target.is_dir():
+                for file in self._made.iterdir():
+                    file.replace(self._target / file.name)
+                self._made.rmdir()
+            else:
+                self._made.rename(self._target)
             return
         shutil.rmtree(self._made, ignore_errors=True)
         if isinstance(error, OSError):
             raise OutputError(f"cannot be written: {error.strerror or error}", str(self._target)) from error
 
 
-def _require_no_recording(path: PathLike) -> None:
+def require_no_recording(path: PathLike) -> None:
     """Raise OutputError if `path` is a recording: its data cannot be made again."""
     require_writable(path)
     with contextlib.suppress(OSError):
@@ -136,18 +146,19 @@ def _columns(recording: Recording, topic: str) -> dict[str, Any]:
 _MM = 1e-3
 
 
-def write_rosbag(recording: Recording, path: PathLike) -> tuple[str, ...]:
+def write_rosbag(recording: Recording, path: PathLike, *, overwrite: bool = False) -> tuple[str, ...]:
     """Write a ROS 2 bag (MCAP storage) with standard messages in metres, and return remarks.
 
     Forces become geometry_msgs/WrenchStamped (N, N m), poses geometry_msgs/PoseStamped (m), samples of the stage
     sensor_msgs/JointState (insertion in m, roll in rad), and other messages std_msgs/String with JSON. Samples of a
-    tracker without a pose are left out and counted in the remarks. Raises OutputError, also without rosbags.
+    tracker without a pose are left out and counted in the remarks. With `overwrite` the folder may exist; only files of
+    the same names in it are replaced. Raises OutputError, also without rosbags.
     """
     rosbag2 = _optional("rosbags.rosbag2", path)
     typesys = _optional("rosbags.typesys", path)
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     remarks = []
-    with _NewFolder(path) as folder:
+    with _NewFolder(path, overwrite) as folder:
         bag_folder = folder / "bag"
         plugin = rosbag2.StoragePlugin.MCAP
         with rosbag2.Writer(bag_folder, version=9, storage_plugin=plugin) as bag:
@@ -225,7 +236,7 @@ _CONVERSIONS: dict[str, tuple[str, Callable[[Any, RecordedMessage, int], Any]]] 
 }
 
 
-FORMATS: Mapping[str, Callable[[Recording, PathLike], tuple[str, ...]]] = {
+FORMATS: Mapping[str, Callable[..., tuple[str, ...]]] = {
     "hdf5": write_hdf5,
     "csv": write_csv,
     "parquet": write_parquet,

@@ -10,7 +10,7 @@ __all__ = ["record_run"]
 _NANO = 1e9
 
 
-def record_run(run: Run, path: PathLike) -> None:
+def record_run(run: Run, path: PathLike, *, overwrite: bool = False) -> None:
     """Write all samples of a run, and the phases of its program as events. Raises OutputError.
 
     The time of day in it is that of writing it, plus the simulated time.
@@ -20,7 +20,7 @@ def record_run(run: Run, path: PathLike) -> None:
     if experiment.scenario is not None:
         digests["scenario"] = experiment.scenario.digest
     session = Session(f"{experiment.title or 'experiment'}, seed {run.seed}", digests, monotonic_ns=0)
-    with Recorder(path, session, when_full=WhenFull.WAIT) as recorder:
+    with Recorder(path, session, when_full=WhenFull.WAIT, overwrite=overwrite) as recorder:
         events = recorder.channel("/event", EVENT)
         for phase in run.phases:
             events.put(round(phase.begin_s * _NANO), {"name": "phase", "cause": "program", "text": phase.label})

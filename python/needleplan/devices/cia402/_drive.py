@@ -24,7 +24,7 @@ _CYCLE_S = 0.02
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame that a node sent without a request."""
+    """What a node sent by itself."""
 
     node: int
     service: Service
@@ -33,7 +33,7 @@ class Frame:
 
 
 def library(name: str = "canopen") -> Any:
-    """Return `canopen` or one of its modules. Raises ConfigurationError if the extra is not installed."""
+    """Return `canopen` or a part of it. Raises ConfigurationError that names the extra where it is not installed."""
     try:
         return import_module(name)
     except ImportError as error:
@@ -42,7 +42,7 @@ def library(name: str = "canopen") -> Any:
 
 
 class CanBus(Closing):
-    """A CAN bus. Raises ConfigurationError without the library, DeviceFault if the bus cannot be opened."""
+    """A bus; a context manager. Raises ConfigurationError without the library, DeviceFault where there is no bus."""
 
     def __init__(self, channel: str, interface: str, clock: Clock, **options: Any) -> None:
         canopen = library()
@@ -50,7 +50,7 @@ class CanBus(Closing):
         self.name = f"canopen://{channel}"
         self.clock = clock
         self.network = canopen.Network()
-        self.network.NOTIFIER_CYCLE = _CYCLE_S  # the longest time that closing takes
+        self.network.NOTIFIER_CYCLE = _CYCLE_S  # so long closing takes at most
         self.frames: queue.SimpleQueue[Frame] = queue.SimpleQueue()
         self._closed = False
         try:
@@ -59,7 +59,7 @@ class CanBus(Closing):
             raise DeviceFault(f"{self.name} cannot be opened by {interface}: {error}") from error
 
     def listen(self, node: int, *services: Service) -> None:
-        """Queue the frames of a node in `frames`."""
+        """Have what a node sends by itself put into `frames`."""
         for service in services:
             self.network.subscribe(service + node, self._put(node, service))
 
@@ -70,7 +70,7 @@ class CanBus(Closing):
         return put
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Send one frame. Raises LinkClosed if the bus is gone, or is off after too many errors."""
+        """Send one frame. Raises LinkClosed where the bus is gone, or is off after too many errors."""
         if self._closed:
             raise LinkClosed(f"{self.name} is closed")
         try:
@@ -79,20 +79,21 @@ class CanBus(Closing):
             raise LinkClosed(f"{self.name}: {error}") from error
 
     def sync(self) -> None:
-        """Request the positions of all drives."""
+        """Have all drives say where they are."""
         self.send(_SYNC, b"")
 
     def close(self) -> None:
-        """Disconnect from the bus."""
+        """Leave the bus."""
         if not self._closed:
             self._closed = True
-            # If the bus is gone already, the library reports that again after it has released everything.
+            # Where the bus went before us, the library says so once more when all has been given back.
             with contextlib.suppress(*self._errors):
                 self.network.disconnect()
 
 
 _PROFILE_POSITION = 1
-_STOP_AND_STAY = 6  # quick stop option: decelerate, then stay in QUICK STOP ACTIVE
+_STOP_AND_STAY = 6
+"""Quick stop: by its own ramp, then stay in QUICK STOP ACTIVE."""
 
 _EVERY_SYNC, _AT_ONCE = 1, 255
 _OFF = 1 << 31
@@ -106,9 +107,9 @@ _NEXT = {
 
 
 class Cia402Drive:
-    """The drive of one axis; each method waits for the answers of the drive. Raises DeviceFault.
+    """The drive of one axis; every method asks it and waits for what it answers. Raises DeviceFault.
 
-    `heartbeat` is called before each request, because the watchdog of the other drive continues meanwhile.
+    Before each question `heartbeat` is called: the watchdog of the other drive runs on while this one answers.
     """
 
     def __init__(
@@ -123,11 +124,11 @@ class Cia402Drive:
 
     @property
     def name(self) -> str:
-        """Name in messages."""
+        """How it is called in messages."""
         return f"{self.setup.name} drive (node {self.setup.node})"
 
     def write(self, entry: Entry, value: int) -> None:
-        """Write an entry and wait for its acknowledgement."""
+        """Write an entry, and have it acknowledged."""
         self._ask(entry, "write", lambda: self._node.sdo.download(*entry.value[:2], entry.packing.pack(value)))
 
     def read(self, entry: Entry) -> int:
@@ -139,14 +140,14 @@ class Cia402Drive:
 
     @property
     def state(self) -> Cia402State | None:
-        """The state, requested from the drive."""
+        """The state, asked for."""
         return state_of(self.read(Entry.STATUSWORD))
 
     def configure(self, master: int, silence_s: float, heartbeat_s: float) -> None:
-        """Set mode, limits, messages, and the reaction to a missing heartbeat of `master` for `silence_s`.
+        """Set mode, limits, messages, and what it does where it hears nothing of `master` for `silence_s`.
 
-        The drive is left disabled. It is refused if it does not accept a setting: a drive without a working watchdog
-        must not be enabled.
+        The drive is left disabled. Where it does not take something it is refused: a drive that would not stop by
+        itself is not to be enabled.
         """
         setup, limits, node = self.setup, self.setup.limits, self.setup.node
         self._node.nmt.state = "PRE-OPERATIONAL"
@@ -182,7 +183,7 @@ class Cia402Drive:
         self._node.nmt.state = "OPERATIONAL"
 
     def reset_fault(self) -> None:
-        """Reset a fault if its cause is gone; the drive stays disabled."""
+        """Reset a fault whose cause is gone; the drive stays disabled."""
         self.write(Entry.CONTROLWORD, Control.DISABLE_VOLTAGE)
         if self.state not in (Cia402State.FAULT, Cia402State.FAULT_REACTION):
             return
@@ -195,7 +196,7 @@ class Cia402Drive:
         self.write(Entry.CONTROLWORD, Control.DISABLE_VOLTAGE)
 
     def enable(self) -> None:
-        """Bring the drive to OPERATION ENABLED with its present position as the target; nothing moves."""
+        """Bring it to OPERATION ENABLED, with the present position as its target; nothing moves."""
         self.write(Entry.TARGET_POSITION, self.read(Entry.POSITION))
         deadline = Deadline(self.bus.clock, self.change_s)
         while (state := self.state) is not Cia402State.ENABLED:
@@ -209,10 +210,10 @@ class Cia402Drive:
                 self.bus.clock.sleep(_POLL_S)
 
     def move(self, position: float, velocity: float) -> None:
-        """Begin a motion, which replaces the present one."""
+        """Begin a motion, in the place of one that is under way."""
         self.write(Entry.TARGET_POSITION, self.setup.counts(position))
         self.write(Entry.PROFILE_VELOCITY, self.setup.speed(velocity))
-        # The rising edge of a bit starts the motion; the drive acknowledges it by another bit.
+        # The motion begins with the rise of a bit; that the drive has seen it is a bit of its own.
         self.write(Entry.CONTROLWORD, Control.ENABLE)
         self._until(acknowledged=False)
         self.write(Entry.CONTROLWORD, Control.NEW_TARGET_NOW)
@@ -224,15 +225,15 @@ class Cia402Drive:
         self.bus.send(Service.CONTROL + self.setup.node, Entry.CONTROLWORD.packing.pack(Control.QUICK_STOP))
 
     def confirm_stop(self) -> None:
-        """Send the quick stop again and wait for its acknowledgement."""
+        """Send the quick stop again, and have it acknowledged."""
         self.write(Entry.CONTROLWORD, Control.QUICK_STOP)
 
     def disable(self) -> None:
-        """Disable the voltage."""
+        """Take the power away."""
         self.write(Entry.CONTROLWORD, Control.DISABLE_VOLTAGE)
 
     def cause(self) -> str:
-        """Return the error code and register of a fault."""
+        """Return what it says of its fault."""
         code, register = self.read(Entry.ERROR_CODE), self.read(Entry.ERROR_REGISTER)
         return f"error 0x{code:04X}, register 0x{register:02X}"
 

@@ -22,29 +22,30 @@ from needleplan.errors import DeviceFault, LinkClosed
 
 __all__ = ["RobotDriveFaults", "RobotLink", "RobotNetwork", "RobotServer", "SteadyDrive", "Way"]
 
-_MOST_OVERTIME = 256  # datagrams received after a tick is due, at most
+_MOST_OVERTIME = 256
+"""So many datagrams are heard when a tick is due already."""
 
 
 @dataclass
 class RobotDriveFaults:
-    """Faults to simulate from now on."""
+    """What goes wrong from now on."""
 
     reported: Fault = Fault(0)
-    """Faults that the drives report: DRIVE, LIMIT, ESTOP. ESTOP removes the power as long as it is set."""
+    """What the drives report: DRIVE, LIMIT, ESTOP. The emergency stop takes the power away as long as it is pressed."""
 
     stuck: bool = False
     slow: float = 1.0
-    """Share of the commanded motion that the axes execute."""
+    """The axes go only this share of their way."""
 
     reversed: bool = False
-    """Whether the encoders count in the wrong direction."""
+    """The encoders count the wrong way."""
 
     jump_mm: float = 0.0
-    """Jump of the encoder of the insertion, applied once."""
+    """The encoder of the insertion jumps by this much, once."""
 
 
 class SteadyDrive(RobotDrive):
-    """Two axes that move at the commanded speed without acceleration."""
+    """Two axes that go at the speed they are told, from one moment to the next."""
 
     def __init__(self, deepest_mm: float = 180.0, fastest_mm_s: float = 50.0, fastest_rad_s: float = 12.0) -> None:
         self.faults = RobotDriveFaults()
@@ -55,7 +56,7 @@ class SteadyDrive(RobotDrive):
         self._time_s: float | None = None
 
     def advance(self, time_s: float) -> RobotDriveState:
-        """Advance to a time, and return the state."""
+        """Go on to a time, and say where the axes are."""
         passed_s = 0.0 if self._time_s is None else max(time_s - self._time_s, 0.0)
         self._time_s = time_s
         faults = self.faults
@@ -77,27 +78,27 @@ class SteadyDrive(RobotDrive):
         )  # fmt: skip
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin a motion to a depth. Raises DeviceFault beyond the travel or the highest speed."""
+        """Begin to move to a depth. Raises DeviceFault beyond the travel or the fastest speed."""
         if not (abs(depth_mm) <= self._deepest_mm and velocity_mm_s <= self._fastest[0]):
             raise DeviceFault(f"simulated drive: {depth_mm:g} mm at {velocity_mm_s:g} mm/s is beyond its limits")
         self._goals[0], self._speeds[0] = depth_mm, velocity_mm_s
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin a rotation to a roll. Raises DeviceFault above the highest speed."""
+        """Begin to turn to a roll. Raises DeviceFault above the fastest speed."""
         if not velocity_rad_s <= self._fastest[1]:
             raise DeviceFault(f"simulated drive: {velocity_rad_s:g} rad/s is beyond its limits")
         self._goals[1], self._speeds[1] = roll_rad, velocity_rad_s
 
     def stop(self) -> None:
-        """Stop at the present position."""
+        """Stand still where the axes are."""
         self._wanted = [self._measured[0], self._measured[1]]
         self._goals = list(self._wanted)
 
 
 class RobotServer:
-    """A robot on a UDP socket of this machine, in real time.
+    """A robot on a UDP socket of this machine, in real time; a context manager.
 
-    `run` serves in the calling thread until `close`; the context manager serves in its own thread.
+    `run` serves in the thread that calls it, until `close`; a context manager serves in a thread of its own.
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class RobotServer:
         return f"udp://{self.host}:{self.port}"
 
     def run(self) -> None:
-        """Tick and answer until `close`; a tick that begins more than one interval late is an overrun."""
+        """Tick and answer until `close`; a tick that begins more than its interval late is an overrun."""
         due_s = time.monotonic()
         while not self._stopping.is_set():
             due_s += self.interval_s
@@ -133,20 +134,20 @@ class RobotServer:
             if late_s > self.interval_s:
                 self.machine.overruns += 1
                 self.worst_overrun_s = max(self.worst_overrun_s, late_s)
-                due_s += late_s  # lost time is not made up
+                due_s += late_s  # the time that is lost is not made up for
             self.ticks += 1
             sent = self.machine.tick(time.monotonic_ns())
             if sent is not None:
                 self._send(*sent)
 
     def _listen_until(self, due_s: float) -> None:
-        # Waiting datagrams are received before the tick tests the watchdog, also after a pause of this process; the
-        # number is limited, so that a flood of datagrams cannot delay the test.
+        # What has come is heard before the watchdog looks, also where this process was stopped for a while; but who
+        # sends without end does not keep the watchdog from looking.
         overtime = _MOST_OVERTIME
         while overtime:
             left_s = max(due_s - time.monotonic(), 0.0)
             overtime -= left_s == 0
-            # `select` instead of a timeout of the socket, which would be rounded up to whole milliseconds.
+            # A time-out of the socket would be rounded up to whole milliseconds.
             if not select.select([self._socket], [], [], left_s)[0]:
                 return
             try:
@@ -162,11 +163,11 @@ class RobotServer:
             self._socket.sendto(datagram, peer)
 
     def stop(self) -> None:
-        """Let `run` return after its present tick."""
+        """Let `run` return after its tick."""
         self._stopping.set()
 
     def close(self) -> None:
-        """Stop serving."""
+        """Switch it off."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join()
@@ -189,19 +190,19 @@ _TICK_NS = 1_000_000
 
 @dataclass
 class Way:
-    """Faults to simulate on the datagrams of one direction."""
+    """What happens to datagrams of one direction from now on."""
 
     cut: bool = False
     lose: int = 0
-    """Number of next datagrams to lose."""
+    """So many of the next are lost."""
 
     double: int = 0
     delay_s: float = 0.0
     seen: list[bytes] = field(default_factory=list)
-    """All sent datagrams, including lost ones."""
+    """All that were sent, lost or not."""
 
     def copies(self, datagram: bytes) -> int:
-        """Return how often a datagram arrives."""
+        """Return how many of a datagram arrive."""
         self.seen.append(datagram)
         if self.cut or self.lose:
             self.lose -= bool(self.lose)
@@ -211,7 +212,7 @@ class Way:
 
 
 class RobotNetwork:
-    """Connects a robot and its controllers within a process; the clock of the robot is `ahead_ns` ahead of `clock`."""
+    """Carries datagrams between a robot and its controllers; the robot's clock is `ahead_ns` ahead of `clock`."""
 
     def __init__(self, machine: RobotMachine, clock: VirtualClock, ahead_ns: int = 77_000_000_000) -> None:
         self.machine, self.clock, self.ahead_ns = machine, clock, ahead_ns
@@ -223,7 +224,7 @@ class RobotNetwork:
         self._inboxes: dict[Peer, deque[bytes]] = {}
 
     def link(self, name: str = "controller") -> RobotLink:
-        """Return the link of a controller; `name` is its host."""
+        """Return a link of a controller with a name, which is its host."""
         peer = (name, 1)
         self._inboxes[peer] = deque()
         return RobotLink(self, peer, self._inboxes[peer])
@@ -233,7 +234,7 @@ class RobotNetwork:
         self._put(self._coming, self.to_robot, datagram, peer)
 
     def pass_until(self, end_ns: int, inbox: deque[bytes] | None = None) -> None:
-        """Advance the clock to `end_ns`, or until `inbox` has a datagram."""
+        """Let time pass, at most until there is something in `inbox`."""
         while not inbox:
             now_ns = self.clock.now_ns()
             waiting = [queue[0][0] for queue in (self._coming, self._going) if queue]
@@ -268,7 +269,7 @@ class RobotNetwork:
 
 
 class RobotLink(Link):
-    """The link of one controller."""
+    """The end of a controller."""
 
     def __init__(self, network: RobotNetwork, peer: Peer, inbox: deque[bytes]) -> None:
         self._network, self._peer, self._inbox = network, peer, inbox
@@ -280,13 +281,13 @@ class RobotLink(Link):
         self._network.send(data, self._peer)
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next datagram; empty after `timeout_s`. Advances the clock."""
+        """Return the next datagram, or let `timeout_s` pass."""
         self._require_open()
         self._network.pass_until(self._network.clock.now_ns() + round(timeout_s * _NANO), self._inbox)
         return self._inbox.popleft() if self._inbox else b""
 
     def close(self) -> None:
-        """Close the link."""
+        """Give the link up."""
         self._closed = True
 
     def _require_open(self) -> None:

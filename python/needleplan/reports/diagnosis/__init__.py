@@ -1,5 +1,5 @@
 """A diagnosis on files: model and data in, a folder with the diagnosis out."""
 
-from needleplan.reports.diagnosis.folder import diagnose_files, write_folder
+from needleplan.reports.diagnosis.folder import FILES, diagnose_files, write_folder
 
-__all__ = ["diagnose_files", "write_folder"]
+__all__ = ["FILES", "diagnose_files", "write_folder"]

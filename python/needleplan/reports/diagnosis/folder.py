@@ -17,7 +17,11 @@ from needleplan.recording import read_records
 from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
 from needleplan.reports.diagnosis.report import report_of
 
-__all__ = ["diagnose_files", "write_folder"]
+__all__ = ["FILES", "diagnose_files", "write_folder"]
+
+
+FILES = ("diagnosis.json", "report.html", "model.toml", "next_motion.toml", "effect_to_name.py", "scenario.toml")
+"""Names of all files that a diagnosis may write into its folder."""
 
 
 def diagnose_files(

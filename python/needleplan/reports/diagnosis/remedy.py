@@ -50,7 +50,7 @@ class Remedy:
         if self.torsion:
             found["--torsion"] = f"{self.torsion.stiffness_n_mm2:.6g},{self.torsion.torque_per_length_n:.6g}"
         if abs(self.turned_rad) > _TURNED_RAD:
-            found["--roll-left"] = f"{self.turned_rad:.4f}"
+            found["--roll-left-deg"] = f"{math.degrees(self.turned_rad):.2f}"
         return found
 
 

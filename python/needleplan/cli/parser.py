@@ -1,0 +1,114 @@
+"""Reading the command line: suggestions for misspelt words, whole numbers, old spellings of options."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from decimal import Decimal, InvalidOperation
+from typing import Any, Never
+
+__all__ = ["Parser", "add_old_spelling", "suggestion", "whole"]
+
+_MOST_DIGITS = 18  # digits of the largest whole number that is accepted; 64-bit integers hold them
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that suggests the word that was probably meant.
+
+    Without any argument, a parser that has commands prints its help on standard output and exits with code 2.
+    """
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse arguments; print the usage and exit with code 2 if one of them is unknown."""
+        given = sys.argv[1:] if args is None else list(args)
+        if self._commands() and not given:
+            self.print_help()
+            self.exit(2)
+        self._require_known(given)
+        return super().parse_known_args(given, namespace)
+
+    def error(self, message: str) -> Never:
+        """Print the usage and the message, and exit with code 2."""
+        self.print_usage(sys.stderr)
+        self.exit(2, f"{self.prog}: {message}\n")
+
+    def _commands(self) -> bool:
+        return any(isinstance(action, argparse._SubParsersAction) for action in self._actions)
+
+    def _require_known(self, given: Sequence[str]) -> None:
+        """Refuse unknown options before argparse complains about what is missing because of them."""
+        for word in given:
+            if word == "--" or (not word.startswith("-") and self._commands()):
+                return
+            name = word.partition("=")[0]
+            if not word.startswith("--") or " " in name:
+                continue
+            if not any(known.startswith(name) for known in self._option_string_actions):
+                self.error(f"unknown option {name}{suggestion(name, self._shown_options())}")
+
+    def _shown_options(self) -> Iterable[str]:
+        for name, action in self._option_string_actions.items():
+            if name.startswith("--") and action.help != argparse.SUPPRESS:
+                yield name
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is None or value in action.choices:
+            return
+        words = [str(choice) for choice in action.choices]
+        if isinstance(action, argparse._SubParsersAction):
+            rule = f'there is no command "{value}"{suggestion(str(value), words)}'
+            self.error(f"{rule} (`{self.prog} --help` lists the commands)")
+        rule = f'must be one of {", ".join(words)}, not "{value}"{suggestion(str(value), words)}'
+        raise argparse.ArgumentError(action, rule)
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Return `; did you mean "..."?` with the most similar known word, or nothing if none is similar."""
+    similar = difflib.get_close_matches(word, list(known), 1)
+    return f'; did you mean "{similar[0]}"?' if similar else ""
+
+
+def whole(text: str) -> int:
+    """Return the whole number that a text stands for, such as `500` or `1e4`.
+
+    Raises ArgumentTypeError if the text is not a whole number of at most 18 digits.
+    """
+    try:
+        number = Decimal(text)
+    except InvalidOperation:
+        number = Decimal("nan")
+    if not number.is_finite() or number.adjusted() >= _MOST_DIGITS or number != int(number):
+        raise argparse.ArgumentTypeError(f'must be a whole number such as 500 or 1e4, not "{text}"')
+    return int(number)
+
+
+def add_old_spelling(
+    parser: argparse.ArgumentParser,
+    old: str,
+    new: str,
+    *,
+    convert: Callable[[str], Any] = str,
+) -> None:
+    """Accept the old spelling of an option, hidden from the help, and tell the user the new one.
+
+    Parameters
+    ----------
+    parser
+        The parser that has the option `new` already.
+    old, new
+        The two spellings.
+    convert
+        Makes the value of the new option from the text that was given to the old one.
+
+    """
+    dest = parser._option_string_actions[new].dest
+
+    class OldSpelling(argparse.Action):
+        def __call__(self, _: Any, namespace: argparse.Namespace, values: Any, option_string: Any = None) -> None:
+            setattr(namespace, dest, values)
+            print(f"needleplan: {option_string} is now {new}; the old spelling will be removed", file=sys.stderr)
+
+    parser.add_argument(old, action=OldSpelling, type=convert, dest=f"_{dest}", default=argparse.SUPPRESS,
+                        help=argparse.SUPPRESS)  # fmt: skip

@@ -1,0 +1,115 @@
+"""Ctrl-C, sent for real, at random moments: exit code 130 and never a traceback."""
+
+from __future__ import annotations
+
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import SMALL
+
+TRIES = 8
+LONGEST_S = 1.5
+BEGUN = re.compile(r"\| +argparse$")  # the import that follows the handler
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("interrupt")
+    slow = SMALL.replace("tolerance = 1e-3", 'tolerance = 1e-9\nmethod = "vi"')
+    (path / "slow.toml").write_text(slow.replace("[solver]", "[grid]\nspacing_mm = [0.2, 0.2]\n[solver]"))
+    return path
+
+
+def interrupted(arguments: list[str], after_s: float, cwd: Path, start: list[str]) -> tuple[int, str]:
+    """Start the program, interrupt it some time after it has begun, and return its exit code and what it said."""
+    process = subprocess.Popen(
+        [sys.executable, "-X", "importtime", *start, *arguments],
+        cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        # A background job of a shell ignores interrupts, and so would its children.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    with process:
+        assert process.stderr is not None
+        said = []
+        for line in process.stderr:
+            said.append(line)
+            if BEGUN.search(line):
+                break
+        time.sleep(after_s)
+        process.send_signal(signal.SIGINT)
+        said += process.stderr.readlines()
+    return process.returncode, "".join(line for line in said if not line.startswith("import time:"))
+
+
+@pytest.mark.parametrize("seed", range(TRIES))
+def test_an_interrupt_at_any_moment(seed: int, folder: Path) -> None:
+    after_s = random.Random(seed).uniform(0.0, LONGEST_S) * (seed > 0)
+    entry = ["-c", "import sys; from needleplan.cli import main; sys.exit(main())"]
+    start = entry if seed % 2 else ["-m", "needleplan"]
+    code, said = interrupted(["plan", "slow.toml", "-o", "table.h5"], after_s, folder, start)
+    assert "Traceback" not in said
+    assert "KeyboardInterrupt" not in said
+    assert code == 130
+    assert said.splitlines()[-1] == "needleplan: interrupted"
+    assert [each.name for each in folder.iterdir()] == ["slow.toml"]
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_second_interrupt_ends_at_once(seed: int, folder: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "needleplan", "plan", "slow.toml"],
+        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    assert process.stderr is not None
+    process.stderr.readline()
+    for _ in range(2):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.02 * seed)
+    _, said = process.communicate(timeout=60)
+    assert "Traceback" not in said
+    assert said.splitlines()[-1] == "needleplan: interrupted"
+    assert process.returncode in (130, -signal.SIGINT)  # a shell reports 130 for both
+
+
+def test_an_interrupt_where_python_cannot_raise_it_ends_the_program() -> None:
+    code = """if True:
+        import signal, sys
+        from needleplan import cli
+        class Dying:
+            def __del__(self):
+                signal.raise_signal(signal.SIGINT)
+                sum(range(1000))
+        import needleplan.cli.program as program
+        def run_command(_):
+            Dying()
+            return 0
+        program.run_command = run_command
+        sys.exit(cli.main())
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (130, "needleplan: interrupted\n")
+
+
+def test_an_interrupt_that_a_library_turns_into_an_error_is_one() -> None:
+    code = """if True:
+        import signal, sys
+        from needleplan import cli
+        import needleplan.cli.program as program
+        def run_command(_):
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except KeyboardInterrupt:
+                raise ImportError("cannot import name") from None
+        program.run_command = run_command
+        sys.exit(cli.main())
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (130, "needleplan: interrupted\n")
