@@ -19,12 +19,17 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["InPlane", "in_plane"]
 
+# Newton steps for the roll angle.
 _ROUNDS = 12
+# Step of the difference quotient, and largest Newton step, rad.
 _STEP_RAD, _FARTHEST_RAD = 1e-4, 0.5
+# Slope of the curvature over the roll angle below which no Newton step is taken, 1/(mm rad).
 _FLAT_PER_MM = 1e-9
+# Rotation of the base after which the tip lags in full, rad.
 _FAR_RAD = 100.0
+# Smallest curvature for the planner, 1/mm; the path of a beam begins straight.
 _LEAST_PER_MM = 1e-5
-"""A beam goes in straight at first; a plan needs a radius."""
+# Spacing of the inserted lengths, mm.
 _SPACING_MM = 0.5
 
 
@@ -134,7 +139,7 @@ def _rolled(model: SteeredModel, depth: Array, velocity_mm_s: float, wanted_rad:
     def bend(roll: Array) -> Array:
         return np.asarray(model.bend_per_mm(_motion(depth, velocity_mm_s, roll), roll))
 
-    for _ in range(_ROUNDS):  # Newton's, from the side on
+    for _ in range(_ROUNDS):  # Newton's method, from the direction of the side
         out = bend(roll)[1]
         slope = (bend(roll + _STEP_RAD)[1] - bend(roll - _STEP_RAD)[1]) / (2 * _STEP_RAD)
         steep = np.abs(slope) > _FLAT_PER_MM

@@ -108,7 +108,7 @@ class DiscreteFilter:
         first = self.denominator[0]
         b, a = np.array(self.numerator) / first, np.array(self.denominator) / first
         out = value * b.sum() / a.sum()
-        # What each place holds is what the later coefficients still make of input and output.
+        # Each state is the sum of the later coefficients times input and output.
         return np.cumsum((b * value - a * out)[:0:-1])[::-1]
 
 
@@ -204,12 +204,15 @@ class AverageStream:
         return sum(self._last) / len(self._last)
 
 
+# Noise of the position above which the sensor counts as a tracker and not as an encoder, mm.
 _NOISY_MM = 0.02
-"""Noise of the position from which on a tracker is assumed rather than an encoder."""
-
+# Window of the polynomial filter, s.
 _WINDOW_S = 0.1
+# Relative deviation of a sampling interval above which the samples count as uneven.
 _UNEVEN = 0.02
+# Standard deviation of the third difference of white noise with unit variance.
 _THIRD_DIFFERENCE_SD = 20**0.5
+# Ratio of the standard deviation to the median absolute deviation, for Gaussian noise.
 _MAD_TO_SD = 1.4826
 
 

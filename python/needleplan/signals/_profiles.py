@@ -21,8 +21,8 @@ from needleplan.signals._record import Array, Motion
 
 __all__ = ["Start", "cycles", "insertion_cycles", "lspb", "sinusoid"]
 
+# Share of the largest speed below which the sign of a measured velocity is ignored.
 _MOVING = 0.05
-"""Share of the largest speed below which a sample says nothing about the direction of a measured motion."""
 
 
 class Start(StrEnum):
@@ -175,7 +175,7 @@ def _pieces(
                 velocities.append(sign * velocity)
                 accelerations.append(sign * change)
     times_ = np.array(times)
-    # What follows the end is rest at the last depth.
+    # After the end the needle rests at the last depth.
     return times_, np.array([*starts, depths[-1]]), np.array([*velocities, 0.0]), np.array([*accelerations, 0.0])
 
 

@@ -17,6 +17,7 @@ from needleplan.signals._record import Array
 
 __all__ = ["TrackerEstimate", "TrackerFilter", "TrackerModel", "TrackerStream"]
 
+# Standard deviations of the unknown initial velocity (mm/s) and acceleration (mm/s^2).
 _UNKNOWN_VELOCITY_MM_S = 100.0
 _UNKNOWN_ACCELERATION_MM_S2 = 1000.0
 

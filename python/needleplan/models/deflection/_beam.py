@@ -28,6 +28,7 @@ from needleplan.signals import Array
 
 __all__ = ["AxialTerms", "Beam", "ElasticTissue", "Foundation", "NeedleShaft"]
 
+# Closed range of every field of `NeedleShaft`, in its unit.
 _RANGES = {
     "outer_diameter_mm": (0.05, 10.0),
     "inner_diameter_mm": (0.0, 10.0),

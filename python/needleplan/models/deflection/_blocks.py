@@ -18,6 +18,7 @@ __all__ = ["Blocks", "solve_blocks"]
 Blocks = Sequence[Sequence[Array]]
 """Four entries [row][column], each of shape (blocks, systems)."""
 
+# Number of systems below which LAPACK is faster.
 _FEW = 48
 
 

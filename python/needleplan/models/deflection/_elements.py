@@ -32,6 +32,7 @@ from needleplan.signals import Array
 
 __all__ = ["ElementShape", "end_stiffness", "hermite", "outer_shape", "solve_elements", "solve_uniform"]
 
+# Terms of the series of a Stumpff function.
 _TERMS = 16
 
 
@@ -68,8 +69,8 @@ def _stumpff(order: int, z: Array) -> Array:
     return total
 
 
+# Number of insertions that are solved together; limits the memory.
 _AT_ONCE = 4096
-"""Insertions solved together: more gain nothing, and their matrices take memory."""
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _POINTS, _WEIGHTS = (_POINTS + 1) / 2, _WEIGHTS / 2

@@ -27,6 +27,7 @@ from needleplan.signals import Array
 
 __all__ = ["ExactShape", "solve_exact"]
 
+# Newton steps for the root of the resolvent cubic.
 _NEWTON_STEPS = 12
 
 

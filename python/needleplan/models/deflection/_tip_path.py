@@ -69,12 +69,14 @@ class TipPath(SelfIntegratingModel):
     bending: float = parameter("N mm2", 1.0, 1e7, "EI of the needle", free=False)
     stiffness: float = parameter("N/mm2", 1e-5, 10.0, "kf of the tissue, force per length and displacement", free=False)
     bevel: float = constant("rad", 0.01, math.pi / 2, "angle between bevel face and axis")
-    slope: float = parameter("rad", -0.5, 0.5, "of the insertion against the record's axis", default=0.0, typical=0.01)
+    slope: float = parameter(
+        "rad", -0.5, 0.5, "slope of the insertion relative to the record's axis", default=0.0, typical=0.01
+    )
     offset: float = parameter("mm", -100.0, 100.0, "lateral position of the entry", default=0.0, typical=0.1)
-    anchoring: float = constant("", 0.0, 1.0, "mu, the part of the tip's path that the tissue keeps", default=1.0)
-    entry: float = constant("mm", 0.01, 100.0, "e, over which the force comes up after the entry", default=5.0)
-    depth_factor: float = constant("", 0.2, 5.0, "g, radius over that of a deep needle", default=1.0)
-    side: float = constant("", -1.0, 1.0, "to which the bevel pushes with the base at angle 0", default=1.0)
+    anchoring: float = constant("", 0.0, 1.0, "mu, share of the tip's path that the tissue keeps", default=1.0)
+    entry: float = constant("mm", 0.01, 100.0, "e, length over which the force rises after the entry", default=5.0)
+    depth_factor: float = constant("", 0.2, 5.0, "g, ratio of the radius to that of a deep needle", default=1.0)
+    side: float = constant("", -1.0, 1.0, "side to which the bevel pushes with the base at angle 0", default=1.0)
     tracked: float = constant("mm", 0.0, 50.0, "distance of the tracked point behind the tip", default=0.0)
 
     @classmethod
@@ -192,8 +194,10 @@ class SpatialBeam(SpatialBicycle):
 
     name: ClassVar[str] = "spatial_beam"
 
-    felt_mm: float = constant("mm", 0.0, 500.0, "f = 1/lam, over which the needle feels what is done to it", default=40)
-    rise_mm: float = constant("mm", 0.01, 100.0, "e, over which the force comes up after the entry", default=5.0)
+    felt_mm: float = constant(
+        "mm", 0.0, 500.0, "f = 1/lam, length over which a local load bends the needle", default=40
+    )
+    rise_mm: float = constant("mm", 0.01, 100.0, "e, length over which the force rises after the entry", default=5.0)
 
     @classmethod
     def of(cls, needle: NeedleShaft, tissue: ElasticTissue, cutting_force_n: float) -> SpatialBeam:
@@ -253,7 +257,9 @@ class InsertionForce(Model):
     name: ClassVar[str] = "insertion_force"
     channel: ClassVar[Channel] = Channel.FORCE
 
-    offset: float = parameter("N", -10.0, 10.0, "F0: Coulomb friction, rest of the rupture, zero", typical=0.1)
+    offset: float = parameter(
+        "N", -10.0, 10.0, "F0, offset: Coulomb friction, remainder of the rupture, zero of the sensor", typical=0.1
+    )
     friction: float = parameter("N s/mm2", -1e-2, 1e-2, "vf, friction per length and velocity", typical=1e-4)
     cutting_force: float = parameter("N", 0.0, 10.0, "Fc, force on the bevel face", typical=0.1, free=False)
     bevel: float = constant("rad", 0.01, math.pi / 2, "angle between bevel face and axis", default=math.pi / 6)

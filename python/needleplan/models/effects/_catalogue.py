@@ -42,8 +42,8 @@ def _breaths(reach: Reach) -> list[dict[str, float]]:
     return found
 
 
+# Largest velocity of a breath, as a share of amplitude times angular frequency.
 _STEEPEST = 0.65
-"""Greatest velocity of a breath, in parts of way times angular frequency."""
 
 
 def _other_breaths(values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:

@@ -22,9 +22,10 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["Bias", "Drift", "GainError", "Inertia", "Lagging", "ThermalDrift"]
 
+# Force in N of a mass of 1 kg at 1 mm/s^2.
 _N_PER_KG_MM_S2 = 1e-3
+# Time constant of the acceleration filter, s; shorter than the lag of a force sensor.
 _DIFFERENCE_S = 0.005
-"""Over which an acceleration is taken: shorter than the lag of a sensor, which the calibration finds for all forces."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +33,7 @@ class Bias(Memoryless):
     """A constant offset of the sensor."""
 
     name: ClassVar[str] = "bias"
-    size: float = parameter("N", -20, 20, "reading without a force", typical=0.01)
+    size: float = parameter("N", -20, 20, "reading at zero force", typical=0.01)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return one."""
@@ -44,7 +45,7 @@ class Drift(Memoryless):
     """A linear drift of the sensor's zero from the begin of each trial."""
 
     name: ClassVar[str] = "drift"
-    size: float = parameter("N/s", -1, 1, "how fast the reading moves", typical=1e-3)
+    size: float = parameter("N/s", -1, 1, "rate of the zero", typical=1e-3)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return the time."""
@@ -56,7 +57,7 @@ class ThermalDrift(Memoryless):
     """An exponential drift of the sensor's zero while it warms up, from the begin of each trial."""
 
     name: ClassVar[str] = "thermal_drift"
-    size: float = parameter("N", -20, 20, "how far the reading moves in the end", typical=0.01)
+    size: float = parameter("N", -20, 20, "final shift of the zero", typical=0.01)
     time_s: float = parameter("s", 0.1, 1e4, "time constant of the warming")
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
@@ -73,7 +74,7 @@ class GainError(Memoryless):
     """
 
     name: ClassVar[str] = "gain_error"
-    size: float = parameter("", -0.9, 5, "share by which forces read too large", typical=0.01)
+    size: float = parameter("", -0.9, 5, "relative error of the gain", typical=0.01)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return the force."""
@@ -109,12 +110,16 @@ class Inertia(Term):
         return np.asarray(_N_PER_KG_MM_S2 * (motion.velocity_mm_s - state[0]) / _DIFFERENCE_S)
 
 
+# Number of first-order lags in series.
 _STAGES = 256
+# Smallest lag of a stage, s; avoids a division by zero.
 _SHORTEST_S = 1e-9
+# Share of the step response after which the impulse response is truncated.
 _FORGOTTEN = 1e-13
+# Relative deviation of a sampling interval above which the samples count as uneven.
 _EVEN = 1e-3
+# Steps of the even grid per median interval of unevenly sampled records.
 _FINER = 4
-"""Steps of an even grid in a sample of uneven ones."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +131,7 @@ class Lagging(SelfIntegratingModel):
     """
 
     base: Model
-    size: float = parameter("s", 0, 10, "time by which the reading is late", typical=0.01)
+    size: float = parameter("s", 0, 10, "delay of the reading", typical=0.01)
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
@@ -176,7 +181,7 @@ def _pass(force: Array, time_s: Array, start: Array, lag_s: float, found: Array)
         found[:] = stages[:, left] + (at - left) * (stages[:, left + 1] - stages[:, left])
         return
     count = min(int(np.ceil(gammaincinv(_STAGES, 1 - _FORGOTTEN) * lag_s / h)) + 2, len(force) + 1)
-    # What a ramp shows at the stages: what a force does that is straight between samples is of its second differences.
+    # Ramp response of the stages; the second differences of a piecewise linear force weight it.
     spent, order = h / lag_s * np.arange(count)[:, None], np.arange(1, _STAGES + 2)
     through = gammainc(order, spent)
     ramp = lag_s / h * (spent * through[:, :-1] - order[:-1] * through[:, 1:])
@@ -185,7 +190,7 @@ def _pass(force: Array, time_s: Array, start: Array, lag_s: float, found: Array)
     rows = np.array([before[count - 2 - past : len(before) - past] for past in range(count - 1)])
     np.matmul(np.ascontiguousarray(weights.T), rows, out=found)
     other = start - force[0]
-    if other.any():  # it begins with something in the line
+    if other.any():  # the stages do not start at the first force
         passed = np.arange(_STAGES)
         for index in range(min(count, len(force))):
             its = index * h / lag_s

@@ -40,7 +40,7 @@ class PathTerm(Term):
     """Abstract base class of a term whose memory is Dahl's bristle z of the shaft and the largest depth so far (mm)."""
 
     order: ClassVar[int] = 2
-    presliding_mm: float = constant("mm", 1e-4, 50, "travel over which the bristle turns round", default=0.05)
+    presliding_mm: float = constant("mm", 1e-4, 50, "travel over which the bristle reverses", default=0.05)
 
     def initial(self, motion: Motion) -> Array:
         """Return a straight bristle, and the first depth as the largest."""
@@ -69,6 +69,7 @@ def decaying(decay: Array, target: Array, start: float) -> Array:
     return recurrence(decay, target * (1 - decay), start)
 
 
+# Length of a cell of the path, mm, and number of cells: the memory covers 150 mm.
 _CELL_MM = 2.0
 _CELLS = 75
 
@@ -82,8 +83,8 @@ class FrictionLayer(PathTerm):
     """A deeper layer of tissue with higher or lower friction."""
 
     name: ClassVar[str] = "friction_layer"
-    size: float = parameter("N/mm", -1, 1, "friction per length in the layer, above that before it", typical=1e-3)
-    depth_mm: float = parameter("mm", 0, 500, "where the layer begins", typical=1.0)
+    size: float = parameter("N/mm", -1, 1, "friction per length in the layer minus that before it", typical=1e-3)
+    depth_mm: float = parameter("mm", 0, 500, "begin of the layer", typical=1.0)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return the length of the shaft in the layer, with the sign of the friction."""
@@ -95,8 +96,8 @@ class Stribeck(PathTerm):
     """Friction that is higher at low speed, by a share of the model's friction, which differs from trial to trial."""
 
     name: ClassVar[str] = "stribeck"
-    size: float = parameter("", 0, 20, "share of the friction that comes to it at rest", typical=0.1)
-    speed_mm_s: float = parameter("mm/s", 1e-2, 100, "speed over which it goes")
+    size: float = parameter("", 0, 20, "additional friction at rest, as a share of the friction", typical=0.1)
+    speed_mm_s: float = parameter("mm/s", 1e-2, 100, "speed over which the additional friction decays")
     friction: float = constant("N/mm", 0, 10, "friction per inserted length of the model", default=1.0)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
@@ -124,8 +125,8 @@ class Relaxation(PathTerm):
     name: ClassVar[str] = "relaxation"
     order: ClassVar[int] = 3
     size: float = parameter("", 0, 1, "share of the force that relaxes", typical=0.1)
-    time_s: float = parameter("s", 0.02, 1e3, "time over which it does")
-    recovery_mm: float = parameter("mm", 1e-3, 20, "travel after which it is back")
+    time_s: float = parameter("s", 0.02, 1e3, "time constant of the relaxation")
+    recovery_mm: float = parameter("mm", 1e-3, 20, "travel over which the force recovers")
 
     def initial(self, motion: Motion) -> Array:
         """Return the initial memory, with nothing relaxed."""
@@ -155,7 +156,7 @@ class PathDamage(PathTerm):
     name: ClassVar[str] = "path_damage"
     order: ClassVar[int] = 2 + _CELLS
     size: float = parameter("", 0, 1.5, "share of the friction that wears away", typical=0.2)
-    sliding_mm: float = parameter("mm", 0.5, 5000, "way of sliding over which it does")
+    sliding_mm: float = parameter("mm", 0.5, 5000, "sliding distance over which the friction wears away")
     friction: float = constant("N/mm", 0, 10, "friction per inserted length of the model", default=1.0)
 
     def initial(self, motion: Motion) -> Array:
@@ -221,8 +222,8 @@ class Bump(PathTerm):
 
     name: ClassVar[str] = "bump"
     size: float = parameter("N", -20, 20, "force at the place", typical=0.1)
-    depth_mm: float = parameter("mm", 0, 500, "place of the tip", typical=1.0)
-    width_mm: float = parameter("mm", 0.1, 30, "half width, to 1/e")
+    depth_mm: float = parameter("mm", 0, 500, "depth of the tip at the place", typical=1.0)
+    width_mm: float = parameter("mm", 0.1, 30, "half width at 1/e")
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return a Gaussian around the place, against the movement."""
@@ -240,9 +241,9 @@ class Puncture(PathTerm):
 
     name: ClassVar[str] = "puncture"
     size: float = parameter("N", 0, 20, "force at which the membrane breaks", typical=0.1)
-    depth_mm: float = parameter("mm", 0, 500, "where it breaks", typical=1.0)
-    bulge_mm: float = parameter("mm", 0.1, 30, "how far it is pushed in before it breaks; force grows by e per bulge")
-    release_mm: float = constant("mm", 1e-3, 10, "way over which the force is gone once it broke", default=0.3)
+    depth_mm: float = parameter("mm", 0, 500, "depth at which the membrane breaks", typical=1.0)
+    bulge_mm: float = parameter("mm", 0.1, 30, "travel over which the force grows by the factor e")
+    release_mm: float = constant("mm", 1e-3, 10, "travel over which the force decays after the break", default=0.3)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return exp((L - depth)/bulge) until the membrane breaks, and the decay after it."""
@@ -256,9 +257,9 @@ class CuttingLayer(PathTerm):
     """A deeper layer of tissue with a higher or lower cutting force."""
 
     name: ClassVar[str] = "cutting_layer"
-    size: float = parameter("N", -20, 20, "cutting force in the layer, above that before it", typical=0.1)
-    depth_mm: float = parameter("mm", 0, 500, "where the layer begins", typical=1.0)
-    width_mm: float = parameter("mm", 0.05, 20, "over which one layer goes over into the other")
+    size: float = parameter("N", -20, 20, "cutting force in the layer minus that before it", typical=0.1)
+    depth_mm: float = parameter("mm", 0, 500, "begin of the layer", typical=1.0)
+    width_mm: float = parameter("mm", 0.05, 20, "half width of the transition between the layers")
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return a smooth step in depth."""
@@ -274,10 +275,12 @@ class FreshCutting(PathTerm):
     """
 
     name: ClassVar[str] = "fresh_cutting"
-    size: float = parameter("", 0, 1.5, "share of the cutting that is missing in tissue that is cut", typical=0.2)
-    margin_mm: float = parameter("mm", 0.01, 10, "how near to the end of the old path the tip cuts in full again")
+    size: float = parameter("", 0, 1.5, "missing share of the cutting force in tissue that is already cut", typical=0.2)
+    margin_mm: float = parameter(
+        "mm", 0.01, 10, "distance from the end of the old path over which the cutting force returns"
+    )
     cutting: float = constant("N", 0, 100, "cutting force of the model", default=1.0)
-    onset_mm: float = constant("mm", 1e-2, 50, "depth over which it comes up in the model", default=1e-2)
+    onset_mm: float = constant("mm", 1e-2, 50, "depth over which the cutting force of the model rises", default=1e-2)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return minus the cutting force of a tip within its old path."""

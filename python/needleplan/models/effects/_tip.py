@@ -41,7 +41,7 @@ class Altered(SteeredModel):
     """Abstract base class of a model around another one, whose unchanged properties it takes over."""
 
     base: SteeredModel
-    size: float = parameter("", -1e9, 1e9, "how much of it", typical=1.0)
+    size: float = parameter("", -1e9, 1e9, "amplitude", typical=1.0)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
         """Return the curvature of the base model."""
@@ -83,16 +83,17 @@ def direction_yz(angle_rad: float, like: Array) -> Array:
     return np.array([0 * one, np.cos(angle_rad) * one, np.sin(angle_rad) * one])
 
 
+# Speed at which `SpeedCurvature` does not change the curvature, mm/s.
 _USUAL_MM_S = 5.0
+# Length over which a layer begins, mm; makes the output a smooth function of the depth of the layer.
 _EDGE_MM = 1.0
-"""Over that length a layer begins: needed for a depth that can be fitted, too short to be seen."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurvatureLayer(Altered):
     """A deeper layer of tissue in which the curvature of the path is larger or smaller."""
 
-    size: float = parameter("", -1, 5, "share by which the path bends more in the layer", typical=0.1)
+    size: float = parameter("", -1, 5, "relative change of the curvature in the layer", typical=0.1)
     depth_mm: float = parameter("mm", 0.5, 1000, "depth at which the layer begins")
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
@@ -105,7 +106,7 @@ class CurvatureLayer(Altered):
 class SpeedCurvature(Altered):
     """A curvature that depends on the speed of the insertion."""
 
-    size: float = parameter("", -0.9, 2, "share by which the path bends more for each 5 mm/s", typical=0.05)
+    size: float = parameter("", -0.9, 2, "relative change of the curvature for each 5 mm/s", typical=0.05)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
         """Return the curvature of the base, times 1 + size (v / 5 mm/s - 1)."""
@@ -117,8 +118,8 @@ class SpeedCurvature(Altered):
 class EntryRupture(Altered):
     """A different curvature just behind the entry, where the skin guides the needle or its rupture bends it."""
 
-    size: float = parameter("", -20, 50, "share by which the path bends more at the entry", typical=0.2)
-    length_mm: float = parameter("mm", 0.2, 30, "over which that decays")
+    size: float = parameter("", -20, 50, "relative change of the curvature at the entry", typical=0.2)
+    length_mm: float = parameter("mm", 0.2, 30, "length over which the change decays")
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
         """Return the curvature of the base, times 1 + size exp(-depth / length)."""
@@ -130,7 +131,7 @@ class EntryRupture(Altered):
 class TwistedNeedle(Altered):
     """A backlash between base and tip in rotation that grows with the inserted length (see `Torsion`)."""
 
-    size: float = parameter("rad/mm", 0, 0.1, "lag of the tip, for each mm that is inserted", typical=1e-3)
+    size: float = parameter("rad/mm", 0, 0.1, "lag of the tip per inserted length", typical=1e-3)
 
     def following(self, roll_rad: Array, motion: Motion) -> Array:
         """Return the roll of the tip within the backlash of the base."""
@@ -169,8 +170,10 @@ class Sagging(Altered):
     field, except for its decay.
     """
 
-    size: float = parameter("1/mm", -0.02, 0.02, "curvature down at the entry; below 0 where z is down", typical=1e-4)
-    fading_mm: float = parameter("mm", 5, 1e4, "inserted length over which it fades")
+    size: float = parameter(
+        "1/mm", -0.02, 0.02, "downward curvature at the entry; negative if z points down", typical=1e-4
+    )
+    fading_mm: float = parameter("mm", 5, 1e4, "inserted length over which the curvature decays")
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
         """Return the curvature of the base model plus that of the weight."""
@@ -184,7 +187,7 @@ class Misalignment(Altered):
     """An insertion direction that differs from the assumed one."""
 
     size: float = parameter("rad", -0.5, 0.5, "angle between the two directions", typical=5e-3)
-    direction_rad: float = parameter("rad", -20, 20, "direction to which it is tilted, from y toward z", typical=0.3)
+    direction_rad: float = parameter("rad", -20, 20, "direction of the tilt, from y toward z", typical=0.3)
 
     def entry(self, motion: Motion) -> tuple[Array, Array]:
         """Return the entry of the base model, tilted."""
@@ -193,6 +196,7 @@ class Misalignment(Altered):
         return place, np.asarray(slopes + tilt)
 
 
+# Distance at which `TrackerDistortion` has its amplitude, mm.
 _FIELD_MM = 100.0
 
 
@@ -227,7 +231,7 @@ class CoilBehind(Shifted):
 class TrackerBias(Shifted):
     """A constant offset of the tracker."""
 
-    size: float = parameter("mm", -50, 50, "how far beside", typical=0.3)
+    size: float = parameter("mm", -50, 50, "offset", typical=0.3)
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
@@ -239,7 +243,7 @@ class TrackerBias(Shifted):
 class TrackerDistortion(Shifted):
     """A tracker field that metal distorts: the lateral error grows with the square of the distance along x."""
 
-    size: float = parameter("mm", -50, 50, "how far aside at 100 mm", typical=0.5)
+    size: float = parameter("mm", -50, 50, "lateral error at 100 mm", typical=0.5)
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:
@@ -251,7 +255,7 @@ class TrackerDistortion(Shifted):
 class DriftingTissue(Shifted):
     """Tissue that drifts sideways with the needle, from the begin of each trial."""
 
-    size: float = parameter("mm/s", -2, 2, "how fast", typical=0.01)
+    size: float = parameter("mm/s", -2, 2, "speed of the drift", typical=0.01)
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
@@ -263,7 +267,7 @@ class DriftingTissue(Shifted):
 class BreathingTarget(Shifted):
     """Tissue that moves sideways with the needle and with the breath, and dwells between breaths."""
 
-    size: float = parameter("mm", -40, 40, "how far it moves", typical=0.3)
+    size: float = parameter("mm", -40, 40, "displacement from one end to the other", typical=0.3)
     frequency_hz: float = parameter("Hz", 0.05, 2, "frequency of the breathing")
     phase_rad: float = parameter("rad", -20, 20, "phase at the begin of a trial", typical=0.3)
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)

@@ -26,8 +26,8 @@ __all__ = ["GROUP", "TIP_EFFECTS", "effect_named", "effects_of", "known_effects"
 
 Grid = Callable[[Reach], Mapping[str, Sequence[float] | np.ndarray]]
 _THESIS = "Needle steering thesis, "
+# Directions of the search grid, rad; a negative amplitude covers the other half.
 _HALF_ROUND = np.arange(12) * np.pi / 12
-"""Directions; a negative size is the other way."""
 
 
 def _nowhere(reach: Reach) -> dict[str, Sequence[float]]:  # noqa: ARG001

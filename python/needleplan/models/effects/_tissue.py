@@ -17,6 +17,7 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["BreathingTissue", "GivingTissue", "SlowTurning", "breathing_forces"]
 
+# Number of breaths that are simulated at once; their arrays fit into the cache.
 _AT_ONCE = 16
 
 
@@ -25,7 +26,7 @@ class SlowTurning(SelfIntegratingModel):
     """A model whose friction reverses over a travel that is longer by `size`; the state is that of the model."""
 
     base: ShaftAndTip
-    size: float = parameter("mm", 0, 20, "travel beyond that of the model over which friction turns round", typical=0.1)
+    size: float = parameter("mm", 0, 20, "additional travel over which friction reverses", typical=0.1)
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
@@ -74,8 +75,8 @@ class GivingTissue(SelfIntegratingModel):
     """
 
     base: ShaftAndTip | SlowTurning
-    size: float = parameter("mm", 0, 50, "how far the tissue goes with the needle", typical=0.5)
-    lag_s: float = parameter("s", 1e-3, 20, "damper over spring")
+    size: float = parameter("mm", 0, 50, "largest displacement of the tissue", typical=0.5)
+    lag_s: float = parameter("s", 1e-3, 20, "time constant, damping over stiffness")
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
@@ -124,7 +125,7 @@ def _dragged(
         pull = u + stiff * way - size * z
         sign = math.copysign(1.0, pull)
         pull, bent = abs(pull), sign * z
-        loose = size * (1 - bent) / 2  # the pull that is needed to slide for ever
+        loose = size * (1 - bent) / 2  # pull above which the needle keeps sliding
         slid = max((pull - loose) / stiff, 0.0)
         for _ in range(_MOST_STEPS if pull else 0):
             rest = math.exp(-slid / presliding_mm)
@@ -140,7 +141,9 @@ def _dragged(
     return states
 
 
+# Newton step below which the sliding distance counts as converged, mm.
 _SLID_MM = 1e-9
+# Largest number of Newton steps.
 _MOST_STEPS = 50
 
 
@@ -155,10 +158,10 @@ class BreathingTissue(SelfIntegratingModel):
     """
 
     base: Model
-    size: float = parameter("mm", 0, 30, "way of the tissue from one end to the other", typical=0.5)
+    size: float = parameter("mm", 0, 30, "displacement from one end to the other", typical=0.5)
     frequency_hz: float = parameter("Hz", 0.02, 5, "frequency of the breathing")
     phase_rad: float = parameter("rad", -20, 20, "phase at the begin of a trial", typical=1.0)
-    rest: float = parameter("", -1, 1, "how much longer it dwells at one end: 0 a sine, 1 where u = 0", typical=1.0)
+    rest: float = parameter("", -1, 1, "dwell: 0 is a sine, 1 dwells at exhalation, -1 at inhalation", typical=1.0)
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
@@ -217,7 +220,7 @@ def breathing_forces(base: ShaftAndTip, motion: Motion, breaths: Sequence[Mappin
     found = np.empty((len(breaths), len(motion)))
     sizes = np.array([[each["size"]] for each in breaths])
     rows = np.array([[each[name] for name in ("frequency_hz", "phase_rad", "rest")] for each in breaths])
-    kinds, which = np.unique(rows, axis=0, return_inverse=True)  # many differ in size only
+    kinds, which = np.unique(rows, axis=0, return_inverse=True)  # many breaths differ in their amplitude only
     moved, speed = _breathing(motion.time_s, *kinds.T[..., None])
     for first in range(0, len(breaths), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)

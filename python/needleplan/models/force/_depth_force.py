@@ -61,12 +61,14 @@ class DepthForce(LinearStateModel):
 
     channel: ClassVar[Channel] = Channel.FORCE
 
-    sigma0: float = parameter("N/mm", 1e-8, 1e2, "stiffness of the bristles: small, and the peak is high and sharp")
-    sigma1: float = parameter("N s", 1e-6, 1e4, "damping of the bristles: peak, and retraction near the entry")
-    sigma2: float = parameter("N/mm", 1e-8, 1e2, "force per depth that changes its sign with the direction")
+    sigma0: float = parameter("N/mm", 1e-8, 1e2, "stiffness of the bristles; small values make a high and sharp peak")
+    sigma1: float = parameter(
+        "N s", 1e-6, 1e4, "damping of the bristles; affects the peak, and the retraction near the entry"
+    )
+    sigma2: float = parameter("N/mm", 1e-8, 1e2, "force per depth that reverses with the direction")
     f1: float = parameter("N s", 1e-7, 1e3, "g far from the surface")
-    f2: float = parameter("N s", -1e3, 1e3, "g at the surface less g far from it", typical=0.02)
-    alpha: float = parameter("1/mm", 1e-4, 1e1, "rate of decay with depth of what is special at the surface")
+    f2: float = parameter("N s", -1e3, 1e3, "g at the surface minus g far from it", typical=0.02)
+    alpha: float = parameter("1/mm", 1e-4, 1e1, "decay rate, with depth, of the effect of the surface")
     beta: float = parameter("1/(mm s)", 1e-7, 1e3, "rate of z per depth")
 
     @property
@@ -145,8 +147,8 @@ class ForceModel2(DepthForce):
 
     name: ClassVar[str] = "force_model_2"
 
-    f2: float = constant("N s", -1e3, 1e3, "g at the surface less g far from it; fixes the scale of z")
-    alpha: float = constant("1/mm", 1e-4, 1e1, "rate of decay with depth of what is special at the surface")
+    f2: float = constant("N s", -1e3, 1e3, "g at the surface minus g far from it; fixes the scale of z")
+    alpha: float = constant("1/mm", 1e-4, 1e1, "decay rate, with depth, of the effect of the surface")
 
 
 def steady_state(model: DepthForce, depth_mm: Array) -> Array:

@@ -103,11 +103,11 @@ class Friction(Model):
 
     channel: ClassVar[Channel] = Channel.FORCE
     mu_c: float = parameter("", 1e-4, 100, "friction coefficient at high speed")
-    sigma2: float = parameter("s/mm", -10, 10, "viscous coefficient; muscle has negative ones", typical=0.01)
+    sigma2: float = parameter("s/mm", -10, 10, "viscous coefficient; negative values occur in muscle", typical=0.01)
     thickness_mm: float = constant("mm", 0, 1e4, "thickness of the tissue; a needle may pass through", default=76.0)
     normal_force_n: float = constant("N", 0, 1e3, "total normal force at the reference length", default=1.0)
     reference_mm: float = constant("mm", 1e-3, 1e4, "inserted length at which the normal force is given", default=76.0)
-    ramp_mm: float = constant("mm", 1e-3, 1e3, "w: length of the ramps of the normal force", default=2.5)
+    ramp_mm: float = constant("mm", 1e-3, 1e3, "w, length of the ramps of the normal force", default=2.5)
     profile: Profile = Profile.CONSTANT
 
     def __post_init__(self) -> None:
@@ -140,8 +140,8 @@ class StribeckFriction(Friction):
 
     sigma0: float = parameter("1/mm", 1e-4, 1e4, "stiffness of the bristles")
     mu_s: float = parameter("", 1e-5, 100, "friction coefficient at rest")
-    alpha: float = parameter("s/mm", 1e-4, 100, "how fast mu_s goes over into mu_c")
-    gamma: float = constant("", 0.1, 4, "exponent of the speed in that transition", default=1.0)
+    alpha: float = parameter("s/mm", 1e-4, 100, "rate of the transition from mu_s to mu_c")
+    gamma: float = constant("", 0.1, 4, "exponent of the speed in this transition", default=1.0)
 
     def level(self, motion: Motion) -> Array:
         """Return the friction level g(v) of (3.2), shape (...)."""

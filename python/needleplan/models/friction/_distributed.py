@@ -24,8 +24,8 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["distributed"]
 
+# Number of samples whose bristles are in memory at once.
 _BLOCK = 200
-"""Samples whose bristles are kept at once."""
 
 
 def distributed(model: LuGre, motion: Motion, profile: Profile, spacing_mm: float = 0.1) -> Array:
@@ -80,7 +80,7 @@ def distributed(model: LuGre, motion: Motion, profile: Profile, spacing_mm: floa
         for column, sample in enumerate(block[block > 0], start=int(begin == 0)):
             before, after = motion.depth_mm[sample - 1] - behind_tip, motion.depth_mm[sample] - behind_tip
             share = _share_inside(before, after, model.thickness_mm)
-            # Of a step, a bristle that enters has seen only a share; whole steps keep the exact factors.
+            # A bristle that enters during a step gets its share of the step; all others get the exact factors.
             entering = (share > 0) & (share < 1)
             bending = decay[sample - 1] * bending + gain[sample - 1]
             bending[entering] = share[entering] * gain[sample - 1]
@@ -115,7 +115,7 @@ def _force(model: LuGre, motion: Motion, profile: Profile, states: Array, behind
     shape = intensity(profile, position, length, model.ramp_mm)
     weight = shape * spacing
     total = normal_length_mm(Profile.UNIFORM if profile is Profile.CONSTANT else profile, length, model.ramp_mm)
-    # Weights add up to the normal force at all times, whatever part of a cell sticks out at the ends.
+    # The weights always add up to the normal force, although the cells at the ends are partly outside.
     added = weight.sum(axis=0)
     weight *= np.where(added > 0, total / np.where(added > 0, added, 1.0), 0.0)
     mean = (states * weight).sum(axis=0)
@@ -138,7 +138,7 @@ def _by_parts(
         rising = inside & (position < np.minimum(ramp, length / 2))
         falling = inside & (position > np.maximum(length - ramp, length / 2))
         return np.asarray(((rising * states).sum(axis=0) - (falling * states).sum(axis=0)) * spacing / ramp)
-    # Bristles are listed from the tip; those that enter just now are straight.
+    # The bristles are ordered from the tip; those that enter at this moment are straight.
     columns, some = np.arange(states.shape[1]), inside.any(axis=0)
     leaving = (motion.velocity_mm_s > 0) | (motion.depth_mm <= model.thickness_mm)
     far = np.where(some & leaving, states[np.argmax(inside, axis=0), columns], 0.0)

@@ -38,8 +38,8 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["AveragedLuGre", "Beta", "LuGre", "LumpedLuGre", "OutputForm", "beta_per_mm"]
 
+# Shortest length of a patch, mm; bounds beta, which grows as 1/L.
 _SHORTEST_MM = 1e-3
-"""Shorter patches count as this long: beta grows as 1/L."""
 
 
 class Beta(StrEnum):
@@ -106,8 +106,8 @@ def _isosceles(term: Beta, short: Array, long: Array, w: float, lam: float) -> t
     return triangle, (lam + 2) * ((long - w) ** (lam + 1) + w ** (lam + 1) - long ** (lam + 1)) / weight
 
 
+# Decay rate of the bending outside of the tissue, 1/s: within about one sample.
 _FORGETTING_PER_S = 1e3
-"""Rate at which bending is forgotten outside of the tissue: within one sample."""
 
 
 class OutputForm(StrEnum):
@@ -202,7 +202,7 @@ class AveragedLuGre(LuGre):
     """
 
     name: ClassVar[str] = "averaged_lugre"
-    exponent: float = constant("", 0, 20, "lambda: how bending grows along the patch", default=5.0)
+    exponent: float = constant("", 0, 20, "lambda, exponent of the bending along the patch", default=5.0)
     profile: Profile = Profile.ISOSCELES
     beta: Beta = Beta.TRANSPORT
     form: OutputForm = OutputForm.CONSISTENT

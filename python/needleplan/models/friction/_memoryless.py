@@ -88,6 +88,7 @@ class QuasiStatic(StribeckFriction):
         return np.asarray(self.total_normal_force_n(motion) * ratio)
 
 
+# Force in N of a mass of 1 kg at 1 mm/s^2.
 _N_PER_KG_MM_S2 = 1e-3
 
 

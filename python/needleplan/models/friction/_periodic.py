@@ -12,12 +12,12 @@ from needleplan.signals import Record, cycles
 
 __all__ = ["first_guess", "steady"]
 
+# Shares of the largest speed above and below which samples count as fast and slow.
 _FAST, _SLOW = 0.9, 0.3
+# Assumed friction at the largest speed, as a share of mu_c.
 _FAST_SHARE = 0.6
-"""Share of mu_c that friction is taken to have reached at the top speed."""
-
+# Assumed bending of the bristles before they slide, as a share of the stroke.
 _PRESLIDING = 0.01
-"""Share of the stroke over which bristles are taken to bend before they slide."""
 
 
 def steady(record: Record, skip_cycles: int = 1, phases: Sequence[str] = ()) -> NDArray[np.bool_]:

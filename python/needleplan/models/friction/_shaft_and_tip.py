@@ -114,8 +114,8 @@ class ShaftAndTip(SelfIntegratingModel):
 
     friction: float = parameter("N/mm", 1e-6, 10, "friction per inserted length")
     cutting: float = parameter("N", 1e-5, 100, "cutting force of the tip, deep in the tissue")
-    onset_mm: float = parameter("mm", 1e-2, 50, "depth over which cutting sets in")
-    presliding_mm: float = parameter("mm", 1e-3, 20, "travel over which friction turns round")
+    onset_mm: float = parameter("mm", 1e-2, 50, "depth over which the cutting force rises")
+    presliding_mm: float = parameter("mm", 1e-3, 20, "travel over which friction reverses")
 
     def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
         """Return the straight bristle, shape (1,)."""

@@ -23,8 +23,8 @@ __all__ = ["TipFrame", "Vector", "axes_of", "quaternion_of", "quaternions_along"
 
 Vector = tuple[float, float, float]
 
+# Curvature below which an arc counts as straight, 1/mm; smaller numbers have no accurate quotient.
 _STRAIGHT_PER_MM = 1e-18
-"""Below that no length turns a heading, and quotients of such numbers are no directions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ class TipFrame:
             return TipFrame(_added(self.position_mm, length_mm, self.tangent), self.tangent, self.normal, self.binormal)
         cn, cb = along_n_per_mm / bend, along_b_per_mm / bend
         (tx, ty, tz), (nx, ny, nz), (bx, by, bz) = self.tangent, self.normal, self.binormal
-        # d is where it bends to, e the axis about which it turns: that one stays.
+        # d is the direction of the bending, e the axis of the rotation, which does not change.
         dx, dy, dz = cn * nx + cb * bx, cn * ny + cb * by, cn * nz + cb * bz
         ex, ey, ez = cn * bx - cb * nx, cn * by - cb * ny, cn * bz - cb * nz
         turn = bend * length_mm

@@ -24,8 +24,8 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["SpatialBicycle", "SteeredModel"]
 
+# Time constant with which the roll of the tip follows the base in `derivative`, s.
 _FOLLOWING_S = 1e-3
-"""How soon the roll of the tip is where the base leads it, in the equation for its rate."""
 
 
 @dataclass(frozen=True)
@@ -136,9 +136,9 @@ class SpatialBicycle(SteeredModel):
     curvature_per_mm: float = parameter("1/mm", 1e-6, 1.0, "curvature of the path, toward the bevel")
     heading_y_rad: float = parameter("rad", -1.0, 1.0, "slope of the path along y at entry", default=0.0, typical=1e-3)
     heading_z_rad: float = parameter("rad", -1.0, 1.0, "slope of the path along z at entry", default=0.0, typical=1e-3)
-    entry_x_mm: float = parameter("mm", -1e4, 1e4, "place of the entry along x", default=0.0, typical=0.03)
-    entry_y_mm: float = parameter("mm", -1e4, 1e4, "place of the entry along y", default=0.0, typical=0.03)
-    entry_z_mm: float = parameter("mm", -1e4, 1e4, "place of the entry along z", default=0.0, typical=0.03)
+    entry_x_mm: float = parameter("mm", -1e4, 1e4, "entry point, x", default=0.0, typical=0.03)
+    entry_y_mm: float = parameter("mm", -1e4, 1e4, "entry point, y", default=0.0, typical=0.03)
+    entry_z_mm: float = parameter("mm", -1e4, 1e4, "entry point, z", default=0.0, typical=0.03)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:  # noqa: ARG002
         """Return the curvature toward the bevel, shape (2, ...)."""

@@ -21,10 +21,12 @@ from needleplan.signals import Array, MovingAverage, Record, dominant_frequency_
 
 __all__ = ["fit_on_tissue", "lag_with_sd", "tissue_lag_rad", "tissue_start"]
 
+# Sampling rate of the coarse fit, Hz.
 _COARSE_HZ = 40.0
+# Smallest lag that the start values assume, rad.
 _SMALL_LAG_RAD = 0.03
+# Evaluations of each coarse fit, which only selects the best local optimum.
 _COARSE = 25
-"""Evaluations of each coarse fit: it has to find the valley and not its bottom."""
 
 
 def tissue_start(record: Record) -> LumpedOnTissue:

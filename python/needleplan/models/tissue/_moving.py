@@ -48,9 +48,9 @@ class MovingTissue(SelfIntegratingModel):
     """
 
     channel: ClassVar[Channel] = Channel.FORCE
-    stiffness: float = parameter("N/mm", 1e-4, 1e3, "k: of what holds the tissue")
-    damping: float = parameter("N s/mm", 1e-6, 1e2, "c: of what holds the tissue")
-    mass: float = constant("N s^2/mm", 1e-9, 1e-3, "m: of the tissue that moves; 1e-6 is a gram", default=1e-6)
+    stiffness: float = parameter("N/mm", 1e-4, 1e3, "k, stiffness of the spring that holds the tissue")
+    damping: float = parameter("N s/mm", 1e-6, 1e2, "c, damping of the tissue")
+    mass: float = constant("N s^2/mm", 1e-9, 1e-3, "m, mass of the moving tissue; 1e-6 is a gram", default=1e-6)
 
     @abstractmethod
     def friction(self) -> LinearStateModel:
@@ -162,7 +162,7 @@ class AveragedOnTissue(StribeckFriction, MovingTissue):
 
     name: ClassVar[str] = "averaged_lugre_on_tissue"
     sigma1: float = parameter("s/mm", 1e-5, 1e3, "damping of the bristles")
-    exponent: float = constant("", 0, 20, "lambda: how bending grows along the patch", default=5.0)
+    exponent: float = constant("", 0, 20, "lambda, exponent of the bending along the patch", default=5.0)
     profile: Profile = Profile.ISOSCELES
     beta: Beta = Beta.TRANSPORT
 

@@ -28,11 +28,13 @@ from needleplan.signals import FAST_ALPHA1, Array, HighGainObserver, Projection
 
 __all__ = ["SlowObserver", "TuningStatus", "tune_slow_observer"]
 
+# Range of alpha1, 1/s; the fast observer has 40.
 _SLOWEST, _FASTEST = 1.5, 39.9
-"""Range of alpha1 (1/s); the fast observer has 40."""
-
+# Number of values of alpha1 at which G is computed before the bisection.
 _TRIED = 40
+# Relative deviation of a sampling interval above which a record is refused.
 _UNEVEN = 0.02
+# Precision of the tuned alpha1, 1/s.
 _PRECISION = 1e-6
 
 

@@ -23,11 +23,14 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["FrictionLaw", "first_root", "step_through", "stepping"]
 
+# Residual force at which a step counts as solved, N.
 _TOLERANCE_N = 1e-12
+# Number of secant steps before the search for the first root.
 _SECANTS = 12
+# First step of this search, mm/s; each further step is 20 % longer.
 _FIRST_STEP_MM_S = 0.01
+# Change of the tissue velocity beyond which the search gives up and the state becomes NaN, mm/s.
 _FARTHEST_MM_S = 1e5
-"""Tissue faster than that has left the model: its states become NaN."""
 
 
 class FrictionLaw(Protocol):
