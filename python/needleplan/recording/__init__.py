@@ -18,7 +18,8 @@ from needleplan.recording._data_files import (
 )
 from needleplan.recording._journal import Session
 from needleplan.recording._message_kinds import Field, Json, MessageKind, Packed
-from needleplan.recording._recorder import Recorder, RecorderState, RecorderStatus, RecordingChannel, WhenFull
+from needleplan.recording._recorder import Recorder, RecordingChannel
+from needleplan.recording._recorder_status import RecorderState, RecorderStatus, WhenFull
 from needleplan.recording._recording import RecordedMessage, Recording
 from needleplan.recording._recovery import Recovery, recover
 from needleplan.recording._sample_kinds import EVENT, FORCE, POSE, STAGE, STATUS

@@ -25,7 +25,14 @@ _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 
 class MessageKind(ABC):
-    """Abstract base of the encodings: converts values to bytes and back, and describes them by a schema."""
+    """Abstract base of the encodings: converts values to bytes and back, and describes them by a schema.
+
+    Examples
+    --------
+    >>> from needleplan.recording import EVENT, FORCE
+    >>> EVENT.encoding, FORCE.encoding
+    ('json', 'cdr')
+    """
 
     name: str
     encoding: str
@@ -94,6 +101,12 @@ class Field:
     comment : str
         Comment in the schema, such as the unit.
 
+    Examples
+    --------
+    >>> from needleplan.recording import Field, Packed
+    >>> health = Field("health", "uint8", ("good", "suspect", "missing"))
+    >>> Packed("needleplan_msgs/msg/Health", (health,)).encode({"health": "suspect"})[-1]
+    1
     """
 
     name: str

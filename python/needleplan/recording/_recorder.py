@@ -13,9 +13,6 @@ import os
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -25,10 +22,11 @@ from needleplan.errors import InputError, Mistake, OutputError
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import Journal, Session
 from needleplan.recording._message_kinds import MessageKind
+from needleplan.recording._recorder_status import RecorderState, RecorderStatus, WhenFull
 from needleplan.recording._recovery import finish
 from needleplan.recording._sample_kinds import STATUS
 
-__all__ = ["PARTIAL", "Recorder", "RecorderState", "RecorderStatus", "RecordingChannel", "WhenFull"]
+__all__ = ["PARTIAL", "Recorder", "RecordingChannel"]
 
 PARTIAL = ".partial"
 _PERIOD_S = 0.015  # time between two writes of the queue
@@ -40,75 +38,13 @@ _NANO = 1e-9
 _LATEST_NS = 2**63  # time of day (ns) from which a message is refused: the file stores signed 64-bit integers
 
 
-class RecorderState(StrEnum):
-    """State of the writer."""
-
-    RECORDING = "recording"
-    STALLED = "stalled"
-    """Writing fails, for example on a full disk, and is retried; messages beyond the capacity of the queue are lost."""
-
-    FAILED = "failed"
-    """The writer has stopped, or the file could not be finished; the partial file holds the messages written so far."""
-
-    CLOSED = "closed"
-
-
-class WhenFull(StrEnum):
-    """What `RecordingChannel.put` does if the queue is full."""
-
-    DROP = "drop"
-    """Count the message as lost and return at once; for real time."""
-
-    WAIT = "wait"
-    """Wait for the writer; for simulated time, which is faster than any disk."""
-
-
-@dataclass(frozen=True)
-class RecorderStatus:
-    """Status of a recorder.
-
-    Attributes
-    ----------
-    state : RecorderState
-        State of the writer.
-    cause : str
-        Reason of the state `STALLED` or `FAILED`.
-    written : int
-        Number of messages handed to the operating system.
-    queued : int
-        Number of messages in the queue.
-    behind_s : float
-        Upper bound on the age of the oldest unwritten message, s; about 0.02 in normal operation.
-    overflowed : mapping of str to int
-        Number of messages lost by topic, because the queue was full or the writer had failed.
-    refused : int
-        Number of messages that could not be encoded.
-    refusal : str
-        Reason of the first refusal.
-
-    """
-
-    state: RecorderState
-    cause: str
-    written: int
-    queued: int
-    behind_s: float
-    overflowed: Mapping[str, int] = field(default_factory=dict)
-    refused: int = 0
-    refusal: str = ""
-
-    @property
-    def ok(self) -> bool:
-        """Whether the recorder works and no message was lost or refused so far."""
-        good = self.state in (RecorderState.RECORDING, RecorderState.CLOSED)
-        return good and not self.overflowed and not self.refused
-
-
 class RecordingChannel:
     """One topic of a recording, made by `Recorder.channel`; only one thread may put into it.
 
-    Attributes
+    Parameters
     ----------
+    recorder : Recorder
+        The recorder.
     topic : str
         Name, such as `/force`.
     kind : MessageKind
@@ -116,6 +52,15 @@ class RecordingChannel:
     number : int
         Number of the channel in the file.
 
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from needleplan.recording import EVENT, Recorder
+    >>> with tempfile.TemporaryDirectory() as folder, Recorder(Path(folder) / "run.mcap") as recorder:
+    ...     channel = recorder.channel("/event", EVENT)
+    ...     channel.put(recorder.session.monotonic_ns, {"name": "begin"})
+    True
     """
 
     def __init__(self, recorder: Recorder, topic: str, kind: MessageKind, number: int) -> None:

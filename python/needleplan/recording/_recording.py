@@ -44,6 +44,11 @@ class RecordedMessage:
     values : dict
         The fields of the message by name.
 
+    Examples
+    --------
+    >>> from needleplan.recording import RecordedMessage
+    >>> RecordedMessage("/event", 5_000, 1, {"name": "begin"}).values["name"]
+    'begin'
     """
 
     topic: str
@@ -73,21 +78,38 @@ class Recording:
 
     Examples
     --------
+    Record an event and the samples of a force sensor and a stage:
+
     >>> import tempfile
     >>> from pathlib import Path
-    >>> from needleplan.recording import EVENT, Recorder, Recording
+    >>> from needleplan.devices import ForceSample, StageSample, Stamp
+    >>> from needleplan.recording import EVENT, FORCE, STAGE, Recorder, Recording
     >>> folder = tempfile.TemporaryDirectory()
     >>> path = Path(folder.name) / "run.mcap"
     >>> with Recorder(path) as recorder:
-    ...     events = recorder.channel("/event", EVENT)
     ...     start_ns = recorder.session.monotonic_ns
-    ...     _ = events.put(start_ns, {"name": "begin", "cause": "operator"})
-    ...     _ = events.put(start_ns + 2_500_000_000, {"name": "end", "cause": "depth"})
+    ...     _ = recorder.channel("/event", EVENT).put(start_ns, {"name": "begin", "cause": "operator"})
+    ...     force, stage = recorder.channel("/force", FORCE), recorder.channel("/stage", STAGE)
+    ...     for number in range(3):
+    ...         stamp = Stamp(start_ns + number * 1_000_000_000, number)
+    ...         _ = force.put(stamp.received_ns, ForceSample(stamp, (0.0, 0.0, 0.5 * number), (0.0, 0.0, 0.0)))
+    ...         _ = stage.put(stamp.received_ns, StageSample(stamp, 5.0 * number, 5.0, 0.0, moving=True))
+
+    Read the recording:
+
     >>> recording = Recording.read(path)
     >>> recording
-    <Recording run.mcap: 2 topics, 4 messages, 2.5 s>
+    <Recording run.mcap: 4 topics, 9 messages, 2 s>
     >>> [message.values["cause"] for message in recording.messages(["/event"])]
-    ['operator', 'depth']
+    ['operator']
+    >>> recording.is_table("/force"), recording.is_table("/event")
+    (True, False)
+    >>> recording.columns("/stage")["depth_mm"].tolist()
+    [0.0, 5.0, 10.0]
+    >>> recording.trial()["force_n"].tolist()
+    [0.0, 0.5, 1.0]
+    >>> [axes.get_ylabel() for axes in recording.plot()]
+    ['force (N)', 'depth (mm)', 'axial force (N)']
     >>> folder.cleanup()
 
     """

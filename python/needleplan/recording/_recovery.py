@@ -53,6 +53,11 @@ class Recovery:
     complete : bool
         Whether the recorder closed the recording. If not, the last 20 ms before the end may be missing too.
 
+    Examples
+    --------
+    >>> from needleplan.recording import Recovery
+    >>> Recovery(messages=100, missing={"/force": 2}).complete
+    False
     """
 
     messages: int
