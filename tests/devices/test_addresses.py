@@ -67,7 +67,7 @@ def test_datagrams_of_strangers_are_counted_and_dropped() -> None:
             stranger.sendto(b"false", ("127.0.0.1", link.local_port))
             peer.sendto(b"true", ("127.0.0.1", link.local_port))
             assert link.receive(1) == b"true"
-            assert link.strangers == 1
+            assert link.unknown_senders == 1
             assert link.receive(0) == b""
 
 

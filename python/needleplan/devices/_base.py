@@ -28,11 +28,11 @@ __all__ = [
 
 
 class Closing(ABC):
-    """Anything that is given up by leaving its `with` block; abstract."""
+    """Abstract base of everything that is closed by leaving its `with` block."""
 
     @abstractmethod
     def close(self) -> None:
-        """Give it up; closing twice is harmless."""
+        """Release all resources; closing again does nothing."""
 
     def __enter__(self) -> Self:
         return self
@@ -48,30 +48,31 @@ class Health(StrEnum):
 
     GOOD = "good"
     SUSPECT = "suspect"
-    """The device says so itself: saturated, partly out of its volume, a bad fit. Not for control."""
+    """The device reports a problem, such as saturation or a bad fit; not for control."""
 
     MISSING = "missing"
-    """The device answered, but has nothing to say: the coil is not seen."""
+    """The device answered without a measurement; for example, the coil is not visible."""
 
 
 @dataclass(frozen=True)
 class Stamp:
-    """When a sample arrived, which it is, and what is missing before it.
+    """Arrival time and number of a sample.
 
-    `received_ns` is on the monotonic clock of this machine, `sequence` the device's own number, `lost` how many were
-    lost just before it.
+    - `received_ns` is the time of arrival on the monotonic clock of this machine.
+    - `sequence` is the number that the device gave the sample.
+    - `lost` is the number of samples lost immediately before it.
+    - `device_time_s` is the time on the clock of the device, or None.
     """
 
     received_ns: int
     sequence: int
     lost: int = 0
     device_time_s: float | None = None
-    """Time on the device's own clock, where it has one."""
 
 
 @dataclass(frozen=True)
 class ForceSample:
-    """A wrench at the base of the needle: N and N mm, in the frame of the sensor."""
+    """A wrench at the base of the needle in N and N mm, in the frame of the sensor."""
 
     stamp: Stamp
     force_n: tuple[float, float, float]
@@ -82,9 +83,10 @@ class ForceSample:
 
 @dataclass(frozen=True)
 class PoseSample:
-    """A pose of a tracked coil: position in mm, and a unit quaternion (w, x, y, z).
+    """The pose of a tracked coil: position in mm, and a unit quaternion (w, x, y, z), in the frame of the tracker.
 
-    A coil with five degrees of freedom does not know its roll. Position and quaternion are NaN where it is MISSING.
+    The roll of a coil with five degrees of freedom is arbitrary. Position and quaternion are NaN if the health is
+    MISSING. `error_mm` is the fit error that the tracker reports.
     """
 
     stamp: Stamp
@@ -97,7 +99,7 @@ class PoseSample:
 
 @dataclass(frozen=True)
 class StageSample:
-    """Where the stage is: insertion depth (mm, positive into the tissue), velocity, roll of the needle's base."""
+    """State of the stage: depth (mm, positive into the tissue), velocity (mm/s), roll of the base (rad), and motion."""
 
     stamp: Stamp
     depth_mm: float
@@ -109,33 +111,33 @@ class StageSample:
 
 
 class Device(Closing):
-    """Anything that is opened, used and closed; abstract."""
+    """Abstract base of all devices."""
 
     @abstractmethod
     def close(self) -> None:
-        """Give the device up; a stage stops first. Closing twice is harmless."""
+        """Release the device; a stage stops first. Closing again does nothing."""
 
 
 class Stage(Device):
-    """Moves the needle along its axis and about it; abstract. One controller at a time."""
+    """Abstract stage: moves the needle along its axis and rotates it. It has one controller at a time."""
 
     @abstractmethod
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin to move to a depth at a speed (positive, mm/s), in or out. Raises DeviceFault."""
+        """Begin a motion to a depth (mm) at a positive speed (mm/s), inwards or outwards. Raises DeviceFault."""
 
     @abstractmethod
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin to turn the base of the needle to a roll angle. Raises DeviceFault."""
+        """Begin a rotation of the needle base to a roll angle (rad) at a positive speed (rad/s). Raises DeviceFault."""
 
     @abstractmethod
     def stop(self) -> None:
-        """Stop both axes now; always allowed, also in a fault."""
+        """Stop both axes now; always permitted, also during a fault."""
 
     def heartbeat(self) -> None:
-        """Tell the stage that its commander is running; a stage with a watchdog stops if this is not called in time.
+        """Send a heartbeat: the controller is running. A stage with a watchdog stops if heartbeats cease.
 
-        Only the guard of an insertion calls it (`control.safety.GuardedStage.tick`); a program without a guard calls
-        it in the loop that decides. A stage without a watchdog does nothing. Raises DeviceFault.
+        Only the guard of an insertion calls it (`control.safety.GuardedStage.tick`); a program without a guard calls it
+        in its control loop. A stage without a watchdog does nothing. Raises DeviceFault.
         """
 
     @abstractmethod
@@ -144,7 +146,7 @@ class Stage(Device):
 
 
 class ForceSensor(Device):
-    """Measures the wrench at the base of the needle; abstract."""
+    """Abstract force sensor: measures the wrench at the base of the needle."""
 
     @abstractmethod
     def bias(self) -> None:
@@ -156,7 +158,7 @@ class ForceSensor(Device):
 
 
 class Tracker(Device):
-    """Tells the pose of a coil in the tip of the needle; abstract."""
+    """Abstract tracker: measures the pose of a coil in the tip of the needle."""
 
     @abstractmethod
     def read(self, timeout_s: float) -> PoseSample | None:

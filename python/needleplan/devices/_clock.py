@@ -22,11 +22,11 @@ class Clock(Protocol):
         """Return the time in nanoseconds since a fixed, unknown moment."""
 
     def sleep(self, seconds: float) -> None:
-        """Wait; at once where `seconds` is not positive."""
+        """Wait; returns at once unless `seconds` is positive."""
 
 
 class SystemClock:
-    """The clock of the machine; it does not jump when somebody sets the time of day."""
+    """The monotonic clock of the machine, which is independent of the time of day."""
 
     def now_ns(self) -> int:
         """Return `time.monotonic_ns()`."""
@@ -39,7 +39,7 @@ class SystemClock:
 
 
 class VirtualClock:
-    """A clock that moves when somebody sleeps on it or advances it: simulated time, and tests that do not wait."""
+    """A clock that moves only by `sleep` and `advance`: for simulated time, and for tests without waiting."""
 
     def __init__(self, start_ns: int = 0) -> None:
         self._now_ns = start_ns
@@ -54,14 +54,14 @@ class VirtualClock:
         self.advance(seconds)
 
     def advance(self, seconds: float) -> None:
-        """Move the clock forward; backward it does not go."""
+        """Move the clock forward; a negative duration does nothing."""
         if seconds > 0:
             with self._lock:
                 self._now_ns += round(seconds * _NANO)
 
 
 class Deadline:
-    """A moment on a clock by which something must have happened."""
+    """A moment on a clock, `seconds` after its creation."""
 
     def __init__(self, clock: Clock, seconds: float) -> None:
         self._clock = clock
@@ -69,24 +69,24 @@ class Deadline:
 
     @property
     def left_s(self) -> float:
-        """Seconds that are left; zero once it has passed."""
+        """Remaining time, s; 0 after the deadline."""
         return max(self._end_ns - self._clock.now_ns(), 0) / _NANO
 
     @property
     def passed(self) -> bool:
-        """Whether it is too late."""
+        """Whether the deadline has passed."""
         return self._clock.now_ns() >= self._end_ns
 
 
-_TURN_S = 0.0005
+_TURN_S = 0.0005  # switch interval between Python threads
 
 
 @contextmanager
 def short_turns() -> Iterator[None]:
-    """Let threads that compute take turns every half millisecond, in all of the process.
+    """Let the threads of the process alternate every 0.5 ms while they compute.
 
-    Python's 5 ms are as long as everything from a sample to its command may take, and the loop shares its process with
-    threads that read devices, write the recording and make plans.
+    Python's default of 5 ms is as long as the whole budget from a sample to its command, and the control loop shares
+    its process with the threads that read devices, write the recording and compute plans.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(before, _TURN_S))
@@ -98,10 +98,10 @@ def short_turns() -> Iterator[None]:
 
 @contextmanager
 def no_long_collections() -> Iterator[None]:
-    """Keep what is there now from being looked at by every full collection of garbage, in all of the process.
+    """Exclude the objects that exist now from garbage collection, in the whole process.
 
-    That takes 40 ms and more with the libraries of an insertion, while a robot waits 30 ms for a sign of life.
-    What comes meanwhile is collected as ever.
+    A full collection over the libraries of an insertion takes 40 ms or more, and the watchdog of a robot expires after
+    30 ms. Objects created later are collected as usual.
     """
     gc.collect()
     gc.freeze()

@@ -22,36 +22,36 @@ __all__ = ["Link", "MemoryLink", "SerialLink", "TcpLink", "UdpLink", "memory_pai
 
 
 class Link(Closing):
-    """A way to another device; abstract. May be used by one reader and one writer at the same time."""
+    """Abstract connection to a device. One thread may send while another one receives."""
 
     @abstractmethod
     def send(self, data: bytes) -> None:
-        """Send all of `data`. Raises LinkClosed where nobody can receive it any more."""
+        """Send all of `data`. Raises LinkClosed if the connection is closed."""
 
     @abstractmethod
     def receive(self, timeout_s: float) -> bytes:
-        """Return a datagram, or the bytes that are there; empty after `timeout_s`. Raises LinkClosed."""
+        """Return a datagram or the available bytes; empty after `timeout_s`. Raises LinkClosed."""
 
     @abstractmethod
     def close(self) -> None:
-        """Give the link up; closing twice is harmless."""
+        """Close the connection; closing again does nothing."""
 
 
 class MemoryLink(Link):
-    """One end of a link in this process: what is sent arrives whole, in order, at the other end."""
+    """One end of a link within this process; messages arrive whole and in order at the other end."""
 
     def __init__(self, incoming: queue.SimpleQueue[bytes | None], outgoing: queue.SimpleQueue[bytes | None]) -> None:
         self._incoming, self._outgoing = incoming, outgoing
         self._closed = False
 
     def send(self, data: bytes) -> None:
-        """Put `data` where the other end finds it."""
+        """Send `data` to the other end."""
         if self._closed:
             raise LinkClosed("this end of the link is closed")
         self._outgoing.put(bytes(data))
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next message of the other end, or nothing."""
+        """Return the next message from the other end; empty after `timeout_s`."""
         if self._closed:
             raise LinkClosed("this end of the link is closed")
         try:
@@ -64,14 +64,14 @@ class MemoryLink(Link):
         return data
 
     def close(self) -> None:
-        """Close this end; the other end finds out when it has read what was sent before."""
+        """Close this end; the other end is closed once it has received all earlier messages."""
         if not self._closed:
             self._closed = True
             self._outgoing.put(None)
 
 
 def memory_pair() -> tuple[MemoryLink, MemoryLink]:
-    """Return the two ends of a link in this process."""
+    """Return the two ends of a link within this process."""
     there: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     back: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     return MemoryLink(there, back), MemoryLink(back, there)
@@ -81,14 +81,14 @@ _LONGEST = 65_536
 
 
 class UdpLink(Link):
-    """Datagrams to and from one peer; those of anybody else are counted in `strangers` and dropped.
+    """Datagrams to and from one peer; `unknown_senders` counts datagrams from others, which are dropped.
 
-    The socket is not connected in the sense of the operating system, which would drop strangers without a word.
+    The socket is not connected by `connect`, because the operating system would then drop such datagrams uncounted.
     """
 
     def __init__(self, host: str, port: int, local_port: int = 0, local_host: str = "") -> None:
         family, self.peer = _resolve(host, port, socket.SOCK_DGRAM)
-        self.strangers = 0
+        self.unknown_senders = 0
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
             self._socket.bind((local_host, local_port))
@@ -98,7 +98,7 @@ class UdpLink(Link):
 
     @property
     def local_port(self) -> int:
-        """The port of this machine that the peer answers to."""
+        """The port of this machine that receives the datagrams of the peer."""
         return int(self._socket.getsockname()[1])
 
     def send(self, data: bytes) -> None:
@@ -109,13 +109,13 @@ class UdpLink(Link):
             raise LinkClosed(f"{_named('udp', self.peer)}: {error.strerror or error}") from error
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next datagram of the peer; empty after `timeout_s`."""
+        """Return the next datagram from the peer; empty after `timeout_s`."""
         end = time.monotonic() + timeout_s
         while True:
             data, sender = self._next(max(end - time.monotonic(), 0.0))
             if sender is None or sender[:2] == self.peer[:2]:
                 return data
-            self.strangers += 1
+            self.unknown_senders += 1
 
     def _next(self, timeout_s: float) -> tuple[bytes, tuple[str, int] | None]:
         try:
@@ -128,12 +128,12 @@ class UdpLink(Link):
         return data, sender
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         self._socket.close()
 
 
 class TcpLink(Link):
-    """A stream of bytes to a server."""
+    """A connection to a TCP server."""
 
     def __init__(self, host: str, port: int, timeout_s: float = 3.0) -> None:
         _, self.peer = _resolve(host, port, socket.SOCK_STREAM)
@@ -152,7 +152,7 @@ class TcpLink(Link):
             raise self._gone(error) from error
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the bytes that are there; empty after `timeout_s`."""
+        """Return the available bytes; empty after `timeout_s`. Raises LinkClosed."""
         try:
             self._socket.settimeout(max(timeout_s, 0.0))
             data = self._socket.recv(_LONGEST)
@@ -186,11 +186,17 @@ def _named(scheme: str, peer: tuple[str, int]) -> str:
     return f"{scheme}://{peer[0]}:{peer[1]}"
 
 
-_GONE = (OSError, TypeError)  # pyserial reads from the descriptor None, a TypeError, where another thread has closed it
+_GONE = (
+    OSError,
+    TypeError,
+)  # TypeError: pyserial reads from the descriptor None after another thread has closed the port
 
 
 class SerialLink(Link):
-    """A stream of bytes over a serial port with 8 data bits, no parity, 1 stop bit, no handshake."""
+    """A serial port with 8 data bits, no parity, 1 stop bit, and no handshake.
+
+    It never uses the modem lines, so it works on a pseudo-terminal, which has none and reports ENOTTY.
+    """
 
     def __init__(self, path: str, baud: int = 9600) -> None:
         if baud <= 0:
@@ -205,7 +211,7 @@ class SerialLink(Link):
 
     @property
     def baud(self) -> int:
-        """Bits in a second."""
+        """The speed, bit/s."""
         return int(self._port.baudrate)
 
     @baud.setter
@@ -217,7 +223,7 @@ class SerialLink(Link):
             raise LinkClosed(f"serial://{self.path}: {baud} baud: {error}") from error
 
     def send_break(self, seconds: float = 0.25) -> None:
-        """Hold the line low, which resets some devices."""
+        """Hold the line low for `seconds`, which resets some devices."""
         try:
             self._port.send_break(seconds)
         except _GONE as error:
@@ -231,7 +237,7 @@ class SerialLink(Link):
             raise LinkClosed(f"serial://{self.path}: {error}") from error
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the bytes that are there; empty after `timeout_s`. Raises LinkClosed where the cable is out."""
+        """Return the available bytes; empty after `timeout_s`. Raises LinkClosed if the port is gone."""
         try:
             self._port.timeout = max(timeout_s, 0.0)
             first = bytes(self._port.read(1))
@@ -241,6 +247,6 @@ class SerialLink(Link):
             raise LinkClosed(f"serial://{self.path}: {error}") from error
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         with contextlib.suppress(*_GONE):
             self._port.close()

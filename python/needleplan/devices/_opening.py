@@ -23,7 +23,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class Address:
-    """The parts of an address. `path` is that of a serial port, `host` and `port` those of a network device."""
+    """The parts of an address; a serial port has a `path`, a network device has `host` and `port`."""
 
     scheme: str
     host: str = ""
@@ -33,7 +33,7 @@ class Address:
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """Return the parts of `text`. Raises AddressError with what is wrong and what would be right."""
+        """Return the parts of an address. Raises AddressError with the rule and an example."""
         try:
             parts = urlsplit(text.strip())
             port = parts.port
@@ -51,7 +51,7 @@ class Address:
         return cls(parts.scheme, parts.hostname or "", port, parts.path, options)
 
     def network(self, default_port: int | None = None) -> tuple[str, int]:
-        """Return host and port. Raises AddressError where one is missing."""
+        """Return host and port. Raises AddressError if one is missing."""
         port = default_port if self.port is None else self.port
         if not self.host:
             raise AddressError(Mistake("address", str(self), f"must name a host: {self.scheme}://host:port"))
@@ -64,7 +64,7 @@ class Address:
         return self.host, port
 
     def option(self, name: str, read: Callable[[str], _T], default: _T) -> _T:
-        """Return an option as `read` understands it. Raises AddressError."""
+        """Return an option converted by `read`, or the default. Raises AddressError."""
         if name not in self.options:
             return default
         try:
@@ -74,7 +74,7 @@ class Address:
             raise AddressError(Mistake(name, self.options[name], rule), str(self)) from error
 
     def only(self, known: Collection[str]) -> None:
-        """Raise AddressError, with a suggestion, where an option is not among `known`."""
+        """Raise AddressError, with a suggestion, for options that are not in `known`."""
         mistakes = []
         for name in self.options:
             if name not in known:
@@ -103,11 +103,11 @@ def require_called_heartbeat(address: Address) -> None:
 
 
 def open_link(address: str | Address, default_port: int | None = None) -> Link:
-    """Open the link that an address names.
+    """Open the link of an address.
 
-    `udp://host:port[?local_port=n]`, `tcp://host:port[?timeout_s=3]`, `serial:///dev/ttyUSB0[?baud=9600]`. Options that
-    belong to the device, not to the link, must have been taken out. Raises AddressError where the address is wrong,
-    DeviceFault where nothing can be opened there.
+    The forms are `udp://host:port[?local_port=n]`, `tcp://host:port[?timeout_s=3]` and
+    `serial:///dev/ttyUSB0[?baud=9600]`. Options of the device itself must have been removed. Raises AddressError for
+    a wrong address, DeviceFault if the link cannot be opened.
     """
     parsed = Address.parse(address) if isinstance(address, str) else address
     if parsed.scheme not in _OPENERS:

@@ -17,12 +17,11 @@ __all__ = ["Feed", "Sample", "Source", "Station", "ThreadedFeed", "TurnFeed"]
 
 Sample = StageSample | ForceSample | PoseSample
 
-_AT_MOST_S = 0.1
-"""How long a reading thread may wait before it looks whether it is to end."""
+_AT_MOST_S = 0.1  # timeout of a reading thread, which delays its end
 
 
 class Source(StrEnum):
-    """Which of the three devices."""
+    """One of the three devices."""
 
     FORCE = "force"
     POSE = "pose"
@@ -31,7 +30,7 @@ class Source(StrEnum):
 
 @dataclass
 class Station:
-    """What an insertion works with: a stage, a force sensor, a tracker, and the clock of their stamps."""
+    """The devices of an insertion, and the clock of their stamps."""
 
     stage: Stage
     force_sensor: ForceSensor
@@ -39,26 +38,29 @@ class Station:
     clock: Clock
 
     def feed(self, stage: Stage) -> Feed:
-        """Return the samples of the devices, with `stage`, which guards the stage, in its place; as the clock needs."""
+        """Return the samples of the devices, in the way that the clock needs: in turn, or by threads.
+
+        `stage` replaces the stage of the station; it is the guarded one.
+        """
         station = Station(stage, self.force_sensor, self.tracker, self.clock)
         return TurnFeed(station) if isinstance(self.clock, VirtualClock) else ThreadedFeed(station)
 
 
 class Feed(Closing):
-    """Samples of all three devices, one after the other; abstract."""
+    """Abstract stream of the samples of all three devices."""
 
     failed: Source | None = None
-    """The device whose fault `next` has raised."""
+    """The device that raised the DeviceFault in `next`."""
 
     @abstractmethod
     def next(self, timeout_s: float) -> Sample | None:
-        """Return the next sample, or None after `timeout_s`. Raises DeviceFault of any of the devices."""
+        """Return the next sample, or None after `timeout_s`. Raises the DeviceFault of any device."""
 
 
 class TurnFeed(Feed):
-    """Reads the devices in turn: for simulated time, where waiting for one lets the time of all pass.
+    """Reads the devices in turn: for simulated time, where waiting for one device advances the time of all.
 
-    The stage is the fastest: it is waited for, and the others are asked for what they have.
+    It waits for the stage, which is the fastest device, and then takes the available samples of the others.
     """
 
     def __init__(self, station: Station) -> None:
@@ -66,7 +68,7 @@ class TurnFeed(Feed):
         self._waiting: deque[Sample] = deque()
 
     def next(self, timeout_s: float) -> Sample | None:
-        """Return the next sample, or None after `timeout_s`. Raises DeviceFault of any of the devices."""
+        """Return the next sample, or None after `timeout_s`. Raises the DeviceFault of any device."""
         waiting = self._waiting
         if not waiting:
             station = self._station
@@ -84,12 +86,12 @@ class TurnFeed(Feed):
         return waiting.popleft() if waiting else None
 
     def close(self) -> None:
-        """Forget what was not taken."""
+        """Discard the samples that were not taken."""
         self._waiting.clear()
 
 
 class ThreadedFeed(Feed):
-    """Reads every device in a thread of its own: for real time, where a slow tracker must not delay the others."""
+    """Reads each device in its own thread: for real time, where a slow tracker must not delay the others."""
 
     def __init__(self, station: Station) -> None:
         self._queue: queue.SimpleQueue[Sample | tuple[Source, DeviceFault]] = queue.SimpleQueue()
@@ -105,7 +107,7 @@ class ThreadedFeed(Feed):
             thread.start()
 
     def next(self, timeout_s: float) -> Sample | None:
-        """Return the next sample, or None after `timeout_s`. Raises DeviceFault of any of the devices."""
+        """Return the next sample, or None after `timeout_s`. Raises the DeviceFault of any device."""
         try:
             found = self._queue.get(timeout=max(timeout_s, 0.0))
         except queue.Empty:
@@ -128,7 +130,7 @@ class ThreadedFeed(Feed):
             except DeviceFault as fault:
                 self._queue.put((source, fault))
                 return
-            except Exception as error:  # a thread that dies in silence would look like a device that is silent
+            except Exception as error:  # otherwise a failed thread would look like a silent device
                 self._queue.put((source, DeviceFault(f"{source}: {error!r}")))
                 return
             if sample is not None:

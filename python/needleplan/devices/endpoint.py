@@ -1,4 +1,4 @@
-"""The other end of a link: simulated devices behind TCP and pseudo-terminals, for clients that know nothing of them."""
+"""Simulated devices behind TCP ports and pseudo-terminals, for clients that open them like real devices."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Answering(Protocol):
     """A device that answers bytes with bytes."""
 
     def answer(self, data: bytes) -> bytes:
-        """Take bytes and return what the device sends for them."""
+        """Take bytes and return the answer of the device."""
 
 
 class Endpoint(Closing):
-    """A device at a place where it can be reached; a context manager, abstract."""
+    """Abstract server of one device."""
 
     def __init__(self, device: Answering) -> None:
         self.device = device
@@ -40,23 +40,23 @@ class Endpoint(Closing):
     @property
     @abstractmethod
     def address(self) -> str:
-        """The address of this end, to be opened by a client."""
+        """The address by which a client opens the device."""
 
     @abstractmethod
     def say(self, data: bytes) -> None:
-        """Send bytes that nobody asked for."""
+        """Send bytes without a request."""
 
     @abstractmethod
     def _serve(self) -> None:
-        """Answer until `_stopping`."""
+        """Answer until `_stopping` is set."""
 
     def _ready(self, descriptor: int) -> bool:
-        """Wait until there is something to read; false where the endpoint is stopping."""
+        """Wait for input; return False if the endpoint is stopping."""
         readable, _, _ = select.select([descriptor, self._woken], [], [])
         return self._woken not in readable
 
     def close(self) -> None:
-        """Take the device away; a client finds its link closed. Closing twice is harmless."""
+        """Stop serving; clients find their link closed. Closing again does nothing."""
         if self._stopping.is_set():
             return
         self._stopping.set()
@@ -68,11 +68,11 @@ class Endpoint(Closing):
 
     @abstractmethod
     def _release(self) -> None:
-        """Give the place back."""
+        """Release the port or terminal."""
 
 
 class TcpEndpoint(Endpoint):
-    """A device behind a TCP port; it serves one client after another."""
+    """A device behind a TCP port, for one client after another."""
 
     def __init__(self, device: Answering, host: str = "127.0.0.1", port: int = 0) -> None:
         self._server = socket.create_server((host, port))
@@ -86,7 +86,7 @@ class TcpEndpoint(Endpoint):
         return f"tcp://{self.host}:{self.port}"
 
     def say(self, data: bytes) -> None:
-        """Send bytes to the client, if there is one."""
+        """Send bytes to the client, if one is connected."""
         if self._client is not None:
             with contextlib.suppress(OSError):
                 self._client.sendall(data)
@@ -112,7 +112,7 @@ class TcpEndpoint(Endpoint):
 
 
 class PtyEndpoint(Endpoint):
-    """A device behind a pseudo-terminal. Where the device has a `baud` and the line another, nothing is understood."""
+    """A device behind a pseudo-terminal; if the device has another `baud` than the line, it receives nothing."""
 
     def __init__(self, device: Answering) -> None:
         self._master, self._slave = os.openpty()
@@ -126,7 +126,7 @@ class PtyEndpoint(Endpoint):
         return f"serial://{self.path}"
 
     def say(self, data: bytes) -> None:
-        """Send bytes to whoever reads the line."""
+        """Send bytes to the client."""
         with contextlib.suppress(OSError):
             os.write(self._master, data)
 
@@ -141,7 +141,7 @@ class PtyEndpoint(Endpoint):
         baud = getattr(self.device, "baud", None)
         if baud is None or not sys.platform.startswith("linux"):
             return True
-        # On Linux the attributes of the master are those of the line.
+        # On Linux the master has the attributes of the line.
         return bool(termios.tcgetattr(self._master)[4] == getattr(termios, f"B{baud}", None))
 
     def _release(self) -> None:

@@ -56,7 +56,7 @@ def test_10_a_datagram_of_somebody_else_is_not_a_sample(server: NetFtServer) -> 
         stranger.sendto(encode_records([RdtRecord(7, 7, 0, (99_000_000,) * 6)]), ("127.0.0.1", sensor.local_port))
         samples = [sensor.read(1) for _ in range(5)]
         assert all(each is not None and each.force_n[0] == pytest.approx(1, abs=0.1) for each in samples)
-        assert sensor.strangers == 1
+        assert sensor.unknown_senders == 1
 
 
 def test_15_a_second_client_takes_the_stream_over_real_sockets(server: NetFtServer) -> None:

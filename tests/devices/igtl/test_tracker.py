@@ -51,7 +51,7 @@ def test_who_is_asked_to_send_is_asked_to_stop() -> None:
             f"{server.address}/{TIP}?message=tdata&ask=yes&interval_ms=10", limits=PATIENT
         ) as tracker:
             assert tracker.read(5) is not None
-            assert device.asked
+            assert device.requested
         # The server takes up the next client when it is done with this one: the last query has been read then.
         with IgtlTracker.open(f"{server.address}/{TIP}?message=tdata&ask=yes", limits=PATIENT):
             queries = [each for each in device.queries if each != "GET_STATUS"]

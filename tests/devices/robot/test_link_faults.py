@@ -36,7 +36,7 @@ def test_32_the_robot_stops_itself_when_the_control_side_falls_silent(silence_s:
     assert not still_moving
     # From the last heartbeat; and one tick.
     assert 0.3 <= depth_mm <= 0.301 + 10 * (silence_s + MS)
-    fault_of(stage, "nothing was heard of the control side while it moved")
+    fault_of(stage, "nothing was received from the controller while it moved")
 
 
 def test_32_a_robot_at_rest_bears_silence_until_it_takes_another_controller() -> None:
@@ -61,9 +61,9 @@ def test_32_a_thread_that_reads_does_not_hide_a_loop_that_has_died() -> None:
     stage.insert(100.0, 10.0)
     for _ in range(100):
         assert next_of(stage).moving
-    with pytest.raises(DeviceFault, match="nothing was heard"):
+    with pytest.raises(DeviceFault, match="nothing was received"):
         deque((stage.read(0.02) for _ in range(1000)), maxlen=0)
-    fault_of(stage, "nothing was heard")
+    fault_of(stage, "nothing was received")
 
 
 def test_32_no_reply_at_start() -> None:
@@ -108,7 +108,7 @@ def test_32_a_stop_gets_through_where_most_is_lost() -> None:
     bench = Bench()
     stage = moving(bench)
     bench.network.to_robot.lose = 150
-    fault_of(stage, "nothing was heard")
+    fault_of(stage, "nothing was received")
     stage.stop()
     assert not bench.truth[1]
 
@@ -190,7 +190,7 @@ def test_32_late_proofs_of_life_do_not_count() -> None:
     bench = Bench()
     stage = moving(bench)
     bench.network.to_robot.delay_s = 0.05
-    fault_of(stage, "nothing was heard")
+    fault_of(stage, "nothing was received")
     assert bench.truth[0] <= 0.5 + 10 * 0.032
 
 

@@ -23,20 +23,20 @@ _INCH_MM = 25.4
 FORCE_UNITS = MappingProxyType({
     "N": 1.0, "kN": 1e3, "lbf": _POUND_N, "klbf": 1e3 * _POUND_N, "kgf": 9.806_65, "kg": 9.806_65,
 })  # fmt: skip
-"""Newtons in a unit of force, by the name that the box gives it."""
+"""Newtons per unit of force, by the name of the unit in the box."""
 
 TORQUE_UNITS = MappingProxyType({
     "N-mm": 1.0, "N-m": 1e3, "kN-m": 1e6, "lbf-in": _POUND_N * _INCH_MM, "lbf-ft": _POUND_N * 12 * _INCH_MM,
     "kgf-cm": 98.066_5, "kg-cm": 98.066_5, "kgf-mm": 9.806_65,
 })  # fmt: skip
-"""Newton millimetres in a unit of torque. The box also leaves the hyphen out: `Nmm`."""
+"""Newton millimetres per unit of torque; the box also writes the names without hyphen, such as `Nmm`."""
 
 _LONGEST = 1_000_000
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """The parts of `netftapi2.xml` that a measurement needs."""
+    """The values of `netftapi2.xml` that convert counts."""
 
     counts_per_force: float
     counts_per_torque: float
@@ -48,17 +48,17 @@ class Configuration:
 
     @property
     def newton_per_count(self) -> float:
-        """Force of one count, in N."""
+        """Force of one count, N."""
         return FORCE_UNITS[self.force_unit] / self.counts_per_force
 
     @property
     def newton_mm_per_count(self) -> float:
-        """Torque of one count, in N mm."""
+        """Torque of one count, N mm."""
         return TORQUE_UNITS[self.torque_unit] / self.counts_per_torque
 
 
 def parse_configuration(xml: bytes, source: str = "") -> Configuration:
-    """Read `netftapi2.xml`. Raises ConfigurationError with every factor and unit that is missing or wrong."""
+    """Return the configuration in `netftapi2.xml`. Raises ConfigurationError with all missing and wrong values."""
     if b"<!DOCTYPE" in xml or b"<!ENTITY" in xml:
         raise ConfigurationError("must be plain XML, without a document type", source)
     try:
@@ -80,19 +80,19 @@ def parse_configuration(xml: bytes, source: str = "") -> Configuration:
 
 
 def fetch_configuration(host: str, port: int = 80, slot: int | None = None, timeout_s: float = 2.0) -> Configuration:
-    """Read the configuration of the box at `host`; `slot` is one of its 16, None the active one.
+    """Return the configuration of the box at `host`; `slot` is one of its 16 slots, None the active one.
 
-    Raises DeviceFault where nobody answers, ConfigurationError where the answer cannot be used.
+    Raises DeviceFault without an answer, ConfigurationError if the answer cannot be used.
     """
     name = f"[{host}]" if ":" in host else host
     url = f"http://{name}:{port}/netftapi2.xml" + ("" if slot is None else f"?index={slot}")
     try:
-        # The address is the user's own box: no proxy stands between.
+        # The box is in the local network: proxy settings must not apply.
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         with opener.open(url, timeout=timeout_s) as answer:
             xml = answer.read(_LONGEST)
     except (OSError, ValueError, urllib.error.URLError) as error:
-        reason = getattr(error, "reason", error)  # of an URLError: what really happened
+        reason = getattr(error, "reason", error)  # the cause of a URLError
         why = getattr(reason, "strerror", None) or reason
         raise DeviceFault(f"{url}: the configuration of the force sensor cannot be read: {why}") from error
     return parse_configuration(xml, url)

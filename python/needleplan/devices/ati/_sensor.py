@@ -41,39 +41,28 @@ _Three = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ForceLimits:
-    """When a sample is suspect, and when the sensor is given up."""
+    """Limits beyond which a sample is SUSPECT, or the sensor raises DeviceFault.
 
-    silence_s: float = 0.1
-    """The stream has stopped where nothing has come for so long."""
+    The defaults suit a needle robot: no needle bears 50 N, and no tissue releases 10 N within one sample. They detect
+    a torn cable, not a puncture.
+    """
 
-    start_s: float = 0.3
-    """The first record must have come within this time of the start request; it is sent three times."""
-
-    most_force_n: float = 50.0
-    most_torque_n_mm: float = 5000.0
-    step_n: float = 10.0
-    """Largest change of a force from one sample to the next."""
-
-    stuck_samples: int = 50
-    """All six counts of a living sensor do not stay the same for so many samples."""
-
-    frozen_samples: int = 10
-    """The box has stopped measuring where `ft_sequence` stands still for so many records."""
-
-    malformed: int = 50
-    """So many datagrams in a row that are no records are another device."""
-
-    bias_samples: int = 20
-    steady_n: float = 0.1
-    """Before a bias, the standard deviation of each force over `bias_samples` is at most this."""
-
-    unloaded_n: float = 0.5
-    """Once biased, the force is at most this where it is biased again: more is a needle under load."""
+    silence_s: float = 0.1  # time without a record after which the stream has stopped: DeviceFault
+    start_s: float = 0.3  # time from a start request to the first record, at most; the request is sent three times
+    most_force_n: float = 50.0  # force above which a sample is SUSPECT
+    most_torque_n_mm: float = 5000.0  # torque above which a sample is SUSPECT
+    step_n: float = 10.0  # change of a force from one sample to the next above which a sample is SUSPECT
+    stuck_samples: int = 50  # equal samples in succession from which they are SUSPECT: all six counts stand still
+    frozen_samples: int = 10  # records with equal `ft_sequence` from which the box has stopped measuring: DeviceFault
+    malformed: int = 50  # other datagrams in succession that mean another device: DeviceFault
+    bias_samples: int = 20  # samples averaged before and after a bias
+    steady_n: float = 0.1  # standard deviation of a force above which a bias is refused
+    unloaded_n: float = 0.5  # force of a biased sensor above which a further bias is refused: the needle is under load
 
 
 @dataclass
 class Plausibility:
-    """Compares each wrench with what is possible, and with the one before."""
+    """Validates each wrench by its range, and by its difference from the one before."""
 
     limits: ForceLimits
     _counts: tuple[int, ...] = ()
@@ -81,11 +70,11 @@ class Plausibility:
     _force_n: _Three | None = field(default=None)
 
     def forget(self) -> None:
-        """The next sample may be far from the last, as after a bias."""
+        """Permit any step to the next sample, as after a bias."""
         self._force_n, self._counts, self._same = None, (), 0
 
     def notes(self, record: RdtRecord, force_n: _Three, torque_n_mm: _Three) -> tuple[str, ...]:
-        """Return what is wrong with a wrench; nothing where it is plausible."""
+        """Return the problems of a wrench; empty if it is plausible."""
         notes = []
         self._same = self._same + 1 if record.counts == self._counts else 1
         self._counts = record.counts
@@ -112,7 +101,7 @@ _SETTLING_S = 1.0
 
 
 class NetFt(ForceSensor):
-    """A force sensor that speaks RDT over `link`; `configure` reads the configuration of the box."""
+    """A force sensor that speaks RDT over `link`; `configure` returns the configuration of the box."""
 
     def __init__(
         self,
@@ -138,7 +127,7 @@ class NetFt(ForceSensor):
     def open(cls, address: str, *, limits: ForceLimits | None = None) -> NetFt:
         """Open `udp://host[:49152][?http_port=80&slot=2]` and start the stream.
 
-        Raises AddressError, ConfigurationError where the units cannot be used, DeviceFault where nobody answers.
+        Raises AddressError, ConfigurationError if the units cannot be used, DeviceFault without an answer.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "udp":
@@ -156,28 +145,28 @@ class NetFt(ForceSensor):
 
     @property
     def configuration(self) -> Configuration:
-        """What the box said of itself at the last start."""
+        """The configuration of the box at the last start."""
         return self._configuration
 
     @property
     def counts(self) -> RdtCounts:
-        """Records received, lost, doubled, late, malformed and frozen since the start."""
+        """Numbers of received, lost, repeated, late, malformed and frozen records since the start."""
         return self._watch.counts
 
     @property
-    def strangers(self) -> int:
-        """Datagrams that somebody else sent to our port."""
-        return self._link.strangers if isinstance(self._link, UdpLink) else 0
+    def unknown_senders(self) -> int:
+        """Number of datagrams from other senders, which were dropped."""
+        return self._link.unknown_senders if isinstance(self._link, UdpLink) else 0
 
     @property
     def local_port(self) -> int:
-        """Our port, 0 where there is none."""
+        """The UDP port of this machine; 0 for other links."""
         return self._link.local_port if isinstance(self._link, UdpLink) else 0
 
     def start(self) -> None:
-        """Read the configuration anew, ask for the stream, and wait for its first record.
+        """Read the configuration, request the stream, and wait for the first record; the request is sent three times.
 
-        Raises ConfigurationError, and DeviceFault where no record comes; the request is sent three times.
+        Raises ConfigurationError, DeviceFault without a record.
         """
         self._fault = None
         self._malformed = 0
@@ -199,7 +188,7 @@ class NetFt(ForceSensor):
         raise self._give_up(f"no record within {waited_s:g} s of the start request; an RDT port? a firewall?")
 
     def read(self, timeout_s: float) -> ForceSample | None:
-        """Return the next sample, or None after `timeout_s`. Raises DeviceFault, again and again until `start`."""
+        """Return the next sample, or None after `timeout_s`. Raises DeviceFault, then at every call until `start`."""
         if self._closed:
             raise LinkClosed("the force sensor is closed")
         if self._fault is not None:
@@ -225,10 +214,10 @@ class NetFt(ForceSensor):
                 return None
 
     def bias(self) -> None:
-        """Take the present wrench as zero, and see that it has become zero.
+        """Take the present wrench as zero, and verify that it has become zero.
 
-        Raises DeviceFault where the force is not steady, where a sensor that was biased before is under load, where
-        samples stay suspect, and where the box does not follow. The first bias cannot know of a constant load.
+        Raises DeviceFault if the force is not steady, a biased sensor is under load, samples stay suspect, or the box
+        does not follow. The first bias cannot detect a constant load.
         """
         mean_n, deviation_n = self._look("bias")
         if max(deviation_n) > self.limits.steady_n:
@@ -247,17 +236,17 @@ class NetFt(ForceSensor):
         raise DeviceFault(f"bias failed: the box still reports {max(map(abs, mean_n)):.3g} N")
 
     def reset_latch(self) -> None:
-        """Forget the threshold condition that the box has latched."""
+        """Clear the threshold condition latched in the box."""
         self._link.send(encode_request(RdtCommand.RESET_LATCH))
 
     def check_configuration(self) -> None:
-        """Read the configuration anew. Raises DeviceFault where units or factors have changed since the start."""
+        """Read the configuration again. Raises DeviceFault if it has changed since the start."""
         now = self._configure()
         if now != self._configuration:
             raise self._give_up(f"its configuration has changed from {self._configuration} to {now}")
 
     def close(self) -> None:
-        """Ask the box to stop, and give the port back."""
+        """Stop the stream and release the port."""
         if not self._closed:
             self._closed = True
             with contextlib.suppress(LinkClosed):
@@ -265,9 +254,9 @@ class NetFt(ForceSensor):
             self._link.close()
 
     def _look(self, purpose: str, strict: bool = True) -> tuple[list[float], list[float]]:
-        """Return mean and standard deviation of the force over some samples in a row, all of them good where `strict`.
+        """Return mean and standard deviation of each force over successive samples; if `strict`, all of them good.
 
-        A suspect one lets it begin again, a few times: the first after a start may be one.
+        A suspect sample restarts the series, a limited number of times: the first sample after a start may be suspect.
         """
         forces_n: list[tuple[float, float, float]] = []
         why: tuple[str, ...] = ()
@@ -286,19 +275,19 @@ class NetFt(ForceSensor):
         raise DeviceFault(f"{purpose} refused: {', '.join(why)}")
 
     def _take(self, datagram: bytes) -> None:
-        """Keep the records of a datagram until somebody reads them."""
+        """Queue the records of a datagram for `read`."""
         if not datagram:
             return
         try:
             records = decode_records(datagram)
         except ProtocolError as error:
             self._watch.counts.malformed += 1
-            self._storm(str(error))
+            self._count_malformed(str(error))
             return
         now_ns = self._clock.now_ns()
         self._pending.extend((record, now_ns) for record in records)
 
-    def _storm(self, why: str) -> None:
+    def _count_malformed(self, why: str) -> None:
         self._malformed += 1
         if self._malformed >= self.limits.malformed:
             raise self._give_up(f"{self._malformed} datagrams in a row that are not of this stream: {why}")
@@ -306,7 +295,7 @@ class NetFt(ForceSensor):
     def _validate(self, record: RdtRecord, now_ns: int) -> ForceSample | None:
         arrival = self._watch.see(record, now_ns)
         if arrival.order is RdtOrder.IMPLAUSIBLE:
-            self._storm("sequence numbers far from the last ones")
+            self._count_malformed("sequence numbers far from the last ones")
         if arrival.order is RdtOrder.RESTARTED:
             raise self._give_up("it was switched off and on: its bias is lost")
         if arrival.order not in (RdtOrder.NEXT, RdtOrder.AFRESH):

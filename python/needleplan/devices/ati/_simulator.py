@@ -57,16 +57,16 @@ class BoxSettings:
 
 @dataclass
 class BoxFaults:
-    """What goes wrong from now on; numbers count down the records that they concern."""
+    """Faults to simulate from now on; a number counts the records that it still concerns."""
 
     silent: bool = False
     lose: int = 0
     duplicate: int = 0
     reorder: int = 0
-    """So many records are held back and sent after the one that follows."""
+    """Number of records to hold back and send after the following one."""
 
     freeze: bool = False
-    """The box sends, but no longer measures."""
+    """Send records without measuring."""
 
     deaf_to_bias: bool = False
     status: int = 0
@@ -75,7 +75,7 @@ class BoxFaults:
 
 
 class NetFtBox:
-    """The box itself. `wrench` returns three forces in N and three torques in N mm for a time in seconds."""
+    """The simulated box; `wrench` returns three forces (N) and three torques (N mm) for a time in seconds."""
 
     def __init__(self, wrench: _Wrench, settings: BoxSettings | None = None) -> None:
         self.wrench = wrench
@@ -84,7 +84,7 @@ class NetFtBox:
         self.client: Peer | None = None
         self.rdt_sequence = self.ft_sequence = 0
         self.before_first = 0
-        """The number before that of the first record of a stream; near 2^32 the stream soon wraps."""
+        """Sequence number before the first record of a stream; close to 2^32 it lets the number wrap."""
 
         self._left: int | None = None
         self._latched = 0
@@ -93,7 +93,7 @@ class NetFtBox:
         self._held: list[bytes] = []
 
     def request(self, datagram: bytes, sender: Peer) -> None:
-        """Follow a request; what is not one is ignored, as the box does."""
+        """Execute a request; like the real box, ignore other datagrams."""
         try:
             command, samples = decode_request(datagram)
         except ProtocolError:
@@ -109,17 +109,17 @@ class NetFtBox:
             self._bias = tuple(map(sum, zip(self._counts, self._bias, strict=True)))  # type: ignore[assignment]
 
     def exceed_threshold(self) -> None:
-        """Latch a threshold condition, as where a force limit set in the box is passed."""
+        """Latch a threshold condition, as if a force limit of the box was exceeded."""
         self._latched = 0x8001_0000
 
     def reboot(self) -> None:
-        """Lose power for a moment: bias, client and the count of measurements are gone."""
+        """Simulate a power dip: bias, client and measurement counter are lost."""
         self.client = None
         self.rdt_sequence = self.ft_sequence = self._latched = 0
         self._bias = (0, 0, 0, 0, 0, 0)
 
     def step(self, time_s: float) -> list[bytes]:
-        """Measure at `time_s`, and return the datagrams for `client`."""
+        """Measure at `time_s` and return the datagrams for `client`."""
         if not self.faults.freeze:
             self.ft_sequence = (self.ft_sequence + self.settings.divisor) % _WRAP
             self._counts = self._measure(time_s)
@@ -158,7 +158,7 @@ class NetFtBox:
 
 
 class NetFtServer(Closing):
-    """A box on real sockets of this machine: RDT on `port`, its XML on `http_port`; a context manager."""
+    """A box on sockets of this machine: RDT on `port`, its configuration on `http_port`."""
 
     def __init__(self, box: NetFtBox, host: str = "127.0.0.1", port: int = 0, http_port: int = 0) -> None:
         self.box = box
@@ -201,7 +201,7 @@ class NetFtServer(Closing):
             self.box.request(datagram, sender)
 
     def close(self) -> None:
-        """Switch it off."""
+        """Stop serving."""
         self._stopping.set()
         self._http.shutdown()
         for thread in self._threads:
@@ -232,7 +232,7 @@ _NANO = 1_000_000_000
 
 
 class BoxLink(Link):
-    """Carries datagrams to and from `box`; waiting on it moves `clock`, and the box measures as time passes."""
+    """Connects a client to `box` within a process; waiting advances `clock`, and the box measures meanwhile."""
 
     def __init__(self, box: NetFtBox, clock: VirtualClock) -> None:
         self.box, self._clock = box, clock
@@ -241,20 +241,20 @@ class BoxLink(Link):
         self._closed = False
 
     def send(self, data: bytes) -> None:
-        """Give a request to the box."""
+        """Send a request to the box."""
         if self._closed:
             raise LinkClosed("the link to the box is closed")
         self.box.request(data, _HERE)
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next datagram, or let `timeout_s` pass."""
+        """Return the next datagram; empty after `timeout_s`. Advances the clock."""
         if self._closed:
             raise LinkClosed("the link to the box is closed")
         end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
         while not self._waiting and self._due_ns <= end_ns:
             self._clock.advance((self._due_ns - self._clock.now_ns()) / _NANO)
             datagrams = self.box.step(self._due_ns / _NANO)
-            # What goes to another client does not come here.
+            # Datagrams for another client are not received here.
             self._waiting.extend(datagrams if self.box.client == _HERE else ())
             self._due_ns += round(self.box.settings.divisor / _MEASUREMENTS_PER_S * _NANO)
         if self._waiting:
@@ -263,5 +263,5 @@ class BoxLink(Link):
         return b""
 
     def close(self) -> None:
-        """Give the link up."""
+        """Close the link."""
         self._closed = True

@@ -41,16 +41,16 @@ _RECORD = struct.Struct(">3I6i")
 
 
 class RdtCommand(IntEnum):
-    """What the box is asked to do. Only the three that start a stream are answered, by records."""
+    """Commands to the box; it answers only those that start a stream, by records."""
 
     STOP = 0x0000
     START = 0x0002
-    """One record in a datagram, at the rate of the configuration."""
+    """One record in each datagram, at the configured rate."""
 
     START_BUFFERED = 0x0003
     START_MULTI_UNIT = 0x0004
     RESET_LATCH = 0x0041
-    """Forget the latched threshold condition."""
+    """Clear the latched threshold condition."""
 
     BIAS = 0x0042
     """Take the present wrench as zero."""
@@ -58,7 +58,7 @@ class RdtCommand(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class RdtRecord:
-    """One record: counts, not yet forces."""
+    """One record: sequence numbers, status word, and six counts."""
 
     rdt_sequence: int
     ft_sequence: int
@@ -67,7 +67,7 @@ class RdtRecord:
 
 
 def encode_request(command: RdtCommand, samples: int = 0) -> bytes:
-    """Return a request; `samples` is how many records to send, 0 without end."""
+    """Return a request for `samples` records; 0 requests records without end."""
     return _REQUEST.pack(_HEADER, command, samples)
 
 
@@ -85,14 +85,14 @@ def decode_request(datagram: bytes) -> tuple[RdtCommand, int]:
 
 
 def encode_records(records: Iterable[RdtRecord]) -> bytes:
-    """Return the datagram that carries `records`."""
+    """Return the datagram with `records`."""
     return b"".join(
         _RECORD.pack(each.rdt_sequence, each.ft_sequence, each.status, *each.counts) for each in records
     )  # fmt: skip
 
 
 def decode_records(datagram: bytes) -> list[RdtRecord]:
-    """Return the records of a datagram, one to 40. Raises ProtocolError where its length is not that of records."""
+    """Return the 1 to 40 records of a datagram. Raises ProtocolError for a wrong length."""
     count, rest = divmod(len(datagram), _RECORD.size)
     if rest or not 0 < count <= MOST_RECORDS:
         raise ProtocolError(f"a datagram of {len(datagram)} bytes is not made of RDT records of {_RECORD.size}")
@@ -101,11 +101,11 @@ def decode_records(datagram: bytes) -> list[RdtRecord]:
 
 
 class RdtSeverity(IntEnum):
-    """What a status word means for the sample that it came with."""
+    """Consequence of a status word for its sample."""
 
     HEALTHY = 0
     SUSPECT = 1
-    """The wrench is not to be used for control; the sensor itself goes on."""
+    """The wrench must not be used for control; the sensor stays usable."""
 
     FAULT = 2
     """The sensor cannot be used."""
@@ -130,9 +130,9 @@ _AXIA_SUSPECT = {3, 27}
 
 
 def read_status(status: int, product: str) -> tuple[RdtSeverity, tuple[str, ...]]:
-    """Return how bad a status word is, and what it says; bits that are in no table are named by number.
+    """Return the severity of a status word and the names of its set bits; unknown bits are named by number.
 
-    `product` is `prodname` of the configuration.
+    `product` is `prodname` of the configuration; the Ethernet Axia has its own table.
     """
     if not status:
         return RdtSeverity.HEALTHY, ()
@@ -151,26 +151,26 @@ _REMEMBERED = 4096
 
 
 class RdtOrder(Enum):
-    """Where a record stands among those before it."""
+    """Position of a record relative to earlier records."""
 
     NEXT = auto()
     DUPLICATE = auto()
     AFRESH = auto()
-    """The first of a new stream: somebody sent a start request."""
+    """First record of a new stream, after a start request from any client."""
 
     LATE = auto()
-    """Counted as lost before; it came after all, too late to be used."""
+    """Counted as lost before; it arrived too late to be used."""
 
     IMPLAUSIBLE = auto()
-    """Its numbers cannot follow: not a record of this stream."""
+    """Its numbers cannot follow the earlier ones: it belongs to another stream."""
 
     RESTARTED = auto()
-    """The box counts its measurements anew: it was switched off, and its bias is lost."""
+    """The measurement counter has restarted: the box was switched off, and its bias is lost."""
 
 
 @dataclass
 class RdtCounts:
-    """What came over the link since the start, and what did not."""
+    """Numbers of records since the start, by their fate."""
 
     received: int = 0
     lost: int = 0
@@ -182,7 +182,7 @@ class RdtCounts:
 
 @dataclass(frozen=True)
 class RdtArrival:
-    """The verdict on one record: its place, how many are missing before it, and for how many the box stood still."""
+    """Validation of a record: its order, the records lost before it, and successive records without a measurement."""
 
     order: RdtOrder
     lost: int = 0
@@ -191,7 +191,11 @@ class RdtArrival:
 
 @dataclass
 class StreamWatch:
-    """Follows the two sequence numbers of one stream."""
+    """Validates the two sequence numbers of one stream; both wrap at 2^32.
+
+    `rdt_sequence` counts records since the start request, and reveals lost, repeated and late records. `ft_sequence`
+    counts the 7 kHz measurements of the box, and reveals whether it still measures and whether it was restarted.
+    """
 
     counts: RdtCounts = field(default_factory=RdtCounts)
     _last: RdtRecord | None = None
@@ -200,11 +204,11 @@ class StreamWatch:
     _missing: dict[int, None] = field(default_factory=dict)
 
     def see(self, record: RdtRecord, now_ns: int) -> RdtArrival:
-        """Judge the next record, which arrived at `now_ns`."""
+        """Validate the next record, received at `now_ns`."""
         last = self._last
         if last is None:
             return self._accept(record, now_ns, 0)
-        # Twice what the box measures in that time, and a second for what waited on the way.
+        # Twice the measurements of the box in that time, and those of one second for records queued on the way.
         most = 2 * _MEASUREMENTS_PER_S * (1.0 + max(now_ns - self._last_ns, 0) / 1e9)
         ahead = (record.rdt_sequence - last.rdt_sequence) % _WRAP
         measured = (record.ft_sequence - last.ft_sequence) % _WRAP
@@ -213,7 +217,7 @@ class StreamWatch:
             if measured > most:
                 return RdtArrival(RdtOrder.RESTARTED)
         elif follows and record.rdt_sequence <= most:
-            # Behind in the stream, but measured after the last one: the stream has begun anew, the box has not.
+            # Earlier in the stream, but measured later: the stream was restarted, and the box was not.
             self._missing.clear()
             return RdtArrival(RdtOrder.AFRESH, self._accept(record, now_ns, 0).lost)
         elif near and (ahead == 0 or ahead >= _WRAP - _REMEMBERED):

@@ -17,33 +17,29 @@ __all__ = ["Cia402Axis", "DriveTiming", "Rounds"]
 
 @dataclass(frozen=True)
 class DriveTiming:
-    """How long each side believes in the other."""
+    """Timing of the communication with the drives.
+
+    - `sync_s`: interval between two SYNC messages, which request the positions.
+    - `heartbeat_s`: interval between heartbeats, of the controller and of the drives.
+    - `watchdog_s`: a drive stops by itself without a heartbeat of the controller for this time.
+    - `silence_s`: the stage raises DeviceFault without positions for this time.
+    - `answer_s`: time for a drive to answer a request.
+    - `change_s`: time for a change of state, and for accepting a new target.
+    - `slack_s`: delay of the begin of a motion, and pause within it, at most.
+    """
 
     sync_s: float = 0.005
-    """The drives are asked where they are so often."""
-
     heartbeat_s: float = 0.01
-    """Both sides say that they live so often."""
-
     watchdog_s: float = 0.04
-    """A drive that does not hear us for so long stops by itself."""
-
     silence_s: float = 0.04
-    """We give the drives up where they do not say where they are for so long."""
-
     answer_s: float = 0.3
-    """A drive has so long to answer a question."""
-
     change_s: float = 0.5
-    """A change of state, or taking a new target, may take so long."""
-
     slack_s: float = 0.3
-    """A motion may begin so late, or rest so long on its way."""
 
 
 _STATUS = struct.Struct("<Hi")
 _VELOCITY = struct.Struct("<i")
-_LATENCY_S = 0.05
+_LATENCY_S = 0.05  # time in which an axis continues in its old direction
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,7 @@ class _Motion:
 
 
 class Cia402Axis:
-    """Follows one drive. `slack_s` is how late it may begin to move, or arrive."""
+    """Validates the frames of one drive; `slack_s` is the longest delay of the begin or end of a motion."""
 
     def __init__(self, setup: AxisSetup, name: str, slack_s: float) -> None:
         self.setup, self.name, self.slack_s = setup, name, slack_s
@@ -61,7 +57,7 @@ class Cia402Axis:
         self.word = 0
         self.received_ns = 0
         self.stopped = False
-        """Whether the drive was told to stop: then it may be in QUICK STOP ACTIVE."""
+        """Whether the drive was commanded to stop; it may then be in QUICK STOP ACTIVE."""
 
         self._motion: _Motion | None = None
         self._nearest = self._leeway = 0.0
@@ -75,44 +71,44 @@ class Cia402Axis:
         return self.has_status and self.has_velocity
 
     def expect(self) -> None:
-        """Forget what was answered: a SYNC goes out."""
+        """Mark the answers as missing, because a new SYNC is sent."""
         self.has_status = self.has_velocity = False
 
     def begin(self, target: float, velocity: float, position: float, now_ns: int) -> None:
-        """Know of a motion that begins, from `position`."""
+        """Record the begin of a motion from `position`."""
         self._motion, self.stopped, self.position = _Motion(target, velocity), False, position
-        # An axis that is sent back goes on for a while.
+        # An axis that reverses continues in its old direction for a while.
         speed, limits = abs(self.velocity), self.setup.limits
         self._leeway = speed**2 / (2 * limits.acceleration) + speed * _LATENCY_S
         self._nearest = abs(target - position)
         self._moved_ns = now_ns
 
     def stop(self) -> None:
-        """Know of a stop."""
+        """Record a stop."""
         self._motion, self.stopped = None, True
 
     def enabled(self, position: float) -> None:
-        """Know that the drive was enabled, at a place."""
+        """Record that the drive was enabled at `position`."""
         self._motion, self.stopped, self._known_ns = None, False, None
         self.position = position
 
     @property
     def moving(self) -> bool:
-        """Whether the axis is on its way, or not yet at rest after a stop."""
+        """Whether the axis moves to its target, or has not come to rest after a stop."""
         reached = bool(self.word & Bit.TARGET_REACHED)
         if self._motion is None:
             return self.stopped and not reached
         return not reached or abs(self._motion.target - self.position) > self.setup.limits.margin
 
     def take_velocity(self, data: bytes) -> str:
-        """Take the velocity; return what is wrong."""
+        """Store a received velocity; return the problem, or ""."""
         if len(data) != _VELOCITY.size:
             return f"a velocity of {len(data)} bytes"
         self.velocity, self.has_velocity = self.setup.velocity(_VELOCITY.unpack(data)[0]), True
         return ""
 
     def take_status(self, data: bytes, asked_ns: int, now_ns: int) -> str:
-        """Take statusword and position, as they were between `asked_ns` and `now_ns`; return what is wrong."""
+        """Store statusword and position, valid between `asked_ns` and `now_ns`; return the problem, or ""."""
         if len(data) != _STATUS.size:
             return f"a status of {len(data)} bytes"
         self.word, counts = _STATUS.unpack(data)
@@ -126,7 +122,7 @@ class Cia402Axis:
         if state in (Cia402State.FAULT, Cia402State.FAULT_REACTION):
             return "FAULT"
         if state is not Cia402State.ENABLED and not (self.stopped and state is Cia402State.QUICK_STOP):
-            return f"left OPERATION ENABLED for {state}: emergency stop, STO, or it did not hear us"
+            return f"left OPERATION ENABLED for {state}: emergency stop, STO, or its watchdog"
         if self.word & Bit.FOLLOWING_ERROR and not self.stopped:
             return "following error"
         if self.word & Bit.LIMIT:
@@ -134,7 +130,7 @@ class Cia402Axis:
         return ""
 
     def _wrong_step(self, before: float, since_ns: int | None, now_ns: int) -> str:
-        """A step is too far where no speed that is allowed, in the longest time that it can have taken, explains it."""
+        """Return a problem if no permitted speed explains the step within the longest possible time."""
         limits = self.setup.limits
         step = abs(self.position - before)
         if since_ns is None or step <= limits.margin + limits.fastest * (now_ns - since_ns) / 1e9:
@@ -157,38 +153,37 @@ class Cia402Axis:
 
 
 _NANO = 1_000_000_000
-_PATIENCE = 4
-"""So many times the time between two rounds a round waits for its answers."""
+_PATIENCE = 4  # time to wait for the answers of a round, in SYNC intervals
 
 _MOST_OPEN = 8
 
 
 class Rounds:
-    """One round at a time, by `axes`: insertion and roll. A round that is not answered is lost, and counted."""
+    """Requests the positions of both `axes` by SYNC, one round at a time; an unanswered round is counted as lost."""
 
     def __init__(self, bus: CanBus, axes: Sequence[Cia402Axis], timing: DriveTiming) -> None:
         self._bus, self._axes, self._clock = bus, axes, bus.clock
         self._sync_ns, self._silence_s = round(timing.sync_s * _NANO), timing.silence_s
         self._number = self._lost = 0
         self.asked_ns: int | None = None
-        """When the round under way began; None where there is none."""
+        """Begin of the present round, or None."""
 
-        self._due_ns = self._heard_ns = 0
+        self._due_ns = self._answered_ns = 0
         self._open: deque[int] = deque(maxlen=_MOST_OPEN)
 
     @property
     def earliest_ns(self) -> int | None:
-        """When what is answered now was asked at the earliest: a round that was given up may be answered late."""
+        """Earliest request that an answer may belong to: an abandoned round may be answered late."""
         return self._open[0] if self._open else None
 
     def begin_anew(self) -> None:
-        """Forget the round under way, and what was lost before."""
+        """Discard the present round and the count of lost ones."""
         self.asked_ns, self._due_ns, self._lost = None, 0, 0
         self._open.clear()
-        self._heard_ns = self._clock.now_ns()
+        self._answered_ns = self._clock.now_ns()
 
     def forget(self) -> None:
-        """Give the round under way up: what it asked is not told any more."""
+        """Abandon the present round; its answers are ignored."""
         self._lost += self.asked_ns is not None
         self.asked_ns, self._due_ns = None, 0
         self._open.clear()
@@ -196,14 +191,14 @@ class Rounds:
             axis.expect()
 
     def ask(self) -> None:
-        """Begin a round where one is due. Raises LinkClosed."""
+        """Begin a round if one is due. Raises LinkClosed."""
         now_ns = self._clock.now_ns()
         if self.asked_ns is None:
             if now_ns < self._due_ns:
                 return
-            # Who did not read for a while has not asked either: that is nobody's silence.
+            # Without reading, no positions were requested: this is not a silence of the drives.
             if now_ns > self._due_ns + self._sync_ns:
-                self._heard_ns = now_ns
+                self._answered_ns = now_ns
         elif now_ns < self.asked_ns + _PATIENCE * self._sync_ns:
             return
         else:
@@ -216,10 +211,10 @@ class Rounds:
         self._bus.sync()
 
     def sample(self) -> StageSample | None:
-        """Return the sample of the round under way, where all have answered, and end it."""
+        """Return the sample of the present round, and end it, if all drives have answered; else None."""
         if self.asked_ns is None or not all(axis.complete for axis in self._axes):
             return None
-        self._heard_ns, self._due_ns, self.asked_ns = self._clock.now_ns(), self.asked_ns + self._sync_ns, None
+        self._answered_ns, self._due_ns, self.asked_ns = self._clock.now_ns(), self.asked_ns + self._sync_ns, None
         self._open.popleft()
         insertion, roll = self._axes
         stamp = Stamp(max(insertion.received_ns, roll.received_ns), self._number, self._lost)
@@ -228,9 +223,9 @@ class Rounds:
         return StageSample(stamp, insertion.position, insertion.velocity, roll.position, moving)
 
     def silent(self) -> str:
-        """Return who has been silent for too long, and for how long; nothing where nobody was."""
+        """Return the drives that have not answered for too long, with the time, or ""."""
         now_ns = self._clock.now_ns()
-        silent_s = (now_ns - self._heard_ns) / _NANO
+        silent_s = (now_ns - self._answered_ns) / _NANO
         if silent_s <= self._silence_s or self.asked_ns is None or now_ns <= self.asked_ns + self._sync_ns:
             return ""
         names = ", ".join(axis.name for axis in self._axes if not axis.complete)

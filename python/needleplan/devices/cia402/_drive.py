@@ -24,7 +24,7 @@ _CYCLE_S = 0.02
 
 @dataclass(frozen=True)
 class Frame:
-    """What a node sent by itself."""
+    """A frame that a node sent without a request."""
 
     node: int
     service: Service
@@ -33,7 +33,7 @@ class Frame:
 
 
 def library(name: str = "canopen") -> Any:
-    """Return `canopen` or a part of it. Raises ConfigurationError that names the extra where it is not installed."""
+    """Return `canopen` or one of its modules. Raises ConfigurationError if the extra is not installed."""
     try:
         return import_module(name)
     except ImportError as error:
@@ -42,7 +42,7 @@ def library(name: str = "canopen") -> Any:
 
 
 class CanBus(Closing):
-    """A bus; a context manager. Raises ConfigurationError without the library, DeviceFault where there is no bus."""
+    """A CAN bus. Raises ConfigurationError without the library, DeviceFault if the bus cannot be opened."""
 
     def __init__(self, channel: str, interface: str, clock: Clock, **options: Any) -> None:
         canopen = library()
@@ -50,7 +50,7 @@ class CanBus(Closing):
         self.name = f"canopen://{channel}"
         self.clock = clock
         self.network = canopen.Network()
-        self.network.NOTIFIER_CYCLE = _CYCLE_S  # so long closing takes at most
+        self.network.NOTIFIER_CYCLE = _CYCLE_S  # the longest time that closing takes
         self.frames: queue.SimpleQueue[Frame] = queue.SimpleQueue()
         self._closed = False
         try:
@@ -59,7 +59,7 @@ class CanBus(Closing):
             raise DeviceFault(f"{self.name} cannot be opened by {interface}: {error}") from error
 
     def listen(self, node: int, *services: Service) -> None:
-        """Have what a node sends by itself put into `frames`."""
+        """Queue the frames of a node in `frames`."""
         for service in services:
             self.network.subscribe(service + node, self._put(node, service))
 
@@ -70,7 +70,7 @@ class CanBus(Closing):
         return put
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Send one frame. Raises LinkClosed where the bus is gone, or is off after too many errors."""
+        """Send one frame. Raises LinkClosed if the bus is gone, or is off after too many errors."""
         if self._closed:
             raise LinkClosed(f"{self.name} is closed")
         try:
@@ -79,21 +79,20 @@ class CanBus(Closing):
             raise LinkClosed(f"{self.name}: {error}") from error
 
     def sync(self) -> None:
-        """Have all drives say where they are."""
+        """Request the positions of all drives."""
         self.send(_SYNC, b"")
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Disconnect from the bus."""
         if not self._closed:
             self._closed = True
-            # Where the bus went before us, the library says so once more when all has been given back.
+            # If the bus is gone already, the library reports that again after it has released everything.
             with contextlib.suppress(*self._errors):
                 self.network.disconnect()
 
 
 _PROFILE_POSITION = 1
-_STOP_AND_STAY = 6
-"""Quick stop: by its own ramp, then stay in QUICK STOP ACTIVE."""
+_STOP_AND_STAY = 6  # quick stop option: decelerate, then stay in QUICK STOP ACTIVE
 
 _EVERY_SYNC, _AT_ONCE = 1, 255
 _OFF = 1 << 31
@@ -107,9 +106,9 @@ _NEXT = {
 
 
 class Cia402Drive:
-    """The drive of one axis; every method asks it and waits for what it answers. Raises DeviceFault.
+    """The drive of one axis; each method waits for the answers of the drive. Raises DeviceFault.
 
-    Before each question `heartbeat` is called: the watchdog of the other drive runs on while this one answers.
+    `heartbeat` is called before each request, because the watchdog of the other drive continues meanwhile.
     """
 
     def __init__(
@@ -124,11 +123,11 @@ class Cia402Drive:
 
     @property
     def name(self) -> str:
-        """How it is called in messages."""
+        """Name in messages."""
         return f"{self.setup.name} drive (node {self.setup.node})"
 
     def write(self, entry: Entry, value: int) -> None:
-        """Write an entry, and have it acknowledged."""
+        """Write an entry and wait for its acknowledgement."""
         self._ask(entry, "write", lambda: self._node.sdo.download(*entry.value[:2], entry.packing.pack(value)))
 
     def read(self, entry: Entry) -> int:
@@ -140,14 +139,14 @@ class Cia402Drive:
 
     @property
     def state(self) -> Cia402State | None:
-        """The state, asked for."""
+        """The state, requested from the drive."""
         return state_of(self.read(Entry.STATUSWORD))
 
     def configure(self, master: int, silence_s: float, heartbeat_s: float) -> None:
-        """Set mode, limits, messages, and what it does where it hears nothing of `master` for `silence_s`.
+        """Set mode, limits, messages, and the reaction to a missing heartbeat of `master` for `silence_s`.
 
-        The drive is left disabled. Where it does not take something it is refused: a drive that would not stop by
-        itself is not to be enabled.
+        The drive is left disabled. It is refused if it does not accept a setting: a drive without a working watchdog
+        must not be enabled.
         """
         setup, limits, node = self.setup, self.setup.limits, self.setup.node
         self._node.nmt.state = "PRE-OPERATIONAL"
@@ -183,7 +182,7 @@ class Cia402Drive:
         self._node.nmt.state = "OPERATIONAL"
 
     def reset_fault(self) -> None:
-        """Reset a fault whose cause is gone; the drive stays disabled."""
+        """Reset a fault if its cause is gone; the drive stays disabled."""
         self.write(Entry.CONTROLWORD, Control.DISABLE_VOLTAGE)
         if self.state not in (Cia402State.FAULT, Cia402State.FAULT_REACTION):
             return
@@ -196,7 +195,7 @@ class Cia402Drive:
         self.write(Entry.CONTROLWORD, Control.DISABLE_VOLTAGE)
 
     def enable(self) -> None:
-        """Bring it to OPERATION ENABLED, with the present position as its target; nothing moves."""
+        """Bring the drive to OPERATION ENABLED with its present position as the target; nothing moves."""
         self.write(Entry.TARGET_POSITION, self.read(Entry.POSITION))
         deadline = Deadline(self.bus.clock, self.change_s)
         while (state := self.state) is not Cia402State.ENABLED:
@@ -210,10 +209,10 @@ class Cia402Drive:
                 self.bus.clock.sleep(_POLL_S)
 
     def move(self, position: float, velocity: float) -> None:
-        """Begin a motion, in the place of one that is under way."""
+        """Begin a motion, which replaces the present one."""
         self.write(Entry.TARGET_POSITION, self.setup.counts(position))
         self.write(Entry.PROFILE_VELOCITY, self.setup.speed(velocity))
-        # The motion begins with the rise of a bit; that the drive has seen it is a bit of its own.
+        # The rising edge of a bit starts the motion; the drive acknowledges it by another bit.
         self.write(Entry.CONTROLWORD, Control.ENABLE)
         self._until(acknowledged=False)
         self.write(Entry.CONTROLWORD, Control.NEW_TARGET_NOW)
@@ -225,15 +224,15 @@ class Cia402Drive:
         self.bus.send(Service.CONTROL + self.setup.node, Entry.CONTROLWORD.packing.pack(Control.QUICK_STOP))
 
     def confirm_stop(self) -> None:
-        """Send the quick stop again, and have it acknowledged."""
+        """Send the quick stop again and wait for its acknowledgement."""
         self.write(Entry.CONTROLWORD, Control.QUICK_STOP)
 
     def disable(self) -> None:
-        """Take the power away."""
+        """Disable the voltage."""
         self.write(Entry.CONTROLWORD, Control.DISABLE_VOLTAGE)
 
     def cause(self) -> str:
-        """Return what it says of its fault."""
+        """Return the error code and register of a fault."""
         code, register = self.read(Entry.ERROR_CODE), self.read(Entry.ERROR_REGISTER)
         return f"error 0x{code:04X}, register 0x{register:02X}"
 

@@ -12,7 +12,7 @@ _STEP_NS = 1_000_000
 
 
 class Motor:
-    """Goes to a target by a trapezoid of speed, in steps of a millisecond; `counts` is where it is."""
+    """Moves to a target with a trapezoidal speed, in steps of 1 ms; `counts` is the position."""
 
     def __init__(self, setup: AxisSetup, counts: float, now_ns: int) -> None:
         self.counts, self.speed = float(counts), 0.0
@@ -26,26 +26,26 @@ class Motor:
 
     @property
     def arrived(self) -> bool:
-        """Whether it stands where it should, or has come to rest after a stop."""
+        """Whether the motor is at its target, or at rest after a stop."""
         return self.speed == 0 and (self._braking is not None or self.counts == self._target)
 
     def shown(self, backwards: bool) -> float:
-        """Return what the encoder shows."""
+        """Return the position that the encoder shows."""
         return 2 * self._start - self.counts if backwards else self.counts
 
     def begin(self, now_ns: int, target: float, fastest: float, stuck: bool = False) -> None:
-        """Go to `target`, at most `fastest` counts in a second."""
+        """Begin a motion to `target` with a speed of at most `fastest` counts/s."""
         self.advance(now_ns)
         self._target, self._start, self._stuck, self._braking = float(target), self.counts, stuck, None
         self._fastest = fastest
 
     def halt(self, now_ns: int, quick: bool) -> None:
-        """Slow down to rest, and stay."""
+        """Decelerate to rest."""
         self.advance(now_ns)
         self._braking = self._quick if quick else self._ramp
 
     def advance(self, now_ns: int) -> None:
-        """Let time pass."""
+        """Advance to a time."""
         while self._now_ns + _STEP_NS <= now_ns:
             if self.arrived or self._stuck:
                 self._now_ns += (now_ns - self._now_ns) // _STEP_NS * _STEP_NS
@@ -61,7 +61,7 @@ class Motor:
             return
         left = self._target - self.counts
         change = self._ramp * seconds
-        # The speed from which it can still stop there, the step that is about to be taken included.
+        # The highest speed from which the motor can still stop at the target, including the present step.
         most = max((math.sqrt(change * change + 8 * self._ramp * abs(left)) - change) / 2, 0.0)
         wanted = math.copysign(min(self._fastest, most), left)
         self.speed += min(max(wanted - self.speed, -change), change)

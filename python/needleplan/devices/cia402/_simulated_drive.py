@@ -25,7 +25,7 @@ _TYPES = {"<B": 0x05, "<H": 0x06, "<I": 0x07, "<b": 0x02, "<h": 0x03, "<i": 0x04
 
 
 def object_dictionary() -> Any:
-    """Return one of `canopen` with every entry, all readable and writable."""
+    """Return an object dictionary of `canopen` with every entry, readable and writable."""
     parts = library("canopen.objectdictionary")
     dictionary = library().ObjectDictionary()
     records: dict[int, Any] = {}
@@ -52,37 +52,37 @@ _PRE_OPERATIONAL = 128
 
 @dataclass
 class Cia402DriveFaults:
-    """What goes wrong from now on."""
+    """Faults to simulate from now on."""
 
     mute: bool = False
-    """Nothing is said any more, and nothing understood."""
+    """Send nothing, and execute nothing."""
 
     deaf: bool = False
-    """Questions (SDO) are not answered."""
+    """Do not answer requests (SDO)."""
 
     refuse: dict[Cia402Entry, int] = field(default_factory=dict)
-    """Writing these entries is aborted with a code."""
+    """Abort code by entry whose writing is aborted."""
 
     ignore: set[Cia402Entry] = field(default_factory=set)
-    """Writing these entries is acknowledged, and nothing comes of it."""
+    """Entries whose writing is acknowledged without effect."""
 
     stuck: bool = False
-    """Motions are accepted, and the motor stands."""
+    """Accept motions without moving the motor."""
 
     backwards: bool = False
-    """The encoder counts the other way."""
+    """Count in the wrong direction."""
 
     limit: bool = False
     following: bool = False
     torque_off: bool = False
-    """The safe torque off is open: the drive cannot be enabled."""
+    """Whether the safe torque off is open: the drive cannot be enabled."""
 
 
 _ENTRIES = {(entry.index, entry.subindex): entry for entry in Cia402Entry}
 
 
 class SimulatedDrive:
-    """One drive."""
+    """One simulated drive."""
 
     def __init__(self, bus: CanBus, setup: AxisSetup) -> None:
         self.bus, self.setup, self.clock = bus, setup, bus.clock
@@ -90,19 +90,19 @@ class SimulatedDrive:
         self.state = Cia402State.SWITCH_ON_DISABLED
         self.motor = Motor(setup, setup.zero_counts, self.clock.now_ns())
         self.stopped_after_s: float | None = None
-        """How long it had heard nothing when it stopped by itself."""
+        """Time without a heartbeat after which the drive stopped by itself, or None."""
 
         self._lock = threading.RLock()
         self._values = dict.fromkeys(Cia402Entry, 0)
         self._values[Cia402Entry.ABORT_CONNECTION] = AbortOption.FAULT
         self._acknowledged = False
         self._error = (0, 0)
-        self._heard_ns: int | None = None
-        self._said_ns = 0
+        self._heartbeat_ns: int | None = None
+        self._sent_ns = 0
         canopen = library()
         self._abort = library("canopen.sdo.exceptions").SdoAbortedError
         self._node = canopen.LocalNode(setup.node, object_dictionary())
-        # The library would say that it lives by a thread of its own, which no fault here could silence.
+        # The library would send heartbeats by its own thread, which the simulated faults could not stop.
         self._node._write_callbacks.remove(self._node.nmt.on_write)
         self._node.add_read_callback(self._read)
         self._node.add_write_callback(self._write)
@@ -118,70 +118,70 @@ class SimulatedDrive:
 
     @property
     def position(self) -> float:
-        """Where the axis is."""
+        """Position of the axis."""
         with self._lock:
             self.motor.advance(self.clock.now_ns())
             return self.setup.position(round(self.motor.counts))
 
     @property
     def at_rest(self) -> bool:
-        """Whether the motor stands."""
+        """Whether the motor stands still."""
         with self._lock:
             self.motor.advance(self.clock.now_ns())
             return self.motor.speed == 0
 
     def trip(self, code: int, register: int = 0x81) -> None:
-        """Go into FAULT, and say so."""
+        """Change to FAULT and send an emergency message."""
         with self._lock:
             self.motor.halt(self.clock.now_ns(), quick=True)
             self.state, self._error = Cia402State.FAULT, (code, register)
-        self._say(Service.EMERGENCY, _EMERGENCY.pack(code, register, bytes(5)))
+        self._send(Service.EMERGENCY, _EMERGENCY.pack(code, register, bytes(5)))
 
     def press_stop(self) -> None:
-        """Open the safe torque off, as an emergency stop does: no torque, no fault."""
+        """Open the safe torque off, as an emergency stop does: no torque, and no fault."""
         with self._lock:
             self.faults.torque_off = True
             self._unpowered()
 
     def release_stop(self) -> None:
-        """Close it again."""
+        """Close the safe torque off."""
         self.faults.torque_off = False
 
     def jump(self, distance: float) -> None:
-        """Let the encoder show another place, in mm or rad."""
+        """Let the encoder jump by `distance`, mm or rad."""
         with self._lock:
             self.motor.counts += distance * self.setup.counts_per_unit
 
     def restart(self) -> None:
-        """Come up anew, as after a dip of the power."""
+        """Restart, as after a power dip."""
         with self._lock:
             self._unpowered()
-            self._heard_ns = None
+            self._heartbeat_ns = None
         self._node.nmt.on_command(0, bytes([_PRE_OPERATIONAL, self.setup.node]), 0.0)
-        self._say(Service.HEARTBEAT, b"\0")
+        self._send(Service.HEARTBEAT, b"\0")
 
     def tick(self) -> None:
-        """Let time pass: the watchdog, the motor, and a heartbeat."""
+        """Advance the watchdog and the motor, and send a heartbeat if it is due."""
         now_ns = self.clock.now_ns()
         with self._lock:
             self.motor.advance(now_ns)
             limit_ns = (self._values[Cia402Entry.CONSUMER_HEARTBEAT] & 0xFFFF) * 1_000_000
-            late_ns = now_ns - self._heard_ns if self._heard_ns is not None and limit_ns else 0
+            late_ns = now_ns - self._heartbeat_ns if self._heartbeat_ns is not None and limit_ns else 0
             late = late_ns > limit_ns > 0
             if late:
-                self._heard_ns = None
+                self._heartbeat_ns = None
                 self._abandoned(late_ns / 1e9)
             period_ns = self._values[Cia402Entry.PRODUCER_HEARTBEAT] * 1_000_000
-            due = bool(period_ns) and now_ns - self._said_ns >= period_ns
+            due = bool(period_ns) and now_ns - self._sent_ns >= period_ns
             if due:
-                self._said_ns = now_ns
+                self._sent_ns = now_ns
         if late:
-            self._say(Service.EMERGENCY, _EMERGENCY.pack(0x8130, 0x11, bytes(5)))
+            self._send(Service.EMERGENCY, _EMERGENCY.pack(0x8130, 0x11, bytes(5)))
         if due:
-            self._say(Service.HEARTBEAT, bytes([self._node.nmt._state]))
+            self._send(Service.HEARTBEAT, bytes([self._node.nmt._state]))
 
     def _abandoned(self, late_s: float) -> None:
-        """Do what 0x6007 says."""
+        """React to a missing heartbeat as 0x6007 says."""
         option = self._values[Cia402Entry.ABORT_CONNECTION]
         if self.state is not Cia402State.ENABLED or option == AbortOption.NOTHING:
             return
@@ -202,7 +202,7 @@ class SimulatedDrive:
         self.state = Cia402State.SWITCH_ON_DISABLED
         self.motor.halt(self.clock.now_ns(), quick=True)
 
-    def _say(self, service: Service, data: bytes) -> None:
+    def _send(self, service: Service, data: bytes) -> None:
         if not self.faults.mute:
             self.bus.send(service + self.setup.node, data)
 
@@ -215,8 +215,8 @@ class SimulatedDrive:
             with self._lock:
                 self._command(int.from_bytes(data[:2], "little"))
 
-    def _alive(self, _identifier: int, _data: bytearray, _timestamp: float) -> None:
-        self._heard_ns = self.clock.now_ns()
+    def _take_heartbeat(self, _identifier: int, _data: bytearray, _timestamp: float) -> None:
+        self._heartbeat_ns = self.clock.now_ns()
 
     def _sync(self, _identifier: int, _data: bytearray, _timestamp: float) -> None:
         if not self._operational:
@@ -230,7 +230,7 @@ class SimulatedDrive:
             (Service.STATUS, Cia402Entry.TPDO1_COUNT, status), (Service.VELOCITY, Cia402Entry.TPDO2_COUNT, velocity),
         ):  # fmt: skip
             if self._values[count]:
-                self._say(service, data)
+                self._send(service, data)
 
     @property
     def _operational(self) -> bool:
@@ -282,10 +282,10 @@ class SimulatedDrive:
                 self._command(value)
         if entry is Cia402Entry.CONSUMER_HEARTBEAT and (master := value >> 16 & 0x7F) not in self._masters:
             self._masters.add(master)
-            self.bus.network.subscribe(Service.HEARTBEAT + master, self._alive)
+            self.bus.network.subscribe(Service.HEARTBEAT + master, self._take_heartbeat)
 
     def _command(self, word: int) -> None:
-        """Change state by a controlword, and begin a motion with the rise of its bit 4."""
+        """Change the state by a controlword; the rising edge of its bit 4 begins a motion."""
         state, off = self.state, self.faults.torque_off
         if word & Control.RESET_FAULT:
             if state is Cia402State.FAULT:
@@ -324,7 +324,7 @@ _TICK_S = 0.002
 
 
 class SimulatedDrives(Closing):
-    """Two drives on a bus; a context manager. The bus is one inside this process unless `interface` says otherwise."""
+    """Two drives on a bus, by default a virtual bus of this process."""
 
     def __init__(
         self, setup: DrivesSetup, channel: str, interface: str = "virtual", clock: Clock | None = None
@@ -339,11 +339,11 @@ class SimulatedDrives(Closing):
 
     @property
     def address(self) -> str:
-        """The address of the bus, to which a client adds the file with its setup."""
+        """The address of the bus; a client appends the file with its setup."""
         return f"canopen://{self.channel}?interface={self.interface}"
 
     def close(self) -> None:
-        """Switch them off."""
+        """Stop the drives and disconnect from the bus."""
         if not self._stopping.is_set():
             self._stopping.set()
             self._thread.join()

@@ -27,10 +27,11 @@ _NANO = 1_000_000_000
 
 
 class CanopenStage(Stage):
-    """The two drives on `bus`; `node` is our own number there.
+    """The two drives on `bus`; `node` is the node number of this controller.
 
-    Heartbeats are sent by `heartbeat` and before each question of a command, because a command may take longer than
-    the watchdog of the other drive. Reading sends none: a thread that still reads must not hide that the loop has died.
+    `heartbeat` sends heartbeats; commands also send one before each request to a drive, because a command may take
+    longer than the watchdog of the other drive. Reading sends none: a thread that still reads must not conceal that the
+    control loop has failed.
     """
 
     def __init__(self, bus: CanBus, setup: DrivesSetup, *, node: int = 127, timing: DriveTiming | None = None) -> None:
@@ -58,10 +59,10 @@ class CanopenStage(Stage):
     def open(cls, address: str, *, timing: DriveTiming | None = None, clock: Clock | None = None) -> CanopenStage:
         """Open `canopen://can0?setup=drives.toml` and enable both drives.
 
-        Options: `interface` (socketcan; any of python-can), `bitrate`, `node` (our own number, 127),
+        Options: `interface` (socketcan, or any of python-can), `bitrate`, `node` (node number of this controller, 127),
         `watchdog_s` (0.04).
 
-        Raises AddressError, ConfigurationError for a setup that is wrong or without the extra `canopen`, DeviceFault.
+        Raises AddressError, ConfigurationError for a wrong setup or without the extra `canopen`, DeviceFault.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "canopen" or not parsed.host or parsed.port is not None or parsed.path not in ("", "/"):
@@ -88,9 +89,9 @@ class CanopenStage(Stage):
         return cls(bus, setup, node=node, timing=asked)
 
     def start(self) -> None:
-        """Set both drives up, reset faults whose cause is gone, and enable; nothing moves.
+        """Configure both drives, reset faults if their causes are gone, and enable; nothing moves.
 
-        It is an act of a person: nothing here calls it after a fault. Raises DeviceFault.
+        Only a person may restart after a fault, so no code of this package calls it then. Raises DeviceFault.
         """
         with self._lock:
             self._fault, self._running = None, False
@@ -98,39 +99,39 @@ class CanopenStage(Stage):
                 for drive in self._drives:
                     drive.configure(self._node, self.timing.watchdog_s, self.timing.heartbeat_s)
                     drive.reset_fault()
-                # A drive watches us from the first time on that it hears us.
+                # The watchdog of a drive starts with the first heartbeat.
                 self._beat(due=True)
                 for which in range(len(self._drives)):
                     self._enable(which)
             except DeviceFault as fault:
                 raise self._give_up(fault) from None
-            # What was said up to now was said of the time before.
+            # Frames received before the start describe the time before it.
             while self._next_frame(0) is not None:
                 pass
             self._rounds.begin_anew()
             self._running = True
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin to move to a depth at a speed. Raises DeviceFault."""
+        """Begin a motion to a depth. Raises DeviceFault."""
         self._move(0, depth_mm, velocity_mm_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin to turn the base to a roll. Raises DeviceFault."""
+        """Begin a rotation of the base to a roll. Raises DeviceFault."""
         self._move(1, roll_rad, velocity_rad_s)
 
     def stop(self) -> None:
-        """Stop both axes by their quick stop; the next motion enables its axis again.
+        """Stop both axes by quick stop; the next motion enables its axis again.
 
-        Raises DeviceFault where a drive does not acknowledge it; it then stops by itself, because it hears nothing.
+        Raises DeviceFault if a drive does not acknowledge it; the watchdog of the drive then stops it.
         """
         if self._closed:
             raise LinkClosed("the stage is closed")
         try:
-            # Who reads in another thread must know of the stop before he sees what comes of it.
+            # A thread that reads must know of the stop before the drives report its effects.
             for axis in self._axes:
                 axis.stop()
             for drive in self._drives:
-                drive.quick_stop()  # both are under way before anybody waits, here or in another thread
+                drive.quick_stop()  # both are sent before this or another thread waits for an answer
             with self._lock:
                 for axis in self._axes:
                     axis.stop()
@@ -150,8 +151,8 @@ class CanopenStage(Stage):
             raise self._give_up(fault) from None
 
     def read(self, timeout_s: float) -> StageSample | None:
-        """Return the next sample, or None after `timeout_s`. Raises DeviceFault, again and again until `start`."""
-        self._require_sound()
+        """Return the next sample, or None after `timeout_s`. Raises DeviceFault, then at every call until `start`."""
+        self._require_no_fault()
         deadline = Deadline(self._clock, timeout_s)
         waited = False
         while True:
@@ -168,7 +169,7 @@ class CanopenStage(Stage):
                     self._guarded(frame)
 
     def close(self) -> None:
-        """Stop, take the power away, and leave the bus."""
+        """Stop, disable the voltage, and disconnect from the bus."""
         if self._closed:
             return
         with contextlib.suppress(DeviceFault):
@@ -180,7 +181,7 @@ class CanopenStage(Stage):
         self._bus.close()
 
     def _move(self, which: int, target: float, velocity: float) -> None:
-        self._require_sound()
+        self._require_no_fault()
         drive, axis = self._drives[which], self._axes[which]
         limits = axis.setup.limits
         if not (limits.least <= target <= limits.most and 0 < velocity <= limits.fastest):
@@ -198,7 +199,7 @@ class CanopenStage(Stage):
                 position = axis.setup.position(drive.read(Cia402Entry.POSITION))
             except DeviceFault as fault:
                 raise self._give_up(fault) from None
-            # What was asked before the motion began is not told as if it were after it.
+            # Answers to earlier requests must not be taken as positions after the begin of the motion.
             self._rounds.forget()
             self._drain()
             axis.begin(target, velocity, position, self._clock.now_ns())
@@ -209,7 +210,7 @@ class CanopenStage(Stage):
         axis.enabled(axis.setup.position(drive.read(Cia402Entry.POSITION)))
 
     def _step(self) -> StageSample | None:
-        """Return the sample if all drives have answered; otherwise ask them again when the next SYNC is due."""
+        """Return the sample if all drives have answered; otherwise request the positions when the next SYNC is due."""
         self._drain()
         if (sample := self._rounds.sample()) is not None:
             return sample
@@ -238,7 +239,7 @@ class CanopenStage(Stage):
             self._guarded(frame)
 
     def _guarded(self, frame: Frame) -> None:
-        """Take a frame; give up where it tells of a fault."""
+        """Take a frame. Raises DeviceFault for a frame that reports a fault."""
         which = next(at for at, axis in enumerate(self._axes) if axis.setup.node == frame.node)
         wrong = self._take(self._axes[which], frame)
         if not wrong or self._fault is not None:
@@ -262,14 +263,14 @@ class CanopenStage(Stage):
             return axis.take_velocity(frame.data)
         return axis.take_status(frame.data, earliest_ns, frame.received_ns)
 
-    def _require_sound(self) -> None:
+    def _require_no_fault(self) -> None:
         if self._closed:
             raise LinkClosed("the stage is closed")
         if self._fault is not None:
             raise self._fault
 
     def _give_up(self, fault: DeviceFault) -> DeviceFault:
-        """Stop both axes, and stay stopped until somebody starts again; return the first fault."""
+        """Stop both axes, latch the fault until `start`, and return the first fault."""
         if self._fault is None:
             self._fault = fault
         self._running = False

@@ -22,7 +22,7 @@ _EMERGENCY = struct.Struct("<HB5s")
 
 
 class Cia402Entry(Enum):
-    """An entry of the object dictionary: index, subindex, and how its value is packed."""
+    """An entry of the object dictionary: index, subindex, and the `struct` format of its value."""
 
     ERROR_REGISTER = (0x1001, 0, "<B")
     CONSUMER_HEARTBEAT = (0x1016, 1, "<I")
@@ -61,7 +61,7 @@ class Cia402Entry(Enum):
 
     @property
     def index(self) -> int:
-        """The index, as 0x6041."""
+        """The index, such as 0x6041."""
         return self.value[0]
 
     @property
@@ -71,12 +71,12 @@ class Cia402Entry(Enum):
 
     @property
     def packing(self) -> struct.Struct:
-        """How its value becomes bytes."""
+        """The encoding of its value."""
         return struct.Struct(self.value[2])
 
     @property
     def mapping(self) -> int:
-        """How it stands in the mapping of a PDO."""
+        """The entry as encoded in the mapping of a PDO."""
         return self.index << 16 | self.subindex << 8 | 8 * self.packing.size
 
     def __str__(self) -> str:
@@ -84,7 +84,7 @@ class Cia402Entry(Enum):
 
 
 class Control(IntEnum):
-    """Controlwords."""
+    """Values of the controlword."""
 
     DISABLE_VOLTAGE = 0x00
     QUICK_STOP = 0x02
@@ -92,13 +92,13 @@ class Control(IntEnum):
     SWITCH_ON = 0x07
     ENABLE = 0x0F
     NEW_TARGET_NOW = 0x3F
-    """Enabled, with a new set-point that takes the place of the last one at once."""
+    """Enabled, with a new set-point that replaces the last one at once."""
 
     RESET_FAULT = 0x80
 
 
 class Bit(IntFlag):
-    """Bits of the statusword beside those of the state, in profile position mode."""
+    """Bits of the statusword in profile position mode, apart from those of the state."""
 
     TARGET_REACHED = 1 << 10
     LIMIT = 1 << 11
@@ -107,7 +107,7 @@ class Bit(IntFlag):
 
 
 class AbortOption(IntEnum):
-    """What a drive does when the one who controls it is no longer heard: 0x6007."""
+    """Reaction of a drive to the loss of its controller (0x6007)."""
 
     NOTHING = 0
     FAULT = 1
@@ -116,7 +116,7 @@ class AbortOption(IntEnum):
 
 
 class Cia402State(StrEnum):
-    """The states of CiA 402, by their names there."""
+    """The states of CiA 402, named as there."""
 
     NOT_READY = "NOT READY TO SWITCH ON"
     SWITCH_ON_DISABLED = "SWITCH ON DISABLED"
@@ -136,12 +136,12 @@ _STATES = (
 
 
 def state_of(statusword: int) -> Cia402State | None:
-    """Return the state that a statusword tells; None where it is none of CiA 402."""
+    """Return the state in a statusword, or None if it is not a state of CiA 402."""
     return next((state for mask, bits, state in _STATES if statusword & mask == bits), None)
 
 
 class Service(IntEnum):
-    """What a frame is, by its identifier less the number of the node."""
+    """Kind of a frame: its identifier minus the number of the node."""
 
     EMERGENCY = 0x080
     STATUS = 0x180
@@ -152,7 +152,7 @@ class Service(IntEnum):
 
 @dataclass(frozen=True)
 class Emergency:
-    """What an emergency message says; code 0 takes earlier ones back."""
+    """An emergency message; code 0 withdraws earlier ones."""
 
     code: int
     register: int
@@ -170,5 +170,5 @@ _KINDS = (
 
 
 def decode_emergency(data: bytes) -> Emergency | None:
-    """Return what an emergency message says; None where it is too short for one."""
+    """Return an emergency message, or None for a wrong length."""
     return Emergency(*_EMERGENCY.unpack(data)) if len(data) == _EMERGENCY.size else None

@@ -48,7 +48,7 @@ _Key = tuple[str, str]
 
 
 class _Client:
-    """One client: what it is to get, newest only, and the message that is half sent."""
+    """One client: its waiting messages, newest only, and the message in transmission."""
 
     def __init__(self, connection: socket.socket, now_s: float) -> None:
         self.connection = connection
@@ -59,7 +59,7 @@ class _Client:
         self.moved_s = now_s
 
     def send(self, now_s: float) -> bool:
-        """Send what the client takes at once; whether there is more. Raises OSError where it is gone."""
+        """Send as much as the client accepts; return whether there is more. Raises OSError if the client is gone."""
         while self.sending or self._take():
             try:
                 sent = self.connection.send(self.sending)
@@ -79,10 +79,10 @@ class _Client:
 
 
 class MessageServer(Closing):
-    """Serves at `host` and `port` (0: any free one); a context manager.
+    """Serves at `host` and `port`; port 0 chooses a free one.
 
-    Messages go out at most every `interval_s`. A client that takes nothing for `stalled_s` is dropped. Raises
-    DeviceFault where the port cannot be had.
+    Messages are sent at most every `interval_s`. A client that accepts nothing for `stalled_s` is disconnected. Raises
+    DeviceFault if the port cannot be opened.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class MessageServer(Closing):
         self.host, self.port = self._listener.getsockname()[:2]
         self.interval_s, self.stalled_s = interval_s, stalled_s
         self.dropped = 0
-        """Clients that took nothing for too long."""
+        """Number of clients disconnected because they accepted nothing."""
 
         self._lock = threading.Lock()
         self._fresh: dict[_Key, IgtlMessage] = {}
@@ -114,13 +114,13 @@ class MessageServer(Closing):
 
     @property
     def clients(self) -> int:
-        """How many clients there are now."""
+        """Number of connected clients."""
         return len(self._clients)
 
     def publish(self, kind: str, device: str, content: bytes, time_s: float | None = None) -> None:
-        """Have a message sent, in the place of the last one of its kind and device; returns at once.
+        """Send a message to all clients, in place of the last one of its kind and device; returns at once.
 
-        `time_s` is in seconds since 1970; now where there is none. Raises InputError where a name is too long.
+        `time_s` is in seconds since 1970, by default now. Raises InputError for a name that is too long.
         """
         padded(kind, 12, "message type"), padded(device, 20, "device name")
         message = IgtlMessage(kind, device, content, stamp_of(time.time() if time_s is None else time_s))
@@ -133,7 +133,7 @@ class MessageServer(Closing):
             os.write(self._wake, b"x")
 
     def close(self) -> None:
-        """Send no more, and let all clients go."""
+        """Disconnect all clients and stop serving."""
         with self._lock:
             if self._stopping:
                 return
@@ -163,12 +163,12 @@ class MessageServer(Closing):
                 elif isinstance(key.fileobj, socket.socket):
                     self._read(self._clients[key.fileobj])
         for client in list(self._clients.values()):
-            self._let_go(client)
+            self._disconnect(client)
         self._listener.close()
         self._selector.close()
 
     def _hand_out(self) -> None:
-        """Encode what is new, once, and give it to every client in the place of what it has not got yet."""
+        """Encode each new message once, and replace the waiting one of each client by it."""
         with self._lock:
             fresh, self._fresh, self._awake = self._fresh, {}, False
         for key, message in fresh.items():
@@ -181,7 +181,7 @@ class MessageServer(Closing):
             connection, _ = self._listener.accept()
             connection.setblocking(False)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            # What the kernel holds for a slow client is old when it comes.
+            # A small kernel buffer: messages buffered for a slow client would be outdated on arrival.
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BYTES)
             client = _Client(connection, time.monotonic())
             client.waiting.update(self._newest)
@@ -196,7 +196,7 @@ class MessageServer(Closing):
         except OSError:
             data = b""
         if not data:
-            self._let_go(client)
+            self._disconnect(client)
             return
         client.reader.feed(data)
         while (query := client.reader.next()) is not None:
@@ -204,7 +204,7 @@ class MessageServer(Closing):
         del client.replies[:-_MOST_REPLIES]
 
     def _answer(self, query: IgtlMessage) -> list[bytes]:
-        """Return the replies to GET_, STT_ and STP_. Everything is pushed: to start and to stop changes nothing."""
+        """Return the replies to GET_, STT_ and STP_; STT_ and STP_ have no effect, since all messages are sent."""
         prefix, _, short = query.kind.partition("_")
         if prefix == "GET":
             found = [
@@ -224,16 +224,16 @@ class MessageServer(Closing):
             try:
                 more = client.send(now_s)
             except OSError:
-                self._let_go(client)
+                self._disconnect(client)
                 continue
             if more and now_s - client.moved_s > self.stalled_s:
                 self.dropped += 1
-                self._let_go(client)
+                self._disconnect(client)
                 continue
             interest = selectors.EVENT_READ | (selectors.EVENT_WRITE if more else 0)
             self._selector.modify(client.connection, interest)
 
-    def _let_go(self, client: _Client) -> None:
+    def _disconnect(self, client: _Client) -> None:
         if self._clients.pop(client.connection, None) is not None:
             self._selector.unregister(client.connection)
             client.connection.close()
@@ -245,7 +245,7 @@ _LARGEST = 1e6
 
 
 class Shown(StrEnum):
-    """The names of the nodes that appear in Slicer."""
+    """Names of the nodes in Slicer."""
 
     TIP = "NeedleTip"
     TARGET = "Target"
@@ -258,16 +258,18 @@ class Shown(StrEnum):
 
 
 class SlicerServer(MessageServer):
-    """A server that Slicer connects to, as a client (OpenIGTLinkIF), at port 18944.
+    """A server to which Slicer connects as a client (OpenIGTLinkIF), by default at port 18944.
 
-    Every method returns at once. Raises InputError for what is not a number, and DeviceFault once it is closed.
+    All positions are in mm in one frame, which Slicer takes as RAS; for another frame, put a transform above the nodes
+    in Slicer. All methods return at once, with or without a client. They raise InputError for values that are not
+    finite numbers, and DeviceFault after `close`.
     """
 
     @classmethod
     def open(cls, address: str = "igtl://127.0.0.1") -> SlicerServer:
-        """Serve at `igtl://host[:18944]`: 127.0.0.1 for Slicer on this machine, 0.0.0.0 for any.
+        """Serve at `igtl://host[:18944]`: 127.0.0.1 for Slicer on this machine, 0.0.0.0 for any machine.
 
-        Raises AddressError, and DeviceFault where the port is taken.
+        Raises AddressError, DeviceFault if the port is in use.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "igtl":
@@ -276,35 +278,35 @@ class SlicerServer(MessageServer):
         return cls(*parsed.network(IGTL_PORT))
 
     def show_tip(self, position_mm: _Place, quaternion: Sequence[float], time_s: float | None = None) -> None:
-        """Show the pose of the tip; `quaternion` is (w, x, y, z), `time_s` in seconds since 1970 (now)."""
+        """Show the pose of the tip; `quaternion` is (w, x, y, z), `time_s` in seconds since 1970, by default now."""
         w, x, y, z = quaternion
-        _numbers("tip", (*position_mm, w, x, y, z))
+        _require_numbers("tip", (*position_mm, w, x, y, z))
         self.publish("TRANSFORM", Shown.TIP, encode_transform(IgtlPose(position_mm, (w, x, y, z))), time_s)
 
     def show_target(self, position_mm: _Place, diameter_mm: float = 0.0) -> None:
-        """Show where the tip is to go."""
-        _numbers("target", (*position_mm, diameter_mm))
+        """Show the target."""
+        _require_numbers("target", (*position_mm, diameter_mm))
         point = Point(Shown.TARGET, position_mm, "Target", _TARGET_COLOUR, diameter_mm)
         self.publish("POINT", Shown.TARGET, encode_points([point]))
 
     def show_plan(self, points_mm: Sequence[_Place]) -> None:
-        """Show the planned path, as a line; fewer than two points take it away."""
+        """Show the planned path as a line; fewer than two points remove it."""
         self._line(Shown.PLANNED, points_mm)
 
     def show_path(self, points_mm: Sequence[_Place]) -> None:
-        """Show the path of the tip so far, as a line; fewer than two points take it away."""
+        """Show the executed path as a line; fewer than two points remove it."""
         self._line(Shown.EXECUTED, points_mm)
 
     def show_force(self, force_n: _Place, torque_n_mm: _Place | None = None) -> None:
         """Show the wrench at the base of the needle."""
-        _numbers("force", force_n)
+        _require_numbers("force", force_n)
         self.publish("SENSOR", Shown.FORCE, encode_sensor(Sensor(force_n, Unit.NEWTON)))
         if torque_n_mm is not None:
-            _numbers("torque", torque_n_mm)
+            _require_numbers("torque", torque_n_mm)
             self.publish("SENSOR", Shown.TORQUE, encode_sensor(Sensor(torque_n_mm, Unit.NEWTON_MILLIMETRE)))
 
     def show_state(self, state: str, code: StatusCode = StatusCode.OK, cause: str = "") -> None:
-        """Show the state of the robot (`ENABLED`, at most 20 bytes), and why it is in it."""
+        """Show the state of the robot (such as `ENABLED`, at most 20 bytes) and its cause."""
         self.publish("STATUS", Shown.STATE, encode_status(IgtlStatus(code, state, cause)))
 
     def show_note(self, text: str) -> None:
@@ -312,10 +314,10 @@ class SlicerServer(MessageServer):
         self.publish("STRING", Shown.NOTE, encode_string(text))
 
     def _line(self, name: Shown, points_mm: Sequence[_Place]) -> None:
-        _numbers(name, [number for point in points_mm for number in point])
+        _require_numbers(name, [number for point in points_mm for number in point])
         self.publish("POLYDATA", name, encode_polyline(points_mm))
 
 
-def _numbers(what: str, numbers: Sequence[float]) -> None:
+def _require_numbers(what: str, numbers: Sequence[float]) -> None:
     if not all(map(math.isfinite, numbers)) or max(map(abs, numbers), default=0.0) > _LARGEST:
         raise InputError(Mistake(what, str(numbers), "must be numbers of at most a million"))

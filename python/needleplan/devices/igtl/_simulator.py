@@ -40,7 +40,7 @@ _BEGAN_S = 1_700_000_000.0
 
 @dataclass
 class TrackedTool:
-    """A tool by the name of its transform. `pose` returns position (mm) and quaternion (w, x, y, z) for a time."""
+    """A tool, named by its transform; `pose` returns position (mm) and quaternion (w, x, y, z) for a time in s."""
 
     name: str
     pose: Callable[[float], tuple[tuple[float, float, float], tuple[float, float, float, float]]]
@@ -50,45 +50,45 @@ class TrackedTool:
 
 @dataclass
 class PlusFaults:
-    """What goes wrong from now on."""
+    """Faults to simulate from now on."""
 
     damage: int = 0
-    """A bit is wrong in so many of the next messages."""
+    """Number of next messages with a wrong bit."""
 
     cut: int = 0
-    """Of so many of the next messages only the first half comes."""
+    """Number of next messages of which only the first half is sent."""
 
     noise_before: bytes = b""
-    """Bytes before the next message."""
+    """Bytes sent before the next message."""
 
     absurd: int = 0
-    """So many of the next messages say that they are larger than any disk."""
+    """Number of next messages with an impossibly large length."""
 
     freeze: bool = False
-    """The same frame, with the same time, again and again."""
+    """Send the same frame with the same time repeatedly."""
 
     skip: int = 0
-    """So many of the next frames do not come."""
+    """Number of next frames that are not sent."""
 
     mute: bool = False
     time_step_s: float = 0.0
-    """The clock of the server is set by so much."""
+    """Step of the clock of the server."""
 
     stretch: float = 1.0
-    """Rotations are not rotations any more."""
+    """Factor on the rotations; other than 1 they are no rotations."""
 
     flip: bool = False
-    """Quaternions come with the other sign."""
+    """Send quaternions with the opposite sign."""
 
     timeless: bool = False
-    """Messages carry no time."""
+    """Send messages without time."""
 
 
 @dataclass
 class PlusDevice:
-    """The server itself. With `on_request` TDATA and QTDATA come only to who has asked for them.
+    """The simulated server. With `on_request`, TDATA and QTDATA are sent only on request.
 
-    As PLUS does, it sends header version 1 until it has heard of a later one, and goes up to `version`.
+    Like PLUS, it sends header version 1 until it receives a later one, then that one, up to `version`.
     """
 
     tools: Sequence[TrackedTool]
@@ -98,19 +98,19 @@ class PlusDevice:
     on_request: bool = False
     refuse: bool = False
     valid_only: bool = True
-    """As `SendValidTransformsOnly` of PLUS: what is not seen is left out."""
+    """As `SendValidTransformsOnly` of PLUS: leave out tools that are not visible."""
 
     faults: PlusFaults = field(default_factory=PlusFaults)
     queries: list[str] = field(default_factory=list)
-    asked: bool = False
-    spoken: int = 1
+    requested: bool = False
+    sent_version: int = 1
     _reader: MessageReader = field(default_factory=MessageReader)
     _last_s: float = 0.0
 
     def frame(self, time_s: float) -> bytes:
-        """Return what is sent for a moment, in seconds since the start."""
+        """Return the bytes of the frame at a time in seconds since the start."""
         faults = self.faults
-        if faults.mute or (self.on_request and not self.asked):
+        if faults.mute or (self.on_request and not self.requested):
             return b""
         if faults.skip:
             faults.skip -= 1
@@ -120,17 +120,17 @@ class PlusDevice:
         return b"".join(self._through_faults(encode_message(each)) for each in self._messages(self._last_s))
 
     def answer(self, data: bytes) -> bytes:
-        """Take the bytes of a client, and return the replies."""
+        """Take bytes from a client, and return the replies."""
         self._reader.feed(data)
         replies = b""
         while (query := self._reader.next()) is not None:
             self.queries.append(query.kind)
-            self.spoken = min(max(self.spoken, query.version), self.version)
+            self.sent_version = min(max(self.sent_version, query.version), self.version)
             prefix, _, kind = query.kind.partition("_")
             if prefix in ("STT", "STP"):
                 if prefix == "STT":
                     decode_start(query.content)
-                self.asked = prefix == "STT" and not self.refuse
+                self.requested = prefix == "STT" and not self.refuse
                 replies += encode_message(IgtlMessage(f"RTS_{kind}", query.device, encode_reply(not self.refuse)))
         return replies
 
@@ -147,7 +147,7 @@ class PlusDevice:
             return [self._message(kind, f"TDATA_{len(seen)}Elem", content, stamp, metadata)]
         encode = encode_transform if self.kind is PoseKind.TRANSFORM else encode_position
         return [
-            self._message(kind, each.name[:20], encode(pose), stamp, _told(each))
+            self._message(kind, each.name[:20], encode(pose), stamp, _metadata_of(each))
             for each, pose in zip(seen, poses, strict=True)
         ]
 
@@ -160,9 +160,9 @@ class PlusDevice:
         return IgtlPose(position_mm, (w, x, y, z))
 
     def _message(self, kind: str, device: str, content: bytes, stamp: int, metadata: dict[str, str]) -> IgtlMessage:
-        if self.spoken < 2:
+        if self.sent_version < 2:
             return IgtlMessage(kind, device, content, stamp)
-        return IgtlMessage(kind, device, content, stamp, self.spoken, metadata=metadata)
+        return IgtlMessage(kind, device, content, stamp, self.sent_version, metadata=metadata)
 
     def _through_faults(self, data: bytes) -> bytes:
         faults = self.faults
@@ -179,13 +179,13 @@ class PlusDevice:
         return before + data
 
 
-def _told(tool: TrackedTool) -> dict[str, str]:
+def _metadata_of(tool: TrackedTool) -> dict[str, str]:
     long = {"IGTL_DEVICE_NAME": tool.name} if len(tool.name) > 20 else {}
     return {"TransformStatus": tool.status, **long}
 
 
 class PlusLink(Link):
-    """A line to `device` in this process: frames come as the clock moves, and wait where nobody reads them."""
+    """Connects a client to `device` within a process; frames arrive as the clock moves, and are queued."""
 
     def __init__(self, device: PlusDevice, clock: VirtualClock) -> None:
         self.device, self._clock = device, clock
@@ -195,13 +195,13 @@ class PlusLink(Link):
         self._closed = False
 
     def send(self, data: bytes) -> None:
-        """Give bytes to the device."""
+        """Send bytes to the device."""
         self._check()
         if reply := self.device.answer(data):
             self._coming.append(reply)
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return what has come, or let time pass until something does, at most `timeout_s`."""
+        """Return all received bytes; if none, advance the clock until some arrive, at most by `timeout_s`."""
         self._check()
         end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
         while True:
@@ -216,15 +216,15 @@ class PlusLink(Link):
             self._clock.advance((due_ns - self._clock.now_ns()) / _NANO)
 
     def say(self, data: bytes) -> None:
-        """Let bytes come that are no frame."""
+        """Let bytes arrive outside of frames."""
         self._coming.append(data)
 
     def unplug(self) -> None:
-        """Take the cable out."""
+        """Simulate an unplugged cable."""
         self._closed = True
 
     def close(self) -> None:
-        """Give the link up."""
+        """Close the link."""
         self._closed = True
 
     @property
@@ -243,7 +243,7 @@ class PlusLink(Link):
 
 
 class PlusServer(Closing):
-    """A PLUS server on a TCP port of this machine, for one client after another; a context manager."""
+    """A PLUS server on a TCP port of this machine, for one client after another."""
 
     def __init__(self, device: PlusDevice, host: str = "127.0.0.1", port: int = 0) -> None:
         self.device = device
@@ -256,11 +256,11 @@ class PlusServer(Closing):
 
     @property
     def address(self) -> str:
-        """`igtl://host:port`, to which a client adds the name of a tool."""
+        """The address `igtl://host:port`; a client appends the name of a tool."""
         return f"igtl://{self.host}:{self.port}"
 
     def close(self) -> None:
-        """Switch it off; a client finds its link closed."""
+        """Stop serving; clients find their link closed."""
         if self._stopping:
             return
         self._stopping = True

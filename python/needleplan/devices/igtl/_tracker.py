@@ -31,11 +31,11 @@ __all__ = ["IGTL_PORT", "IgtlCounts", "IgtlTracker", "PoseKind"]
 IGTL_PORT = 18944
 
 _NAME_BYTES = 20
-_MOST_HEARD = 20
+_MOST_OTHERS = 20  # names of other devices in the message of a failed start
 
 
 class PoseKind(StrEnum):
-    """The kind of message that carries the pose."""
+    """The kind of message that carries the poses."""
 
     TRANSFORM = "transform"
     POSITION = "position"
@@ -44,13 +44,13 @@ class PoseKind(StrEnum):
 
     @property
     def holds_tools(self) -> bool:
-        """Whether one message has many tools, each with its name."""
+        """Whether one message holds several named tools."""
         return self in (PoseKind.TDATA, PoseKind.QTDATA)
 
 
 @dataclass
 class IgtlCounts:
-    """What came from the server since the start, and what did not."""
+    """Numbers of samples, of lost and repeated frames, of damaged messages and of other messages since the start."""
 
     samples: int = 0
     lost: int = 0
@@ -60,11 +60,11 @@ class IgtlCounts:
 
 
 class IgtlTracker(Tracker):
-    """Follows the device `name`, or the tool of that name in TDATA and QTDATA, over `link`.
+    """Tracks the device `name`, or the tool of that name in TDATA and QTDATA, over `link`.
 
-    With `ask` the server is asked to send TDATA or QTDATA, at most every `interval_ms`, in `coordinates` (a name that
-    the server knows; empty for its own choice). Where `rate_hz` is given, frames that are missing between two times are
-    counted as lost.
+    With `ask`, the tracker requests TDATA or QTDATA from the server, at most every `interval_ms`, in the coordinate
+    system `coordinates` (empty: chosen by the server). With `rate_hz`, missing frames are counted as lost by their
+    times.
     """
 
     def __init__(
@@ -100,8 +100,8 @@ class IgtlTracker(Tracker):
         """Open `igtl://host[:18944]/NeedleToTracker` and wait for its first pose.
 
         Options: `message` (transform, position, tdata, qtdata), `ask` (yes or no), `interval_ms`, `coordinates`,
-        `rate_hz`, `timeout_s` of the connection. Raises AddressError, ConfigurationError where the server does not send
-        that device, DeviceFault where there is no server.
+        `rate_hz`, `timeout_s` of the connection. Raises AddressError, ConfigurationError if the server does not send
+        that device, DeviceFault without a server.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "igtl":
@@ -126,37 +126,37 @@ class IgtlTracker(Tracker):
         )  # fmt: skip
 
     def start(self) -> None:
-        """Begin anew, and wait for the first pose. Raises DeviceFault, ConfigurationError.
+        """Restart and wait for the first pose. Raises DeviceFault, ConfigurationError.
 
-        A connection that was lost does not come back: open the tracker again.
+        A lost connection cannot be restarted: open the tracker again.
         """
         self._fault: DeviceFault | None = None
-        # Kinds that are not wanted are passed over, but the others that could be meant are told where none comes.
+        # All kinds of poses are read, so that the message of a failed start can name those that the server sends.
         self._reader = MessageReader({*(each.upper() for each in PoseKind), f"RTS_{self.kind.upper()}"})
         self._validator = IgtlPoseValidator(self.limits, self._rate_hz)
-        self._heard: dict[str, None] = {}
+        self._others: dict[str, None] = {}
         self._damaged_before = 0
-        # PLUS answers in the highest header version that it has heard, and only version 2 tells whether a coil is seen.
+        # PLUS answers in the highest header version that it has received, and only version 2 has the status of a coil.
         self._link.send(encode_message(IgtlMessage("GET_STATUS", "", version=2)))
         if self._ask:
             self._send("STT", encode_start(self._interval_ms, self._coordinates))
-        self._seen_ns = self._clock.now_ns()
+        self._new_pose_ns = self._clock.now_ns()
         deadline = Deadline(self._clock, self.limits.start_s)
         self._first: PoseSample | None = None
         self._present = False
         while not self._present and not deadline.passed:
             self._first = self._next(deadline)
         if not self._present:
-            heard = ", ".join(self._heard) or "no poses at all"
+            others = ", ".join(self._others) or "no poses at all"
             rule = (
-                f"must be a {self.kind.upper()} that the server sends; within {self.limits.start_s:g} s came: {heard}"
+                f"must be a {self.kind.upper()} that the server sends; within {self.limits.start_s:g} s came: {others}"
             )
             raise ConfigurationError(Mistake("name", self.name, rule), "tracker")
 
     def read(self, timeout_s: float) -> PoseSample | None:
-        """Return the next frame, or None after `timeout_s`. Frames come in their order, none is left out.
+        """Return the next frame in order, or None after `timeout_s`.
 
-        Raises DeviceFault, again and again until `start`.
+        Raises DeviceFault, then at every call until `start`.
         """
         if self._closed:
             raise LinkClosed("the tracker is closed")
@@ -176,7 +176,7 @@ class IgtlTracker(Tracker):
         return sample
 
     def _next(self, deadline: Deadline) -> PoseSample | None:
-        """Return the next new frame; None when the time is up, whatever else keeps coming."""
+        """Return the next new frame; None after the deadline, even if other messages keep arriving."""
         asked = False
         while True:
             message = self._reader.next()
@@ -187,12 +187,12 @@ class IgtlTracker(Tracker):
                 self._reader.feed(self._link.receive(deadline.left_s))
                 asked = True
                 continue
-            sample = self._understand(message)
+            sample = self._take(message)
             if sample is not None:
-                self._seen_ns = self._clock.now_ns()
+                self._new_pose_ns = self._clock.now_ns()
                 return sample
 
-    def _understand(self, message: IgtlMessage) -> PoseSample | None:
+    def _take(self, message: IgtlMessage) -> PoseSample | None:
         if message.kind.startswith("RTS_"):
             if not decode_reply(message.content):
                 raise DeviceFault(f"tracker: the server refuses to send {self.kind.upper()}")
@@ -204,7 +204,7 @@ class IgtlTracker(Tracker):
             pose = _WHOLE[self.kind](message.content)
             status = message.metadata.get("TransformStatus", "")
         else:
-            self._hear(f"{message.kind} {message.device!r}")
+            self._note_other(f"{message.kind} {message.device!r}")
             self.counts.others += 1
             return None
         self._present |= pose is not None
@@ -213,12 +213,12 @@ class IgtlTracker(Tracker):
         return sample
 
     def _among(self, message: IgtlMessage) -> tuple[IgtlPose | None, str]:
-        """Return pose and status of our tool in a message with many; no pose where it is not in there."""
+        """Return pose and status of the tracked tool in a message with several tools; no pose if it is missing."""
         tools = _MANY[self.kind](message.content)
         short = self.name.encode()[:_NAME_BYTES].decode(errors="ignore")
         found = [each for each in tools if each.name == short]
         for each in tools:
-            self._hear(f"{message.kind} {each.name!r}")
+            self._note_other(f"{message.kind} {each.name!r}")
         if len(found) > 1:
             raise DeviceFault(f"tracker: {len(found)} tools are called {short!r}")
         if not found:
@@ -230,7 +230,7 @@ class IgtlTracker(Tracker):
         return tool.pose, status
 
     def _check_progress(self, sample: PoseSample | None) -> None:
-        silent_s = (self._clock.now_ns() - self._seen_ns) / 1e9
+        silent_s = (self._clock.now_ns() - self._new_pose_ns) / 1e9
         if sample is not None or silent_s < self.limits.silence_s:
             return
         waiting = f"; {self._reader.pending} bytes of an unfinished message wait" if self._reader.pending else ""
@@ -246,15 +246,15 @@ class IgtlTracker(Tracker):
         if whole:
             self._damaged_before = self._reader.damaged
 
-    def _hear(self, what: str) -> None:
-        if len(self._heard) < _MOST_HEARD:
-            self._heard[what] = None
+    def _note_other(self, what: str) -> None:
+        if len(self._others) < _MOST_OTHERS:
+            self._others[what] = None
 
     def _send(self, prefix: str, content: bytes = b"") -> None:
         self._link.send(encode_message(IgtlMessage(f"{prefix}_{self.kind.upper()}", "", content)))
 
     def close(self) -> None:
-        """Ask a server that was asked to send to stop, and close the connection."""
+        """Stop requested transmission, and close the connection."""
         if self._closed:
             return
         self._closed = True
@@ -265,7 +265,7 @@ class IgtlTracker(Tracker):
 
 
 def _names(message: IgtlMessage) -> tuple[str, ...]:
-    """Return the names of a device: PLUS puts those that are too long for the header into the metadata."""
+    """Return the names of a device; PLUS stores names that are too long for the header in the metadata."""
     return message.device, message.metadata.get("IGTL_DEVICE_NAME", message.device)
 
 

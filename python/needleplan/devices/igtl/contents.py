@@ -43,7 +43,7 @@ _ENCODINGS = {_ASCII: "ascii", _UTF8: "utf-8", _LATIN: "latin-1"}
 
 
 class StatusCode(IntEnum):
-    """The codes of STATUS."""
+    """Codes of STATUS."""
 
     INVALID = 0
     OK = 1
@@ -71,7 +71,7 @@ _CODES = frozenset(map(int, StatusCode))
 
 
 class Unit(IntEnum):
-    """Units of SENSOR as their 64 bits: prefix (4), then units (6) with exponents (4)."""
+    """Units of SENSOR as 64 bits: prefix (4), then units (6) with exponents (4)."""
 
     NONE = 0
     NEWTON = 0x0B << 54 | 1 << 50
@@ -82,7 +82,7 @@ class Unit(IntEnum):
 
 @dataclass(frozen=True)
 class IgtlStatus:
-    """How a device is: a code, a code of its own, a name and a sentence."""
+    """Status of a device: code, name, text, and a subcode of its own."""
 
     code: StatusCode
     name: str = ""
@@ -92,7 +92,7 @@ class IgtlStatus:
 
 @dataclass(frozen=True)
 class Point:
-    """A marked place, in mm; `colour` is red, green, blue, opacity from 0 to 255."""
+    """A named position in mm; `colour` is red, green, blue, opacity from 0 to 255."""
 
     name: str
     position_mm: tuple[float, float, float]
@@ -104,19 +104,19 @@ class Point:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Up to 255 readings in one unit; `unit` may be one that `Unit` does not name."""
+    """Up to 255 readings in one unit; `unit` may be a unit that `Unit` does not name."""
 
     values: tuple[float, ...]
     unit: int = Unit.NONE
 
 
 def encode_status(status: IgtlStatus) -> bytes:
-    """Return the body of STATUS. Raises InputError where the name is longer than 20 bytes."""
+    """Return the body of STATUS. Raises InputError if the name is longer than 20 bytes."""
     return _STATUS.pack(status.code, status.subcode, padded(status.name, 20, "status name")) + status.text.encode()
 
 
 def decode_status(content: bytes) -> IgtlStatus:
-    """Return what STATUS says. Raises ProtocolError."""
+    """Return the status in STATUS. Raises ProtocolError."""
     if len(content) < _STATUS.size:
         raise ProtocolError(f"OpenIGTLink: STATUS of {len(content)} bytes")
     number, subcode, name = _STATUS.unpack_from(content)
@@ -125,7 +125,7 @@ def decode_status(content: bytes) -> IgtlStatus:
 
 
 def encode_string(text: str) -> bytes:
-    """Return the body of STRING: ASCII where that will do, else UTF-8. Raises InputError beyond 65535 bytes."""
+    """Return the body of STRING in ASCII if possible, else UTF-8. Raises InputError beyond 65535 bytes."""
     data = text.encode()
     if len(data) > 0xFFFF:
         raise InputError(Mistake("text", text, "must have at most 65535 bytes"))
@@ -133,7 +133,7 @@ def encode_string(text: str) -> bytes:
 
 
 def decode_string(content: bytes) -> str:
-    """Return the text in STRING. Raises ProtocolError; bytes that are not of its encoding are replaced."""
+    """Return the text in STRING; undecodable bytes are replaced. Raises ProtocolError."""
     if len(content) < _STRING.size:
         raise ProtocolError(f"OpenIGTLink: STRING of {len(content)} bytes")
     encoding, length = _STRING.unpack_from(content)
@@ -143,7 +143,7 @@ def decode_string(content: bytes) -> str:
 
 
 def encode_points(points: Sequence[Point]) -> bytes:
-    """Return the body of POINT. Raises InputError where a name, group (32 bytes) or owner (20 bytes) is too long."""
+    """Return the body of POINT. Raises InputError if a name (64 bytes), group (32) or owner (20) is too long."""
     return b"".join(
         _POINT.pack(
             padded(each.name, 64, "point"), padded(each.group, 32, "group"), *each.colour, *each.position_mm,
@@ -164,7 +164,7 @@ def decode_points(content: bytes) -> tuple[Point, ...]:
 
 
 def encode_polyline(points_mm: Sequence[tuple[float, float, float]]) -> bytes:
-    """Return the body of POLYDATA that is one line through `points_mm`; nothing for fewer than two points."""
+    """Return the body of POLYDATA with one line through `points_mm`; empty for fewer than two points."""
     count = len(points_mm) if len(points_mm) > 1 else 0
     flat = [number for point in points_mm[:count] for number in point]
     lines = [count, *range(count)] if count else []
@@ -173,7 +173,7 @@ def encode_polyline(points_mm: Sequence[tuple[float, float, float]]) -> bytes:
 
 
 def decode_polyline(content: bytes) -> tuple[tuple[float, float, float], ...]:
-    """Return the points of POLYDATA that is one line, or nothing. Raises ProtocolError for other shapes."""
+    """Return the points of POLYDATA with one line or none. Raises ProtocolError for other shapes."""
     if len(content) < _POLYDATA.size:
         raise ProtocolError(f"OpenIGTLink: POLYDATA of {len(content)} bytes")
     count, *others = _POLYDATA.unpack_from(content)
@@ -205,7 +205,7 @@ def decode_sensor(content: bytes) -> Sensor:
 
 
 def encode_start(interval_ms: int, coordinates: str = "") -> bytes:
-    """Return the body of STT_TDATA and STT_QTDATA: the least time between two frames, and a coordinate system."""
+    """Return the body of STT_TDATA and STT_QTDATA: least interval between frames, and coordinate system."""
     if not 0 <= interval_ms < 1 << 31:
         raise InputError(Mistake("interval_ms", str(interval_ms), "must be from 0 to 2147483647"))
     return _START.pack(interval_ms, padded(coordinates, 32, "coordinates"))
@@ -220,7 +220,7 @@ def decode_start(content: bytes) -> tuple[int, str]:
 
 
 def encode_reply(granted: bool) -> bytes:
-    """Return the body of RTS_TDATA and its like."""
+    """Return the body of RTS_TDATA and similar replies."""
     return b"\0" if granted else b"\1"
 
 

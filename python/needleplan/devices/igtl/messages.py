@@ -37,13 +37,13 @@ _BLOCK = 256
 
 
 def crc64(data: bytes) -> int:
-    """Return the checksum of `data`."""
+    """Return the CRC-64 of ECMA-182 of `data`: highest bit first, initial value 0, not inverted."""
     if len(data) < _BLOCK:
         register = 0
         for byte in data:
             register = (register << 8) & _MASK ^ _TABLE[register >> 56 ^ byte]
         return register
-    # The checksum is linear, so what each byte adds depends on its place alone. Zeros in front add nothing.
+    # The checksum is linear: the contribution of a byte depends only on its value and position. Leading zeros add none.
     places, heads = _places()
     blocks = np.frombuffer(bytes(-len(data) % _BLOCK) + data, dtype=np.uint8).reshape(-1, _BLOCK)
     register = 0
@@ -64,7 +64,7 @@ _TABLE = [_of_byte(byte) for byte in range(256)]
 
 @cache
 def _places() -> tuple[npt.NDArray[np.uint64], list[list[int]]]:
-    """Return what a byte adds at each place of a block, and the same of the first eight places as plain numbers."""
+    """Return the contribution of each byte value at each position of a block; the first eight also as lists."""
     rows = [_TABLE]
     while len(rows) < _BLOCK:
         rows.append([(each << 8) & _MASK ^ _TABLE[each >> 56] for each in rows[-1]])
@@ -84,7 +84,7 @@ _FRACTION = 1 << 32
 
 @dataclass(frozen=True)
 class Header:
-    """What the first 58 bytes say. `timestamp` counts seconds since 1970 in units of 2**-32; 0 where there is none."""
+    """The fields of a header; `timestamp` is in units of 2**-32 s since 1970, 0 if absent."""
 
     version: int
     kind: str
@@ -96,7 +96,7 @@ class Header:
 
 @dataclass(frozen=True)
 class IgtlMessage:
-    """One message: `content` is what its `kind` (TRANSFORM, STATUS) defines. Metadata need `version` 2."""
+    """One message; `content` is the body that `kind` (TRANSFORM, STATUS) defines. Metadata need `version` 2."""
 
     kind: str
     device: str
@@ -108,17 +108,17 @@ class IgtlMessage:
 
     @property
     def time_s(self) -> float | None:
-        """The sender's time in seconds since 1970, where it gave one."""
+        """Time of the sender in seconds since 1970, or None."""
         return self.timestamp / _FRACTION if self.timestamp else None
 
 
 def stamp_of(time_s: float) -> int:
-    """Return a time in seconds since 1970 as a timestamp."""
+    """Return the timestamp of a time in seconds since 1970."""
     return round(time_s * _FRACTION)
 
 
 def encode_message(message: IgtlMessage) -> bytes:
-    """Return the bytes of `message`. Raises InputError where a name is too long, or metadata have no place."""
+    """Return the bytes of `message`. Raises InputError for a name that is too long, and for metadata in version 1."""
     if message.version < 2 and (message.metadata or message.message_id):
         raise InputError(Mistake("version", str(message.version), "must be 2 for metadata and message numbers"))
     body = message.content if message.version < 2 else _extended(message)
@@ -127,7 +127,7 @@ def encode_message(message: IgtlMessage) -> bytes:
 
 
 def decode_header(data: bytes) -> Header:
-    """Return what a header says. Raises ProtocolError where these 58 bytes can be none."""
+    """Return the header in 58 bytes. Raises ProtocolError."""
     version, kind, device, timestamp, body_bytes, crc = _HEADER.unpack(data)
     name = kind.rstrip(b"\0")
     if version not in (1, 2, 3) or not name or not _KIND.issuperset(name):
@@ -152,7 +152,7 @@ def decode_body(header: Header, body: bytes) -> IgtlMessage:
 
 
 def padded(text: str, length: int, what: str) -> bytes:
-    """Return `text` with zeros up to `length`. Raises InputError where it is longer."""
+    """Return `text` padded with zeros to `length` bytes. Raises InputError if it is longer."""
     data = text.encode()
     if len(data) > length or b"\0" in data:
         raise InputError(Mistake(what, text, f"must have at most {length} bytes, none of them zero"))
@@ -160,7 +160,7 @@ def padded(text: str, length: int, what: str) -> bytes:
 
 
 def text_of(data: bytes) -> str:
-    """Return a padded text; bytes that are no text come as question marks in a diamond."""
+    """Return a padded text; bytes that are not UTF-8 become U+FFFD."""
     return data.split(b"\0", 1)[0].decode("utf-8", "replace")
 
 
@@ -201,21 +201,24 @@ _QUERIES = ("GET_", "STT_", "STP_", "RTS_")
 
 
 class MessageReader:
-    """Feed it bytes; it gives messages. Of kinds that are not `wanted` the bodies are passed over as they come.
+    """Extracts messages from a stream of bytes that may be damaged, cut, or begin in the middle of a message.
 
-    `longest` is the longest body, in bytes, that is believed.
+    Only messages with a correct checksum are returned. After damage the search continues at the next byte, so that a
+    whole message after a damaged one is found. Memory is used only for received bytes. A length that the kind of
+    message cannot have counts as damage; `longest` is the longest accepted body in bytes. Bodies of kinds that are not
+    in `wanted` are skipped.
     """
 
     def __init__(self, wanted: Collection[str] | None = None, longest: int = 1 << 24) -> None:
         self.wanted, self.longest = wanted, longest
         self.damaged_bytes = 0
-        """Bytes that belonged to no message with a right checksum."""
+        """Number of bytes outside of correct messages."""
 
         self.damaged = 0
-        """Messages whose header was plausible, and whose body was not."""
+        """Number of messages with a plausible header and a damaged body."""
 
         self.skipped = 0
-        """Messages of kinds that nobody wants; their checksums are not looked at."""
+        """Number of messages of unwanted kinds; their checksums are not verified."""
 
         self._buffer = bytearray()
         self._at = 0
@@ -224,11 +227,11 @@ class MessageReader:
 
     @property
     def pending(self) -> int:
-        """Bytes that wait for the rest of their message."""
+        """Number of bytes of an incomplete message."""
         return len(self._buffer) - self._at
 
     def feed(self, data: bytes) -> None:
-        """Add what came."""
+        """Add received bytes."""
         del self._buffer[: self._at]
         self._at = 0
         passed_over = min(self._to_skip, len(data))
@@ -236,14 +239,14 @@ class MessageReader:
         self._buffer += data[passed_over:]
 
     def clear(self) -> None:
-        """Give up on the rest of a message."""
+        """Discard the incomplete message."""
         self.damaged_bytes += self.pending
         self._buffer.clear()
         self._at = self._to_skip = 0
         self._header = None
 
     def next(self) -> IgtlMessage | None:
-        """Return the next whole message, or None where more bytes are needed."""
+        """Return the next whole message, or None until more bytes are received."""
         while self._header is not None or self._find_header():
             header = self._header
             assert header is not None
@@ -265,9 +268,9 @@ class MessageReader:
         return None
 
     def _find_header(self) -> bool:
-        """Go on to the next bytes that can be a header; whether there are some."""
+        """Advance to the next plausible header; return whether there is one."""
         while self.pending >= HEADER_BYTES:
-            # Both bytes of the version are looked at before anything is unpacked: noise must not take long.
+            # The version is tested before anything is unpacked, so that noise is skipped quickly.
             if self._buffer[self._at] or self._buffer[self._at + 1] not in (1, 2, 3):
                 self._drop()
                 continue
@@ -276,14 +279,14 @@ class MessageReader:
             except ProtocolError:
                 self._drop()
                 continue
-            if header.body_bytes <= self._believed(header.kind):
+            if header.body_bytes <= self._longest_body(header.kind):
                 self._header = header
                 return True
             self.damaged += 1
             self._drop()
         return False
 
-    def _believed(self, kind: str) -> int:
+    def _longest_body(self, kind: str) -> int:
         short = kind in _POSES or kind.startswith(_QUERIES)
         return min(self.longest, _LONGEST_POSE) if short else self.longest
 

@@ -38,9 +38,9 @@ _QTDATA = struct.Struct(">20sBx7f")
 
 @dataclass(frozen=True)
 class IgtlPose:
-    """A pose as it came: `quaternion` is that of the nearest rotation that is easily had, `distortion` how far off it.
+    """A received pose; `quaternion` is a rotation close to the received one, `distortion` the difference between them.
 
-    `distortion` is zero for a rotation; NaN where the numbers are none. `oriented` is false where only a position came.
+    `distortion` is 0 for a rotation and NaN if there is none. `oriented` is False if only a position was received.
     """
 
     position_mm: tuple[float, float, float]
@@ -50,7 +50,7 @@ class IgtlPose:
 
 
 class ToolKind(IntEnum):
-    """What is known of a tool."""
+    """Degrees of freedom of a tool."""
 
     TRACKER = 1
     SIX_DOF = 2
@@ -77,7 +77,7 @@ def encode_transform(pose: IgtlPose) -> bytes:
 
 
 def decode_transform(content: bytes) -> IgtlPose:
-    """Return the pose in TRANSFORM. Raises ProtocolError where the length is wrong."""
+    """Return the pose in TRANSFORM. Raises ProtocolError for a wrong length."""
     if len(content) != _MATRIX.size:
         raise ProtocolError(f"OpenIGTLink: TRANSFORM of {len(content)} bytes")
     return _from_columns(_MATRIX.unpack(content))
@@ -102,12 +102,12 @@ def decode_position(content: bytes) -> IgtlPose:
 
 
 def encode_tdata(tools: Sequence[IgtlTool]) -> bytes:
-    """Return the body of TDATA. Raises InputError where a name is longer than 20 bytes."""
+    """Return the body of TDATA. Raises InputError if a name is longer than 20 bytes."""
     return b"".join(_TDATA.pack(padded(each.name, 20, "tool"), each.kind, *_columns(each.pose)) for each in tools)
 
 
 def decode_tdata(content: bytes) -> tuple[IgtlTool, ...]:
-    """Return the tools in TDATA. Raises ProtocolError where the length is not that of whole tools."""
+    """Return the tools in TDATA. Raises ProtocolError for a wrong length."""
     if len(content) % _TDATA.size:
         raise ProtocolError(f"OpenIGTLink: TDATA of {len(content)} bytes")
     return tuple(
@@ -117,14 +117,14 @@ def decode_tdata(content: bytes) -> tuple[IgtlTool, ...]:
 
 
 def encode_qtdata(tools: Sequence[IgtlTool]) -> bytes:
-    """Return the body of QTDATA. Raises InputError where a name is longer than 20 bytes."""
+    """Return the body of QTDATA. Raises InputError if a name is longer than 20 bytes."""
     return b"".join(
         padded(each.name, 20, "tool") + bytes([each.kind, 0]) + encode_position(each.pose) for each in tools
     )
 
 
 def decode_qtdata(content: bytes) -> tuple[IgtlTool, ...]:
-    """Return the tools in QTDATA. Raises ProtocolError where the length is not that of whole tools."""
+    """Return the tools in QTDATA. Raises ProtocolError for a wrong length."""
     if len(content) % _QTDATA.size:
         raise ProtocolError(f"OpenIGTLink: QTDATA of {len(content)} bytes")
     return tuple(
@@ -155,7 +155,7 @@ def _from_columns(numbers: Sequence[float]) -> IgtlPose:
     distortion = max(map(abs, products))
     if not math.isfinite(distortion) or not handed > 0:
         return IgtlPose(position, distortion=math.nan)
-    # Of the four numbers the largest is found by a root, the others by division (Shepperd 1978).
+    # The largest of the four components follows from a root, the others from divisions (Shepperd 1978).
     squares = (1 + a[0] + b[1] + c[2], 1 + a[0] - b[1] - c[2], 1 - a[0] + b[1] - c[2], 1 - a[0] - b[1] + c[2])
     sums = (b[2] - c[1], c[0] - a[2], a[1] - b[0], b[0] + a[1], a[2] + c[0], c[1] + b[2])
     largest = max(range(4), key=squares.__getitem__)

@@ -26,7 +26,7 @@ _LONGEST_COMMAND = 1024
 
 @dataclass
 class SimulatedTool:
-    """A coil in a port. `pose` returns quaternion (w, x, y, z) and position in mm for a time in seconds."""
+    """A coil in a port; `pose` returns quaternion (w, x, y, z) and position (mm) for a time in seconds."""
 
     serial: str
     pose: _Pose
@@ -34,46 +34,46 @@ class SimulatedTool:
     visibility: NdiVisibility = NdiVisibility.VALID
     error_mm: float = 0.05
     port_bits: int = 0
-    """Further bits of the port status, as 0x40 for out of the volume."""
+    """Further bits of the port status, such as 0x40: out of the volume."""
 
     initialised: bool = False
     enabled: bool = False
 
     @property
     def port_status(self) -> int:
-        """Tool in port, initialised, enabled."""
+        """Port status: tool in port, initialised, enabled, and `port_bits`."""
         return 0x01 | self.initialised * 0x10 | self.enabled * 0x20 | self.port_bits
 
 
 @dataclass
 class AuroraFaults:
-    """What goes wrong from now on."""
+    """Faults to simulate from now on."""
 
     damage: int = 0
-    """A bit is wrong in so many of the next replies."""
+    """Number of next replies with a wrong bit."""
 
     cut: int = 0
-    """Of so many of the next replies only the first half comes."""
+    """Number of next replies of which only the first half is sent."""
 
     noise_before: bytes = b""
-    """Bytes before the next reply."""
+    """Bytes sent before the next reply."""
 
     error: int | None = None
-    """The next TX or BX is answered with this error."""
+    """Error code that answers the next TX or BX."""
 
     freeze: bool = False
-    """The same frame again and again."""
+    """Send the same frame repeatedly."""
 
     system_status: int = 0
     delay_s: float = 0.0
     mute: bool = False
     ignore_speed: bool = False
-    """COMM is answered, but the speed stays."""
+    """Answer COMM without changing the speed."""
 
 
 @dataclass
 class AuroraDevice:
-    """The device itself, with its tools."""
+    """The simulated device with its tools; `count` replaces the clock as the source of frame numbers."""
 
     tools: Sequence[SimulatedTool]
     clock: Clock = field(default_factory=SystemClock)
@@ -82,8 +82,6 @@ class AuroraDevice:
     baud: int = 9600
     tracking: bool = False
     count: Callable[[], int] | None = None
-    """Tells the number of the present frame, where it is not the clock that counts them."""
-
     faults: AuroraFaults = field(default_factory=AuroraFaults)
     commands: list[str] = field(default_factory=list)
     _input: bytearray = field(default_factory=bytearray)
@@ -91,7 +89,7 @@ class AuroraDevice:
     _frame: int = 0
 
     def answer(self, data: bytes) -> bytes:
-        """Take bytes, and return the replies to the commands that they complete."""
+        """Take bytes, and return the replies to the commands completed by them."""
         self._input += data
         replies = b""
         while (end := self._input.find(b"\r")) >= 0:
@@ -104,7 +102,7 @@ class AuroraDevice:
         return replies
 
     def reset(self) -> bytes:
-        """Begin anew, as after a break on the line or a dip of the power; return what it sends then."""
+        """Restart, as after a break on the line or a power dip; return the bytes that the device then sends."""
         self.tracking, self.baud = False, 9600
         self._input.clear()
         for tool in self.tools:
@@ -233,7 +231,7 @@ _NANO = 1_000_000_000
 
 
 class AuroraLink(Link):
-    """Carries bytes to and from `device`; a reply takes a millisecond and what `device.faults.delay_s` adds."""
+    """Connects a client to `device` within a process; a reply takes 1 ms and `device.faults.delay_s`."""
 
     def __init__(self, device: AuroraDevice, clock: VirtualClock) -> None:
         self.device, self._clock = device, clock
@@ -241,18 +239,18 @@ class AuroraLink(Link):
         self._closed = False
 
     def send(self, data: bytes) -> None:
-        """Give bytes to the device."""
+        """Send bytes to the device."""
         self._check()
         self.say(self.device.answer(data))
 
     def say(self, data: bytes) -> None:
-        """Let the device send bytes."""
+        """Let the device send bytes without a request."""
         due_ns = self._clock.now_ns() + round((0.001 + self.device.faults.delay_s) * _NANO)
         if data:
             self._coming.append((due_ns, data))
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next bytes, or let `timeout_s` pass."""
+        """Return the next bytes; empty after `timeout_s`. Advances the clock."""
         self._check()
         end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
         if self._coming and self._coming[0][0] <= end_ns:
@@ -263,11 +261,11 @@ class AuroraLink(Link):
         return b""
 
     def unplug(self) -> None:
-        """Take the cable out."""
+        """Simulate an unplugged cable."""
         self._closed = True
 
     def close(self) -> None:
-        """Give the link up."""
+        """Close the link."""
         self._closed = True
 
     def _check(self) -> None:

@@ -25,67 +25,67 @@ _STALE, _OCCUPIED, _INITIALISED, _ENABLED = "01", "02", "03", "04"
 
 @dataclass(frozen=True)
 class NdiTool:
-    """A tool that is enabled: its handle, which may change with every start, and its serial number, which may not."""
+    """An enabled tool: its handle, which may change at every start, and its serial number, which does not change."""
 
     handle: int
     serial: str
     kind: str
 
 
-def wake(talk: NdiConversation) -> None:
-    """Initialise the device; over a serial line reset it first where it does not answer. Raises DeviceFault."""
-    serial = isinstance(talk.link, SerialLink)
+def wake(conversation: NdiConversation) -> None:
+    """Initialise the device; on a serial line without an answer, reset it first. Raises DeviceFault."""
+    serial = isinstance(conversation.link, SerialLink)
     try:
-        talk.ask("INIT", timeout_s=_FIRST_ANSWER_S if serial else None)
+        conversation.ask("INIT", timeout_s=_FIRST_ANSWER_S if serial else None)
     except NdiRefused:
-        talk.ask("TSTOP")  # somebody left it tracking
-        talk.ask("INIT")
+        conversation.ask("TSTOP")  # it was left in tracking mode
+        conversation.ask("INIT")
     except DeviceFault:
-        if not isinstance(talk.link, SerialLink):
+        if not isinstance(conversation.link, SerialLink):
             raise
-        talk.hush()
-        talk.link.baud = 9600
-        talk.link.send_break()
-        deadline = Deadline(talk.clock, _RESET_S)
-        while not deadline.passed and talk.receive(deadline.left_s) != "RESET":
+        conversation.discard()
+        conversation.link.baud = 9600
+        conversation.link.send_break()
+        deadline = Deadline(conversation.clock, _RESET_S)
+        while not deadline.passed and conversation.receive(deadline.left_s) != "RESET":
             pass
-        talk.ask("INIT")
+        conversation.ask("INIT")
 
 
-def set_speed(talk: NdiConversation, baud: int) -> None:
-    """Change both ends of a serial line to `baud`. Raises DeviceFault where the device does not follow."""
-    if not isinstance(talk.link, SerialLink):
+def set_speed(conversation: NdiConversation, baud: int) -> None:
+    """Change both ends of a serial line to `baud`. Raises DeviceFault if the device does not answer at that speed."""
+    if not isinstance(conversation.link, SerialLink):
         raise ConfigurationError(Mistake("speed", str(baud), "only a serial line has a speed"))
     if baud not in BAUD_CODES:
         raise ConfigurationError(Mistake("speed", str(baud), f"must be one of {', '.join(map(str, BAUD_CODES))}"))
-    before = talk.link.baud
-    talk.ask("COMM", f"{BAUD_CODES[baud]}0000")  # answered at the old speed
-    talk.link.baud = baud
-    talk.clock.sleep(_SETTLING_S)
+    before = conversation.link.baud
+    conversation.ask("COMM", f"{BAUD_CODES[baud]}0000")  # the reply still has the old speed
+    conversation.link.baud = baud
+    conversation.clock.sleep(_SETTLING_S)
     try:
-        talk.ask("VER", "0", timeout_s=_FIRST_ANSWER_S)
+        conversation.ask("VER", "0", timeout_s=_FIRST_ANSWER_S)
     except DeviceFault as fault:
         raise DeviceFault(f"tracker: answers at {before} baud, but after COMM not at {baud}: {fault}") from fault
 
 
-def enable_tools(talk: NdiConversation) -> list[NdiTool]:
-    """Free the handles of tools that are gone, initialise and enable those that are there. Raises DeviceFault."""
-    for handle in _handles(talk, _STALE):
-        talk.ask("PHF", f"{handle:02X}")
+def enable_tools(conversation: NdiConversation) -> list[NdiTool]:
+    """Free the handles of removed tools, then initialise and enable the present ones. Raises DeviceFault."""
+    for handle in _handles(conversation, _STALE):
+        conversation.ask("PHF", f"{handle:02X}")
     # Some tools show further handles once the first has been initialised.
     for _ in range(_ROUNDS):
-        waiting = _handles(talk, _OCCUPIED)
+        waiting = _handles(conversation, _OCCUPIED)
         if not waiting:
             break
         for handle in waiting:
-            talk.ask("PINIT", f"{handle:02X}")
-    for handle in _handles(talk, _INITIALISED):
-        talk.ask("PENA", f"{handle:02X}D")
-    return [_tool(talk, handle) for handle in _handles(talk, _ENABLED)]
+            conversation.ask("PINIT", f"{handle:02X}")
+    for handle in _handles(conversation, _INITIALISED):
+        conversation.ask("PENA", f"{handle:02X}D")
+    return [_tool(conversation, handle) for handle in _handles(conversation, _ENABLED)]
 
 
 def choose_tool(tools: list[NdiTool], wanted: str) -> NdiTool:
-    """Return the tool with the serial number `wanted`, or the only one. Raises ConfigurationError."""
+    """Return the tool with the serial number `wanted`, or the only tool. Raises ConfigurationError."""
     there = ", ".join(f"{tool.serial or 'without number'} (handle {tool.handle:02X})" for tool in tools) or "none"
     found = [tool for tool in tools if wanted in ("", tool.serial)]
     if len(found) != 1:
@@ -94,8 +94,8 @@ def choose_tool(tools: list[NdiTool], wanted: str) -> NdiTool:
     return found[0]
 
 
-def _handles(talk: NdiConversation, which: str) -> list[int]:
-    reply = talk.ask("PHSR", which)
+def _handles(conversation: NdiConversation, which: str) -> list[int]:
+    reply = conversation.ask("PHSR", which)
     try:
         count = int(reply[:2], 16)
         handles = [int(reply[at : at + 2], 16) for at in range(2, 2 + 5 * count, 5)]
@@ -106,10 +106,10 @@ def _handles(talk: NdiConversation, which: str) -> list[int]:
     return handles
 
 
-def _tool(talk: NdiConversation, handle: int) -> NdiTool:
-    """Ask who a tool is: kind (8 characters), maker (12), revision (3), serial number (8), port status (2)."""
+def _tool(conversation: NdiConversation, handle: int) -> NdiTool:
+    """Query a tool: kind (8 characters), manufacturer (12), revision (3), serial number (8), port status (2)."""
     try:
-        reply = talk.ask("PHINF", f"{handle:02X}0001")
+        reply = conversation.ask("PHINF", f"{handle:02X}0001")
     except NdiRefused:
         return NdiTool(handle, "", "")
     return NdiTool(handle, reply[23:31].strip(), reply[:8].strip())
@@ -118,12 +118,12 @@ def _tool(talk: NdiConversation, handle: int) -> NdiTool:
 NDI_PORT = 8765
 
 _POLL_S = 0.004
-_TRANSIENT = (0x04, 0x05)  # the command was damaged on its way: ask again
+_TRANSIENT = (0x04, 0x05)  # errors of a command damaged on the line: repeat it
 
 
 @dataclass
 class NdiCounts:
-    """What came from the tracker since the start, and what did not."""
+    """Numbers of samples, lost and repeated frames, damaged replies and refused commands since the start."""
 
     samples: int = 0
     lost: int = 0
@@ -133,10 +133,10 @@ class NdiCounts:
 
 
 class NdiTracker(Tracker):
-    """Tracks one tool over `link`: that with the serial number `tool`, or the only one.
+    """Tracks the tool with the serial number `tool`, or the only tool, over `link`.
 
-    `speed` is the baud rate to change to after the start. With `text` replies are asked for by TX, else by BX. `beyond`
-    asks for poses outside the volume too; they come as SUSPECT.
+    `speed` is the baud rate after the start. Poses are requested by TX if `text` is true, else by BX. With `beyond`,
+    poses outside of the volume are returned as SUSPECT.
     """
 
     def __init__(
@@ -153,7 +153,7 @@ class NdiTracker(Tracker):
         self._clock: Clock = SystemClock() if clock is None else clock
         self.limits = NdiPoseLimits() if limits is None else limits
         self.counts = NdiCounts()
-        self._talk = NdiConversation(link, self._clock, self.limits.reply_s)
+        self._conversation = NdiConversation(link, self._clock, self.limits.reply_s)
         self._wanted, self._speed = tool, speed
         self._name, self._mode = "TX" if text else "BX", "0801" if beyond else "0001"
         self._closed = self._tracking = False
@@ -168,7 +168,7 @@ class NdiTracker(Tracker):
         """Open `serial:///dev/ttyUSB0[?baud=9600&speed=115200]` or `tcp://host[:8765]` and start tracking.
 
         Further options: `tool` (a serial number), `reply` (bx or tx), `beyond` (yes or no). Raises AddressError,
-        ConfigurationError where the tool is not there, DeviceFault where nobody answers as an NDI device does.
+        ConfigurationError if the tool is missing, DeviceFault if no NDI device answers.
         """
         parsed = Address.parse(address)
         if parsed.scheme not in ("serial", "tcp"):
@@ -184,30 +184,27 @@ class NdiTracker(Tracker):
 
     @property
     def tool(self) -> NdiTool:
-        """The tool that is tracked."""
+        """The tracked tool."""
         return self._tool
 
     def start(self) -> None:
-        """Initialise the device and its tools, and begin to track. Raises DeviceFault, ConfigurationError."""
+        """Initialise the device and its tools, and start tracking. Raises DeviceFault, ConfigurationError."""
         self._fault: DeviceFault | None = None
         self._asked_ns: int | None = None
-        self._heard_ns = 0
+        self._received_ns = 0
         self._took_s = 0.0
-        self._bad = 0
-        wake(self._talk)
+        self._damaged_in_a_row = 0
+        wake(self._conversation)
         if self._speed:
-            set_speed(self._talk, self._speed)
-        self._tool = choose_tool(enable_tools(self._talk), self._wanted)
+            set_speed(self._conversation, self._speed)
+        self._tool = choose_tool(enable_tools(self._conversation), self._wanted)
         self._validator = NdiPoseValidator(self._tool.handle, self.limits)
-        self._talk.ask("TSTART")
+        self._conversation.ask("TSTART")
         self._tracking = True
-        self._talk.hush()
+        self._conversation.discard()
 
     def read(self, timeout_s: float) -> PoseSample | None:
-        """Return the next frame, or None after `timeout_s`; a slow reply is waited for by the next call.
-
-        Raises DeviceFault, again and again until `start`.
-        """
+        """Return the next new frame, or None after `timeout_s`. Raises DeviceFault, then always until `start`."""
         if self._closed:
             raise LinkClosed("the tracker is closed")
         if self._fault is not None:
@@ -235,41 +232,41 @@ class NdiTracker(Tracker):
             raise
 
     def _exchange(self, deadline: Deadline) -> Frames | None:
-        """Ask where nothing is asked, and return the reply; None where it has not come, or came damaged."""
+        """Request a frame if none is requested, and return it; None if it has not arrived, or arrived damaged."""
         now_ns = self._clock.now_ns()
         if self._asked_ns is None:
-            # What comes unasked is the answer to a question that was given up: old. Or the device has reset itself.
-            if "RESET" in self._talk.hush():
-                self._understand("RESET")
-            self._talk.send(self._name, self._mode)
-            self._asked_ns = self._heard_ns = now_ns
-        before = self._talk.reader.pending
+            # Bytes without a pending request are a late reply, which is outdated, or report a reset of the device.
+            if "RESET" in self._conversation.discard():
+                self._parse("RESET")
+            self._conversation.send(self._name, self._mode)
+            self._asked_ns = self._received_ns = now_ns
+        before = self._conversation.reader.pending
         wait_s = min(deadline.left_s, self.limits.gap_s)
-        damaged = self._talk.reader.damaged
-        reply = self._talk.receive(wait_s)
+        damaged = self._conversation.reader.damaged
+        reply = self._conversation.receive(wait_s)
         if reply is not None:
             self._took_s = (self._clock.now_ns() - self._asked_ns) / 1e9
             self._asked_ns = None
-            return self._understand(reply)
+            return self._parse(reply)
         now_ns = self._clock.now_ns()
-        pending = self._talk.reader.pending
+        pending = self._conversation.reader.pending
         if pending != before:
-            self._heard_ns = now_ns
-        cut_short = bool(pending) and now_ns - self._heard_ns >= self.limits.gap_s * 1e9
+            self._received_ns = now_ns
+        cut_short = bool(pending) and now_ns - self._received_ns >= self.limits.gap_s * 1e9
         if cut_short:
-            self._talk.reader.clear()
-        if cut_short or (self._talk.reader.damaged > damaged and not pending):
+            self._conversation.reader.clear()
+        if cut_short or (self._conversation.reader.damaged > damaged and not pending):
             self._damaged("cut short" if cut_short else "wrong CRC")
         elif (now_ns - self._asked_ns) / 1e9 >= self.limits.reply_s:
             raise DeviceFault(f"tracker: no reply to {self._name} for {self.limits.reply_s:g} s")
         return None
 
-    def _understand(self, reply: str | bytes) -> Frames | None:
+    def _parse(self, reply: str | bytes) -> Frames | None:
         if reply == "RESET":
             raise DeviceFault("tracker: it reset itself; was its power gone for a moment?")
         try:
             if isinstance(reply, str):
-                self._talk.refuse(self._name, reply)
+                self._conversation.refuse(self._name, reply)
             frames = parse_tx(reply) if isinstance(reply, str) else parse_bx(reply)
         except NdiRefused as refusal:
             if refusal.code not in _TRANSIENT:
@@ -280,25 +277,25 @@ class NdiTracker(Tracker):
         except ProtocolError as error:
             self._damaged(str(error))
             return None
-        self._bad = 0
+        self._damaged_in_a_row = 0
         return frames
 
     def _damaged(self, why: str) -> None:
-        """Count a reply that is no use, and ask again."""
+        """Count an unusable reply; the next call requests the frame again."""
         self._asked_ns = None
-        self._bad += 1
+        self._damaged_in_a_row += 1
         self.counts.damaged += 1
-        if self._bad >= self.limits.damaged:
-            raise DeviceFault(f"tracker: {self._bad} damaged replies in a row: {why}; speed and cable?")
+        if self._damaged_in_a_row >= self.limits.damaged:
+            raise DeviceFault(f"tracker: {self._damaged_in_a_row} damaged replies in a row: {why}; speed and cable?")
 
     def close(self) -> None:
-        """Stop tracking, return to 9600 baud where the speed was changed, and give the link back."""
+        """Stop tracking, return to 9600 baud if the speed was changed, and close the link."""
         if self._closed:
             return
         self._closed = True
         with contextlib.suppress(DeviceFault):
             if self._tracking:
-                self._talk.ask("TSTOP", timeout_s=1.0)
-            if isinstance(self._talk.link, SerialLink) and self._speed and self._tracking:
-                self._talk.ask("COMM", "00000", timeout_s=1.0)
-        self._talk.link.close()
+                self._conversation.ask("TSTOP", timeout_s=1.0)
+            if isinstance(self._conversation.link, SerialLink) and self._speed and self._tracking:
+                self._conversation.ask("COMM", "00000", timeout_s=1.0)
+        self._conversation.link.close()

@@ -34,12 +34,12 @@ ERRORS = MappingProxyType({
     0x2D: "no handle left", 0x32: "invalid operation", 0x33: "not available", 0xF1: "too much infrared light",
     0xF4: "flash memory", 0xF5: "flash memory", 0xF6: "flash memory",
 })  # fmt: skip
-"""What an `ERRORxx` says, where it is known here."""
+"""Meaning of the codes xx in `ERRORxx`."""
 
 BAUD_CODES = MappingProxyType({
     9600: "0", 14_400: "1", 19_200: "2", 38_400: "3", 57_600: "4", 115_200: "5", 921_600: "6", 230_400: "A",
 })  # fmt: skip
-"""First letter of the argument of `COMM`."""
+"""First character of the argument of `COMM` by speed."""
 
 
 class NdiRefused(DeviceFault):
@@ -51,18 +51,18 @@ class NdiRefused(DeviceFault):
 
 
 def encode_command(name: str, arguments: str = "") -> bytes:
-    """Return a command with its CRC."""
+    """Return a command with its CRC and carriage return."""
     return encode_text(f"{name}:{arguments}")
 
 
 def encode_text(text: str) -> bytes:
-    """Return text with its CRC and carriage return: a command, or a reply."""
+    """Return the text of a command or reply with its CRC and carriage return."""
     data = text.encode("ascii")
     return data + b"%04X\r" % crc16(data)
 
 
 def decode_command(line: bytes) -> tuple[str, str]:
-    """Return name and arguments of a command without its carriage return. Raises ProtocolError where it is none."""
+    """Return name and arguments of a command without its carriage return. Raises ProtocolError."""
     try:
         text = line.decode("ascii")
     except UnicodeDecodeError as error:
@@ -83,29 +83,32 @@ _TEXT = frozenset(range(0x20, 0x7F)) | {0x0A}
 
 
 class ReplyReader:
-    """Feed it bytes; it gives text replies as `str` without CRC, and binary ones as `bytes` with header and CRC."""
+    """Extracts replies from a stream of bytes: text replies as `str` without CRC, binary ones as `bytes` with header.
+
+    Only replies with a correct CRC are returned. After damage the search continues at the next byte, so that a whole
+    reply after a damaged one is found. `damaged` counts the bytes outside of correct replies.
+    """
 
     def __init__(self) -> None:
         self.damaged = 0
-        """Bytes that belonged to no reply with a right CRC."""
 
         self._buffer = bytearray()
 
     @property
     def pending(self) -> int:
-        """Bytes that wait for the rest of their reply."""
+        """Number of bytes of an incomplete reply."""
         return len(self._buffer)
 
     def feed(self, data: bytes) -> None:
-        """Add what came."""
+        """Add received bytes."""
         self._buffer += data
 
     def clear(self) -> None:
-        """Give up on the rest of a reply."""
+        """Discard the incomplete reply."""
         self._drop(len(self._buffer))
 
     def next(self) -> str | bytes | None:
-        """Return the next whole reply, or None where more bytes are needed."""
+        """Return the next whole reply, or None until more bytes are received."""
         reply: str | bytes | None
         while self._buffer:
             if self._buffer[0] == START[0]:
@@ -121,7 +124,7 @@ class ReplyReader:
         del self._buffer[:count]
 
     def _binary(self) -> tuple[bytes | None, bool]:
-        """Return a reply, and whether bytes are missing; neither where the first byte is none of a reply."""
+        """Return a reply, and whether bytes are missing; (None, False) if no reply begins with the first byte."""
         buffer = self._buffer
         if len(buffer) < HEADER_BYTES:
             if buffer[1:2] in (b"", START[1:]):
@@ -161,18 +164,18 @@ class ReplyReader:
 
 
 class NdiConversation:
-    """Carries commands and replies over `link`. A device needs up to `reply_s` for some replies."""
+    """Exchanges commands and replies with an NDI device; `reply_s` is the longest time to a reply."""
 
     def __init__(self, link: Link, clock: Clock, reply_s: float = 12.0) -> None:
         self.link, self.clock, self.reply_s = link, clock, reply_s
         self.reader = ReplyReader()
 
     def send(self, name: str, arguments: str = "") -> None:
-        """Ask without waiting."""
+        """Send a command without waiting for its reply."""
         self.link.send(encode_command(name, arguments))
 
     def receive(self, timeout_s: float) -> str | bytes | None:
-        """Return the next whole reply; None after `timeout_s`, or as soon as damaged bytes were dropped."""
+        """Return the next whole reply, or None after `timeout_s` or as soon as damaged bytes were discarded."""
         deadline = Deadline(self.clock, timeout_s)
         damaged = self.reader.damaged
         while True:
@@ -185,11 +188,12 @@ class NdiConversation:
                 return None
 
     def ask(self, name: str, arguments: str = "", timeout_s: float | None = None) -> str:
-        """Return the text that answers a command. Raises Refused for `ERRORxx`, DeviceFault for silence.
+        """Send a command and return the text of its reply.
 
-        Replies that came before are not answers to this command and are dropped.
+        Replies that arrived earlier belong to other commands and are discarded. Raises NdiRefused for `ERRORxx`,
+        DeviceFault without a reply.
         """
-        self.hush()
+        self.discard()
         self.send(name, arguments)
         deadline = Deadline(self.clock, self.reply_s if timeout_s is None else timeout_s)
         while not deadline.passed:
@@ -201,8 +205,8 @@ class NdiConversation:
         damage = f"; {self.reader.damaged} damaged bytes" if self.reader.damaged else ""
         raise DeviceFault(f"tracker: no answer to {name}:{arguments} within {waited_s:g} s{damage}")
 
-    def hush(self) -> list[str | bytes]:
-        """Drop what has come unasked, and return the whole replies among it."""
+    def discard(self) -> list[str | bytes]:
+        """Discard all received bytes, and return the whole replies among them."""
         while data := self.link.receive(0):
             self.reader.feed(data)
         replies = []
@@ -213,7 +217,7 @@ class NdiConversation:
 
     @staticmethod
     def refuse(command: str, reply: str) -> None:
-        """Raise Refused where `reply` is an error."""
+        """Raise NdiRefused if `reply` is an error."""
         if reply.startswith("ERROR"):
             try:
                 code = int(reply[5:7], 16)

@@ -45,7 +45,7 @@ _TABLE = tuple(map(_entry, range(256)))
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC of `data`."""
+    """Return the CRC-16/ARC of `data`: polynomial x^16 + x^15 + x^2 + 1, reflected (0xA001), initial value 0."""
     crc = 0
     for byte in data:
         crc = crc >> 8 ^ _TABLE[(crc ^ byte) & 0xFF]
@@ -55,7 +55,7 @@ def crc16(data: bytes) -> int:
 _NAN = math.nan
 
 PORT_SUSPECT = {0x40: "out of the volume", 0x80: "partly out of the volume"}
-"""Bits of the port status under which numbers may be plausible and wrong; those above 0x80 are told by number."""
+"""Bits of the port status with which a pose is suspect although its numbers are plausible."""
 
 SYSTEM_SUSPECT = {
     0x01: "synchronisation",
@@ -63,11 +63,11 @@ SYSTEM_SUSPECT = {
     0x04: "CRC in the system",
     0x08: "recoverable error",
 }
-"""Bits of the system status that leave the tracker usable."""
+"""Bits of the system status with which the tracker stays usable, but poses are suspect."""
 
 
 class NdiVisibility(StrEnum):
-    """Whether the device says where a tool is."""
+    """Status of a tool in a frame."""
 
     VALID = "valid"
     MISSING = "missing"
@@ -77,7 +77,7 @@ class NdiVisibility(StrEnum):
 
 @dataclass(frozen=True)
 class ToolFrame:
-    """One tool in one frame: quaternion (w, x, y, z) and position are NaN where it is not VALID."""
+    """One tool in one frame; quaternion (w, x, y, z), position and error are NaN unless the tool is VALID."""
 
     handle: int
     visibility: NdiVisibility
@@ -97,7 +97,7 @@ class Frames:
 
 
 def bits_of(status: int, names: dict[int, str]) -> tuple[str, ...]:
-    """Return the names of the bits that are set."""
+    """Return the names of the set bits."""
     return tuple(name for bit, name in names.items() if status & bit)
 
 
@@ -111,7 +111,7 @@ _CODES = {visibility: code for code, visibility in _VISIBILITY.items()}
 
 
 def body_length(header: bytes) -> int:
-    """Return the length of the body behind a header of six bytes. Raises ProtocolError."""
+    """Return the length of the body after a header of six bytes. Raises ProtocolError."""
     if len(header) != HEADER_BYTES or header[:2] != START:
         raise ProtocolError("BX: does not begin with C4 A5")
     if crc16(header):
@@ -120,7 +120,7 @@ def body_length(header: bytes) -> int:
 
 
 def parse_bx(message: bytes) -> Frames:
-    """Read a whole reply to BX:0001 or BX:0801. Raises ProtocolError."""
+    """Return the frames in a whole reply to BX:0001 or BX:0801. Raises ProtocolError."""
     length = body_length(message[:HEADER_BYTES])
     body, crc = message[HEADER_BYTES:-2], message[-2:]
     if len(message) != length + HEADER_BYTES + 2:
@@ -182,7 +182,7 @@ _HEX = re.compile(r"[0-9A-F]+")
 
 
 def parse_tx(text: str) -> Frames:
-    """Read a reply to TX:0001 or TX:0801, without its CRC. Raises ProtocolError."""
+    """Return the frames in a reply to TX:0001 or TX:0801 without its CRC. Raises ProtocolError."""
     count = _hexadecimal(text[:2], 2)
     tools, position = [], 2
     for _ in range(count):
@@ -195,7 +195,7 @@ def parse_tx(text: str) -> Frames:
 
 
 def encode_tx(frames: Frames) -> str:
-    """Return a reply to TX, without its CRC."""
+    """Return a reply to TX without its CRC."""
     lines = []
     for tool in frames.tools:
         where = tool.visibility.name

@@ -41,7 +41,10 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class RobotDriveState:
-    """What encoders and drives say, and where the axes should be by now."""
+    """State of the drives: measured and commanded positions, and reported faults.
+
+    `faults` are those that the drives report: a drive fault, a limit switch, the emergency stop.
+    """
 
     depth_mm: float
     velocity_mm_s: float
@@ -51,41 +54,42 @@ class RobotDriveState:
     wanted_roll_rad: float
     moving: bool
     faults: Fault = Fault(0)
-    """What the drives report themselves: a fault, a limit switch, the emergency stop."""
 
 
 class RobotDrive(Protocol):
-    """Two axes with their servo."""
+    """Protocol of the two axes with their servo."""
 
     def advance(self, time_s: float) -> RobotDriveState:
-        """Go on to a time, and say where the axes are."""
+        """Advance to a time, and return the state."""
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin to move to a depth. Raises DeviceFault for what cannot be."""
+        """Begin a motion to a depth. Raises DeviceFault for an impossible one."""
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin to turn to a roll. Raises DeviceFault for what cannot be."""
+        """Begin a rotation to a roll. Raises DeviceFault for an impossible one."""
 
     def stop(self) -> None:
-        """Stop both axes as fast as can be."""
+        """Stop both axes as fast as possible."""
 
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """What the capture side takes for a fault of an axis."""
+    """Limits of the monitoring of the axes.
+
+    - `following_mm` and `following_rad` are the largest differences between commanded and measured position.
+    - `fastest_mm_s` and `fastest_rad_s` are the speeds above which an encoder has jumped.
+    - `still` is the share of its commanded motion below which an axis does not move.
+    """
 
     following_mm: float = 0.2
     following_rad: float = 0.05
     fastest_mm_s: float = 200.0
     fastest_rad_s: float = 50.0
-    """An encoder that goes faster has jumped."""
-
     still: float = 0.1
-    """An axis that has gone less than this share of its way does not move."""
 
 
 class DriveWatch:
-    """Compares where the axes are with where they should be, and with where they were."""
+    """Compares the measured positions with the commanded ones, and with the previous ones."""
 
     def __init__(self, limits: DriveLimits | None = None) -> None:
         limits = DriveLimits() if limits is None else limits
@@ -93,11 +97,11 @@ class DriveWatch:
         self._roll = _AxisWatch(limits.following_rad, limits.fastest_rad_s, limits.still)
 
     def forget(self) -> None:
-        """What comes next may be anywhere, as after a repair."""
+        """Permit any position next, as after a repair."""
         self._insertion.begin = self._insertion.last = self._roll.begin = self._roll.last = None
 
     def see(self, state: RobotDriveState, time_s: float) -> Fault:
-        """Return what is wrong."""
+        """Return the faults of a state."""
         return (
             state.faults
             | self._insertion.see(state.wanted_depth_mm, state.depth_mm, time_s)
@@ -110,7 +114,7 @@ class _AxisWatch:
         self._following, self._fastest, self._still = following, fastest, still
         self.last: tuple[float, float] | None = None
         self.begin: tuple[float, float] | None = None
-        """Where the axis should be and was when it last followed well."""
+        """Commanded and measured position when the axis last followed well."""
 
     def see(self, wanted: float, measured: float, time_s: float) -> Fault:
         last, self.last = self.last, (measured, time_s)
@@ -139,45 +143,46 @@ _TIMELESS = (RobotKind.HELLO, RobotKind.STOP, RobotKind.GOODBYE)
 
 @dataclass(frozen=True)
 class RobotLimits:
-    """How long the robot believes in a controller that it does not hear."""
+    """Limits on the silence of the controller.
+
+    The robot stops after `silence_s` without a datagram while it moves, unless the controller requests another time
+    between the shortest and the longest. It accepts another controller after `release_s`.
+    """
 
     silence_s: float = 0.03
-    """It stops after so long where the controller does not ask for another time."""
-
     shortest_silence_s: float = 0.005
     longest_silence_s: float = 0.34
     release_s: float = 5.0
-    """It takes another controller after so long."""
 
 
 @dataclass
 class RobotCounts:
-    """What came from controllers, and was not obeyed."""
+    """Numbers of datagrams that were not executed, by reason."""
 
     malformed: int = 0
     other_versions: int = 0
     refused: int = 0
     late: int = 0
     repeated: int = 0
-    """Datagrams that came twice, or behind a newer one."""
+    """Repeated, or older than one received before."""
 
 
 class _Session:
-    """One controller, and what it said last."""
+    """One controller and its last datagram."""
 
     def __init__(self, hello: RobotCommand, peer: Peer, now_ns: int) -> None:
         self.id, self.peer = hello.head.session, peer
         self.sequence, self.number = hello.head.sequence, hello.head.number
         self.result = Result.ACCEPTED
         self.accepted = self.number
-        self.heard_ns = self.echo_received_ns = now_ns
+        self.received_ns = self.echo_received_ns = now_ns
         self.echo_ns = hello.head.sent_ns
         self.silence_ns = 0
         self.statuses = self.missed = 0
 
 
 class RobotMachine:
-    """A robot that moves `drive`; `overruns` is for who calls `tick` to count in."""
+    """A robot that moves `drive`; the caller of `tick` counts its late ticks in `overruns`."""
 
     def __init__(self, drive: RobotDrive, limits: RobotLimits | None = None, axes: DriveLimits | None = None) -> None:
         self.drive = drive
@@ -193,22 +198,22 @@ class RobotMachine:
         self._now_ns = 0
         self._last: RobotDriveState | None = None
         self._limited = 0.0
-        """The direction in which the limit switch was reached."""
+        """Direction in which the limit switch was reached."""
 
     @property
     def controller(self) -> Peer | None:
-        """Who has the robot."""
+        """The controller of the session, or None."""
         return None if self._session is None else self._session.peer
 
     def receive(self, datagram: bytes, sender: Peer, now_ns: int) -> bytes:
-        """Obey a datagram, and return the answer to its sender; empty where there is none."""
+        """Execute a datagram, and return the answer to its sender, or no bytes."""
         self._now_ns = now_ns
         try:
             command = decode(datagram)
         except OtherVersion as other:
             self.counts.other_versions += 1
             if other.kind & _OF_CAPTURE_SIDE:
-                return b""  # two robots do not answer each other without end
+                return b""  # otherwise two robots would answer each other without end
             return self._encode(Head(0, self._count(), now_ns), other.kind, Result.WRONG_VERSION)
         except ProtocolError:
             self.counts.malformed += 1
@@ -220,25 +225,25 @@ class RobotMachine:
         if result is None:
             return b""
         self.counts.refused += result is not Result.ACCEPTED
-        held_us = 0  # it is answered at once
+        held_us = 0  # the answer is sent at once
         asked = command.head
         head = Head(asked.session, self._count(), now_ns, asked.sent_ns, held_us, asked.number)
         return self._encode(head, command.kind, result)
 
     def tick(self, now_ns: int) -> tuple[bytes, Peer] | None:
-        """Go on to `now_ns`: see to drives and watchdog, and return the status and who is to have it."""
+        """Advance to `now_ns`, monitor drives and heartbeat, and return the status and its recipient, if any."""
         self._now_ns = now_ns
         before, state = self._last, self.drive.advance(now_ns / _NANO)
         self._last = state
         found = self._watch.see(state, now_ns / _NANO)
         if before is not None and Fault.LIMIT in state.faults & before.faults:
-            # It may be led back from where it is; `_move` sees to it that it is.
+            # The axis may move away from the limit switch; `_move` refuses the other direction.
             found &= ~Fault.LIMIT
         elif Fault.LIMIT in state.faults:
             self._limited = math.copysign(1.0, state.velocity_mm_s)
         session = self._session
         if session is not None:
-            silent_ns = now_ns - session.heard_ns
+            silent_ns = now_ns - session.received_ns
             if state.moving and self.state is RobotState.ENABLED and silent_ns > session.silence_ns:
                 found |= Fault.WATCHDOG
             if silent_ns > self.limits.release_s * _NANO:
@@ -268,13 +273,13 @@ class RobotMachine:
         if asked == 0 or asked in self._ended:
             return Result.OLD_SESSION
         self._session = _Session(hello, sender, self._now_ns)
-        self._hear(self._session, hello)
+        self._renew(self._session, hello)
         return Result.ACCEPTED
 
     def _validate(self, command: RobotCommand, sender: Peer) -> Result | None:
         session, head = self._session, command.head
         if command.kind is RobotKind.STOP and head.session == 0:
-            # Anybody may stop it, without having it.
+            # Anyone may stop the robot without having control.
             self.drive.stop()
             return Result.ACCEPTED
         if session is None or head.session != session.id:
@@ -291,7 +296,7 @@ class RobotMachine:
         late = command.kind not in _TIMELESS and self._now_ns > command.deadline_ns
         self.counts.late += late
         if newer and not late:
-            self._hear(session, command)
+            self._renew(session, command)
         if command.kind is RobotKind.ALIVE:
             return None
         after = (head.number - session.number) % _WRAP
@@ -305,11 +310,11 @@ class RobotMachine:
             session.accepted = head.number
         return session.result
 
-    def _hear(self, session: _Session, command: RobotCommand) -> None:
+    def _renew(self, session: _Session, command: RobotCommand) -> None:
         limits = self.limits
         asked_s = command.silence_us / 1e6 or limits.silence_s
         session.silence_ns = round(_NANO * min(max(asked_s, limits.shortest_silence_s), limits.longest_silence_s))
-        session.heard_ns = session.echo_received_ns = self._now_ns
+        session.received_ns = session.echo_received_ns = self._now_ns
         session.echo_ns = command.head.sent_ns
 
     def _obey(self, command: RobotCommand) -> Result:
@@ -353,7 +358,7 @@ class RobotMachine:
         return Result.ACCEPTED
 
     def _end(self) -> None:
-        """Stop, disable, and be free for another controller."""
+        """Stop, disable, and become free for another controller."""
         self.drive.stop()
         if self.state is RobotState.ENABLED:
             self.state = RobotState.DISABLED

@@ -22,30 +22,29 @@ from needleplan.errors import DeviceFault, LinkClosed
 
 __all__ = ["RobotDriveFaults", "RobotLink", "RobotNetwork", "RobotServer", "SteadyDrive", "Way"]
 
-_MOST_OVERTIME = 256
-"""So many datagrams are heard when a tick is due already."""
+_MOST_OVERTIME = 256  # datagrams received after a tick is due, at most
 
 
 @dataclass
 class RobotDriveFaults:
-    """What goes wrong from now on."""
+    """Faults to simulate from now on."""
 
     reported: Fault = Fault(0)
-    """What the drives report: DRIVE, LIMIT, ESTOP. The emergency stop takes the power away as long as it is pressed."""
+    """Faults that the drives report: DRIVE, LIMIT, ESTOP. ESTOP removes the power as long as it is set."""
 
     stuck: bool = False
     slow: float = 1.0
-    """The axes go only this share of their way."""
+    """Share of the commanded motion that the axes execute."""
 
     reversed: bool = False
-    """The encoders count the wrong way."""
+    """Whether the encoders count in the wrong direction."""
 
     jump_mm: float = 0.0
-    """The encoder of the insertion jumps by this much, once."""
+    """Jump of the encoder of the insertion, applied once."""
 
 
 class SteadyDrive(RobotDrive):
-    """Two axes that go at the speed they are told, from one moment to the next."""
+    """Two axes that move at the commanded speed without acceleration."""
 
     def __init__(self, deepest_mm: float = 180.0, fastest_mm_s: float = 50.0, fastest_rad_s: float = 12.0) -> None:
         self.faults = RobotDriveFaults()
@@ -56,7 +55,7 @@ class SteadyDrive(RobotDrive):
         self._time_s: float | None = None
 
     def advance(self, time_s: float) -> RobotDriveState:
-        """Go on to a time, and say where the axes are."""
+        """Advance to a time, and return the state."""
         passed_s = 0.0 if self._time_s is None else max(time_s - self._time_s, 0.0)
         self._time_s = time_s
         faults = self.faults
@@ -78,27 +77,27 @@ class SteadyDrive(RobotDrive):
         )  # fmt: skip
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin to move to a depth. Raises DeviceFault beyond the travel or the fastest speed."""
+        """Begin a motion to a depth. Raises DeviceFault beyond the travel or the highest speed."""
         if not (abs(depth_mm) <= self._deepest_mm and velocity_mm_s <= self._fastest[0]):
             raise DeviceFault(f"simulated drive: {depth_mm:g} mm at {velocity_mm_s:g} mm/s is beyond its limits")
         self._goals[0], self._speeds[0] = depth_mm, velocity_mm_s
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin to turn to a roll. Raises DeviceFault above the fastest speed."""
+        """Begin a rotation to a roll. Raises DeviceFault above the highest speed."""
         if not velocity_rad_s <= self._fastest[1]:
             raise DeviceFault(f"simulated drive: {velocity_rad_s:g} rad/s is beyond its limits")
         self._goals[1], self._speeds[1] = roll_rad, velocity_rad_s
 
     def stop(self) -> None:
-        """Stand still where the axes are."""
+        """Stop at the present position."""
         self._wanted = [self._measured[0], self._measured[1]]
         self._goals = list(self._wanted)
 
 
 class RobotServer:
-    """A robot on a UDP socket of this machine, in real time; a context manager.
+    """A robot on a UDP socket of this machine, in real time.
 
-    `run` serves in the thread that calls it, until `close`; a context manager serves in a thread of its own.
+    `run` serves in the calling thread until `close`; the context manager serves in its own thread.
     """
 
     def __init__(
@@ -125,7 +124,7 @@ class RobotServer:
         return f"udp://{self.host}:{self.port}"
 
     def run(self) -> None:
-        """Tick and answer until `close`; a tick that begins more than its interval late is an overrun."""
+        """Tick and answer until `close`; a tick that begins more than one interval late is an overrun."""
         due_s = time.monotonic()
         while not self._stopping.is_set():
             due_s += self.interval_s
@@ -134,20 +133,20 @@ class RobotServer:
             if late_s > self.interval_s:
                 self.machine.overruns += 1
                 self.worst_overrun_s = max(self.worst_overrun_s, late_s)
-                due_s += late_s  # the time that is lost is not made up for
+                due_s += late_s  # lost time is not made up
             self.ticks += 1
             sent = self.machine.tick(time.monotonic_ns())
             if sent is not None:
                 self._send(*sent)
 
     def _listen_until(self, due_s: float) -> None:
-        # What has come is heard before the watchdog looks, also where this process was stopped for a while; but who
-        # sends without end does not keep the watchdog from looking.
+        # Waiting datagrams are received before the tick tests the watchdog, also after a pause of this process; the
+        # number is limited, so that a flood of datagrams cannot delay the test.
         overtime = _MOST_OVERTIME
         while overtime:
             left_s = max(due_s - time.monotonic(), 0.0)
             overtime -= left_s == 0
-            # A time-out of the socket would be rounded up to whole milliseconds.
+            # `select` instead of a timeout of the socket, which would be rounded up to whole milliseconds.
             if not select.select([self._socket], [], [], left_s)[0]:
                 return
             try:
@@ -163,11 +162,11 @@ class RobotServer:
             self._socket.sendto(datagram, peer)
 
     def stop(self) -> None:
-        """Let `run` return after its tick."""
+        """Let `run` return after its present tick."""
         self._stopping.set()
 
     def close(self) -> None:
-        """Switch it off."""
+        """Stop serving."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join()
@@ -190,19 +189,19 @@ _TICK_NS = 1_000_000
 
 @dataclass
 class Way:
-    """What happens to datagrams of one direction from now on."""
+    """Faults to simulate on the datagrams of one direction."""
 
     cut: bool = False
     lose: int = 0
-    """So many of the next are lost."""
+    """Number of next datagrams to lose."""
 
     double: int = 0
     delay_s: float = 0.0
     seen: list[bytes] = field(default_factory=list)
-    """All that were sent, lost or not."""
+    """All sent datagrams, including lost ones."""
 
     def copies(self, datagram: bytes) -> int:
-        """Return how many of a datagram arrive."""
+        """Return how often a datagram arrives."""
         self.seen.append(datagram)
         if self.cut or self.lose:
             self.lose -= bool(self.lose)
@@ -212,7 +211,7 @@ class Way:
 
 
 class RobotNetwork:
-    """Carries datagrams between a robot and its controllers; the robot's clock is `ahead_ns` ahead of `clock`."""
+    """Connects a robot and its controllers within a process; the clock of the robot is `ahead_ns` ahead of `clock`."""
 
     def __init__(self, machine: RobotMachine, clock: VirtualClock, ahead_ns: int = 77_000_000_000) -> None:
         self.machine, self.clock, self.ahead_ns = machine, clock, ahead_ns
@@ -224,7 +223,7 @@ class RobotNetwork:
         self._inboxes: dict[Peer, deque[bytes]] = {}
 
     def link(self, name: str = "controller") -> RobotLink:
-        """Return a link of a controller with a name, which is its host."""
+        """Return the link of a controller; `name` is its host."""
         peer = (name, 1)
         self._inboxes[peer] = deque()
         return RobotLink(self, peer, self._inboxes[peer])
@@ -234,7 +233,7 @@ class RobotNetwork:
         self._put(self._coming, self.to_robot, datagram, peer)
 
     def pass_until(self, end_ns: int, inbox: deque[bytes] | None = None) -> None:
-        """Let time pass, at most until there is something in `inbox`."""
+        """Advance the clock to `end_ns`, or until `inbox` has a datagram."""
         while not inbox:
             now_ns = self.clock.now_ns()
             waiting = [queue[0][0] for queue in (self._coming, self._going) if queue]
@@ -269,7 +268,7 @@ class RobotNetwork:
 
 
 class RobotLink(Link):
-    """The end of a controller."""
+    """The link of one controller."""
 
     def __init__(self, network: RobotNetwork, peer: Peer, inbox: deque[bytes]) -> None:
         self._network, self._peer, self._inbox = network, peer, inbox
@@ -281,13 +280,13 @@ class RobotLink(Link):
         self._network.send(data, self._peer)
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next datagram, or let `timeout_s` pass."""
+        """Return the next datagram; empty after `timeout_s`. Advances the clock."""
         self._require_open()
         self._network.pass_until(self._network.clock.now_ns() + round(timeout_s * _NANO), self._inbox)
         return self._inbox.popleft() if self._inbox else b""
 
     def close(self) -> None:
-        """Give the link up."""
+        """Close the link."""
         self._closed = True
 
     def _require_open(self) -> None:

@@ -28,7 +28,7 @@ __all__ = ["RobotStage", "RobotTiming"]
 _WRAP = 1 << 32
 _REASONS = {
     Result.BUSY: "it has another controller",
-    Result.OLD_SESSION: "it does not know this session any more: it was restarted, or heard nothing for too long",
+    Result.OLD_SESSION: "it does not know this session any more: it was restarted, or received nothing for too long",
     Result.WRONG_VERSION: "it speaks another version of the protocol",
     Result.LATE: "the command came after its deadline",
     Result.SUPERSEDED: "a later command, as a stop, came before it",
@@ -40,29 +40,27 @@ _REASONS = {
 
 @dataclass(frozen=True)
 class RobotTiming:
-    """How long each side believes in the other."""
+    """Timing of the session.
+
+    - `silence_s`: the robot stops by itself if it receives nothing for this time while it moves.
+    - `valid_s`: the robot does not begin a motion that arrives later than this.
+    - `again_s`: time without an answer after which a command is repeated.
+    - `answer_s`: time for which hello, reset, enable and stop are repeated.
+    - `lost_s`: time without a status after which the stage raises DeviceFault.
+    """
 
     silence_s: float = 0.03
-    """The robot stops by itself where it hears nothing for so long while it moves."""
-
     valid_s: float = 0.03
-    """A motion that comes to the robot later is not begun."""
-
     again_s: float = 0.005
-    """A command is sent again after so long without an answer."""
-
     answer_s: float = 0.9
-    """Hello, reset, enable and stop are sent again for so long."""
-
     lost_s: float = 0.1
-    """The robot is given up where no status has come for so long."""
 
 
 class RobotStage(Stage):
     """The robot over `link`.
 
-    The watchdog of the robot is satisfied by commands and by `heartbeat`. Reading sends nothing: a thread that still
-    reads must not hide that the loop has died.
+    Commands and `heartbeat` satisfy the watchdog of the robot. Reading sends nothing: a thread that still reads must
+    not conceal that the control loop has failed.
     """
 
     def __init__(
@@ -79,7 +77,7 @@ class RobotStage(Stage):
         self._fault: DeviceFault | None = None
         self._closed = self._greeted = False
         self.last_status: RobotStatus | None = None
-        """What the robot said last, also in a fault."""
+        """The last status, also during a fault."""
 
         try:
             self.start()
@@ -91,7 +89,7 @@ class RobotStage(Stage):
     def open(cls, address: str, *, timing: RobotTiming | None = None) -> RobotStage:
         """Open `udp://host[:5005][?watchdog_s=0.03&valid_s=0.03&local_port=n]` and take control.
 
-        Raises AddressError if the address is wrong, DeviceFault if nobody answers or another controller has the robot.
+        Raises AddressError for a wrong address, DeviceFault without an answer or if another controller has the robot.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "udp":
@@ -112,81 +110,81 @@ class RobotStage(Stage):
 
     @property
     def counts(self) -> StatusCounts:
-        """Statuses received, lost, repeated and unread, and datagrams that were none, since the start."""
-        return self._talk.watch.counts
+        """Numbers of received, lost, repeated and unread statuses and of other datagrams since the start."""
+        return self._conversation.watch.counts
 
     @property
     def robot_clock(self) -> RobotClock:
-        """The round trip, last and worst."""
-        return self._talk.robot_clock
+        """The clock of the robot, with the last and the longest round-trip time."""
+        return self._conversation.robot_clock
 
     @property
-    def strangers(self) -> int:
-        """Datagrams that somebody else sent to our port."""
-        return self._link.strangers if isinstance(self._link, UdpLink) else 0
+    def unknown_senders(self) -> int:
+        """Number of datagrams from other senders, which were dropped."""
+        return self._link.unknown_senders if isinstance(self._link, UdpLink) else 0
 
     def start(self) -> None:
-        """Take control in a new session, reset a fault whose cause is gone, and enable; nothing moves.
+        """Take control in a new session, reset a fault if its cause is gone, and enable; nothing moves.
 
-        It is an act of a person: nothing here calls it after a fault. Raises DeviceFault.
+        Only a person may restart after a fault, so no code of this package calls it then. Raises DeviceFault.
         """
         timing = self.timing
         if self._greeted:
             self._leave()
-        self._talk = RobotConversation(self._link, self._clock, self._draw(), timing.again_s, timing.silence_s)
+        self._conversation = RobotConversation(self._link, self._clock, self._draw(), timing.again_s, timing.silence_s)
         self._greeted = True
         self._fault = None
         for kind in (RobotKind.HELLO, RobotKind.RESET, RobotKind.ENABLE):
-            result, _ = self._talk.command(kind, timing.answer_s, timely=kind is not RobotKind.HELLO)
+            result, _ = self._conversation.command(kind, timing.answer_s, timely=kind is not RobotKind.HELLO)
             if result is not Result.ACCEPTED:
                 raise self._give_up(f"{kind.name.lower()}: {self._why(result, timing.answer_s)}")
-        # What was said before is said of the time before.
-        self._talk.statuses.clear()
-        self._since = self._begun = self._talk.last_number
-        self._talk.heard_ns = self._clock.now_ns()
+        # Statuses received before the start describe the time before it.
+        self._conversation.statuses.clear()
+        self._since = self._begun = self._conversation.last_number
+        self._conversation.received_ns = self._clock.now_ns()
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin to move to a depth at a speed. Raises DeviceFault where the robot refuses or does not answer."""
+        """Begin a motion to a depth. Raises DeviceFault if the robot refuses or does not answer."""
         self._move(RobotKind.INSERT, depth_mm, velocity_mm_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin to turn the base to a roll. Raises DeviceFault where the robot refuses or does not answer."""
+        """Begin a rotation of the base to a roll. Raises DeviceFault if the robot refuses or does not answer."""
         self._move(RobotKind.ROTATE, roll_rad, velocity_rad_s)
 
     def stop(self) -> None:
-        """Stop both axes; sent again until the robot answers.
+        """Stop both axes; the command is repeated until the robot answers.
 
-        Raises DeviceFault where it does not: it then stops by itself, because it hears nothing.
+        Raises DeviceFault without an answer; the watchdog of the robot then stops it.
         """
         if self._closed:
             raise LinkClosed("the robot is closed")
-        result, _ = self._talk.command(RobotKind.STOP, self.timing.answer_s, timely=False)
+        result, _ = self._conversation.command(RobotKind.STOP, self.timing.answer_s, timely=False)
         if result not in (Result.ACCEPTED, Result.SUPERSEDED):
             raise self._give_up(f"stop: {self._why(result, self.timing.answer_s)}")
 
     def heartbeat(self) -> None:
-        """Send a heartbeat, which is valid for `timing.silence_s`. Raises LinkClosed."""
+        """Send a heartbeat that is valid for `timing.silence_s`. Raises LinkClosed."""
         if self._closed:
             raise LinkClosed("the robot is closed")
-        self._talk.heartbeat(self.timing.silence_s)
+        self._conversation.heartbeat(self.timing.silence_s)
 
     def read(self, timeout_s: float) -> StageSample | None:
-        """Return the next status, or None after `timeout_s`. Raises DeviceFault, again and again until `start`."""
+        """Return the next status, or None after `timeout_s`. Raises DeviceFault, then at every call until `start`."""
         if self._closed:
             raise LinkClosed("the robot is closed")
-        self._require_sound()
+        self._require_no_fault()
         deadline = Deadline(self._clock, timeout_s)
         while True:
             sample = self._next()
             if sample is not None:
                 return sample
-            if not self._talk.pump(deadline.left_s):
-                self._require_heard()
+            if not self._conversation.pump(deadline.left_s):
+                self._require_status()
                 if deadline.passed:
                     return None
 
     def close(self) -> None:
-        """Stop, give control up, and give the port back."""
+        """Stop, release control, and close the link."""
         if not self._closed:
             self._closed = True
             self._leave()
@@ -194,20 +192,20 @@ class RobotStage(Stage):
 
     def _leave(self) -> None:
         with contextlib.suppress(DeviceFault):
-            self._talk.command(RobotKind.GOODBYE, 10 * self.timing.again_s, timely=False)
+            self._conversation.command(RobotKind.GOODBYE, 10 * self.timing.again_s, timely=False)
 
     def _move(self, kind: RobotKind, target: float, speed: float) -> None:
         if self._closed:
             raise LinkClosed("the robot is closed")
-        self._require_sound()
+        self._require_no_fault()
         if not (math.isfinite(target) and math.isfinite(speed) and speed > 0):
             raise DeviceFault(f"robot: {kind.name.lower()}: {target:g} at a speed of {speed:g} is not a motion")
-        result, number = self._talk.command(kind, self.timing.valid_s, target, speed)
+        result, number = self._conversation.command(kind, self.timing.valid_s, target, speed)
         if result is Result.ACCEPTED:
             self._begun = number
             return
         if result is None:
-            # It may have come, and only its answer not: what is not known to move must not.
+            # The command may have arrived without its answer: an axis in an unknown state must not move.
             self.stop()
         message = f"{kind.name.lower()}: {self._why(result, self.timing.valid_s)}"
         if result in (Result.LATE, Result.SUPERSEDED, Result.OUT_OF_RANGE, Result.NOT_ENABLED, None):
@@ -215,8 +213,8 @@ class RobotStage(Stage):
         raise self._give_up(message)
 
     def _next(self) -> StageSample | None:
-        while self._talk.statuses:
-            status, lost, now_ns = self._talk.statuses.popleft()
+        while self._conversation.statuses:
+            status, lost, now_ns = self._conversation.statuses.popleft()
             if (status.head.number - self._since) % _WRAP >= _WRAP // 2:
                 continue
             self.last_status = status
@@ -225,7 +223,7 @@ class RobotStage(Stage):
             stamp = Stamp(now_ns, status.head.sequence, lost, status.head.sent_ns / 1e9)
             sound = all(map(math.isfinite, (status.depth_mm, status.velocity_mm_s, status.roll_rad)))
             notes = () if sound else ("not finite",)
-            # A status of before a motion was accepted does not know of it: who reads it next must not take it for done.
+            # A status from before the motion was accepted must not look as if the motion were complete.
             moving = status.moving or (status.head.number - self._begun) % _WRAP >= _WRAP // 2
             return StageSample(
                 stamp, status.depth_mm, status.velocity_mm_s, status.roll_rad, moving,
@@ -233,16 +231,16 @@ class RobotStage(Stage):
             )  # fmt: skip
         return None
 
-    def _require_sound(self) -> None:
+    def _require_no_fault(self) -> None:
         if self._fault is not None:
             raise self._fault
-        if self._talk.lost_control is not None:
-            raise self._give_up(_REASONS[self._talk.lost_control])
+        if self._conversation.lost_control is not None:
+            raise self._give_up(_REASONS[self._conversation.lost_control])
 
-    def _require_heard(self) -> None:
-        if self._talk.lost_control is not None:
-            raise self._give_up(_REASONS[self._talk.lost_control])
-        silent_s = (self._clock.now_ns() - self._talk.heard_ns) / 1e9
+    def _require_status(self) -> None:
+        if self._conversation.lost_control is not None:
+            raise self._give_up(_REASONS[self._conversation.lost_control])
+        silent_s = (self._clock.now_ns() - self._conversation.received_ns) / 1e9
         if silent_s >= self.timing.lost_s:
             raise self._give_up(f"silent for {silent_s:.3g} s; cable, power, or its process")
 
@@ -250,10 +248,10 @@ class RobotStage(Stage):
         if result is None:
             return f"no answer within {waited_s:g} s"
         patience = Deadline(self._clock, self.timing.lost_s)
-        while result is Result.IN_FAULT and not self._talk.statuses and not patience.passed:
-            self._talk.pump(patience.left_s)
-        if result is Result.IN_FAULT and self._talk.statuses:
-            return f"{_REASONS[result]}: {self._causes(self._talk.statuses[-1][0])}"
+        while result is Result.IN_FAULT and not self._conversation.statuses and not patience.passed:
+            self._conversation.pump(patience.left_s)
+        if result is Result.IN_FAULT and self._conversation.statuses:
+            return f"{_REASONS[result]}: {self._causes(self._conversation.statuses[-1][0])}"
         return _REASONS[result]
 
     @staticmethod

@@ -30,30 +30,30 @@ _WINDOW_NS = 5_000_000_000
 
 @dataclass
 class StatusCounts:
-    """What came from the robot in this session, and what did not."""
+    """Numbers of statuses in this session, by their fate."""
 
     received: int = 0
     lost: int = 0
     repeated: int = 0
-    """Twice, or behind a newer one."""
+    """Repeated, or older than one received before."""
 
     unread: int = 0
-    """Dropped here because nobody read them."""
+    """Discarded because they were not read in time."""
 
     malformed: int = 0
     foreign: int = 0
-    """Of another session."""
+    """Datagrams of another session."""
 
 
 class StatusWatch:
-    """Follows the numbers of the statuses."""
+    """Validates the sequence numbers of the statuses."""
 
     def __init__(self) -> None:
         self.counts = StatusCounts()
         self._last: int | None = None
 
     def see(self, sequence: int) -> int | None:
-        """Return how many are missing before a status; None where it is not newer than the last."""
+        """Return the number of statuses lost before this one; None if it is not newer than the last."""
         ahead = 1 if self._last is None else (sequence - self._last) % _WRAP
         if not 0 < ahead < _HALF:
             self.counts.repeated += 1
@@ -65,15 +65,15 @@ class StatusWatch:
 
 
 class RobotClock:
-    """What time it is at least on the clock of the robot, and how long a datagram takes there and back.
+    """Lower bound of the time on the clock of the robot, and the round-trip time of a datagram.
 
-    The robot's time of sending, taken as that of arrival, is behind by what the datagram took. Of the last 5 to 10
-    seconds the one that was least behind is used: older ones do not count, because no two clocks run alike.
+    The bound takes the time of sending as the time of arrival, so it is late by the transmission time. Of the last 5 to
+    10 s the datagram with the shortest transmission is used; older ones are not, because the clocks drift apart.
     """
 
     def __init__(self) -> None:
         self.round_trip_s: float | None = None
-        """The last one that was measured."""
+        """Last measured round-trip time, s."""
 
         self.worst_round_trip_s = 0.0
         self._ahead_ns: list[int] = []
@@ -81,7 +81,7 @@ class RobotClock:
         self._echo_ns = 0
 
     def see(self, head: Head, now_ns: int) -> None:
-        """Take the times of a datagram that arrived at `now_ns`."""
+        """Use the times of a datagram received at `now_ns`."""
         ahead_ns = head.sent_ns - now_ns
         if not self._ahead_ns or now_ns - self._since_ns > _WINDOW_NS:
             self._ahead_ns = [*self._ahead_ns[-1:], ahead_ns]
@@ -93,7 +93,7 @@ class RobotClock:
             self.worst_round_trip_s = max(self.worst_round_trip_s, self.round_trip_s)
 
     def at(self, now_ns: int) -> int:
-        """Return the time of the robot, or one somewhat before, at `now_ns` here; 0 where it was never heard."""
+        """Return a lower bound of the robot's time at the local time `now_ns`; 0 before the first datagram."""
         return max(now_ns + max(self._ahead_ns), 1) if self._ahead_ns else 0
 
 
@@ -104,8 +104,8 @@ _GONE = (Result.OLD_SESSION, Result.BUSY)
 class RobotConversation:
     """One session with a robot over `link`.
 
-    Whoever waits reads for all: a status goes to `statuses` with how many are missing before it and when it came, an
-    answer to whom it concerns.
+    Any waiting thread dispatches received datagrams for all threads: a status goes to `statuses` with the number of
+    lost statuses before it and its time of arrival, an answer to the command that waits for it.
     """
 
     def __init__(self, link: Link, clock: Clock, session: int, again_s: float, silence_s: float) -> None:
@@ -113,9 +113,9 @@ class RobotConversation:
         self._again_s, self._silence_us = again_s, round(silence_s * 1e6)
         self.watch, self.robot_clock = StatusWatch(), RobotClock()
         self.statuses: deque[tuple[RobotStatus, int, int]] = deque()
-        self.heard_ns = clock.now_ns()
+        self.received_ns = clock.now_ns()
         self.lost_control: Result | None = None
-        """Why the robot no longer obeys this session."""
+        """Reason why the robot no longer obeys this session, or None."""
 
         self._receiving, self._counting = threading.Lock(), threading.Lock()
         self._answers: dict[int, Answer | None] = {}
@@ -125,15 +125,15 @@ class RobotConversation:
 
     @property
     def last_number(self) -> int:
-        """The number of the last command."""
+        """Number of the last command."""
         return self._number
 
     def command(
         self, kind: RobotKind, within_s: float, target: float = 0.0, speed: float = 0.0, *, timely: bool = True
     ) -> tuple[Result | None, int]:
-        """Send a command until it is answered; return what became of it, None where no answer came, and its number.
+        """Repeat a command until it is answered; return its result, None without an answer, and its number.
 
-        A `timely` one is not to be executed after `within_s`. Raises OtherVersion, LinkClosed.
+        A `timely` command must not be executed after `within_s`. Raises OtherVersion, LinkClosed.
         """
         with self._counting:
             self._number = number = self._number % (_WRAP - 1) + 1
@@ -169,7 +169,7 @@ class RobotConversation:
         self._send(RobotKind.ALIVE, 0, self.robot_clock.at(self._clock.now_ns()) + round(within_s * 1e9))
 
     def pump(self, timeout_s: float) -> bool:
-        """Take one datagram, if one comes, and put it where it belongs; whether one came."""
+        """Receive and dispatch one datagram; return whether one arrived."""
         with self._receiving:
             data = self.link.receive(min(timeout_s, self._again_s))
             if data:
@@ -177,7 +177,7 @@ class RobotConversation:
         return bool(data)
 
     def _catch_up(self) -> None:
-        """Take all that waits, so that the time of the robot is that of now."""
+        """Dispatch all received datagrams, so that the clock of the robot is up to date."""
         for _ in range(_KEPT):
             if not self.pump(0):
                 return
@@ -216,7 +216,7 @@ class RobotConversation:
         lost = self.watch.see(head.sequence)
         if lost is None:
             return
-        self.heard_ns, self._echo, self._accepted = now_ns, (head.sent_ns, now_ns), head.number
+        self.received_ns, self._echo, self._accepted = now_ns, (head.sent_ns, now_ns), head.number
         self.statuses.append((message, lost, now_ns))
         if len(self.statuses) > _KEPT:
             _, lost, _ = self.statuses.popleft()

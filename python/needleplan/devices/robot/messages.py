@@ -38,34 +38,34 @@ __all__ = [
 
 
 class RobotKind(IntEnum):
-    """What a datagram is; those of the capture side have the highest bit."""
+    """Kind of a datagram; kinds sent by the robot have the highest bit set."""
 
     HELLO = 0x01
-    """Asks for control. The session is the one that the control side has drawn."""
+    """Requests control in the session that the controller has drawn."""
 
     ENABLE = 0x02
     INSERT = 0x03
-    """To the depth `target` (mm) at `speed` (mm/s)."""
+    """Moves to the depth `target` (mm) at `speed` (mm/s)."""
 
     ROTATE = 0x04
-    """To the roll `target` (rad) at `speed` (rad/s)."""
+    """Rotates to the roll `target` (rad) at `speed` (rad/s)."""
 
     STOP = 0x05
     ALIVE = 0x06
-    """Proof of life; not answered, but by the status."""
+    """Heartbeat; it has no answer, but the next status echoes it."""
 
     RESET = 0x07
-    """Leaves FAULT for DISABLED, where the cause is gone."""
+    """Changes from FAULT to DISABLED if the cause is gone."""
 
     GOODBYE = 0x08
-    """Stops, disables, and gives control up."""
+    """Stops, disables, and releases control."""
 
     STATUS = 0x80
     ANSWER = 0x81
 
 
 class Result(IntEnum):
-    """What became of a command."""
+    """Result of a command."""
 
     ACCEPTED = 0
     BUSY = 1
@@ -74,20 +74,20 @@ class Result(IntEnum):
     OLD_SESSION = 2
     WRONG_VERSION = 3
     LATE = 4
-    """It came after its deadline, or had none."""
+    """It arrived after its deadline, or had none."""
 
     SUPERSEDED = 5
-    """A command with a higher number came before it."""
+    """A command with a higher number arrived before it."""
 
     NOT_ENABLED = 6
     OUT_OF_RANGE = 7
-    """Target or speed is not a number, or not one that the drive accepts."""
+    """The drive does not accept the target or the speed."""
 
     IN_FAULT = 8
 
 
 class RobotState(IntEnum):
-    """The state of the robot, by the names of CRTK."""
+    """State of the robot, named as in CRTK."""
 
     DISABLED = 0
     ENABLED = 1
@@ -95,7 +95,7 @@ class RobotState(IntEnum):
 
 
 class Fault(IntFlag):
-    """Why the robot has stopped; a set bit stays until RESET."""
+    """Causes of a stop; a set bit stays until RESET."""
 
     WATCHDOG = 0x01
     ESTOP = 0x02
@@ -107,7 +107,7 @@ class Fault(IntFlag):
 
 
 NAMES_OF_FAULTS = {
-    Fault.WATCHDOG: "nothing was heard of the control side while it moved",
+    Fault.WATCHDOG: "nothing was received from the controller while it moved",
     Fault.ESTOP: "the emergency stop was pressed",
     Fault.DRIVE: "a drive reports a fault",
     Fault.FOLLOWING: "an axis does not follow",
@@ -119,56 +119,57 @@ NAMES_OF_FAULTS = {
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """What every datagram begins with."""
+    """Fields at the start of every datagram.
+
+    - `sequence` counts the datagrams of the controller, and separately the statuses and the answers of the robot.
+    - `sent_ns` is the time of sending on the clock of the sender.
+    - `echo_ns` is `sent_ns` of the last datagram received from the other side, or 0.
+    - `held_us` is the time since that datagram was received.
+    - `number` is the number of a command, which stays the same when the command is repeated; in an answer the number of
+      its command; in a status the number of the last accepted command.
+    """
 
     session: int
     sequence: int
-    """Of the control side every datagram has its own number; of the capture side every status, and every answer."""
-
     sent_ns: int
-    """When it was sent, on the sender's clock."""
-
     echo_ns: int = 0
-    """`sent_ns` of the last datagram that came from the other side; 0 where none came."""
-
     held_us: int = 0
-    """How long ago that came."""
-
     number: int = 0
-    """Of a command its own number, which stays when it is sent again; of an answer that of its command; of a status
-    that of the last command that was accepted."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotCommand:
-    """A datagram of the control side."""
+    """A datagram of the controller.
+
+    `deadline_ns` is the latest time of execution on the clock of the robot; HELLO, STOP and GOODBYE need none. The
+    robot stops if it receives nothing for `silence_us` while it moves; 0 selects its own value.
+    """
 
     head: Head
     kind: RobotKind
     deadline_ns: int = 0
-    """Not to be executed later, on the clock of the robot; HELLO, STOP and GOODBYE need none."""
-
     target: float = 0.0
     speed: float = 0.0
     silence_us: int = 0
-    """The robot stops where it hears nothing more for so long; 0: its own value."""
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What became of a command; the same again where the command comes again."""
+    """Result of a command of the kind `asked`; a repeated command has the same answer."""
 
     head: Head
     asked: int
-    """The kind of the command."""
-
     result: Result
     state: RobotState
 
 
 @dataclass(frozen=True, slots=True)
 class RobotStatus:
-    """Where the robot is, a thousand times in a second."""
+    """State of the robot, sent 1000 times per second.
+
+    `overruns` counts late ticks of the servo up to 65535, `missed` the missing datagrams of the controller in this
+    session.
+    """
 
     head: Head
     depth_mm: float
@@ -179,10 +180,7 @@ class RobotStatus:
     state: RobotState
     moving: bool
     overruns: int = 0
-    """Ticks of the servo that came late; stays at 65535."""
-
     missed: int = 0
-    """Datagrams of the control side that are missing in this session."""
 
 
 RobotMessage = RobotCommand | Answer | RobotStatus
@@ -203,7 +201,7 @@ _BODIES = {**dict.fromkeys(_COMMANDS, _COMMAND), RobotKind.STATUS: _STATUS, Robo
 
 
 class OtherVersion(ProtocolError):
-    """A sound datagram of a version that is not ours."""
+    """An undamaged datagram of another protocol version."""
 
     def __init__(self, version: int, kind: int) -> None:
         super().__init__(f"robot: the other side speaks version {version} of the protocol, this one {VERSION}")
@@ -211,7 +209,7 @@ class OtherVersion(ProtocolError):
 
 
 def encode(message: RobotMessage) -> bytes:
-    """Return the datagram of a message. Raises ProtocolError where a number does not fit in its field."""
+    """Return the datagram of a message. Raises ProtocolError if a number does not fit its field."""
     kind, fields = _fields(message)
     head = message.head
     try:
@@ -226,7 +224,7 @@ def encode(message: RobotMessage) -> bytes:
 
 
 def decode(datagram: bytes) -> RobotMessage:
-    """Return the message of a datagram. Raises OtherVersion, or ProtocolError where it is not one or damaged."""
+    """Return the message in a datagram. Raises OtherVersion, or ProtocolError for damaged and foreign datagrams."""
     if len(datagram) < _FIRST.size + _CRC.size or not datagram.startswith(MAGIC):
         raise ProtocolError(f"robot: a datagram of {len(datagram)} bytes does not begin as one of this protocol")
     if zlib.crc32(datagram[: -_CRC.size]) != _CRC.unpack(datagram[-_CRC.size :])[0]:
