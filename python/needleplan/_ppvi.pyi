@@ -1,7 +1,7 @@
 """The compiled module, built from the crate `needleplan-py`. Only `needleplan.planning` imports it.
 
-Errors are ValueError with one sentence, or MemoryError. Tables are shaped [nx, ny, headings, 2]; the last axis is
-bevel -1, bevel +1.
+Wrong input raises ValueError with one sentence; a problem that does not fit raises MemoryError. Tables have the shape
+[nx, ny, headings, 2]; the last axis is bevel -1, bevel +1.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +17,7 @@ __version__: str
 _Progress = Callable[[float, float, float], None]
 
 class _Solution(TypedDict):
-    """What `Lattice.solve` and `Tabular.solve` return."""
+    """Result of `Lattice.solve` and `Tabular.solve`."""
 
     values: NDArray[Any]
     policy: NDArray[Any]
@@ -88,7 +88,8 @@ class _Dependencies(TypedDict):
 class Lattice:
     """The MDP of a bevel-tip needle on a grid.
 
-    `layers` are (from_mm, curvature_radius_mm), `tissues` (polygon, curvature_radius_mm): where another radius holds.
+    `layers` are pairs (from_mm, curvature_radius_mm) and `tissues` pairs (polygon, curvature_radius_mm): the regions
+    with a radius of their own.
     """
 
     def __new__(

@@ -204,6 +204,19 @@ WRONG: dict[str, tuple[Callable[[npl.PolicyTable, Any], object], list[Any]]] = {
 }
 
 
+@pytest.mark.parametrize("kind", [ValueError, KeyError, TypeError, MemoryError])
+def test_an_exception_of_progress_is_not_changed(small: npl.Scenario, kind: type[Exception]) -> None:
+    raised = kind("of the caller")
+
+    def fail(*_: float) -> None:
+        raise raised
+
+    for solve in (lambda: npl.plan(small, fail), lambda: npl.mdp.solve(MDP, progress=fail)):
+        with pytest.raises(kind) as caught:
+            solve()
+        assert caught.value is raised
+
+
 def rebuilt(table: npl.PolicyTable, **changed: Any) -> npl.PolicyTable:
     names = ("values", "policy", "success", "stats", "scenario")
     return npl.PolicyTable(**({name: getattr(table, name) for name in names} | changed))
