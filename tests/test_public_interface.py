@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import re
 from collections.abc import Iterator
@@ -35,8 +34,8 @@ def public() -> Iterator[tuple[str, Any]]:
         if inspect.isclass(each) and not issubclass(each, Exception):
             for method in dir(each):
                 function = getattr(getattr(each, method), "__func__", getattr(each, method))
-                ours = inspect.isfunction(function) and function.__module__.startswith("needleplan.")
-                if ours and not method.startswith("_"):
+                room = function.__module__.split(".")[:2] if inspect.isfunction(function) else []
+                if room[:1] == ["needleplan"] and room != ["needleplan", "config"] and not method.startswith("_"):
                     yield f"{name}.{method}", function
     for module in (npl.models, npl.recording):
         for name in module.__all__:
@@ -45,9 +44,20 @@ def public() -> Iterator[tuple[str, Any]]:
 
 
 PUBLIC = dict(public())
-# Rooms whose sections are still being written.
-OPEN = re.compile(r"models\.|diagnose|Scenario|Obstacle")
-CHECKED = [name for name in PUBLIC if not OPEN.match(name)]
+# Still to be documented in sections.
+OPEN = {
+    "diagnose",
+    "models.AveragedOnTissue",
+    "models.Finding",
+    "models.Fit",
+    "models.ForceParts",
+    "models.InPlane",
+    "models.Intervals",
+    "models.LumpedOnTissue",
+    "models.ModelFile",
+    "models.Parent",
+}
+CHECKED = [name for name in PUBLIC if name not in OPEN]
 
 
 def parameters(each: Any) -> list[str]:
@@ -67,9 +77,10 @@ def test_sections(name: str) -> None:
     sections = NumpyDocString(text)  # raises a warning, hence an error, for sections it does not know
     assert text.splitlines()[0].endswith((".", ";")), "the first line is not a sentence"
     entries = [*sections["Parameters"], *sections["Attributes"]]
-    documented = [part.strip() for entry in entries for part in entry.name.split(",")]
+    documented = [part.strip(" *") for entry in entries for part in entry.name.split(",")]
     wanted = parameters(each) if not is_enumeration(each) else []
-    assert [part for part in documented if part in wanted] == wanted, "the parameters are not the signature's"
+    if inspect.isclass(each):
+        assert set(wanted) <= set(documented), "a parameter is not documented"
     if inspect.isfunction(each):
         assert documented == wanted, "documents parameters that do not exist"
         returned = inspect.signature(each).return_annotation
@@ -92,9 +103,16 @@ def test_the_page_names_every_public_name() -> None:
         assert re.search(rf"\b{method.split('.')[1]}\(", text), method
 
 
-def test_the_page_names_nothing_else() -> None:
+def test_what_the_page_names_is_there() -> None:
     text = (ROOT / "docs/reference/python.md").read_text(encoding="utf-8")
-    for name in re.findall(r"`npl\.([\w.]+)", text):
-        value: Any = npl
-        for part in name.split("."):
-            value = getattr(value, part) if hasattr(value, part) else importlib.import_module(f"needleplan.{name}")
+    names = set(re.findall(r"`npl\.([\w.]+)", text))
+    assert len(names) > 10
+    assert [name for name in names if not exists(name)] == []
+
+
+def exists(name: str) -> bool:
+    """Return whether `npl` has a name, which may be of several parts."""
+    value: Any = npl
+    for part in name.split("."):
+        value = getattr(value, part, None)
+    return value is not None
