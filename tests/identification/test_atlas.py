@@ -126,7 +126,10 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 def test_search_and_nearest() -> None:
     atlas = Atlas.read("published")
     assert len(atlas.search(needle="22 ga, 0.718/0.413 MM")) == 3
-    assert len(atlas.search(tissue="gellan gum 4.5 %", velocity_mm_s=10.0)) == 2
+    assert len(atlas.search(tissue="4.5 %")) == 3
+    assert not atlas.search(needle="18 GA", tissue="6 %")
+    assert [each.velocity_ratio for each in atlas.matches(needle="22 ga", velocity_mm_s=12.0)] == [10 / 12] * 2
+    assert len(atlas.matches(needle="22 ga")) == 3
     match = atlas.nearest("18 GA, 1.270/0.838 mm", "gellan gum 4.5 %", 7.0)
     assert match is not None
     assert match.combination.velocity_mm_s == 6.0

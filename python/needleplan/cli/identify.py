@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_first, print_json, working
+from needleplan.cli.atlas import add_store, require_atlas, store
 from needleplan.cli.identify_options import add_knowledge, knowledge
 from needleplan.cli.options import add_answer, add_figure, add_output, require_outputs
 from needleplan.cli.parser import add_old_spelling, whole
@@ -55,6 +56,7 @@ def add_to(commands: Any) -> None:
         action="store_true",
         help="use numbers of a size that no needle has, such as depths in metres",
     )
+    add_store(parser)
     add_knowledge(parser)
     add_figure(parser, "data, model and what is left")
     add_answer(parser)
@@ -68,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
 
     known = knowledge(options)
     require_outputs(options, [*options.data, options.scenario], options.output, options.scenario_out)
-    scenario = _scenario(options)
+    scenario, atlas = _scenario(options), require_atlas(options)
     with working(options, f"identifying {options.kind}") as tell:
         records = read_records(options.data, accept_units=options.accept_units)
         note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
@@ -81,8 +83,9 @@ def run(options: argparse.Namespace) -> int:
             tell(f"drawing {options.figure}")
             _draw(found, options.figure)
         part = _part(scenario, records, options) if scenario and found.ok else None
+        stored = store(atlas, found, records, options) if atlas and found.ok else {}
     if options.json:
-        print_json(_record(found, records, file, options) | _part_record(part, options.scenario_out))
+        print_json(_record(found, records, file, options) | _part_record(part, options.scenario_out) | stored)
     else:
         print_first(options, [*_lines(found)])
         for line in _part_lines(part):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from decimal import Decimal, InvalidOperation
 from typing import Any, Never
 
-__all__ = ["Parser", "add_old_spelling", "suggestion", "whole"]
+from needleplan.config import suggestion
+
+__all__ = ["Parser", "add_old_spelling", "whole"]
 
 _MOST_DIGITS = 18  # digits of the largest whole number that is accepted; 64-bit integers hold them
 
@@ -62,12 +63,6 @@ class Parser(argparse.ArgumentParser):
             self.error(f"{rule} (`{self.prog} --help` lists the commands)")
         rule = f'must be one of {", ".join(words)}, not "{value}"{suggestion(str(value), words)}'
         raise argparse.ArgumentError(action, rule)
-
-
-def suggestion(word: str, known: Iterable[str]) -> str:
-    """Return `; did you mean "..."?` with the most similar known word, or nothing if none is similar."""
-    similar = difflib.get_close_matches(word, list(known), 1)
-    return f'; did you mean "{similar[0]}"?' if similar else ""
 
 
 def whole(text: str) -> int:

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
+from needleplan.cli.atlas import add_search, is_atlas, require_no_search, run_info
 from needleplan.cli.options import (
     add_answer,
     add_edge,
@@ -190,10 +191,12 @@ def _add_info(commands: Any) -> None:
     """Declare `info`."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "info",
-        help="show what is in a table and verify its checksums",
-        description="Show what is in a table and verify its checksums. Exit code 1: a checksum is wrong.",
+        help="show what is in a table and verify its checksums, or list and search an atlas",
+        description="Show what is in a table and verify its checksums, or list and search an atlas of axial forces. "
+        "Exit code 1: a checksum is wrong, or no combination of the atlas fits.",
     )
-    add_table(parser)
+    parser.add_argument("table", metavar="FILE", help="a policy table (.h5), an atlas (.toml), or `published`")
+    add_search(parser)
     parser.add_argument("--scenario", action="store_true", help="print the scenario that the table carries, as TOML")
     add_answer(parser)
     parser.set_defaults(run=_run_info)
@@ -201,6 +204,9 @@ def _add_info(commands: Any) -> None:
 
 def _run_info(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
+    if is_atlas(options.table):
+        return run_info(options)
+    require_no_search(options)
     from needleplan.planning import TABLE_FORMAT, PolicyTable
 
     try:

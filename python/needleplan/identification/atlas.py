@@ -12,14 +12,14 @@ from typing import Self
 import numpy as np
 
 from needleplan.artifacts import write_whole
-from needleplan.config import ConfigTable, TableList, Text, parse_toml, ruled, text_of, toml_text
+from needleplan.config import ConfigTable, TableList, Text, parse_toml, ruled, shipped_names, text_of, toml_text
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.identification.combination import Combination, CombinationTable
 from needleplan.identification.identification import Identification
 from needleplan.models.force import DepthForce
 from needleplan.signals import Record, Role
 
-__all__ = ["Atlas", "Match", "combination_of"]
+__all__ = ["Atlas", "Match", "combination_of", "shipped_atlases"]
 
 _FOLDER = Path(__file__).parent.parent / "atlases"
 
@@ -56,7 +56,7 @@ class Atlas:
         first: dict[tuple[str, str, float], int] = {}
         mistakes = []
         for number, each in enumerate(self.combinations, start=1):
-            known = first.setdefault((_folded(each.needle), _folded(each.tissue), each.velocity_mm_s), number)
+            known = first.setdefault((*_pair(each), each.velocity_mm_s), number)
             if known != number:
                 mistakes.append(Mistake(f"combination {number}", each.title, f"is there already, as number {known}"))
         if mistakes:
@@ -88,15 +88,30 @@ class Atlas:
 
     def like(self, combination: Combination) -> tuple[Combination, ...]:
         """Return the combinations of the same needle, tissue and speed: one or none."""
-        return self.search(
-            needle=combination.needle, tissue=combination.tissue, velocity_mm_s=combination.velocity_mm_s
-        )
+        alike = self.search(needle=combination.needle, tissue=combination.tissue)
+        return tuple(
+            each for each in alike if math.isclose(each.velocity_mm_s, combination.velocity_mm_s, rel_tol=1e-6)
+            and _pair(each) == _pair(combination)
+        )  # fmt: skip
 
-    def search(
+    def search(self, *, needle: str | None = None, tissue: str | None = None) -> tuple[Combination, ...]:
+        """Return the combinations whose names contain the given texts; case and repeated spaces do not matter."""
+        wanted = (_folded(needle or ""), _folded(tissue or ""))
+        return tuple(
+            each for each in self.combinations
+            if all(part in name for part, name in zip(wanted, _pair(each), strict=True))
+        )  # fmt: skip
+
+    def matches(
         self, *, needle: str | None = None, tissue: str | None = None, velocity_mm_s: float | None = None
-    ) -> tuple[Combination, ...]:
-        """Return the combinations that have all given properties; names are compared without case and outer spaces."""
-        return tuple(each for each in self.combinations if _has(each, needle, tissue, velocity_mm_s))
+    ) -> tuple[Match, ...]:
+        """Return the combinations that `search` finds; with a speed, the nearest one of each needle and tissue."""
+        found = self.search(needle=needle, tissue=tissue)
+        if velocity_mm_s is None:
+            return tuple(Match(each, 1.0) for each in found)
+        pairs = dict.fromkeys((each.needle, each.tissue) for each in found)
+        nearest = (self.nearest(*pair, velocity_mm_s) for pair in pairs)
+        return tuple(each for each in nearest if each)
 
     def nearest(self, needle: str, tissue: str, velocity_mm_s: float) -> Match | None:
         """Return the combination of this needle and tissue with the nearest speed, by ratio; None if there is none.
@@ -107,9 +122,16 @@ class Atlas:
         if not (math.isfinite(velocity_mm_s) and velocity_mm_s > 0):
             raise ModelError(Mistake("velocity_mm_s", f"{velocity_mm_s}", "must be a positive number"))
         matches = [
-            Match(each, each.velocity_mm_s / velocity_mm_s) for each in self.search(needle=needle, tissue=tissue)
+            Match(each, each.velocity_mm_s / velocity_mm_s)
+            for each in self.combinations
+            if _pair(each) == (_folded(needle), _folded(tissue))
         ]
         return min(matches, key=lambda match: abs(math.log(match.velocity_ratio)), default=None)
+
+
+def shipped_atlases() -> list[str]:
+    """Return the names of the atlases that come with the package; `Atlas.read` accepts them."""
+    return shipped_names(_FOLDER)
 
 
 def combination_of(found: Identification, records: Sequence[Record], needle: str, tissue: str) -> Combination:
@@ -155,9 +177,5 @@ def _folded(name: str) -> str:
     return " ".join(name.casefold().split())
 
 
-def _has(each: Combination, needle: str | None, tissue: str | None, velocity_mm_s: float | None) -> bool:
-    return (
-        (needle is None or _folded(each.needle) == _folded(needle))
-        and (tissue is None or _folded(each.tissue) == _folded(tissue))
-        and (velocity_mm_s is None or math.isclose(each.velocity_mm_s, velocity_mm_s, rel_tol=1e-6))
-    )
+def _pair(each: Combination) -> tuple[str, str]:
+    return _folded(each.needle), _folded(each.tissue)
