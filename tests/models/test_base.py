@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from needleplan.errors import DataError, ModelError
-from needleplan.models import FitStatus, fit, simulate
+from needleplan.models import KINDS, FitStatus, Model, fit, simulate
 from needleplan.signals import Array, Motion, Record
 from tests.models.lag import Lag, SteppedLag
 
@@ -137,3 +137,11 @@ def test_masked_samples_are_counted_not_dropped_silently() -> None:
     assert found.masked == 10 + 21
     assert found.samples + found.masked == len(record)
     assert np.isnan(found.residuals[0]).sum() == found.masked
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_a_member_documents_every_parameter_with_its_unit(kind: type[Model]) -> None:
+    lines = (kind.__doc__ or "").splitlines()
+    for name, what in kind.parameters().items():
+        (row,) = (index for index, line in enumerate(lines) if line.startswith(f"{name} : float"))
+        assert lines[row + 1] == f"    {what.about}{', ' if what.unit else ''}{what.unit}"

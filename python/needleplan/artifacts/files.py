@@ -17,7 +17,21 @@ __all__ = ["Parent", "digest", "require_different", "require_new", "require_writ
 
 @dataclass(frozen=True)
 class Parent:
-    """An artefact that another one was made from: a name for people, and the digest of its file or an empty text."""
+    """An artefact from which another one was made.
+
+    Parameters
+    ----------
+    name : str
+        Name for readers, such as a file or a trial.
+    digest : str
+        Digest of the file, or an empty text.
+
+    Examples
+    --------
+    >>> from needleplan.artifacts import Parent, digest
+    >>> Parent("trial 3", digest("text")).digest[:15]
+    'sha256:982d9e3e'
+    """
 
     name: str
     digest: str

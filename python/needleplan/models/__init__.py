@@ -14,20 +14,12 @@ and `profile_intervals`, `bootstrap_intervals` and `residual_findings` examine a
 """
 
 from needleplan.artifacts import Parent
-from needleplan.models._base import (
-    Channel,
-    LinearStateModel,
-    Model,
-    Parameter,
-    Scale,
-    SelfIntegratingModel,
-    constant,
-    parameter,
-)
+from needleplan.models._base import Channel, LinearStateModel, Model, SelfIntegratingModel
 from needleplan.models._fit import Estimate, Fit, FitStatus, fit
 from needleplan.models._in_plane import InPlane, in_plane
 from needleplan.models._intervals import Intervals, bootstrap_intervals, profile_intervals
 from needleplan.models._kinds import KINDS, kind_of
+from needleplan.models._parameter import Parameter, Scale, constant, parameter
 from needleplan.models._residuals import Finding, findings_of, ljung_box, residual_findings
 from needleplan.models._simulate import Trajectory, recurrence, simulate
 from needleplan.models.deflection import InsertionForce, NeedleShaft, SpatialBeam, TipPath

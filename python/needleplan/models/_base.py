@@ -1,4 +1,4 @@
-"""Base classes of all mechanical models, and the declaration of their parameters.
+"""Base classes of all mechanical models.
 
 A model is a frozen dataclass whose fields are its parameters. Driven by a motion u(t), it has a state x and an output
 y::
@@ -20,179 +20,19 @@ member ends with a list of parameters that is generated from these declarations.
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
-import math
 from abc import ABC, abstractmethod
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
-from functools import cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from needleplan.errors import Mistake, ModelError
+from needleplan.models._parameter import Parameter, parameter_section, parameters_of
 from needleplan.signals import Array, Motion
 
-__all__ = [
-    "Channel",
-    "LinearStateModel",
-    "Model",
-    "Parameter",
-    "Scale",
-    "SelfIntegratingModel",
-    "constant",
-    "parameter",
-    "parameters_of",
-]
-
-
-class Scale(StrEnum):
-    """The coordinate in which a parameter is estimated.
-
-    Examples
-    --------
-    >>> import needleplan as npl
-    >>> npl.models.Bicycle.parameters()["curvature_per_mm"].scale is npl.models.Scale.LINEAR
-    True
-    """
-
-    LOG = "log"
-    """u = ln(p), for positive parameters."""
-
-    LINEAR = "linear"
-    """u = p / typical, for parameters that may be zero or negative."""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """Declaration of a model parameter: unit, range, scale and meaning.
-
-    Parameters
-    ----------
-    unit : str
-        Unit, empty for dimensionless parameters.
-    lower, upper : float
-        Closed range of the physically sensible values.
-    about : str
-        Meaning, in a few words.
-    scale : Scale
-        Coordinate in which the parameter is estimated.
-    typical : float
-        Typical magnitude of a parameter with the scale LINEAR; 1 for LOG.
-    free : bool
-        Whether `fit` estimates the parameter by default. Constants of the experiment are not free.
-
-    Examples
-    --------
-    >>> import needleplan as npl
-    >>> stiffness = npl.models.LumpedLuGre.parameters()["sigma0"]
-    >>> stiffness.unit, stiffness.lower, stiffness.upper, stiffness.free
-    ('1/mm', 0.0001, 10000.0, True)
-    """
-
-    unit: str
-    lower: float
-    upper: float
-    about: str
-    scale: Scale
-    typical: float
-    free: bool
-
-    def coordinate(self, value: float) -> float:
-        """Return the coordinate u of a value. With the scale LOG the value must be positive."""
-        return math.log(value) if self.scale is Scale.LOG else value / self.typical
-
-    def value(self, coordinate: float) -> float:
-        """Return the value of a coordinate u."""
-        return math.exp(coordinate) if self.scale is Scale.LOG else coordinate * self.typical
-
-    def slope(self, value: float) -> float:
-        """Return the derivative d(value)/du at a value."""
-        return value if self.scale is Scale.LOG else self.typical
-
-
-def parameter(
-    unit: str,
-    lower: float,
-    upper: float,
-    about: str,
-    *,
-    default: Any = MISSING,
-    typical: float | None = None,
-    free: bool = True,
-) -> Any:
-    """Declare a dataclass field of a model as a parameter that can be identified.
-
-    Parameters
-    ----------
-    unit : str
-        Unit, empty for dimensionless parameters.
-    lower, upper : float
-        Closed range of the physically sensible values.
-    about : str
-        Meaning, in a few words.
-    default : Any
-        Default value; without one, the caller must give the value.
-    typical : float, optional
-        Typical magnitude. With it, the scale is LINEAR; without it, LOG.
-    free : bool
-        Whether `fit` estimates the parameter by default.
-
-    Returns
-    -------
-    Any
-        A dataclass field that carries the `Parameter`.
-
-    Examples
-    --------
-    >>> from needleplan.models import parameter
-    >>> declared = parameter("N/mm", 1e-3, 1e3, "stiffness of a spring")
-    >>> str(declared.metadata["parameter"].scale)
-    'log'
-    """
-    scale = Scale.LOG if typical is None else Scale.LINEAR
-    what = Parameter(unit, lower, upper, about, scale, 1.0 if typical is None else typical, free)
-    return dataclasses.field(default=default, metadata={"parameter": what})
-
-
-def constant(unit: str, lower: float, upper: float, about: str, *, default: Any = MISSING) -> Any:
-    """Declare a dataclass field of a model as a known constant of the experiment, such as a length.
-
-    Parameters
-    ----------
-    unit : str
-        Unit, empty for dimensionless constants.
-    lower, upper : float
-        Closed range of the physically sensible values.
-    about : str
-        Meaning, in a few words.
-    default : Any
-        Default value; without one, the caller must give the value.
-
-    Returns
-    -------
-    Any
-        A dataclass field that carries a `Parameter` with `free` False.
-
-    Examples
-    --------
-    >>> from needleplan.models import constant
-    >>> constant("mm", 0, 1e3, "length of the needle").metadata["parameter"].free
-    False
-    """
-    return parameter(unit, lower, upper, about, default=default, typical=max(abs(lower), abs(upper)), free=False)
-
-
-def parameters_of(model: object) -> dict[str, Parameter]:
-    """Return the parameters of a model, or of a model class, by name in the order of its fields."""
-    return dict(_parameters_of(model if isinstance(model, type) else type(model)))
-
-
-@cache
-def _parameters_of(kind: type) -> dict[str, Parameter]:
-    fields = dataclasses.fields(kind)
-    return {each.name: each.metadata["parameter"] for each in fields if "parameter" in each.metadata}
+__all__ = ["Channel", "LinearStateModel", "Model", "SelfIntegratingModel"]
 
 
 class Channel(StrEnum):
@@ -223,29 +63,6 @@ class Channel(StrEnum):
         return ("x_mm", "y_mm", "z_mm") if self is Channel.TIP else (str(self),)
 
 
-def _parameter_section(kind: type) -> str:
-    """Return the numpydoc section of the parameters of a class that is about to become a dataclass."""
-    declared: dict[str, Any] = {}
-    for base in reversed(kind.__mro__):
-        declared |= {each.name: each for each in getattr(base, "__dataclass_fields__", {}).values()}
-        own = inspect.get_annotations(base)
-        declared |= {
-            name: base.__dict__.get(name) for name, kept in own.items() if not str(kept).startswith("ClassVar")
-        }
-    rows = []
-    for name, field in declared.items():
-        default = getattr(field, "default", field)
-        given = "" if default is MISSING else f", default {default}"
-        if isinstance(field, dataclasses.Field) and "parameter" in field.metadata:
-            what: Parameter = field.metadata["parameter"]
-            unit = f", {what.unit}" if what.unit else ""
-            rows.append(f"{name} : float{given}\n    {what.about}{unit}")
-        elif isinstance(default, StrEnum):
-            summary = (type(default).__doc__ or "").splitlines()[0]
-            rows.append(f"{name} : {type(default).__name__}{given}\n    {summary}")
-    return "\n".join(["Parameters", "----------", *rows]) if rows else ""
-
-
 @dataclass(frozen=True)
 class Model(ABC):
     """Abstract base class of all mechanical models.
@@ -270,7 +87,7 @@ class Model(ABC):
     def __init_subclass__(cls, **options: Any) -> None:
         """Add the section of the parameters to the docstring of a member, before its examples."""
         super().__init_subclass__(**options)
-        section = _parameter_section(cls)
+        section = parameter_section(cls)
         if cls.__doc__ and section and "Parameters\n" not in cls.__doc__:
             words, examples, code = inspect.cleandoc(cls.__doc__).partition("\nExamples\n")
             cls.__doc__ = f"{words.rstrip()}\n\n{section}\n{examples}{code}"

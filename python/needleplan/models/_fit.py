@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleplan.errors import DataError, Mistake, ModelError
-from needleplan.models._base import Model, Parameter
+from needleplan.models._base import Model
+from needleplan.models._parameter import Parameter
 from needleplan.models._simulate import simulate
 from needleplan.signals import Array, Record
 
@@ -117,7 +118,18 @@ class Fit:
 
     Examples
     --------
-    See `fit`.
+    >>> import numpy as np
+    >>> import needleplan as npl
+    >>> from needleplan.signals import Record, insertion_cycles
+    >>> motion = insertion_cycles(60.0, 10.0, rate_hz=20.0)
+    >>> noise = np.random.default_rng(0).normal(0.0, 0.1, len(motion))
+    >>> measured = npl.models.simulate(npl.models.Bicycle(0.01), motion).output + noise
+    >>> record = Record({"time_s": motion.time_s, "depth_mm": motion.depth_mm, "y_mm": measured})
+    >>> found = npl.models.fit(npl.models.Bicycle(0.005), record)
+    >>> str(found.status), found.free
+    ('converged', ('curvature_per_mm', 'heading_rad', 'offset_mm'))
+    >>> print(f"{found.rmse:.1f} mm")
+    0.1 mm
     """
 
     model: Model

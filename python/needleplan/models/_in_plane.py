@@ -54,7 +54,10 @@ class InPlane:
 
     Examples
     --------
-    See `in_plane`.
+    >>> import needleplan as npl
+    >>> flat = npl.models.in_plane(npl.models.SpatialBicycle(curvature_per_mm=0.01), deepest_mm=50.0)
+    >>> print(f"{flat.left_per_mm[0]:.3f} {flat.right_per_mm[0]:.3f}")
+    0.010 0.010
     """
 
     depth_mm: Array

@@ -55,7 +55,16 @@ class Intervals:
 
     Examples
     --------
-    See `profile_intervals`.
+    >>> import numpy as np
+    >>> import needleplan as npl
+    >>> from needleplan.signals import Record, insertion_cycles
+    >>> motion = insertion_cycles(60.0, 10.0, rate_hz=20.0)
+    >>> noise = np.random.default_rng(0).normal(0.0, 0.1, len(motion))
+    >>> measured = npl.models.simulate(npl.models.Bicycle(0.01), motion).output + noise
+    >>> record = Record({"time_s": motion.time_s, "depth_mm": motion.depth_mm, "y_mm": measured})
+    >>> found = npl.models.fit(npl.models.Bicycle(0.005), record, free=["curvature_per_mm"])
+    >>> npl.models.profile_intervals(found, record).failed
+    0
     """
 
     estimates: dict[str, Estimate]

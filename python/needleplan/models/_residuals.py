@@ -53,7 +53,13 @@ class Finding:
 
     Examples
     --------
-    See `residual_findings`.
+    >>> import numpy as np
+    >>> from needleplan.models import findings_of
+    >>> from needleplan.signals import insertion_cycles
+    >>> motion = insertion_cycles(60.0, 10.0, rate_hz=20.0)
+    >>> residuals = np.random.default_rng(0).normal(0.5, 0.1, len(motion))
+    >>> findings_of([residuals], [motion], "mm")[1].says
+    'the mean of the residuals is 0.5 mm: the model is off by that'
     """
 
     name: str

@@ -64,9 +64,10 @@ from needleplan.config import (
     under,
 )
 from needleplan.errors import Mistake, ModelError
-from needleplan.models._base import Model, Parameter
+from needleplan.models._base import Model
 from needleplan.models._fit import Estimate
 from needleplan.models._kinds import kind_of
+from needleplan.models._parameter import Parameter
 from needleplan.models.effects import AddedEffect, AugmentedModel, Effect, effect_named
 
 __all__ = ["ModelFile"]
@@ -184,7 +185,30 @@ class _ModelTable(ConfigTable, error=ModelError, schema="needleplan.model/1", be
 
 @dataclass(frozen=True)
 class ModelFile:
-    """A model with the intervals of its parameters, its parents, and remarks of its identification."""
+    """An identified model with the intervals of its parameters, its parents, and remarks of its identification.
+
+    Parameters
+    ----------
+    model : Model
+        The model, with or without effects.
+    estimates : mapping of str to Estimate
+        Estimates with intervals, by parameter name.
+    parents : tuple of Parent
+        Data from which the model was identified.
+    remarks : tuple of str
+        Remarks of the identification.
+    title : str
+        Title.
+    made_by : str
+        Program and version.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> written = npl.models.ModelFile(npl.models.Bicycle(curvature_per_mm=0.01), title="soft gel").to_toml()
+    >>> npl.models.ModelFile.from_toml(written).model
+    Bicycle(curvature_per_mm=0.01, heading_rad=0.0, offset_mm=0.0)
+    """
 
     model: Model
     estimates: Mapping[str, Estimate] = field(default_factory=dict)

@@ -22,7 +22,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from needleplan.models._base import Channel, Model, SelfIntegratingModel, constant, parameter
+from needleplan.models._base import Channel, Model, SelfIntegratingModel
+from needleplan.models._parameter import constant, parameter
 from needleplan.models.deflection._beam import ElasticTissue, NeedleShaft
 from needleplan.models.path import SpatialBicycle, SteeredModel
 from needleplan.signals import Array, Motion

@@ -19,7 +19,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from needleplan.models._base import Channel, Model, Parameter, SelfIntegratingModel, parameters_of
+from needleplan.models._base import Channel, Model, SelfIntegratingModel
+from needleplan.models._parameter import Parameter, parameters_of
 from needleplan.models._simulate import simulate
 from needleplan.signals import Array, Motion
 

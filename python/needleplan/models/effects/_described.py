@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from needleplan.errors import Mistake, ModelError
-from needleplan.models._base import Channel, Model, Parameter, parameters_of
+from needleplan.models._base import Channel, Model
+from needleplan.models._parameter import Parameter, parameters_of
 from needleplan.models._simulate import simulate
 from needleplan.models.effects._base import SIZE, Effect, Enters, Family, Reach, Term, WithTerm
 from needleplan.models.effects._sensor import Lagging

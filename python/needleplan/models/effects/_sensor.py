@@ -14,7 +14,8 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import gammainc, gammaincinv, gammaln, xlogy
 
-from needleplan.models._base import Channel, Model, SelfIntegratingModel, parameter
+from needleplan.models._base import Channel, Model, SelfIntegratingModel
+from needleplan.models._parameter import parameter
 from needleplan.models._simulate import simulate
 from needleplan.models.effects._base import Memoryless, Term
 from needleplan.models.effects._shaft import decaying

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from needleplan.models._base import constant, parameter
+from needleplan.models._parameter import constant, parameter
 from needleplan.models._simulate import recurrence
 from needleplan.models.effects._base import Term
 from needleplan.models.friction import slid

@@ -12,7 +12,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from needleplan.models._base import parameter
+from needleplan.models._parameter import parameter
 from needleplan.models.path import SteeredModel, dragged
 from needleplan.signals import Array, Motion
 

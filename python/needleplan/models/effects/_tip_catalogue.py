@@ -16,7 +16,8 @@ import numpy as np
 import needleplan.models.effects._tip as tip
 from needleplan.config import suggestion
 from needleplan.errors import Mistake, ModelError
-from needleplan.models._base import Channel, Scale
+from needleplan.models._base import Channel
+from needleplan.models._parameter import Scale
 from needleplan.models.effects._base import SIZE, Effect, Enters, Family, Reach
 from needleplan.models.effects._catalogue import FORCE_EFFECTS
 from needleplan.models.effects._described import WrapEffect

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.models._base import Channel, Model, SelfIntegratingModel, parameter
+from needleplan.models._base import Channel, Model, SelfIntegratingModel
+from needleplan.models._parameter import parameter
 from needleplan.models._simulate import simulate
 from needleplan.models.friction import ShaftAndTip, slid_along
 from needleplan.signals import Array, Motion

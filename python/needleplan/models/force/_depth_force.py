@@ -35,7 +35,8 @@ from typing import ClassVar, TypeVar
 import numpy as np
 
 from needleplan.errors import Mistake, ModelError
-from needleplan.models._base import Channel, LinearStateModel, constant, parameter
+from needleplan.models._base import Channel, LinearStateModel
+from needleplan.models._parameter import constant, parameter
 from needleplan.signals import Array, Motion
 
 __all__ = [

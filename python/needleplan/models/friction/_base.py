@@ -25,7 +25,8 @@ from typing import ClassVar, TypeVar
 import numpy as np
 
 from needleplan.errors import Mistake, ModelError
-from needleplan.models._base import Channel, Model, constant, parameter
+from needleplan.models._base import Channel, Model
+from needleplan.models._parameter import constant, parameter
 from needleplan.signals import Array, Motion
 
 __all__ = ["Friction", "Profile", "StribeckFriction", "choice", "intensity", "normal_length_mm"]

@@ -32,7 +32,8 @@ from typing import ClassVar
 import numpy as np
 
 from needleplan.errors import Mistake, ModelError
-from needleplan.models._base import LinearStateModel, constant, parameter
+from needleplan.models._base import LinearStateModel
+from needleplan.models._parameter import constant, parameter
 from needleplan.models.friction._base import Profile, StribeckFriction, choice
 from needleplan.signals import Array, Motion
 

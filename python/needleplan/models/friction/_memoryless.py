@@ -107,7 +107,11 @@ class ForceParts:
 
     Examples
     --------
-    See `cutting_force`.
+    >>> import numpy as np
+    >>> from needleplan.models import ForceParts
+    >>> parts = ForceParts(friction_n=np.array([0.3]), inertia_n=np.zeros(1), cutting_n=np.array([0.2]))
+    >>> print(f"{parts.friction_n[0] + parts.inertia_n[0] + parts.cutting_n[0]:.1f} N")
+    0.5 N
     """
 
     friction_n: Array

@@ -22,7 +22,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.models._base import Channel, SelfIntegratingModel, parameter
+from needleplan.models._base import Channel, SelfIntegratingModel
+from needleplan.models._parameter import parameter
 from needleplan.models._simulate import recurrence
 from needleplan.signals import Array, Motion
 

@@ -16,7 +16,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from needleplan.models._base import Channel, SelfIntegratingModel, parameter
+from needleplan.models._base import Channel, SelfIntegratingModel
+from needleplan.models._parameter import parameter
 from needleplan.signals import Array, Motion
 
 __all__ = ["Bicycle", "arc_step"]

@@ -18,7 +18,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from needleplan.models._base import Channel, SelfIntegratingModel, parameter
+from needleplan.models._base import Channel, SelfIntegratingModel
+from needleplan.models._parameter import parameter
 from needleplan.models.path._frame import axes_of, quaternion_of, quaternions_along
 from needleplan.signals import Array, Motion
 

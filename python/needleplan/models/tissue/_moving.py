@@ -25,7 +25,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from needleplan.models._base import Channel, LinearStateModel, SelfIntegratingModel, constant, parameter
+from needleplan.models._base import Channel, LinearStateModel, SelfIntegratingModel
+from needleplan.models._parameter import constant, parameter
 from needleplan.models.friction import AveragedLuGre, Beta, LuGre, LumpedLuGre, OutputForm, Profile, StribeckFriction
 from needleplan.models.tissue._stepping import FrictionLaw, first_root, step_through
 from needleplan.signals import Array, Motion
