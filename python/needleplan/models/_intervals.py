@@ -187,7 +187,7 @@ def bootstrap_intervals(
     channel = found.model.channel
     drawn: list[list[float]] = []
     failed = 0
-    scale = math.sqrt(found.samples / max(found.samples - len(found.free), 1))  # residuals of a fit are too small
+    scale = math.sqrt(found.samples / max(found.samples - len(found.free), 1))  # corrects for the fitted parameters
     for _ in range(runs):
         again = [
             record.with_column(channel, record[channel] - left + scale * _resampled(left, block, generator))
@@ -216,7 +216,7 @@ def _resampled(left: Array, block: int | None, generator: np.random.Generator) -
     n = values.size
     length = min(round(3 * n ** (1 / 3)) if block is None else block, n)
     starts = generator.integers(0, n, -(-n // length))
-    index = (starts[:, None] + np.arange(length)).ravel()[:n] % n  # circular: every sample is drawn as often
+    index = (starts[:, None] + np.arange(length)).ravel()[:n] % n  # circular: all samples are equally likely
     resampled = np.full(left.size, np.nan)
     resampled[good] = values[index]
     return resampled

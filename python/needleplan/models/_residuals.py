@@ -183,7 +183,7 @@ def ljung_box(residuals: Sequence[Array], lags: int | None = None) -> tuple[floa
     >>> p_value > 0.05, lags
     (True, 20)
     """
-    from scipy.special import chdtrc  # scipy.stats takes as long to load as a whole diagnosis
+    from scipy.special import chdtrc  # scipy.stats would take as long to import as a diagnosis runs
 
     most = min(20, min(map(len, residuals)) // 5) if lags is None else lags
     most = max(most, 1)

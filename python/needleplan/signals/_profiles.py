@@ -115,7 +115,7 @@ def lspb(
     dwells = [0.0] * len(velocities_mm_s) if dwells_s is None else list(dwells_s)
     _require(depths_mm, velocities_mm_s, dwells, blend_s, rate_hz)
     times, starts, velocities, accelerations = _pieces(depths_mm, velocities_mm_s, dwells, blend_s)
-    # Rounding must not add a sample at rest after a motion whose end is on the grid.
+    # Without the tolerance, rounding could add a sample after an end that lies on the time grid.
     time = np.arange(math.ceil(times[-1] * rate_hz - 1e-9) + 1) / rate_hz
     piece = np.clip(np.searchsorted(times, time + 1e-9 / rate_hz, side="right") - 1, 0, len(starts) - 1)
     since = time - times[piece]

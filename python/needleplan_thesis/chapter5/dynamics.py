@@ -1,11 +1,12 @@
-"""The needle with its mass: to show that at 10 to 15 mm/s it may be left out.
+"""Vibration of the needle: its inertia is negligible at 10 to 15 mm/s.
 
-Hermite elements of fixed length over the whole needle, the foundation integrated exactly over the part of an element
-that is in the tissue (its front moves, l1 = L - v t), Newmark's average acceleration in time. The foundation is
-anchored to the straight line and there are no axial terms (`Foundation.ANCHORED`, `AxialTerms.PLAIN`).
+The whole needle is discretised with Hermite elements of fixed length. The front of the tissue moves (l1 = L - v t); the
+foundation is integrated exactly over the inserted part of an element. Time integration is by Newmark's method with
+average acceleration. The foundation is anchored to the straight line, and there are no axial terms
+(`Foundation.ANCHORED`, `AxialTerms.PLAIN`).
 
-The equation is in coordinates that move with the needle, as in (5.7) and (5.8): no convective terms. A step of the
-force at touch-down rings at the frequency of the free cantilever and, undamped, never ends: such a curve is an
+The coordinates move with the needle, as in (5.7) and (5.8), and there are no convective terms. A step of the force at
+the entry excites the free cantilever, and without damping the vibration never ends. A solution of this kind is an
 artefact of its start.
 """
 
@@ -28,7 +29,7 @@ _POINTS, _WEIGHTS = (_POINTS + 1) / 2, _WEIGHTS / 2
 
 
 def _matrix(order: int, start: float = 0.0) -> Array:
-    """Return the integral of products of (derivatives of) Hermite functions over [start, 1] of a unit element."""
+    """Return the integrals over [start, 1] of products of Hermite functions, or of their derivatives."""
     values = hermite(start + (1 - start) * _POINTS, order)
     result: Array = (1 - start) * np.einsum("ig,jg,g->ij", values, values, _WEIGHTS)
     return result
@@ -39,7 +40,7 @@ _BEND, _FULL = _matrix(2), _matrix(0)
 
 @dataclass(frozen=True)
 class Vibration:
-    """The tip at times from touch-down, (steps + 1,): with inertia, and without it by the same elements."""
+    """Deflection of the tip with and without inertia, by the time from the entry, shape (steps + 1,) each."""
 
     time_s: Array
     depth_mm: Array
@@ -78,10 +79,11 @@ def vibrate(
     damping_1_s: float = 0.0,
     element_mm: float = 2.0,
 ) -> Vibration:
-    """Insert from rest at touch-down with a lateral tip force P at the times 0, step, ..., (steps + 1,).
+    """Simulate an insertion from rest at the entry with inertia.
 
-    `damping_1_s` is a force against the velocity over the mass: 2 zeta omega for a mode of the angular frequency omega.
-    Raises ModelError where the end is deeper than the needle is long.
+    `tip_push_n`, shape (steps + 1,), is the lateral tip force P at the times 0, step, ... `damping_1_s` is the damping
+    force per mass and velocity: 2 zeta omega for a mode of the angular frequency omega. Raises ModelError if the last
+    depth exceeds the length of the needle.
     """
     from scipy.linalg import solve_banded
 
@@ -115,7 +117,7 @@ def vibrate(
 
 
 class _Mesh:
-    """Band matrices (7, unknowns) of a clamped needle; unknowns u, h u' of the nodes but the first."""
+    """Band matrices, shape (7, unknowns), of a clamped needle; the unknowns are u and h u' of the free nodes."""
 
     def __init__(self, needle: NeedleShaft, tissue: ElasticTissue, element_mm: float) -> None:
         self.count = math.ceil(needle.length_mm / element_mm)

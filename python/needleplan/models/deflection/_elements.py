@@ -202,7 +202,7 @@ def solve_uniform(
     loads[0][-1] += flat.tip_push_n
     loads[1][-1] += flat.tip_moment_n_mm / h
     spring = flat.foundation_n_mm2 * h
-    if anchoring:  # the column of the tip's deflection, in the rows of the last element
+    if anchoring:  # terms of the unknown deflection of the tip in the equations of the last element
         for p in range(2):
             upper[p][0] = upper[p][0].copy()
             upper[p][0][-1] -= anchoring * spring * _PATH[p, 1]
@@ -231,7 +231,7 @@ def _element_matrices(flat: Beam, h: Array, count: int) -> list[list[Array]]:
         if left is None:
             return np.atleast_2d(same)
         stiffness: Array = left * -_AXIAL[p, q]
-        stiffness += same  # in place: fresh memory for thousands of insertions costs more than the sum
+        stiffness += same  # in place: allocation for thousands of insertions would take longer than the sum
         return stiffness
 
     return [[entry(p, q) for q in range(4)] for p in range(4)]
@@ -247,8 +247,8 @@ def _add_outer(
     diagonal[1][0][0] += k_ut / h
     diagonal[1][1][0] += k_tt / h**2
     if base_mm or base_slope_rad:
-        # A clamped base that is moved is the same as the end moved back from where the base would carry it; and the
-        # axial load acts along the base, so that a part of it is across the insertion.
+        # A moved base is equivalent to a fixed base and a free end that is moved back by the rigid-body motion of the
+        # base. The axial load acts along the base and has a component across the insertion.
         end = base_mm + base_slope_rad * outer
         loads[0][0] += k_uu * end + k_ut * base_slope_rad + axial * base_slope_rad
         loads[1][0] += (k_ut * end + k_tt * base_slope_rad) / h

@@ -85,8 +85,8 @@ def solve_exact(beam: Beam) -> ExactShape:
     p, waves = _roots(flat)
     depth, outer = flat.depth_mm, flat.length_mm - flat.depth_mm
     entry, tip = _basis(np.zeros_like(depth), depth, p, waves), _basis(depth, depth, p, waves)
-    # Rows: displacement and slope that the clamped outer beam gives to its own moment and shear; moment and shear at
-    # the tip. Each is scaled by powers of p and, for the outer beam, of its length.
+    # Rows: compatibility of displacement and slope with the clamped outer beam; moment and shear at the tip. Each row
+    # is scaled by powers of p and, for the outer beam, of its length.
     system = np.empty((depth.size, 4, 4))
     system[:, 0] = (entry[:, 0] - outer**2 / 2 * entry[:, 2] + outer**3 / 3 * entry[:, 3]).T
     system[:, 1] = (entry[:, 1] - outer * entry[:, 2] + outer**2 / 2 * entry[:, 3]).T

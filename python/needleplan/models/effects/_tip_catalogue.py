@@ -154,7 +154,7 @@ def register_file(path: str) -> Effect:
             return effect
     except OSError as error:
         found.append(Mistake("", "", f"cannot be read: {error.strerror}"))
-    except (Exception, SystemExit) as error:  # whatever a file of somebody else does
+    except (Exception, SystemExit) as error:  # the file may raise anything
         line = f"{type(error).__name__}: {error}"
         raise ModelError(Mistake("EFFECT", "", f"cannot be made, {line}"), path) from error
     raise ModelError(found, path)

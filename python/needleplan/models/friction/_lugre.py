@@ -76,7 +76,7 @@ def beta_per_mm(profile: Profile, term: Beta, length_mm: Array, ramp_mm: float, 
     `profile` must be RIGHT or ISOSCELES; `exponent` is lambda >= 0.
     """
     length = np.maximum(np.asarray(length_mm, float), _SHORTEST_MM)
-    # Each branch is evaluated on lengths of its own side only, so that no power of a negative number appears.
+    # Each branch is evaluated for lengths in its own range only, to avoid powers of negative numbers.
     if profile is Profile.RIGHT:
         short, long = np.minimum(length, ramp_mm), np.maximum(length, ramp_mm)
         triangle, trapezoid = _right(term, short, long, ramp_mm, exponent)

@@ -134,7 +134,7 @@ def quaternions_along(turns_rad: Array, start: Array) -> Array:
     """
     angle = np.sqrt((turns_rad**2).sum(axis=0))
     share = np.sinc(angle / (2 * np.pi)) / 2
-    # w + x i + y j + z k is a + b j with a = w + x i, b = y + z i: two complex numbers, and fewer passes.
+    # w + x i + y j + z k = a + b j with a = w + x i and b = y + z i: products of complex numbers need fewer operations.
     a = np.append(start[0] + 1j * start[1], np.cos(angle / 2) + 1j * (share * turns_rad[0]))
     b = np.append(start[2] + 1j * start[3], share * (turns_rad[1] + 1j * turns_rad[2]))
     reach = 1
@@ -162,7 +162,7 @@ def quaternion_of(tangent: Array, normal: Array) -> Array:
     m = np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
     trace = m[0, 0] + m[1, 1] + m[2, 2]
     squares = np.array([1 + trace, *(1 + 2 * m[i, i] - trace for i in range(3))])
-    # The greatest of the four is far from zero; the others follow from it.
+    # The largest of the four components is far from zero; the other three follow by division.
     k = int(squares.argmax())
     found = np.empty(4)
     found[k] = 0.5 * np.sqrt(squares[k])

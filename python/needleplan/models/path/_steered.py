@@ -108,7 +108,7 @@ class SteeredModel(SelfIntegratingModel):
         )
         tangent, normal, binormal = axes_of(along)
         half = np.hypot(kn, kb) * length / 2
-        # chord in the frame at its begin: l sinc(half) cos(half) along the tangent, and l sinc(half)^2 l/2 k across it
+        # The chord is l sinc(half) cos(half) along the tangent at its begin, and k l^2/2 sinc(half)^2 across it.
         sinc = np.sinc(half / np.pi)
         across = sinc**2 * length**2 / 2
         step = sinc * np.cos(half) * length * tangent[:, :-1]

@@ -43,7 +43,7 @@ def tissue_start(record: Record) -> LumpedOnTissue:
     if seen.all():
         try:
             tuned = tune_slow_observer(motion.time_s, motion.depth_mm, force)
-        except DataError:  # uneven times: only the start is coarser
+        except DataError:  # uneven times: keep the default start
             tuned = None
         if tuned and tuned.projection:
             lag = max(float(tuned.projection.lag_rad(frequency)), lag)
@@ -116,7 +116,7 @@ def fit_on_tissue(
         try:
             found = fit(first, coarse, free=free, mask=mask, starts=starts, spread=0.7, max_evaluations=_COARSE)
             first, starts = found.model if isinstance(found.model, LumpedOnTissue) else first, 1
-        except DataError:  # too short once thinned out: all of it then
+        except DataError:  # too short after thinning: use all samples
             pass
     return fit(first, records, free=free, mask=mask, smooth=smooth, starts=starts, spread=0.7)
 
