@@ -1,7 +1,8 @@
 //! Counts the instructions of the hot paths: `benches/guard` runs each under callgrind and compares with its limits.
 //!
-//! `hot_paths NAME` prepares a path and then calls its function `counted_*`. Only instructions in these functions count.
-//! Everything runs on the main thread, because counts belong to threads. Without NAME the program lists the paths.
+//! `hot_paths NAME` prepares a path and then calls its function `counted_*`. Only instructions in these functions
+//! count. Everything runs on the main thread, because counts belong to threads. Without NAME the program lists the
+//! paths.
 
 mod scene;
 

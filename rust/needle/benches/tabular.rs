@@ -1,5 +1,5 @@
-//! How long does an explicit sparse problem of 300,120 states take to validate, to solve by directional sweeps, and to solve
-//! by plain value iteration? `RAYON_NUM_THREADS` sets the number of threads.
+//! How long does an explicit sparse problem of 300,120 states take to validate, to solve by directional sweeps, and to
+//! solve by plain value iteration? `RAYON_NUM_THREADS` sets the number of threads.
 
 mod scene;
 

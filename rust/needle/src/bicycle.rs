@@ -1,8 +1,8 @@
 //! The planar bicycle model of a bevel-tip needle (Webster et al. 2006; section 6.2 of the thesis).
 //!
-//! The tip moves on a circle of radius rho, to the side of its bevel. A step is an arc of length
-//! delta = 2 pi rho / headings, so the heading changes by one heading step alpha = 2 pi / headings. Turning the needle by
-//! 180 degrees mirrors the arc.
+//! The tip moves on a circle of radius rho, to the side of its bevel. A step is an arc of length delta = 2 pi
+//! rho / headings, so the heading changes by one heading step alpha = 2 pi / headings. Turning the needle by 180
+//! degrees mirrors the arc.
 
 use std::f64::consts::TAU;
 
@@ -55,8 +55,8 @@ impl Bicycle {
 
     /// Displacement, mm, after the fraction `t` of a step that starts at `heading` (rad) with bevel -1 or +1.
     pub fn displacement(&self, heading: f64, bevel: f64, t: f64) -> [f64; 2] {
-        // The chord form of rho b (sin(h + b t alpha) - sin h) is exact, and for large radii it does not subtract nearly
-        // equal numbers.
+        // The chord form of rho b (sin(h + b t alpha) - sin h) is exact, and for large radii it does not subtract
+        // nearly equal numbers.
         let half = 0.5 * t * self.heading_step();
         let chord = 2.0 * self.radius * half.sin();
         let (sin, cos) = (heading + bevel * half).sin_cos();

@@ -29,7 +29,8 @@ impl<'a> Classifier<'a> {
         Classifier { setup, shape, regions, points, absorbing }
     }
 
-    /// Writes the codes of the steps with heading index `k` that arrive with bevel index `bevel` to `plane[i * ny + j]`.
+    /// Writes the codes of the steps with heading index `k` that arrive with bevel index `bevel` to
+    /// `plane[i * ny + j]`.
     pub(crate) fn write_outcomes(&self, k: usize, bevel: usize, plane: &mut [u8]) {
         let ny = self.shape.ny;
         let mut scan = ColumnScan::new(&self.setup.workspace);
@@ -92,8 +93,8 @@ impl<'a> Classifier<'a> {
     }
 }
 
-/// The event at each grid point, or 0. Where an extent is not a multiple of the spacing, the last grid points lie outside
-/// the workspace; they are ordinary points, so their exit is not an event.
+/// The event at each grid point, or 0. Where an extent is not a multiple of the spacing, the last grid points lie
+/// outside the workspace; they are ordinary points, so their exit is not an event.
 fn classify_points(shape: Shape, setup: &Setup) -> Vec<u8> {
     let mut points = vec![0u8; shape.nx * shape.ny];
     let mut scan = ColumnScan::new(&setup.workspace);

@@ -2,8 +2,8 @@
 //!
 //! A bevel tip makes an inserted needle follow a circular arc; turning the needle by 180 degrees mirrors the arc. This
 //! crate holds the geometry ([`Bicycle`], [`Workspace`], [`Tissues`]), turns a [`Setup`] into a
-//! [`LatticeMdp`](ppvi::lattice::LatticeMdp) ([`SteeringProblem`]), looks poses up in a solved table ([`TableGrid`]), and
-//! executes a policy in the continuous model ([`Executor`]).
+//! [`LatticeMdp`](ppvi::lattice::LatticeMdp) ([`SteeringProblem`]), looks poses up in a solved table ([`TableGrid`]),
+//! and executes a policy in the continuous model ([`Executor`]).
 //!
 //! Units are millimetres and radians. x points along the insertion, y is lateral, headings are measured
 //! counter-clockwise from +x. Errors are those of `ppvi`.

@@ -61,8 +61,8 @@ impl TableGrid {
         Ok(TableGrid { shape, per_mm: [1.0 / spacing[0], 1.0 / spacing[1]], per_rad })
     }
 
-    /// Index of the table entry nearest to a pose. `None` if the pose is not finite, if it is more than half a cell outside
-    /// the grid, or if its bevel is neither -1 nor +1.
+    /// Index of the table entry nearest to a pose. `None` if the pose is not finite, if it is more than half a cell
+    /// outside the grid, or if its bevel is neither -1 nor +1.
     #[inline]
     pub fn index(&self, pose: Pose) -> Option<usize> {
         let Shape { nx, ny, headings } = self.shape;
@@ -87,8 +87,8 @@ impl TableGrid {
     /// Looks up many poses, rows of x, y, heading and bevel, on the current rayon pool.
     ///
     /// # Errors
-    /// [`Error::Length`] if an array of the table does not have the size of the grid; [`Error::Parameter`] names the first
-    /// pose without a table entry.
+    /// [`Error::Length`] if an array of the table does not have the size of the grid; [`Error::Parameter`] names the
+    /// first pose without a table entry.
     pub fn look_up_many(&self, poses: &[[f64; 4]], table: &Table<'_>) -> Result<Answers> {
         let states = self.shape.states();
         for (name, length) in

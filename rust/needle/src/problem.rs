@@ -18,8 +18,8 @@ impl SteeringProblem {
     /// Validates the setup and determines the outcome of every step, in parallel on the current rayon pool.
     ///
     /// # Errors
-    /// The errors of [`Setup::shape`] and of [`LatticeMdp::new`], and [`ppvi::Error::Parameter`] for more than 256 radii
-    /// of curvature.
+    /// The errors of [`Setup::shape`] and of [`LatticeMdp::new`], and [`ppvi::Error::Parameter`] for more than 256
+    /// radii of curvature.
     pub fn new(setup: Setup) -> Result<Self> {
         let shape = setup.shape()?;
         let regions = TissueRegions::new(&setup, shape)?;

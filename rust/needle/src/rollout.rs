@@ -1,8 +1,8 @@
 //! Executions of a policy in the continuous bicycle model with heading noise.
 //!
-//! A table is solved on a grid, but the needle moves continuously. A rollout keeps the exact pose. Each step takes an action
-//! from the policy, moves along the arc, tests points of the arc for events, and adds a random number of heading steps.
-//! Every run has its own random stream, so results do not depend on the number of threads.
+//! A table is solved on a grid, but the needle moves continuously. A rollout keeps the exact pose. Each step takes an
+//! action from the policy, moves along the arc, tests points of the arc for events, and adds a random number of heading
+//! steps. Every run has its own random stream, so results do not depend on the number of threads.
 
 use ppvi::lattice::{LatticeMdp, Shape, outcome};
 use ppvi::{Error, Result};
@@ -63,8 +63,8 @@ pub struct Trace {
 }
 
 impl<'a> Executor<'a> {
-    /// Takes the tables of a solved problem. `arc_samples` is the number of tested points of each arc, by default that of
-    /// the setup.
+    /// Takes the tables of a solved problem. `arc_samples` is the number of tested points of each arc, by default that
+    /// of the setup.
     ///
     /// # Errors
     /// [`Error::Length`] for a table of the wrong size, [`Error::Parameter`] for arc samples outside 1 to 10,000.
@@ -90,8 +90,8 @@ impl<'a> Executor<'a> {
         Ok(Executor { setup, lattice, grid, policy, values, execution, arc_samples })
     }
 
-    /// Runs `runs` executions from each start, a row of x, y, heading and bevel, on the current rayon pool. Returns them
-    /// start after start.
+    /// Runs `runs` executions from each start, a row of x, y, heading and bevel, on the current rayon pool. Returns
+    /// them start after start.
     ///
     /// # Errors
     /// [`Error::Parameter`] names the first start that the table does not contain.

@@ -32,8 +32,8 @@ impl Setup {
     /// Shape of the grid.
     ///
     /// # Errors
-    /// [`Error::Parameter`] for a spacing or a number of arc samples out of range, [`Error::TooLarge`] for a grid of more
-    /// than 2^40 states.
+    /// [`Error::Parameter`] for a spacing or a number of arc samples out of range, [`Error::TooLarge`] for a grid of
+    /// more than 2^40 states.
     pub fn shape(&self) -> Result<Shape> {
         if let Some(spacing) = self.spacing.iter().find(|spacing| !(**spacing > 0.0 && spacing.is_finite())) {
             return Err(Error::parameter("spacing_mm", spacing, "must be positive and finite"));

@@ -17,11 +17,12 @@ pub struct Tissues {
 impl Tissues {
     /// Makes tissues from layers (first x, mm; radius, mm) and regions (polygon; radius, mm).
     ///
-    /// A layer extends from its first x (to within [`CLOSED_MM`]) to that of the next layer. A region contains its border
-    /// and takes precedence over layers; of overlapping regions the last one applies.
+    /// A layer extends from its first x (to within [`CLOSED_MM`]) to that of the next layer. A region contains its
+    /// border and takes precedence over layers; of overlapping regions the last one applies.
     ///
     /// # Errors
-    /// [`Error::Parameter`] for layers that do not begin at increasing finite x, or a radius that is not positive and finite.
+    /// [`Error::Parameter`] for layers that do not begin at increasing finite x, or a radius that is not positive and
+    /// finite.
     pub fn new(layers: Vec<(f64, f64)>, regions: Vec<(Polygon, f64)>) -> Result<Self> {
         if layers.iter().any(|(from, _)| !from.is_finite()) || !layers.is_sorted_by(|a, b| a.0 < b.0) {
             return Err(Error::parameter("layers", format!("{layers:?}"), "must begin at increasing finite depths"));

@@ -19,8 +19,8 @@ pub struct Polygon {
 }
 
 impl Polygon {
-    /// Makes a polygon from its vertices, mm. The caller checks that the polygon is simple; for one that intersects itself
-    /// the even-odd rule applies.
+    /// Makes a polygon from its vertices, mm. The caller checks that the polygon is simple; for one that intersects
+    /// itself the even-odd rule applies.
     ///
     /// # Errors
     /// [`Error::Parameter`] for fewer than three vertices, or a coordinate that is not finite.
@@ -46,9 +46,9 @@ impl Polygon {
 
     /// Appends the closed intervals in which the line "coordinate `axis` = `at`" intersects the polygon.
     ///
-    /// The section of a closed polygon is the union of its limits from both sides. If a vertex is within the tolerance of
-    /// the line, both limits are appended, and also the vertex itself, because next to a steep edge it may lie between
-    /// the two.
+    /// The section of a closed polygon is the union of its limits from both sides. If a vertex is within the tolerance
+    /// of the line, both limits are appended, and also the vertex itself, because next to a steep edge it may lie
+    /// between the two.
     fn section(&self, axis: usize, at: f64, crossings: &mut Vec<f64>, intervals: &mut Vec<[f64; 2]>) {
         if at < self.low[axis] - CLOSED_MM || at > self.high[axis] + CLOSED_MM {
             return;
@@ -159,8 +159,8 @@ impl Workspace {
     }
 }
 
-/// Finds the events of equally spaced points along y at one x. The section of a polygon is computed once for all points of
-/// a column, so a million arcs are classified in milliseconds.
+/// Finds the events of equally spaced points along y at one x. The section of a polygon is computed once for all points
+/// of a column, so a million arcs are classified in milliseconds.
 pub(crate) struct ColumnScan<'a> {
     workspace: &'a Workspace,
     crossings: Vec<f64>,

@@ -95,8 +95,8 @@ pub(crate) fn solve_with_progress<R: Send>(
     }
 }
 
-/// Waits for the answer of the progress callback. The callback may itself need a thread of the pool, and this may be the
-/// only one.
+/// Waits for the answer of the progress callback. The callback may itself need a thread of the pool, and this may be
+/// the only one.
 fn wait(answered: &Receiver<ControlFlow<()>>) -> ControlFlow<()> {
     loop {
         match answered.recv_timeout(ANSWER_INTERVAL) {

@@ -12,8 +12,8 @@ use pyo3::types::PyDict;
 use crate::solve::{exception, report_dict, solve_with_progress, stop_rule};
 use crate::threads::detached;
 
-/// The arrays of a problem. They belong to NumPy and are not copied. Because Python may change them, every use validates
-/// them again.
+/// The arrays of a problem. They belong to NumPy and are not copied. Because Python may change them, every use
+/// validates them again.
 #[pyclass(frozen, module = "needleplan._ppvi")]
 pub(crate) struct Tabular {
     action_offsets: Py<PyArray1<i64>>,

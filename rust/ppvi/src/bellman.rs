@@ -1,7 +1,7 @@
 //! The Bellman operator, the exact Bellman residual, and the arithmetic of infinite values.
 //!
-//! The value of an improper state is infinite ([`crate::proper_states`]). V = TV holds there trivially, so a change from
-//! infinity to infinity counts as zero.
+//! The value of an improper state is infinite ([`crate::proper_states`]). V = TV holds there trivially, so a change
+//! from infinity to infinity counts as zero.
 
 use rayon::prelude::*;
 
@@ -37,8 +37,8 @@ impl Check {
 
 /// Writes TV to `next` and the greedy policy to `policy`, and returns the check of V (not of TV).
 ///
-/// Runs on the current rayon pool. A maximum does not depend on the order of its arguments, so the result is the same for
-/// any number of threads.
+/// Runs on the current rayon pool. A maximum does not depend on the order of its arguments, so the result is the same
+/// for any number of threads.
 ///
 /// # Panics
 /// If `values`, `next` and `policy` do not have one element per state.
@@ -81,8 +81,8 @@ fn check_chunk(
     check
 }
 
-/// Returns the start values V0: [`Mdp::absorbing_value`] for absorbing states, infinity for improper states (searched for
-/// with discount 1 only), and [`Mdp::start_value`] for all others.
+/// Returns the start values V0: [`Mdp::absorbing_value`] for absorbing states, infinity for improper states (searched
+/// for with discount 1 only), and [`Mdp::start_value`] for all others.
 pub fn initial_values(mdp: &impl Mdp) -> Vec<f64> {
     let start = mdp.start_value();
     let value = |state| if mdp.actions(state) == 0 { mdp.absorbing_value(state) } else { start };

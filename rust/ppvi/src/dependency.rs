@@ -9,8 +9,8 @@
 //! PDP(p) = { p' : some u, s in p', s' in p have T(s, u, s') != 0 }            partition dependents of a partition
 //! ```
 //!
-//! A dependent is a *predecessor*: its backup reads the value of the state or partition on which it depends. A partition
-//! depends on itself if some state in it has a successor in it. Absorbing states depend on nothing.
+//! A dependent is a *predecessor*: its backup reads the value of the state or partition on which it depends. A
+//! partition depends on itself if some state in it has a successor in it. Absorbing states depend on nothing.
 //!
 //! | structure | contents | bytes | on a needle lattice of 10^6 states |
 //! |---|---|---|---|
@@ -57,7 +57,8 @@ impl Dependencies {
                 }
             });
         }
-        // The readers are in the order of their partitions. So the readers of one source form one run for each dependent.
+        // The readers are in the order of their partitions. So the readers of one source form one run for each
+        // dependent.
         let (read_offsets, states) = group(&sources, readers.iter().copied(), partition.count());
         let (mut offsets, mut dependents, mut state_offsets) = (vec![0], Vec::new(), Vec::new());
         for bounds in read_offsets.windows(2) {

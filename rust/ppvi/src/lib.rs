@@ -9,19 +9,20 @@
 //! (TV)(s) = min over a of [ c(s, a) + g * sum over s' of p(s' | s, a) V(s') ],
 //! ```
 //!
-//! and a policy that attains the minimum. With g < 1, T is a contraction, and V* is its only fixed point. With g = 1 and
-//! positive costs the problem is a stochastic shortest-path problem. In both cases the *Bellman residual* B = TV - V proves
-//! a bound on |V - V*| ([`termination`]). Every solver stops when this bound is below the tolerance, and returns the bound.
+//! and a policy that attains the minimum. With g < 1, T is a contraction, and V* is its only fixed point. With g = 1
+//! and positive costs the problem is a stochastic shortest-path problem. In both cases the *Bellman residual*
+//! B = TV - V proves a bound on |V - V*| ([`termination`]). Every solver stops when this bound is below the tolerance,
+//! and returns the bound.
 //!
 //! # Two representations
 //!
 //! * [`TabularMdp`]: any problem, as explicit sparse rows, validated.
-//! * [`lattice::LatticeMdp`]: positions on a plane grid, headings on a circle, two bevel sides. A step moves by a stencil
-//!   that depends on heading, bevel and region only, and noise is a convolution along the headings. The lattice stores one
-//!   byte per state, and a backup is a few vector operations.
+//! * [`lattice::LatticeMdp`]: positions on a plane grid, headings on a circle, two bevel sides. A step moves by a
+//!   stencil that depends on heading, bevel and region only, and noise is a convolution along the headings. The lattice
+//!   stores one byte per state, and a backup is a few vector operations.
 //!
-//! Both implement [`Mdp`], and [`TabularMdp::from_mdp`] expands a lattice to rows, so the solvers of each representation
-//! test those of the other.
+//! Both implement [`Mdp`], and [`TabularMdp::from_mdp`] expands a lattice to rows, so the solvers of each
+//! representation test those of the other.
 //!
 //! # Solvers
 //!

@@ -1,9 +1,9 @@
 //! The trait of all problems: a finite Markov decision process with costs.
 //!
-//! States are `0..states()`. State `s` has `actions(s)` actions; a state without actions is *absorbing*, and its value is
-//! fixed. Action `a` in state `s` has the expected cost `stage_cost(s, a)` and moves to `s'` with probability
-//! `p(s' | s, a)`. If the probabilities of a row sum to less than one, the execution ends with the remaining probability,
-//! at value zero. The optimal cost-to-go is the least fixed point of
+//! States are `0..states()`. State `s` has `actions(s)` actions; a state without actions is *absorbing*, and its value
+//! is fixed. Action `a` in state `s` has the expected cost `stage_cost(s, a)` and moves to `s'` with probability
+//! `p(s' | s, a)`. If the probabilities of a row sum to less than one, the execution ends with the remaining
+//! probability, at value zero. The optimal cost-to-go is the least fixed point of
 //!
 //! ```text
 //! V(s) = min over a of [ stage_cost(s, a) + discount * sum over s' of p(s' | s, a) V(s') ].
@@ -31,8 +31,8 @@ pub trait Mdp: Sync {
     /// Calls `visit(successor, probability)` for every successor, in the same order at every call.
     fn for_each_successor(&self, state: usize, action: usize, visit: impl FnMut(usize, f64));
 
-    /// Returns the Q-value `stage_cost + discount * E V(s')`. Successors of probability zero are left out, because their
-    /// values may be infinite.
+    /// Returns the Q-value `stage_cost + discount * E V(s')`. Successors of probability zero are left out, because
+    /// their values may be infinite.
     fn q_value(&self, state: usize, action: usize, values: &[f64]) -> f64 {
         let mut expectation = 0.0;
         self.for_each_successor(state, action, |next, probability| {
@@ -58,8 +58,8 @@ pub trait Mdp: Sync {
         best
     }
 
-    /// Start value V0 of the states that are not absorbing. With discount 1, values that start at zero grow by about one
-    /// stage cost per sweep, so a start value of the right size saves sweeps.
+    /// Start value V0 of the states that are not absorbing. With discount 1, values that start at zero grow by about
+    /// one stage cost per sweep, so a start value of the right size saves sweeps.
     fn start_value(&self) -> f64 {
         0.0
     }

@@ -1,8 +1,8 @@
 //! Large arrays on huge pages, with memory that is reused by the next solve.
 //!
-//! A solve may take only a few milliseconds. The system's work for the first access to each page of new memory would then
-//! take longer than the arithmetic. On Linux these arrays request transparent huge pages (`madvise`); on other systems
-//! they are ordinary memory. The memory of dropped arrays is kept for the next solve.
+//! A solve may take only a few milliseconds. The system's work for the first access to each page of new memory would
+//! then take longer than the arithmetic. On Linux these arrays request transparent huge pages (`madvise`); on other
+//! systems they are ordinary memory. The memory of dropped arrays is kept for the next solve.
 
 use std::alloc::{Layout, alloc, dealloc, handle_alloc_error};
 use std::marker::PhantomData;
@@ -43,8 +43,8 @@ pub(crate) fn reserved<T: Copy>(len: usize) -> Vec<T> {
     vec
 }
 
-/// Largest total size, bytes, of the kept memory of dropped arrays. A solver that is called repeatedly then does not wait
-/// for the system to clear pages.
+/// Largest total size, bytes, of the kept memory of dropped arrays. A solver that is called repeatedly then does not
+/// wait for the system to clear pages.
 const KEPT_BYTES: usize = 64 << 20;
 
 /// The kept memory of dropped arrays.
@@ -68,8 +68,8 @@ struct Block {
 unsafe impl Send for Block {}
 
 impl Block {
-    /// Returns a block of at least `bytes`, and whether it is new and so not initialised. Takes the smallest kept block that
-    /// is at most a quarter larger, otherwise new memory.
+    /// Returns a block of at least `bytes`, and whether it is new and so not initialised. Takes the smallest kept block
+    /// that is at most a quarter larger, otherwise new memory.
     fn take(bytes: usize) -> (Self, bool) {
         let align = if bytes >= HUGE_PAGE { HUGE_PAGE } else { 64 };
         let Ok(layout) = Layout::from_size_align(bytes, align) else { handle_alloc_error(Layout::new::<u8>()) };

@@ -1,8 +1,8 @@
 //! Partitions of the state set.
 //!
 //! A partition assigns a label to every state. The states with one label are its members, in index order. Solvers are
-//! correct for any labels; only their speed depends on the choice. Blocks of neighbouring states are a good choice, because
-//! most of the transition probability then stays inside a block.
+//! correct for any labels; only their speed depends on the choice. Blocks of neighbouring states are a good choice,
+//! because most of the transition probability then stays inside a block.
 
 use crate::error::{Error, Result};
 
@@ -45,8 +45,8 @@ impl Partition {
     /// column `a` and row `b` has the label `a * py + b`, and the widths of columns differ by at most one point.
     ///
     /// # Errors
-    /// [`Error::Parameter`] if the number of partitions along an axis is zero or larger than the number of points, or if
-    /// `place` returns a point outside the grid.
+    /// [`Error::Parameter`] if the number of partitions along an axis is zero or larger than the number of points, or
+    /// if `place` returns a point outside the grid.
     ///
     /// # Examples
     /// ```
@@ -113,8 +113,8 @@ impl Partition {
     }
 }
 
-/// Sorts `values` stably by `keys`, which are less than `groups`. Returns the offsets of the groups `[groups + 1]` and the
-/// sorted values.
+/// Sorts `values` stably by `keys`, which are less than `groups`. Returns the offsets of the groups `[groups + 1]` and
+/// the sorted values.
 pub(crate) fn group(keys: &[u32], values: impl Iterator<Item = u32>, groups: usize) -> (Vec<usize>, Vec<u32>) {
     let mut offsets = vec![0; groups + 1];
     for &key in keys {

@@ -1,14 +1,14 @@
 //! Compression of rows that repeat: equal patterns are stored once.
 //!
 //! In a problem on a grid the actions of many states differ only by a shift of the indices. Relative to the state, as
-//! pairs (successor - state, probability), their rows are equal. A [`Dictionary`] stores each such *pattern* once, so one
-//! number describes a state, and a sweep reads a few bytes per state instead of about a hundred. The compression is exact:
-//! two states share a pattern only if all its bits are equal. If the first few thousand states hardly repeat, the search
-//! for repetitions ends, and the dictionary is a copy of the rows.
+//! pairs (successor - state, probability), their rows are equal. A [`Dictionary`] stores each such *pattern* once, so
+//! one number describes a state, and a sweep reads a few bytes per state instead of about a hundred. The compression is
+//! exact: two states share a pattern only if all its bits are equal. If the first few thousand states hardly repeat,
+//! the search for repetitions ends, and the dictionary is a copy of the rows.
 //!
 //! Successors that are absorbing (value 0) or of probability zero contribute nothing to a backup and are left out. An
-//! action that may enter an improper state gets an infinite cost. A backup then adds the same products in the same order
-//! as a backup of [`TabularMdp`], so both give the same bits.
+//! action that may enter an improper state gets an infinite cost. A backup then adds the same products in the same
+//! order as a backup of [`TabularMdp`], so both give the same bits.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -34,8 +34,8 @@ pub(crate) struct Source<'s> {
 }
 
 impl Source<'_> {
-    /// Returns the index of the successor minus that of the state. For a successor that is not active, returns a mark for its
-    /// class instead: a number outside the range of index differences.
+    /// Returns the index of the successor minus that of the state. For a successor that is not active, returns a mark
+    /// for its class instead: a number outside the range of index differences.
     #[inline]
     fn shift(&self, state: usize, next: u32) -> i32 {
         let class = self.classes[next as usize];
@@ -146,8 +146,8 @@ impl Dictionary {
         self.starts[pattern as usize]
     }
 
-    /// Returns the number of the pattern of an active state, which it adds if it is new. Fast if consecutive calls are for
-    /// neighbouring states.
+    /// Returns the number of the pattern of an active state, which it adds if it is new. Fast if consecutive calls are
+    /// for neighbouring states.
     pub fn pattern(&mut self, source: Source, state: usize) -> u32 {
         if self.looked_up >= TRIAL && self.starts.len() > self.looked_up / 2 {
             return self.add(source, state);
@@ -228,8 +228,8 @@ impl Dictionary {
         (cell + 1..cell + 1 + if last { !head } else { head } as usize, last)
     }
 
-    /// One Bellman backup of a state whose pattern begins at cell `start`: returns the smallest Q-value and the first action
-    /// that attains it.
+    /// One Bellman backup of a state whose pattern begins at cell `start`: returns the smallest Q-value and the first
+    /// action that attains it.
     #[inline]
     pub fn backup(&self, start: u32, state: u32, discount: f64, values: &impl Values) -> (f64, usize) {
         let mut best = (f64::INFINITY, 0);

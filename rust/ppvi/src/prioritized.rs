@@ -9,19 +9,19 @@
 //!
 //! The pseudocode leaves four choices open:
 //!
-//! * *Inner loop.* Sweeps are in place, alternately forwards and backwards. With discount < 1 the loop ends when the span
-//!   of the change, max - min, is below the inner tolerance, as printed. With discount 1 a constant shift does not decay,
-//!   so the loop ends when the largest change is below the inner tolerance. The residual that remains stays in the
-//!   priority entry of the partition, so a coarse inner tolerance costs no accuracy.
+//! * *Inner loop.* Sweeps are in place, alternately forwards and backwards. With discount < 1 the loop ends when the
+//!   span of the change, max - min, is below the inner tolerance, as printed. With discount 1 a constant shift does not
+//!   decay, so the loop ends when the largest change is below the inner tolerance. The residual that remains stays in
+//!   the priority entry of the partition, so a coarse inner tolerance costs no accuracy.
 //! * *Start.* HP0(p) is the largest backup of V0 = 0 in p. The thesis begins with the partition of the smallest HP0 and
 //!   continues with the largest. Read literally, the first one would be a partition of obstacles only, with HP0 = 0 and
 //!   no work to do. Here the first one is the smallest among the eligible partitions.
 //! * *Levels.* With the rank H2 alone, partitions of high value would converge to the last digit before the others are
-//!   processed at all, which costs ten times as much on the problem of the thesis. Therefore a partition is eligible only
-//!   if its residual reaches a *level*. When no partition is eligible, the level is halved, down to the threshold.
+//!   processed at all, which costs ten times as much on the problem of the thesis. Therefore a partition is eligible
+//!   only if its residual reaches a *level*. When no partition is eligible, the level is halved, down to the threshold.
 //! * *End.* Only partitions whose residual may reach the threshold are queued ([`crate::priority`]). When the queue is
-//!   empty, the exact residual of all states is computed. With discount 1 the threshold falls as the values grow, so this
-//!   check may queue partitions again. Partitions of absorbing states are never processed.
+//!   empty, the exact residual of all states is computed. With discount 1 the threshold falls as the values grow, so
+//!   this check may queue partitions again. Partitions of absorbing states are never processed.
 
 use std::time::Instant;
 
@@ -41,8 +41,8 @@ use crate::termination::{Certificate, LimitMonitor, Observer, Progress, Status, 
 pub struct PrioritizedOptions {
     /// The metric that ranks partitions.
     pub priority: Priority,
-    /// Change of the values, in units of cost, below which the inner loop ends. `None` stands for the tolerance of the stop
-    /// rule, as in the thesis.
+    /// Change of the values, in units of cost, below which the inner loop ends. `None` stands for the tolerance of the
+    /// stop rule, as in the thesis.
     pub inner_tolerance: Option<f64>,
     /// Largest number of inner sweeps of one processing. Unlimited in the thesis and by default; 2 is often fastest.
     pub inner_sweeps: u64,

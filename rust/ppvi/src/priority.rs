@@ -2,19 +2,19 @@
 //!
 //! # The metrics of the thesis (section 6.3)
 //!
-//! * H1(s) = |B(s)| with B(s) = (TV)(s) - V(s). Equation (6.7) prints a maximum over the actions. For costs it must be the
-//!   minimum, as in the value iteration (6.3), and the minimum is used here.
-//! * H2(s) = B(s) + V(s) if V(s) > 0, else 0 (6.8): the new value itself. It does not tend to zero, so it ranks partitions
-//!   but cannot decide when to stop.
+//! * H1(s) = |B(s)| with B(s) = (TV)(s) - V(s). Equation (6.7) prints a maximum over the actions. For costs it must be
+//!   the minimum, as in the value iteration (6.3), and the minimum is used here.
+//! * H2(s) = B(s) + V(s) if V(s) > 0, else 0 (6.8): the new value itself. It does not tend to zero, so it ranks
+//!   partitions but cannot decide when to stop.
 //! * HPP(p', p) = max of H over the states of p' that depend on p (6.9), HP(p') = max over p of HPP(p', p) (6.10).
 //!
 //! HPP(p', p) is computed after each processing of p, from the states of p' in SDP(p), and kept until p' is processed.
 //!
-//! *With H1, HP(p') is an upper bound on the residual of p'.* The residual of a state in p' changes only when a partition
-//! that it reads is processed. The solver then computes the residual, which enters HPP(p', p). The residual that the
-//! processing of p' itself leaves enters HPP(p', p') (below). Every HPP therefore holds max |B| besides its rank. A
-//! partition is *eligible* if the maximum of these residuals reaches a level, which falls to the threshold. If no partition
-//! is eligible at the threshold, the residual of the problem is below the threshold.
+//! *With H1, HP(p') is an upper bound on the residual of p'.* The residual of a state in p' changes only when a
+//! partition that it reads is processed. The solver then computes the residual, which enters HPP(p', p). The residual
+//! that the processing of p' itself leaves enters HPP(p', p') (below). Every HPP therefore holds max |B| besides its
+//! rank. A partition is *eligible* if the maximum of these residuals reaches a level, which falls to the threshold. If
+//! no partition is eligible at the threshold, the residual of the problem is below the threshold.
 //!
 //! # The accumulated-change bound
 //!
@@ -27,22 +27,23 @@
 //!
 //! where L(p') is the residual of p' at the end of its own processing.
 //!
-//! *Proof.* Let V0 be the values at the end of that processing, and V the present values. They agree on p'. For s in p',
+//! *Proof.* Let V0 be the values at the end of that processing, and V the present values. They agree on p'. For s in
+//! p',
 //! |B(s)| <= |(TV0)(s) - V0(s)| + |(TV)(s) - (TV0)(s)|. The first term is at most L(p'). T is a minimum over actions, and
-//! two minima differ by at most the largest difference of their arguments. So the second term is at most the maximum over
-//! actions of discount * sum of p(s' | s, a) |V(s') - V0(s')|. For s' in p, |V(s') - V0(s')| is at most A(p', p), and it is
-//! 0 for s' in p'. The probabilities sum to at most one, hence the maximum over p and not a sum. []
+//! two minima differ by at most the largest difference of their arguments. So the second term is at most the maximum
+//! over actions of discount * sum of p(s' | s, a) |V(s') - V0(s')|. For s' in p, |V(s') - V0(s')| is at most A(p', p),
+//! and it is 0 for s' in p'. The probabilities sum to at most one, hence the maximum over p and not a sum. []
 //!
-//! *L(p') needs no backups.* If the last inner sweep changed no state by more than d, then L(p') <= discount * d. A sweep
-//! changes each state once, so no value that a backup read was changed by more than d afterwards.
+//! *L(p') needs no backups.* If the last inner sweep changed no state by more than d, then L(p') <= discount * d. A
+//! sweep changes each state once, so no value that a backup read was changed by more than d afterwards.
 //!
 //! # Why waves are bitwise deterministic
 //!
-//! An in-place sweep over blocks 1, 2, ... is a sequence of tasks. Two tasks are in conflict if one writes a state that the
-//! other reads or writes. Give every task a level: 1 + the largest level of the earlier tasks with which it is in conflict.
-//! No task then reads or writes a state that another task of its level writes. So the tasks of one level may run in
-//! parallel and in any order. Level after level, every state undergoes the same floating-point operations with the same
-//! operands as in the sequence, for any number of threads. [`crate::tabular_sweep()`] works in this way.
+//! An in-place sweep over blocks 1, 2, ... is a sequence of tasks. Two tasks are in conflict if one writes a state that
+//! the other reads or writes. Give every task a level: 1 + the largest level of the earlier tasks with which it is in
+//! conflict. No task then reads or writes a state that another task of its level writes. So the tasks of one level may
+//! run in parallel and in any order. Level after level, every state undergoes the same floating-point operations with
+//! the same operands as in the sequence, for any number of threads. [`crate::tabular_sweep()`] works in this way.
 
 use crate::dependency::Dependencies;
 use crate::error::Error;
@@ -133,7 +134,8 @@ impl<'a> PriorityTable<'a> {
         &mut self.pairs[pair]
     }
 
-    /// Resets the entries of `partition` after its processing: all its HPP become zero, and its own entry becomes `own`.
+    /// Resets the entries of `partition` after its processing: all its HPP become zero, and its own entry becomes
+    /// `own`.
     pub fn reset(&mut self, partition: usize, own: PriorityEntry) {
         self.own[partition] = own;
         for &pair in self.dependencies.incoming(partition) {

@@ -1,9 +1,9 @@
 //! Proper states: states from which some policy ends the execution with probability one.
 //!
 //! With discount 1 and positive stage costs, V*(s) is finite if and only if s is proper. A policy that may fail to end
-//! pays at least the smallest stage cost infinitely often, with positive probability. A policy that ends with probability
-//! one can be chosen stationary, and its expected number of steps is finite. The proper states are the largest set X with
-//! the property
+//! pays at least the smallest stage cost infinitely often, with positive probability. A policy that ends with
+//! probability one can be chosen stationary, and its expected number of steps is finite. The proper states are the
+//! largest set X with the property
 //!
 //! ```text
 //! X = least Y that holds the absorbing states and every s in X with an action that stays within X and may enter Y
@@ -11,14 +11,14 @@
 //!
 //! (de Alfaro 1997, "prob1E").
 //!
-//! *Proof.* Let Y grow from the absorbing states, and let the rank of a state be the step in which it enters Y. In every
-//! state of X take the action that put it into Y. This action never leaves X, and it lowers the rank with a probability
-//! that is bounded from below, so rank zero is reached with probability one. Conversely, the proper states satisfy the
-//! equation, hence they lie in its largest solution. []
+//! *Proof.* Let Y grow from the absorbing states, and let the rank of a state be the step in which it enters Y. In
+//! every state of X take the action that put it into Y. This action never leaves X, and it lowers the rank with a
+//! probability that is bounded from below, so rank zero is reached with probability one. Conversely, the proper states
+//! satisfy the equation, hence they lie in its largest solution. []
 //!
 //! *Algorithm.* Start with all states as X, compute Y, replace X by Y, and repeat until they are equal. Almost every
-//! problem needs one or two rounds. Y is computed by alternating forward and backward sweeps, which need no memory, and few
-//! of them if neighbours have near indices. After [`SWEEPS`] sweeps a backward search in the reverse graph computes the
+//! problem needs one or two rounds. Y is computed by alternating forward and backward sweeps, which need no memory, and
+//! few of them if neighbours have near indices. After 16 sweeps a backward search in the reverse graph computes the
 //! rest, in time O(entries).
 
 use crate::dependency::StateDependents;
@@ -28,8 +28,9 @@ use crate::tabular::ROW_SUM_TOLERANCE;
 /// Number of sweeps before the reverse graph is built.
 const SWEEPS: usize = 16;
 
-/// Returns for every state whether it is proper: whether some policy ends the execution from there with probability one.
-/// The execution may end in an absorbing state, or in a row whose probabilities sum to less than one (by more than 1e-9).
+/// Returns for every state whether it is proper: whether some policy ends the execution from there with probability
+/// one. The execution may end in an absorbing state, or in a row whose probabilities sum to less than one (by more than
+/// 1e-9).
 pub fn proper_states(mdp: &impl Mdp) -> Vec<bool> {
     let mut allowed = vec![true; mdp.states()];
     let mut dependents = None;

@@ -2,8 +2,8 @@
 
 /// A binary max-heap over the indices `0..capacity`, each queued at most once.
 ///
-/// The queue stores the position of every index, so a key changes in O(log n). Of equal keys the lowest index leaves first,
-/// so the order of a solve is reproducible.
+/// The queue stores the position of every index, so a key changes in O(log n). Of equal keys the lowest index leaves
+/// first, so the order of a solve is reproducible.
 ///
 /// # Examples
 /// ```

@@ -1,8 +1,8 @@
 //! Problems in explicit sparse rows.
 //!
 //! The rows are compressed. State `s` has the rows `action_offsets[s]..action_offsets[s + 1]`, one for each action, in
-//! order. Row `r` has the entries `row_offsets[r]..row_offsets[r + 1]` of `successors` and `probabilities`, and the stage
-//! cost `stage_costs[r]`. A state without rows is absorbing and has value 0.
+//! order. Row `r` has the entries `row_offsets[r]..row_offsets[r + 1]` of `successors` and `probabilities`, and the
+//! stage cost `stage_costs[r]`. A state without rows is absorbing and has value 0.
 //!
 //! The constructor validates all arrays. They may be borrowed or owned, and they are not copied.
 
@@ -50,8 +50,8 @@ impl<'a> TabularMdp<'a> {
     /// `stage_costs [rows]` (slices or vectors) and the discount in (0, 1], and validates them.
     ///
     /// # Errors
-    /// [`Error::Length`] or [`Error::Parameter`] for an array as a whole. [`Error::Row`] names the first state and action
-    /// that break a rule:
+    /// [`Error::Length`] or [`Error::Parameter`] for an array as a whole. [`Error::Row`] names the first state and
+    /// action that break a rule:
     ///
     /// * Offsets do not fall, and stay in range. Successors are states.
     /// * Probabilities lie in [0, 1], and those of a row sum to one within 1e-9.

@@ -6,12 +6,12 @@
 //!    accumulated-change bound proves that its residual is below the threshold (`waves.rs`).
 //! 3. *Check.* When all bounds are below the threshold, the exact residual of all states is computed.
 //!
-//! Blocks, waves and skipped lists do not depend on the number of threads. Neighbouring states of the problem should have
-//! near indices. With indices in random order the results are still correct, but the solver is no faster than Gauss-Seidel
-//! on the plain rows.
+//! Blocks, waves and skipped lists do not depend on the number of threads. Neighbouring states of the problem should
+//! have near indices. With indices in random order the results are still correct, but the solver is no faster than
+//! Gauss-Seidel on the plain rows.
 //!
-//! Values are stored in relaxed atomics, which cost nothing on common machines. The waves already prevent one thread from
-//! reading a value that another thread writes; with atomics, memory safety does not depend on the waves.
+//! Values are stored in relaxed atomics, which cost nothing on common machines. The waves already prevent one thread
+//! from reading a value that another thread writes; with atomics, memory safety does not depend on the waves.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -28,8 +28,8 @@ use crate::tabular::TabularMdp;
 use crate::termination::{LimitMonitor, Observer, Progress, Status, StopRule};
 use crate::waves::{ResidualBoundTracker, Task, waves};
 
-/// Base-2 logarithm of the smallest number of states of a block. The update of a smaller block takes less time than another
-/// thread needs to start.
+/// Base-2 logarithm of the smallest number of states of a block. The update of a smaller block takes less time than
+/// another thread needs to start.
 const LEAST_LOG_SIZE: u32 = 12;
 
 /// Values as bits in atomics.
@@ -49,7 +49,8 @@ impl SharedValues for Shared {
     }
 }
 
-/// Solves an explicit problem on the current rayon pool. The result is the same, bit for bit, for any number of threads.
+/// Solves an explicit problem on the current rayon pool. The result is the same, bit for bit, for any number of
+/// threads.
 ///
 /// # Errors
 /// [`Error::Parameter`] for an invalid rule; [`Error::TooLarge`] for 2^31 states or more, or for 2^32 or more rows and

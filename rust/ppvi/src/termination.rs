@@ -2,8 +2,8 @@
 //!
 //! Let B(s) = (TV)(s) - V(s) be the Bellman residual and e = max |B|.
 //!
-//! *Discount g < 1.* T is a contraction, so |V - V*| <= e / (1 - g). If e < (1 - g) * tolerance (the rule of section 6.3
-//! of the thesis), every value is correct to `tolerance`.
+//! *Discount g < 1.* T is a contraction, so |V - V*| <= e / (1 - g). If e < (1 - g) * tolerance (the rule of section
+//! 6.3 of the thesis), every value is correct to `tolerance`.
 //!
 //! *Discount 1, V >= 0, and stage costs of at least c > e (a stochastic shortest-path problem).* Scale V by 1 + h with
 //! h >= e / (c - e):
@@ -12,16 +12,16 @@
 //! T((1 + h) V) <= (1 + h) TV - h c <= (1 + h) (V + e) - h c <= (1 + h) V
 //! ```
 //!
-//! U >= TU implies U >= V*, hence V* <= (1 + h) V. In the same way V* >= (1 - h) V. Therefore |V - V*| <= V e / (c - e).
-//! If e <= tolerance * c / (max V + tolerance), every value is correct to `tolerance`.
+//! U >= TU implies U >= V*, hence V* <= (1 + h) V. In the same way V* >= (1 - h) V. Therefore |V - V*| <= V
+//! e / (c - e). If e <= tolerance * c / (max V + tolerance), every value is correct to `tolerance`.
 
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use crate::error::{Error, Result};
 
-/// Largest threshold, as a part of the smallest stage cost c. A residual near c proves nothing, and the residual of V = 0 is
-/// equal to c.
+/// Largest threshold, as a part of the smallest stage cost c. A residual near c proves nothing, and the residual of
+/// V = 0 is equal to c.
 const MOST_OF_LEAST_COST: f64 = 0.5;
 
 /// How a solve ended.
@@ -113,8 +113,8 @@ pub struct Certificate {
 }
 
 impl Certificate {
-    /// Returns the residual below which every value is correct to `tolerance`. If nothing can be proven (discount 1 and a
-    /// stage cost that is not positive), returns `tolerance` itself.
+    /// Returns the residual below which every value is correct to `tolerance`. If nothing can be proven (discount 1 and
+    /// a stage cost that is not positive), returns `tolerance` itself.
     pub fn threshold(&self, tolerance: f64, max_value: f64) -> f64 {
         if self.discount < 1.0 {
             (1.0 - self.discount) * tolerance

@@ -1,7 +1,7 @@
 //! Plain value iteration: the reference for all other solvers.
 //!
-//! V(k+1) = T V(k) for all states at once (Jacobi). The sweep that computes T V(k) also yields the exact residual of V(k).
-//! The solver returns V(k), because its residual is known.
+//! V(k+1) = T V(k) for all states at once (Jacobi). The sweep that computes T V(k) also yields the exact residual of
+//! V(k). The solver returns V(k), because its residual is known.
 
 use crate::bellman::{bellman_operator, certificate, initial_values, solution};
 use crate::error::Result;

@@ -1,10 +1,10 @@
 //! The order of the updates of a pass, and the bounds that make updates unnecessary.
 //!
-//! A task updates one list of one block. A pass is the sequence of tasks F(1), B(m), F(2), B(m - 1), ..., F(m), B(1): the
-//! forward lists of blocks 1 to m, and in turn with them the backward lists of blocks m to 1. [`waves`] cuts this sequence
-//! into waves of tasks without conflicts. The tasks of a wave may run in parallel, and the result is the same, bit for bit,
-//! as that of the sequence ([`crate::priority`] has the proof). [`ResidualBoundTracker`] computes the accumulated-change
-//! bound, which [`crate::priority`] defines, for every list.
+//! A task updates one list of one block. A pass is the sequence of tasks F(1), B(m), F(2), B(m - 1), ..., F(m), B(1):
+//! the forward lists of blocks 1 to m, and in turn with them the backward lists of blocks m to 1. [`waves`] cuts this
+//! sequence into waves of tasks without conflicts. The tasks of a wave may run in parallel, and the result is the same,
+//! bit for bit, as that of the sequence ([`crate::priority`] has the proof). [`ResidualBoundTracker`] computes the
+//! accumulated-change bound, which [`crate::priority`] defines, for every list.
 
 use crate::block::Block;
 
@@ -50,10 +50,11 @@ pub(crate) fn waves(blocks: &[Block]) -> Vec<Vec<Task>> {
 /// Upper bounds on the residuals of the lists, computed without backups.
 ///
 /// The tracker sums the largest changes of all updates of each block. For every list it stores these totals at the last
-/// update of the list. The residual of a list is at most the residual after that update, plus discount * the largest growth
-/// of the total of a block that the list reads. The residual after an update is zero if no member reads itself or a later
-/// member, otherwise at most discount * the largest change of the update. (The other list of the block may have updated a
-/// mixed state since. The residual of this state was then zero at the later time, so the bound holds for it too.)
+/// update of the list. The residual of a list is at most the residual after that update, plus discount * the largest
+/// growth of the total of a block that the list reads. The residual after an update is zero if no member reads itself
+/// or a later member, otherwise at most discount * the largest change of the update. (The other list of the block may
+/// have updated a mixed state since. The residual of this state was then zero at the later time, so the bound holds for
+/// it too.)
 #[derive(Debug)]
 pub(crate) struct ResidualBoundTracker<'b> {
     blocks: &'b [Block],

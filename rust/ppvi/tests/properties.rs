@@ -57,8 +57,9 @@ fn partition(states: usize, partitions: usize, seed: usize) -> Partition {
     Partition::from_labels(labels.collect(), partitions).unwrap()
 }
 
-/// Proper states by the definition: the largest set X that equals the least set Y with two kinds of states, the absorbing
-/// ones and those with an action that stays in X and may enter Y. The sets grow and shrink one state at a time.
+/// Proper states by the definition: the largest set X that equals the least set Y with two kinds of states, the
+/// absorbing ones and those with an action that stays in X and may enter Y. The sets grow and shrink one state at a
+/// time.
 fn plainly_proper(rows: &Rows) -> Vec<bool> {
     let all: BTreeSet<u32> = (0..rows.len() as u32).collect();
     let mut x = all.clone();

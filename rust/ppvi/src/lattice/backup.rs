@@ -1,7 +1,8 @@
 //! The sweep of a sector: columns from the last to the first, each backed up from W and turned into W.
 //!
-//! A column is done in strips of [`LANES`] grid points. All headings of a strip are backed up, convolved along the heading and
-//! stored as W before the next strip: everything between reading W and writing it stays in the nearest cache.
+//! A column is done in strips of [`LANES`] grid points. All headings of a strip are backed up, convolved along the
+//! heading and stored as W before the next strip: everything between reading W and writing it stays in the nearest
+//! cache.
 
 use std::ops::Range;
 
@@ -258,8 +259,8 @@ fn store_convolved<T: Real, V: Lanes<T>>(sector: &mut Sector<T>, at: usize, taps
     }
 }
 
-/// The rows of W for steps that arrive with a bevel: with -1 they read the headings -1 .. count - 1 of the sector, with +1
-/// the headings 1 .. count + 1.
+/// The rows of W for steps that arrive with a bevel: with -1 they read the headings -1 .. count - 1 of the sector, with
+/// +1 the headings 1 .. count + 1.
 #[inline(always)]
 fn w_rows_mut<T: Real>(sector: &mut Sector<T>, at: usize, bevel: usize) -> impl Iterator<Item = &mut [T]> {
     let (width, count) = (sector.width(), sector.arc.count);

@@ -137,7 +137,8 @@ impl Mdp for LatticeMdp {
         if rotate < insert { (rotate, 1) } else { (insert, 0) }
     }
 
-    /// Without a discount the cheaper failure, which is what most of a hard workspace is worth; with one, 0 as in the thesis.
+    /// Without a discount the cheaper failure, which is what most of a hard workspace is worth; with one, 0 as in the
+    /// thesis.
     fn start_value(&self) -> f64 {
         let costs = &self.parts.costs;
         if costs.discount < 1.0 { 0.0 } else { costs.exit.min(costs.collision) }

@@ -109,8 +109,8 @@ impl Arc {
         ]
     }
 
-    /// The states of a table, `[i][j][heading][bevel]`, from `heading` on at the points of a column of the sector from `first` on:
-    /// a row for each point.
+    /// The states of a table, `[i][j][heading][bevel]`, from `heading` on at the points of a column of the sector from
+    /// `first` on: a row for each point.
     pub(crate) fn table_plane(self, shape: Shape, place: usize, first: usize, heading: usize) -> Plane {
         let point = shape.headings * 2;
         let (i, j, stride) =

@@ -88,17 +88,18 @@ impl<'a, T: Vectorized> Engine<'a, T> {
         self.halos.par_iter_mut().enumerate().for_each(|(of, halo)| halo.pull(sectors, of, headings));
     }
 
-    /// Backs up every state of a wave once, and returns a bound on the Bellman residual of all values, but for rounding.
+    /// Backs up every state of a wave once, and returns a bound on the Bellman residual of all values, but for
+    /// rounding.
     ///
-    /// There are two waves: right and left (`vertical` is false), up and down. The sectors of a wave read only themselves and
-    /// their halos. A value is the exact backup of what it has read; its residual is at most the discount times what that
-    /// has changed since: the halos (the *interface change*, computed when they are refreshed), and W of sectors in which steps read columns
-    /// that are swept later. Interface changes far above `threshold` are computed roughly. With `keep` the values are
-    /// written for the tables.
+    /// There are two waves: right and left (`vertical` is false), up and down. The sectors of a wave read only
+    /// themselves and their halos. A value is the exact backup of what it has read; its residual is at most the
+    /// discount times what that has changed since: the halos (the *interface change*, computed when they are
+    /// refreshed), and W of sectors in which steps read columns that are swept later. Interface changes far above
+    /// `threshold` are computed roughly. With `keep` the values are written for the tables.
     pub(crate) fn wave(&mut self, vertical: bool, threshold: f64, keep: bool) -> f64 {
         self.sweep(|sector| sector.arc.direction.is_vertical() == vertical, keep);
-        // The halos of the other wave are outdated now. So are those of this wave if they read sectors of this wave: beyond
-        // a short sector, or next to them where a direction has no headings.
+        // The halos of the other wave are outdated now. So are those of this wave if they read sectors of this wave:
+        // beyond a short sector, or next to them where a direction has no headings.
         let reach = self.noise.len();
         let reads_own_wave =
             self.sectors.len() < Direction::ALL.len() || self.sectors.iter().any(|sector| sector.arc.count < reach);
@@ -155,9 +156,9 @@ impl<'a, T: Vectorized> Engine<'a, T> {
 
     /// Returns values, better actions, and the bound of [`Engine::wave`] on their residual.
     ///
-    /// Where the last sweep of a sector did not keep its values, every state is backed up once more, each sector with the
-    /// halos that it has. For the wave that was swept last they are those of its last sweep, so that nothing changes; the
-    /// other wave has new ones, and so the last wave finds another interface change.
+    /// Where the last sweep of a sector did not keep its values, every state is backed up once more, each sector with
+    /// the halos that it has. For the wave that was swept last they are those of its last sweep, so that nothing
+    /// changes; the other wave has new ones, and so the last wave finds another interface change.
     pub(crate) fn tables(&mut self, threshold: f64) -> Tables {
         let again = self.kept.iter().any(Option::is_none);
         if again {

@@ -114,7 +114,8 @@ impl<T: Vectorized> Halo<T> {
     /// Largest change that the last refresh made to the W that a sector with `count` headings reads. A change above
     /// `threshold` is computed from one column only, as a lower bound.
     pub(crate) fn interface_change(&self, count: usize, noise: &[T], threshold: f64) -> f64 {
-        // Steps that arrive with bevel -1 read headings -1 .. count - 1, those with bevel +1 the headings 1 .. count + 1.
+        // Steps that arrive with bevel -1 read headings -1 .. count - 1, those with bevel +1 the headings
+        // 1 .. count + 1.
         let centres = [0, 1].map(|bevel: usize| (2 * bevel as i64 - 1)..(count as i64 + 2 * bevel as i64 - 1));
         let mut rows = Vec::new();
         for (bevel, centres) in centres.into_iter().enumerate() {
@@ -154,7 +155,8 @@ fn copy_planes<T: Real>(source: &Sector<T>, to: &mut [T], To { planes, .. }: To<
     }
 }
 
-/// Copies edges of a sector to a halo in which its places are the grid points of strips; `pairs` are planes from and to.
+/// Copies edges of a sector to a halo in which its places are the grid points of strips; `pairs` are planes from and
+/// to.
 fn transpose_planes<T: Vectorized>(source: &Sector<T>, to: &mut [T], layout: To<T>, pairs: &[(usize, usize)]) {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") {

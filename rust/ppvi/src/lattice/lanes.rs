@@ -1,7 +1,7 @@
 //! Vectors of [`LANES`] numbers, one for each grid point of a strip.
 //!
-//! The loops of a sweep are written with these, once for all processors: arrays are the vectors that every processor has,
-//! [`avx2`](crate::lattice::avx2) has those of x86. Both compute the same bits: there are no fused multiply-adds.
+//! The loops of a sweep are written with these, once for all processors: arrays are the vectors that every processor
+//! has, [`avx2`](crate::lattice::avx2) has those of x86. Both compute the same bits: there are no fused multiply-adds.
 
 use crate::lattice::parts::{LANES, outcome};
 use crate::lattice::real::Real;
@@ -15,8 +15,8 @@ pub(crate) trait Lanes<T>: Copy {
     fn mul(self, other: Self) -> Self;
     /// The minimum of `self` and `other`; `other` where neither is smaller.
     fn minimum(self, other: Self) -> Self;
-    /// [`Lanes::minimum`] with the argument that attains it in the sign: minus for `self`, plus for `other`. For numbers that
-    /// are not negative.
+    /// [`Lanes::minimum`] with the argument that attains it in the sign: minus for `self`, plus for `other`. For
+    /// numbers that are not negative.
     fn min_with_argmin(self, other: Self) -> Self;
     /// `self` for steps that continue, otherwise the entry of `terminal` for the code of the step.
     fn or_terminal(self, codes: &[u8; LANES], terminal: &[T; outcome::CODES]) -> Self;

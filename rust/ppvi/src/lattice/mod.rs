@@ -14,8 +14,9 @@
 //! V(b) = min(Q(b), rotation + Q(1 - b)).
 //!
 //! States are numbered as in the tables, `((i * ny + j) * headings + k) * 2 + b`. [`LatticeParts`] describes a problem,
-//! [`LatticeMdp`] is that problem as an [`Mdp`](crate::Mdp), [`sweep::solve`] solves it, and [`evaluation`] computes what
-//! a policy achieves. A steered needle is the problem that this was built for; the crate `needle` makes its lattices.
+//! [`LatticeMdp`] is that problem as an [`Mdp`](crate::Mdp), [`sweep::solve`] solves it, and [`evaluation`] computes
+//! what a policy achieves. A steered needle is the problem that this was built for; the crate `needle` makes its
+//! lattices.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;

@@ -63,7 +63,8 @@ impl Shape {
         Ok(())
     }
 
-    /// Index, in an outcome table, of the first grid point of the plane of heading `k` and arriving bevel index `bevel`.
+    /// Index, in an outcome table, of the first grid point of the plane of heading `k` and arriving bevel index
+    /// `bevel`.
     #[inline]
     pub(crate) fn plane(&self, k: usize, bevel: usize) -> usize {
         (k * 2 + bevel) * self.nx * self.ny
@@ -161,7 +162,8 @@ impl Shift {
     }
 }
 
-/// The nearest whole number; halves, to within rounding, away from zero, so that mirrored steps land on mirrored points.
+/// The nearest whole number; halves, to within rounding, away from zero, so that mirrored steps land on mirrored
+/// points.
 fn nearest_cell(cells: f64) -> f64 {
     (cells.abs() + 0.5 + 1e-9).floor().copysign(cells)
 }
@@ -200,8 +202,8 @@ impl LatticeParts {
     /// Checks all fields.
     ///
     /// # Errors
-    /// [`Error::Parameter`] or [`Error::Length`] names the first field that breaks a rule, [`Error::TooLarge`] a grid of
-    /// more than 2^40 states.
+    /// [`Error::Parameter`] or [`Error::Length`] names the first field that breaks a rule, [`Error::TooLarge`] a grid
+    /// of more than 2^40 states.
     pub fn validate(&self) -> Result<()> {
         self.costs.validate()?;
         validate_noise(&self.noise)?;

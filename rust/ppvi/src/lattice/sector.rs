@@ -1,13 +1,14 @@
 //! A quarter of the headings, stored so that the needle always moves towards larger `u`.
 //!
 //! In the sector "right" u is the grid column and v the grid row, in "up" they are exchanged; in "left" and "down" u is
-//! reversed as well. Rows are contiguous in v and padded, so that a step is a read of a shifted row. What does not move along
-//! is stored by *place*, the grid column or row: u, or its reverse.
+//! reversed as well. Rows are contiguous in v and padded, so that a step is a read of a shifted row. What does not move
+//! along is stored by *place*, the grid column or row: u, or its reverse.
 //!
-//! A sweep against the motion computes all values of a sector from its halo alone; it reads no value of the previous sweep.
-//! A sector therefore stores only its values at the end headings, which are the halos of other sectors, and W, its values
-//! convolved with the heading noise. W is stored for the last few columns only, which fit into the cache. W is stored whole
-//! if the grid is so coarse that steps do not leave their column. `Store` takes the values of a whole sector on request.
+//! A sweep against the motion computes all values of a sector from its halo alone; it reads no value of the previous
+//! sweep. A sector therefore stores only its values at the end headings, which are the halos of other sectors, and W,
+//! its values convolved with the heading noise. W is stored for the last few columns only, which fit into the cache. W
+//! is stored whole if the grid is so coarse that steps do not leave their column. `Store` takes the values of a whole
+//! sector on request.
 
 use std::ops::Range;
 
@@ -28,7 +29,8 @@ pub(crate) struct Sector<T: Copy> {
     pub lanes: usize,
     /// How far steps reach along u and v.
     pub pad: [usize; 2],
-    /// W, `[column][count + 2][bevel][pad + lanes + pad]`: one heading more on each side. Column u is at [`Sector::column`].
+    /// W, `[column][count + 2][bevel][pad + lanes + pad]`: one heading more on each side. Column u is at
+    /// [`Sector::column`].
     pub convolved: Array<T>,
     /// Columns of W: a power of two less one, or all ones where W is kept whole.
     mask: usize,
@@ -190,15 +192,16 @@ impl<T: Real> Sector<T> {
     /// The largest finite value at the ends: about the largest value.
     pub(crate) fn max(&self) -> f64 {
         let larger = |max: T, value: &T| if *value > max && value.widen() < f64::INFINITY { *value } else { max };
-        // Over all lanes: the lanes of the padding hold the value outside the grid, which does not exceed the exit cost.
+        // Over all lanes: the lanes of the padding hold the value outside the grid, which does not exceed the exit
+        // cost.
         self.edges.iter().fold(T::default(), larger).widen()
     }
 }
 
 /// The headings whose values other sectors read: by bevel, a range at the low end and a range at the high end.
 ///
-/// A step turns the heading by one, to the side of its bevel. So W of a neighbouring sector reaches two headings less far on
-/// one side than on the other.
+/// A step turns the heading by one, to the side of its bevel. So W of a neighbouring sector reaches two headings less
+/// far on one side than on the other.
 #[derive(Debug, Clone)]
 pub(crate) struct Ends {
     kept: [[Range<usize>; 2]; 2],

@@ -1,7 +1,7 @@
 //! Values and actions on the way from a sweep to the tables.
 //!
-//! Values are never negative, so the sign of a staged value can hold the action: minus stands for action 1. One array then
-//! serves for both.
+//! Values are never negative, so the sign of a staged value can hold the action: minus stands for action 1. One array
+//! then serves for both.
 
 use std::marker::PhantomData;
 

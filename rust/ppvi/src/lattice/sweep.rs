@@ -1,20 +1,20 @@
 //! The production solver: Gauss-Seidel sweeps against the direction of motion.
 //!
-//! The headings are cut into four sectors (right, up, left, down, in grid cells). In the sector "right" every step moves
-//! to the right, so one sweep over the columns from right to left takes the value of the target through the whole
+//! The headings are cut into four sectors (right, up, left, down, in grid cells). In the sector "right" every step
+//! moves to the right, so one sweep over the columns from right to left takes the value of the target through the whole
 //! workspace, and likewise in the others. Right and left do not read each other, nor do up and down: they are the two
 //! waves of a pass, and the sectors of a wave run side by side. Between waves each sector takes a copy of the few
 //! headings beyond its ends (`halo`). Nothing else is shared, so the result does not depend on the number of threads.
 //!
-//! A pass is n backups, and about five passes are enough where Jacobi sweeps need eighty; see the benches. The last sweeps
-//! write the tables as they go.
+//! A pass is n backups, and about five passes are enough where Jacobi sweeps need eighty; see the benches. The last
+//! sweeps write the tables as they go.
 //!
 //! *Start.* V = the cheaper of the two failures, since that is what most of a hard workspace is worth.
 //!
 //! *Stop.* A value is the exact backup of what it has read, so its residual is at most the discount times the change of
-//! that since: within a sector there is none (steps lead downstream), and at the interfaces between sectors it is computed when
-//! the halos are refreshed. So a pass knows a bound on the residual of its values for next to nothing, and no pass is spent
-//! on proving what the others have done. To it comes the rounding of a backup.
+//! that since: within a sector there is none (steps lead downstream), and at the interfaces between sectors it is
+//! computed when the halos are refreshed. So a pass knows a bound on the residual of its values for next to nothing,
+//! and no pass is spent on proving what the others have done. To it comes the rounding of a backup.
 //!
 //! *Precision.* Single precision, and double precision from where rounding hides what the tolerance asks for.
 
@@ -31,8 +31,8 @@ use crate::proper::proper_states;
 use crate::solution::Report;
 use crate::termination::{Certificate, LimitMonitor, Observer, Progress, Status, StopRule};
 
-/// Multiple of the threshold: once the residual is below it, sweeps write their values to the tables. A sweep divides the
-/// residual by five to ten, and the last two sweeps must write their values.
+/// Multiple of the threshold: once the residual is below it, sweeps write their values to the tables. A sweep divides
+/// the residual by five to ten, and the last two sweeps must write their values.
 const KEEP_BELOW: f64 = 20.0;
 
 /// A precision is exhausted if the residual is at most this multiple of the rounding of a backup.
@@ -85,8 +85,8 @@ fn masks_with_improper_states(lattice: &LatticeMdp) -> Option<Vec<TerminalMask>>
     Some(terminal_masks(&lattice.parts, &lattice.directions, &outcomes))
 }
 
-/// A bound on the rounding of one backup of values up to `largest`: of the convolution, the blend of four, discount, cost and
-/// turning, each half a unit in the last place.
+/// A bound on the rounding of one backup of values up to `largest`: of the convolution, the blend of four, discount,
+/// cost and turning, each half a unit in the last place.
 fn rounding<T: Vectorized>(lattice: &LatticeMdp, largest: f64) -> f64 {
     let operations = 2 * lattice.parts.noise.len() + if lattice.is_interpolated() { 4 } else { 0 } + 3;
     operations as f64 * largest * T::EPSILON / 2.0
@@ -146,8 +146,8 @@ struct End {
 }
 
 impl Run<'_, '_> {
-    /// Makes passes until the residual is small enough, a limit is reached, or the precision exhausted: then None, if there
-    /// is a better one.
+    /// Makes passes until the residual is small enough, a limit is reached, or the precision exhausted: then None, if
+    /// there is a better one.
     fn iterate<T: Vectorized>(&mut self, engine: &mut Engine<'_, T>) -> Option<End> {
         let first = self.waves;
         let mut last = f64::INFINITY;

@@ -1,7 +1,7 @@
 //! Which steps of a sector end the execution, in the order in which a sweep reads them.
 //!
-//! A sweep goes through a column in strips of [`LANES`] grid points, and through a strip heading by heading. Every step is
-//! computed as if it continued, and replaced where its code says how it ends: vector code without a branch.
+//! A sweep goes through a column in strips of [`LANES`] grid points, and through a strip heading by heading. Every step
+//! is computed as if it continued, and replaced where its code says how it ends: vector code without a branch.
 
 use rayon::prelude::*;
 
