@@ -67,8 +67,6 @@ class InPlane:
     roll_right_rad: Array
     lag_rad: Array
     along_mm: Array
-    """How far along x a path of that length gets that is turned halfway, and so stays near its line."""
-
     heading_rad: float
     elevation_rad: float
 

@@ -256,7 +256,7 @@ class ModelFile:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the text, by which what is made from the model names it."""
+        """SHA-256 of the text; artefacts that are made from the model refer to it."""
         return digest(self.to_toml())
 
 

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 """Array of double-precision numbers; docstrings state the shape."""
 
 ComplexArray = NDArray[np.complex128]
-"""Complex gains, poles and zeros."""
+"""Array of complex numbers, for gains, poles and zeros."""
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,6 @@ class Record:
     phase: tuple[str, ...] = ()
     digest: str = ""
     notes: tuple[str, ...] = field(default=())
-    """What reading it had to say: rows left out, suspicious units."""
 
     def __post_init__(self) -> None:
         if "time_s" not in self.columns:

@@ -69,7 +69,7 @@ class FreePath:
 
     @property
     def lateral_mm(self) -> float:
-        """Lateral position of the tip."""
+        """Lateral position of the tip, mm."""
         lam, unit = self.tissue.decay_1_mm(self.needle), self._unit
         return unit * (self.push_n + 2 * lam * self.once_n_mm + 2 * lam**2 * self.twice_n_mm2)
 

@@ -141,7 +141,7 @@ class LumpedOnTissue(StribeckFriction, MovingTissue):
         return LumpedLuGre(**{each.name: getattr(self, each.name) for each in fields(LumpedLuGre)})
 
     def law(self, motion: Motion) -> FrictionLaw:
-        """Return the friction on plain numbers."""
+        """Return the friction in Python floats."""
         return LuGreLaw(self.friction(), motion)
 
 
@@ -173,7 +173,7 @@ class AveragedOnTissue(StribeckFriction, MovingTissue):
         return AveragedLuGre(**chosen, form=OutputForm.CONSISTENT)
 
     def law(self, motion: Motion) -> FrictionLaw:
-        """Return the friction on plain numbers."""
+        """Return the friction in Python floats."""
         return LuGreLaw(self.friction(), motion)
 
 
