@@ -169,9 +169,11 @@ class Lookups:
         try:
             row = (float(x_mm), float(y_mm), float(heading_rad), float(bevel))  # type: ignore[arg-type]
         except (TypeError, ValueError):
-            row = Pose(x_mm, y_mm, heading_rad, 0 if bevel is None else bevel)  # type: ignore[arg-type]  # raises
-        decisions = self._nearest(np.array([row]), "heading_rad")
-        return Decision(Action(decisions.action[0]), float(decisions.value[0]), float(decisions.success[0]))
+            Pose(x_mm, y_mm, heading_rad, bevel)  # type: ignore[arg-type]  # raises for all but a missing bevel
+            raise PoseError(Mistake("bevel", str(bevel), "must be -1 or +1")) from None
+        require_full_turn("heading_rad", row[2])
+        action, value, success = self._nearest(np.array([row]))
+        return Decision(Action(action[0]), float(value[0]), float(success[0]))
 
     def lookup_many(self, poses: ArrayLike) -> Decisions:
         """Return the decisions at the states nearest to many poses.
@@ -208,15 +210,15 @@ class Lookups:
         if rows.ndim != 2 or rows.shape[1] != 4:
             rule = "must have the shape (n, 4): rows of x_mm, y_mm, heading_rad and bevel"
             raise PoseError(Mistake("poses", f"shape {rows.shape}", rule))
-        return self._nearest(rows, "poses[{row}].heading_rad")
-
-    def _nearest(self, rows: NDArray[np.float64], key: str) -> Decisions:
-        """Return the decisions at rows [n, 4]; `key` names the heading of a `row` in a message. Raises PoseError."""
         headings = rows[:, 2]
         if len(rows) and (headings.max() > FULL_TURN_RAD or headings.min() < -FULL_TURN_RAD):
             row = int(np.argmax(np.abs(headings) > FULL_TURN_RAD))
-            require_full_turn(key.format(row=row), float(headings[row]))
-        found = compiled_call(
+            require_full_turn(f"poses[{row}].heading_rad", float(headings[row]))
+        return Decisions(*self._nearest(rows))
+
+    def _nearest(self, rows: NDArray[np.float64]) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
+        """Return action, value and success at the states nearest to rows [n, 4]. Raises PoseError."""
+        return compiled_call(
             PoseError,
             _ppvi.lookup_many,
             values=self.values,
@@ -225,7 +227,6 @@ class Lookups:
             spacing_mm=self.scenario.grid.spacing_mm,
             poses=rows,
         )
-        return Decisions(*found)
 
     def expectations(self) -> Expectations:
         """Evaluate the expected insertion length and number of rotations of the policy from every state.
