@@ -15,7 +15,8 @@ and `profile_intervals`, `bootstrap_intervals` and `residual_findings` examine a
 
 from needleplan.artifacts import Parent
 from needleplan.models._base import Channel, LinearStateModel, Model, SelfIntegratingModel
-from needleplan.models._fit import Estimate, Fit, FitStatus, fit
+from needleplan.models._estimates import Estimate, Fit, FitStatus
+from needleplan.models._fit import fit
 from needleplan.models._in_plane import InPlane, in_plane
 from needleplan.models._intervals import Intervals, bootstrap_intervals, profile_intervals
 from needleplan.models._kinds import KINDS, kind_of

@@ -21,7 +21,8 @@ import numpy as np
 
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.models._base import Model
-from needleplan.models._fit import Estimate, Fit, fit
+from needleplan.models._estimates import Estimate, Fit
+from needleplan.models._fit import fit
 from needleplan.models._simulate import simulate
 from needleplan.signals import Array, Record
 

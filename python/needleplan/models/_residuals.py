@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.models._fit import Fit
+from needleplan.models._estimates import Fit
 from needleplan.signals import UNITS, Array, Motion, Record
 
 __all__ = ["Finding", "findings_of", "ljung_box", "residual_findings"]

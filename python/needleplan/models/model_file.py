@@ -65,7 +65,7 @@ from needleplan.config import (
 )
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Model
-from needleplan.models._fit import Estimate
+from needleplan.models._estimates import Estimate
 from needleplan.models._kinds import kind_of
 from needleplan.models._parameter import Parameter
 from needleplan.models.effects import AddedEffect, AugmentedModel, Effect, effect_named

@@ -17,7 +17,7 @@ from needleplan.models.effects._tip_catalogue import effect_named
 from needleplan.signals import Array, Motion
 
 if TYPE_CHECKING:
-    from needleplan.models._fit import Estimate
+    from needleplan.models._estimates import Estimate
 
 __all__ = ["AddedEffect", "AugmentedModel", "with_effect", "without_effect"]
 

@@ -13,7 +13,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.models._fit import Fit, fit
+from needleplan.models._estimates import Fit
+from needleplan.models._fit import fit
 from needleplan.models._simulate import simulate
 from needleplan.models.tissue._moving import LumpedOnTissue
 from needleplan.models.tissue._slow_observer import tune_slow_observer
