@@ -29,13 +29,13 @@ import numpy as np
 from fault_lab import serve
 
 from needleplan.control import (
-    Command,
     CommandKind,
-    Event,
-    EventName,
     Insertion,
     Listener,
     Options,
+    RunCommand,
+    RunEvent,
+    RunEventName,
     RunRecorder,
     RunSetup,
     Sample,
@@ -43,18 +43,17 @@ from needleplan.control import (
     ThreadedFeed,
 )
 from needleplan.control.safety import SafetyLimits
-from needleplan.devices import PoseSample, SystemClock
+from needleplan.devices import PoseSample, SystemClock, open_station
 from needleplan.devices.ati import NetFt
 from needleplan.devices.ndi import NdiTracker
-from needleplan.devices.processes import LabPlaces, TrackerLine
 from needleplan.devices.robot import RobotLimits, RobotStage
+from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
 from needleplan.errors import DeviceFault
 from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import PolicyTable, plan
 from needleplan.scenario import Scenario
-from needleplan.simulation import Experiment
-from needleplan.simulation.bench import open_bench, simulated_bench
-from needleplan.simulation.processes import RealTimeLab
+from needleplan.simulation import Experiment, simulated_station
+from needleplan.simulation.lab_processes import RealTimeLab
 
 GOAL_MS, GOAL_REPLANNING_MS = 5.0, 40.0
 PATIENT = SafetyLimits(
@@ -84,18 +83,18 @@ class Timed(Listener):
         """Note how long the tip took from the arrival of its frame."""
         self.tips_ms.append((time.monotonic_ns() - time_ns) * 1e-6)
 
-    def command(self, command: Command) -> None:
+    def command(self, command: RunCommand) -> None:
         """Note a command, which is out."""
         if command.kind is CommandKind.STOP or self.last is None:
             return
         since_ms = (time.monotonic_ns() - self.last.stamp.received_ns) * 1e-6
         self.commands.append((since_ms, isinstance(self.last, PoseSample), self.planning))
 
-    def event(self, event: Event) -> None:
+    def event(self, event: RunEvent) -> None:
         """Note when a plan is being made; the decision that takes the table is one of those that wait for nothing."""
-        if event.name is EventName.REPLAN_ASKED:
+        if event.name is RunEventName.REPLAN_ASKED:
             self.planning = True
-        elif event.name in (EventName.TABLE_SWAPPED, EventName.REPLAN_REFUSED):
+        elif event.name in (RunEventName.TABLE_SWAPPED, RunEventName.REPLAN_REFUSED):
             self.planned.append(event.text)
             self.planning = False
 
@@ -105,25 +104,21 @@ def insertion(table: PolicyTable, experiment: Experiment, seed: int, folder: Pat
     options = Options(velocity_mm_s=20.0, velocity_rad_s=10.0, replan=replanning)
     if replanning:  # at every decision at which no plan is being made
         options = replace(options, replan_deviations=1e-6, replan_share=1e-6)
-    with simulated_bench(experiment, table, table.best_entry().pose, seed) as bench:
-        assert bench.lab is not None
-        setup, registration = bench.lab.plant.setup, bench.registration
-        options = replace(options, torsion=bench.torsion)
-    assert registration is not None
+    with simulated_station(experiment, table, table.best_entry().pose, seed) as simulated:
+        setup, registration = simulated.lab.plant.setup, simulated.registration
+        options = replace(options, torsion=simulated.torsion)
     timed, places = Timed(), LabPlaces(tracker_line=TrackerLine.TCP)
     with ExitStack() as stack:
         lab = stack.enter_context(RealTimeLab(setup, seed, places, RobotLimits(longest_silence_s=5.0)))
         at = lab.addresses
-        devices = stack.enter_context(
-            open_bench(f"{at.robot}?watchdog_s=3&valid_s=1", at.force, at.tracker, table, table.best_entry().pose)
-        )
+        devices = stack.enter_context(open_station(f"{at.robot}?watchdog_s=3&valid_s=1", at.force, at.tracker))
         run = RunSetup(options, PATIENT, registration)
         recorder = stack.enter_context(RunRecorder(folder / f"{time.monotonic_ns()}.mcap", table, run, SystemClock()))
         loop = Insertion(
-            table, devices.station, options, registration=registration, limits=PATIENT, listeners=[recorder, timed]
+            table, devices, options, registration=registration, limits=PATIENT, listeners=[recorder, timed]
         )
         report = stack.enter_context(loop).run()
-    return timed if report.ending == "target" else f"{report.ending}: {report.cause}"
+    return timed if report.outcome == "target" else f"{report.outcome}: {report.cause}"
 
 
 def latencies(insertions: int, scenario: str) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from typing import Any
 import machine
 from fault_lab import FAULTS, OF_THE_LOOP, serve
 
-from needleplan.control.safety import Cause, EventName, GuardedStage, Order, SafetyEvent, SafetyLimits, Watchdog
+from needleplan.control.safety import Cause, GuardedStage, Order, SafetyEvent, SafetyEventName, SafetyLimits, Watchdog
 from needleplan.devices import ForceSample, Health, PoseSample, Stamp, Station, SystemClock, ThreadedFeed
 from needleplan.devices.ati import NetFt
 from needleplan.devices.ndi import NdiTracker
@@ -162,7 +162,7 @@ class Loop:
     @property
     def stop(self) -> SafetyEvent | None:
         """The first stop for a cause."""
-        return next((each for each in self.events if each.name is EventName.STOP and each.causes), None)
+        return next((each for each in self.events if each.name is SafetyEventName.STOP and each.causes), None)
 
     def begin(self) -> bool:
         """Enable as a person does, and insert; whether that lasted."""
@@ -243,7 +243,9 @@ def measured(name: str, pipe: Any, folder: Path) -> Run | None:
 
 def judged(name: str, loop: Loop, fault_ns: int, stop_ns: float, stood_ns: float, paused_ms: float) -> Run:
     stop = loop.stop
-    first = next((each for each in loop.events if each.name is EventName.TRANSITION and each.before == "ENABLED"), None)
+    first = next(
+        (each for each in loop.events if each.name is SafetyEventName.TRANSITION and each.before == "ENABLED"), None
+    )
     ages = [AGES[cause] for cause in (stop.causes if stop else ()) if cause in AGES]
     waits = [max((loop.usable_ns[what] - fault_ns) * 1e-6 + 1e3 * age_s, 0.0) for what, age_s in ages]
     return Run(

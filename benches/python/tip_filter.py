@@ -23,7 +23,7 @@ import machine
 import numpy as np
 
 from needleplan.estimation import PoseUse, Registration, TipFilter, TipSettings, TipStatus
-from needleplan.simulation import Effects, Entry, Lab, Layer, Setup
+from needleplan.simulation import Effects, Lab, Setup, SimulatedEntry, SimulatedLayer
 
 COIL_MM, PLANNED_MM = 9.3, 40.0
 USUAL: dict[str, float] = {
@@ -32,7 +32,7 @@ USUAL: dict[str, float] = {
 }  # fmt: skip
 TOLD = TipSettings(position_sd_mm=0.2, angle_sd_rad=0.01)
 LEGS = ((15.0, math.pi), (35.0, 0.0), (55.0, None))
-LAYERS = (Layer(25.0, 1 / 60), Layer(45.0, 1 / 30))
+LAYERS = (SimulatedLayer(25.0, 1 / 60), SimulatedLayer(45.0, 1 / 30))
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Case:
     name: str
     effects: dict[str, float]
     settings: TipSettings = TOLD
-    layers: tuple[Layer, ...] = ()
+    layers: tuple[SimulatedLayer, ...] = ()
 
 
 CASES = (
@@ -114,7 +114,7 @@ def main() -> int:
 def insertion(case: Case, seed: int, radius_mm: float = PLANNED_MM, legs: Any = LEGS) -> Iterator[Frame]:
     """Yield the frames of one insertion, from 5 mm on."""
     effects = Effects(**(USUAL | case.effects))
-    lab = Lab(Setup(1 / radius_mm, entry=Entry(depth_mm=-2.0), layers=case.layers, effects=effects), seed)
+    lab = Lab(Setup(1 / radius_mm, entry=SimulatedEntry(depth_mm=-2.0), layers=case.layers, effects=effects), seed)
     tip = TipFilter(Registration(coil_offset_mm=COIL_MM), (0.0, 0.0, 0.0), 1 / radius_mm, case.settings)
     for depth, roll in legs:
         lab.stage.insert(depth, 5.0)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from needleplan.cli import main
-from needleplan.control.agreement import require_fitting
+from needleplan.control import require_fitting
 from needleplan.errors import TableError
 from needleplan.estimation.registration import Registration
 from needleplan.recording import Recording

@@ -15,11 +15,11 @@ from needleplan.cli import main
 from needleplan.devices.ati import BoxSettings, NetFtBox, NetFtServer
 from needleplan.devices.endpoint import TcpEndpoint
 from needleplan.devices.ndi import AuroraDevice, SimulatedTool
-from needleplan.devices.processes import LabPlaces, TrackerLine
 from needleplan.devices.robot import RobotLimits, RobotMachine, RobotServer, RobotStage, SteadyDrive
+from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
 from needleplan.estimation.registration import Registration
-from needleplan.simulation import Effects, Entry, Setup
-from needleplan.simulation.processes import RealTimeLab
+from needleplan.simulation import Effects, Setup, SimulatedEntry
+from needleplan.simulation.lab_processes import RealTimeLab
 from tests.control.scenes import small_table
 
 # The machine of the tests may be busy: what is looked at here is not how fast it is.
@@ -56,7 +56,7 @@ def insert(folder: Path, robot: str, force: str, tracker: str, *more: str) -> in
 def test_the_same_loop_in_real_time(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     x, y, heading, _ = small_table().best_entry().pose
     effects = Effects(coil_offset_mm=2.0, tracker_noise_mm=0.05, force_noise_n=0.02)
-    setup = Setup(1 / 40, entry=Entry(x, y, heading), effects=effects)
+    setup = Setup(1 / 40, entry=SimulatedEntry(x, y, heading), effects=effects)
     places = LabPlaces(tracker_line=TrackerLine.TCP)
     with RealTimeLab(setup, 1, places, RobotLimits(longest_silence_s=10.0)) as lab:
         at = lab.addresses

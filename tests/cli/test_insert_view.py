@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.live import Live
 
 from needleplan.cli.insert_view import LiveView, PlainView, view
-from needleplan.control import Ending
+from needleplan.control import InsertionOutcome
 from needleplan.control.slicer import SlicerView
 from needleplan.devices.igtl import SlicerServer, StatusCode
 from tests.control.scenes import FAST, NOISY, a_lab, insertion_in, small_table
@@ -25,7 +25,7 @@ def test_the_live_view_shows_what_is_now() -> None:
     with Live(console=console, auto_refresh=False) as live:
         shown = LiveView(live, small_table(), FAST)
         report = insertion_in(a_lab(NOISY, 1), listeners=[shown]).run()
-    assert report.ending is Ending.TARGET
+    assert report.outcome is InsertionOutcome.TARGET
     console = Console(file=io.StringIO(), width=100)
     console.print(shown.rows())
     text = console.file.getvalue()  # type: ignore[attr-defined]

@@ -66,16 +66,15 @@ def test_nothing_is_imported_while_the_needle_moves(tmp_path: Path) -> None:
         from dataclasses import replace
         from needleplan.control import Insertion, Options, RunRecorder, RunSetup
         from needleplan.planning import PolicyTable
-        from needleplan.simulation import Experiment
-        from needleplan.simulation.bench import simulated_bench
+        from needleplan.simulation import Experiment, simulated_station
         table, steering = PolicyTable.read("table.h5"), Experiment.read("steering")
         bent = replace(steering.setup, effects=replace(steering.setup.effects, curvature_error=0.3))
-        bench = simulated_bench(replace(steering, setup=bent), table, table.best_entry().pose)
-        options = Options(velocity_mm_s=10, velocity_rad_s=10, torsion=bench.torsion)
-        known = bench.registration
+        station = simulated_station(replace(steering, setup=bent), table, table.best_entry().pose)
+        options = Options(velocity_mm_s=10, velocity_rad_s=10, torsion=station.torsion)
+        known = station.registration
         setup = RunSetup(options, registration=known)
-        with bench, RunRecorder("run.mcap", table, setup, bench.station.clock) as recorder:
-            with Insertion(table, bench.station, options, registration=known, listeners=[recorder]) as loop:
+        with station, RunRecorder("run.mcap", table, setup, station.clock) as recorder:
+            with Insertion(table, station, options, registration=known, listeners=[recorder]) as loop:
                 before = set(sys.modules)
                 report = loop.run()
                 new = {name.partition(".")[0] for name in set(sys.modules) - before}

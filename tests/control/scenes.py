@@ -5,13 +5,13 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from needleplan.control import Insertion, Options, Report
+from needleplan.control import Insertion, InsertionReport, Options
 from needleplan.control.safety import SafetyLimits
 from needleplan.devices import Station
 from needleplan.estimation.registration import Registration
 from needleplan.planning import PolicyTable, plan
 from needleplan.scenario import Grid, Motion, Needle, Obstacle, Scenario, Target, Workspace
-from needleplan.simulation import Effects, Entry, Lab, Robot, Setup
+from needleplan.simulation import Effects, Lab, Robot, Setup, SimulatedEntry
 
 FAST = Options(velocity_mm_s=20.0, velocity_rad_s=10.0)
 SLOW_SERVO = Robot(servo_hz=400, bandwidth_hz=10.0)
@@ -37,9 +37,12 @@ def small_table() -> PolicyTable:
     )
 
 
-def a_lab(effects: Effects | None = None, seed: int = 0, *, entry: Entry | None = None) -> Lab:
+def a_lab(effects: Effects | None = None, seed: int = 0, *, entry: SimulatedEntry | None = None) -> Lab:
     x, y, heading, _ = small_table().best_entry().pose
-    return Lab(Setup(1 / 40, entry=entry or Entry(x, y, heading), effects=effects or Effects(), robot=SLOW_SERVO), seed)
+    return Lab(
+        Setup(1 / 40, entry=entry or SimulatedEntry(x, y, heading), effects=effects or Effects(), robot=SLOW_SERVO),
+        seed,
+    )
 
 
 def station_of(lab: Lab) -> Station:
@@ -54,5 +57,5 @@ def insertion_in(lab: Lab, options: Options = FAST, **others: Any) -> Insertion:
     return Insertion(small_table(), station_of(lab), options, registration=coil_of(lab), **{"limits": WIDE} | others)
 
 
-def run_in(lab: Lab, options: Options = FAST, **others: Any) -> Report:
+def run_in(lab: Lab, options: Options = FAST, **others: Any) -> InsertionReport:
     return insertion_in(lab, options, **others).run()

@@ -9,15 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from needleplan.control.approach import Approach
-from needleplan.control.scene import Scene
+from needleplan.control._scene import Approach, ScenarioGeometry
 from needleplan.models import arc_step
 from needleplan.planning import Pose
 from tests.control.scenes import small_table
 
 SCENARIO = small_table().scenario
 CENTRE, RADIUS, STEP = SCENARIO.target.center_mm, SCENARIO.target.radius_mm, SCENARIO.step_mm
-APPROACH = Approach(Scene(SCENARIO), 1 / 40)
+APPROACH = Approach(ScenarioGeometry(SCENARIO), 1 / 40)
 
 poses = st.builds(
     lambda away, where, heading, bevel: Pose(
@@ -72,7 +71,7 @@ def test_beside_the_target_it_goes_as_near_as_it_can(pose: Pose) -> None:
 
 
 def test_it_does_not_go_through_an_obstacle_to_be_nearer() -> None:
-    scene = Scene(SCENARIO)
+    scene = ScenarioGeometry(SCENARIO)
     assert scene.touches(25.0, 20.0) == "vessel"
     assert scene.blocked(20.0, 20.0, 0.0, 0.0, 5.0)
     assert not scene.blocked(20.0, 20.0, math.pi, 0.0, 5.0)

@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from needleplan.control import Ending, EventName, Insertion, Listener, Step
+from needleplan.control import ExecutedStep, Insertion, InsertionOutcome, Listener, RunEventName
 from needleplan.control.safety import Order
 from needleplan.devices import Clock, SystemClock, VirtualClock
 from needleplan.errors import DeviceFault, InputError, MotionRefused
 from needleplan.models import Torsion
 from needleplan.planning import Action, Outcome
-from needleplan.simulation import Effects, Entry
+from needleplan.simulation import Effects, SimulatedEntry
 from tests.control.scenes import FAST, NOISY, WIDE, a_lab, insertion_in, run_in, small_table, station_of
 
 
@@ -25,7 +25,7 @@ def test_a_perfect_needle_goes_where_the_plan_says() -> None:
     report = run_in(lab)
     planned = table.path(table.best_entry().pose)
     assert planned.outcome is Outcome.TARGET
-    assert report.ending is Ending.TARGET, report.cause
+    assert report.outcome is InsertionOutcome.TARGET, report.cause
     x, y, _ = lab.plant.tip().position_mm
     assert math.dist((x, y), table.scenario.target.center_mm) == pytest.approx(report.error_mm, abs=0.05)
     assert report.beyond_rim_mm == 0
@@ -38,7 +38,7 @@ def test_a_perfect_needle_goes_where_the_plan_says() -> None:
 @pytest.mark.parametrize("stops", [False, True])
 def test_every_decision_is_that_of_the_table(stops: bool) -> None:
     report = run_in(a_lab(NOISY, 3), replace(FAST, stops=stops))
-    assert report.ending is Ending.TARGET, report.cause
+    assert report.outcome is InsertionOutcome.TARGET, report.cause
     scenario, table = small_table().scenario, small_table()
     for step in report.steps[:-1]:
         decision = table.lookup(*step.pose)
@@ -65,9 +65,9 @@ def test_it_plans_again_where_the_needle_bends_more_than_planned() -> None:
     lab = a_lab(replace(NOISY, curvature_error=0.25), 1)
     report = run_in(lab)
     names = [event.name for event in report.events]
-    assert names.count(EventName.TABLE_SWAPPED) == report.replans >= 1
-    swapped = next(event for event in report.events if event.name is EventName.TABLE_SWAPPED)
-    asked = next(event for event in report.events if event.name is EventName.REPLAN_ASKED)
+    assert names.count(RunEventName.TABLE_SWAPPED) == report.replans >= 1
+    swapped = next(event for event in report.events if event.name is RunEventName.TABLE_SWAPPED)
+    asked = next(event for event in report.events if event.name is RunEventName.REPLAN_ASKED)
     assert "standard deviations off" in asked.cause
     assert {step.table_digest for step in report.steps if step.number < swapped.step} == {small_table().digest}
     assert report.steps[swapped.step].table_digest == swapped.digest != small_table().digest
@@ -79,7 +79,7 @@ class Stopping(Listener):
         self.after = after
         self.insertion: Insertion | None = None
 
-    def step(self, step: Step) -> None:
+    def step(self, step: ExecutedStep) -> None:
         if step.number == self.after and self.insertion:
             self.insertion.stop("enough")
 
@@ -88,7 +88,7 @@ def test_the_operator_stops_it_for_good() -> None:
     lab, listener = a_lab(), Stopping(3)
     listener.insertion = insertion_in(lab, listeners=[listener])
     report = listener.insertion.run()
-    assert (report.ending, report.cause) == (Ending.STOPPED, "enough")
+    assert (report.outcome, report.cause) == (InsertionOutcome.STOPPED, "enough")
     assert len(report.steps) == 4
     lab.advance(1.0)
     depth = lab.plant.insertion.position
@@ -97,18 +97,18 @@ def test_the_operator_stops_it_for_good() -> None:
 
 
 def test_a_start_outside_of_the_table_moves_nothing() -> None:
-    lab = a_lab(entry=Entry(-5.0, 20.0, 0.0))
+    lab = a_lab(entry=SimulatedEntry(-5.0, 20.0, 0.0))
     report = run_in(lab)
-    assert report.ending is Ending.REFUSED
+    assert report.outcome is InsertionOutcome.REFUSED
     assert "must lie in the workspace" in report.cause
     assert lab.plant.insertion.position == 0
     assert report.steps == ()
 
 
 def test_from_where_the_target_cannot_be_reached_it_does_not_begin() -> None:
-    lab = a_lab(entry=Entry(0.0, 39.0, 1.5))
+    lab = a_lab(entry=SimulatedEntry(0.0, 39.0, 1.5))
     report = run_in(lab)
-    assert report.ending is Ending.UNREACHABLE
+    assert report.outcome is InsertionOutcome.UNREACHABLE
     assert lab.plant.insertion.position == 0
 
 
@@ -116,9 +116,9 @@ def test_a_device_that_falls_silent_ends_it() -> None:
     lab = a_lab()
     lab.tracker.close()
     report = run_in(lab)
-    assert report.ending is Ending.REFUSED
+    assert report.outcome is InsertionOutcome.REFUSED
     assert "is closed" in report.cause
-    assert report.events[-1].name is EventName.END
+    assert report.events[-1].name is RunEventName.END
 
 
 def test_options_name_all_their_mistakes() -> None:
@@ -129,17 +129,17 @@ def test_options_name_all_their_mistakes() -> None:
 def test_it_waits_while_the_tracker_does_not_see_its_coil() -> None:
     unseen = replace(NOISY, tracker_dropout=0.02, tracker_dropout_s=0.5)
     report = run_in(a_lab(unseen, 2))
-    assert report.ending is Ending.TARGET, report.cause
-    paused = [event for event in report.events if event.name is EventName.PAUSED]
+    assert report.outcome is InsertionOutcome.TARGET, report.cause
+    paused = [event for event in report.events if event.name is RunEventName.PAUSED]
     assert paused
     assert {event.cause for event in paused} <= {"pose_stale", "pose_unseen"}
-    assert sum(event.name is EventName.RESUMED for event in report.events) == len(paused)
+    assert sum(event.name is RunEventName.RESUMED for event in report.events) == len(paused)
 
 
 def test_a_tracker_too_slow_for_its_age_limit_is_refused_before_anything_moves() -> None:
     lab = a_lab()
     report = run_in(lab, limits=replace(WIDE, pose_age_s=0.02))
-    assert report.ending is Ending.REFUSED
+    assert report.outcome is InsertionOutcome.REFUSED
     assert "every 25 ms" in report.cause
     assert "safety.pose_age_s" in report.cause
     assert lab.plant.insertion.position == 0
@@ -149,15 +149,15 @@ def test_a_frame_that_is_missing_costs_a_pause_and_no_more() -> None:
     """At 40 Hz the default age limit bears no missing frame: the stop must be on its way within 50 ms."""
     blinking = replace(NOISY, tracker_dropout=0.02, tracker_dropout_s=0.01)
     report = run_in(a_lab(blinking, 4), limits=replace(WIDE, pose_age_s=0.045))
-    assert report.ending is Ending.TARGET, report.cause
+    assert report.outcome is InsertionOutcome.TARGET, report.cause
     names = [event.name for event in report.events]
-    assert names.count(EventName.PAUSED) == names.count(EventName.RESUMED) > 0
+    assert names.count(RunEventName.PAUSED) == names.count(RunEventName.RESUMED) > 0
 
 
 def test_it_ends_where_it_may_not_resume() -> None:
     unseen = replace(NOISY, tracker_dropout=0.02, tracker_dropout_s=0.5)
     report = run_in(a_lab(unseen, 2), replace(FAST, resume_s=0.0))
-    assert report.ending is Ending.FAULT
+    assert report.outcome is InsertionOutcome.FAULT
     assert report.cause == "paused for 0 s: pose_unseen"
 
 
@@ -165,7 +165,7 @@ def test_too_much_force_stops_it_and_the_stop_is_latched() -> None:
     lab = a_lab(replace(NOISY, force_drift_n_s=0.1))
     insertion = insertion_in(lab, limits=replace(WIDE, force_n=0.3))
     report = insertion.run()
-    assert report.ending is Ending.FAULT
+    assert report.outcome is InsertionOutcome.FAULT
     assert "force_exceeded" in report.cause
     assert 0.3 < report.largest_force_n < 0.35
     lab.advance(0.5)
@@ -190,8 +190,8 @@ def test_a_pause_anywhere_in_a_step_is_only_a_pause(seed: int) -> None:
     """A needle that was paused just before the end of a step goes on from where it stands."""
     unseen = replace(NOISY, tracker_dropout=0.05, tracker_dropout_s=0.3)
     report = run_in(a_lab(unseen, seed), limits=replace(WIDE, run_s=60.0))
-    assert report.ending is Ending.TARGET, report.cause
-    assert any(event.name is EventName.PAUSED for event in report.events)
+    assert report.outcome is InsertionOutcome.TARGET, report.cause
+    assert any(event.name is RunEventName.PAUSED for event in report.events)
     assert report.duration_s < 60
 
 
@@ -221,6 +221,6 @@ def test_in_real_time_neither_garbage_nor_another_thread_makes_it_wait(clock: Cl
     station = replace(station_of(lab), clock=clock)
     report = Insertion(small_table(), station, FAST).run()
     turns_ms = 0.5 if real else 1e3 * usual_s
-    assert (report.ending, report.cause) == (Ending.REFUSED, f"frozen: {real}, turns: {turns_ms:.1f} ms")
+    assert (report.outcome, report.cause) == (InsertionOutcome.REFUSED, f"frozen: {real}, turns: {turns_ms:.1f} ms")
     assert gc.get_freeze_count() == 0
     assert sys.getswitchinterval() == usual_s

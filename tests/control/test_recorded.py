@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needleplan.control import Ending, Event, EventName, Report, RunRecorder, RunSetup, replay
+from needleplan.control import InsertionOutcome, InsertionReport, RunEvent, RunEventName, RunRecorder, RunSetup, replay
 from needleplan.devices import VirtualClock
 from needleplan.errors import DataError
 from needleplan.models import Torsion
@@ -19,7 +19,7 @@ from needleplan.recording.export import FORMATS
 from tests.control.scenes import FAST, NOISY, WIDE, a_lab, coil_of, insertion_in, small_table
 
 
-def recorded(folder: Path, seed: int, **effects: float) -> tuple[Path, Report]:
+def recorded(folder: Path, seed: int, **effects: float) -> tuple[Path, InsertionReport]:
     lab = a_lab(replace(NOISY, **effects), seed)
     setup = RunSetup(FAST, WIDE, coil_of(lab))
     path = folder / "run.mcap"
@@ -29,11 +29,11 @@ def recorded(folder: Path, seed: int, **effects: float) -> tuple[Path, Report]:
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Report]:
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, InsertionReport]:
     return recorded(tmp_path_factory.mktemp("run"), 1, curvature_error=0.25)
 
 
-def test_everything_is_in_it(run: tuple[Path, Report]) -> None:
+def test_everything_is_in_it(run: tuple[Path, InsertionReport]) -> None:
     path, report = run
     recording = Recording.read(path)
     table = small_table()
@@ -59,14 +59,14 @@ def test_everything_is_in_it(run: tuple[Path, Report]) -> None:
 
 
 @pytest.mark.parametrize(("kind", "name"), [("hdf5", "run.h5"), ("csv", "run.csv")])
-def test_it_exports(run: tuple[Path, Report], tmp_path: Path, kind: str, name: str) -> None:
+def test_it_exports(run: tuple[Path, InsertionReport], tmp_path: Path, kind: str, name: str) -> None:
     FORMATS[kind](Recording.read(run[0]), tmp_path / name)
     (trial,) = read_records(tmp_path / name)
     assert {"depth_mm", "force_n", "x_mm"} <= trial.columns.keys()
     assert trial.columns["depth_mm"][-1] == pytest.approx(run[1].inserted_mm, abs=0.1)
 
 
-def test_the_loop_on_the_recording_decides_as_it_did(run: tuple[Path, Report]) -> None:
+def test_the_loop_on_the_recording_decides_as_it_did(run: tuple[Path, InsertionReport]) -> None:
     again = replay(Recording.read(run[0]), small_table())
     assert again.differences == ()
     assert again.same
@@ -75,7 +75,7 @@ def test_the_loop_on_the_recording_decides_as_it_did(run: tuple[Path, Report]) -
     assert again.report.replans == run[1].replans >= 1
 
 
-def test_a_changed_recording_is_told_apart(run: tuple[Path, Report], tmp_path: Path) -> None:
+def test_a_changed_recording_is_told_apart(run: tuple[Path, InsertionReport], tmp_path: Path) -> None:
     """One decision of the recording is another one."""
     recording = Recording.read(run[0])
     changed = tmp_path / "changed.mcap"
@@ -95,7 +95,7 @@ def test_a_changed_recording_is_told_apart(run: tuple[Path, Report], tmp_path: P
     assert sum("where the recording has insert" in each for each in again.differences) == len(run[1].steps)
 
 
-def test_another_table_is_refused(run: tuple[Path, Report]) -> None:
+def test_another_table_is_refused(run: tuple[Path, InsertionReport]) -> None:
     scenario = small_table().scenario
     other = plan(replace(scenario, objective=replace(scenario.objective, rotation=5.0)))
     with pytest.raises(DataError, match=r"digest.table = .*must be that of the table"):
@@ -119,14 +119,14 @@ def test_the_setup_comes_back_from_its_texts() -> None:
 
 def test_an_end_by_a_fault_replays_to_where_it_was(tmp_path: Path) -> None:
     path, report = recorded(tmp_path, 2, tracker_dropout=0.02, tracker_dropout_s=8.0)
-    assert report.ending is Ending.FAULT
+    assert report.outcome is InsertionOutcome.FAULT
     again = replay(Recording.read(path), small_table())
     assert again.differences == ()
 
 
 def test_what_is_not_in_it_is_told(tmp_path: Path) -> None:
     with RunRecorder(tmp_path / "run.mcap", small_table(), RunSetup(), VirtualClock()) as recorder:
-        recorder.event(Event(0, EventName.BEGIN, "test", "", 0))
+        recorder.event(RunEvent(0, RunEventName.BEGIN, "test", "", 0))
         recorder.tip(0, 0.0, None)  # type: ignore[arg-type]
     assert "1 messages were refused: /tip" in recorder.missing
     assert Recording.read(tmp_path / "run.mcap").counts["/event"] == 1

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needleplan.control import Options, ThreadReplanner
-from needleplan.control.replanning import curvature_left, rescaled
+from needleplan.control._replanning import curvature_left, rescaled
 from needleplan.errors import ScenarioError
 from needleplan.estimation.tip import TipEstimate
 from needleplan.scenario import Scenario

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import needleplan as npl
-from needleplan.control.scene import Scene
+from needleplan.control import ScenarioGeometry
 from needleplan.scenario import Obstacle, Scenario
 
 FOUR = Scenario.read("four_obstacles")
@@ -20,10 +20,11 @@ FOUR = Scenario.read("four_obstacles")
 @settings(max_examples=200, deadline=None)
 @given(x=st.floats(0, 120), y=st.floats(0, 80))
 def test_the_table_is_asked_at_the_nearest_free_grid_point_of_the_cell(x: float, y: float) -> None:
-    """A slow twin: of all grid points at less than one spacing in x and in y."""
-    scene = Scene(FOUR)
+    """A slow twin: of all corners of the cell that begins at or before the point."""
+    scene = ScenarioGeometry(FOUR)
     asked = scene.decided_at(x, y)
-    around = [(i, j) for i in range(121) for j in range(81) if abs(i - x) < 1 and abs(j - y) < 1]
+    column, row = math.floor(x), math.floor(y)
+    around = [(i, j) for i in range(121) for j in range(81) if 0 <= i - column <= 1 and 0 <= j - row <= 1]
     distances = {at: math.hypot(at[0] - x, at[1] - y) for at in around}
     free = {at: distance for at, distance in distances.items() if not scene.touches(*at)}
     nearest = min(distances.values())
@@ -38,7 +39,7 @@ def test_the_table_is_asked_at_the_nearest_free_grid_point_of_the_cell(x: float,
 def test_beside_an_obstacle_there_is_a_decision_all_the_same() -> None:
     """The tip is free 0.4 mm beside an obstacle that a grid point is in: the loop does not give up for that."""
     scenario = replace(FOUR, obstacles=(Obstacle([(29.5, 10), (31, 10), (31, 40), (29.5, 40)]),))
-    table, scene = npl.plan(scenario), Scene(scenario)
+    table, scene = npl.plan(scenario), ScenarioGeometry(scenario)
     x, y = 29.55 - 0.05 - 0.001, 45.0
     assert scene.decided_at(x, y) == (x, y)
     x, y = 31.4, 20.2

@@ -13,7 +13,7 @@ import pytest
 from needleplan.estimation import PoseUse, Registration, TipEstimate, TipFilter, TipSettings, TipStatus
 from needleplan.scenario import Scenario
 from needleplan.signals import Array
-from needleplan.simulation import Effects, Entry, Lab, Layer, Setup, open_lab
+from needleplan.simulation import Effects, Lab, Setup, SimulatedEntry, SimulatedLayer, open_lab
 
 COIL_MM, PLANNED = 9.3, 1 / 40
 LEGS = ((15.0, math.pi), (35.0, 0.0), (55.0, None))
@@ -37,7 +37,9 @@ class Moment:
 
 def lab_of(seed: int, **effects: float) -> Lab:
     """A lab whose needle enters the tissue after 2 mm."""
-    setup = Setup(plan_curvature_per_mm=PLANNED, entry=Entry(depth_mm=-2.0), effects=Effects(**(USUAL | effects)))
+    setup = Setup(
+        plan_curvature_per_mm=PLANNED, entry=SimulatedEntry(depth_mm=-2.0), effects=Effects(**(USUAL | effects))
+    )
     return Lab(setup, seed)
 
 
@@ -131,7 +133,8 @@ def test_layers_that_the_plan_knows_are_expected() -> None:
     scenario = Scenario.from_toml(text)
     radius = scenario.needle.curvature_radius_mm
     setup = Setup(
-        plan_curvature_per_mm=1 / radius, entry=Entry(y_mm=40.0, depth_mm=-2.0), layers=(Layer(25.0, 1 / 80),),
+        plan_curvature_per_mm=1 / radius, entry=SimulatedEntry(y_mm=40.0, depth_mm=-2.0),
+        layers=(SimulatedLayer(25.0, 1 / 80),),
         effects=Effects(**(USUAL | {"curvature_error": 0.0})),
     )  # fmt: skip
     ends = {}

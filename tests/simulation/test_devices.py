@@ -6,7 +6,7 @@ import pytest
 
 from needleplan.devices import ForceSensor, Stage, Tracker, VirtualClock
 from needleplan.errors import ExperimentError
-from needleplan.simulation import Effects, Entry, Lab, Setup, open_lab
+from needleplan.simulation import Effects, Lab, Setup, SimulatedEntry, open_lab
 from tests.devices.contract import ForceSensorContract, StageContract, TrackerContract
 
 
@@ -63,7 +63,7 @@ def test_who_does_not_read_is_told_how_much_was_lost() -> None:
 
 
 def test_closing_the_stage_stops_it() -> None:
-    lab = Lab(Setup(0.025, entry=Entry(depth_mm=-10)))
+    lab = Lab(Setup(0.025, entry=SimulatedEntry(depth_mm=-10)))
     lab.stage.insert(50.0, 10.0)
     lab.advance(1.0)
     lab.close()

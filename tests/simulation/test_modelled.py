@@ -11,7 +11,7 @@ from needleplan.errors import ExperimentError, ModelError
 from needleplan.models import Bicycle, Channel, Model, ModelFile, ShaftAndTip, SpatialBicycle, simulate
 from needleplan.models.effects import AddedEffect, Effect, effects_of, with_effect
 from needleplan.signals import Array, Motion
-from needleplan.simulation import Entry, Experiment, Plant, Robot, Setup, run_experiment
+from needleplan.simulation import Experiment, Plant, Robot, Setup, SimulatedEntry, run_experiment
 
 BASE = SpatialBicycle(curvature_per_mm=0.01, heading_y_rad=0.02, entry_z_mm=0.5)
 FORCE = ShaftAndTip(friction=0.012, cutting=0.4, onset_mm=4.0, presliding_mm=0.05)
@@ -65,7 +65,7 @@ def test_the_tip_is_where_the_model_says(effect: Effect) -> None:
 
 
 def test_the_path_begins_along_the_entry() -> None:
-    entry = Entry(10.0, 20.0, 0.4)
+    entry = SimulatedEntry(10.0, 20.0, 0.4)
     motion, true, _, _ = driven(Plant(Setup(0.01, entry, path=BASE, robot=Robot(servo_hz=200))))
     x, y, z = simulate(BASE, motion).output
     cos, sin = np.cos(0.4), np.sin(0.4)

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from needleplan.models import Torsion, arc_step, simulate
 from needleplan.models.friction import Profile
 from needleplan.models.tissue import LumpedOnTissue
-from needleplan.scenario import Layer as ScenarioLayer
 from needleplan.scenario import Needle, Scenario
+from needleplan.scenario import SimulatedLayer as ScenarioLayer
 from needleplan.signals import Array, Motion, lspb
-from needleplan.simulation import Effects, Entry, Layer, Plant, Robot, Setup, Shaft, Tissue
-from needleplan.simulation.profile import Trapezoid
+from needleplan.simulation import Effects, Plant, Robot, Setup, Shaft, SimulatedEntry, SimulatedLayer, SimulatedTissue
+from needleplan.simulation._axis import Trapezoid
 from needleplan_thesis.chapter3.published import model_ii
 
 FRICTION = replace(model_ii(1), profile=Profile.ISOSCELES, thickness_mm=150.0)
@@ -49,7 +49,7 @@ def driven(plant: Plant, seconds: float) -> tuple[Motion, Array]:
 
 @pytest.mark.parametrize("roll", [0.0, math.pi])
 def test_without_effects_the_tip_is_on_the_exact_arc(roll: float) -> None:
-    entry = Entry(x_mm=1.0, y_mm=30.0, heading_rad=0.2, depth_mm=-5.0, roll_rad=roll)
+    entry = SimulatedEntry(x_mm=1.0, y_mm=30.0, heading_rad=0.2, depth_mm=-5.0, roll_rad=roll)
     plant = inserted(Setup(1 / 40, entry=entry), 80.0)
     x, y, heading = arc_step(1.0, 30.0, 0.2, math.cos(roll) / 40, plant.insertion.position)
     tip = plant.tip()
@@ -117,7 +117,7 @@ def test_the_force_is_that_of_the_friction_model() -> None:
 def test_on_tissue_that_gives_way_as_well() -> None:
     friction = model_ii(1)
     effects = Effects(tissue_compliance_mm_n=4.0, tissue_relaxation_s=0.2)
-    plant = Plant(Setup(0.0, friction=friction, effects=effects, entry=Entry(depth_mm=0.0)))
+    plant = Plant(Setup(0.0, friction=friction, effects=effects, entry=SimulatedEntry(depth_mm=0.0)))
     plant.insert(40.0, 10.0)
     motion, force = driven(plant, 4.0)
     values = {name: getattr(friction, name) for name in friction.parameters()}
@@ -131,8 +131,8 @@ def test_on_tissue_that_gives_way_as_well() -> None:
 def test_layers_bend_cut_and_burst() -> None:
     setup = Setup(
         0.0,
-        tissue=Tissue(curvature_per_mm=0.01, cutting_n=0.2),
-        layers=(Layer(20.0, curvature_per_mm=0.0, cutting_n=0.5, puncture_n=1.0, stretch_mm=2.0),),
+        tissue=SimulatedTissue(curvature_per_mm=0.01, cutting_n=0.2),
+        layers=(SimulatedLayer(20.0, curvature_per_mm=0.0, cutting_n=0.5, puncture_n=1.0, stretch_mm=2.0),),
     )
     plant = Plant(setup)
     plant.insert(40.0, 10.0)
@@ -149,7 +149,7 @@ def test_layers_bend_cut_and_burst() -> None:
 
 def test_by_place_it_bends_as_the_scenario_says() -> None:
     scenario = replace(Scenario.read("four_obstacles"), obstacles=(), needle=Needle(40.0, (ScenarioLayer(30.0, 80.0),)))
-    plant = inserted(Setup(1 / 40, scenario=scenario, entry=Entry(y_mm=10.0)), 50.0)
+    plant = inserted(Setup(1 / 40, scenario=scenario, entry=SimulatedEntry(y_mm=10.0)), 50.0)
     # 40 mm radius to x = 30 mm, then 80 mm.
     turned = math.asin(30.0 / 40.0)
     heading = turned + (plant.insertion.position - 40.0 * turned) / 80.0
@@ -198,7 +198,7 @@ def test_the_heading_walks_at_random() -> None:
 
 def test_breathing_moves_tip_and_target_but_not_the_base() -> None:
     effects = Effects(respiration_across_mm=3.0, respiration_period_s=4.0)
-    plant = inserted(Setup(0.0, entry=Entry(depth_mm=-1.0), effects=effects))
+    plant = inserted(Setup(0.0, entry=SimulatedEntry(depth_mm=-1.0), effects=effects))
     rows = []
     for _ in range(4000):
         plant.step()
@@ -217,7 +217,9 @@ def test_half_the_servo_step_changes_little(seed: int) -> None:
     )  # fmt: skip
     ends = []
     for rate in (1000, 2000):
-        setup = Setup(1 / 40, friction=FRICTION, robot=Robot(servo_hz=rate), effects=effects, entry=Entry(depth_mm=-2))
+        setup = Setup(
+            1 / 40, friction=FRICTION, robot=Robot(servo_hz=rate), effects=effects, entry=SimulatedEntry(depth_mm=-2)
+        )
         plant = inserted(setup, 40.0, 20.0, seed)
         ends.append(plant.tip().position_mm)
     assert math.dist(*ends) < 0.002

@@ -9,15 +9,15 @@ import pytest
 
 from needleplan.devices import Health, PoseSample
 from needleplan.signals import Array
-from needleplan.simulation import Effects, Entry, Lab, Setup, Tissue
-from needleplan.simulation.sensors import from_z_to
+from needleplan.simulation import Effects, Lab, Setup, SimulatedEntry, SimulatedTissue
+from needleplan.simulation._sensors import from_z_to
 from needleplan_thesis.chapter3.published import model_ii
 
 SETUP = Setup(
     1 / 100,
-    entry=Entry(depth_mm=-1.0),
+    entry=SimulatedEntry(depth_mm=-1.0),
     friction=model_ii(1),
-    tissue=Tissue(cutting_n=0.2),
+    tissue=SimulatedTissue(cutting_n=0.2),
 )
 SIZES: dict[str, tuple[float, set[str]]] = {
     "curvature_error": (0.2, {"position", "direction"}),

@@ -8,7 +8,7 @@ import pytest
 
 from needleplan.devices import ForceSample, PoseSample, StageSample, Stamp
 from needleplan.simulation import Experiment, Lab, Plant, Setup
-from needleplan.simulation.sensors import ForceReading, TrackerReading
+from needleplan.simulation._sensors import ForceReading, TrackerReading
 
 
 def by_hand(setup: Setup, seed: int, seconds: float) -> tuple[list[StageSample], list[ForceSample], list[PoseSample]]:

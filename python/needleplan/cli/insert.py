@@ -25,10 +25,10 @@ from needleplan.cli.parser import add_old_spelling
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
-    from needleplan.control import Insertion, Report, RunSetup
+    from needleplan.control import Insertion, InsertionReport, RunSetup
     from needleplan.control.safety import SafetyLimits
+    from needleplan.devices import Station
     from needleplan.planning import PolicyTable
-    from needleplan.simulation.bench import Bench
 
 __all__ = ["add_to", "run"]
 
@@ -100,7 +100,7 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from needleplan.planning import PolicyTable
-    from needleplan.simulation.bench import are_simulated, open_bench
+    from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station
 
     read = (options.table, options.registration, options.scenario, options.needle, options.limits)
     require_outputs(options, read, options.output)
@@ -120,9 +120,9 @@ def run(options: argparse.Namespace) -> int:
         rule = "is missing: only the simulated lab needs none; see `needleplan register`"
         raise AddressError(Mistake("--registration", "", rule))
     try:
-        with open_bench(robot, force, tracker, table, start) as bench:
-            report, missing = _insert(table, bench, setup(bench), options)
-            true_tip = bench.true_tip_mm
+        with open_insertion_station(robot, force, tracker, table, start) as station:
+            report, missing = _insert(table, station, setup(station), options)
+            true_tip = station.true_tip_mm if isinstance(station, SimulatedStation) else None
     except DeviceFault as fault:
         complain(str(fault))
         return _REFUSED
@@ -132,20 +132,23 @@ def run(options: argparse.Namespace) -> int:
     return code or bool(missing)
 
 
-def _insert(table: PolicyTable, bench: Bench, setup: RunSetup, options: argparse.Namespace) -> tuple[Report, str]:
+def _insert(
+    table: PolicyTable, station: Station, setup: RunSetup, options: argparse.Namespace
+) -> tuple[InsertionReport, str]:
     """Return what came of it, and what is missing in the recording."""
     from needleplan.cli.insert_view import view
     from needleplan.control import Insertion, Listener, RunRecorder
     from needleplan.control.safety import Watchdog
     from needleplan.control.slicer import SlicerView
     from needleplan.devices.igtl import SlicerServer
+    from needleplan.simulation import SimulatedStation
 
     recorder: RunRecorder | None = None
     with ExitStack() as stack:
         listeners: list[Listener] = []
         if options.output:
             recorder = stack.enter_context(
-                RunRecorder(options.output, table, setup, bench.station.clock, overwrite=options.overwrite)
+                RunRecorder(options.output, table, setup, station.clock, overwrite=options.overwrite)
             )
             listeners.append(recorder)
         if options.slicer:
@@ -153,11 +156,11 @@ def _insert(table: PolicyTable, bench: Bench, setup: RunSetup, options: argparse
         listeners.append(stack.enter_context(view(table, setup.options, options)))
         insertion = stack.enter_context(
             Insertion(
-                table, bench.station, setup.options, registration=setup.registration,
+                table, station, setup.options, registration=setup.registration,
                 tip_settings=setup.tip_settings, limits=setup.limits, listeners=listeners,
             )
         )  # fmt: skip
-        if bench.lab is None:
+        if not isinstance(station, SimulatedStation):
             stack.enter_context(Watchdog(insertion.guard))
         with _stopped_by_signals(insertion):
             report = insertion.run()
@@ -177,7 +180,7 @@ def _stopped_by_signals(insertion: Insertion) -> Iterator[None]:
 
 
 def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
-    from needleplan.control.agreement import require_fitting
+    from needleplan.control import require_fitting
     from needleplan.models import ModelFile
     from needleplan.scenario import Scenario, identified
 
@@ -192,6 +195,7 @@ def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any
     from needleplan.control.safety import SafetyLimits
     from needleplan.estimation.registration import Registration
     from needleplan.models import Torsion
+    from needleplan.simulation import SimulatedStation
 
     registration = Registration.read(options.registration) if options.registration else None
     limits = SafetyLimits.read(options.limits) if options.limits else SafetyLimits()
@@ -209,10 +213,11 @@ def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any
         expected_start=(wanted[0], wanted[1], wanted[2]) if wanted else None,
     )  # fmt: skip
 
-    def made(bench: Bench) -> RunSetup:
-        its_length = options.needle_length or bench.needle_length_mm or how.needle_length_mm
-        its_own = replace(how, torsion=torsion or bench.torsion, needle_length_mm=its_length)
-        return RunSetup(its_own, limits, registration or bench.registration or Registration())
+    def made(station: Station) -> RunSetup:
+        lab = station if isinstance(station, SimulatedStation) else None
+        length = options.needle_length or (lab.needle_length_mm if lab else how.needle_length_mm)
+        complete = replace(how, torsion=torsion or (lab.torsion if lab else None), needle_length_mm=length)
+        return RunSetup(complete, limits, registration or (lab.registration if lab else Registration()))
 
     return made
 
@@ -241,9 +246,12 @@ def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
 
 
 def _answer(
-    table: PolicyTable, report: Report, true_tip: tuple[float, float, float] | None, options: argparse.Namespace
+    table: PolicyTable,
+    report: InsertionReport,
+    true_tip: tuple[float, float, float] | None,
+    options: argparse.Namespace,
 ) -> int:
-    from needleplan.control import Ending
+    from needleplan.control import InsertionOutcome
 
     target = table.scenario.target.center_mm
     true_error = None if true_tip is None else math.dist(true_tip[:2], target)
@@ -260,7 +268,7 @@ def _answer(
                     "recording": options.output, "figure": options.figure})  # fmt: skip
     else:
         lines = {
-            "ended": f"{report.ending}: {report.cause}",
+            "ended": f"{report.outcome}: {report.cause}",
             "error": f"{report.error_mm:.2f} mm from the centre of the target, {report.beyond_rim_mm:.2f} mm beyond "
             "its rim" + ("" if true_error is None else f"; in truth {true_error:.2f} mm from the centre"),
             "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
@@ -274,7 +282,7 @@ def _answer(
             "time": f"{report.duration_s:.1f} s",
         }
         print_summary(options, table.scenario.title or options.table, lines, more)
-    if report.ending is Ending.TARGET:
+    if report.outcome is InsertionOutcome.TARGET:
         return 0
-    complain(f"{report.ending}: {report.cause}")
-    return {Ending.REFUSED: _REFUSED, Ending.STOPPED: _INTERRUPTED}.get(report.ending, 1)
+    complain(f"{report.outcome}: {report.cause}")
+    return {InsertionOutcome.REFUSED: _REFUSED, InsertionOutcome.STOPPED: _INTERRUPTED}.get(report.outcome, 1)

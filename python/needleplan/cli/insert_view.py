@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.control import Event, EventName, Listener, Options, Step
-from needleplan.control.report import drawn, path_distances_mm
+from needleplan.control import ExecutedStep, Listener, Options, RunEvent, RunEventName, drawn, path_distances_mm
 from needleplan.control.safety import SafetyEvent
 from needleplan.devices import ForceSample, PoseSample, Sample, StageSample
 from needleplan.estimation.tip import TipEstimate
@@ -28,14 +27,14 @@ __all__ = ["LiveView", "PlainView", "view"]
 
 _PERIOD_S = 0.1  # between two updates of the terminal
 _DELAY_S = 1.0  # time after which a run begins to be shown
-_TOLD = {EventName.TABLE_SWAPPED, EventName.REPLAN_REFUSED, EventName.PAUSED, EventName.RESUMED, EventName.FAULT,
-         EventName.STOP}  # fmt: skip
+_TOLD = {RunEventName.TABLE_SWAPPED, RunEventName.REPLAN_REFUSED, RunEventName.PAUSED, RunEventName.RESUMED,
+         RunEventName.FAULT, RunEventName.STOP}  # fmt: skip
 
 
 class PlainView(Listener):
     """A line for every decision, and for every event that matters."""
 
-    def step(self, step: Step) -> None:
+    def step(self, step: ExecutedStep) -> None:
         """Say what was decided."""
         tip = step.estimate
         self._say(
@@ -44,7 +43,7 @@ class PlainView(Listener):
             f"success {100 * step.success:.1f} %"
         )
 
-    def event(self, event: Event) -> None:
+    def event(self, event: RunEvent) -> None:
         """Say what happened."""
         if event.name in _TOLD:
             self._say(f"{event.name.replace('_', ' ')}: {event.text}" + (f" ({event.cause})" if event.cause else ""))
@@ -61,7 +60,7 @@ class LiveView(PlainView):
         self._target, self._axis = table.scenario.target.center_mm, options.force_axis
         self._samples: dict[type[Sample], Sample] = {}
         self._tip: TipEstimate | None = None
-        self._step: Step | None = None
+        self._step: ExecutedStep | None = None
         self._state, self._due_s, self._now_ns = "DISABLED", time.monotonic() + _DELAY_S, 0
         self._table, self._line = table, np.empty((0, 2))
 
@@ -78,7 +77,7 @@ class LiveView(PlainView):
         """Keep where the tip is."""
         self._tip = tip
 
-    def step(self, step: Step) -> None:
+    def step(self, step: ExecutedStep) -> None:
         """Keep a decision; at the first one, the plan from there."""
         if self._step is None:
             self._line = drawn(self._table.path(step.pose), self._table)

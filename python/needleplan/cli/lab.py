@@ -18,7 +18,7 @@ from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
     from needleplan.simulation import Experiment, Setup
-    from needleplan.simulation.processes import RealTimeLab
+    from needleplan.simulation.lab_processes import RealTimeLab
 
 __all__ = ["add_to", "run"]
 
@@ -64,10 +64,10 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from needleplan.devices.processes import LabPlaces, TrackerLine
     from needleplan.devices.robot import RobotLimits
+    from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
     from needleplan.simulation import Experiment
-    from needleplan.simulation.processes import RealTimeLab
+    from needleplan.simulation.lab_processes import RealTimeLab
 
     _require(options)
     require_outputs(options, [options.experiment, options.table], options.output)
@@ -99,13 +99,12 @@ def run(options: argparse.Namespace) -> int:
 def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
     """Return the setup with the needle where an insertion by the table begins."""
     from needleplan.planning import PolicyTable
-    from needleplan.simulation.bench import simulated_bench
+    from needleplan.simulation import simulated_station
 
     table = PolicyTable.read(options.table)
     start = table.start(start_pose(options.start)) if options.start is not None else table.best_entry().pose
-    with simulated_bench(experiment, table, start) as bench:
-        assert bench.lab is not None
-        return bench.lab.plant.setup
+    with simulated_station(experiment, table, start) as station:
+        return station.lab.plant.setup
 
 
 @contextmanager

@@ -156,7 +156,7 @@ def run_replay(options: argparse.Namespace) -> int:
         done = replay(Recording.read(options.recording), PolicyTable.read(options.table))
     if options.json:
         print_json({"same": done.same, "decisions": done.decisions, "recorded": done.recorded,
-                    "differences": list(done.differences), "ending": done.report.ending})  # fmt: skip
+                    "differences": list(done.differences), "ending": done.report.outcome})  # fmt: skip
     else:
         first = done.differences[0] if done.differences else "none"
         lines = {"decisions": f"{done.decisions}, recorded {done.recorded}", "differences": str(len(done.differences)),

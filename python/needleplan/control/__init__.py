@@ -1,30 +1,42 @@
-"""Control of a run: what drives the robot by a plan, and what keeps it from harm."""
+"""Control of a run: the insertion loop, its recorder and its replay; the safety guard is in `control.safety`."""
 
-from needleplan.control.insertion import Insertion
-from needleplan.control.listening import Command, CommandKind, Event, EventName, Listener, Step
-from needleplan.control.options import Options
-from needleplan.control.replanning import Replanner, ThreadReplanner
-from needleplan.control.replay import Comparison, RecordedStation, replay
-from needleplan.control.report import Ending, Report
-from needleplan.control.run_recorder import RunRecorder
-from needleplan.control.run_setup import RunSetup
+from needleplan.control._events import (
+    CommandKind,
+    ExecutedStep,
+    Listener,
+    RunCommand,
+    RunEvent,
+    RunEventName,
+)
+from needleplan.control._insertion import Insertion
+from needleplan.control._options import Options, RunSetup
+from needleplan.control._preconditions import require_fitting
+from needleplan.control._recorder import RunRecorder
+from needleplan.control._replanning import Replanner, ThreadReplanner
+from needleplan.control._replay import RecordedStation, ReplayComparison, replay
+from needleplan.control._report import InsertionOutcome, InsertionReport, drawn, path_distances_mm
+from needleplan.control._scene import ScenarioGeometry
 
 __all__ = [
-    "Command",
     "CommandKind",
-    "Comparison",
-    "Ending",
-    "Event",
-    "EventName",
+    "ExecutedStep",
     "Insertion",
+    "InsertionOutcome",
+    "InsertionReport",
     "Listener",
     "Options",
     "RecordedStation",
     "Replanner",
-    "Report",
+    "ReplayComparison",
+    "RunCommand",
+    "RunEvent",
+    "RunEventName",
     "RunRecorder",
     "RunSetup",
-    "Step",
+    "ScenarioGeometry",
     "ThreadReplanner",
+    "drawn",
+    "path_distances_mm",
     "replay",
+    "require_fitting",
 ]

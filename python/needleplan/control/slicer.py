@@ -1,4 +1,4 @@
-"""An insertion shown in 3D Slicer while it goes on."""
+"""Live view of an insertion in 3D Slicer."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from needleplan.control import Event, EventName, Listener, Step
-from needleplan.control.report import drawn
+from needleplan.control import ExecutedStep, Listener, RunEvent, RunEventName, drawn
 from needleplan.control.safety import OperatingState, SafetyEvent
 from needleplan.devices import ForceSample, Sample
 from needleplan.devices.igtl import SlicerServer, StatusCode
@@ -16,9 +15,9 @@ from needleplan.planning import PolicyTable
 
 __all__ = ["SlicerView"]
 
+# distance between points of the executed path that are shown, mm
 _SPACING_MM = 0.5
-"""Points of the executed path are so far apart."""
-
+# time between two force values that are shown, ns
 _FORCE_NS = 100_000_000
 _CODES = {
     OperatingState.ENABLED: StatusCode.OK,
@@ -29,7 +28,7 @@ _CODES = {
 
 
 class SlicerView(Listener):
-    """Shows tip, target, planned and executed path, force and state at a server that Slicer connects to."""
+    """Listener that shows tip, target, planned and executed path, force and state on a server for Slicer."""
 
     def __init__(self, server: SlicerServer, table: PolicyTable) -> None:
         self._server, self._table = server, table
@@ -47,7 +46,7 @@ class SlicerView(Listener):
             self._server.show_force(sample.force_n)
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Show the tip, and where it has been."""
+        """Show the tip and the executed path."""
         place = (tip.x_mm, tip.y_mm, tip.z_mm)
         half = tip.heading_rad / 2
         self._server.show_tip(place, (math.cos(half), 0.0, 0.0, math.sin(half)))
@@ -55,17 +54,17 @@ class SlicerView(Listener):
             self._path.append(place)
             self._server.show_path(self._path)
 
-    def step(self, step: Step) -> None:
-        """Show the path that was planned at the first decision, and what is done now."""
+    def step(self, step: ExecutedStep) -> None:
+        """Show the action; at the first decision, also the planned path."""
         if not self._planned_with:
             self._planned_with = step.table_digest
             line = drawn(self._table.path(step.pose), self._table)
             self._server.show_plan([(x, y, 0.0) for x, y in np.asarray(line).tolist()])
         self._server.show_note(f"step {step.number}: {step.action}, success {100 * step.success:.1f} %")
 
-    def event(self, event: Event) -> None:
-        """Show how it ended, and that it was planned again."""
-        if event.name in (EventName.END, EventName.TABLE_SWAPPED, EventName.PAUSED):
+    def event(self, event: RunEvent) -> None:
+        """Show the end, pauses and new tables."""
+        if event.name in (RunEventName.END, RunEventName.TABLE_SWAPPED, RunEventName.PAUSED):
             self._server.show_note(f"{event.name.replace('_', ' ')}: {event.text}")
 
     def safety(self, event: SafetyEvent) -> None:

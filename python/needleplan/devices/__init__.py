@@ -15,7 +15,19 @@ from needleplan.devices._base import (
 from needleplan.devices._clock import Clock, Deadline, SystemClock, VirtualClock, no_long_collections, short_turns
 from needleplan.devices._links import Link, MemoryLink, SerialLink, TcpLink, UdpLink, memory_pair
 from needleplan.devices._opening import Address, open_link
-from needleplan.devices._station import Feed, Sample, Source, Station, ThreadedFeed, TurnFeed
+from needleplan.devices._station import (
+    Feed,
+    ReadDevice,
+    Sample,
+    SampledDevice,
+    Source,
+    Station,
+    ThreadedFeed,
+    TurnFeed,
+    open_station,
+    read_directly,
+    require_schemes,
+)
 
 __all__ = [
     "Address",
@@ -30,7 +42,9 @@ __all__ = [
     "Link",
     "MemoryLink",
     "PoseSample",
+    "ReadDevice",
     "Sample",
+    "SampledDevice",
     "SerialLink",
     "Source",
     "Stage",
@@ -47,5 +61,8 @@ __all__ = [
     "memory_pair",
     "no_long_collections",
     "open_link",
+    "open_station",
+    "read_directly",
+    "require_schemes",
     "short_turns",
 ]

@@ -6,51 +6,82 @@ import queue
 import threading
 from abc import abstractmethod
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import TypeVar
 
-from needleplan.devices._base import Closing, ForceSample, ForceSensor, PoseSample, Stage, StageSample, Tracker
-from needleplan.devices._clock import Clock, VirtualClock
-from needleplan.errors import DeviceFault
+from needleplan.devices._base import Closing, Device, ForceSample, ForceSensor, PoseSample, Stage, StageSample, Tracker
+from needleplan.devices._clock import Clock, SystemClock, VirtualClock
+from needleplan.devices._opening import Address
+from needleplan.errors import AddressError, DeviceFault, Mistake
 
-__all__ = ["Feed", "Sample", "Source", "Station", "ThreadedFeed", "TurnFeed"]
+__all__ = [
+    "Feed",
+    "ReadDevice",
+    "Sample",
+    "SampledDevice",
+    "Source",
+    "Station",
+    "ThreadedFeed",
+    "TurnFeed",
+    "open_station",
+    "read_directly",
+    "require_schemes",
+]
 
 Sample = StageSample | ForceSample | PoseSample
+SampledDevice = Stage | ForceSensor | Tracker
 
-_AT_MOST_S = 0.1  # timeout of a reading thread, which delays its end
+# s that a reading thread waits for a sample before it checks whether it must end
+_READ_TIMEOUT_S = 0.1
 
 
 class Source(StrEnum):
-    """One of the three devices."""
+    """One of the three devices of a station."""
 
     FORCE = "force"
     POSE = "pose"
     STAGE = "stage"
 
 
+ReadDevice = Callable[[Source, SampledDevice, float], Sample | None]
+"""Reads one sample of a device, with a timeout in s; the guard of an insertion validates each sample in passing."""
+
+
+def read_directly(_: Source, device: SampledDevice, timeout_s: float) -> Sample | None:
+    """Return the next sample of a device without any validation."""
+    return device.read(timeout_s)
+
+
 @dataclass
-class Station:
-    """The devices of an insertion, and the clock of their stamps."""
+class Station(Closing):
+    """The devices of an insertion: a stage, a force sensor, a tracker, and the clock of their stamps."""
 
     stage: Stage
     force_sensor: ForceSensor
     tracker: Tracker
     clock: Clock
 
-    def feed(self, stage: Stage) -> Feed:
-        """Return the samples of the devices, in the way that the clock needs: in turn, or by threads.
+    @property
+    def devices(self) -> dict[Source, SampledDevice]:
+        """The three devices by their source; the stage first, because it is the fastest."""
+        return {Source.STAGE: self.stage, Source.FORCE: self.force_sensor, Source.POSE: self.tracker}
 
-        `stage` replaces the stage of the station; it is the guarded one.
-        """
-        station = Station(stage, self.force_sensor, self.tracker, self.clock)
-        return TurnFeed(station) if isinstance(self.clock, VirtualClock) else ThreadedFeed(station)
+    def feed(self, read: ReadDevice = read_directly) -> Feed:
+        """Return the samples of the devices, each read by `read`, in turn or in threads as the clock requires."""
+        return TurnFeed(self, read) if isinstance(self.clock, VirtualClock) else ThreadedFeed(self, read)
+
+    def close(self) -> None:
+        """Close all devices, the stage first; closing twice is harmless."""
+        with ExitStack() as closing:
+            for device in (self.tracker, self.force_sensor, self.stage):
+                closing.callback(device.close)
 
 
 class Feed(Closing):
     """Abstract stream of the samples of all three devices."""
-
-    failed: Source | None = None
-    """The device that raised the DeviceFault in `next`."""
 
     @abstractmethod
     def next(self, timeout_s: float) -> Sample | None:
@@ -63,23 +94,22 @@ class TurnFeed(Feed):
     It waits for the stage, which is the fastest device, and then takes the available samples of the others.
     """
 
-    def __init__(self, station: Station) -> None:
-        self._station = station
+    def __init__(self, station: Station, read: ReadDevice = read_directly) -> None:
+        self._station, self._read = station, read
         self._waiting: deque[Sample] = deque()
 
     def next(self, timeout_s: float) -> Sample | None:
         """Return the next sample, or None after `timeout_s`. Raises the DeviceFault of any device."""
         waiting = self._waiting
         if not waiting:
-            station = self._station
-            self.failed = Source.STAGE
-            first = station.stage.read(timeout_s)
-            found: list[Sample] = [first] if first is not None else []
-            for source, sensor in ((Source.FORCE, station.force_sensor), (Source.POSE, station.tracker)):
-                self.failed = source
-                while (sample := sensor.read(0.0)) is not None:
+            found: list[Sample] = []
+            for source, device in self._station.devices.items():
+                if source is Source.STAGE:
+                    first = self._read(source, device, timeout_s)
+                    found += [first] if first is not None else []
+                    continue
+                while (sample := self._read(source, device, 0.0)) is not None:
                     found.append(sample)
-            self.failed = None
             if len(found) > 1:
                 found.sort(key=_received)
             waiting.extend(found)
@@ -93,15 +123,13 @@ class TurnFeed(Feed):
 class ThreadedFeed(Feed):
     """Reads each device in its own thread: for real time, where a slow tracker must not delay the others."""
 
-    def __init__(self, station: Station) -> None:
-        self._queue: queue.SimpleQueue[Sample | tuple[Source, DeviceFault]] = queue.SimpleQueue()
-        self._ending = threading.Event()
-        devices: dict[Source, Stage | ForceSensor | Tracker] = {
-            Source.STAGE: station.stage, Source.FORCE: station.force_sensor, Source.POSE: station.tracker,
-        }  # fmt: skip
+    def __init__(self, station: Station, read: ReadDevice = read_directly) -> None:
+        self._queue: queue.SimpleQueue[Sample | DeviceFault] = queue.SimpleQueue()
+        self._read = read
+        self._closing = threading.Event()
         self._threads = [
-            threading.Thread(target=self._read, args=(source, device), name=f"read {source}", daemon=True)
-            for source, device in devices.items()
+            threading.Thread(target=self._read_on, args=(source, device), name=f"read {source}", daemon=True)
+            for source, device in station.devices.items()
         ]
         for thread in self._threads:
             thread.start()
@@ -112,26 +140,25 @@ class ThreadedFeed(Feed):
             found = self._queue.get(timeout=max(timeout_s, 0.0))
         except queue.Empty:
             return None
-        if isinstance(found, tuple):
-            self.failed, fault = found
-            raise fault
+        if isinstance(found, DeviceFault):
+            raise found
         return found
 
     def close(self) -> None:
         """End the threads."""
-        self._ending.set()
+        self._closing.set()
         for thread in self._threads:
             thread.join()
 
-    def _read(self, source: Source, device: Stage | ForceSensor | Tracker) -> None:
-        while not self._ending.is_set():
+    def _read_on(self, source: Source, device: SampledDevice) -> None:
+        while not self._closing.is_set():
             try:
-                sample = device.read(_AT_MOST_S)
+                sample = self._read(source, device, _READ_TIMEOUT_S)
             except DeviceFault as fault:
-                self._queue.put((source, fault))
+                self._queue.put(fault)
                 return
-            except Exception as error:  # otherwise a failed thread would look like a silent device
-                self._queue.put((source, DeviceFault(f"{source}: {error!r}")))
+            except Exception as error:  # a thread that dies silently would look like a device without samples
+                self._queue.put(DeviceFault(f"{source}: {error!r}"))
                 return
             if sample is not None:
                 self._queue.put(sample)
@@ -139,3 +166,93 @@ class ThreadedFeed(Feed):
 
 def _received(sample: Sample) -> int:
     return sample.stamp.received_ns
+
+
+_Opened = TypeVar("_Opened", bound=Device)
+
+
+def open_station(robot: str, force: str, tracker: str) -> Station:
+    """Open the real devices at three addresses.
+
+    Raises AddressError if an address is wrong, ConfigurationError or DeviceFault if a device is not as it should be.
+    Devices that were opened before the error are closed again.
+    """
+    require_schemes(robot, force, tracker)
+    with ExitStack() as opened:
+        # The stage is opened last: nothing that can move is held while another device is waited for.
+        force_sensor = _opened(_FORCES, force, opened)
+        opened_tracker = _opened(_TRACKERS, tracker, opened)
+        stage = _opened(_ROBOTS, robot, opened)
+        opened.pop_all()
+    return Station(stage, force_sensor, opened_tracker, SystemClock())
+
+
+def require_schemes(robot: str, force: str, tracker: str, *, also: Collection[str] = ()) -> dict[str, str]:
+    """Return the schemes of three addresses by `--robot`, `--force`, `--tracker`.
+
+    Raises AddressError, with all mistakes, if an address cannot be parsed or no driver has its scheme; the schemes in
+    `also` are allowed too.
+    """
+    addresses = {"--robot": robot, "--force": force, "--tracker": tracker}
+    known = {"--robot": [*_ROBOTS, *also], "--force": [*_FORCES, *also], "--tracker": [*_TRACKERS, *also]}
+    schemes, wrong = {}, []
+    for name, address in addresses.items():
+        try:
+            schemes[name] = Address.parse(address).scheme
+        except AddressError as error:
+            wrong += [replace(mistake, key=name) for mistake in error.mistakes]
+    if wrong:
+        raise AddressError(wrong)
+    mistakes = [
+        Mistake(name, addresses[name], f"must begin with {', '.join(f'{each}://' for each in known[name])}")
+        for name, scheme in schemes.items() if scheme not in known[name]
+    ]  # fmt: skip
+    if mistakes:
+        raise AddressError(mistakes)
+    return schemes
+
+
+def _opened(openers: Mapping[str, Callable[[str], _Opened]], address: str, opened: ExitStack) -> _Opened:
+    device = openers[Address.parse(address).scheme](address)
+    opened.callback(_close, device)
+    return device
+
+
+def _close(device: Device) -> None:
+    with suppress(DeviceFault):
+        device.close()
+
+
+def _robot(address: str) -> Stage:
+    from needleplan.devices.robot import RobotStage
+
+    return RobotStage.open(address)
+
+
+def _drives(address: str) -> Stage:
+    from needleplan.devices.cia402 import CanopenStage
+
+    return CanopenStage.open(address)
+
+
+def _net_ft(address: str) -> ForceSensor:
+    from needleplan.devices.ati import NetFt
+
+    return NetFt.open(address)
+
+
+def _ndi(address: str) -> Tracker:
+    from needleplan.devices.ndi import NdiTracker
+
+    return NdiTracker.open(address)
+
+
+def _igtl(address: str) -> Tracker:
+    from needleplan.devices.igtl import IgtlTracker
+
+    return IgtlTracker.open(address)
+
+
+_ROBOTS: dict[str, Callable[[str], Stage]] = {"udp": _robot, "canopen": _drives}
+_FORCES: dict[str, Callable[[str], ForceSensor]] = {"udp": _net_ft}
+_TRACKERS: dict[str, Callable[[str], Tracker]] = {"serial": _ndi, "tcp": _ndi, "igtl": _igtl}

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.control import Report
+from needleplan.control import InsertionReport
 from needleplan.planning import Action, PolicyTable
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, title
 
@@ -19,7 +19,7 @@ _FLAT = 2.2
 
 
 def insertion_figure(
-    table: PolicyTable, report: Report, true_tip_mm: tuple[float, float, float] | None = None
+    table: PolicyTable, report: InsertionReport, true_tip_mm: tuple[float, float, float] | None = None
 ) -> Figure:
     """Return the figure; `table` is the first one of the run, `true_tip_mm` where the tip ended, if somebody knows."""
     import matplotlib as mpl
@@ -46,7 +46,7 @@ def insertion_figure(
     if true_tip_mm is not None:
         scene.plot(*true_tip_mm[:2], linestyle="none", marker="x", color=VERMILLION, markersize=7, zorder=8,
                    label="true tip at the end")  # fmt: skip
-    title(scene, f"{table.scenario.title or 'insertion'}: {report.ending}, {report.error_mm:.2f} mm from the centre")
+    title(scene, f"{table.scenario.title or 'insertion'}: {report.outcome}, {report.error_mm:.2f} mm from the centre")
     figure.legend(*scene.get_legend_handles_labels(), loc="outside lower left", ncols=4, frameon=False)
     along = report.path_mm
     if len(report.deviations_mm):

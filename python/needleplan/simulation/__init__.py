@@ -2,41 +2,44 @@
 
 | | |
 |---|---|
-| `Experiment`, `run_experiment` | a program of moves from a file, and all that the devices said |
+| `Experiment`, `run_experiment` | a program of moves from a file, and all samples of the devices |
 | `open_lab`, `Lab` | the three devices of a lab by address, `sim://insertion?seed=3` |
-| `Setup`, `Effects`, ... | what a lab is built from |
-| `Plant` | the truth behind the devices |
+| `simulated_station` | a lab as the devices of an insertion |
+| `Setup`, `Effects`, ... | the parts of a lab |
+| `Plant` | the true state behind the devices |
 """
 
-from needleplan.simulation.address import open_lab
-from needleplan.simulation.effects import Effects
-from needleplan.simulation.experiment import Experiment, shipped_experiments
-from needleplan.simulation.lab import Lab, SimulatedForceSensor, SimulatedStage, SimulatedTracker
-from needleplan.simulation.parts import Entry, Layer, Move, Robot, Shaft, Tissue
-from needleplan.simulation.plant import Plant
-from needleplan.simulation.recorded import record_run
-from needleplan.simulation.run import Phase, Run, run_experiment
-from needleplan.simulation.setup import Setup
+from needleplan.simulation._effects import Effects
+from needleplan.simulation._experiment import Experiment, shipped_experiments
+from needleplan.simulation._lab import Lab, SimulatedForceSensor, SimulatedStage, SimulatedTracker, open_lab
+from needleplan.simulation._plant import Plant
+from needleplan.simulation._run import Run, RunPhase, record_run, run_experiment
+from needleplan.simulation._setup import Move, Robot, Setup, Shaft, SimulatedEntry, SimulatedLayer, SimulatedTissue
+from needleplan.simulation._station import SimulatedStation, are_simulated, open_insertion_station, simulated_station
 
 __all__ = [
     "Effects",
-    "Entry",
     "Experiment",
     "Lab",
-    "Layer",
     "Move",
-    "Phase",
     "Plant",
     "Robot",
     "Run",
+    "RunPhase",
     "Setup",
     "Shaft",
+    "SimulatedEntry",
     "SimulatedForceSensor",
+    "SimulatedLayer",
     "SimulatedStage",
+    "SimulatedStation",
+    "SimulatedTissue",
     "SimulatedTracker",
-    "Tissue",
+    "are_simulated",
+    "open_insertion_station",
     "open_lab",
     "record_run",
     "run_experiment",
     "shipped_experiments",
+    "simulated_station",
 ]

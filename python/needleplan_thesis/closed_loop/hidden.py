@@ -10,7 +10,7 @@ import numpy as np
 
 from needleplan.errors import InputError, Mistake
 from needleplan.scenario import CurvaturePiece, Scenario
-from needleplan.simulation import Effects, Entry, Robot, Setup, Shaft
+from needleplan.simulation import Effects, Robot, Setup, Shaft, SimulatedEntry
 
 __all__ = ["HIDDEN", "NOTHING", "SHAFT", "Hidden", "hidden_named", "laboratory"]
 
@@ -34,10 +34,11 @@ class Hidden:
     hide: Callable[[Setup], Setup]
 
 
-def laboratory(scenario: Scenario, entry: Entry | None = None) -> Setup:
+def laboratory(scenario: Scenario, entry: SimulatedEntry | None = None) -> Setup:
     """Return a lab that bends as planned, with a tracker of 0.1 mm and a heading that wanders a little."""
     return Setup(
-        plan_curvature_per_mm=1 / scenario.needle.curvature_radius_mm, entry=entry or Entry(), scenario=scenario,
+        plan_curvature_per_mm=1 / scenario.needle.curvature_radius_mm, scenario=scenario,
+        entry=entry or SimulatedEntry(),
         effects=Effects(heading_noise_rad_sqrt_mm=_WANDER, tracker_noise_mm=_TRACKER_MM), shaft=SHAFT,
         robot=Robot(servo_hz=_SERVO_HZ),
     )  # fmt: skip

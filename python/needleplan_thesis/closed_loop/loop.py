@@ -21,7 +21,7 @@ from needleplan.reports.diagnosis.motion_file import motion_text
 from needleplan.reports.diagnosis.remedy import Remedy, along_mm, remedy
 from needleplan.scenario import Scenario
 from needleplan.signals import Record
-from needleplan.simulation import Entry, Experiment, Plant
+from needleplan.simulation import Experiment, Plant, SimulatedEntry
 from needleplan_thesis.closed_loop.hidden import NOTHING, SHAFT, Hidden, laboratory
 from needleplan_thesis.closed_loop.trials import another, recordings
 from needleplan_thesis.steering.ended import ended
@@ -133,7 +133,7 @@ def _library(scenario: Scenario) -> Library:
 def _inserted(hidden: Hidden, known: Remedy, scenario: Scenario, seed: int) -> Inserted:
     table = _planned(known.scenario)
     start = table.best_entry().pose
-    entry = Entry(start.x_mm, start.y_mm, start.heading_rad - known.heading_rad)
+    entry = SimulatedEntry(start.x_mm, start.y_mm, start.heading_rad - known.heading_rad)
     setup = hidden.hide(laboratory(scenario, entry))
     path = carried_out(
         Plant(setup, seed), planned_moves(table, start), VELOCITY_MM_S, _VELOCITY_RAD_S, known.torsion,

@@ -8,8 +8,7 @@ from functools import lru_cache
 
 from needleplan.planning import PolicyTable, Pose, plan
 from needleplan.scenario import Scenario
-from needleplan.simulation import Experiment
-from needleplan.simulation.bench import Bench, simulated_bench
+from needleplan.simulation import Experiment, SimulatedStation, simulated_station
 
 __all__ = ["Course", "Guidance", "Task"]
 
@@ -64,12 +63,12 @@ class Course:
         """The start."""
         return self.table.start(self.start) if self.start else self.table.best_entry().pose
 
-    def bench(self, seed: int, curvature_error: float = 0.0) -> Bench:
+    def station(self, seed: int, curvature_error: float = 0.0) -> SimulatedStation:
         """Return the devices of a lab of its own."""
         setup = self.experiment.setup
         effects = replace(setup.effects, curvature_error=curvature_error)
         setup = replace(setup, effects=effects, robot=replace(setup.robot, servo_hz=self.servo_hz))
-        return simulated_bench(replace(self.experiment, setup=setup), self.table, self.pose, seed)
+        return simulated_station(replace(self.experiment, setup=setup), self.table, self.pose, seed)
 
 
 @dataclass(frozen=True)

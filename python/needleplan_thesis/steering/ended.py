@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
-from needleplan.control.scene import Scene
+from needleplan.control import ScenarioGeometry
 from needleplan.scenario import Scenario
 from needleplan.signals import Array
 
@@ -40,5 +40,5 @@ def ended(scenario: Scenario, path_mm: Array) -> Ended:
 
 
 @lru_cache(maxsize=16)
-def _scene(scenario: Scenario) -> Scene:
-    return Scene(scenario)
+def _scene(scenario: Scenario) -> ScenarioGeometry:
+    return ScenarioGeometry(scenario)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.control import Insertion, Listener, Options
-from needleplan.control.report import drawn, path_distances_mm
+from needleplan.control import Insertion, Listener, Options, drawn, path_distances_mm
 from needleplan.control.safety import SafetyLimits
 from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import PolicyTable
@@ -79,42 +78,38 @@ class _Truth(Listener):
 
 def _with_feedback(task: Task) -> Trial:
     course = task.course
-    table, bench = course.table, course.bench(task.seed, task.curvature_error)
-    assert bench.lab is not None
+    table, station = course.table, course.station(task.seed, task.curvature_error)
     options = Options(
-        velocity_mm_s=course.velocity_mm_s, velocity_rad_s=course.velocity_rad_s, torsion=bench.torsion,
-        needle_length_mm=bench.needle_length_mm or Options.needle_length_mm,
+        velocity_mm_s=course.velocity_mm_s, velocity_rad_s=course.velocity_rad_s, torsion=station.torsion,
+        needle_length_mm=station.needle_length_mm,
         replan=task.guidance is Guidance.REPLANNED,
     )  # fmt: skip
     limits = SafetyLimits(insertion_velocity_mm_s=max(course.velocity_mm_s, SafetyLimits().insertion_velocity_mm_s))
-    truth = _Truth(bench.lab.plant)
-    insertion = Insertion(
-        table, bench.station, options, registration=bench.registration, limits=limits, listeners=[truth]
-    )
-    with bench, insertion:
+    truth = _Truth(station.lab.plant)
+    insertion = Insertion(table, station, options, registration=station.registration, limits=limits, listeners=[truth])
+    with station, insertion:
         report = insertion.run()
     # What the loop itself plans begins at the entry that it has measured.
     planned = drawn(table.path(course.pose), table)
     seen_mm = _deviation_mm(planned, report.executed_mm[report.path_mm >= 0])
-    truth.path.append(bench.lab.plant.tip().position_mm)
+    truth.path.append(station.lab.plant.tip().position_mm)
     turned = [step.pose[:2] for step in report.steps if step.action]
     return _judged(
         task, table, np.array(truth.path), planned, np.array(turned, float).reshape(-1, 2),
         seen=(report.error_mm, seen_mm), counts=(report.turns, report.replans),
-        ending=(report.ending, report.cause),
+        ending=(report.outcome, report.cause),
     )  # fmt: skip
 
 
 def _without(task: Task) -> Trial:
     course, guidance = task.course, task.guidance
-    table, start, bench = course.table, course.pose, course.bench(task.seed, task.curvature_error)
-    assert bench.lab is not None
-    setup = bench.lab.plant.setup
+    table, start, station = course.table, course.pose, course.station(task.seed, task.curvature_error)
+    setup = station.lab.plant.setup
     if guidance is Guidance.OPEN:
         moves = planned_moves(table, start)
     else:
         setup, moves = aimed_at_target(setup, table, bending=guidance is Guidance.AIMED)
-    path = carried_out(Plant(setup, task.seed), moves, course.velocity_mm_s, course.velocity_rad_s, bench.torsion)
+    path = carried_out(Plant(setup, task.seed), moves, course.velocity_mm_s, course.velocity_rad_s, station.torsion)
     planned = drawn(table.path(start), table)
     nothing = math.nan, math.nan
     return _judged(task, table, path, planned, np.empty((0, 2)), seen=nothing, counts=(moves.turns, 0), ending=("", ""))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needleplan.control.scene import Scene
+from needleplan.control import ScenarioGeometry
 from needleplan.models import Torsion
 from needleplan.planning import Action, PolicyTable, Pose
 from needleplan.signals import Array
@@ -38,7 +38,7 @@ class Moves:
 
 def planned_moves(table: PolicyTable, start: Pose) -> Moves:
     """Return the moves of the planned path, on to where it is closest to the centre of the target, as the loop ends."""
-    scene, path = Scene(table.scenario), table.path(start)
+    scene, path = ScenarioGeometry(table.scenario), table.path(start)
     lengths, bevels = [0.0], [start.bevel]
     for row, action in zip(path.poses[:-1].tolist(), path.actions.tolist(), strict=True):
         pose = Pose.wound(row)

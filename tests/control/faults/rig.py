@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from needleplan.control.safety import EventName, GuardedStage, OperatingState, Order, SafetyEvent, SafetyLimits
+from needleplan.control.safety import GuardedStage, OperatingState, Order, SafetyEvent, SafetyEventName, SafetyLimits
 from needleplan.devices import ForceSensor, PoseSample, Source, Tracker, VirtualClock
 from needleplan.devices.ati import BoxLink, NetFt, NetFtBox, parse_configuration
 from needleplan.devices.ndi import AuroraDevice, AuroraLink, NdiTracker, SimulatedTool
@@ -143,5 +143,5 @@ class Rig:
 
     def first_stop(self) -> SafetyEvent | None:
         """The first event by which ENABLED was left."""
-        return next((each for each in self.events if each.name is EventName.TRANSITION
+        return next((each for each in self.events if each.name is SafetyEventName.TRANSITION
                      and each.before is OperatingState.ENABLED), None)  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 
-from needleplan.control.safety import Cause, EventName, GuardedStage, Order, SafetyEvent, SafetyLimits
+from needleplan.control.safety import Cause, GuardedStage, Order, SafetyEvent, SafetyEventName, SafetyLimits
 from needleplan.devices import ForceSample, PoseSample, Stamp
 from needleplan.devices.robot import RobotState
 from needleplan.errors import DeviceFault
@@ -77,7 +77,9 @@ class RobotRig:
 
     def left_enabled(self) -> tuple[str, frozenset[Cause], int]:
         """The state after ENABLED, why, and when."""
-        first = next(each for each in self.events if each.name is EventName.TRANSITION and each.before == "ENABLED")
+        first = next(
+            each for each in self.events if each.name is SafetyEventName.TRANSITION and each.before == "ENABLED"
+        )
         return str(first.state), first.causes, first.time_ns
 
     def start_again(self) -> None:

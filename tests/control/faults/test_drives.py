@@ -11,7 +11,15 @@ import pytest
 
 pytest.importorskip("canopen", reason="the library canopen is not installed (extra: canopen)")
 
-from needleplan.control.safety import Cause, EventName, GuardedStage, OperatingState, Order, SafetyEvent, SafetyLimits
+from needleplan.control.safety import (
+    Cause,
+    GuardedStage,
+    OperatingState,
+    Order,
+    SafetyEvent,
+    SafetyEventName,
+    SafetyLimits,
+)
 from needleplan.devices import ForceSample, PoseSample, Stamp
 from needleplan.devices.cia402 import CanopenStage, SimulatedDrives
 from needleplan.devices.cia402.objects import Cia402State
@@ -69,7 +77,7 @@ def test_28_29_it_is_a_fault_and_the_axes_come_to_rest(
         while guard.state.operating is OperatingState.ENABLED:
             turn(guard, number)
             number += 1
-        first = next(each for each in events if each.name is EventName.TRANSITION and each.before == "ENABLED")
+        first = next(each for each in events if each.name is SafetyEventName.TRANSITION and each.before == "ENABLED")
         assert first.state is OperatingState.FAULT
         assert Cause.STAGE_FAULT in first.causes
         assert first.text, "it says what the drive said"

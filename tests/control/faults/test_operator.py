@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from needleplan.control import Ending, Insertion
+from needleplan.control import Insertion, InsertionOutcome
 from needleplan.control.safety import Cause, OperatingState, SafetyLimits
 from needleplan.errors import MotionRefused, TableError
 from needleplan.planning import PolicyTable
@@ -31,7 +31,7 @@ def test_36_a_plan_beyond_a_limit_ends_the_run_where_it_would_be_passed(limits: 
     lab = a_lab()
     with Insertion(small_table(), station_of(lab), FAST, limits=limits) as insertion:
         report = insertion.run()
-        assert report.ending in (Ending.FAULT, Ending.REFUSED)
+        assert report.outcome in (InsertionOutcome.FAULT, InsertionOutcome.REFUSED)
         assert cause in report.cause
         lab.advance(1.0)
         assert not lab.plant.moving

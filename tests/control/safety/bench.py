@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from needleplan.control.safety import Cause, EventName, GuardedStage, Order, SafetyEvent, SafetyLimits
+from needleplan.control.safety import Cause, GuardedStage, Order, SafetyEvent, SafetyEventName, SafetyLimits
 from needleplan.devices import ForceSample, PoseSample, Stage, StageSample, Stamp, VirtualClock
 from needleplan.errors import DeviceFault
 
@@ -98,13 +98,13 @@ class Bench:
         self.stage.times_ns.clear()
         return self.guard
 
-    def named(self, name: EventName) -> list[SafetyEvent]:
+    def named(self, name: SafetyEventName) -> list[SafetyEvent]:
         return [each for each in self.events if each.name is name]
 
     @property
     def causes(self) -> set[Cause]:
         """The causes of all transitions since the beginning."""
-        return {cause for each in self.named(EventName.TRANSITION) for cause in each.causes}
+        return {cause for each in self.named(SafetyEventName.TRANSITION) for cause in each.causes}
 
 
 NAN = math.nan

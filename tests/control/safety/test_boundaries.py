@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from needleplan.control.safety import Cause, Inputs, SafetyLimits, judge
-from needleplan.control.safety.commands import against_insertion, against_retraction, against_rotation
+from needleplan.control.safety import Cause, Inputs, SafetyLimits, validate
+from needleplan.control.safety._motion import against_insertion, against_retraction, against_rotation
 from needleplan.devices import ForceSample, PoseSample, StageSample, Stamp
 
 LIMITS = SafetyLimits(workspace_x_mm=(0.0, 60.0), workspace_y_mm=(-20.0, 20.0))
@@ -100,12 +100,12 @@ def inputs(**changed: Any) -> Inputs:
     ],
 )
 def test_inputs(name: str, at: Any, after: Any, cause: Cause) -> None:
-    assert judge(inputs(**{name: at}), LIMITS, NOW_NS) == frozenset()
-    assert judge(inputs(**{name: after}), LIMITS, NOW_NS) == {cause}
+    assert validate(inputs(**{name: at}), LIMITS, NOW_NS) == frozenset()
+    assert validate(inputs(**{name: after}), LIMITS, NOW_NS) == {cause}
 
 
 def test_without_inputs_nothing_is_well() -> None:
-    assert judge(Inputs(), LIMITS, NOW_NS) == {Cause.FORCE_STALE, Cause.POSE_STALE, Cause.STAGE_STALE}
+    assert validate(Inputs(), LIMITS, NOW_NS) == {Cause.FORCE_STALE, Cause.POSE_STALE, Cause.STAGE_STALE}
 
 
 @pytest.mark.parametrize("age_ns", [0, 30_000_000, 30_000_001])

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleplan.control.safety import Cause, Inputs, SafetyLimits, judge
-from needleplan.control.safety.delay import Delay
+from needleplan.control.safety import Cause, Inputs, SafetyLimits, validate
+from needleplan.control.safety._inputs import Delay
 from needleplan.devices import StageSample, Stamp
 
 ZERO_S = 123.0
@@ -63,6 +63,6 @@ def test_a_sample_that_waited_does_not_pass_for_fresh() -> None:
     limits, inputs = SafetyLimits(), Inputs()
     for stamp in stamps([0.001] * 100 + [0.2] * 100):
         inputs = inputs.with_stage(StageSample(stamp, 1.0, 0.0, 0.0, False))
-        causes = judge(inputs, limits, stamp.received_ns)
+        causes = validate(inputs, limits, stamp.received_ns)
         assert (Cause.STAGE_SUSPECT in causes) == (stamp.sequence >= 100)
         assert (inputs.stage_known(limits, stamp.received_ns) is None) == (stamp.sequence >= 100)

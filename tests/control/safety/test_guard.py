@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleplan.control.safety import Cause, EventName, GuardedStage, OperatingState, Order, SafetyLimits
+from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order, SafetyEventName, SafetyLimits
 from needleplan.devices import Health, Source
 from needleplan.errors import DeviceFault, MotionRefused
 from tests.control.safety.bench import NAN, Bench
@@ -30,7 +30,7 @@ def test_nothing_moves_before_it_is_enabled() -> None:
     assert refused(bench.guard.insert, 10.0, 5.0) == {Cause.NOT_ENABLED}
     assert refused(bench.guard.rotate, 1.0, 5.0) == {Cause.NOT_ENABLED}
     assert bench.stage.wire == []
-    assert len(bench.named(EventName.REFUSAL)) == 2
+    assert len(bench.named(SafetyEventName.REFUSAL)) == 2
 
 
 def test_it_is_not_enabled_without_inputs() -> None:
@@ -46,7 +46,7 @@ def test_a_command_goes_to_the_stage_as_it_is_and_into_the_record() -> None:
     guard.insert(10.0, 5.0)
     guard.rotate(-3.0, 6.0)
     assert bench.stage.wire == [("insert", 10.0, 5.0), ("rotate", -3.0, 6.0)]
-    insert, rotate = bench.named(EventName.COMMAND)
+    insert, rotate = bench.named(SafetyEventName.COMMAND)
     assert insert.entry()["depth_mm"] == 10.0
     assert rotate.entry()["state"] == "ENABLED"
 
@@ -75,7 +75,7 @@ def test_a_value_beyond_a_limit_is_refused_with_its_cause_and_nothing_else_happe
     assert refused(getattr(guard, call), *values) == {cause}
     assert bench.stage.wire == []
     assert guard.state.operating is E
-    assert bench.events[-1].name is EventName.REFUSAL
+    assert bench.events[-1].name is SafetyEventName.REFUSAL
     assert bench.events[-1].causes == {cause}
 
 
@@ -129,7 +129,7 @@ def test_an_input_that_fails_stops_the_stage(name: str) -> None:
         assert bench.clock.now_ns() - began_ns < 0.12e9
     assert guard.state.operating is operating
     assert bench.causes == {cause}
-    stop = bench.named(EventName.STOP)[-1]
+    stop = bench.named(SafetyEventName.STOP)[-1]
     assert stop.causes == {cause}
     assert stop.sent_ns == bench.stage.times_ns[-1]
     assert Cause.NOT_ENABLED in refused(guard.insert, 50.0, 5.0)
@@ -199,7 +199,7 @@ def test_a_device_that_gives_up_is_a_fault_until_its_next_sample(source: Source)
     assert guard.device_failed(source, DeviceFault("its cable is out")).operating is F
     assert bench.stage.wire[-1] == ("stop",)
     assert bench.causes == {cause}
-    assert any("its cable is out" in each.text for each in bench.named(EventName.TRANSITION))
+    assert any("its cable is out" in each.text for each in bench.named(SafetyEventName.TRANSITION))
     bench.turn()
     assert guard.state.operating is D
 

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from needleplan.control.safety import (
-    Action,
     Cause,
+    GuardAction,
+    InputReport,
     OperatingState,
     Order,
-    Report,
     SafetyState,
     Severity,
     advance,
@@ -94,9 +94,9 @@ def test_every_transition(row: tuple[str, ...]) -> None:
     before = SafetyState(OperatingState(row[0]), is_homed=True, since_ns=3)
     if before.operating is F:
         before = SafetyState(F, True, present=SEEN["faulting"], latched=SEEN["faulting"], since_ns=3)
-    step = advance(before, Report(SEEN[row[1]]) if row[1] in SEEN else Order(row[1]), 7)
+    step = advance(before, InputReport(SEEN[row[1]]) if row[1] in SEEN else Order(row[1]), 7)
     assert step.refused == (row[2] == "refused")
-    assert (Action.STOP in step.actions) == (row[-1] == "!")
+    assert (GuardAction.STOP in step.actions) == (row[-1] == "!")
     if step.refused:
         assert step.state == before
         assert step.causes
@@ -107,12 +107,12 @@ def test_every_transition(row: tuple[str, ...]) -> None:
 
 @pytest.mark.parametrize("cause", CONDITIONS)
 def test_every_cause_stops_and_latches_by_its_severity(cause: Cause) -> None:
-    step = advance(SafetyState(E, is_homed=True), Report(frozenset({cause})), 1)
-    assert step.actions == (Action.STOP,)
+    step = advance(SafetyState(E, is_homed=True), InputReport(frozenset({cause})), 1)
+    assert step.actions == (GuardAction.STOP,)
     assert step.causes == {cause}
     assert step.state.operating is (P if cause.severity is Severity.PAUSE else F)
     assert step.state.latched == (frozenset() if cause.severity is Severity.PAUSE else {cause})
-    healthy = advance(step.state, Report(), 2).state
+    healthy = advance(step.state, InputReport(), 2).state
     assert healthy.operating is (P if cause.severity is Severity.PAUSE else D)
     assert advance(healthy, Order.ENABLE, 3).refused
 
@@ -125,14 +125,14 @@ def test_a_latched_stop_needs_a_reset_and_says_so() -> None:
 
 
 def test_a_lost_zero_needs_homing() -> None:
-    state = advance(SafetyState(E, is_homed=True), Report(frozenset({Cause.STAGE_JUMPED})), 1).state
-    state = advance(advance(state, Report(), 2).state, Order.RESET, 3).state
+    state = advance(SafetyState(E, is_homed=True), InputReport(frozenset({Cause.STAGE_JUMPED})), 1).state
+    state = advance(advance(state, InputReport(), 2).state, Order.RESET, 3).state
     assert advance(state, Order.ENABLE, 4).causes == {Cause.NOT_HOMED}
     assert advance(advance(state, Order.HOME, 5).state, Order.ENABLE, 6).state.operating is E
 
 
 def test_a_refusal_is_no_condition() -> None:
-    assert advance(SafetyState(E), Report(frozenset({Cause.DEPTH_BEYOND})), 1).state.operating is E
+    assert advance(SafetyState(E), InputReport(frozenset({Cause.DEPTH_BEYOND})), 1).state.operating is E
 
 
 def test_the_severities_are_those_of_the_slow_model() -> None:
@@ -147,7 +147,7 @@ class BesideTheSlowModel(RuleBasedStateMachine):
 
     @rule(causes=st.frozensets(st.sampled_from(CONDITIONS), max_size=3), busy=st.booleans())
     def see(self, causes: frozenset[Cause], busy: bool) -> None:
-        self.apply(Report(causes, busy))
+        self.apply(InputReport(causes, busy))
         self.slow.look({str(each) for each in causes})
         assert self.state.is_busy == busy
 
@@ -167,7 +167,7 @@ class BesideTheSlowModel(RuleBasedStateMachine):
         for order in (Order.RESET, Order.HOME, Order.ENABLE):
             self.order(order)
 
-    def apply(self, event: Report | Order) -> None:
+    def apply(self, event: InputReport | Order) -> None:
         before = self.state
         self.now_ns += 1
         step = advance(before, event, self.now_ns)
@@ -176,7 +176,7 @@ class BesideTheSlowModel(RuleBasedStateMachine):
         self.stops += len(step.actions)
         self.refusals += step.refused
         if before.operating is E and self.state.operating is not E:
-            assert Action.STOP in step.actions
+            assert GuardAction.STOP in step.actions
         if before.operating is F:
             assert self.state.operating in (F, D)
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleplan.control.safety import Cause, EventName, OperatingState, Order
+from needleplan.control.safety import Cause, OperatingState, Order, SafetyEventName
 from needleplan.devices import Health
 from needleplan.errors import MotionRefused
 from tests.control.safety.bench import NAN, Bench
@@ -40,7 +40,7 @@ def test_it_is_allowed_in_every_state_and_leaves_none_for_enabled(name: str) -> 
     before = bench.guard.state.operating
     bench.guard.retract(0.0, 20.0, "anna")
     assert bench.stage.wire[-1] == ("insert", 0.0, 20.0)
-    event = bench.named(EventName.RETRACTION)[-1]
+    event = bench.named(SafetyEventName.RETRACTION)[-1]
     assert event.entry()["text"].endswith("by anna")
     after = bench.guard.state.operating
     assert after is (OperatingState.PAUSED if name == "enabled" else before)

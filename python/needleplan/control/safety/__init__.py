@@ -1,29 +1,39 @@
-"""What keeps a run from harm: states, limits, a guard before the stage, a watchdog."""
+"""Safety of a run: operating states, limits, the guard before the stage, and the watchdog thread."""
 
-from needleplan.control.safety.causes import Cause, Severity
-from needleplan.control.safety.events import EventName, Listener, SafetyEvent
-from needleplan.control.safety.guard import GuardedStage
-from needleplan.control.safety.inputs import Inputs, judge
-from needleplan.control.safety.limits import SafetyLimits
-from needleplan.control.safety.machine import Action, OperatingState, Order, Report, SafetyState, Step, advance
-from needleplan.control.safety.watchdog import Watchdog
+from needleplan.control.safety._causes import Cause, Severity
+from needleplan.control.safety._guard import GuardedStage
+from needleplan.control.safety._inputs import Inputs, validate
+from needleplan.control.safety._limits import SafetyLimits
+from needleplan.control.safety._signals import Watchdog
+from needleplan.control.safety._states import (
+    GuardAction,
+    InputReport,
+    OperatingState,
+    Order,
+    SafetyEvent,
+    SafetyEventName,
+    SafetyListener,
+    SafetyState,
+    SafetyTransition,
+    advance,
+)
 
 __all__ = [
-    "Action",
     "Cause",
-    "EventName",
+    "GuardAction",
     "GuardedStage",
+    "InputReport",
     "Inputs",
-    "Listener",
     "OperatingState",
     "Order",
-    "Report",
     "SafetyEvent",
+    "SafetyEventName",
     "SafetyLimits",
+    "SafetyListener",
     "SafetyState",
+    "SafetyTransition",
     "Severity",
-    "Step",
     "Watchdog",
     "advance",
-    "judge",
+    "validate",
 ]

@@ -1,0 +1,186 @@
+"""Execution of motions: insert, rotate, wait for the end, and wait out pauses; every command goes to the guard."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from needleplan.control._events import CommandKind, ListenerGroup, RunCommand
+from needleplan.control._needle import NeedleState, present_causes
+from needleplan.control._options import Options
+from needleplan.control.safety import GuardedStage, OperatingState, Order
+from needleplan.devices import Clock
+from needleplan.errors import DeviceFault
+
+__all__ = ["NeedleDriver"]
+
+# distance from its goal, mm and rad, within which a stage at rest has arrived
+_ARRIVED_MM, _ARRIVED_RAD = 0.3, 0.02
+# A motion may take this many times its nominal duration, and this many seconds more, before it is a fault.
+_DURATION_FACTOR, _DURATION_S = 2.0, 2.0
+# s within which one more frame of the tracker is expected, on average
+_FRAME_S = 0.5
+_BY = "the loop, for the operator"
+
+
+class NeedleDriver:
+    """Moves the needle by commands to the guard, and takes samples until each motion has ended.
+
+    `on_pause` is called with the causes of a pause and a text when it begins, and without causes when it ends.
+    """
+
+    def __init__(
+        self, needle: NeedleState, guard: GuardedStage, clock: Clock, options: Options, listeners: ListenerGroup,
+        on_pause: Callable[[str, str], None],
+    ) -> None:  # fmt: skip
+        self.goal_mm = 0.0
+        """Length of the path at which the insertion under way ends (mm)."""
+
+        self.moved = False
+        """Whether any motion was commanded."""
+
+        self._needle, self._guard, self._clock, self._options = needle, guard, clock, options
+        self._listeners, self._on_pause = listeners, on_pause
+        self._enabled = self._resumed = False
+        self._commanded_at = -1
+        """Number of stage samples at the last command: the next sample is the first that can show its effect."""
+
+    def enable(self) -> None:
+        """Enable the guard as soon as no cause is present, at most within `silence_s`. Raises MotionRefused."""
+        self._guard.order(Order.HOME, _BY)
+        end_ns = self._clock.now_ns() + round(self._options.silence_s * 1e9)
+        while self._guard.state.present and self._clock.now_ns() < end_ns:
+            self._receive()
+        self._guard.order(Order.ENABLE, _BY)
+        self._enabled = True
+
+    def wait_until(self, done: Callable[[], bool], limit_s: float, what: str) -> None:
+        """Take samples until `done()`; pauses do not count. Raises DeviceFault after `limit_s`, which names `what`."""
+        end_ns = self._clock.now_ns() + round(limit_s * 1e9)
+        while not done():
+            if self._clock.now_ns() > end_ns:
+                raise DeviceFault(f"{what} not within {limit_s:.3g} s")
+            self._receive()
+            if self._paused:
+                end_ns += self._wait_out_pause()
+
+    def settle(self, frames: int) -> None:
+        """Take samples until the tracker has sent `frames` more usable frames. Raises DeviceFault if it does not."""
+        enough = self._needle.frames + frames
+        limit_s = self._options.silence_s + frames * _FRAME_S
+        self.wait_until(lambda: self._needle.frames >= enough, limit_s, "tracker: no good frames")
+
+    def begin_insert(self, path_mm: float) -> None:
+        """Begin to insert to a length of the path (mm). Raises DeviceFault."""
+        if self._paused:
+            self._wait_out_pause()
+        options = self._options
+        depth = path_mm + options.entry_depth_mm
+        self._guard.insert(depth, options.velocity_mm_s)
+        self.goal_mm = path_mm
+        self._commanded(CommandKind.INSERT, depth, options.velocity_mm_s)
+
+    def finish_insert(self, early_mm: float = 0.0) -> None:
+        """Wait until the stage rests at its goal, or has only `early_mm` to go. Raises DeviceFault."""
+        needle, goal = self._needle, self.goal_mm
+        limit_s = _DURATION_FACTOR * abs(goal - needle.path_mm) / self._options.velocity_mm_s + _DURATION_S
+
+        def arrived() -> bool:
+            if self._resumed:
+                self.begin_insert(goal)
+            if self._unseen or needle.stage is None:
+                return False
+            left = goal - needle.path_mm
+            return 0 < left <= early_mm or (not needle.stage.moving and abs(left) <= _ARRIVED_MM)
+
+        self.wait_until(arrived, limit_s, f"stage: came to rest at {goal:.4g} mm")
+        if needle.stage is not None and not needle.stage.moving:
+            self.hold()  # the next step makes up for what is left
+
+    def hold(self) -> None:
+        """Take the present length of the path as the goal."""
+        self.goal_mm = self._needle.path_mm
+
+    def rotate(self, roll_rad: float) -> None:
+        """Rotate the base until the tip has a roll (rad; 0 bends to the left). Raises DeviceFault.
+
+        With a known torsional lag, the base is rotated beyond the goal by the lag, and back.
+        """
+        options, needle = self._options, self._needle
+        goals = [roll_rad]
+        if options.torsion is not None:
+            inside = max(needle.path_mm, 0.0)
+            outside = max(options.needle_length_mm - inside, 0.0)
+            if options.torsion.lag_rad(outside, inside) > _ARRIVED_RAD / 10:
+                turning = options.torsion.compensated_rad(needle.roll_rad, roll_rad, outside, inside)
+                goals = turning[1:].tolist()
+        for goal in goals:
+            self._rotate_base(float(goal) + options.roll_left_rad)
+
+    def halt(self, *, latch: bool) -> None:
+        """Stop both axes and disable the stage, in any state; a latched stop must be reset by a person."""
+        self._enabled = False
+        if latch:
+            self._guard.stop()
+        else:
+            self._guard.order(Order.DISABLE, _BY)
+        self._emit(CommandKind.STOP, math.nan, math.nan)
+
+    @property
+    def _paused(self) -> bool:
+        return self._enabled and self._guard.state.operating is OperatingState.PAUSED
+
+    @property
+    def _unseen(self) -> bool:
+        """Whether no stage sample has been taken since the last command."""
+        return self._needle.stage_samples <= self._commanded_at
+
+    def _receive(self) -> None:
+        """Take one sample. Raises DeviceFault, with the cause, if the guard is no longer enabled."""
+        self._needle.receive()
+        if self._enabled and self._guard.state.operating in (OperatingState.FAULT, OperatingState.DISABLED):
+            raise DeviceFault(self._needle.why_stopped())
+
+    def _wait_out_pause(self) -> int:
+        """Wait until no cause is present, resume, and return the duration of the pause (ns). Raises DeviceFault."""
+        began_ns = self._clock.now_ns()
+        causes = present_causes(self._guard)
+        self._on_pause(causes, "the needle stands")
+        while self._guard.state.present or (self._needle.stage is not None and self._needle.stage.moving):
+            if (self._clock.now_ns() - began_ns) * 1e-9 >= self._options.resume_s:
+                raise DeviceFault(f"paused for {self._options.resume_s:g} s: {present_causes(self._guard) or causes}")
+            self._receive()
+        self._guard.order(Order.RESUME, _BY)
+        self._resumed = True
+        self._on_pause("", "the needle goes on")
+        return self._clock.now_ns() - began_ns
+
+    def _rotate_base(self, goal_rad: float) -> None:
+        options, needle = self._options, self._needle
+        assert needle.stage is not None
+        limit_s = _DURATION_FACTOR * abs(goal_rad - needle.stage.roll_rad) / options.velocity_rad_s + _DURATION_S
+
+        def begin() -> None:
+            if self._paused:
+                self._wait_out_pause()
+            self._guard.rotate(goal_rad, options.velocity_rad_s)
+            self._commanded(CommandKind.ROTATE, goal_rad, options.velocity_rad_s)
+
+        def arrived() -> bool:
+            if self._resumed:
+                begin()
+            stage = needle.stage
+            if self._unseen or stage is None:
+                return False
+            return not stage.moving and abs(stage.roll_rad - goal_rad) <= _ARRIVED_RAD
+
+        begin()
+        self.wait_until(arrived, limit_s, f"stage: came to rest at a roll of {goal_rad:.4g} rad")
+
+    def _commanded(self, kind: CommandKind, goal: float, speed: float) -> None:
+        self.moved, self._resumed = True, False
+        self._commanded_at = self._needle.stage_samples
+        self._emit(kind, goal, speed)
+
+    def _emit(self, kind: CommandKind, goal: float, speed: float) -> None:
+        self._listeners.command(RunCommand(self._clock.now_ns(), kind, goal, speed))

@@ -1,0 +1,164 @@
+"""Events of a run, and the interface of its listeners: the recorder, the live view, the report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+from needleplan.control.safety import SafetyEvent
+from needleplan.devices import Sample
+from needleplan.estimation.tip import TipEstimate
+from needleplan.planning import Action, Pose
+from needleplan.recording import RecorderStatus
+
+__all__ = [
+    "CommandKind",
+    "ExecutedStep",
+    "Listener",
+    "ListenerGroup",
+    "RunCommand",
+    "RunEvent",
+    "RunEventName",
+]
+
+
+class RunEventName(StrEnum):
+    """Kind of an event of a run; steps are not events."""
+
+    BEGIN = "begin"
+    BIAS = "bias"
+    REPLAN_ASKED = "replan_asked"
+    REPLAN_DONE = "replan_done"
+    REPLAN_REFUSED = "replan_refused"
+    TABLE_SWAPPED = "table_swapped"
+    PAUSED = "paused"
+    RESUMED = "resumed"
+    FAULT = "fault"
+    STOP = "stop"
+    END = "end"
+
+
+@dataclass(frozen=True)
+class RunEvent:
+    """One event of a run: its cause, and a sentence. `step` is the number of the next decision."""
+
+    time_ns: int
+    name: RunEventName
+    cause: str
+    text: str
+    step: int
+    digest: str = ""
+
+
+class CommandKind(StrEnum):
+    """Kind of a command to the stage."""
+
+    INSERT = "insert"
+    ROTATE = "rotate"
+    STOP = "stop"
+
+
+@dataclass(frozen=True)
+class RunCommand:
+    """Command to the stage: goal (mm or rad) and speed (mm/s or rad/s); both are NaN for a stop."""
+
+    time_ns: int
+    kind: CommandKind
+    goal: float
+    speed: float
+
+
+@dataclass(frozen=True)
+class ExecutedStep:
+    """One decision of the loop and the step that follows from it.
+
+    `pose` is the predicted tip at the end of the insertion under way, at the length `path_mm` of the path. `state` is
+    the state of the table nearest to that pose, `estimate` the tip at the time of the decision. The needle is inserted
+    by `length_mm`. `latency_s` is the time from the arrival of the last tracker frame to the decision.
+    """
+
+    number: int
+    time_ns: int
+    path_mm: float
+    pose: Pose
+    state: tuple[int, int, int, int]
+    action: Action
+    value: float
+    success: float
+    length_mm: float
+    estimate: TipEstimate
+    table_digest: str
+    latency_s: float
+
+
+class Listener:
+    """Receives everything that happens in a run, and ignores it; subclasses override what they need.
+
+    Methods must return at once and must not raise. `safety` may be called by any thread, the others by the loop.
+    """
+
+    def sample(self, sample: Sample) -> None:
+        """Receive a sample of a device."""
+
+    def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:
+        """Receive the estimate of the tip, after every frame of the tracker."""
+
+    def command(self, command: RunCommand) -> None:
+        """Receive a command that the stage has accepted."""
+
+    def step(self, step: ExecutedStep) -> None:
+        """Receive a decision."""
+
+    def event(self, event: RunEvent) -> None:
+        """Receive an event of the run."""
+
+    def safety(self, event: SafetyEvent) -> None:
+        """Receive an event of the guard."""
+
+    def status(self) -> RecorderStatus | None:
+        """Return the status of the recording if the run requires one, otherwise None."""
+        return None
+
+
+class ListenerGroup(Listener):
+    """Passes everything on to several listeners, in their order."""
+
+    def __init__(self, listeners: Iterable[Listener]) -> None:
+        self._listeners = tuple(listeners)
+
+    def sample(self, sample: Sample) -> None:
+        """Pass a sample on."""
+        for each in self._listeners:
+            each.sample(sample)
+
+    def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:
+        """Pass an estimate on."""
+        for each in self._listeners:
+            each.tip(time_ns, path_mm, tip)
+
+    def command(self, command: RunCommand) -> None:
+        """Pass a command on."""
+        for each in self._listeners:
+            each.command(command)
+
+    def step(self, step: ExecutedStep) -> None:
+        """Pass a decision on."""
+        for each in self._listeners:
+            each.step(step)
+
+    def event(self, event: RunEvent) -> None:
+        """Pass an event on."""
+        for each in self._listeners:
+            each.event(event)
+
+    def safety(self, event: SafetyEvent) -> None:
+        """Pass an event of the guard on."""
+        for each in self._listeners:
+            each.safety(event)
+
+    def statuses(self) -> Iterator[RecorderStatus]:
+        """Yield the status of every recording that the run requires."""
+        for each in self._listeners:
+            if (status := each.status()) is not None:
+                yield status

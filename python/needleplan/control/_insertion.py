@@ -1,0 +1,302 @@
+"""The insertion loop: from the estimated tip to the next action of the table, step by step, until the insertion ends.
+
+A decision is made at the end of every step. If the needle need not stop, the decision is made shortly before the end,
+for the predicted pose at the end of the step. To rotate, the needle stops, is observed again, and the decision is made
+for the pose at rest. The last step ends where the arc is closest to the centre of the target.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Sequence
+from contextlib import ExitStack
+
+from needleplan.control._driver import NeedleDriver
+from needleplan.control._events import ExecutedStep, Listener, ListenerGroup, RunEvent, RunEventName
+from needleplan.control._needle import NeedleState, Stopped
+from needleplan.control._options import Options
+from needleplan.control._preconditions import measured_entry, require_expected
+from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_left, rescaled
+from needleplan.control._report import InsertionOutcome, InsertionReport, InsertionTrace
+from needleplan.control._scene import NEARLY_MM, Approach, ScenarioGeometry
+from needleplan.control.safety import GuardedStage, SafetyLimits
+from needleplan.devices import Closing, Station, VirtualClock, no_long_collections, short_turns
+from needleplan.errors import DeviceFault, InputError, NeedleplanError
+from needleplan.estimation.registration import Registration
+from needleplan.estimation.tip import TipFilter, TipSettings
+from needleplan.models import arc_step
+from needleplan.planning import Action, Decision, Path, PolicyTable, Pose
+
+__all__ = ["Insertion"]
+
+# frames of the tracker over which the pose of the entry is averaged
+_ENTRY_FRAMES = 10
+# events that are emitted before the end of a run with one of these outcomes
+_ABORTED = {InsertionOutcome.FAULT: RunEventName.FAULT, InsertionOutcome.REFUSED: RunEventName.FAULT,
+            InsertionOutcome.STOPPED: RunEventName.STOP}  # fmt: skip
+
+
+class Insertion(Closing):
+    """One insertion with a policy table; call `run` once, and close it.
+
+    Parameters
+    ----------
+    table
+        Policy table of the first plan.
+    station
+        The three devices and their clock. Closing the insertion closes the stage; the sensors stay open.
+    options
+        Speeds, rules of replanning, and when to give up.
+    registration
+        Transformation from the tracker to the plan; without one, the frame of the tracker is the frame of the plan.
+    tip_settings
+        Settings of the tip filter.
+    limits
+        Limits of the guard before the stage. `insertion.guard` also offers what a person needs, such as retraction.
+    replanner
+        Source of new tables; a thread by default.
+    listeners
+        Receivers of samples, estimates, commands, decisions and events.
+
+    Raises
+    ------
+    MotionRefused
+        If the stage has another guard already.
+
+    """
+
+    def __init__(
+        self, table: PolicyTable, station: Station, options: Options | None = None, *,
+        registration: Registration | None = None,
+        tip_settings: TipSettings | None = None,
+        limits: SafetyLimits | None = None,
+        replanner: Replanner | None = None,
+        listeners: Sequence[Listener] = (),
+    ) -> None:  # fmt: skip
+        self.table = table
+        self.options = options or Options()
+        self.registration = registration or Registration()
+        self._station, self._tip_settings = station, tip_settings
+        self._scene = ScenarioGeometry(table.scenario)
+        self._trace = InsertionTrace(self.options.force_axis)
+        self._listeners = group = ListenerGroup([self._trace, *listeners])
+        self.guard = GuardedStage(station.stage, limits, clock=station.clock, listener=group.safety)
+        self._needle = NeedleState(self.guard, station.clock, self.options, group)
+        self._driver = NeedleDriver(self._needle, self.guard, station.clock, self.options, group, self._on_pause)
+        self._replanner = replanner or ThreadReplanner(wait=isinstance(station.clock, VirtualClock))
+        self._first_table = table
+        self._planned: Path | None = None
+        self._number = 0
+        self._thread = 0
+        # Lazy attributes that take long at their first use are computed before anything moves.
+        _ = table.lattice, table.digest, self._scene.touches(0.0, 0.0)
+
+    def stop(self, cause: str) -> None:
+        """End the run with the needle where it is, for good; any thread or signal handler may call it."""
+        self._needle.request_stop(cause)
+        # A signal handler runs in the thread of the loop, which may hold the guard: there the loop itself stops.
+        if self._thread and threading.get_ident() != self._thread:
+            self.guard.stop()
+
+    def close(self) -> None:
+        """Stop, and close the stage; closing twice is harmless."""
+        self.guard.close()
+
+    def run(self) -> InsertionReport:
+        """Insert the needle. In every case the needle stands still afterwards, and the report says why it ended."""
+        outcome, cause = InsertionOutcome.FAULT, "the program ended"
+        self._thread = threading.get_ident()
+        with ExitStack() as closing:
+            closing.callback(self._replanner.close)
+            if not isinstance(self._station.clock, VirtualClock):
+                closing.enter_context(no_long_collections())
+                closing.enter_context(short_turns())
+            try:
+                outcome, cause = self._run(closing)
+            except Stopped as stopped:
+                outcome, cause = InsertionOutcome.STOPPED, str(stopped)
+            except KeyboardInterrupt:
+                outcome, cause = InsertionOutcome.STOPPED, "interrupted by the operator"
+            except (DeviceFault, InputError) as fault:
+                outcome = InsertionOutcome.FAULT if self._driver.moved else InsertionOutcome.REFUSED
+                cause = str(fault)
+            finally:
+                self._halt(outcome, cause)
+        return self._trace.report(outcome, cause, self._first_table, self._planned, self._needle.path_mm)
+
+    def _halt(self, outcome: InsertionOutcome, cause: str) -> None:
+        self._driver.halt(latch=outcome in _ABORTED)
+        if outcome in _ABORTED:
+            self._emit(_ABORTED[outcome], str(outcome), cause)
+        self._emit(RunEventName.END, str(outcome), cause)
+
+    def _run(self, closing: ExitStack) -> tuple[InsertionOutcome, str]:
+        self._emit(RunEventName.BEGIN, "operator", f"table {self.table.digest}", self.table.digest)
+        self._station.force_sensor.bias()
+        self._emit(RunEventName.BIAS, "begin", "the force at rest is zero")
+        feed = self._station.feed(self.guard.read_device)
+        closing.callback(feed.close)
+        self._needle.open(feed)
+        ended = self._begin()
+        while ended is None:
+            ended = self._outcome_at_tip() or self._step()
+        return ended
+
+    def _begin(self) -> tuple[InsertionOutcome, str] | None:
+        """Estimate the tip, and turn the bevel to the better side; return the outcome if the plan has no chance."""
+        needle, driver, options = self._needle, self._driver, self.options
+        driver.wait_until(lambda: needle.stage is not None, options.silence_s, "stage: the first sample")
+        entry = measured_entry(needle, driver, self.registration, _ENTRY_FRAMES, self.guard.limits.pose_age_s)
+        require_expected(entry, options)
+        needle.follow(TipFilter.for_scenario(self._scene.scenario, self.registration, entry, self._tip_settings))
+        driver.settle(_ENTRY_FRAMES)
+        x, y = self._scene.clamped(*entry[:2])
+        start = self.table.start((x, y, entry[2]))
+        self._planned = self.table.path(start)
+        decision = self.table.lookup(*start)
+        if decision.success < options.least_success:
+            return self._given_up(start, decision)
+        driver.enable()
+        if needle.path_mm < -NEARLY_MM:
+            driver.begin_insert(0.0)
+            driver.finish_insert()
+            driver.settle(options.settling_frames)
+        if start.bevel != needle.bevel:
+            driver.rotate(0.0 if start.bevel > 0 else math.pi)
+        driver.hold()
+        return None
+
+    def _outcome_at_tip(self) -> tuple[InsertionOutcome, str] | None:
+        """Return the outcome if the present place of the tip, or the length of the path, ends the insertion."""
+        tip, scene, options = self._needle.tip, self._scene, self.options
+        place = f"the tip is at x {tip.x_mm:.2f} mm, y {tip.y_mm:.2f} mm"
+        if scene.outside(tip.x_mm, tip.y_mm):
+            return InsertionOutcome.OUTSIDE, f"{place}, outside of the workspace"
+        touched = scene.touches(tip.x_mm, tip.y_mm)
+        if touched:
+            return InsertionOutcome.COLLISION, f"{place}, in {touched}"
+        if self._needle.path_mm >= options.longest_mm - NEARLY_MM:
+            return InsertionOutcome.TOO_LONG, f"the path has the length that is allowed, {options.longest_mm:g} mm"
+        return None
+
+    def _step(self) -> tuple[InsertionOutcome, str] | None:
+        """Decide and carry out one step; return the outcome if the insertion has ended."""
+        self._take_table()
+        pose, scene, options = self._pose_at_goal(), self._scene, self.options
+        approach = Approach(scene, self._needle.tip.curvature_per_mm)
+        moving = self._remaining_mm() > NEARLY_MM
+        inside, outside = approach.inside(pose), scene.outside(pose.x_mm, pose.y_mm)
+        asked = pose if outside else Pose(*scene.decided_at(*pose[:2]), pose.heading_rad, pose.bevel)
+        decision = None if inside or outside else self.table.lookup(*asked)
+        hopeless = decision is not None and decision.success < options.least_success
+        rotates = decision is not None and decision.action is Action.ROTATE
+        if moving and (inside or outside or hopeless or rotates):
+            # These decisions are not made on the way: the needle stops and is observed again.
+            self._driver.finish_insert()
+            self._driver.settle(options.settling_frames)
+            return None
+        if approach.done(pose):
+            distance = scene.target_distance_mm(pose.x_mm, pose.y_mm)
+            return InsertionOutcome.TARGET, f"the tip is {distance:.2f} mm from the centre of the target"
+        if decision is not None and hopeless:
+            beside = approach.beside(pose)
+            if beside is None:
+                return self._given_up(pose, decision)
+            turned, length, last = beside[0], beside[1], True
+        else:
+            turned = pose._replace(bevel=-pose.bevel) if rotates else pose
+            room = max(options.longest_mm - self._driver.goal_mm, 0.0)
+            length, last = approach.length_mm(turned, room)
+        self._record(pose, asked, turned, decision, length)
+        self._replan_if_needed(pose)
+        self._carry_out(pose, turned, length, last=last)
+        return None
+
+    def _carry_out(self, pose: Pose, turned: Pose, length_mm: float, *, last: bool) -> None:
+        driver, options = self._driver, self.options
+        if turned.bevel != pose.bevel:
+            driver.rotate(0.0 if turned.bevel > 0 else math.pi)
+        driver.begin_insert(driver.goal_mm + length_mm)
+        if last or options.stops:
+            driver.finish_insert()
+            driver.settle(options.settling_frames)
+        else:
+            driver.finish_insert(options.velocity_mm_s * options.lead_s)
+
+    def _remaining_mm(self) -> float:
+        return self._driver.goal_mm - self._needle.path_mm
+
+    def _pose_at_goal(self) -> Pose:
+        """Return the predicted pose of the tip at the end of the insertion under way."""
+        tip, bevel = self._needle.tip, self._needle.bevel
+        left = self._remaining_mm()
+        x, y, heading = tip.x_mm, tip.y_mm, tip.heading_rad
+        if abs(left) > 1e-6:
+            x, y, heading = (float(each) for each in arc_step(x, y, heading, bevel * tip.curvature_per_mm, left))
+        return Pose.wound((*self._scene.clamped(x, y), heading, bevel))
+
+    def _given_up(self, pose: Pose, decision: Decision) -> tuple[InsertionOutcome, str]:
+        promise = f"the table promises {decision.success:.2%} from {pose}"
+        if Approach(self._scene, 0.0).near(pose):
+            distance = self._scene.target_distance_mm(pose.x_mm, pose.y_mm)
+            return (
+                InsertionOutcome.MISSED,
+                f"the tip is {distance:.2f} mm from the centre of the target, beside it; {promise}",
+            )
+        return InsertionOutcome.UNREACHABLE, promise
+
+    def _record(self, pose: Pose, asked: Pose, turned: Pose, decision: Decision | None, length_mm: float) -> None:
+        needle, now_ns = self._needle, self._station.clock.now_ns()
+        action = Action.INSERT if turned.bevel == pose.bevel else Action.ROTATE
+        latency_s = (now_ns - needle.pose.stamp.received_ns) * 1e-9 if needle.pose else math.nan
+        value, success = (decision.value, decision.success) if decision else (0.0, 1.0)
+        step = ExecutedStep(
+            self._number, now_ns, self._driver.goal_mm, pose, self._state(asked), action, value, success, length_mm,
+            needle.tip, self.table.digest, latency_s,
+        )  # fmt: skip
+        self._number += 1
+        self._listeners.step(step)
+
+    def _state(self, pose: Pose) -> tuple[int, int, int, int]:
+        """Return the indices of the state of the table nearest to a pose."""
+        scenario = self.table.scenario
+        (dx, dy), headings = scenario.grid.spacing_mm, scenario.motion.headings
+        turn = round(pose.heading_rad / (2 * math.pi / headings)) % headings
+        return round(pose.x_mm / dx), round(pose.y_mm / dy), turn, (pose.bevel + 1) // 2
+
+    def _replan_if_needed(self, pose: Pose) -> None:
+        """Ask for a new table if the estimated curvature has left the planned one."""
+        if not self.options.replan or self._replanner.busy:
+            return
+        tip = self._needle.tip
+        planned = 1 / self._scene.radius_mm(pose.x_mm, pose.y_mm)
+        cause = curvature_left(tip, planned, self.options)
+        if not cause:
+            return
+        try:
+            scenario = rescaled(self.table.scenario, tip.curvature_per_mm / planned)
+        except InputError as error:
+            self._emit(RunEventName.REPLAN_REFUSED, cause, str(error))
+            return
+        self._emit(RunEventName.REPLAN_ASKED, cause, "planning again with the estimated curvature")
+        self._replanner.ask(scenario)
+
+    def _take_table(self) -> None:
+        """Replace the table if a new one is ready."""
+        try:
+            table = self._replanner.take(self._number)
+        except NeedleplanError as error:
+            self._emit(RunEventName.REPLAN_REFUSED, "planner", str(error))
+            return
+        if table is not None:
+            self.table, self._scene = table, ScenarioGeometry(table.scenario)
+            radius = table.scenario.needle.curvature_radius_mm
+            text = f"a table for a radius of {radius:.4g} mm, made in {table.stats.seconds:.3f} s"
+            self._emit(RunEventName.TABLE_SWAPPED, "replan", text, table.digest)
+
+    def _on_pause(self, causes: str, text: str) -> None:
+        self._emit(RunEventName.PAUSED if causes else RunEventName.RESUMED, causes, text)
+
+    def _emit(self, name: RunEventName, cause: str, text: str, digest: str = "") -> None:
+        self._listeners.event(RunEvent(self._station.clock.now_ns(), name, cause, text, self._number, digest))

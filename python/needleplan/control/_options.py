@@ -1,0 +1,150 @@
+"""Options of an insertion, and its complete setup as texts in a recording."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Self
+
+from needleplan.control.safety import SafetyLimits
+from needleplan.errors import DataError, InputError, Mistake
+from needleplan.estimation.registration import Registration
+from needleplan.estimation.tip import TipSettings
+from needleplan.models import Torsion
+
+__all__ = ["Options", "RunSetup"]
+
+_POSITIVE = (
+    "velocity_mm_s", "velocity_rad_s", "longest_mm", "needle_length_mm", "silence_s", "replan_deviations",
+)  # fmt: skip
+_OPTIONS, _LIMITS, _TIP, _REGISTRATION = "options.json", "limits.json", "tip_settings.json", "registration.toml"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of an insertion; lengths in mm, angles in rad. Raises InputError with all mistakes."""
+
+    velocity_mm_s: float = 5.0
+    """Insertion speed; the thesis uses up to 12 mm/s."""
+
+    velocity_rad_s: float = 3.0
+    """Rotation speed; the thesis uses 3 turns a minute, a tenth of the default."""
+
+    entry_depth_mm: float = 0.0
+    """Depth of the stage at which the tip is at the entry."""
+
+    roll_left_rad: float = 0.0
+    """Roll of the stage at which the needle bends to the left."""
+
+    longest_mm: float = 180.0
+    """Longest path of the tip."""
+
+    torsion: Torsion | None = None
+    """Torsional lag to compensate; None: the tip turns with the base."""
+
+    needle_length_mm: float = 200.0
+    """Length of the needle, for the torsional lag."""
+
+    stops: bool = False
+    """Stop after every step; otherwise only to rotate."""
+
+    lead_s: float = 0.15
+    """Time before the end of a step at which the next decision is made; at least the stopping time of the stage."""
+
+    settling_frames: int = 4
+    """Number of tracker frames to wait for when the needle stands."""
+
+    least_success: float = 0.01
+    """Success probability of the table below which the insertion ends."""
+
+    replan: bool = True
+    """Plan again when the estimated curvature leaves the planned one."""
+
+    replan_deviations: float = 3.0
+    """Number of standard deviations between estimated and planned curvature above which the needle replans ..."""
+
+    replan_share: float = 0.04
+    """... if they also differ by this share of the planned curvature; a smaller difference hardly changes a policy."""
+
+    silence_s: float = 1.0
+    """Time without any sample after which the run ends with a fault."""
+
+    expected_start: tuple[float, float, float] | None = None
+    """Expected pose of the entry, x_mm, y_mm, heading_rad; the run is refused elsewhere. None: any."""
+
+    start_within_mm: float = 5.0
+    """Largest distance of the entry from `expected_start`."""
+
+    start_within_rad: float = 0.2
+    """Largest difference of the heading from `expected_start`."""
+
+    resume_s: float = 5.0
+    """Longest pause, for example while the tracker does not see its coil; a longer one ends the run. By starting the
+    run, the operator allows the loop to resume after pauses; 0 forbids it. A fault always ends the run."""
+
+    force_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Unit vector in the frame of the force sensor; a force along it resists insertion."""
+
+    def __post_init__(self) -> None:
+        mistakes = [
+            Mistake(name, f"{getattr(self, name):g}", "must be a number above 0")
+            for name in _POSITIVE if not 0 < getattr(self, name) < math.inf
+        ]  # fmt: skip
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if each.name not in _POSITIVE and isinstance(value, float) and not math.isfinite(value):
+                mistakes.append(Mistake(each.name, f"{value:g}", "must be a finite number"))
+        for name in ("lead_s", "replan_share", "resume_s", "settling_frames"):
+            if getattr(self, name) < 0:
+                mistakes.append(Mistake(name, f"{getattr(self, name):g}", "must be at least 0"))
+        if not 0 <= self.least_success <= 1:
+            mistakes.append(Mistake("least_success", f"{self.least_success:g}", "must be from 0 to 1"))
+        length = math.hypot(*self.force_axis)
+        if not 0.999 < length < 1.001:
+            mistakes.append(Mistake("force_axis", str(self.force_axis), "must be a direction of length 1"))
+        if mistakes:
+            raise InputError(mistakes, "options of the insertion")
+
+
+@dataclass(frozen=True)
+class RunSetup:
+    """Everything that an insertion depends on besides its table: options, limits, registration, tip filter."""
+
+    options: Options = field(default_factory=Options)
+    limits: SafetyLimits = field(default_factory=SafetyLimits)
+    registration: Registration = field(default_factory=Registration)
+    tip_settings: TipSettings = field(default_factory=TipSettings)
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """Digest of the registration."""
+        return {"registration": self.registration.digest}
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """The setup as files in a recording, text by name."""
+        parts = {_OPTIONS: asdict(self.options), _LIMITS: asdict(self.limits), _TIP: asdict(self.tip_settings)}
+        texts = {name: json.dumps(part, indent=1) for name, part in parts.items()}
+        return texts | {_REGISTRATION: self.registration.to_toml()}
+
+    @classmethod
+    def from_texts(cls, texts: Mapping[str, str], source: str = "") -> Self:
+        """Return the setup that `texts` gave. Raises DataError if a file is missing or invalid."""
+        try:
+            options: dict[str, Any] = json.loads(texts[_OPTIONS])
+            if options["torsion"] is not None:
+                options["torsion"] = Torsion(**options["torsion"])
+            for name in ("force_axis", "expected_start"):
+                options[name] = options[name] and tuple(options[name])
+            return cls(
+                Options(**options),
+                SafetyLimits(**json.loads(texts[_LIMITS])),
+                Registration.from_toml(texts[_REGISTRATION]),
+                TipSettings(**json.loads(texts[_TIP])),
+            )
+        except KeyError as error:
+            raise DataError(f"is not the recording of an insertion: it has no {error}", source) from error
+        except (ValueError, TypeError, InputError) as error:
+            raise DataError(f"does not say how the insertion was set up: {error}", source) from error

@@ -1,0 +1,103 @@
+"""Checks before anything moves: the table fits the scenario and the needle, and the needle is at the expected start."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+
+import numpy as np
+
+from needleplan.control._driver import NeedleDriver
+from needleplan.control._needle import NeedleState
+from needleplan.control._options import Options
+from needleplan.errors import DeviceFault, Mistake, PoseError, TableError
+from needleplan.estimation.registration import Registration
+from needleplan.planning import PolicyTable, Status
+from needleplan.scenario import Identified, Scenario
+
+__all__ = ["measured_entry", "require_expected", "require_fitting"]
+
+# share by which the radii may differ if the identified radius has no interval
+_DEFAULT_SHARE = 0.05
+
+
+def require_fitting(
+    table: PolicyTable, source: str, scenario: Scenario | None = None, needle: Identified | None = None
+) -> None:
+    """Raise TableError, with every difference, if a table belongs to another scenario or to another needle.
+
+    The needle fits if the radius of the table lies in the 95 % interval of the identified radius.
+
+    Parameters
+    ----------
+    table
+        The table that an insertion would use.
+    source
+        Name of the table in the message.
+    scenario
+        Scenario that the table must have been planned for, apart from solver and title; None: any.
+    needle
+        Identified needle that must fit; None: any.
+
+    """
+    mistakes = []
+    if table.stats.status is not Status.CONVERGED:
+        mistakes.append(
+            Mistake("status", table.stats.status, "must be converged: its success probabilities are not proven")
+        )
+    if scenario is not None and scenario.digest != table.scenario.digest:
+        for each in fields(Scenario):
+            its, wanted = getattr(table.scenario, each.name), getattr(scenario, each.name)
+            if its != wanted and each.name not in ("solver", "title"):
+                mistakes.append(Mistake(each.name, str(its), f"must be that of the scenario, {wanted}"))
+    if needle is not None:
+        radius = table.scenario.needle.curvature_radius_mm
+        low, high = needle.interval_mm
+        if not math.isfinite(low):
+            low, high = (needle.radius_mm * share for share in (1 - _DEFAULT_SHARE, 1 + _DEFAULT_SHARE))
+        if not min(low, high) <= radius <= max(low, high):
+            rule = f"must be that of the needle, {needle.radius_mm:.4g} mm, from {low:.4g} to {high:.4g} mm"
+            mistakes.append(Mistake("needle.curvature_radius_mm", f"{radius:g}", rule))
+    if mistakes:
+        raise TableError(mistakes, source)
+
+
+def measured_entry(
+    needle: NeedleState, driver: NeedleDriver, registration: Registration, frames: int, oldest_s: float
+) -> tuple[float, float, float]:
+    """Return the pose of the entry, x_mm, y_mm and heading_rad: the mean over `frames` frames of the needle at rest.
+
+    The needle is still straight, so its tip lies ahead of the coil in the direction of the coil. Raises DeviceFault if
+    the tracker sends no usable frames, or if the time between two frames is at least `oldest_s` (s), the age limit of
+    the guard: the needle would pause at every frame.
+    """
+    rows, times_ns = [], []
+    for _ in range(frames):
+        driver.settle(1)
+        pose = needle.pose
+        assert pose is not None
+        times_ns.append(pose.stamp.received_ns)
+        position, direction = registration.place(pose.position_mm, pose.quaternion)
+        ahead = registration.coil_offset_mm - needle.path_mm
+        rows.append([*(at + ahead * along for at, along in zip(position, direction, strict=True)), *direction])
+    interval_s = float(np.median(np.diff(times_ns))) * 1e-9
+    if interval_s >= oldest_s:
+        raise DeviceFault(
+            f"tracker: its frames come every {1e3 * interval_s:.0f} ms, and a pose may be {1e3 * oldest_s:.0f} ms old: "
+            "set a higher frame rate, or set safety.pose_age_s to more than the time between two frames"
+        )
+    x, y, _, dx, dy, _ = np.mean(rows, axis=0).tolist()
+    return x, y, math.atan2(dy, dx)
+
+
+def require_expected(entry: tuple[float, float, float], options: Options) -> None:
+    """Raise PoseError if the needle is farther from the expected start than the options allow."""
+    expected = options.expected_start
+    if expected is None:
+        return
+    off_mm = math.dist(entry[:2], expected[:2])
+    off_rad = abs(math.remainder(entry[2] - expected[2], 2 * math.pi))
+    if off_mm > options.start_within_mm or off_rad > options.start_within_rad:
+        found = f"x {entry[0]:.2f} mm, y {entry[1]:.2f} mm, heading {math.degrees(entry[2]):.2f} deg"
+        rule = f"is {off_mm:.1f} mm and {math.degrees(off_rad):.1f} deg from the start that is wanted"
+        raise PoseError(Mistake("start", found, rule))

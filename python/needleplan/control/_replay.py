@@ -1,0 +1,281 @@
+"""Replay: the loop runs on recorded samples, and its decisions and commands are compared with the recorded ones.
+
+The devices return the recorded samples on a virtual clock, in the order in which the loop took them. The stage accepts
+every command and compares it with the recorded one. Decisions are compared in the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from needleplan.control._events import CommandKind, ExecutedStep, Listener, RunEventName
+from needleplan.control._insertion import Insertion
+from needleplan.control._options import RunSetup
+from needleplan.control._recorder import decision_of
+from needleplan.control._replanning import ThreadReplanner
+from needleplan.control._report import InsertionOutcome, InsertionReport
+from needleplan.devices import (
+    Feed,
+    ForceSample,
+    ForceSensor,
+    Health,
+    PoseSample,
+    ReadDevice,
+    Sample,
+    Source,
+    Stage,
+    StageSample,
+    Stamp,
+    Station,
+    Tracker,
+    VirtualClock,
+    read_directly,
+)
+from needleplan.errors import DataError, DeviceFault, Mistake
+from needleplan.planning import PolicyTable
+from needleplan.recording import Recording
+
+__all__ = ["RecordedForceSensor", "RecordedStage", "RecordedStation", "RecordedTracker", "ReplayComparison", "replay"]
+
+_TOLERANCE = 1e-9
+_NANO = 1_000_000_000
+_COMPARED = ("action", "state", "value", "success", "length_mm", "path_mm", "pose", "table")
+
+_Sample = TypeVar("_Sample", StageSample, ForceSample, PoseSample)
+
+
+class _Tape(Generic[_Sample]):
+    """Recorded samples of one device that have not been read yet."""
+
+    def __init__(self, clock: VirtualClock, samples: list[tuple[int, _Sample]]) -> None:
+        self._clock = clock
+        self._left: deque[tuple[int, _Sample]] = deque(samples)
+
+    def read(self, timeout_s: float) -> _Sample | None:
+        """Return the next sample, and advance the clock to its arrival, or by `timeout_s`. Raises DeviceFault."""
+        if not self._left:
+            raise DeviceFault(f"{type(self).__name__}: the recording is at its end")
+        due_s = (self._left[0][0] - self._clock.now_ns()) / _NANO
+        self._clock.advance(min(due_s, timeout_s))
+        return self._left.popleft()[1] if due_s <= timeout_s else None
+
+    def close(self) -> None:
+        """Discard the remaining samples."""
+        self._left.clear()
+
+
+class RecordedStage(_Tape[StageSample], Stage):
+    """Returns the recorded stage samples, and compares each command with the recorded command."""
+
+    def __init__(
+        self, clock: VirtualClock, samples: list[tuple[int, StageSample]], commands: list[dict[str, Any]]
+    ) -> None:
+        super().__init__(clock, samples)
+        self._commands = deque(commands)
+        self.differences: list[str] = []
+
+    def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
+        """Compare a command."""
+        self._compare(CommandKind.INSERT, depth_mm, velocity_mm_s)
+
+    def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
+        """Compare a command."""
+        self._compare(CommandKind.ROTATE, roll_rad, velocity_rad_s)
+
+    def stop(self) -> None:
+        """Do nothing: stops are repeated as often as needed, so they are not compared."""
+
+    def _compare(self, kind: CommandKind, goal: float, speed: float) -> None:
+        command = f"{kind} to {goal:.9g} at {speed:.9g}"
+        if not self._commands:
+            self.differences.append(f"{command}, where the recording has no command any more")
+            return
+        its = self._commands.popleft()
+        if (its["kind"], its["goal"], its["speed"]) != (str(kind), goal, speed):
+            self.differences.append(f"{command}, where the recording has {its['kind']} to {its['goal']:.9g}")
+
+
+class RecordedForceSensor(_Tape[ForceSample], ForceSensor):
+    """Returns the recorded force samples."""
+
+    def bias(self) -> None:
+        """Do nothing: the recorded samples are biased already."""
+
+
+class RecordedTracker(_Tape[PoseSample], Tracker):
+    """Returns the recorded poses."""
+
+
+class _OrderedFeed(Feed):
+    """Reads the devices in the order in which the recorded loop took their samples."""
+
+    def __init__(self, station: Station, order: list[Source], read: ReadDevice) -> None:
+        self._devices, self._read = station.devices, read
+        self._order = deque(order)
+
+    def next(self, timeout_s: float) -> Sample | None:
+        """Return the next sample. Raises DeviceFault at the end of the recording."""
+        if not self._order:
+            raise DeviceFault("the recording is at its end")
+        source = self._order[0]
+        sample = self._read(source, self._devices[source], timeout_s)
+        if sample is not None:
+            self._order.popleft()
+        return sample
+
+    def close(self) -> None:
+        """Discard the remaining samples."""
+        self._order.clear()
+
+
+class RecordedStation(Station):
+    """The three devices of a recording. Raises DataError if a topic is missing."""
+
+    def __init__(self, recording: Recording) -> None:
+        missing = [Mistake("topic", topic, "is missing") for topic in ("/stage", "/force", "/pose", "/command")
+                   if topic not in recording.counts]  # fmt: skip
+        if missing:
+            raise DataError(missing, str(recording.path))
+        clock = VirtualClock(recording.start_ns)
+        stage: list[tuple[int, StageSample]] = []
+        forces: list[tuple[int, ForceSample]] = []
+        poses: list[tuple[int, PoseSample]] = []
+        self._order: list[Source] = []
+        for message in recording.messages(["/stage", "/force", "/pose"]):
+            values, time_ns = message.values, message.time_ns
+            if message.topic == "/stage":
+                stage.append((time_ns, _stage(values)))
+                self._order.append(Source.STAGE)
+            elif message.topic == "/force":
+                forces.append((time_ns, _force(values)))
+                self._order.append(Source.FORCE)
+            else:
+                poses.append((time_ns, _pose(values)))
+                self._order.append(Source.POSE)
+        commands = [each.values for each in recording.messages(["/command"]) if each.values["kind"] != CommandKind.STOP]
+        self.recorded_stage = RecordedStage(clock, stage, commands)
+        super().__init__(self.recorded_stage, RecordedForceSensor(clock, forces), RecordedTracker(clock, poses), clock)
+
+    def feed(self, read: ReadDevice = read_directly) -> Feed:
+        """Return the samples in the order in which they were taken."""
+        return _OrderedFeed(self, self._order, read)
+
+
+@dataclass(frozen=True)
+class ReplayComparison:
+    """Result of a replay: the numbers of decisions made and recorded, and all differences in their order."""
+
+    report: InsertionReport
+    decisions: int
+    recorded: int
+    differences: tuple[str, ...]
+
+    @property
+    def same(self) -> bool:
+        """Whether every decision and every command equals the recorded one."""
+        return not self.differences and self.decisions == self.recorded
+
+
+class _Comparing(Listener):
+    def __init__(self, recorded: list[dict[str, Any]]) -> None:
+        self.recorded = recorded
+        self.differences: list[str] = []
+
+    def step(self, step: ExecutedStep) -> None:
+        """Compare a decision."""
+        if step.number >= len(self.recorded):
+            self.differences.append(f"decision {step.number}: the recording has none")
+            return
+        its, now = self.recorded[step.number], decision_of(step)
+        for name in _COMPARED:
+            if not _alike(now[name], its[name]):
+                self.differences.append(f"decision {step.number}: {name} {now[name]}, in the recording {its[name]}")
+
+
+def replay(recording: Recording, table: PolicyTable) -> ReplayComparison:
+    """Run the loop on a recording with the same table, and compare its decisions and commands with the recorded ones.
+
+    Parameters
+    ----------
+    recording
+        Recording of an insertion, written by `RunRecorder`.
+    table
+        The table that the insertion used.
+
+    Returns
+    -------
+    ReplayComparison
+        The report of the replay and all differences; `same` is true if there are none.
+
+    Raises
+    ------
+    DataError
+        If the recording is not of an insertion, or if it was made with another table.
+
+    """
+    source = str(recording.path)
+    setup = RunSetup.from_texts(recording.session.texts, source)
+    if recording.session.digests.get("table") != table.digest:
+        rule = f"must be that of the table, {table.digest}"
+        raise DataError(Mistake("digest.table", recording.session.digests.get("table", ""), rule), source)
+    missing = [topic for topic in ("/decision", "/event") if topic not in recording.counts]
+    if missing:
+        raise DataError(Mistake("topic", ", ".join(missing), "is missing"), source)
+    station = RecordedStation(recording)
+    listener = _Comparing([each.values for each in recording.messages(["/decision"])])
+    events = [each.values for each in recording.messages(["/event"])]
+    swapped = [each["step"] for each in events if each["name"] == RunEventName.TABLE_SWAPPED]
+    insertion = Insertion(
+        table, station, setup.options, registration=setup.registration, tip_settings=setup.tip_settings,
+        limits=setup.limits, replanner=ThreadReplanner(wait=True, at=swapped), listeners=[listener],
+    )  # fmt: skip
+    with insertion:
+        report = insertion.run()
+    differences = [*listener.differences, *station.recorded_stage.differences]
+    ended = next((each["cause"] for each in events if each["name"] == RunEventName.END), "")
+    # A run that was stopped, or ended by a device, has no further samples: its replay ends with them.
+    cut = ended in (InsertionOutcome.STOPPED, InsertionOutcome.FAULT, InsertionOutcome.REFUSED, "")
+    if not cut and report.outcome != ended:
+        differences.append(f"it ends with {report.outcome} ({report.cause}), in the recording with {ended}")
+    if len(report.steps) < len(listener.recorded):
+        differences.append(f"it made {len(report.steps)} decisions, in the recording {len(listener.recorded)}")
+    return ReplayComparison(report, len(report.steps), len(listener.recorded), tuple(differences))
+
+
+def _alike(one: Any, other: Any) -> bool:
+    if isinstance(one, list | tuple):
+        return len(one) == len(other) and all(map(_alike, one, other))
+    if isinstance(one, float) and other is not None:
+        return math.isclose(one, other, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
+    return bool(one == other)
+
+
+def _stamp(values: dict[str, Any]) -> Stamp:
+    device_time_s = values["device_time_s"]
+    return Stamp(
+        values["received_ns"], values["sequence"], values["lost"], None if math.isnan(device_time_s) else device_time_s
+    )
+
+
+def _end(values: dict[str, Any]) -> tuple[Health, tuple[str, ...]]:
+    return Health(values["health"]), (values["notes"],) if values["notes"] else ()
+
+
+def _stage(values: dict[str, Any]) -> StageSample:
+    numbers = values["depth_mm"], values["velocity_mm_s"], values["roll_rad"]
+    return StageSample(_stamp(values), *numbers, values["moving"], *_end(values))
+
+
+def _force(values: dict[str, Any]) -> ForceSample:
+    force = values["force_x_n"], values["force_y_n"], values["force_z_n"]
+    torque = values["torque_x_n_mm"], values["torque_y_n_mm"], values["torque_z_n_mm"]
+    return ForceSample(_stamp(values), force, torque, *_end(values))
+
+
+def _pose(values: dict[str, Any]) -> PoseSample:
+    place = values["x_mm"], values["y_mm"], values["z_mm"]
+    turn = values["qw"], values["qx"], values["qy"], values["qz"]
+    return PoseSample(_stamp(values), place, turn, values["error_mm"], *_end(values))

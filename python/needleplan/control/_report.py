@@ -1,0 +1,201 @@
+"""Result of an insertion: its outcome and cause, the planned path and the executed path."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from needleplan.control._events import ExecutedStep, Listener, RunEvent, RunEventName
+from needleplan.devices import ForceSample, Sample
+from needleplan.estimation.tip import TipEstimate
+from needleplan.models import arc_step
+from needleplan.planning import Action, Path, PolicyTable
+from needleplan.signals import Array
+
+__all__ = ["InsertionOutcome", "InsertionReport", "InsertionTrace", "drawn", "path_distances_mm"]
+
+
+class InsertionOutcome(StrEnum):
+    """Outcome of an insertion; in all cases the needle stands still."""
+
+    TARGET = "target"
+    MISSED = "missed"
+    """The tip is less than two steps from the target, beside it, and cannot get nearer."""
+
+    UNREACHABLE = "unreachable"
+    """The success probability of the table at the tip is below `least_success`."""
+
+    OUTSIDE = "outside"
+    """The tip has left the workspace of the table."""
+
+    COLLISION = "collision"
+    TOO_LONG = "too_long"
+    STOPPED = "stopped"
+    """The operator stopped the run."""
+
+    FAULT = "fault"
+    REFUSED = "refused"
+    """The run ended with an error before the needle was moved."""
+
+
+@dataclass(frozen=True, eq=False)
+class InsertionReport:
+    """Result of an insertion; lengths in mm.
+
+    Attributes
+    ----------
+    outcome, cause
+        How the insertion ended, and why.
+    steps, events
+        Decisions and events in their order.
+    planned_mm
+        [n, 2] path of the first table from the start: x, y.
+    executed_mm
+        [m, 3] estimated tip at every frame of the tracker: x, y, distance out of the plane.
+    path_mm, deviations_mm
+        [m] length of the path, and distance from the planned path, at these frames.
+    forces
+        [m, 2] length of the path (mm) and axial force (N) at these frames.
+    tip, error_mm, beyond_rim_mm
+        Last estimate of the tip; its distance from the centre of the target; how far it is outside the target.
+    deviation_mm, out_of_plane_mm
+        Largest distance from the planned path, prolonged straight into the target, and out of the plane.
+    predicted_success
+        Success probability of the table at the first decision.
+    table_digest
+        Digest of the first table.
+
+    """
+
+    outcome: InsertionOutcome
+    cause: str
+    steps: tuple[ExecutedStep, ...]
+    events: tuple[RunEvent, ...]
+    planned_mm: Array
+    executed_mm: Array
+    path_mm: Array
+    deviations_mm: Array
+    forces: Array
+    tip: TipEstimate | None
+    error_mm: float
+    beyond_rim_mm: float
+    deviation_mm: float
+    out_of_plane_mm: float
+    inserted_mm: float
+    turns: int
+    replans: int
+    largest_force_n: float
+    duration_s: float
+    predicted_success: float
+    table_digest: str
+
+    def record(self) -> dict[str, Any]:
+        """Return the numbers as a JSON object, without the paths."""
+        tip = self.tip
+        return {
+            "ending": self.outcome, "cause": self.cause, "error_mm": self.error_mm,
+            "beyond_rim_mm": self.beyond_rim_mm, "deviation_mm": self.deviation_mm,
+            "out_of_plane_mm": self.out_of_plane_mm, "inserted_mm": self.inserted_mm, "steps": len(self.steps),
+            "turns": self.turns, "replans": self.replans, "largest_force_n": self.largest_force_n,
+            "duration_s": self.duration_s, "predicted_success": self.predicted_success,
+            "tip": None if tip is None else vars(tip), "table": self.table_digest,
+            "slowest_decision_s": max((each.latency_s for each in self.steps), default=math.nan),
+        }  # fmt: skip
+
+
+class InsertionTrace(Listener):
+    """Collects the samples, estimates, decisions and events for the report."""
+
+    def __init__(self, force_axis: tuple[float, float, float]) -> None:
+        self.steps: list[ExecutedStep] = []
+        self.events: list[RunEvent] = []
+        self.tips: list[tuple[float, float, float]] = []
+        self.paths_mm: list[float] = []
+        self.forces: list[tuple[float, float]] = []
+        self._force_n = math.nan
+        self.last: TipEstimate | None = None
+        self.largest_force_n = 0.0
+        self._axis = force_axis
+        self._span_ns: tuple[int, int] | None = None
+
+    def sample(self, sample: Sample) -> None:
+        """Update the largest force and the duration."""
+        now = sample.stamp.received_ns
+        self._span_ns = (self._span_ns[0] if self._span_ns else now, now)
+        if isinstance(sample, ForceSample):
+            along = sum(each * axis for each, axis in zip(sample.force_n, self._axis, strict=True))
+            self._force_n = along
+            self.largest_force_n = max(self.largest_force_n, abs(along))
+
+    def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
+        """Append the estimate of the tip and the present force."""
+        self.last = tip
+        self.paths_mm.append(path_mm)
+        self.forces.append((path_mm, self._force_n))
+        self.tips.append((tip.x_mm, tip.y_mm, tip.z_mm))
+
+    def step(self, step: ExecutedStep) -> None:
+        """Append a decision."""
+        self.steps.append(step)
+
+    def event(self, event: RunEvent) -> None:
+        """Append an event."""
+        self.events.append(event)
+
+    def report(
+        self, outcome: InsertionOutcome, cause: str, table: PolicyTable, planned: Path | None, inserted_mm: float
+    ) -> InsertionReport:
+        """Return the report of the insertion; `table` is the first table, `planned` its path from the start."""
+        tip = self.last
+        target = table.scenario.target
+        error = math.nan if tip is None else math.dist((tip.x_mm, tip.y_mm), target.center_mm)
+        executed = np.array(self.tips, float).reshape(-1, 3)
+        line = np.empty((0, 2)) if planned is None else drawn(planned, table)
+        along = np.array(self.paths_mm, float)
+        off = np.where(along < 0, 0.0, path_distances_mm(_prolonged(line, 2 * target.radius_mm), executed[:, :2]))
+        begin, end = self._span_ns or (0, 0)
+        return InsertionReport(
+            outcome, cause, tuple(self.steps), tuple(self.events), line, executed,
+            along, off, np.array(self.forces, float).reshape(-1, 2), tip, error,
+            max(error - target.radius_mm, 0.0), float(off.max(initial=0.0)),
+            float(np.abs(executed[:, 2]).max(initial=0.0)), inserted_mm,
+            sum(each.action is Action.ROTATE for each in self.steps),
+            sum(each.name is RunEventName.TABLE_SWAPPED for each in self.events), self.largest_force_n,
+            (end - begin) * 1e-9, self.steps[0].success if self.steps else math.nan, table.digest,
+        )  # fmt: skip
+
+
+def drawn(path: Path, table: PolicyTable) -> Array:
+    """Return points [n, 2] along the arcs of a noise-free execution (mm)."""
+    parts = [path.poses[:1, :2]]
+    for (x, y, heading, _), after in pairwise(path.poses):
+        bevel = after[3]
+        radius = float(table.scenario.radius_mm(x, y))
+        length = math.dist((x, y), after[:2])
+        length = 2 * radius * math.asin(min(length / (2 * radius), 1.0))
+        along = np.linspace(0, length, 9)[1:]
+        xs, ys, _ = arc_step(x, y, heading, bevel / radius, along)
+        parts.append(np.stack([xs, ys], axis=1))
+    return np.concatenate(parts)
+
+
+def path_distances_mm(line_mm: Array, points_mm: Array) -> Array:
+    """Return the distances [m] of points [m, 2] from a polyline [n, 2] (mm)."""
+    if len(line_mm) < 2 or not len(points_mm):
+        return np.zeros(len(points_mm))
+    import shapely
+
+    return np.asarray(shapely.distance(shapely.LineString(line_mm), shapely.points(points_mm)))
+
+
+def _prolonged(line_mm: Array, length_mm: float) -> Array:
+    """Return a polyline with a straight extension: the plan ends at the rim of the target, the insertion inside it."""
+    if len(line_mm) < 2:
+        return line_mm
+    ahead = line_mm[-1] - line_mm[-2]
+    return np.concatenate([line_mm, [line_mm[-1] + ahead * length_mm / np.linalg.norm(ahead)]])

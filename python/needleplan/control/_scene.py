@@ -1,0 +1,172 @@
+"""Geometry of a scenario along the path of the tip: step lengths, obstacles, and the approach to the target."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.models import arc_step
+from needleplan.planning import Pose
+from needleplan.scenario import Scenario
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+__all__ = ["NEARLY_MM", "Approach", "ScenarioGeometry"]
+
+NEARLY_MM = 0.05
+"""Distance (mm) below which a goal counts as reached; an arc whose closest point is nearer than twice this is done."""
+
+# distance between points of an arc that are checked, mm
+_SAMPLE_MM = 0.05
+# reduction of the distance to the target, mm, below which a last step beside the target is not made
+_GAIN_MM = 0.1
+
+
+class ScenarioGeometry:
+    """Geometry of one scenario; x and y in mm, curvature in 1/mm, positive to the left."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self._uniform = scenario.uniform
+
+    def radius_mm(self, x_mm: float, y_mm: float) -> float:
+        """Return the planned radius of an arc that starts at a point (mm)."""
+        if self._uniform:
+            return self.scenario.needle.curvature_radius_mm
+        return float(self.scenario.radius_mm(x_mm, y_mm))
+
+    def step_mm(self, x_mm: float, y_mm: float) -> float:
+        """Return the length of the step that starts at a point: one heading of the table (mm)."""
+        return 2 * math.pi * self.radius_mm(x_mm, y_mm) / self.scenario.motion.headings
+
+    def clamped(self, x_mm: float, y_mm: float) -> tuple[float, float]:
+        """Return the point, moved to the edge of the workspace if it is at most half a cell outside."""
+        workspace, (dx, dy) = self.scenario.workspace, self.scenario.grid.spacing_mm
+        x = min(max(x_mm, 0.0), workspace.width_mm)
+        y = min(max(y_mm, 0.0), workspace.height_mm)
+        return (x if abs(x - x_mm) <= dx / 2 else x_mm), (y if abs(y - y_mm) <= dy / 2 else y_mm)
+
+    def outside(self, x_mm: float, y_mm: float) -> bool:
+        """Return whether a point is more than half a cell outside of the workspace."""
+        x, y = self.clamped(x_mm, y_mm)
+        workspace = self.scenario.workspace
+        return not (0 <= x <= workspace.width_mm and 0 <= y <= workspace.height_mm)
+
+    def decided_at(self, x_mm: float, y_mm: float) -> tuple[float, float]:
+        """Return the point at which the table is looked up for a tip at a free point.
+
+        The table has no action at grid points in an obstacle. If the grid point nearest to the tip is in an obstacle,
+        the nearest free corner of the tip's cell is returned, otherwise the point itself.
+        """
+        (dx, dy), points = self.scenario.grid.spacing_mm, self.scenario.grid.points(self.scenario.workspace)
+        corners = [
+            (i * dx, j * dy)
+            for i in (math.floor(x_mm / dx), math.floor(x_mm / dx) + 1)
+            for j in (math.floor(y_mm / dy), math.floor(y_mm / dy) + 1)
+            if 0 <= i < points[0] and 0 <= j < points[1]
+        ]
+        corners.sort(key=lambda at: math.hypot((at[0] - x_mm) / dx, (at[1] - y_mm) / dy))
+        free = next((at for at in corners if not self.touches(*at)), None)
+        return (x_mm, y_mm) if free is None or free == corners[0] else free
+
+    def touches(self, x_mm: float, y_mm: float) -> str:
+        """Return the name of the obstacle that contains a point, or an empty text."""
+        from shapely import Point
+
+        point = Point(x_mm, y_mm)
+        for name, polygon in self._obstacles:
+            if polygon.intersects(point):
+                return name
+        return ""
+
+    def target_distance_mm(self, x_mm: float, y_mm: float) -> float:
+        """Return the distance of a point from the centre of the target (mm)."""
+        x, y = self.scenario.target.center_mm
+        return math.hypot(x_mm - x, y_mm - y)
+
+    def closest(
+        self, x_mm: float, y_mm: float, heading_rad: float, curvature_per_mm: float, length_mm: float
+    ) -> tuple[float, float]:
+        """Return the length along an arc at which it is closest to the centre of the target, and that distance (mm)."""
+        lengths = np.linspace(0.0, length_mm, max(int(length_mm / _SAMPLE_MM), 1) + 1)
+        x, y, _ = arc_step(x_mm, y_mm, heading_rad, curvature_per_mm, lengths)
+        target_x, target_y = self.scenario.target.center_mm
+        distances = np.hypot(x - target_x, y - target_y)
+        at = int(distances.argmin())
+        return float(lengths[at]), float(distances[at])
+
+    def blocked(self, x_mm: float, y_mm: float, heading_rad: float, curvature_per_mm: float, length_mm: float) -> bool:
+        """Return whether an arc leaves the workspace or touches an obstacle."""
+        lengths = np.linspace(0.0, length_mm, max(int(length_mm / _SAMPLE_MM), 1) + 1)
+        x, y, _ = arc_step(x_mm, y_mm, heading_rad, curvature_per_mm, lengths)
+        return any(self.outside(*at) or self.touches(*at) for at in zip(x.tolist(), y.tolist(), strict=True))
+
+    @cached_property
+    def _obstacles(self) -> list[tuple[str, BaseGeometry]]:
+        from shapely import Polygon, prepare
+
+        found: list[tuple[str, BaseGeometry]] = []
+        for number, each in enumerate(self.scenario.obstacles, start=1):
+            polygon = Polygon(each.polygon_mm)
+            prepare(polygon)
+            found.append((each.name or f"obstacle {number}", polygon))
+        return found
+
+
+@dataclass(frozen=True)
+class Approach:
+    """The approach to the target of a scene, for a needle with an estimated curvature (1/mm)."""
+
+    scene: ScenarioGeometry
+    curvature_per_mm: float
+
+    def inside(self, pose: Pose) -> bool:
+        """Return whether the tip is in the target."""
+        distance = self.scene.target_distance_mm(pose.x_mm, pose.y_mm)
+        return distance <= self.scene.scenario.target.radius_mm
+
+    def done(self, pose: Pose) -> bool:
+        """Return whether the tip is in the target and a further step would not bring it nearer to the centre."""
+        return self.inside(pose) and self.closest(pose)[0] < 2 * NEARLY_MM
+
+    def closest(self, pose: Pose) -> tuple[float, float]:
+        """Return the length along the next step at which the tip is closest to the target, and that distance (mm)."""
+        step = self.scene.step_mm(pose.x_mm, pose.y_mm)
+        bend = pose.bevel * self.curvature_per_mm
+        return self.scene.closest(pose.x_mm, pose.y_mm, pose.heading_rad, bend, step)
+
+    def length_mm(self, pose: Pose, room_mm: float) -> tuple[float, bool]:
+        """Return the length to insert, at most `room_mm` (mm), and whether the insertion ends there."""
+        step = self.scene.step_mm(pose.x_mm, pose.y_mm)
+        along, distance = self.closest(pose)
+        if room_mm < step:
+            return room_mm, True
+        if NEARLY_MM <= along < step and distance <= self.scene.scenario.target.radius_mm:
+            return along, True
+        return step, False
+
+    def near(self, pose: Pose) -> bool:
+        """Return whether the target is less than two steps away."""
+        scene = self.scene
+        reach = scene.scenario.target.radius_mm + 2 * scene.step_mm(pose.x_mm, pose.y_mm)
+        return scene.target_distance_mm(pose.x_mm, pose.y_mm) <= reach
+
+    def beside(self, pose: Pose) -> tuple[Pose, float] | None:
+        """Return the pose, with the better bevel, and the length (mm) of a last step that ends nearest to the target.
+
+        Returns None if the target is not near, the step would gain too little, or an obstacle is in the way.
+        """
+        if not self.near(pose):
+            return None
+        best = min((pose, pose._replace(bevel=-pose.bevel)), key=lambda each: self.closest(each)[1])
+        along, distance = self.closest(best)
+        gain = self.scene.target_distance_mm(pose.x_mm, pose.y_mm) - distance
+        bend = best.bevel * self.curvature_per_mm
+        if gain < _GAIN_MM or self.scene.blocked(best.x_mm, best.y_mm, best.heading_rad, bend, along):
+            return None
+        return best, along

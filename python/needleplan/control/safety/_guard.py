@@ -1,0 +1,389 @@
+"""The guard before the stage: it validates every sample and every command, and is the last code before the wire.
+
+All devices are read through `read_device`, so every sample meets the guard as soon as it arrives. The loop reports with
+`tick` that it is running. A motion command is sent to the stage if the state is ENABLED and every input is fresh, valid
+and within limits. A command with a value beyond a limit is refused, never clipped.
+
+Retraction by a person (`retract`) is allowed in every state, including FAULT, and with any sensor state: pulling the
+needle out is the way to safety, and a dead sensor must not prevent it. It is a person's decision, so no program calls
+it on its own; the loop moves the needle back with `insert`, under the same rules as inward. Retraction is limited in
+speed and must lead outward from the present position. If the position is unknown, only the full way out to
+`shallowest_mm` is accepted. A cause that appears meanwhile does not stop a retraction, unless the stage moves the wrong
+way. A stop by a person does.
+
+A stop is repeated until the stage reports that it stands still. All of this is software; it does not replace an
+emergency stop that cuts the power of the drives.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+from collections.abc import Callable, Collection, Iterator
+from weakref import WeakSet
+
+from needleplan.control.safety._causes import Cause
+from needleplan.control.safety._inputs import Inputs, RecordingStatus, validate
+from needleplan.control.safety._limits import SafetyLimits
+from needleplan.control.safety._motion import MotionWatch, against_insertion, against_retraction, against_rotation
+from needleplan.control.safety._signals import Heartbeat, RepeatedStop
+from needleplan.control.safety._states import (
+    GuardAction,
+    InputReport,
+    OperatingState,
+    Order,
+    SafetyEvent,
+    SafetyEventName,
+    SafetyListener,
+    SafetyState,
+    SafetyTransition,
+    advance,
+)
+from needleplan.devices import Clock, Sample, SampledDevice, Source, Stage, StageSample, SystemClock
+from needleplan.errors import DeviceFault, MotionRefused
+from needleplan.recording import RecorderStatus
+
+__all__ = ["GuardedStage"]
+
+_NANO = 1e-9
+# s; a thread that holds the guard for longer is blocked in a command to the stage
+_LOCK_TIMEOUT_S = 0.02
+
+_RUNNING = (OperatingState.ENABLED, OperatingState.PAUSED)
+_ENDS_RETRACTION = frozenset({Cause.WRONG_WAY, Cause.STAGE_JUMPED})
+_GUARDED: WeakSet[Stage] = WeakSet()
+
+
+class GuardedStage(Stage):
+    """A stage that moves only while it is safe. Raises MotionRefused if another guard has the stage already.
+
+    `listener` receives every event, in order, after the stop of the event has been sent. It must return at once, as
+    `Channel.put` of a recording does, and must not call the guard. Only one thread may command: the first one that does
+    so after the stage is enabled. Any thread may call everything else.
+    """
+
+    def __init__(
+        self, stage: Stage, limits: SafetyLimits | None = None, *, clock: Clock | None = None,
+        listener: SafetyListener | None = None,
+    ) -> None:  # fmt: skip
+        if stage in _GUARDED or isinstance(stage, GuardedStage):
+            raise MotionRefused("guard the stage", (Cause.SECOND_COMMANDER,))
+        _GUARDED.add(stage)
+        self._stage = stage
+        self._limits = SafetyLimits() if limits is None else limits
+        self._clock: Clock = SystemClock() if clock is None else clock
+        self._listener = listener
+        self._lock = threading.RLock()
+        self._state = SafetyState(since_ns=self._clock.now_ns())
+        self._inputs, self._motion = Inputs(), MotionWatch()
+        self._reported: frozenset[Cause] = frozenset()
+        self._recording = RecordingStatus()
+        self._ticked_ns: int | None = None
+        self._latest_ns = self._state.since_ns
+        self._enabled_ns = 0
+        self._commander: int | None = None
+        self._repeated_stop = RepeatedStop(stage, self._clock)
+        self._heartbeat = Heartbeat(stage, self._state.since_ns)
+        self._retracting = self._blocked = self._listener_failed = False
+
+    @property
+    def state(self) -> SafetyState:
+        """The state after the last validation."""
+        return self._state
+
+    @property
+    def limits(self) -> SafetyLimits:
+        """The limits in force."""
+        return self._limits
+
+    def exchange_limits(self, limits: SafetyLimits) -> None:
+        """Replace the limits. Raises MotionRefused unless DISABLED: limits do not change while the needle may move."""
+        with self._held() as now_ns:
+            if self._state.operating is not OperatingState.DISABLED:
+                self._refuse("exchange the limits", (Cause.LIMITS_IN_USE,), now_ns)
+            self._limits = limits
+
+    def observe(
+        self, sample: Sample, *, tip_mm: tuple[float, float] | None = None, out_of_plane_mm: float = math.nan
+    ) -> SafetyState:
+        """Validate a sample; a pose comes with the tip that was estimated from it, and its distance from the plane.
+
+        If the sample requires a stop, the stop has been sent when this returns.
+        """
+        return self._observe(sample, (tip_mm, out_of_plane_mm))
+
+    def _observe(self, sample: Sample, tip: tuple[tuple[float, float] | None, float] | None) -> SafetyState:
+        with self._held() as now_ns:
+            self._inputs = self._inputs.then(sample, tip)
+            if isinstance(sample, StageSample):
+                self._motion = self._motion.then(sample, self._limits)
+                self._detect_end(sample, now_ns)
+            return self._validate(now_ns)
+
+    def observe_tip(self, tip_mm: tuple[float, float] | None, out_of_plane_mm: float) -> SafetyState:
+        """Validate a new estimate of the tip: its place in the plane of the plan (None if lost), and its distance."""
+        with self._held() as now_ns:
+            self._inputs = self._inputs.with_tip(tip_mm, out_of_plane_mm)
+            return self._validate(now_ns)
+
+    def device_failed(self, source: Source, error: Exception) -> SafetyState:
+        """Treat a device as failed until its next usable sample."""
+        with self._held() as now_ns:
+            self._inputs = self._inputs.with_failure(source)
+            return self._validate(now_ns, str(error))
+
+    def report(self, causes: Collection[Cause], text: str = "") -> SafetyState:
+        """Report the causes that the loop finds itself, such as PLAN_LOST; they hold until the next report."""
+        with self._held() as now_ns:
+            self._reported = frozenset(causes)
+            return self._validate(now_ns, text)
+
+    def observe_recording(self, status: RecorderStatus) -> SafetyState:
+        """Validate the status of the recorder; a run must be recorded completely, so a loss is a fault."""
+        with self._held() as now_ns:
+            self._recording = self._recording.then(status, now_ns)
+            return self._validate(now_ns, status.cause)
+
+    def tick(self) -> SafetyState:
+        """Report that the loop is running, and validate everything; the loop calls it once per iteration.
+
+        This is the only place from which the stage gets its heartbeat: a loop that dies or hangs ends the heartbeat,
+        and the watchdog of the stage stops the motion.
+        """
+        with self._held() as now_ns:
+            # A tick that came too late must be validated before its time is replaced.
+            state = self._validate(now_ns)
+            self._ticked_ns = now_ns
+            if (error := self._heartbeat.send(now_ns)) is not None:
+                self._inputs = self._inputs.with_failure(Source.STAGE)
+                return self._validate(now_ns, str(error))
+            return self._validate(now_ns) if Cause.LOOP_LATE in state.present else state
+
+    def heartbeat(self) -> None:
+        """Report that the loop is running; the same as `tick`."""
+        self.tick()
+
+    def check(self) -> SafetyState:
+        """Validate everything on behalf of a thread other than the loop: the watchdog."""
+        with self._held() as now_ns:
+            return self._validate(now_ns)
+
+    def order(self, order: Order, by: str = "") -> SafetyState:
+        """Carry out an order of the person `by`. Raises MotionRefused with all causes against it."""
+        with self._held() as now_ns:
+            self._validate(now_ns)
+            transition = advance(self._state, order, now_ns)
+            if transition.refused:
+                self._refuse(order, transition.causes, now_ns, by)
+            if GuardAction.STOP in transition.actions:
+                self._retracting = False
+            if self._state.operating is OperatingState.DISABLED and order is Order.ENABLE:
+                self._enabled_ns = now_ns
+            self._emit(
+                SafetyEventName.ORDER,
+                now_ns,
+                transition.causes,
+                f"{order} by {by}" if by else order,
+                state=transition.state,
+            )
+            self._follow(transition, now_ns, str(order))
+            return self._state
+
+    def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
+        """Begin to move to a depth at a speed. Raises MotionRefused, or the DeviceFault of the stage."""
+        with self._held() as now_ns:
+            self._validate(now_ns)
+            limits, what = self._limits, f"insert to {depth_mm:g} mm at {velocity_mm_s:g} mm/s"
+            here = self._inputs.stage_known(limits, now_ns)
+            self._require_none(what, against_insertion(limits, here, depth_mm, velocity_mm_s), now_ns)
+            self._motion = self._motion.inserts(depth_mm, velocity_mm_s, now_ns)
+            values = {"depth_mm": depth_mm, "velocity_mm_s": velocity_mm_s}
+            self._send(SafetyEventName.COMMAND, self._stage.insert, values, what, now_ns)
+
+    def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
+        """Begin to rotate the base to a roll. Raises MotionRefused, or the DeviceFault of the stage."""
+        with self._held() as now_ns:
+            self._validate(now_ns)
+            what = f"rotate to {roll_rad:g} rad at {velocity_rad_s:g} rad/s"
+            self._require_none(what, against_rotation(self._limits, roll_rad, velocity_rad_s), now_ns)
+            self._motion = self._motion.rotates(roll_rad, velocity_rad_s, now_ns)
+            values = {"roll_rad": roll_rad, "velocity_rad_s": velocity_rad_s}
+            self._send(SafetyEventName.COMMAND, self._stage.rotate, values, what, now_ns)
+
+    def retract(self, depth_mm: float, velocity_mm_s: float, by: str = "") -> None:
+        """Pull the needle out to a depth, by order of the person `by`, in every state; ENABLED becomes PAUSED first.
+
+        Raises MotionRefused if the motion does not lead outward or is too fast, or the DeviceFault of the stage.
+        """
+        with self._held() as now_ns:
+            limits, what = self._limits, f"retract to {depth_mm:g} mm at {velocity_mm_s:g} mm/s"
+            here = self._inputs.stage_known(limits, now_ns)
+            against = against_retraction(limits, here, depth_mm, velocity_mm_s)
+            if against:
+                self._refuse(what, against, now_ns, by)
+            if self._state.operating is OperatingState.ENABLED:
+                self._follow(advance(self._state, Order.PAUSE, now_ns), now_ns, what)
+            if self._motion.last is not None:
+                self._motion = self._motion.inserts(depth_mm, velocity_mm_s, now_ns)
+            self._retracting, self._repeated_stop.wanted = True, False
+            values = {"depth_mm": depth_mm, "velocity_mm_s": velocity_mm_s}
+            self._send(SafetyEventName.RETRACTION, self._stage.insert, values, what, now_ns, by)
+
+    def stop(self) -> None:
+        """Stop now, and stay stopped until a person resets and enables; allowed in every state."""
+        with contextlib.suppress(MotionRefused):
+            self.order(Order.STOP, "stop()")
+
+    def read(self, timeout_s: float) -> StageSample | None:
+        """Return the next sample of the stage, validated. Raises DeviceFault."""
+        sample = self.read_device(Source.STAGE, self._stage, timeout_s)
+        assert sample is None or isinstance(sample, StageSample)
+        return sample
+
+    def read_device(self, source: Source, device: SampledDevice, timeout_s: float) -> Sample | None:
+        """Return the next sample of a device, validated; the one place where the samples of a run meet the guard.
+
+        A pose is validated with the present estimate of the tip; `observe_tip` follows when the loop has a new one.
+        Raises DeviceFault, after the device has been marked as failed.
+        """
+        try:
+            sample = device.read(timeout_s)
+        except Exception as error:
+            self.device_failed(source, error)
+            raise
+        if sample is not None:
+            # If the guard is blocked, it has sent a stop; the sample itself is still valid.
+            with contextlib.suppress(MotionRefused):
+                self._observe(sample, None)
+        return sample
+
+    def close(self) -> None:
+        """Stop, and close the stage."""
+        with contextlib.suppress(MotionRefused), self._held() as now_ns:
+            self._follow(advance(self._state, Order.DISABLE, now_ns), now_ns, "close")
+        self._stage.close()
+        _GUARDED.discard(self._stage)
+
+    @contextlib.contextmanager
+    def _held(self) -> Iterator[int]:
+        """Hold the lock of the guard; if another thread holds it for too long, stop the stage without the lock.
+
+        The other thread may be blocked in a command that can still reach the stage after this stop. The stop that
+        follows LOOP_LATE, as soon as the lock is free, is the one that counts.
+        """
+        if not self._lock.acquire(timeout=_LOCK_TIMEOUT_S):
+            self._blocked = True
+            with contextlib.suppress(DeviceFault):
+                self._stage.stop()
+            raise MotionRefused("reach the guard: a command to the stage hangs; it was sent a stop", (Cause.LOOP_LATE,))
+        try:
+            yield self._clock.now_ns()
+        finally:
+            self._lock.release()
+
+    def _send(
+        self, name: SafetyEventName, command: Callable[..., None], values: dict[str, float], what: str, now_ns: int,
+        by: str = "",
+    ) -> None:  # fmt: skip
+        """Send a command to the stage, and emit its event. Raises the DeviceFault of the stage."""
+        try:
+            command(*values.values())
+        except MotionRefused:
+            raise
+        except DeviceFault as error:
+            self._inputs = self._inputs.with_failure(Source.STAGE)
+            self._validate(now_ns, f"{what}: {error}")
+            raise
+        text = f"{what} by {by}" if name is SafetyEventName.RETRACTION else what
+        self._emit(name, now_ns, text=text, sent_ns=self._clock.now_ns(), values=tuple(values.items()))
+
+    def _validate(self, now_ns: int, text: str = "") -> SafetyState:
+        """Validate everything at a time, and carry out the transition that follows."""
+        limits = self._limits
+        causes = set(validate(self._inputs, limits, now_ns))
+        causes.update(self._reported, self._motion.causes(limits, now_ns), self._recording.causes(limits, now_ns))
+        late = self._ticked_ns is None or (now_ns - self._ticked_ns) * _NANO > limits.loop_age_s
+        if late or self._blocked:
+            causes.add(Cause.LOOP_LATE)
+        if now_ns < self._latest_ns:
+            causes.add(Cause.CLOCK_MISMATCH)
+        running_s = (now_ns - self._enabled_ns) * _NANO
+        if running_s > limits.run_s and self._state.operating in _RUNNING:
+            causes.add(Cause.TIME_EXCEEDED)
+        if self._listener_failed:
+            causes.add(Cause.RECORDING_LOST)
+        self._latest_ns, self._blocked, self._listener_failed = max(now_ns, self._latest_ns), False, False
+        last = self._inputs.stage.last
+        self._follow(
+            advance(self._state, InputReport(frozenset(causes), last is not None and last.moving), now_ns), now_ns, text
+        )
+        if self._repeated_stop.due(now_ns):
+            self._send_stop()
+        return self._state
+
+    def _follow(self, transition: SafetyTransition, now_ns: int, text: str) -> None:
+        """Carry out a transition: send the stop first, then emit the events."""
+        before, self._state = self._state, transition.state
+        if transition.state is before and not transition.actions:
+            return
+        sent_ns = None
+        if GuardAction.STOP in transition.actions and (not self._retracting or transition.causes & _ENDS_RETRACTION):
+            self._retracting = False
+            sent_ns = self._send_stop()
+            self._motion = self._motion.stops(now_ns)
+            self._commander = None
+        raised, cleared = transition.state.present - before.present, before.present - transition.state.present
+        if raised:
+            self._emit(SafetyEventName.RAISED, now_ns, raised, text)
+        if cleared:
+            self._emit(SafetyEventName.CLEARED, now_ns, cleared)
+        if transition.state.operating is not before.operating:
+            self._emit(SafetyEventName.TRANSITION, now_ns, transition.causes, text, before=before.operating)
+        if sent_ns is not None:
+            self._emit(SafetyEventName.STOP, now_ns, transition.causes, text, sent_ns=sent_ns)
+
+    def _send_stop(self) -> int:
+        try:
+            return self._repeated_stop.send()
+        except DeviceFault:
+            self._inputs = self._inputs.with_failure(Source.STAGE)
+            return self._clock.now_ns()
+
+    def _detect_end(self, sample: StageSample, now_ns: int) -> None:
+        """Detect the end of a stop or of a retraction."""
+        self._repeated_stop.observe(sample)
+        goal = self._motion.depth
+        if self._retracting and goal is not None and not sample.moving:
+            waited_s = (now_ns - goal.began_ns) * _NANO
+            if abs(sample.depth_mm - goal.end) <= self._limits.following_mm or waited_s > self._limits.motion_s:
+                self._retracting = False
+                self._motion = self._motion.stops(now_ns)
+
+    def _require_none(self, what: str, against: frozenset[Cause], now_ns: int) -> None:
+        """Raise MotionRefused if any cause is against a command of the loop."""
+        if self._state.operating is not OperatingState.ENABLED:
+            against |= {Cause.NOT_ENABLED, *self._state.present, *self._state.latched}
+        elif self._commander not in (None, threading.get_ident()):
+            against |= {Cause.SECOND_COMMANDER}
+        if against:
+            self._refuse(what, against, now_ns)
+        self._commander = threading.get_ident()
+
+    def _refuse(self, what: str, causes: Collection[Cause], now_ns: int, by: str = "") -> None:
+        self._emit(SafetyEventName.REFUSAL, now_ns, frozenset(causes), f"{what} by {by}" if by else what)
+        raise MotionRefused(what, sorted(causes))
+
+    def _emit(
+        self, name: SafetyEventName, now_ns: int, causes: Collection[Cause] = (), text: str = "", *,
+        before: OperatingState | None = None, state: SafetyState | None = None, sent_ns: int | None = None,
+        values: tuple[tuple[str, float], ...] = (),
+    ) -> None:  # fmt: skip
+        if self._listener is None:
+            return
+        operating = (state or self._state).operating
+        event = SafetyEvent(name, now_ns, operating, frozenset(causes), text, before, sent_ns, values)
+        try:
+            self._listener(event)
+        except Exception:  # a failing listener must not prevent a stop; its event is missing in the recording
+            self._listener_failed = True

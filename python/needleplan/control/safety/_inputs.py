@@ -1,0 +1,257 @@
+"""State of every input of the guard, and its validation: pure functions of samples, limits and time.
+
+An input is healthy while its last usable sample is younger than the age limit. One suspect sample is not used, but it
+does not stop the motion before the age limit. A value beyond a limit counts even if its sample is suspect.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Generic, TypeVar
+
+from needleplan.control.safety._causes import Cause
+from needleplan.control.safety._limits import SafetyLimits
+from needleplan.devices import ForceSample, Health, PoseSample, Sample, Source, StageSample, Stamp
+from needleplan.recording import RecorderState, RecorderStatus
+
+__all__ = ["Delay", "InputStatus", "Inputs", "RecordingStatus", "validate"]
+
+_Sample = TypeVar("_Sample", ForceSample, PoseSample, StageSample)
+_NANO = 1e-9
+_NONE: frozenset[Cause] = frozenset()
+# s by which a sample may be ahead of the clock: rounding, and two processor cores that disagree
+_FUTURE_S = 0.005
+# largest relative difference of two clock rates; crystals differ by much less
+_CLOCK_RATE_ERROR = 0.001
+
+
+@dataclass(frozen=True)
+class Delay:
+    """Transport delay of a device with a clock of its own; `late_s` is the delay of the last sample (s).
+
+    The zero of the device clock is unknown, so the shortest transport so far counts as no delay. Each later sample is
+    older than its arrival by the time that its transport took longer. Samples that waited in a network or in a buffer
+    therefore do not count as fresh. A device clock that goes back starts the estimate again.
+
+    Only stages use this. The time of a tracker is often a frame number times a nominal rate, and trackers answer with
+    the latest frame, which has not waited.
+    """
+
+    late_s: float = 0.0
+    _shortest_s: float = 0.0
+    _received_s: float = 0.0
+    _device_s: float | None = None
+
+    def then(self, stamp: Stamp) -> Delay:
+        """Return the estimate after another sample; unchanged if the device has no clock."""
+        if stamp.device_time_s is None:
+            return self
+        received_s = stamp.received_ns * _NANO
+        transport_s = received_s - stamp.device_time_s
+        shortest_s = transport_s
+        if self._device_s is not None and stamp.device_time_s >= self._device_s:
+            allowed_s = _CLOCK_RATE_ERROR * max(received_s - self._received_s, 0.0)
+            shortest_s = min(transport_s, self._shortest_s + allowed_s)
+        return Delay(transport_s - shortest_s, shortest_s, received_s, stamp.device_time_s)
+
+
+@dataclass(frozen=True)
+class InputStatus(Generic[_Sample]):
+    """Status of one device: its last sample, the time of its last usable sample, and whether it has failed."""
+
+    last: _Sample | None = None
+    usable_ns: int | None = None
+    """Time at which the last usable sample was taken, as far as it is known."""
+    failed: bool = False
+    is_usable: bool = False
+    """Whether `last` is usable."""
+
+    delay: Delay = field(default_factory=Delay)
+
+    def then(self, sample: _Sample, usable: bool, timed: bool = False) -> InputStatus[_Sample]:
+        """Return the status after another sample; a sample with the number of the last one changes nothing.
+
+        `timed` says that the device time of the sample comes from a clock.
+        """
+        if self.last is not None and sample.stamp.sequence == self.last.stamp.sequence:
+            return self
+        delay = self.delay.then(sample.stamp) if timed else self.delay
+        if usable:
+            taken_ns = sample.stamp.received_ns - round(delay.late_s / _NANO)
+            return InputStatus(sample, taken_ns, is_usable=True, delay=delay)
+        return replace(self, last=sample, is_usable=False, delay=delay)
+
+
+@dataclass(frozen=True)
+class RecordingStatus:
+    """Last status of the recorder, and the time of the last loss; without a status the recording is not validated."""
+
+    status: RecorderStatus | None = None
+    lost: int = 0
+    lost_ns: int | None = None
+
+    def then(self, status: RecorderStatus, now_ns: int) -> RecordingStatus:
+        """Return the status after another report of the recorder."""
+        lost = sum(status.overflowed.values()) + status.refused
+        if lost > self.lost:
+            return RecordingStatus(status, lost, now_ns)
+        return replace(self, status=status)
+
+    def causes(self, limits: SafetyLimits, now_ns: int) -> frozenset[Cause]:
+        """Return the causes that the recording gives. A loss is present for `recording_age_s`, and latches."""
+        status, limit_s = self.status, limits.recording_age_s
+        if status is None:
+            return _NONE
+        recently = self.lost_ns is not None and (now_ns - self.lost_ns) * _NANO <= limit_s
+        if recently or status.state in (RecorderState.FAILED, RecorderState.CLOSED):
+            return frozenset({Cause.RECORDING_LOST})
+        if status.state is RecorderState.STALLED or status.behind_s > limit_s:
+            return frozenset({Cause.RECORDING_BEHIND})
+        return _NONE
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Status of the three devices, and the tip that the loop estimates from the poses.
+
+    `tip_mm` is the tip in the plane of the plan, `out_of_plane_mm` its distance from that plane.
+    """
+
+    force: InputStatus[ForceSample] = field(default_factory=InputStatus)
+    pose: InputStatus[PoseSample] = field(default_factory=InputStatus)
+    stage: InputStatus[StageSample] = field(default_factory=InputStatus)
+    tip_mm: tuple[float, float] | None = None
+    out_of_plane_mm: float = math.nan
+    step_mm: float = 0.0
+    """Distance of the coil between the last two usable poses (mm)."""
+    step_s: float = 0.0
+    """Time between those two poses (s)."""
+    _coil: tuple[int, tuple[float, float, float]] | None = None
+
+    def then(self, sample: Sample, tip: tuple[tuple[float, float] | None, float] | None) -> Inputs:
+        """Return the inputs after a sample; `tip` was estimated from it if it is a pose, None keeps the present tip."""
+        match sample:
+            case ForceSample():
+                return self.with_force(sample)
+            case PoseSample():
+                return self.with_pose(sample, *(tip or (self.tip_mm, self.out_of_plane_mm)))
+            case StageSample():
+                return self.with_stage(sample)
+
+    def with_force(self, sample: ForceSample) -> Inputs:
+        """Return the inputs after a force sample."""
+        usable = sample.health is Health.GOOD and all(map(math.isfinite, sample.force_n))
+        force = self.force.then(sample, usable)
+        return Inputs(
+            force, self.pose, self.stage, self.tip_mm, self.out_of_plane_mm, self.step_mm, self.step_s, self._coil
+        )
+
+    def with_pose(
+        self, sample: PoseSample, tip_mm: tuple[float, float] | None = None, out_of_plane_mm: float = math.nan
+    ) -> Inputs:
+        """Return the inputs after a pose, with the tip that was estimated from it."""
+        usable = sample.health is Health.GOOD and all(map(math.isfinite, sample.position_mm))
+        pose = self.pose.then(sample, usable)
+        if pose is self.pose or not usable:
+            return replace(self, pose=pose)
+        now = (sample.stamp.received_ns, sample.position_mm)
+        before_ns, before_mm = now if self._coil is None else self._coil
+        return replace(
+            self, pose=pose, tip_mm=tip_mm, out_of_plane_mm=out_of_plane_mm, _coil=now,
+            step_mm=math.dist(now[1], before_mm), step_s=max(now[0] - before_ns, 0) * _NANO,
+        )  # fmt: skip
+
+    def with_stage(self, sample: StageSample) -> Inputs:
+        """Return the inputs after a stage sample."""
+        numbers = (sample.depth_mm, sample.velocity_mm_s, sample.roll_rad)
+        usable = sample.health is Health.GOOD and all(map(math.isfinite, numbers))
+        stage = self.stage.then(sample, usable, timed=True)
+        return Inputs(  # not `replace`, which takes three times as long, and this runs a thousand times a second
+            self.force, self.pose, stage, self.tip_mm, self.out_of_plane_mm, self.step_mm, self.step_s, self._coil
+        )
+
+    def with_tip(self, tip_mm: tuple[float, float] | None, out_of_plane_mm: float) -> Inputs:
+        """Return the inputs after another estimate of the tip."""
+        return replace(self, tip_mm=tip_mm, out_of_plane_mm=out_of_plane_mm)
+
+    def with_failure(self, source: Source) -> Inputs:
+        """Return the inputs after a device has failed; its next usable sample ends the failure."""
+        name = {Source.FORCE: "force", Source.POSE: "pose", Source.STAGE: "stage"}[source]
+        return replace(self, **{name: replace(getattr(self, name), failed=True)})
+
+    def stage_known(self, limits: SafetyLimits, now_ns: int) -> StageSample | None:
+        """Return the last stage sample if it is usable and young enough, otherwise None."""
+        stage = self.stage
+        young = not _older(stage.usable_ns, limits.stage_age_s, now_ns)
+        return stage.last if young and not stage.failed and stage.is_usable else None
+
+
+def validate(inputs: Inputs, limits: SafetyLimits, now_ns: int) -> frozenset[Cause]:
+    """Return every cause that the inputs give at a time; none if all inputs are fresh, valid and within limits."""
+    found: list[Cause] = []
+    _force(found, inputs.force, limits, now_ns)
+    _pose(found, inputs, limits, now_ns)
+    _stage(found, inputs.stage, limits, now_ns)
+    return frozenset(found) if found else _NONE
+
+
+# For each input: the cause if the device has failed, if no sample arrives, if no usable sample arrives.
+_FORCE = (Cause.FORCE_FAULT, Cause.FORCE_STALE, Cause.FORCE_SUSPECT)
+_POSE = (Cause.POSE_FAULT, Cause.POSE_STALE, Cause.POSE_SUSPECT)
+_POSE_UNSEEN = (Cause.POSE_FAULT, Cause.POSE_STALE, Cause.POSE_UNSEEN)
+_STAGE = (Cause.STAGE_FAULT, Cause.STAGE_STALE, Cause.STAGE_SUSPECT)
+
+
+def _force(found: list[Cause], force: InputStatus[ForceSample], limits: SafetyLimits, now_ns: int) -> None:
+    _age(found, force, limits.force_age_s, now_ns, _FORCE)
+    if force.last is not None and math.hypot(*force.last.force_n) > limits.force_n:
+        found.append(Cause.FORCE_EXCEEDED)
+
+
+def _pose(found: list[Cause], inputs: Inputs, limits: SafetyLimits, now_ns: int) -> None:
+    pose = inputs.pose
+    unseen = pose.last is not None and pose.last.health is Health.MISSING
+    _age(found, pose, limits.pose_age_s, now_ns, _POSE_UNSEEN if unseen else _POSE)
+    if pose.usable_ns is None:
+        return
+    fastest_mm_s = max(limits.insertion_velocity_mm_s, limits.retraction_velocity_mm_s)
+    if inputs.step_mm > limits.pose_jump_mm + fastest_mm_s * inputs.step_s:
+        found.append(Cause.POSE_JUMPED)
+    distance_mm, tip_mm = inputs.out_of_plane_mm, inputs.tip_mm
+    if tip_mm is None or not (math.isfinite(tip_mm[0]) and math.isfinite(tip_mm[1]) and math.isfinite(distance_mm)):
+        found.append(Cause.TIP_UNKNOWN)
+        return
+    if abs(distance_mm) > limits.out_of_plane_mm:
+        found.append(Cause.OUT_OF_PLANE)
+    for place, range_mm in zip(tip_mm, (limits.workspace_x_mm, limits.workspace_y_mm), strict=True):
+        if range_mm is not None and not range_mm[0] <= place <= range_mm[1]:
+            found.append(Cause.OUT_OF_WORKSPACE)
+
+
+def _stage(found: list[Cause], stage: InputStatus[StageSample], limits: SafetyLimits, now_ns: int) -> None:
+    _age(found, stage, limits.stage_age_s, now_ns, _STAGE)
+    if stage.last is None:
+        return
+    depth_mm, over_mm = stage.last.depth_mm, limits.following_mm
+    if depth_mm < limits.shallowest_mm - over_mm or depth_mm > limits.deepest_mm + over_mm:
+        found.append(Cause.DEPTH_EXCEEDED)
+
+
+def _age(
+    found: list[Cause], status: InputStatus[_Sample], limit_s: float, now_ns: int, causes: tuple[Cause, Cause, Cause]
+) -> None:
+    """Add the cause that the age of an input gives, if any; `causes` are: failed, no sample, no usable sample."""
+    failed, stale, unusable = causes
+    if status.last is not None and status.last.stamp.received_ns - now_ns > _FUTURE_S / _NANO:
+        found.append(Cause.CLOCK_MISMATCH)
+    if status.failed:
+        found.append(failed)
+    elif status.last is None or _older(status.last.stamp.received_ns, limit_s, now_ns):
+        found.append(stale)
+    elif _older(status.usable_ns, limit_s, now_ns):
+        found.append(unusable)
+
+
+def _older(moment_ns: int | None, limit_s: float, now_ns: int) -> bool:
+    return moment_ns is None or now_ns - moment_ns > limit_s * 1e9

@@ -1,0 +1,174 @@
+"""Validation of commands against the limits, and of the stage's motion against its commands: pure functions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from needleplan.control.safety._causes import Cause
+from needleplan.control.safety._limits import SafetyLimits
+from needleplan.devices import StageSample
+
+__all__ = ["Goal", "MotionWatch", "against_insertion", "against_retraction", "against_rotation"]
+
+_NANO = 1e-9
+_NOT_FINITE = frozenset({Cause.NOT_FINITE})
+# s within which a stage that moves the other way has reversed
+_REVERSAL_S = 0.15
+# factor of the velocity limit above which a measured velocity is not noise
+_VELOCITY_MARGIN = 1.5
+# share of the commanded distance below which an axis counts as stuck after `motion_s`
+_STUCK_SHARE = 0.1
+# commanded distances below which an axis is not checked for being stuck
+_LEAST_MM, _LEAST_RAD = 0.1, 0.05
+
+
+def against_insertion(
+    limits: SafetyLimits, here: StageSample | None, depth_mm: float, velocity_mm_s: float
+) -> frozenset[Cause]:
+    """Return the causes against a motion to a depth from `here`, which is None if the position is unknown."""
+    if not (math.isfinite(depth_mm) and math.isfinite(velocity_mm_s)):
+        return _NOT_FINITE
+    inward = here is None or depth_mm > here.depth_mm
+    fastest = limits.insertion_velocity_mm_s if inward else limits.retraction_velocity_mm_s
+    against = set()
+    if not limits.shallowest_mm <= depth_mm <= limits.deepest_mm:
+        against.add(Cause.DEPTH_BEYOND)
+    if not 0 < velocity_mm_s <= fastest:
+        against.add(Cause.VELOCITY_BEYOND)
+    return frozenset(against)
+
+
+def against_rotation(limits: SafetyLimits, roll_rad: float, velocity_rad_s: float) -> frozenset[Cause]:
+    """Return the causes against a rotation of the base to a roll."""
+    if not (math.isfinite(roll_rad) and math.isfinite(velocity_rad_s)):
+        return _NOT_FINITE
+    against = set()
+    if abs(roll_rad) > limits.roll_rad:
+        against.add(Cause.ROLL_BEYOND)
+    if not 0 < velocity_rad_s <= limits.rotation_velocity_rad_s:
+        against.add(Cause.ROTATION_BEYOND)
+    return frozenset(against)
+
+
+def against_retraction(
+    limits: SafetyLimits, here: StageSample | None, depth_mm: float, velocity_mm_s: float
+) -> frozenset[Cause]:
+    """Return the causes against a retraction; from an unknown position only `shallowest_mm` is accepted."""
+    if not (math.isfinite(depth_mm) and math.isfinite(velocity_mm_s)):
+        return _NOT_FINITE
+    against = set()
+    if depth_mm > (limits.shallowest_mm if here is None else here.depth_mm):
+        against.add(Cause.NOT_A_RETRACTION)
+    if depth_mm < limits.shallowest_mm:
+        against.add(Cause.DEPTH_BEYOND)
+    if not 0 < velocity_mm_s <= limits.retraction_velocity_mm_s:
+        against.add(Cause.VELOCITY_BEYOND)
+    return frozenset(against)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Command to one axis: start and end position (mm or rad), velocity, velocity at the start, and start time."""
+
+    begin: float
+    end: float
+    velocity: float
+    begin_velocity: float
+    began_ns: int
+
+    def stuck(self, position: float, least: float, motion_s: float, now_ns: int) -> bool:
+        """Return whether the axis has hardly moved although `motion_s` has passed."""
+        distance = abs(self.end - self.begin)
+        if distance < least or (now_ns - self.began_ns) * _NANO < motion_s:
+            return False
+        return abs(position - self.begin) < _STUCK_SHARE * min(distance, self.velocity * motion_s)
+
+    def waiting_since(self, position: float, least: float, now_ns: int) -> int:
+        """Return the start time of the next goal: now, or the start of this goal if the axis has not moved yet."""
+        waits = abs(position - self.begin) < least and abs(self.end - position) >= least
+        return self.began_ns if waits else now_ns
+
+
+@dataclass(frozen=True)
+class MotionWatch:
+    """Commands that the stage carries out, and its last sample."""
+
+    depth: Goal | None = None
+    roll: Goal | None = None
+    stopped_ns: int = 0
+    """Time of the last stop; 0 if the stage was never told anything."""
+
+    last: StageSample | None = None
+    jumped: bool = False
+    rest_mm: float | None = None
+    """Depth at which the stage came to rest after the last stop."""
+
+    def inserts(self, depth_mm: float, velocity_mm_s: float, now_ns: int) -> MotionWatch:
+        """Return the watch after a command to insert or retract; requires a sample."""
+        assert self.last is not None
+        begin = self.last.depth_mm
+        began_ns = now_ns if self.depth is None else self.depth.waiting_since(begin, _LEAST_MM, now_ns)
+        goal = Goal(begin, depth_mm, velocity_mm_s, self.last.velocity_mm_s, began_ns)
+        return replace(self, depth=goal, rest_mm=None)
+
+    def rotates(self, roll_rad: float, velocity_rad_s: float, now_ns: int) -> MotionWatch:
+        """Return the watch after a command to rotate; requires a sample."""
+        assert self.last is not None
+        begin = self.last.roll_rad
+        began_ns = now_ns if self.roll is None else self.roll.waiting_since(begin, _LEAST_RAD, now_ns)
+        return replace(self, roll=Goal(begin, roll_rad, velocity_rad_s, 0.0, began_ns), rest_mm=None)
+
+    def stops(self, now_ns: int) -> MotionWatch:
+        """Return the watch after a stop; an idle stage gets no new time to come to rest."""
+        idle = self.depth is None and self.roll is None
+        return replace(self, depth=None, roll=None, stopped_ns=self.stopped_ns if idle else now_ns, rest_mm=None)
+
+    def then(self, sample: StageSample, limits: SafetyLimits) -> MotionWatch:
+        """Return the watch after a sample."""
+        last = self.last
+        if last is None:
+            return replace(self, last=sample)
+        if sample.stamp.sequence == last.stamp.sequence:
+            return self
+        passed_s = max(sample.stamp.received_ns - last.stamp.received_ns, 0) * _NANO
+        fastest_mm_s = max(limits.insertion_velocity_mm_s, limits.retraction_velocity_mm_s)
+        farthest_mm = limits.following_mm + _VELOCITY_MARGIN * fastest_mm_s * passed_s
+        jumped = sample.stamp.sequence < last.stamp.sequence or abs(sample.depth_mm - last.depth_mm) > farthest_mm
+        idle = self.depth is None and self.roll is None
+        settled = idle and (sample.stamp.received_ns - self.stopped_ns) * _NANO > limits.motion_s
+        rest_mm = sample.depth_mm if settled and self.rest_mm is None and not sample.moving else self.rest_mm
+        return MotionWatch(self.depth, self.roll, self.stopped_ns, sample, jumped, rest_mm)
+
+    def causes(self, limits: SafetyLimits, now_ns: int) -> Iterator[Cause]:
+        """Yield every cause that the motion gives."""
+        last = self.last
+        if last is None:
+            return
+        if self.jumped:
+            yield Cause.STAGE_JUMPED
+        velocity_mm_s = last.velocity_mm_s
+        limit_mm_s = limits.insertion_velocity_mm_s if velocity_mm_s > 0 else limits.retraction_velocity_mm_s
+        if abs(velocity_mm_s) > _VELOCITY_MARGIN * limit_mm_s:
+            yield Cause.OVERSPEED
+        if self.depth is None and self.roll is None:
+            if self._moves_after_stop(last, limits, now_ns):
+                yield Cause.STILL_MOVING
+            return
+        if self.depth is not None:
+            goal = self.depth
+            margin_mm = limits.following_mm + _REVERSAL_S * (abs(goal.begin_velocity) + goal.velocity)
+            low, high = sorted((goal.begin, goal.end))
+            if not low - margin_mm <= last.depth_mm <= high + margin_mm:
+                yield Cause.WRONG_WAY
+            if goal.stuck(last.depth_mm, _LEAST_MM, limits.motion_s, now_ns):
+                yield Cause.NO_MOTION
+        if self.roll is not None and self.roll.stuck(last.roll_rad, _LEAST_RAD, limits.motion_s, now_ns):
+            yield Cause.NO_MOTION
+
+    def _moves_after_stop(self, last: StageSample, limits: SafetyLimits, now_ns: int) -> bool:
+        if (now_ns - self.stopped_ns) * _NANO <= limits.motion_s:
+            return False
+        moved = self.rest_mm is not None and abs(last.depth_mm - self.rest_mm) > limits.following_mm
+        return last.moving or moved

@@ -1,0 +1,113 @@
+"""Signals that run beside the commands: the stop that is repeated, the heartbeat, and the watchdog thread."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from typing import Protocol
+
+from needleplan.devices import Clock, Closing, Stage, StageSample
+from needleplan.errors import DeviceFault, MotionRefused
+
+__all__ = ["Heartbeat", "RepeatedStop", "Watchdog"]
+
+_NANO = 1e-9
+# s after which a stop that reached the stage is sent again
+_AGAIN_S = 0.02
+# s after which a stop that did not reach the stage is sent again
+_UNSENT_S = 0.25
+# On a slow link, stops take at most a tenth of the time (a wait of 10 times the last duration, at most 1 s),
+# so that heartbeats and samples still pass.
+_WAIT_FACTOR, _LONGEST_WAIT_S = 10.0, 1.0
+# shortest time between two heartbeats, s: a sixth of the watchdog of a robot (0.03 s)
+_HEARTBEAT_S = 0.005
+
+
+class RepeatedStop:
+    """The stop of one stage; it is `wanted` until it has reached the stage and the stage has reported standstill."""
+
+    def __init__(self, stage: Stage, clock: Clock) -> None:
+        self._stage, self._clock = stage, clock
+        self._sent_ns = 0
+        self._arrived = True
+        self._again_ns = 0
+        self.wanted = False
+
+    def send(self) -> int:
+        """Send a stop and return the time at which it was sent. Raises DeviceFault if it did not reach the stage."""
+        self.wanted = True
+        sent_ns = self._clock.now_ns()
+        self._arrived = False
+        try:
+            self._stage.stop()
+            self._arrived = True
+        finally:
+            self._sent_ns = now_ns = self._clock.now_ns()
+            took_s = (now_ns - sent_ns) * _NANO
+            wait_s = max(_AGAIN_S if self._arrived else _UNSENT_S, min(_WAIT_FACTOR * took_s, _LONGEST_WAIT_S))
+            self._again_ns = now_ns + round(wait_s / _NANO)
+        return sent_ns
+
+    def due(self, now_ns: int) -> bool:
+        """Return whether the stop must be sent again now."""
+        return self.wanted and now_ns >= self._again_ns
+
+    def observe(self, sample: StageSample) -> None:
+        """End the repetition if the stage has stood still since the last stop."""
+        if self._arrived and not sample.moving and sample.stamp.received_ns > self._sent_ns:
+            self.wanted = False
+
+
+class Heartbeat:
+    """Sends the heartbeat of one stage, at most every 5 ms; nothing else in the package sends it."""
+
+    def __init__(self, stage: Stage, now_ns: int) -> None:
+        self._stage = stage
+        self._sent_ns = now_ns
+
+    def send(self, now_ns: int) -> DeviceFault | None:
+        """Send a heartbeat if one is due; return the fault of the stage if the heartbeat could not be sent."""
+        if (now_ns - self._sent_ns) * _NANO < _HEARTBEAT_S:
+            return None
+        self._sent_ns = now_ns
+        try:
+            self._stage.heartbeat()
+        except DeviceFault as error:
+            return error
+        return None
+
+
+class _Checked(Protocol):
+    """The guard, as the watchdog needs it."""
+
+    def check(self) -> object: ...
+
+
+class Watchdog(Closing):
+    """A thread that calls `guard.check()` every `period_s` of real time until it is closed.
+
+    It detects a loop that hangs, waits or computes for too long. If the whole process is suspended (SIGSTOP, a garbage
+    collection that holds the interpreter), this thread is suspended too and stops the stage as soon as the process
+    continues. Until then only the watchdog of the drive protects, so a stage must have one of its own.
+    """
+
+    def __init__(self, guard: _Checked, period_s: float = 0.005) -> None:
+        self._guard, self._period_s = guard, period_s
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
+        self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread is running."""
+        return self._thread.is_alive()
+
+    def _watch(self) -> None:
+        while not self._closing.wait(self._period_s):
+            with contextlib.suppress(MotionRefused):
+                self._guard.check()
+
+    def close(self) -> None:
+        """End the thread; closing twice is harmless."""
+        self._closing.set()
+        self._thread.join()

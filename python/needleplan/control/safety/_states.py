@@ -1,0 +1,271 @@
+"""Operating states of the robot, the pure function `advance` from one to the next, and the events of the guard.
+
+The names are those of CRTK. In DISABLED the robot does not move. In ENABLED it follows the loop. In PAUSED it has
+stopped and waits to be resumed. In FAULT it has stopped because a fault is present.
+
+1. Orders neither cause nor end FAULT. FAULT ends, in DISABLED, when its causes are gone.
+2. ENABLED is entered only by ENABLE from DISABLED and by RESUME from PAUSED, and only while no cause is present.
+3. Faults and ordered stops latch: ENABLE is refused until RESET, and RESET is refused in FAULT.
+4. In DISABLED a cause only prevents enabling. The exception is a stage that moves: that is a fault.
+5. Every transition out of ENABLED stops the stage. The interrupted command is not taken up again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any
+
+from needleplan.control.safety._causes import Cause, Severity
+
+__all__ = [
+    "GuardAction",
+    "InputReport",
+    "OperatingState",
+    "Order",
+    "SafetyEvent",
+    "SafetyEventName",
+    "SafetyListener",
+    "SafetyState",
+    "SafetyTransition",
+    "advance",
+]
+
+_NONE: frozenset[Cause] = frozenset()
+# Causes that are a fault in DISABLED too.
+_FAULTS_WHEN_DISABLED = frozenset({Cause.STILL_MOVING})
+# Causes that stop the stage again in FAULT, because they show that the first stop did not help.
+_OF_MOTION = frozenset({Cause.STILL_MOVING, Cause.WRONG_WAY, Cause.OVERSPEED, Cause.DEPTH_EXCEEDED, Cause.STAGE_JUMPED})
+# Causes after which the stage must be homed again.
+_ZERO_LOST = frozenset({Cause.STAGE_JUMPED})
+
+
+class OperatingState(StrEnum):
+    """The four states of CRTK."""
+
+    DISABLED = "DISABLED"
+    ENABLED = "ENABLED"
+    PAUSED = "PAUSED"
+    FAULT = "FAULT"
+
+
+_FAULT = OperatingState.FAULT
+
+
+class Order(StrEnum):
+    """Request of a person, or of a program on behalf of a person."""
+
+    ENABLE = "enable"
+    DISABLE = "disable"
+    PAUSE = "pause"
+    RESUME = "resume"
+    RESET = "reset"
+    """Confirm that the causes of latched stops have been examined."""
+    STOP = "stop"
+    HOME = "home"
+    """Declare that the zero of the stage is known."""
+    UNHOME = "unhome"
+    """Declare that the zero of the stage is not known."""
+
+
+class GuardAction(StrEnum):
+    """Action that a transition requires."""
+
+    STOP = "stop"
+
+
+@dataclass(frozen=True)
+class InputReport:
+    """Validation result of all inputs: the causes that are present (none means health), and whether the stage moves."""
+
+    causes: frozenset[Cause] = _NONE
+    busy: bool = False
+
+
+@dataclass(frozen=True)
+class SafetyState:
+    """Operating state and what it depends on: causes that are `present`, and causes `latched` until a reset."""
+
+    operating: OperatingState = OperatingState.DISABLED
+    is_homed: bool = False
+    is_busy: bool = False
+    present: frozenset[Cause] = _NONE
+    latched: frozenset[Cause] = _NONE
+    since_ns: int = 0
+    """Time at which `operating` was entered."""
+
+
+@dataclass(frozen=True)
+class SafetyTransition:
+    """Next state, the actions to perform, and the causes of the transition or of the refusal."""
+
+    state: SafetyState
+    actions: tuple[GuardAction, ...] = ()
+    causes: frozenset[Cause] = _NONE
+    refused: bool = False
+
+
+class SafetyEventName(StrEnum):
+    """Kind of an event of the guard."""
+
+    TRANSITION = "transition"
+    RAISED = "raised"
+    """Causes have appeared."""
+
+    CLEARED = "cleared"
+    """Causes have gone; the event lists the ones that have gone."""
+
+    ORDER = "order"
+    REFUSAL = "refusal"
+    COMMAND = "command"
+    """A command was sent to the stage, with these values."""
+
+    RETRACTION = "retraction"
+    """A retraction by a person was sent to the stage."""
+
+    STOP = "stop"
+    """A stop was sent to the stage at `sent_ns`."""
+
+
+@dataclass(frozen=True)
+class SafetyEvent:
+    """One event of the guard; times are on the monotonic clock."""
+
+    name: SafetyEventName
+    time_ns: int
+    state: OperatingState
+    """Operating state after the event."""
+
+    causes: frozenset[Cause] = frozenset()
+    text: str = ""
+    before: OperatingState | None = None
+    sent_ns: int | None = None
+    values: tuple[tuple[str, float], ...] = field(default=())
+
+    def entry(self) -> dict[str, Any]:
+        """Return the event as a message of the recording's kind EVENT."""
+        entry: dict[str, Any] = {
+            "name": self.name, "cause": ", ".join(sorted(self.causes)), "text": self.text, "state": self.state,
+        }  # fmt: skip
+        if self.before is not None:
+            entry["before"] = self.before
+        if self.sent_ns is not None:
+            entry["sent_ns"] = str(self.sent_ns)  # as text: JSON readers round integers of this size
+        return entry | dict(self.values)
+
+
+SafetyListener = Callable[[SafetyEvent], None]
+
+
+def advance(state: SafetyState, event: Order | InputReport, now_ns: int) -> SafetyTransition:
+    """Return the transition that an order or a validation result causes at a time on the monotonic clock."""
+    if isinstance(event, InputReport):
+        return _validated(state, event, now_ns)
+    return _ORDERS[event](state, now_ns)
+
+
+def _validated(state: SafetyState, report: InputReport, now_ns: int) -> SafetyTransition:
+    if not report.causes and not state.present and report.busy == state.is_busy and state.operating is not _FAULT:
+        return SafetyTransition(state)  # fast path: nothing has changed, a thousand times a second
+    present = frozenset(each for each in report.causes if each.severity is not Severity.REFUSAL)
+    faults = frozenset(each for each in present if each.severity is Severity.FAULT)
+    homed = state.is_homed and not present & _ZERO_LOST
+    updated = replace(state, present=present, is_busy=report.busy, is_homed=homed)
+    operating = state.operating
+    if operating is OperatingState.FAULT:
+        if not faults:
+            return SafetyTransition(_to(updated, OperatingState.DISABLED, now_ns))
+        new = faults - state.present
+        return SafetyTransition(_latched(updated, faults), (GuardAction.STOP,) if new & _OF_MOTION else (), new)
+    if operating is OperatingState.DISABLED:
+        faults &= _FAULTS_WHEN_DISABLED
+    if faults:
+        latched = _latched(_to(updated, OperatingState.FAULT, now_ns), faults)
+        return SafetyTransition(latched, (GuardAction.STOP,), faults)
+    if operating is OperatingState.ENABLED and present:
+        return SafetyTransition(_to(updated, OperatingState.PAUSED, now_ns), (GuardAction.STOP,), present)
+    return SafetyTransition(updated)
+
+
+def _enable(state: SafetyState, now_ns: int) -> SafetyTransition:
+    if state.operating is OperatingState.ENABLED:
+        return SafetyTransition(state)
+    if state.operating is not OperatingState.DISABLED:
+        return _refused(state, Cause.NOT_POSSIBLE, *state.present)
+    against = set(state.present)
+    if state.latched:
+        against |= {Cause.NOT_RESET, *state.latched}
+    if not state.is_homed:
+        against.add(Cause.NOT_HOMED)
+    return _refused(state, *against) if against else SafetyTransition(_to(state, OperatingState.ENABLED, now_ns))
+
+
+def _disable(state: SafetyState, now_ns: int) -> SafetyTransition:
+    # An order does not end a fault, but the stop is sent again.
+    kept = state.operating is OperatingState.FAULT
+    return SafetyTransition(state if kept else _to(state, OperatingState.DISABLED, now_ns), (GuardAction.STOP,))
+
+
+def _pause(state: SafetyState, now_ns: int) -> SafetyTransition:
+    if state.operating is OperatingState.ENABLED:
+        return SafetyTransition(_to(state, OperatingState.PAUSED, now_ns), (GuardAction.STOP,))
+    if state.operating is OperatingState.PAUSED:
+        return SafetyTransition(state, (GuardAction.STOP,))
+    return _refused(state, Cause.NOT_POSSIBLE)
+
+
+def _resume(state: SafetyState, now_ns: int) -> SafetyTransition:
+    if state.operating is not OperatingState.PAUSED:
+        return _refused(state, Cause.NOT_POSSIBLE)
+    if state.present:
+        return _refused(state, *state.present)
+    return SafetyTransition(_to(state, OperatingState.ENABLED, now_ns))
+
+
+def _reset(state: SafetyState, _: int) -> SafetyTransition:
+    if state.operating is OperatingState.FAULT:
+        return _refused(state, Cause.NOT_POSSIBLE, *state.present)
+    return SafetyTransition(replace(state, latched=_NONE))
+
+
+def _stop(state: SafetyState, now_ns: int) -> SafetyTransition:
+    cause = frozenset({Cause.STOP_ORDERED})
+    moved = _disable(state, now_ns).state
+    return SafetyTransition(_latched(moved, cause), (GuardAction.STOP,), cause)
+
+
+def _home(state: SafetyState, _: int) -> SafetyTransition:
+    if state.operating is not OperatingState.DISABLED or state.present & _ZERO_LOST:
+        return _refused(state, Cause.NOT_POSSIBLE, *(state.present & _ZERO_LOST))
+    return SafetyTransition(replace(state, is_homed=True))
+
+
+def _unhome(state: SafetyState, _: int) -> SafetyTransition:
+    if state.operating is not OperatingState.DISABLED:
+        return _refused(state, Cause.NOT_POSSIBLE)
+    return SafetyTransition(replace(state, is_homed=False))
+
+
+def _to(state: SafetyState, operating: OperatingState, now_ns: int) -> SafetyState:
+    return state if state.operating is operating else replace(state, operating=operating, since_ns=now_ns)
+
+
+def _latched(state: SafetyState, causes: frozenset[Cause]) -> SafetyState:
+    return replace(state, latched=state.latched | causes)
+
+
+def _refused(state: SafetyState, *causes: Cause) -> SafetyTransition:
+    return SafetyTransition(state, causes=frozenset(causes), refused=True)
+
+
+_ORDERS: dict[Order, Callable[[SafetyState, int], SafetyTransition]] = {
+    Order.ENABLE: _enable,
+    Order.DISABLE: _disable,
+    Order.PAUSE: _pause,
+    Order.RESUME: _resume,
+    Order.RESET: _reset,
+    Order.STOP: _stop,
+    Order.HOME: _home,
+    Order.UNHOME: _unhome,
+}

@@ -1,0 +1,138 @@
+"""Effects of the lab twin that a plan does not know, and the random streams that realise them."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from needleplan.config import ConfigTable, Number, ruled
+from needleplan.errors import ExperimentError
+
+__all__ = ["Draws", "Effects", "Stream", "random_for"]
+
+
+def _amplitude(unit: str, at_most: float, default: float = 0.0, *, signed: bool = False) -> Any:
+    return ruled(Number(unit, at_least=-at_most if signed else 0.0, at_most=at_most), default)
+
+
+def _scale(unit: str, at_most: float, default: object = MISSING) -> Any:
+    return ruled(Number(unit, above=0, at_most=at_most), default)
+
+
+@dataclass(frozen=True)
+class Effects(ConfigTable, key="effects", error=ExperimentError):
+    """Amplitudes of all effects; 0 means no effect. The time and length scales of effects have other defaults."""
+
+    curvature_error: float = _amplitude("", 0.95, signed=True)
+    """Relative difference of the true curvature from the planned one."""
+
+    curvature_scatter: float = _amplitude("", 0.5)
+    """Standard deviation of this relative difference between insertions (seeds)."""
+
+    curvature_speed_power: float = _amplitude("", 1, signed=True)
+    """Exponent p of a curvature proportional to (speed / 5 mm/s)^p: rate-dependent tissue."""
+
+    pre_bend_per_mm: float = _amplitude("1/mm", 0.1, signed=True)
+    """Curvature of a pre-bent needle, perpendicular to the bevel's; it rolls with the tip."""
+
+    sag_per_mm: float = _amplitude("1/mm", 0.1, signed=True)
+    """Downward curvature at the entry by the weight of the needle; proportional to the length outside."""
+
+    heading_noise_rad_sqrt_mm: float = _amplitude("rad/sqrt(mm)", 0.1)
+    """Standard deviation of the heading after 1 mm of path, in the plane and out of it; grows with the square root."""
+
+    torsional_friction_n: float = _amplitude("N mm/mm", 10)
+    """Torque per inserted length by which tissue resists rotation."""
+
+    tissue_compliance_mm_n: float = _amplitude("mm/N", 100)
+    """Displacement of the tissue along the needle under 1 N."""
+
+    tissue_relaxation_s: float = _scale("s", 100, 0.2)
+    """Ratio of damping and stiffness of the tissue's support."""
+
+    respiration_along_mm: float = _amplitude("mm", 30)
+    """Amplitude of respiration along the entry."""
+
+    respiration_across_mm: float = _amplitude("mm", 30)
+    """Amplitude of respiration across the entry, to the left."""
+
+    respiration_period_s: float = _scale("s", 60, 4.0)
+
+    encoder_step_mm: float = _amplitude("mm", 0.1)
+    """Resolution of the insertion axis."""
+
+    encoder_step_rad: float = _amplitude("rad", 0.1)
+    """Resolution of the roll axis."""
+
+    reaction_mm_s2_n: float = _amplitude("mm/s^2/N", 1e4)
+    """Acceleration of the insertion axis under 1 N on the needle: the inverse of its mass."""
+
+    force_noise_n: float = _amplitude("N", 1)
+    """Standard deviation of a sample before the moving average."""
+
+    force_offset_n: float = _amplitude("N", 10, signed=True)
+    force_drift_n_s: float = _amplitude("N/s", 0.1, signed=True)
+    force_gain_error: float = _amplitude("", 0.5, signed=True)
+
+    tracker_noise_mm: float = _amplitude("mm", 5)
+    """Standard deviation along each axis, independent from frame to frame."""
+
+    tracker_wander_mm: float = _amplitude("mm", 5)
+    """Standard deviation of the correlated drift along each axis."""
+
+    tracker_wander_s: float = _scale("s", 1000, 1.0)
+    """Correlation time of the drift (to 1/e)."""
+
+    tracker_distortion_mm: float = _amplitude("mm", 20)
+    """Amplitude of a smooth distortion of the field that is fixed in space."""
+
+    tracker_distortion_length_mm: float = _scale("mm", 1e4, 200.0)
+    """Wavelength of the distortion."""
+
+    tracker_angle_noise_rad: float = _amplitude("rad", 0.5)
+    """Standard deviation of the direction of the coil, about each axis perpendicular to it."""
+
+    tracker_dropout: float = _amplitude("", 1)
+    """Probability that a dropout begins at a frame."""
+
+    tracker_dropout_s: float = _scale("s", 60, 0.1)
+    """Mean length of a dropout."""
+
+    coil_offset_mm: float = _amplitude("mm", 50)
+    """Distance of the coil behind the tip."""
+
+
+class Stream(IntEnum):
+    """Purpose of a random stream: each has its own numbers, so one noise does not change another. Never renumber."""
+
+    CURVATURE = 1
+    HEADING = 2
+    RESPIRATION = 3
+    FORCE_NOISE = 4
+    TRACKER_NOISE = 5
+    TRACKER_WANDER = 6
+    TRACKER_ANGLE = 7
+    TRACKER_DROPOUT = 8
+    TRACKER_FIELD = 9
+
+
+def random_for(seed: int, stream: Stream) -> np.random.Generator:
+    """Return the generator of a stream for a seed (0 or above)."""
+    return np.random.default_rng([seed, int(stream)])
+
+
+class Draws:
+    """Standard normal numbers, returned row by row and drawn in blocks."""
+
+    def __init__(self, random: np.random.Generator, width: int) -> None:
+        self._random, self._width = random, width
+        self._rows: list[list[float]] = []
+
+    def next(self) -> list[float]:
+        """Return the next row."""
+        if not self._rows:
+            self._rows = self._random.standard_normal((256, self._width))[::-1].tolist()
+        return self._rows.pop()

@@ -1,0 +1,237 @@
+"""A simulated experiment: a setup, a program of moves and a seed, read from `needleplan.experiment/1`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+
+from needleplan.artifacts import digest
+from needleplan.config import (
+    Choice,
+    ConfigTable,
+    Integer,
+    Keyed,
+    Subtable,
+    TableList,
+    Text,
+    Violation,
+    parse_toml,
+    ruled,
+    shipped_names,
+    text_of,
+    under,
+)
+from needleplan.errors import ExperimentError, InputError, Mistake, ModelError
+from needleplan.models import Channel, Model, ModelFile
+from needleplan.models.friction import AveragedLuGre, LuGre, LumpedLuGre
+from needleplan.scenario import Scenario
+from needleplan.simulation._effects import Effects
+from needleplan.simulation._modelled import require_simulated
+from needleplan.simulation._setup import (
+    BETWEEN,
+    Move,
+    Robot,
+    Setup,
+    Shaft,
+    SimulatedEntry,
+    SimulatedLayer,
+    SimulatedTissue,
+)
+
+__all__ = ["Experiment", "shipped_experiments"]
+
+_FOLDER = Path(__file__).parent.parent / "experiments"
+_FRICTIONS: dict[str, type[LuGre]] = {each.name: each for each in (LumpedLuGre, AveragedLuGre)}
+_KINDS_OF_MOVE = ("insert_to_mm", "rotate_to_rad", "dwell_s")
+# Largest number of layers, and of moves.
+_MOST_TABLES = 1000
+
+Models = dict[Channel, Model]
+
+
+class _ScenarioRule:
+    """The name of a scenario, or of its file."""
+
+    def read(self, value: object) -> Scenario:
+        """Return the scenario. Raises Violation."""
+        if not isinstance(value, str):
+            raise Violation("must be the name of a scenario, or of its file", value)
+        try:
+            return Scenario.read(value)
+        except InputError as error:
+            raise Violation(list(_inside(f'"{value}"', error.mistakes))) from None
+
+
+class _ModelsRule:
+    """The name of a model file, or a list of such names."""
+
+    def read(self, value: object) -> Models:
+        """Return the models by the channel that they predict. Raises Violation."""
+        files = [value] if isinstance(value, str) else value
+        if not isinstance(files, list) or not all(isinstance(each, str) for each in files):
+            raise Violation("must be the name of a model file, or a list of such names", value)
+        found: Models = {}
+        mistakes: list[Mistake] = []
+        for file in files:
+            try:
+                model = ModelFile.read(file).model
+                require_simulated(model, model.channel)
+            except InputError as error:
+                mistakes += _inside(file, error.mistakes)
+                continue
+            if model.channel in found:
+                mistakes.append(Mistake("", file, f"must not be a second one of the {model.channel}"))
+            found[model.channel] = model
+        if mistakes:
+            raise Violation(mistakes)
+        return found
+
+
+class _FrictionRule:
+    """A table with the kind of a friction model and its parameters."""
+
+    def read(self, value: object) -> LuGre:
+        """Return the friction model. Raises Violation."""
+        kinds = Choice(_FRICTIONS)
+        if not isinstance(value, dict):
+            raise Violation("must be a table, [friction]", value)
+        kind: type[LuGre] = Keyed({"kind": kinds}, others=_Anything()).read(value).get("kind", LumpedLuGre)
+        rules = {each.name: _Anything() for each in fields(kind)}
+        required = {each.name: "" for each in fields(kind) if each.default is MISSING}
+        values = Keyed({"kind": kinds, **rules}, required).read(value)
+        try:
+            return kind(**{name: each for name, each in values.items() if name != "kind"})
+        except ModelError as error:
+            raise Violation(error.mistakes) from None
+
+
+class _Anything:
+    """Any value: the model checks its parameters itself."""
+
+    def read(self, value: object) -> object:
+        """Return the value."""
+        return value
+
+
+def _inside(file: str, mistakes: Sequence[Mistake]) -> Iterator[Mistake]:
+    """Yield mistakes of a file that another file names; a mistake without a value shows the name of the file."""
+    for each in mistakes:
+        yield Mistake(f" {each.key}".rstrip(), each.value or file, each.rule)
+
+
+def _curvature_is_told_once(
+    scenario: Scenario | None, model: Models, tissue: SimulatedTissue, layer: tuple[SimulatedLayer | None, ...]
+) -> Iterator[Mistake]:
+    path = model.get(Channel.TIP)
+    if tissue.curvature_per_mm is None and not path and not scenario:
+        rule = "is missing: it is needed where there is neither scenario nor a model of the path"
+        yield Mistake("tissue.curvature_per_mm", "", rule)
+    named = {"tissue": tissue} | {f"layer {number}": each for number, each in enumerate(layer, start=1)}
+    for name, part in named.items():
+        if path and part and part.curvature_per_mm is not None:
+            rule = "must not be there: the model says how the path bends"
+            yield Mistake(f"{name}.curvature_per_mm", f"{part.curvature_per_mm:g}", rule)
+
+
+def _moves_fit(move: Sequence[Move | None], robot: Robot) -> Iterator[Mistake]:
+    for number, each in enumerate(move, start=1):
+        if each:
+            yield from under(f"move {number}", _move_fits(each, robot))
+
+
+def _move_fits(move: Move, robot: Robot) -> Iterator[Mistake]:
+    given = [name for name in _KINDS_OF_MOVE if getattr(move, name) is not None]
+    if len(given) != 1:
+        yield Mistake("", ", ".join(given), f"must have exactly one of {', '.join(_KINDS_OF_MOVE)}")
+        return
+    speeds = {"insert_to_mm": "velocity_mm_s", "rotate_to_rad": "velocity_rad_s"}
+    for kind, name in speeds.items():
+        speed = getattr(move, name)
+        if kind != given[0] and speed is not None:
+            yield Mistake(name, f"{speed:g}", f"must not be there with {given[0]}")
+        elif kind == given[0] and speed is None:
+            yield Mistake(name, "", f"is missing: {kind} needs a speed")
+        elif kind == given[0] and speed > (top := getattr(robot, name.replace("velocity", "top_velocity"))):
+            yield Mistake(name, f"{speed:g}", f"must be at most the robot's top speed, {top:g}")
+    depth = move.insert_to_mm
+    if depth is not None and not robot.shallowest_mm <= depth <= robot.deepest_mm:
+        rule = f"must be where the robot can be, {robot.shallowest_mm:g} to {robot.deepest_mm:g}"
+        yield Mistake("insert_to_mm", f"{depth:g}", rule)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ExperimentTable(
+    ConfigTable,
+    error=ExperimentError,
+    schema="needleplan.experiment/1",
+    between=(_curvature_is_told_once, *BETWEEN, _moves_fit),
+):
+    title: str = ruled(Text(), "")
+    seed: int = ruled(Integer(0, 2**32 - 1), 0)
+    scenario: Scenario | None = ruled(_ScenarioRule(), None)
+    entry: SimulatedEntry = ruled(Subtable(SimulatedEntry), SimulatedEntry())
+    tissue: SimulatedTissue = ruled(Subtable(SimulatedTissue), SimulatedTissue())
+    shaft: Shaft = ruled(Subtable(Shaft), Shaft())
+    robot: Robot = ruled(Subtable(Robot), Robot())
+    effects: Effects = ruled(Subtable(Effects), Effects())
+    layer: tuple[SimulatedLayer, ...] = ruled(TableList(SimulatedLayer, _MOST_TABLES), ())
+    move: tuple[Move, ...] = ruled(TableList(Move, _MOST_TABLES))
+    friction: LuGre | None = ruled(_FrictionRule(), None)
+    model: Models = ruled(_ModelsRule(), factory=dict)
+
+    @property
+    def setup(self) -> Setup:
+        """What the lab twin is built from."""
+        path = self.model.get(Channel.TIP)
+        plan = 1 / self.scenario.needle.curvature_radius_mm if self.scenario else self.tissue.curvature_per_mm
+        if plan is None:
+            assert path is not None
+            plan = path.values()["curvature_per_mm"]
+        return Setup(
+            plan, self.entry, self.tissue, self.layer, self.shaft, self.robot, self.effects, self.friction,
+            self.scenario, path, self.model.get(Channel.FORCE),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A run of the lab twin; `scenario` is what was planned for, if anything, and `digest` names the file."""
+
+    setup: Setup
+    moves: tuple[Move, ...]
+    seed: int = 0
+    title: str = ""
+    scenario: Scenario | None = None
+    digest: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "moves", tuple(self.moves))
+        mistakes = list(_moves_fit(self.moves, self.setup.robot))
+        if self.seed < 0:
+            mistakes.append(Mistake("seed", f"{self.seed}", "must be a whole number from 0"))
+        if mistakes:
+            raise ExperimentError(mistakes)
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Experiment:
+        """Read an experiment file, or a shipped experiment by its name (`Experiment.read("insertion")`).
+
+        Raises ExperimentError with every mistake of the file.
+        """
+        return cls.from_toml(text_of(path, ExperimentError, _FOLDER, "experiment"), os.fspath(path))
+
+    @classmethod
+    def from_toml(cls, text: str, source: str = "") -> Experiment:
+        """Return the experiment of the text of a file; `source` names it in messages.
+
+        Raises ExperimentError with every mistake of the text.
+        """
+        read = parse_toml(text, _ExperimentTable, source)
+        return cls(read.setup, read.move, read.seed, read.title, read.scenario, digest(text))
+
+
+def shipped_experiments() -> list[str]:
+    """Return the names of the shipped experiments; `Experiment.read` takes a name where it takes a path."""
+    return shipped_names(_FOLDER)

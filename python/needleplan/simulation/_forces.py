@@ -1,0 +1,146 @@
+"""Forces along the needle: shaft friction, compliant tissue, cutting, and membranes.
+
+The physics of friction and tissue is in `models`. Here it is advanced step by step, because the depths are not known
+in advance. The friction looks up its normal force in a table with a spacing of 0.01 mm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from needleplan.models.friction import LuGre
+from needleplan.models.tissue import LuGreLaw, stepping
+from needleplan.signals import Motion
+from needleplan.simulation._setup import SimulatedLayer
+
+__all__ = ["DepthLaw", "ShaftForce", "TipForce"]
+
+# spacing of the table of normal forces, mm
+_SPACING_MM = 0.01
+# rate at which the bristles relax outside of the tissue, 1/s
+_RELAXATION_PER_S = 1e3
+# mass of the dragged tissue, N s^2/mm: negligible
+_MASS = 1e-6
+# distance by which the tip compresses tissue before it cuts, mm
+_CONTACT_MM = 0.1
+
+
+class DepthLaw:
+    """A friction model on plain numbers; its sample number is the depth in steps of 0.01 mm, -1 outside the tissue."""
+
+    def __init__(self, friction: LuGre, deepest_mm: float) -> None:
+        depth = np.asarray((np.arange(max(math.ceil(deepest_mm / _SPACING_MM), 2)) + 0.5) * _SPACING_MM)
+        one = np.ones_like(depth)
+        inner = LuGreLaw(friction, Motion.sampled(depth, depth, one))
+        within, force_within = inner.coefficients, inner.force
+        last = depth.size - 1
+
+        def coefficients(sample: int, w_mm_s: float) -> tuple[float, float]:
+            if sample < 0:
+                return 0.0, _RELAXATION_PER_S
+            return within(min(sample, last), w_mm_s)
+
+        def force(sample: int, w_mm_s: float, bending: float, bending_rate: float) -> float:
+            return force_within(min(sample, last), w_mm_s, bending, bending_rate) if sample >= 0 else 0.0
+
+        self.coefficients = coefficients
+        self.force = force
+
+    @staticmethod
+    def sample(depth_mm: float) -> int:
+        """Return the sample number of a depth (mm)."""
+        return int(depth_mm / _SPACING_MM) if depth_mm > 0 else -1
+
+
+class ShaftForce:
+    """Friction on the shaft (N, positive if it resists insertion), and the tissue displacement that it causes (mm)."""
+
+    def __init__(self, friction: LuGre | None, deepest_mm: float, compliance_mm_n: float, relaxation_s: float) -> None:
+        self.force_n = 0.0
+        self.tissue_mm = 0.0
+        self._law = DepthLaw(friction, deepest_mm) if friction else None
+        self._bent = self._velocity = 0.0
+        self._sample = -1
+        self._steps = None
+        if self._law and compliance_mm_n:
+            stiffness = 1 / compliance_mm_n
+            # Outside of the tissue, a law at rest has no force.
+            outside = (stiffness, stiffness * relaxation_s, _MASS, 0.0, (0.0, 0.0, 0.0))
+            self._steps = stepping(_From(self._law), *outside)
+            next(self._steps)
+
+    def step(self, interval_s: float, velocity_mm_s: float, depth_mm: float) -> None:
+        """Advance by a time step to a velocity relative to undragged tissue, and to a depth."""
+        if self._law is None:
+            return
+        sample = self._law.sample(depth_mm)
+        if self._steps:
+            self._bent, self.tissue_mm, _, self.force_n = self._steps.send((sample, interval_s, velocity_mm_s))
+            return
+        # The step of `stepping` for tissue that does not move.
+        forcing, rate = self._law.coefficients(self._sample, self._velocity)
+        new_forcing, new_rate = self._law.coefficients(sample, velocity_mm_s)
+        decay = interval_s / 2 * (rate + new_rate)
+        pushed = self._bent + interval_s / 2 * (forcing + new_forcing) * (1 + decay / 2)
+        self._bent = pushed / (1 + decay + decay * decay / 2)
+        self.force_n = self._law.force(sample, velocity_mm_s, self._bent, new_forcing - new_rate * self._bent)
+        self._sample, self._velocity = sample, velocity_mm_s
+
+
+class _From:
+    """A law that starts outside of the tissue, although `stepping` starts with sample 0."""
+
+    def __init__(self, law: DepthLaw) -> None:
+        first = True
+
+        def coefficients(sample: int, w_mm_s: float) -> tuple[float, float]:
+            nonlocal first
+            if first:
+                first = False
+                return law.coefficients(-1, w_mm_s)
+            return law.coefficients(sample, w_mm_s)
+
+        self.coefficients = coefficients
+        self.force = law.force
+
+
+class TipForce:
+    """Force on the tip (N): cutting, and membranes until they are punctured.
+
+    The tip compresses the tissue by 0.1 mm and then cuts. The force remains while the needle stands, and vanishes when
+    the needle has been pulled back by 0.1 mm. A membrane behaves in the same way over its own stretch.
+    """
+
+    def __init__(self, layers: Sequence[SimulatedLayer]) -> None:
+        self._layers = layers
+        self._front_mm = 0.0
+        self._through = [False] * len(layers)
+
+    @property
+    def front_mm(self) -> float:
+        """Depth to which the tissue is cut (mm)."""
+        return self._front_mm
+
+    def step(self, depth_mm: float) -> float:
+        """Advance to a depth (mm) and return the force (N)."""
+        if depth_mm <= 0:
+            return 0.0
+        self._front_mm = max(self._front_mm, depth_mm - _CONTACT_MM)
+        pressed = min(max((depth_mm - self._front_mm) / _CONTACT_MM, 0.0), 1.0)
+        force = cutting = 0.0
+        for number, layer in enumerate(self._layers):
+            into = depth_mm - layer.from_mm
+            if into < 0:
+                break
+            cutting = layer.cutting_n
+            if layer.puncture_n and not self._through[number]:
+                self._through[number] = into >= layer.stretch_mm
+                force += 0.0 if self._through[number] else layer.puncture_n * into / layer.stretch_mm
+        return force + cutting * pressed
+
+    def turn_off(self, depth_mm: float) -> None:
+        """Cut again from a depth on, because the needle leaves its old channel there."""
+        self._front_mm = min(self._front_mm, depth_mm)

@@ -1,0 +1,241 @@
+"""The lab twin: a plant with its sensors, as three devices.
+
+Time is simulated. It advances when a program advances the clock of the lab, sleeps on it, or waits for a sample:
+`read` returns the oldest unread sample; if there is none, time advances until there is one, at most by `timeout_s`. All
+devices share the time. Each device keeps the samples of the last two seconds; its next sample tells how many older ones
+were lost.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from typing import Generic, TypeVar
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+from needleplan.config import suggestion
+from needleplan.devices import (
+    Device,
+    ForceSample,
+    ForceSensor,
+    PoseSample,
+    Stage,
+    StageSample,
+    Stamp,
+    Tracker,
+    VirtualClock,
+)
+from needleplan.errors import DeviceFault, ExperimentError, Mistake
+from needleplan.simulation._experiment import Experiment
+from needleplan.simulation._plant import Plant
+from needleplan.simulation._sensors import ForceReading, TrackerReading
+from needleplan.simulation._setup import FORCE_HZ, TRACKER_HZ, Setup
+
+__all__ = ["Lab", "SimulatedForceSensor", "SimulatedStage", "SimulatedTracker", "open_lab"]
+
+# duration for which a device keeps unread samples, s
+_KEPT_S = 2
+_NANO = 1_000_000_000
+
+_Sample = TypeVar("_Sample", StageSample, ForceSample, PoseSample)
+
+
+class Lab(Device):
+    """A plant with its sensors on a virtual clock; its devices are `stage`, `force_sensor` and `tracker`.
+
+    Samples are taken at multiples of their interval, the first one after one interval. They carry the time at which
+    they were taken; transport takes no time.
+    """
+
+    def __init__(self, setup: Setup, seed: int = 0, clock: VirtualClock | None = None) -> None:
+        self.clock = clock or VirtualClock()
+        self.plant = Plant(setup, seed)
+        self._begin_ns = self.clock.now_ns()
+        self._coil_mm = setup.effects.coil_offset_mm
+        self.forces = ForceReading(setup.effects, seed)
+        self._poses = TrackerReading(setup.effects, seed)
+        self._tick_ns = _NANO / setup.robot.servo_hz
+        self._due_ns = self._begin_ns + round(self._tick_ns)
+        self._force_ticks = setup.robot.servo_hz // FORCE_HZ
+        self._tracker_ticks = setup.robot.servo_hz // TRACKER_HZ
+        self.stage = SimulatedStage(self)
+        self.force_sensor = SimulatedForceSensor(self)
+        self.tracker = SimulatedTracker(self)
+
+    def catch_up(self) -> None:
+        """Advance the plant to the time of the clock."""
+        now_ns = self.clock.now_ns()
+        while self._due_ns <= now_ns:
+            self._tick()
+
+    def advance(self, seconds: float) -> None:
+        """Advance the clock and the plant (s)."""
+        self.clock.advance(seconds)
+        self.catch_up()
+
+    def wait(self, limit_ns: int) -> bool:
+        """Advance by one tick, at most to `limit_ns` on the clock; return whether there was a tick."""
+        due_ns, now_ns = self._due_ns, self.clock.now_ns()
+        self.clock.advance((min(due_ns, limit_ns) - now_ns) / _NANO)
+        self.catch_up()
+        return due_ns <= limit_ns
+
+    def close(self) -> None:
+        """Close the three devices."""
+        for each in (self.stage, self.force_sensor, self.tracker):
+            each.close()
+
+    def _tick(self) -> None:
+        plant = self.plant
+        plant.step()
+        ticks, now_s, now_ns = plant.ticks, plant.now_s, self._due_ns
+        self._due_ns = self._begin_ns + round((ticks + 1) * self._tick_ns)
+        axis = plant.insertion
+        self.stage.put(
+            StageSample(
+                Stamp(now_ns, ticks, 0, now_s), axis.measured, axis.measured_velocity, plant.roll.measured, plant.moving
+            )
+        )
+        if ticks % self._force_ticks == 0:
+            stamp = Stamp(now_ns, ticks // self._force_ticks, 0, now_s)
+            self.force_sensor.put(self.forces.sample(stamp, plant.felt_n, plant.torque_n_mm, now_s))
+        if ticks % self._tracker_ticks == 0:
+            stamp = Stamp(now_ns, ticks // self._tracker_ticks, 0, now_s)
+            self.tracker.put(self._poses.sample(stamp, plant.seen_behind(self._coil_mm)))
+
+
+class _SampleQueue(Generic[_Sample]):
+    """Unread samples of one device."""
+
+    def __init__(self, lab: Lab, rate_hz: float) -> None:
+        self._lab = lab
+        self._waiting: deque[_Sample] = deque(maxlen=max(int(_KEPT_S * rate_hz), 1))
+        self._lost = 0
+        self._open = True
+
+    def put(self, sample: _Sample) -> None:
+        """Append a sample of the lab."""
+        if not self._open:
+            return
+        self._lost += len(self._waiting) == self._waiting.maxlen
+        self._waiting.append(sample)
+
+    def read(self, timeout_s: float) -> _Sample | None:
+        """Return the oldest unread sample; if there is none, advance the time, at most by `timeout_s`.
+
+        Raises DeviceFault if the device is closed.
+        """
+        self.require_open()
+        lab = self._lab
+        lab.catch_up()
+        if not self._waiting and timeout_s > 0:
+            limit_ns = lab.clock.now_ns() + round(timeout_s * _NANO)
+            while not self._waiting and lab.wait(limit_ns):
+                pass
+        if not self._waiting:
+            return None
+        sample = self._waiting.popleft()
+        if not self._lost:
+            return sample
+        lost, self._lost = self._lost, 0
+        stamp = sample.stamp
+        return replace(sample, stamp=replace(stamp, lost=lost))
+
+    def waiting(self) -> list[_Sample]:
+        """Return all unread samples without advancing the time."""
+        found = list(self._waiting)
+        self._waiting.clear()
+        return found
+
+    def require_open(self) -> None:
+        """Raise DeviceFault if the device is closed."""
+        if not self._open:
+            raise DeviceFault(f"{type(self).__name__}: is closed")
+
+    def close(self) -> None:
+        """Close the device, and discard its samples."""
+        self._open = False
+        self._waiting.clear()
+
+
+class SimulatedStage(_SampleQueue[StageSample], Stage):
+    """The two axes of the robot; samples at the rate of the servo."""
+
+    def __init__(self, lab: Lab) -> None:
+        super().__init__(lab, lab.plant.setup.robot.servo_hz)
+
+    def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
+        """Begin to move to a depth at a speed. Raises DeviceFault."""
+        self.require_open()
+        self._lab.catch_up()
+        self._lab.plant.insert(depth_mm, velocity_mm_s)
+
+    def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
+        """Begin to rotate the base to a roll. Raises DeviceFault."""
+        self.require_open()
+        self._lab.catch_up()
+        self._lab.plant.rotate(roll_rad, velocity_rad_s)
+
+    def stop(self) -> None:
+        """Stop both axes with the deceleration of their profiles."""
+        self._lab.catch_up()
+        self._lab.plant.stop()
+
+    def close(self) -> None:
+        """Stop, and close the stage."""
+        if self._open:
+            self.stop()
+        super().close()
+
+
+class SimulatedForceSensor(_SampleQueue[ForceSample], ForceSensor):
+    """The force sensor: z is along the needle, positive if the force resists insertion."""
+
+    def __init__(self, lab: Lab) -> None:
+        super().__init__(lab, FORCE_HZ)
+
+    def bias(self) -> None:
+        """Take the present wrench as zero; advance the time until there is one.
+
+        Unread samples have the old zero: they are dropped, and counted as lost.
+        """
+        self.require_open()
+        lab = self._lab
+        lab.catch_up()
+        limit_ns = lab.clock.now_ns() + _NANO
+        while not lab.forces.measured and lab.wait(limit_ns):
+            pass
+        lab.forces.bias()
+        self._lost += len(self.waiting())
+
+
+class SimulatedTracker(_SampleQueue[PoseSample], Tracker):
+    """The tracker; the z axis of its coil is along the needle."""
+
+    def __init__(self, lab: Lab) -> None:
+        super().__init__(lab, TRACKER_HZ)
+
+
+def open_lab(url: str, clock: VirtualClock | None = None) -> Lab:
+    """Open a lab: `sim://insertion`, `sim://folder/mine.toml?seed=3`, `sim:///absolute/mine.toml`.
+
+    The devices of the lab are `stage`, `force_sensor` and `tracker`; the program of the experiment is not run. Without
+    `clock` the lab gets a clock of its own. Raises ExperimentError if the address or the file is wrong.
+    """
+    parts = urlsplit(url)
+    mistakes = []
+    name = unquote(parts.netloc + parts.path)
+    if parts.scheme != "sim" or not name:
+        mistakes.append(Mistake("", url, "must be sim://EXPERIMENT, a shipped experiment or a file"))
+    seed: int | None = None
+    for key, value in parse_qsl(parts.query, keep_blank_values=True):
+        if key != "seed":
+            mistakes.append(Mistake(key, value, f"unknown key{suggestion(key, ['seed'])}"))
+        elif value.isascii() and value.isdigit():
+            seed = int(value)
+        else:
+            mistakes.append(Mistake("seed", value, "must be a whole number from 0"))
+    if mistakes:
+        raise ExperimentError(mistakes, url)
+    experiment = Experiment.read(name)
+    return Lab(experiment.setup, experiment.seed if seed is None else seed, clock)

@@ -1,0 +1,258 @@
+"""The plant: robot, needle and tissue on simulated time, advanced by one tick of the servo at a time.
+
+The plant is not the planner's model. The planner assumes a known curvature, a tip that rolls with the base, and tissue
+at rest; the effects of the plant violate each of these assumptions by a chosen amplitude.
+"""
+
+from __future__ import annotations
+
+import math
+
+from needleplan.errors import DeviceFault
+from needleplan.models import TipFrame, Torsion
+from needleplan.models.path import dragged
+from needleplan.scenario import Scenario
+from needleplan.simulation._axis import SimulatedAxis
+from needleplan.simulation._effects import Stream, random_for
+from needleplan.simulation._forces import ShaftForce, TipForce
+from needleplan.simulation._modelled import ModelledForce, ModelledPath
+from needleplan.simulation._setup import FORCE_HZ, Setup
+from needleplan.simulation._tip_path import RandomHeading, TipPath3D
+
+__all__ = ["Plant"]
+
+# speed at which a rate-dependent curvature equals the curvature of the tissue, mm/s
+_REFERENCE_MM_S = 5.0
+# speed below which a rate-dependent curvature is constant, mm/s
+_SLOWEST_MM_S = 0.25
+# spacing of the grid on which the planned curvature is looked up, mm
+_SPACING_MM = 0.25
+
+
+class PlannedCurvature:
+    """Planned curvature (1/mm) of a scenario by position, on a grid of 0.25 mm; constant beyond the edges."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        import numpy as np
+
+        sizes = (scenario.workspace.width_mm, scenario.workspace.height_mm)
+        self._steps = [size / max(math.ceil(size / _SPACING_MM), 1) for size in sizes]
+        x, y = (np.arange(round(size / step) + 1) * step for size, step in zip(sizes, self._steps, strict=True))
+        self._table: list[list[float]] = (1 / scenario.radius_mm(x[:, None], y[None, :])).tolist()
+
+    def at(self, x_mm: float, y_mm: float) -> float:
+        """Return the curvature at a point (mm)."""
+        table = self._table
+        row = table[min(max(round(x_mm / self._steps[0]), 0), len(table) - 1)]
+        return row[min(max(round(y_mm / self._steps[1]), 0), len(row) - 1)]
+
+
+class Plant:
+    """Robot, needle and tissue; the same setup and seed give bitwise the same motion.
+
+    The attributes are true values, which no sensor measures: `force_n` (axial force at the base), `torque_n_mm` (torque
+    at the base), `tip_roll_rad` and `path_mm`.
+    """
+
+    def __init__(self, setup: Setup, seed: int = 0) -> None:
+        self.setup = setup
+        self.seed = seed
+        self.ticks = 0
+        robot, effects, entry = setup.robot, setup.effects, setup.entry
+        self.interval_s = 1 / robot.servo_hz
+        self.insertion = SimulatedAxis(
+            entry.depth_mm, interval_s=self.interval_s, bandwidth_hz=robot.bandwidth_hz,
+            acceleration=robot.acceleration_mm_s2, resolution=effects.encoder_step_mm,
+        )  # fmt: skip
+        self.roll = SimulatedAxis(
+            entry.roll_rad, interval_s=self.interval_s, bandwidth_hz=robot.bandwidth_hz,
+            acceleration=robot.acceleration_rad_s2, resolution=effects.encoder_step_rad,
+        )  # fmt: skip
+        scatter = random_for(seed, Stream.CURVATURE).standard_normal()
+        self.curvature_factor = 1 + effects.curvature_error + effects.curvature_scatter * scatter
+        self._layers = setup.curvatures()
+        by_place = setup.scenario is not None and any(bend is None for _, bend in self._layers)
+        self._places = PlannedCurvature(setup.scenario) if setup.scenario and by_place else None
+        heading_noise = RandomHeading(effects.heading_noise_rad_sqrt_mm, random_for(seed, Stream.HEADING))
+        self._line = TipFrame.planar(entry.x_mm, entry.y_mm, entry.heading_rad)
+        self._model = ModelledPath(setup.path, self._line) if setup.path else None
+        self._start = self._model.start if self._model else self._line
+        odd = effects.pre_bend_per_mm or effects.sag_per_mm or self._model
+        self._path = TipPath3D(self._start, self._bend, heading_noise, self._aside if odd else None)
+        self._force_model = ModelledForce(setup.force) if setup.force else None
+        self._force_ticks = robot.servo_hz // FORCE_HZ
+        self._shaft = ShaftForce(
+            setup.friction, robot.deepest_mm, effects.tissue_compliance_mm_n, effects.tissue_relaxation_s
+        )
+        self._tip = TipForce(setup.all_layers)
+        self._torsion = Torsion(setup.shaft.torsional_stiffness_n_mm2, effects.torsional_friction_n)
+        self._breathes = bool(effects.respiration_along_mm or effects.respiration_across_mm)
+        self._reaction = effects.reaction_mm_s2_n
+        self._phase = 2 * math.pi * random_for(seed, Stream.RESPIRATION).random()
+        self._breath = self._breathing(0.0)
+        self.tip_roll_rad = entry.roll_rad
+        self.force_n = self.torque_n_mm = 0.0
+        self.path_mm = entry.depth_mm
+        self._entered = False
+
+    @property
+    def now_s(self) -> float:
+        """Simulated time since the start (s)."""
+        return self.ticks * self.interval_s
+
+    def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
+        """Begin to move to a depth at a speed. Raises DeviceFault if the drive does not accept the values."""
+        robot = self.setup.robot
+        _accept("depth", depth_mm, robot.shallowest_mm, robot.deepest_mm, "mm")
+        _accept_speed(velocity_mm_s, robot.top_velocity_mm_s, "mm/s")
+        self.insertion.go(depth_mm, velocity_mm_s, self.now_s)
+
+    def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
+        """Begin to rotate the base to a roll. Raises DeviceFault if the drive does not accept the values."""
+        _accept("roll", roll_rad, -1000, 1000, "rad")
+        _accept_speed(velocity_rad_s, self.setup.robot.top_velocity_rad_s, "rad/s")
+        self.roll.go(roll_rad, velocity_rad_s, self.now_s)
+
+    def stop(self) -> None:
+        """Begin to stop both axes."""
+        self.insertion.halt(self.now_s)
+        self.roll.halt(self.now_s)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the profile of either axis has not ended."""
+        return self.insertion.moving(self.now_s) or self.roll.moving(self.now_s)
+
+    def step(self) -> None:
+        """Advance by one tick of the servo."""
+        insertion, roll, interval = self.insertion, self.roll, self.interval_s
+        now = self.ticks * interval
+        insertion.step(now, -self.force_n * self._reaction)
+        roll.step(now)
+        self.ticks += 1
+        breath = self._breathing(self.ticks * interval)
+        against = insertion.velocity - (breath[0] - self._breath[0]) / interval
+        self._breath = breath
+        shaft = self._shaft
+        shaft.step(interval, against, insertion.position - breath[0] - shaft.tissue_mm)
+        self.path_mm = length = insertion.position - breath[0] - shaft.tissue_mm
+        inserted = max(length, 0.0)
+        lag = self._lag(inserted)
+        if self._model:
+            self.tip_roll_rad = self._model.roll(self.tip_roll_rad, *self._moving_now())
+        else:
+            self.tip_roll_rad = dragged(self.tip_roll_rad, roll.position, lag)
+        if lag:
+            held = self._torsion.torque_per_length_n * inserted
+            self.torque_n_mm = held * (roll.position - self.tip_roll_rad) / lag
+        else:
+            self.torque_n_mm = 0.0
+        if length > 0 and not self._entered:
+            # The needle passes through this point of the tissue, however the tissue is shifted at this moment.
+            self._entered = True
+            n, shift = self._line.normal, -breath[1]
+            self._path.begin(self._start.moved((shift * n[0], shift * n[1], shift * n[2])))
+        if self._path.step(length, self.tip_roll_rad):
+            self._tip.turn_off(length)
+        self.force_n = shaft.force_n + self._tip.step(length)
+        if self._force_model:
+            if self.ticks % self._force_ticks == 0:
+                self._force_model.step(*self._moving_now())
+            self.force_n += self._force_model.force_n
+
+    def tip(self) -> TipFrame:
+        """Return the frame of the tip in the lab: x along the insertion, y to the left, z up (mm)."""
+        return self.frame_behind(0.0)
+
+    def frame_behind(self, distance_mm: float) -> TipFrame:
+        """Return the frame of the needle at a distance (mm) behind the tip."""
+        frame = self._path.tip() if distance_mm == 0 else self._path.frame_at(self.path_mm - distance_mm)
+        along = self._breath[0] + self._shaft.tissue_mm
+        across = self._breath[1] if self._entered else 0.0
+        t, n = self._line.tangent, self._line.normal
+        if self._model:
+            frame = frame.moved(self._model.shift(frame, self.tip_roll_rad, *self._moving_now(), shown=False))
+        return frame.moved((along * t[0] + across * n[0], along * t[1] + across * n[1], along * t[2] + across * n[2]))
+
+    def seen_behind(self, distance_mm: float) -> TipFrame:
+        """Return the frame that a noise-free tracker shows: the true one, or the one shown by a model of the path."""
+        true = self.frame_behind(distance_mm)
+        if not self._model:
+            return true
+        frame = self._path.tip() if distance_mm == 0 else self._path.frame_at(self.path_mm - distance_mm)
+        shifts = [self._model.shift(frame, self.tip_roll_rad, *self._moving_now(), shown=one) for one in (True, False)]
+        x, y, z = (shown - own for shown, own in zip(*shifts, strict=True))
+        return true.moved((x, y, z))
+
+    @property
+    def felt_n(self) -> float:
+        """Axial force (N) that a noise-free sensor shows: the true force plus the sensor effects of a force model."""
+        return self.force_n + (self._force_model.shown_n if self._force_model else 0.0)
+
+    @property
+    def breath_mm(self) -> tuple[float, float]:
+        """Displacement of the tissue by respiration along the entry and across it (mm)."""
+        return self._breath
+
+    @property
+    def tissue_mm(self) -> float:
+        """Displacement of the tissue that the needle drags along (mm)."""
+        return self._shaft.tissue_mm
+
+    def _bend(self, tip: TipFrame) -> float:
+        if self._model:
+            return 0.0
+        x, y, _ = tip.position_mm
+        (x0, y0, _), (tx, ty, _) = self._path.start.position_mm, self._line.tangent
+        along = (x - x0) * tx + (y - y0) * ty
+        bend = self._layers[0][1]
+        for begin, curvature in self._layers[1:]:
+            if along < begin:
+                break
+            bend = curvature
+        if bend is None:
+            assert self._places is not None
+            bend = self._places.at(x, y)
+        power = self.setup.effects.curvature_speed_power
+        if power:
+            bend *= (max(abs(self.insertion.velocity), _SLOWEST_MM_S) / _REFERENCE_MM_S) ** power
+        return bend * self.curvature_factor
+
+    def _aside(self, tip: TipFrame, roll_rad: float) -> tuple[float, float]:
+        """Return the curvatures along n and b (1/mm) of a pre-bent needle, of its weight, or of a model."""
+        if self._model:
+            n, b = self._model.bend(roll_rad, *self._moving_now())
+            return n * self.curvature_factor, b * self.curvature_factor
+        effects, length_mm = self.setup.effects, self.setup.shaft.length_mm
+        bent = effects.pre_bend_per_mm
+        sag = effects.sag_per_mm * max(1 - self.path_mm / length_mm, 0.0)
+        return (
+            -bent * math.sin(roll_rad) - sag * tip.normal[2],
+            bent * math.cos(roll_rad) - sag * tip.binormal[2],
+        )
+
+    def _moving_now(self) -> tuple[float, float, float, float]:
+        """Return the input of a model: time (s), length of the path (mm), velocity (mm/s), roll of the base (rad)."""
+        return self.now_s, self.path_mm, self.insertion.velocity, self.roll.position
+
+    def _lag(self, inserted_mm: float) -> float:
+        if not self._torsion.torque_per_length_n:
+            return 0.0
+        return self._torsion.lag_rad(max(self.setup.shaft.length_mm - inserted_mm, 0.0), inserted_mm)
+
+    def _breathing(self, time_s: float) -> tuple[float, float]:
+        if not self._breathes:
+            return 0.0, 0.0
+        effects = self.setup.effects
+        sine = math.sin(2 * math.pi * time_s / effects.respiration_period_s + self._phase)
+        return effects.respiration_along_mm * sine, effects.respiration_across_mm * sine
+
+
+def _accept(name: str, value: float, lowest: float, highest: float, unit: str) -> None:
+    if not lowest <= value <= highest:
+        raise DeviceFault(f"simulated stage: {name} of {value:g} {unit} is not from {lowest:g} to {highest:g} {unit}")
+
+
+def _accept_speed(value: float, highest: float, unit: str) -> None:
+    if not 0 < value <= highest:
+        raise DeviceFault(f"simulated stage: a speed of {value:g} {unit} is not above 0 and at most {highest:g} {unit}")

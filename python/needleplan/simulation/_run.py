@@ -1,0 +1,141 @@
+"""Runs of experiments: all samples of the devices, the record for identification, and the recording file."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.devices import ForceSample, PoseSample, StageSample
+from needleplan.models import TipFrame
+from needleplan.recording import EVENT, FORCE, POSE, STAGE, PathLike, Recorder, Session, WhenFull
+from needleplan.signals import Array, Record
+from needleplan.simulation._experiment import Experiment
+from needleplan.simulation._lab import Lab
+from needleplan.simulation._setup import AVERAGED, FORCE_HZ, Move
+
+__all__ = ["Run", "RunPhase", "record_run", "run_experiment"]
+
+# time step between two readings of the devices, s
+_AT_ONCE_S = 0.25
+_NANO = 1e9
+# duration that is recorded after the last move, s
+_SETTLING_S = 0.25
+
+
+@dataclass(frozen=True)
+class RunPhase:
+    """A part of the program that begins at a simulated time."""
+
+    begin_s: float
+    label: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """All samples of the three devices in order, the phases of the program, and the true final frame of the tip."""
+
+    experiment: Experiment
+    seed: int
+    stage: tuple[StageSample, ...]
+    forces: tuple[ForceSample, ...]
+    poses: tuple[PoseSample, ...]
+    phases: tuple[RunPhase, ...]
+    tip: TipFrame
+
+    def record(self, trial: str = "") -> Record:
+        """Return the run as a record at the rate of the force sensor.
+
+        Depth and angle are encoder values at the same time. The columns x, y and z have the frames of the tracker, and
+        NaN between frames. The force is corrected for the delay of its moving average, two samples.
+        """
+        time = np.array([each.stamp.device_time_s for each in self.forces], float)
+        every = len(self.stage) // len(self.forces)
+        stage = self.stage[every - 1 :: every][: time.size]
+        delay = (AVERAGED - 1) // 2
+        force, torque = (np.full(time.size, np.nan) for _ in range(2))
+        force[:-delay] = [each.force_n[2] for each in self.forces[delay:]]
+        torque[:-delay] = [each.torque_n_mm[2] for each in self.forces[delay:]]
+        columns: dict[str, Array] = {
+            "time_s": time,
+            "depth_mm": np.array([each.depth_mm for each in stage]),
+            "force_n": force,
+            "torque_n_mm": torque,
+            "angle_rad": np.array([each.roll_rad for each in stage]),
+        }
+        rows = [round((each.stamp.device_time_s or 0.0) * FORCE_HZ) - 1 for each in self.poses]
+        for axis, name in enumerate(("x_mm", "y_mm", "z_mm")):
+            columns[name] = np.full(time.size, np.nan)
+            columns[name][rows] = [each.position_mm[axis] for each in self.poses]
+        begins = [each.begin_s for each in self.phases]
+        phase = tuple(self.phases[bisect_left(begins, now) - 1].label for now in time.tolist())
+        return Record(columns, trial or f"seed {self.seed}", phase=phase, digest=self.experiment.digest)
+
+
+def run_experiment(experiment: Experiment, seed: int | None = None) -> Run:
+    """Run the program of an experiment in a new lab, with the seed of the experiment or another one."""
+    chosen = experiment.seed if seed is None else seed
+    stage: list[StageSample] = []
+    forces: list[ForceSample] = []
+    poses: list[PoseSample] = []
+    phases: list[RunPhase] = []
+    with Lab(experiment.setup, chosen) as lab:
+
+        def pass_time(seconds: float) -> None:
+            left = seconds
+            while left > 0:
+                lab.advance(min(left, _AT_ONCE_S))
+                left -= _AT_ONCE_S
+                _drain(lab, stage, forces, poses)
+
+        for move in experiment.moves:
+            phases.append(RunPhase(lab.plant.now_s, move.label))
+            pass_time(_begin(lab, move))
+        pass_time(_SETTLING_S)
+        tip = lab.plant.tip()
+    return Run(experiment, chosen, tuple(stage), tuple(forces), tuple(poses), tuple(phases), tip)
+
+
+def _begin(lab: Lab, move: Move) -> float:
+    """Begin a move and return its duration up to the first tick at or after its end (s)."""
+    if move.insert_to_mm is not None:
+        lab.stage.insert(move.insert_to_mm, move.velocity_mm_s or 0.0)
+    elif move.rotate_to_rad is not None:
+        lab.stage.rotate(move.rotate_to_rad, move.velocity_rad_s or 0.0)
+    else:
+        return move.dwell_s or 0.0
+    plant = lab.plant
+    end_s = max(plant.insertion.end_s, plant.roll.end_s)
+    return float(np.ceil((end_s - plant.now_s) / plant.interval_s - 1e-6)) * plant.interval_s
+
+
+def _drain(lab: Lab, stage: list[StageSample], forces: list[ForceSample], poses: list[PoseSample]) -> None:
+    stage += lab.stage.waiting()
+    forces += lab.force_sensor.waiting()
+    poses += lab.tracker.waiting()
+
+
+def record_run(run: Run, path: PathLike, *, overwrite: bool = False) -> None:
+    """Write all samples of a run to a recording, and the phases of its program as events.
+
+    The recorded time of day is the time of writing plus the simulated time. Raises OutputError if the file cannot be
+    written, or if it exists and `overwrite` is false.
+    """
+    experiment = run.experiment
+    digests = {"experiment": experiment.digest}
+    if experiment.scenario is not None:
+        digests["scenario"] = experiment.scenario.digest
+    session = Session(f"{experiment.title or 'experiment'}, seed {run.seed}", digests, monotonic_ns=0)
+    with Recorder(path, session, when_full=WhenFull.WAIT, overwrite=overwrite) as recorder:
+        events = recorder.channel("/event", EVENT)
+        for phase in run.phases:
+            events.put(round(phase.begin_s * _NANO), {"name": "phase", "cause": "program", "text": phase.label})
+        for topic, kind, samples in (
+            ("/stage", STAGE, run.stage),
+            ("/force", FORCE, run.forces),
+            ("/pose", POSE, run.poses),
+        ):
+            channel = recorder.channel(topic, kind)
+            for sample in samples:
+                channel.put(sample.stamp.received_ns, sample)

@@ -1,0 +1,106 @@
+"""Measurement errors of the sensors: noise, offset, drift, distortion, dropouts."""
+
+from __future__ import annotations
+
+import math
+
+from needleplan.devices import ForceSample, Health, PoseSample, Stamp
+from needleplan.models import TipFrame
+from needleplan.signals import MovingAverage
+from needleplan.simulation._effects import Draws, Effects, Stream, random_for
+from needleplan.simulation._setup import AVERAGED, TRACKER_HZ
+
+__all__ = ["ForceReading", "TrackerReading", "from_z_to"]
+
+_NAN = float("nan")
+
+
+class ForceReading:
+    """The force sensor at 200 Hz: the mean of five samples; z is along the needle, positive if it resists insertion."""
+
+    def __init__(self, effects: Effects, seed: int) -> None:
+        self._effects = effects
+        self._draws = Draws(random_for(seed, Stream.FORCE_NOISE), 3)
+        self._averages = [MovingAverage(AVERAGED).stream() for _ in range(4)]
+        self._zero = (0.0, 0.0, 0.0, 0.0)
+        self._last = self._zero
+        self.measured = False
+        """Whether there has been a sample."""
+
+    def sample(self, stamp: Stamp, force_n: float, torque_n_mm: float, time_s: float) -> ForceSample:
+        """Return the sample for the true axial force (N) and torque (N mm)."""
+        effects = self._effects
+        self.measured = True
+        noise = [effects.force_noise_n * each for each in self._draws.next()]
+        wrong = effects.force_offset_n + effects.force_drift_n_s * time_s
+        raw = (noise[0], noise[1], (1 + effects.force_gain_error) * force_n + wrong + noise[2], torque_n_mm)
+        x, y, z, torque = self._last = tuple(
+            average.push(each) for average, each in zip(self._averages, raw, strict=True)
+        )  # type: ignore[assignment]
+        zero = self._zero
+        return ForceSample(stamp, (x - zero[0], y - zero[1], z - zero[2]), (0.0, 0.0, torque - zero[3]))
+
+    def bias(self) -> None:
+        """Take the last measured wrench as zero."""
+        self._zero = self._last
+
+
+class TrackerReading:
+    """The tracker at 40 Hz: a coil with five degrees of freedom behind the tip; its z axis is along the needle."""
+
+    def __init__(self, effects: Effects, seed: int) -> None:
+        self._effects = effects
+        self._noise = Draws(random_for(seed, Stream.TRACKER_NOISE), 3)
+        self._drift_draws = Draws(random_for(seed, Stream.TRACKER_WANDER), 3)
+        self._angles = Draws(random_for(seed, Stream.TRACKER_ANGLE), 2)
+        self._chance = random_for(seed, Stream.TRACKER_DROPOUT)
+        self._phases = (2 * math.pi * random_for(seed, Stream.TRACKER_FIELD).random(3)).tolist()
+        self._drift = self._drift_draws.next()
+        self._keep = math.exp(-1 / (TRACKER_HZ * effects.tracker_wander_s))
+        self._missing = 0
+
+    def sample(self, stamp: Stamp, coil: TipFrame) -> PoseSample:
+        """Return the frame for the true pose of the coil."""
+        effects, keep = self._effects, self._keep
+        fresh = math.sqrt(1 - keep * keep)
+        self._drift = [keep * old + fresh * new for old, new in zip(self._drift, self._drift_draws.next(), strict=True)]
+        noise, (turn_n, turn_b) = self._noise.next(), self._angles.next()
+        if self._lost():
+            return PoseSample(stamp, (_NAN,) * 3, (_NAN,) * 4, _NAN, Health.MISSING, ("the coil is not seen",))
+        field = self._distortion(coil.position_mm)
+        x, y, z = (
+            true + bent + effects.tracker_noise_mm * white + effects.tracker_wander_mm * slow
+            for true, bent, white, slow in zip(coil.position_mm, field, noise, self._drift, strict=True)
+        )
+        sd = effects.tracker_angle_noise_rad
+        t, n, b = coil.tangent, coil.normal, coil.binormal
+        direction = [t[axis] + sd * (turn_n * n[axis] + turn_b * b[axis]) for axis in range(3)]
+        error = math.hypot(effects.tracker_noise_mm, effects.tracker_wander_mm)
+        return PoseSample(stamp, (x, y, z), from_z_to(*direction), error)
+
+    def _lost(self) -> bool:
+        # Two numbers are drawn at each frame, so that a dropout does not change when the next one begins.
+        begins, length = self._chance.random(2).tolist()
+        if begins < self._effects.tracker_dropout:
+            frames = -math.log(1 - length) * self._effects.tracker_dropout_s * TRACKER_HZ
+            self._missing = max(self._missing, 1 + int(frames))
+        self._missing -= self._missing > 0
+        return self._missing > 0 or begins < self._effects.tracker_dropout
+
+    def _distortion(self, position_mm: tuple[float, float, float]) -> list[float]:
+        """Return a displacement (mm) that depends on the position: on each axis, a sine along the next axis."""
+        size, wave = self._effects.tracker_distortion_mm, 2 * math.pi / self._effects.tracker_distortion_length_mm
+        return [
+            size * math.sin(wave * position_mm[(axis + 1) % 3] + wave * position_mm[axis] / 2 + self._phases[axis])
+            for axis in range(3)
+        ]
+
+
+def from_z_to(x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Return the shortest rotation (w, x, y, z) from the z axis to a direction, a vector of any length above 0."""
+    length = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / length, y / length, z / length
+    if z < -1 + 1e-12:
+        return (0.0, 1.0, 0.0, 0.0)
+    w = math.sqrt((1 + z) / 2)
+    return (w, -y / (2 * w), x / (2 * w), 0.0)

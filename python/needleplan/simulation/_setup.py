@@ -1,0 +1,207 @@
+"""The parts of a lab: the tables of an experiment file, one frozen dataclass per table and one rule per field.
+
+Lengths in mm, forces in N, times in s, angles in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from needleplan.config import ConfigTable, Integer, Maybe, Number, ruled
+from needleplan.errors import ExperimentError, Mistake
+from needleplan.models import Channel, Model
+from needleplan.models.friction import LuGre
+from needleplan.scenario import Scenario
+from needleplan.simulation._effects import Effects
+from needleplan.simulation._modelled import require_simulated
+
+__all__ = [
+    "AVERAGED",
+    "BETWEEN",
+    "FORCE_HZ",
+    "TRACKER_HZ",
+    "Move",
+    "Robot",
+    "Setup",
+    "Shaft",
+    "SimulatedEntry",
+    "SimulatedLayer",
+    "SimulatedTissue",
+]
+
+# Rates of the sensors, and number of force samples that are averaged (thesis, appendix A).
+FORCE_HZ = 200
+TRACKER_HZ = 40
+AVERAGED = 5
+
+_BEND = Number("1/mm", at_least=-1, at_most=1)
+_FORCE = Number("N", at_least=0, at_most=100)
+_DEPTH = Number("mm", at_least=-100, at_most=1000)
+
+
+@dataclass(frozen=True)
+class SimulatedEntry(ConfigTable, key="entry", error=ExperimentError):
+    """Pose of the needle at the start: the line of entry meets the surface of the tissue at `x_mm`, `y_mm`.
+
+    `depth_mm` is the depth of the tip beyond the surface, `roll_rad` the roll of the base: at 0 the needle bends to the
+    left, at pi to the right.
+    """
+
+    x_mm: float = ruled(Number("mm", at_least=-1000, at_most=1000), 0.0)
+    y_mm: float = ruled(Number("mm", at_least=-1000, at_most=1000), 0.0)
+    heading_rad: float = ruled(Number("rad", at_least=-1.6, at_most=1.6), 0.0)
+    depth_mm: float = ruled(Number("mm", at_least=-100, at_most=0), 0.0)
+    roll_rad: float = ruled(Number("rad", at_least=-7, at_most=7), 0.0)
+
+
+@dataclass(frozen=True)
+class SimulatedTissue(ConfigTable, key="tissue", error=ExperimentError):
+    """The tissue outside of layers; without `curvature_per_mm` the needle bends as the needle of the scenario."""
+
+    curvature_per_mm: float | None = ruled(Maybe(_BEND), None)
+    cutting_n: float = ruled(_FORCE, 0.0)
+    puncture_n: float = ruled(_FORCE, 0.0)
+    stretch_mm: float = ruled(Number("mm", above=0, at_most=50), 2.0)
+
+
+@dataclass(frozen=True)
+class SimulatedLayer(ConfigTable, key="layer", error=ExperimentError):
+    """Tissue deeper than `from_mm` along the entry, with its own curvature and cutting force, and a membrane.
+
+    The force on the membrane rises linearly to `puncture_n` over `stretch_mm` and drops to 0 at the puncture. Without
+    `curvature_per_mm` the needle bends as in the tissue.
+    """
+
+    from_mm: float = ruled(Number("mm", at_least=0, at_most=1000))
+    curvature_per_mm: float | None = ruled(Maybe(_BEND), None)
+    cutting_n: float = ruled(_FORCE, 0.0)
+    puncture_n: float = ruled(_FORCE, 0.0)
+    stretch_mm: float = ruled(Number("mm", above=0, at_most=50), 2.0)
+
+
+@dataclass(frozen=True)
+class Shaft(ConfigTable, key="shaft", error=ExperimentError):
+    """Torsional stiffness GJ and length of the needle's shaft. The default is an 18 gauge cannula."""
+
+    torsional_stiffness_n_mm2: float = ruled(Number("N mm^2", above=0, at_most=1e9), 1.5e4)
+    length_mm: float = ruled(Number("mm", at_least=10, at_most=1000), 200.0)
+
+
+@dataclass(frozen=True)
+class Robot(ConfigTable, key="robot", error=ExperimentError):
+    """Servo and limits of both axes, insertion and roll."""
+
+    servo_hz: int = ruled(Integer(200, 20_000), 1000)
+    bandwidth_hz: float = ruled(Number("Hz", at_least=1, at_most=60), 20.0)
+    top_velocity_mm_s: float = ruled(Number("mm/s", above=0, at_most=1000), 50.0)
+    acceleration_mm_s2: float = ruled(Number("mm/s^2", above=0, at_most=1e5), 100.0)
+    shallowest_mm: float = ruled(_DEPTH, -100.0)
+    deepest_mm: float = ruled(_DEPTH, 180.0)
+    top_velocity_rad_s: float = ruled(Number("rad/s", above=0, at_most=1000), 12.0)
+    acceleration_rad_s2: float = ruled(Number("rad/s^2", above=0, at_most=1e5), 60.0)
+
+
+@dataclass(frozen=True)
+class Move(ConfigTable, key="move", error=ExperimentError):
+    """One move of a program: `insert_to_mm`, `rotate_to_rad` or `dwell_s`; the first two at a speed."""
+
+    insert_to_mm: float | None = ruled(Maybe(_DEPTH), None)
+    velocity_mm_s: float | None = ruled(Maybe(Number("mm/s", above=0, at_most=1000)), None)
+    rotate_to_rad: float | None = ruled(Maybe(Number("rad", at_least=-1000, at_most=1000)), None)
+    velocity_rad_s: float | None = ruled(Maybe(Number("rad/s", above=0, at_most=1000)), None)
+    dwell_s: float | None = ruled(Maybe(Number("s", above=0, at_most=3600)), None)
+
+    @property
+    def label(self) -> str:
+        """Name of the phase in the recording."""
+        if self.insert_to_mm is not None:
+            return f"to {self.insert_to_mm:g} mm"
+        return f"roll to {self.rotate_to_rad:g} rad" if self.rotate_to_rad is not None else "dwell"
+
+
+def _layers_increase(layer: Sequence[SimulatedLayer | None]) -> Iterator[Mistake]:
+    for number, (before, after) in enumerate(pairwise(layer), start=2):
+        if before and after and after.from_mm <= before.from_mm:
+            rule = f"must be beyond the layer before it, {before.from_mm:g}: layers are in their order"
+            yield Mistake(f"layer {number}.from_mm", f"{after.from_mm:g}", rule)
+
+
+def _robot_holds(robot: Robot) -> Iterator[Mistake]:
+    if robot.servo_hz % FORCE_HZ:
+        rule = f"must be a multiple of {FORCE_HZ}, the rate of the force sensor"
+        yield Mistake("robot.servo_hz", f"{robot.servo_hz}", rule)
+    if robot.deepest_mm <= robot.shallowest_mm:
+        rule = f"must be above shallowest_mm, {robot.shallowest_mm:g}"
+        yield Mistake("robot.deepest_mm", f"{robot.deepest_mm:g}", rule)
+
+
+def _shaft_reaches(shaft: Shaft, robot: Robot) -> Iterator[Mistake]:
+    if robot.deepest_mm > shaft.length_mm:
+        rule = f"must be at most the length of the shaft, {shaft.length_mm:g}"
+        yield Mistake("robot.deepest_mm", f"{robot.deepest_mm:g}", rule)
+
+
+def _entry_is_reached(entry: SimulatedEntry, robot: Robot) -> Iterator[Mistake]:
+    if not robot.shallowest_mm <= entry.depth_mm <= robot.deepest_mm:
+        rule = f"must be where the robot can be, {robot.shallowest_mm:g} to {robot.deepest_mm:g}"
+        yield Mistake("entry.depth_mm", f"{entry.depth_mm:g}", rule)
+
+
+BETWEEN = (_layers_increase, _robot_holds, _shaft_reaches, _entry_is_reached)
+"""Rules between the tables of an experiment, named as in its file."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Needle, tissue, robot and effects; the plan's curvature is `plan_curvature_per_mm`, positive to the left.
+
+    Where neither tissue nor layers give a curvature, the needle bends as in the plan, or with a `scenario` whose
+    curvature differs from place to place, as in that. `friction` is Model II or III of chapter 3, or None. A `path` is
+    a model of the path of a tip, which then says all about it, and `force` one of an axial force, which is added.
+    Raises ExperimentError where the parts contradict each other, ModelError for other models.
+    """
+
+    plan_curvature_per_mm: float = 0.0
+    entry: SimulatedEntry = SimulatedEntry()
+    tissue: SimulatedTissue = SimulatedTissue()
+    layers: tuple[SimulatedLayer, ...] = ()
+    shaft: Shaft = Shaft()
+    robot: Robot = Robot()
+    effects: Effects = Effects()
+    friction: LuGre | None = None
+    scenario: Scenario | None = None
+    path: Model | None = None
+    force: Model | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "layers", tuple(self.layers))
+        for model, channel in ((self.path, Channel.TIP), (self.force, Channel.FORCE)):
+            if model is not None:
+                require_simulated(model, channel)
+        mistakes = [
+            *_layers_increase(self.layers),
+            *_robot_holds(self.robot),
+            *_shaft_reaches(self.shaft, self.robot),
+            *_entry_is_reached(self.entry, self.robot),
+        ]
+        if mistakes:
+            raise ExperimentError(mistakes)
+
+    @property
+    def all_layers(self) -> tuple[SimulatedLayer, ...]:
+        """The tissue as the first layer, from the surface on, and the others."""
+        tissue = self.tissue
+        first = SimulatedLayer(0.0, tissue.curvature_per_mm, tissue.cutting_n, tissue.puncture_n, tissue.stretch_mm)
+        return (first, *self.layers)
+
+    def curvatures(self) -> tuple[tuple[float, float | None], ...]:
+        """Return where each layer begins (mm) and the curvature in it (1/mm), before any effect; None: by place."""
+        usual = self.tissue.curvature_per_mm
+        if usual is None and (self.scenario is None or self.scenario.uniform):
+            usual = self.plan_curvature_per_mm
+        return tuple(
+            (each.from_mm, usual if each.curvature_per_mm is None else each.curvature_per_mm)
+            for each in self.all_layers
+        )

@@ -1,0 +1,110 @@
+"""The devices of an insertion in a simulated lab, and the choice between real and simulated devices by address."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from needleplan.devices import Address, Station, open_station, require_schemes
+from needleplan.errors import AddressError, Mistake
+from needleplan.estimation.registration import Registration
+from needleplan.models import Torsion
+from needleplan.planning import PolicyTable, Pose
+from needleplan.simulation._experiment import Experiment
+from needleplan.simulation._lab import Lab
+from needleplan.simulation._setup import SimulatedEntry
+
+__all__ = ["SimulatedStation", "are_simulated", "open_insertion_station", "simulated_station"]
+
+_SIM = "sim"
+_DEFAULT_EXPERIMENT = "steering"
+
+
+@dataclass
+class SimulatedStation(Station):
+    """The devices of a simulated lab, with the properties of the lab that an insertion needs."""
+
+    lab: Lab
+    registration: Registration
+    """Offset of the coil; the frame of the tracker is the frame of the plan."""
+
+    torsion: Torsion | None
+    """Torsional lag of the simulated needle; None if the tip turns with the base."""
+
+    needle_length_mm: float
+
+    @property
+    def true_tip_mm(self) -> tuple[float, float, float]:
+        """True position of the tip, which no sensor measures (mm)."""
+        return self.lab.plant.tip().position_mm
+
+
+def are_simulated(robot: str, force: str, tracker: str) -> bool:
+    """Return whether three addresses are the address of one simulated lab.
+
+    Raises AddressError, with all mistakes, if an address is wrong or the addresses do not go together.
+    """
+    addresses = {"--robot": robot, "--force": force, "--tracker": tracker}
+    schemes = require_schemes(robot, force, tracker, also=(_SIM,))
+    simulated = [name for name, scheme in schemes.items() if scheme == _SIM]
+    if len(simulated) == len(addresses):
+        if len(set(addresses.values())) > 1:
+            rule = "must be the same address as that of the other two: a simulated lab has all three devices"
+            raise AddressError([Mistake(name, address, rule) for name, address in addresses.items()])
+        return True
+    if simulated:
+        rule = "cannot be simulated where the others are not: their times are not the same"
+        raise AddressError([Mistake(name, addresses[name], rule) for name in simulated])
+    return False
+
+
+def open_insertion_station(robot: str, force: str, tracker: str, table: PolicyTable, start: Pose) -> Station:
+    """Open the devices of an insertion at three addresses: real ones, or those of a simulated lab.
+
+    `sim://[EXPERIMENT][?seed=N]`, given three times, is a simulated lab into which the needle goes at `start`; then the
+    result is a SimulatedStation. Raises AddressError if the addresses are wrong or do not go together, and the errors
+    of `open_station`.
+    """
+    if not are_simulated(robot, force, tracker):
+        return open_station(robot, force, tracker)
+    address = Address.parse(robot)
+    address.only(("seed",))
+    seed = address.option("seed", int, -1)
+    if seed < -1 or (seed == -1 and "seed" in address.options):
+        raise AddressError(Mistake("seed", str(seed), "must be a whole number from 0"), str(address))
+    # The parser of addresses lowers the case of a host; the path of a file keeps its case.
+    name = robot.partition("://")[2].partition("?")[0] or _DEFAULT_EXPERIMENT
+    return simulated_station(Experiment.read(name), table, start, None if seed == -1 else seed)
+
+
+def simulated_station(
+    experiment: Experiment, table: PolicyTable, start: Pose, seed: int | None = None
+) -> SimulatedStation:
+    """Return the devices of a lab into which the needle goes at `start`; it bends as planned, apart from the effects.
+
+    Parameters
+    ----------
+    experiment
+        Robot, needle, tissue and effects of the lab; its entry, scenario and curvatures are replaced by the plan's.
+    table
+        Policy table whose scenario gives the curvature of the needle at each place.
+    start
+        Pose at which the needle enters.
+    seed
+        Seed of all random effects; None: the seed of the experiment.
+    """
+    setup = experiment.setup
+    entry = SimulatedEntry(start.x_mm, start.y_mm, start.heading_rad, setup.entry.depth_mm, setup.entry.roll_rad)
+    planned = replace(
+        setup, entry=entry, scenario=table.scenario,
+        plan_curvature_per_mm=1 / table.scenario.needle.curvature_radius_mm,
+        tissue=replace(setup.tissue, curvature_per_mm=None),
+        layers=tuple(replace(layer, curvature_per_mm=None) for layer in setup.layers),
+    )  # fmt: skip
+    lab = Lab(planned, experiment.seed if seed is None else seed)
+    friction, shaft = setup.effects.torsional_friction_n, setup.shaft
+    return SimulatedStation(
+        lab.stage, lab.force_sensor, lab.tracker, lab.clock, lab,
+        registration=Registration(coil_offset_mm=setup.effects.coil_offset_mm),
+        torsion=Torsion(shaft.torsional_stiffness_n_mm2, friction) if friction else None,
+        needle_length_mm=shaft.length_mm,
+    )  # fmt: skip

@@ -1,0 +1,142 @@
+"""The path that the tip cuts, which is the channel of the shaft.
+
+Lengths along the path are counted from the surface. In fresh tissue the tip follows arcs with the local curvature, in
+the direction of its bevel. When it is pulled back it returns along its channel, and follows the channel again on the
+way in, unless the bevel has rolled by more than half a radian: then the tip cuts a new channel.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from needleplan.models import TipFrame
+
+__all__ = ["RandomHeading", "TipPath3D"]
+
+# distance between stored frames of the channel, mm
+_SPACING_MM = 0.05
+# roll from which the tip cuts a new channel, rad
+_REJOIN_RAD = 0.5
+
+
+class RandomHeading:
+    """Random curvature: white noise along the path, so that the heading is a random walk.
+
+    The path is divided into cells of 0.25 mm, each with its own curvature in both directions. The curvature depends on
+    the seed and the cell only, not on the speed or on the tick of the servo.
+    """
+
+    CELL_MM = 0.25
+
+    def __init__(self, sd_rad_sqrt_mm: float, random: np.random.Generator) -> None:
+        self._sd = sd_rad_sqrt_mm / math.sqrt(self.CELL_MM)
+        self._random = random
+        self._cells: list[tuple[float, float]] = []
+
+    def at(self, length_mm: float) -> tuple[float, float, float]:
+        """Return the two curvatures (1/mm) at a length of the path, and the length at which they end."""
+        if not self._sd:
+            return 0.0, 0.0, math.inf
+        cell = int(length_mm / self.CELL_MM)
+        while cell >= len(self._cells):
+            self._cells += (self._sd * self._random.standard_normal((64, 2))).tolist()
+        n, b = self._cells[cell]
+        return n, b, (cell + 1) * self.CELL_MM
+
+
+class TipPath3D:
+    """Path of the tip in tissue at rest, from the surface on.
+
+    `bend` returns the curvature of the bevel at a frame (1/mm). `aside` returns additional curvatures along n and b of
+    the frame for a roll, independent of the bevel.
+    """
+
+    def __init__(
+        self,
+        start: TipFrame,
+        bend: Callable[[TipFrame], float],
+        noise: RandomHeading,
+        aside: Callable[[TipFrame, float], tuple[float, float]] | None = None,
+    ) -> None:
+        self._bend = bend
+        self._aside = aside
+        self._noise = noise
+        self._length_mm = 0.0
+        self.begin(start)
+
+    def begin(self, start: TipFrame) -> None:
+        """Begin a new path at another frame on the surface."""
+        self.start = self._newest = start
+        self._lengths, self._frames, self._bends, self._rolls = [0.0], [start], [(0.0, 0.0)], [0.0]
+        self._cut_mm = 0.0
+
+    @property
+    def cut_mm(self) -> float:
+        """Length of the channel (mm)."""
+        return self._cut_mm
+
+    def step(self, length_mm: float, roll_rad: float) -> bool:
+        """Move the tip to a length with a roll; return whether it left the old channel for a new one."""
+        moved = length_mm - self._length_mm
+        branched = False
+        if moved > 0 and 0 < self._length_mm < self._cut_mm - _SPACING_MM:
+            old = self._rolls[bisect_right(self._lengths, self._length_mm) - 1]
+            if abs(math.remainder(roll_rad - old, 2 * math.pi)) > _REJOIN_RAD:
+                self._forget_beyond(self._length_mm)
+                branched = True
+        self._length_mm = length_mm
+        if length_mm > self._cut_mm:
+            self._cut(length_mm, roll_rad)
+        return branched
+
+    def tip(self) -> TipFrame:
+        """Return the frame of the tip."""
+        return self._newest if self._length_mm == self._cut_mm else self.frame_at(self._length_mm)
+
+    def frame_at(self, length_mm: float) -> TipFrame:
+        """Return the frame at a length of the channel, or on the straight line before the surface."""
+        if length_mm <= 0:
+            return self.start.arc(0.0, 0.0, length_mm)
+        number = bisect_right(self._lengths, length_mm) - 1
+        n, b = self._bends[number]
+        return self._frames[number].arc(n, b, length_mm - self._lengths[number])
+
+    def _cut(self, length_mm: float, roll_rad: float) -> None:
+        # A step ends where the random curvature changes, so that the path does not depend on the ticks.
+        bend = self._bend(self._newest)
+        across_n, across_b = bend * math.cos(roll_rad), bend * math.sin(roll_rad)
+        if self._aside:
+            aside = self._aside(self._newest, roll_rad)
+            across_n, across_b = across_n + aside[0], across_b + aside[1]
+        while self._cut_mm < length_mm:
+            noise_n, noise_b, until_mm = self._noise.at(self._cut_mm)
+            end_mm = min(until_mm, length_mm)
+            n, b = across_n + noise_n, across_b + noise_b
+            self._newest = self._newest.arc(n, b, end_mm - self._cut_mm)
+            last = self._lengths[-1]
+            if self._cut_mm == last:
+                self._bends[-1] = (n, b)
+            self._rolls[-1] = roll_rad
+            self._cut_mm = end_mm
+            if end_mm - last >= _SPACING_MM or end_mm == until_mm:
+                self._lengths.append(end_mm)
+                self._frames.append(self._newest)
+                self._bends.append((n, b))
+                self._rolls.append(roll_rad)
+
+    def _forget_beyond(self, length_mm: float) -> None:
+        self._newest = self.frame_at(length_mm)
+        keep = bisect_right(self._lengths, length_mm)
+        rows: tuple[list[Any], ...] = (self._lengths, self._frames, self._bends, self._rolls)
+        for each in rows:
+            del each[keep:]
+        self._cut_mm = length_mm
+        # The new channel begins here, not at the last stored frame.
+        if length_mm > self._lengths[-1]:
+            for each, value in zip(rows, (length_mm, self._newest, (0.0, 0.0), self._rolls[-1]), strict=True):
+                each.append(value)
