@@ -19,7 +19,7 @@ from needleplan.simulation._modelled import ModelledForce, ModelledPath
 from needleplan.simulation._setup import FORCE_HZ, Setup
 from needleplan.simulation._tip_path import RandomHeading, TipPath3D
 
-__all__ = ["Plant"]
+__all__ = ["PlannedCurvature", "Plant"]
 
 # speed at which a rate-dependent curvature equals the curvature of the tissue, mm/s
 _REFERENCE_MM_S = 5.0

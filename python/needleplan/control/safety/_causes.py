@@ -71,7 +71,7 @@ class Cause(StrEnum):
     NO_MOTION = "no_motion"
     """The stage accepted a command and does not move."""
     STILL_MOVING = "still_moving"
-    """The stage moves although it was told to stop, or was told nothing."""
+    """The stage moves after a stop, or without any command."""
     LOOP_LATE = "loop_late"
     """The loop has not called `tick` within `loop_age_s`, or a command blocks the guard."""
     CLOCK_MISMATCH = "clock_mismatch"

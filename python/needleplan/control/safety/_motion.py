@@ -98,7 +98,7 @@ class MotionWatch:
     depth: Goal | None = None
     roll: Goal | None = None
     stopped_ns: int = 0
-    """Time of the last stop; 0 if the stage was never told anything."""
+    """Time of the last stop; 0 before the first command."""
 
     last: StageSample | None = None
     jumped: bool = False
