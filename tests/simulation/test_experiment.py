@@ -150,9 +150,10 @@ def test_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 @pytest.mark.parametrize("part", ["Entry", "Tissue", "Layer", "Shaft", "Robot", "Effects", "Move"])
 def test_the_reference_has_every_key_and_default(part: str) -> None:
+    tables = {name.removeprefix("Simulated"): getattr(simulation, name) for name in simulation.__all__}
     text = (pages.ROOT / "docs/reference/experiment.md").read_text()
     sections = re.split(r"^## ", text, flags=re.MULTILINE)
     (section,) = [each for each in sections if re.match(rf"\[+{part.lower()}\]", each)]
     told = dict(re.findall(r"^\| `(\w+)` \| [^|]* \| `?([^|`]+)`? \|", section, re.MULTILINE))
     kinds = {MISSING: "required", None: "none"}
-    assert told == {each.name: kinds.get(each.default, str(each.default)) for each in fields(getattr(simulation, part))}
+    assert told == {each.name: kinds.get(each.default, str(each.default)) for each in fields(tables[part])}

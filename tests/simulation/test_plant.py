@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from needleplan.models import Torsion, arc_step, simulate
 from needleplan.models.friction import Profile
 from needleplan.models.tissue import LumpedOnTissue
+from needleplan.scenario import Layer as ScenarioLayer
 from needleplan.scenario import Needle, Scenario
-from needleplan.scenario import SimulatedLayer as ScenarioLayer
 from needleplan.signals import Array, Motion, lspb
 from needleplan.simulation import Effects, Plant, Robot, Setup, Shaft, SimulatedEntry, SimulatedLayer, SimulatedTissue
 from needleplan.simulation._axis import Trapezoid
