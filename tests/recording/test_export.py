@@ -108,8 +108,8 @@ def test_samples_that_are_not_good_are_missing_and_counted(tmp_path: Path) -> No
     trial = Recording.read(tmp_path / "run.mcap").trial()
     assert np.flatnonzero(np.isnan(trial["x_mm"])).tolist() == [5]
     assert len(trial) == 19
-    assert "/tracker: samples that are not good, and are missing numbers here: 1" in trial.notes
-    assert "/tracker: 1 samples with the time of another were left out" in trial.notes
+    assert "/tracker: samples that are not good became missing numbers: 1" in trial.notes
+    assert "/tracker: 1 samples with repeated or decreasing time were left out" in trial.notes
 
 
 def test_a_recording_without_samples_has_no_trial(tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ MISTAKES = {
     "header only": ("time_s,force_n\n", "has a header but no rows"),
     "one row": ("time_s,force_n\n0,1\n", "too short: a trial has at least 2 samples"),
     "no time": ("depth_mm,force_n\n0,1\n", "time_s: is missing"),
-    "twice": ("time_s,force_n,force_n\n0,1,1\n", "force_n: stands there twice"),
+    "twice": ("time_s,force_n,force_n\n0,1,1\n", "force_n: occurs twice"),
     "depth in metres by name": ("time_s,depth_m\n0,1\n", "depth_m: must be depth_mm: multiply by 1000"),
     "angle in degrees by name": ("time_s,angle_deg\n0,1\n", "must be angle_rad: multiply by 0.01745329252"),
     "time in ms by name": ("time_ms,force_n\n0,1\n", "must be time_s: multiply by 0.001"),
@@ -148,7 +148,7 @@ def test_what_is_strange_but_usable_is_noted() -> None:
     (record,) = parse_records(("time_s,depth_mm,force_n\n" + "".join(rows)).encode())
     gap, short, constant = record.notes
     assert gap.startswith("1 gap in time_s; the longest, after 0.02 s (line 4), is 0.48 s")
-    assert short == "only 5 samples: hardly anything can be identified from them"
+    assert short == "only 5 samples: too few to identify a model reliably"
     assert constant.startswith("force_n is constant, 0.5")
 
 
@@ -245,6 +245,6 @@ def test_another_axis_of_a_sensor_is_left_out_and_a_slip_is_refused() -> None:
     head, *rows = GOOD.strip().split("\n")
     both = "\n".join([f"{head},force_x", *(f"{row},{number}" for number, row in enumerate(rows))])
     (record,) = parse_records(both.encode())
-    assert record.notes == ("columns that nothing here needs were left out: force_x",)
+    assert record.notes == ("unknown columns were left out: force_x",)
     with pytest.raises(DataError, match='did you mean "force_n"'):
         parse_records(GOOD.replace("force_n", "force_x").encode())

@@ -44,10 +44,10 @@ class Address:
             rule = "must begin with the kind of link, as in udp://192.168.1.1:49152 or serial:///dev/ttyUSB0"
             raise AddressError(Mistake("address", text, rule))
         if parts.fragment or parts.username is not None:
-            raise AddressError(Mistake("address", text, "has neither a user nor a part after #"))
+            raise AddressError(Mistake("address", text, "must not have a user or a part after #"))
         options = dict(pairs)
         if len(options) < len(pairs):
-            raise AddressError(Mistake("address", text, "names an option twice"))
+            raise AddressError(Mistake("address", text, "has an option twice"))
         return cls(parts.scheme, parts.hostname or "", port, parts.path, options)
 
     def network(self, default_port: int | None = None) -> tuple[str, int]:
@@ -70,7 +70,7 @@ class Address:
         try:
             return read(self.options[name])
         except (ValueError, KeyError) as error:
-            rule = f"is not what the option {name} takes"
+            rule = f"is not a value of the option {name}"
             raise AddressError(Mistake(name, self.options[name], rule), str(self)) from error
 
     def only(self, known: Collection[str]) -> None:
@@ -98,7 +98,7 @@ def require_called_heartbeat(address: Address) -> None:
     """
     asked = address.options.get("alive", "calls")
     if asked != "calls":
-        rule = "must be calls: reading is no heartbeat; call heartbeat() in the loop that decides"
+        rule = "must be calls: reading is no heartbeat; call heartbeat() in the control loop"
         raise AddressError(Mistake("alive", asked, rule), str(address))
 
 

@@ -154,6 +154,9 @@ def _increasing_in_time(columns: dict[str, Array]) -> tuple[Record, list[str]]:
     later = np.concatenate([[True], time[1:] > np.maximum.accumulate(time)[:-1]])
     record = Record({name: values[later] for name, values in columns.items()})
     missing = int(max(np.isnan(values).sum() for values in record.columns.values()))
-    remarks = [f"samples that are not good, and are missing numbers here: {missing}"] if missing else []
+    remarks = [f"samples that are not good became missing numbers: {missing}"] if missing else []
     repeated = int((~later).sum())
-    return record, [*remarks, f"{repeated} samples with the time of another were left out"] if repeated else remarks
+    return record, [
+        *remarks,
+        f"{repeated} samples with repeated or decreasing time were left out",
+    ] if repeated else remarks

@@ -65,7 +65,7 @@ def read_records(paths: PathLike | Iterable[PathLike], *, accept_units: bool = F
     """
     files = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not files:
-        raise DataError("no file of data was given")
+        raise DataError("no data file was given")
     found = [(os.fspath(file), _read(file, accept_units)) for file in files]
     _require_different(found)
     uses = Counter(name for _, records in found for name in {record.trial for record in records})
@@ -242,7 +242,7 @@ def read_stepwise_insertion(path: PathLike) -> Record:
     try:
         table = np.array([[float(row[header.index(name)]) for name in _STEPWISE] for row in rows[1:] if row])
     except (ValueError, IndexError) as error:
-        raise DataError(f"has a row that is not numbers: {error}", source) from None
+        raise DataError(f"has a row that does not hold numbers: {error}", source) from None
     if len(table) < 2:
         raise DataError("has fewer than two rows", source)
     _, _, x, y, z, seconds, nanoseconds = table.T
@@ -299,17 +299,15 @@ def read_depth_force(path: PathLike, speed_mm_s: float) -> Record:
     try:
         table = np.array([[float(cell) for cell in row] for row in csv.reader(io.StringIO(content.decode())) if row])
     except (ValueError, UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"is not two columns of numbers: {error}", source) from None
+        raise DataError(f"must be two columns of numbers: {error}", source) from None
     if table.ndim != 2 or table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all():
-        raise DataError("is not two columns of finite numbers", source)
+        raise DataError("must be two columns of finite numbers", source)
     depth = 1000 * table[:, 0]
     back = int((np.diff(depth) < 0).sum())
     places, group = np.unique(depth, return_inverse=True)
     force = np.bincount(group, table[:, 1]) / np.bincount(group)
-    notes = [f"{back} points behind the one before them were put in order"] * bool(back)
-    notes += [f"{depth.size - places.size} points at the depth of another were averaged"] * bool(
-        depth.size > places.size
-    )
+    notes = [f"{back} points were sorted by depth"] * bool(back)
+    notes += [f"{depth.size - places.size} points at equal depth were averaged"] * bool(depth.size > places.size)
     speed = np.full(places.size, float(speed_mm_s))
     columns = {"time_s": places / speed_mm_s, "depth_mm": places, "velocity_mm_s": speed, "force_n": force}
     record = Record(columns, Path(source).stem, digest=digest(content))

@@ -156,7 +156,7 @@ class Packed(MessageKind):
             raise DataError(unknown, self.name)
         sizes = [_SIZES[each.type] for each in self.fields]
         if sizes != sorted(sizes, reverse=True) or len({each.name for each in self.fields}) != len(self.fields):
-            raise DataError("fields must have names of their own and stand in the order of their size", self.name)
+            raise DataError("fields must have different names and be ordered by size", self.name)
         codes = "".join(_CODES[each.type] for each in self.fields if each.type != "string")
         object.__setattr__(self, "_numbers", struct.Struct(f"<4s{codes}"))
 

@@ -224,7 +224,7 @@ class Recorder:
         self._closing.set()
         self._thread.join(timeout_s)
         if self._thread.is_alive():
-            self._fail(f"the disk has not answered for {timeout_s:g} s")
+            self._fail(f"the disk has not responded for {timeout_s:g} s")
         elif self._state is RecorderState.RECORDING:
             try:
                 finish(self.partial, self.path, self._written)

@@ -152,7 +152,7 @@ def _rewrite(data: Any, source: str, target: Path, *, recovered: bool, expected:
         if known.session is not None:
             break
     if known.session is None:
-        raise DataError("is not a recording of needleplan, or nothing of it can be read", source)
+        raise DataError("is not a recording of needleplan, or no part of it can be read", source)
     session = Session.from_dict(known.session, source)
     new = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.partial")
     try:

@@ -50,7 +50,7 @@ def validate_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]
     names = tuple(names)
     for name in names:
         if name in seen:
-            mistakes.append(Mistake(name, "", "stands there twice"))
+            mistakes.append(Mistake(name, "", "occurs twice"))
         seen.add(name)
         if name in NUMBERS or name in TEXTS:
             continue
@@ -60,7 +60,7 @@ def validate_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]
         else:
             unknown.append(name)
     if "time_s" not in seen and not any("time_s" in each.rule for each in mistakes):
-        mistakes.append(Mistake("time_s", "", "is missing: every file of data needs this column"))
+        mistakes.append(Mistake("time_s", "", "is missing: every data file needs this column"))
     return tuple(unknown), mistakes
 
 

@@ -96,7 +96,7 @@ def parse_csv(content: bytes, source: str) -> Table:
             break
     if mistakes:
         raise DataError(mistakes, source)
-    notes = (f"columns that nothing here needs were left out: {', '.join(unknown)}",) if unknown else ()
+    notes = (f"unknown columns were left out: {', '.join(unknown)}",) if unknown else ()
     return Table(
         {name: np.array(values) for name, values in numbers.items()},
         {name: tuple(values) for name, values in texts.items()},

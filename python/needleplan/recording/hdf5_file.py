@@ -32,7 +32,7 @@ def parse_hdf5(content: bytes, source: str) -> list[Table]:
             groups = {name: each for name, each in members.items() if isinstance(each, h5py.Group)}
             if any(isinstance(each, h5py.Dataset) for each in members.values()):
                 if groups:
-                    rule = "must not stand beside datasets: columns are in the root, or in a group a trial"
+                    rule = "must not stand beside datasets: columns are in the root, or in one group for each trial"
                     raise DataError([Mistake(name, "", rule) for name in groups], source)
                 return [_table(file, "", source)]
             if not groups:
@@ -86,7 +86,7 @@ def _table(group: Any, name: str, source: str) -> Table:
         {key: datasets[key][()].astype(float) for key in NUMBERS if key in datasets},
         texts,
         tuple(f"{name}[{row}]" if name else f"row {row}" for row in range(length)),
-        (f"columns that nothing here needs were left out: {', '.join(unknown)}",) if unknown else (),
+        (f"unknown columns were left out: {', '.join(unknown)}",) if unknown else (),
     )
 
 

@@ -113,10 +113,10 @@ def _whole_rows(rows: Table) -> tuple[Table, list[str], list[Mistake]]:
             empty.append(name)
             notes.append(f"{name} has no number in this trial, and was left out")
         elif name not in _DRIVERS:
-            notes.append(f"{name} is missing in {count} of {len(rows)} rows, which are not fitted to")
+            notes.append(f"{name} is missing in {count} of {len(rows)} rows, which are ignored by a fit")
         elif count > _MOST_MISSING * len(rows):
             first = rows.places[int(np.flatnonzero(missing)[0])]
-            rule = f"is missing in {count} of {len(rows)} rows, first {first}: a motion needs nearly all of it"
+            rule = f"is missing in {count} of {len(rows)} rows, first {first}: a motion must be nearly complete"
             mistakes.append(Mistake(name, "", rule))
         else:
             kept &= ~missing
@@ -139,11 +139,11 @@ def _unusual(rows: Table) -> list[str]:
             f"({rows.places[widest]}), is {steps[widest]:.3g} s, {steps[widest] / median:.3g} intervals"
         )
     if len(rows) < _FEW:
-        notes.append(f"only {len(rows)} samples: hardly anything can be identified from them")
+        notes.append(f"only {len(rows)} samples: too few to identify a model reliably")
     for name, values in rows.numbers.items():
         good = values[np.isfinite(values)]
         if name != "time_s" and good.size > 1 and not np.ptp(good):
-            notes.append(f"{name} is constant, {good[0]:g}: nothing that changes it can be identified from this trial")
+            notes.append(f"{name} is constant, {good[0]:g}: its cause cannot be identified from this trial")
     return notes
 
 

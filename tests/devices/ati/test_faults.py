@@ -97,7 +97,7 @@ def test_07_a_box_that_no_longer_measures() -> None:
     sensor = settled(bench)
     bench.box.faults.freeze = True
     first = next_of(sensor)
-    assert (first.health, first.notes) == (Health.SUSPECT, ("not measured anew",))
+    assert (first.health, first.notes) == (Health.SUSPECT, ("no new measurement",))
     assert fault_of(sensor, "has not measured for 10 records") == 8
 
 
@@ -118,7 +118,7 @@ def test_08b_a_stream_that_begins_anew_is_not_a_restarted_box() -> None:
     sensor = settled(bench)
     bench.link.send(encode_request(RdtCommand.START))
     sample = next_of(sensor)
-    assert (sample.stamp.sequence, sample.notes) == (1, ("the stream has begun anew",))
+    assert (sample.stamp.sequence, sample.notes) == (1, ("the stream was restarted",))
     assert next_of(sensor).health is Health.GOOD
 
 

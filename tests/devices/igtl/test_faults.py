@@ -56,7 +56,7 @@ def test_18_damaged_messages_are_dropped_and_counted(bench: Bench) -> None:
 def test_18_damage_without_end_is_a_fault(bench: Bench) -> None:
     tracker = settled(bench)
     bench.faults.damage = 10**6
-    fault_of(tracker, "10 damaged messages in a row")
+    fault_of(tracker, "10 damaged messages in succession")
 
 
 def test_19_a_message_that_is_cut_short_costs_no_other(bench: Bench) -> None:
@@ -102,7 +102,7 @@ def test_21_a_coil_that_is_left_out_as_its_own_message_ends_in_a_fault() -> None
     bench = Bench()
     tracker = settled(bench)
     bench.tip.status = "MISSING"
-    fault_of(tracker, "no new TRANSFORM 'NeedleToTracker' for .* A server may leave out what it does not see")
+    fault_of(tracker, "no new TRANSFORM 'NeedleToTracker' for .* A server may leave out coils out of view")
     bench.tip.status = "OK"
     tracker.start()
     assert next_of(tracker).health is Health.GOOD

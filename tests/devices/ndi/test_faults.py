@@ -73,7 +73,7 @@ def test_18_damaged_replies_are_asked_for_again(bench: Bench) -> None:
 def test_18_damage_without_end_is_a_fault(bench: Bench) -> None:
     tracker = settled(bench)
     bench.faults.damage = 10**6
-    fault_of(tracker, "10 damaged replies in a row")
+    fault_of(tracker, "10 damaged replies in succession")
 
 
 def test_19_a_reply_that_is_cut_short_is_given_up_and_the_next_is_found(bench: Bench) -> None:

@@ -290,7 +290,7 @@ class NetFt(ForceSensor):
     def _count_malformed(self, why: str) -> None:
         self._malformed += 1
         if self._malformed >= self.limits.malformed:
-            raise self._give_up(f"{self._malformed} datagrams in a row that are not of this stream: {why}")
+            raise self._give_up(f"{self._malformed} datagrams in succession that are not of this stream: {why}")
 
     def _validate(self, record: RdtRecord, now_ns: int) -> ForceSample | None:
         arrival = self._watch.see(record, now_ns)
@@ -307,13 +307,13 @@ class NetFt(ForceSensor):
         if arrival.frozen >= self.limits.frozen_samples:
             raise self._give_up(f"it has not measured for {arrival.frozen} records")
         if arrival.frozen:
-            notes += ("not measured anew",)
+            notes += ("no new measurement",)
         fx, fy, fz, tx, ty, tz = record.counts
         n, n_mm = self._configuration.newton_per_count, self._configuration.newton_mm_per_count
         force_n, torque_n_mm = (fx * n, fy * n, fz * n), (tx * n_mm, ty * n_mm, tz * n_mm)
         notes += self._plausible.notes(record, force_n, torque_n_mm)
         if arrival.order is RdtOrder.AFRESH:
-            notes += ("the stream has begun anew",)
+            notes += ("the stream was restarted",)
         stamp = Stamp(now_ns, record.rdt_sequence, arrival.lost)
         return ForceSample(stamp, force_n, torque_n_mm, Health.SUSPECT if notes else Health.GOOD, notes)
 

@@ -81,7 +81,7 @@ class CanopenStage(Stage):
             raise AddressError(Mistake("watchdog_s", f"{watchdog_s:g}", "must be from 0.02 to 60 s"), address)
         setup = DrivesSetup.read(parsed.options["setup"])
         if node in (setup.insertion.node, setup.roll.node):
-            raise AddressError(Mistake("node", str(node), "must be another than those of the drives"), address)
+            raise AddressError(Mistake("node", str(node), "must differ from the node numbers of the drives"), address)
         interface = parsed.options.get("interface", "socketcan")
         options = {"bitrate": bitrate} if bitrate else {}
         bus = CanBus(parsed.host, interface, SystemClock() if clock is None else clock, **options)

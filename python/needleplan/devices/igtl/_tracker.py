@@ -89,7 +89,7 @@ class IgtlTracker(Tracker):
         self._closed = False
         try:
             if ask and not kind.holds_tools:
-                raise ConfigurationError(Mistake("ask", "yes", "only TDATA and QTDATA are asked for"))
+                raise ConfigurationError(Mistake("ask", "yes", "only TDATA and QTDATA can be requested"))
             self.start()
         except BaseException:
             self.close()
@@ -109,7 +109,7 @@ class IgtlTracker(Tracker):
         parsed.only(("message", "ask", "interval_ms", "coordinates", "rate_hz", "timeout_s"))
         name = unquote(parsed.path.removeprefix("/"))
         if not name or "/" in name:
-            rule = "must name what is tracked, as in igtl://host/NeedleToTracker"
+            rule = "must name the tracked device, as in igtl://host/NeedleToTracker"
             raise AddressError(Mistake("address", address, rule))
         kind = parsed.option("message", PoseKind, PoseKind.TRANSFORM)
         ask = parsed.option("ask", {"no": False, "yes": True}.__getitem__, False)
@@ -236,13 +236,13 @@ class IgtlTracker(Tracker):
         waiting = f"; {self._reader.pending} bytes of an unfinished message wait" if self._reader.pending else ""
         raise DeviceFault(
             f"tracker: no new {self.kind.upper()} {self.name!r} for {silent_s:.3g} s; {self.counts.repeated} repeated "
-            f"and {self.counts.others} other messages{waiting}. A server may leave out what it does not see"
+            f"and {self.counts.others} other messages{waiting}. A server may leave out coils out of view"
         )
 
     def _count_damage(self, whole: bool) -> None:
         self.counts.damaged = self._reader.damaged
         if self._reader.damaged - self._damaged_before >= self.limits.damaged:
-            raise ProtocolError(f"tracker: {self.limits.damaged} damaged messages in a row: is this OpenIGTLink?")
+            raise ProtocolError(f"tracker: {self.limits.damaged} damaged messages in succession: is this OpenIGTLink?")
         if whole:
             self._damaged_before = self._reader.damaged
 

@@ -185,7 +185,7 @@ def decode_polyline(content: bytes) -> tuple[tuple[float, float, float], ...]:
     points = [(numbers[at], numbers[at + 1], numbers[at + 2]) for at in range(0, 3 * count, 3)]
     length, *order = numbers[3 * count :]
     if length != count or any(index >= count for index in order):
-        raise ProtocolError("OpenIGTLink: POLYDATA whose line names points that are not there")
+        raise ProtocolError("OpenIGTLink: POLYDATA with a line through missing points")
     return tuple(points[index] for index in order)
 
 

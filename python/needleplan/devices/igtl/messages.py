@@ -146,7 +146,7 @@ def decode_body(header: Header, body: bytes) -> IgtlMessage:
     size, index_bytes, metadata_bytes, number = _EXTENDED.unpack_from(body)
     end = len(body) - index_bytes - metadata_bytes
     if not _EXTENDED.size <= size <= end:
-        raise ProtocolError(f"OpenIGTLink: the extended header of {header.kind} names lengths that it does not have")
+        raise ProtocolError(f"OpenIGTLink: the extended header of {header.kind} has lengths beyond the message")
     metadata = _metadata(body[end : end + index_bytes], body[end + index_bytes :])
     return IgtlMessage(header.kind, header.device, body[size:end], header.timestamp, header.version, number, metadata)
 
@@ -184,7 +184,7 @@ def _metadata(index: bytes, texts: bytes) -> dict[str, str]:
         return {}
     count = int.from_bytes(index[:2])
     if len(index) != 2 + count * _ENTRY.size:
-        raise ProtocolError("OpenIGTLink: the index of the metadata has another length than it says")
+        raise ProtocolError("OpenIGTLink: the index of the metadata has a wrong length")
     found, at = {}, 0
     for key_bytes, _, value_bytes in _ENTRY.iter_unpack(index[2:]):
         middle, end = at + key_bytes, at + key_bytes + value_bytes

@@ -89,7 +89,7 @@ def choose_tool(tools: list[NdiTool], wanted: str) -> NdiTool:
     there = ", ".join(f"{tool.serial or 'without number'} (handle {tool.handle:02X})" for tool in tools) or "none"
     found = [tool for tool in tools if wanted in ("", tool.serial)]
     if len(found) != 1:
-        rule = "must be the serial number of one tool" if wanted else "must be given where there is not one tool"
+        rule = "must be the serial number of one tool" if wanted else "must be given unless there is exactly one tool"
         raise ConfigurationError(Mistake("tool", wanted, f"{rule}; there: {there}"), "tracker")
     return found[0]
 
@@ -286,7 +286,9 @@ class NdiTracker(Tracker):
         self._damaged_in_a_row += 1
         self.counts.damaged += 1
         if self._damaged_in_a_row >= self.limits.damaged:
-            raise DeviceFault(f"tracker: {self._damaged_in_a_row} damaged replies in a row: {why}; speed and cable?")
+            raise DeviceFault(
+                f"tracker: {self._damaged_in_a_row} damaged replies in succession: {why}; speed and cable?"
+            )
 
     def close(self) -> None:
         """Stop tracking, return to 9600 baud if the speed was changed, and close the link."""

@@ -112,7 +112,7 @@ NAMES_OF_FAULTS = {
     Fault.DRIVE: "a drive reports a fault",
     Fault.FOLLOWING: "an axis does not follow",
     Fault.LIMIT: "a limit switch was reached",
-    Fault.ENCODER: "an encoder has jumped or counts the wrong way",
+    Fault.ENCODER: "an encoder has jumped or counts in the wrong direction",
     Fault.NO_MOTION: "an axis does not move",
 }
 
@@ -226,7 +226,7 @@ def encode(message: RobotMessage) -> bytes:
 def decode(datagram: bytes) -> RobotMessage:
     """Return the message in a datagram. Raises OtherVersion, or ProtocolError for damaged and foreign datagrams."""
     if len(datagram) < _FIRST.size + _CRC.size or not datagram.startswith(MAGIC):
-        raise ProtocolError(f"robot: a datagram of {len(datagram)} bytes does not begin as one of this protocol")
+        raise ProtocolError(f"robot: a datagram of {len(datagram)} bytes does not belong to this protocol")
     if zlib.crc32(datagram[: -_CRC.size]) != _CRC.unpack(datagram[-_CRC.size :])[0]:
         raise ProtocolError("robot: a datagram with a wrong checksum")
     _, version, code = _FIRST.unpack_from(datagram)
