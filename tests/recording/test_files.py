@@ -161,7 +161,7 @@ def test_rows_without_a_depth_are_left_out_and_counted() -> None:
 def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="No such file"):
         read_records(tmp_path / "nothing.csv")
-    with pytest.raises(DataError, match="no file of data"):
+    with pytest.raises(DataError, match="no data file"):
         read_records([])
     with pytest.raises(DataError, match="UTF-16"):
         parse_records(GOOD.encode("utf-16"))

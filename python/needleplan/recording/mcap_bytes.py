@@ -66,9 +66,7 @@ def require_intact(stream: BinaryIO, source: str) -> None:
     except Exception as error:  # the MCAP library raises many types of exceptions for a damaged header
         raise DataError(f"is damaged at its beginning; {advice}", source) from error
     if profile != PROFILE:
-        raise DataError(
-            Mistake("profile", profile, f"must be {PROFILE}: it is an MCAP file of another program"), source
-        )
+        raise DataError(Mistake("profile", profile, f"must be {PROFILE}: it is a file of another program"), source)
     size = stream.seek(0, os.SEEK_END)
     tail = _FOOTER.size + len(MCAP0_MAGIC)
     stream.seek(max(size - tail, 0))

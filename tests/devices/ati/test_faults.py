@@ -130,7 +130,7 @@ def test_09_garbage_is_counted_and_a_storm_of_it_is_a_fault() -> None:
     assert next_of(sensor).stamp.sequence == 6
     assert sensor.counts.malformed == 5  # an empty datagram is none
     bench.box.faults.instead = [noise.randbytes(36) for _ in range(25)] + [b"robot"] * 25
-    fault_of(sensor, "50 datagrams in a row")
+    fault_of(sensor, "50 datagrams in succession")
 
 
 @pytest.mark.parametrize(

@@ -193,7 +193,7 @@ class NdiTracker(Tracker):
         self._asked_ns: int | None = None
         self._received_ns = 0
         self._took_s = 0.0
-        self._damaged_in_a_row = 0
+        self._damaged_replies = 0
         wake(self._conversation)
         if self._speed:
             set_speed(self._conversation, self._speed)
@@ -277,17 +277,17 @@ class NdiTracker(Tracker):
         except ProtocolError as error:
             self._damaged(str(error))
             return None
-        self._damaged_in_a_row = 0
+        self._damaged_replies = 0
         return frames
 
     def _damaged(self, why: str) -> None:
         """Count an unusable reply; the next call requests the frame again."""
         self._asked_ns = None
-        self._damaged_in_a_row += 1
+        self._damaged_replies += 1
         self.counts.damaged += 1
-        if self._damaged_in_a_row >= self.limits.damaged:
+        if self._damaged_replies >= self.limits.damaged:
             raise DeviceFault(
-                f"tracker: {self._damaged_in_a_row} damaged replies in succession: {why}; speed and cable?"
+                f"tracker: {self._damaged_replies} damaged replies in succession: {why}; speed and cable?"
             )
 
     def close(self) -> None:
