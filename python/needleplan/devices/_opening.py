@@ -44,7 +44,7 @@ class Address:
             rule = "must begin with the kind of link, as in udp://192.168.1.1:49152 or serial:///dev/ttyUSB0"
             raise AddressError(Mistake("address", text, rule))
         if parts.fragment or parts.username is not None:
-            raise AddressError(Mistake("address", text, "must not have a user or a part after #"))
+            raise AddressError(Mistake("address", text, "must have neither a user nor a part after #"))
         options = dict(pairs)
         if len(options) < len(pairs):
             raise AddressError(Mistake("address", text, "has an option twice"))

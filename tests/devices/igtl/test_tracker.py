@@ -75,7 +75,7 @@ def test_27_a_server_that_goes_away_closes_the_link_for_good() -> None:
 @pytest.mark.parametrize(
     ("address", "message"),
     [("tcp://127.0.0.1:1/x", "must begin with igtl"), ("igtl://127.0.0.1", "must name the tracked device"),
-     ("igtl://127.0.0.1/", "must name the tracked device"), ("igtl://127.0.0.1/a/b", "must name what is tracked"),
+     ("igtl://127.0.0.1/", "must name the tracked device"), ("igtl://127.0.0.1/a/b", "must name the tracked device"),
      ("igtl://127.0.0.1/x?message=image", "message = image"), ("igtl://127.0.0.1/x?mesage=tdata", "did you mean"),
      ("igtl://127.0.0.1/x?rate_hz=-1", "rate_hz"), ("igtl://127.0.0.1/x?ask=perhaps", "ask = perhaps"),
      ("igtl:///x", "must name a host")],
