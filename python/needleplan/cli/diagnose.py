@@ -1,4 +1,4 @@
-"""`needleplan diagnose`: where a model and recordings disagree, and what is missing."""
+"""`needleplan diagnose`: where a model and recordings disagree, and which effect is missing."""
 
 from __future__ import annotations
 
@@ -25,33 +25,38 @@ def add_to(commands: Any) -> None:
     """Declare the command."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "diagnose",
-        help="find where a model and recordings disagree, name what is missing, add it",
+        help="find where a model and recordings disagree, and name and add the missing effect",
         description="Compare a model with recordings: where they disagree, which effect is missing, how large it is, "
-        "and whether that is enough; or that it cannot be told. Trials have the roles train, holdout (another motion) "
-        "and noise (the sensor with nothing happening). Writes DIR/report.html, DIR/diagnosis.json, and DIR/model.toml "
-        "where an effect was named. Exit code 0: nothing is missing, or it has a name; 1: no name could be given.",
+        "and whether it closes the gap; or report that the data do not tell. Trials have the roles train, holdout "
+        "(another motion) and noise (the sensor with nothing happening). Writes DIR/report.html, DIR/diagnosis.json, "
+        "and DIR/model.toml if an effect was named. Exit code 0: nothing is missing, or it has a name; 1: no name "
+        "could be given.",
     )
     parser.add_argument("model", metavar="MODEL.toml", help="the model, as needleplan identify writes it")
     parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
     add_output(parser, "DIR", "folder for the results", required=True)
-    parser.add_argument("--seed", type=whole, default=0, metavar="N", help="of the simulated data behind p-values (0)")
     parser.add_argument(
-        "--merge-anyway", action="store_true", help="write model.toml also where the verdict is not named"
+        "--seed", type=whole, default=0, metavar="N", help="seed of the simulated data behind the p-values (0)"
     )
     parser.add_argument(
-        "--accept-units", action="store_true", help="use numbers of a size that no needle has, such as depths in metres"
+        "--merge-anyway", action="store_true", help="write model.toml also if the verdict is not `named`"
+    )
+    parser.add_argument(
+        "--accept-units", action="store_true", help="accept implausible sizes, such as depths in metres"
     )
     parser.add_argument(
         "--effects", action="append", default=[], metavar="FILE",
-        help="also look for the effect of a Python file, which is run; may be given several times",
+        help="also try the effect of a Python file, which is executed; may be given several times",
     )  # fmt: skip
     parser.add_argument(
         "--scenario",
         metavar="SCENARIO.toml",
-        help="of a tip's path: also write this scenario with the curvature that was found (the calibrated one, where "
-        "nothing was named)",
+        help="for models of a tip's path: also write this scenario with the identified curvature, or with the "
+        "calibrated one if no effect was named",
     )
-    parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="of the next insertion, mm/s (5)")
+    parser.add_argument(
+        "--speed", type=float, metavar="MM_S", default=5.0, help="speed of the next insertion, mm/s (5)"
+    )
     add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -88,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:
-    """Return the scenario that is to be changed, before anything takes its time."""
+    """Read the scenario to change, if any, before the long computation begins. Raises InputError."""
     from needleplan.models import ModelFile
     from needleplan.reports.diagnosis.scenario_file import require_path
     from needleplan.scenario import Scenario

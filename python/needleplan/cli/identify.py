@@ -34,8 +34,8 @@ def add_to(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "identify",
         help="identify a model of the mechanics from recorded data",
-        description="Identify a model from trials in CSV or HDF5 files: parameters with 95 % intervals, tests of what "
-        "is left, remarks about what the data cannot tell. Exit code 1: nothing could be identified.",
+        description="Identify a model from trials in CSV or HDF5 files: parameters with 95 % intervals, tests of the "
+        "residuals, and remarks on the limits of the data. Exit code 1: nothing could be identified.",
     )
     parser.add_argument("kind", choices=KINDS, help="what to identify")
     parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
@@ -43,10 +43,10 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--scenario",
         metavar="SCENARIO.toml",
-        help="curvature only: print the tables [needle] and [motion] of this scenario, or a shipped one, as identified",
+        help="curvature only: print the identified tables [needle] and [motion] for this scenario",
     )
     parser.add_argument(
-        "--layers", type=whole, default=1, metavar="N", help="with --scenario: a radius for each of N depths (1)"
+        "--layers", type=whole, default=1, metavar="N", help="with --scenario: number of layers of equal depth (1)"
     )
     parser.add_argument(
         "--scenario-out", metavar="FILE.toml", help="with --scenario: write the scenario with these tables"
@@ -54,7 +54,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--accept-units",
         action="store_true",
-        help="use numbers of a size that no needle has, such as depths in metres",
+        help="accept implausible sizes, such as depths in metres",
     )
     add_store(parser)
     add_knowledge(parser)
@@ -87,7 +87,8 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(_record(found, records, file, options) | _part_record(part, options.scenario_out) | stored)
     else:
-        print_first(options, [*_lines(found)])
+        shown = options if found.ok else argparse.Namespace(verbose=True)  # the remarks say why nothing was identified
+        print_first(shown, [*_lines(found)])
         for line in _part_lines(part):
             print(line)
     return 0 if found.ok else complain("nothing could be identified from these data; the remarks say why")
@@ -105,7 +106,7 @@ def _draw(found: Identification, file: str) -> None:
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:
-    """Return the scenario that takes what is identified. Raises InputError where that makes no sense."""
+    """Return the scenario that gets the identified values, if any. Raises InputError if the options contradict."""
     from needleplan.scenario import Scenario
 
     if options.scenario is None:
@@ -113,7 +114,9 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
             raise InputError(Mistake("--scenario", "", "is missing: --layers and --scenario-out need a scenario"))
         return None
     if options.kind != "curvature":
-        raise InputError(Mistake("--scenario", options.kind, "must be curvature: nothing else goes into a scenario"))
+        raise InputError(
+            Mistake("--scenario", options.kind, "must be curvature: only a curvature goes into a scenario")
+        )
     return Scenario.read(options.scenario)
 
 
@@ -128,7 +131,7 @@ def _part(scenario: Scenario, records: Sequence[Record], options: argparse.Names
 
 
 def _identifier(kind: str) -> Any:
-    """Return the module that identifies a kind. Raises InputError where there is none."""
+    """Return the module that identifies a kind. Raises InputError if there is none."""
     name = f"needleplan.identification.{kind.replace('-', '_')}"
     try:
         return importlib.import_module(name)
@@ -198,7 +201,7 @@ def _record(
 
 
 def _part_lines(part: ScenarioPart | None) -> Iterator[str]:
-    """Yield the tables of the scenario that were identified, below the remarks on them."""
+    """Yield the identified tables of the scenario, after the remarks on them."""
     if part is None:
         return
     yield "scenario"
@@ -212,7 +215,7 @@ def _part_lines(part: ScenarioPart | None) -> Iterator[str]:
 
 
 def _part_record(part: ScenarioPart | None, output: str | None) -> dict[str, Any]:
-    """Return the same for JSON; nothing where no scenario was asked for."""
+    """Return the identified tables for JSON; an empty record without a scenario."""
     if part is None:
         return {}
     noise = {"status": part.noise.status, "sd_rad": part.noise.sd_rad} if part.noise else None

@@ -1,4 +1,4 @@
-"""What `needleplan identify` may be told about needle, tissue and sensors, and which kinds want to know it."""
+"""Options of `needleplan identify` about needle, tissue and sensors, with the kinds that use them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["add_knowledge", "knowledge"]
 
 @dataclass(frozen=True)
 class _Option:
-    """An option: the keyword of `identify` that it becomes, the kinds that have it, and how argparse reads it."""
+    """An option: the keyword argument of `identify`, the kinds that have the option, and its argparse settings."""
 
     flag: str
     keyword: str
@@ -27,41 +27,41 @@ class _Option:
 
 _OPTIONS = (
     _Option("--average", "average", ("force", "tissue-motion"),
-            "samples that the force sensor averages, 1 for none (5, as the thesis' sensor)",
+            "samples that the force sensor averages; 1 for none (5)",
             {"type": whole, "metavar": "N"}),
     _Option("--marker", "marker", ("tissue-motion",),
             "column with the displacement of a sensor in the tissue", {"choices": ("x_mm", "y_mm", "z_mm")}),
     _Option("--thickness", "thickness_mm", ("friction",),
             "thickness of the tissue (76)", {"type": float, "metavar": "MM"}),
     _Option("--skip-cycles", "skip_cycles", ("friction",),
-            "cycles at the begin that do not count (1)", {"type": whole, "metavar": "N"}),
+            "first cycles that are left out (1)", {"type": whole, "metavar": "N"}),
     _Option("--plane", "plane", ("curvature",), "plane of bending (xy)", {"choices": ("xy", "xz")}),
     _Option("--segments", "segments", ("curvature",),
-            "equal parts of the path with a curvature each (2)", {"type": whole, "metavar": "N"}),
+            "number of equal parts of the path, each with its own curvature (2)", {"type": whole, "metavar": "N"}),
     _Option("--skip", "skip_mm", ("curvature", "deflection"),
-            "depth up to which samples do not count (curvature 0, deflection 20)", {"type": float, "metavar": "MM"}),
+            "depth above which samples are left out (curvature 0, deflection 20)", {"type": float, "metavar": "MM"}),
     _Option("--geometry", "needle", ("deflection",),
             "outer and inner diameter and length in mm, bevel angle in degrees (the 22-gauge needle of the thesis)",
             {"metavar": "OUTER,INNER,LENGTH,BEVEL"}),
     _Option("--stiffness", "tissue", ("deflection",),
-            "stiffness kf in N/mm2 (that of the thesis' soft gel)", {"type": float, "metavar": "N_PER_MM2"}),
+            "stiffness kf in N/mm2 (the soft gel of the thesis)", {"type": float, "metavar": "N_PER_MM2"}),
     _Option("--axial-offset", "axial_offset", ("deflection",),
-            "axial force F0 without cutting, and its standard deviation, in N, where they were measured",
+            "axial force F0 without cutting and its standard deviation, in N, if measured",
             {"metavar": "N,SD"}),
     _Option("--tracked", "tracked_mm", ("deflection",),
-            "how far behind the tip the tracked point is (0)", {"type": float, "metavar": "MM"}),
+            "distance of the tracked point behind the tip (0)", {"type": float, "metavar": "MM"}),
 )  # fmt: skip
 
 
 def add_knowledge(parser: argparse.ArgumentParser) -> None:
-    """Declare the options, each with the kinds that it is for."""
-    group = parser.add_argument_group("what is known already")
+    """Declare the options; the help of each names its kinds."""
+    group = parser.add_argument_group("what is known of needle, tissue and sensors")
     for each in _OPTIONS:
         group.add_argument(each.flag, help=f"{', '.join(each.kinds)}: {each.help}", dest=each.keyword, **each.reads)
 
 
 def knowledge(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the keywords of `identify` for its kind. Raises InputError for an option of another kind."""
+    """Return the keyword arguments of `identify`. Raises InputError for an option of another kind."""
     given = [each for each in _OPTIONS if getattr(options, each.keyword) is not None]
     wrong = [
         Mistake(each.flag, "", f"is for {' and '.join(each.kinds)}, not for {options.kind}")

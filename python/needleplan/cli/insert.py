@@ -47,9 +47,9 @@ def add_to(commands: Any) -> None:
     """Declare the command."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "insert",
-        help="insert the needle by a policy table: the intraoperative loop",
+        help="insert a needle by a policy table: the intraoperative loop",
         description="Insert a needle by a policy table, in the simulated lab or with real devices. Ctrl-C stops the "
-        "needle where it is. Exit code 1: the target was not reached; 2: refused before anything moved.",
+        "needle at its place. Exit code 1: the target was not reached; 2: refused before anything moved.",
     )
     add_table(parser)
     for name, what in (
@@ -60,32 +60,49 @@ def add_to(commands: Any) -> None:
         parser.add_argument(
             f"--{name}", metavar="URL", help=f"{what}, or sim://[EXPERIMENT][?seed=N] for all three (sim://)"
         )
-    parser.add_argument("--registration", metavar="FILE", help="coil to tip and tracker to plan; needed but in sim://")
+    parser.add_argument(
+        "--registration", metavar="FILE", help="registration of coil and tracker; only sim:// needs none"
+    )
     add_start(parser)
     parser.add_argument("--scenario", metavar="SCENARIO.toml", help="refuse a table of another scenario")
     parser.add_argument("--needle", metavar="MODEL.toml", help="refuse a table for a needle of another radius")
     parser.add_argument("--limits", metavar="FILE", help="limits of the run, in a table [safety]")
-    parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="of insertion, mm/s (5)")
+    parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="speed of insertion, mm/s (5)")
     parser.add_argument(
         "--rotation-speed-deg",
         type=float,
         metavar="DEG_S",
         default=_ROTATION_DEG_S,
-        help="of rotation, degrees/s (172)",
+        help="speed of rotation, degrees/s (172)",
     )
-    parser.add_argument("--entry-depth", type=float, metavar="MM", default=0.0, help="of the stage at the entry (0)")
+    parser.add_argument(
+        "--entry-depth", type=float, metavar="MM", default=0.0, help="depth of the stage at the entry (0)"
+    )
     parser.add_argument(
         "--roll-left-deg",
         type=float,
         metavar="DEG",
         default=0.0,
-        help="roll of the stage, in degrees, where the needle bends left (0)",
+        help="roll of the stage, in degrees, at which the needle bends left (0)",
     )
-    parser.add_argument("--torsion", metavar="GJ,TAU", help="N mm^2 and N mm/mm: compensate the lag of the tip's roll")
-    parser.add_argument("--needle-length", type=float, metavar="MM", help="of the shaft, for the torsion (200)")
-    parser.add_argument("--force-axis", metavar="X,Y,Z", default="0,0,1", help="in which resistance counts (0,0,1)")
-    parser.add_argument("--no-replan", action="store_true", help="keep the table, however the needle bends")
-    parser.add_argument("--stops", action="store_true", help="stop after every step, not only to rotate")
+    parser.add_argument(
+        "--torsion",
+        metavar="GJ,TAU",
+        help="compensate the torsional lag of the tip: rigidity in N mm^2 and friction in N mm/mm",
+    )
+    parser.add_argument(
+        "--needle-length", type=float, metavar="MM", help="length of the shaft, mm, for the torsion (200)"
+    )
+    parser.add_argument(
+        "--force-axis",
+        metavar="X,Y,Z",
+        default="0,0,1",
+        help="direction of the axial force in the sensor's frame (0,0,1)",
+    )
+    parser.add_argument(
+        "--no-replan", action="store_true", help="keep the table even if the needle bends otherwise than planned"
+    )
+    parser.add_argument("--stops", action="store_true", help="stop after every step, not only before a rotation")
     parser.add_argument(
         "--slicer", metavar="URL", help="show the run to 3D Slicer, which connects to igtl://host[:18944]"
     )
@@ -113,7 +130,7 @@ def run(options: argparse.Namespace) -> int:
     start = table.start(wanted) if wanted else table.best_entry().pose
     addresses = [getattr(options, name) for name in ("robot", "force", "tracker")]
     given = {address for address in addresses if address and address.startswith(_SIM)} or {_SIM}
-    # One lab has all three: what is not said is in the same one.
+    # A simulated lab has all three devices, so addresses that are not given are those of the same lab.
     robot, force, tracker = (address or min(given) for address in addresses)
     setup = _setup(options, wanted)
     if not are_simulated(robot, force, tracker) and not options.registration:
@@ -128,14 +145,14 @@ def run(options: argparse.Namespace) -> int:
         return _REFUSED
     code = _answer(table, report, true_tip, options)
     if missing:
-        complain(f"{options.output}: not all of the run is in the recording: {missing}")
+        complain(f"{options.output}: the recording is incomplete: {missing}")
     return code or bool(missing)
 
 
 def _insert(
     table: PolicyTable, station: Station, setup: RunSetup, options: argparse.Namespace
 ) -> tuple[InsertionReport, str]:
-    """Return what came of it, and what is missing in the recording."""
+    """Run the insertion; return its report, and a description of what the recording lacks."""
     from needleplan.cli.insert_view import view
     from needleplan.control import Insertion, Listener, RunRecorder
     from needleplan.control.safety import Watchdog
@@ -169,7 +186,7 @@ def _insert(
 
 @contextmanager
 def _stopped_by_signals(insertion: Insertion) -> Iterator[None]:
-    """Let Ctrl-C, and being asked to end, stop the needle."""
+    """Stop the needle on Ctrl-C and on a request to end."""
     names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "asked to end"}
     before = {number: signal.signal(number, lambda n, _: insertion.stop(names[signal.Signals(n)])) for number in names}
     try:
@@ -190,7 +207,7 @@ def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
 
 
 def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any:
-    """Check what was asked for, and return what makes the setup of it when the devices are open."""
+    """Check the options and return a function that makes the run's setup from the opened devices."""
     from needleplan.control import Options, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.estimation.registration import Registration
@@ -223,7 +240,7 @@ def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any
 
 
 def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
-    """Raise InputError for what the guard, or the loop, would refuse when the needle is already there."""
+    """Raise InputError for values that the guard or the loop would refuse later, with the needle in place."""
     mistakes = []
     for name, most, unit in (
         ("speed", limits.insertion_velocity_mm_s, "mm/s"),

@@ -1,4 +1,4 @@
-"""An insertion on the terminal while it goes on: a small table that is rewritten, or plain lines."""
+"""A running insertion on the terminal: a small table that is updated, or plain lines."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 
 __all__ = ["LiveView", "PlainView", "view"]
 
-_PERIOD_S = 0.1  # between two updates of the terminal
-_DELAY_S = 1.0  # time after which a run begins to be shown
+_PERIOD_S = 0.1  # time between two updates of the terminal
+_DELAY_S = 1.0  # time from the start of a run to its first display
 _TOLD = {RunEventName.TABLE_SWAPPED, RunEventName.REPLAN_REFUSED, RunEventName.PAUSED, RunEventName.RESUMED,
          RunEventName.FAULT, RunEventName.STOP}  # fmt: skip
 
 
 class PlainView(Listener):
-    """A line for every decision, and for every event that matters."""
+    """Prints one line for each decision and each important event."""
 
     def step(self, step: ExecutedStep) -> None:
-        """Say what was decided."""
+        """Print a decision."""
         tip = step.estimate
         self._say(
             f"step {step.number:3d}  {step.action!s:20s} {step.length_mm:5.2f} mm at {step.path_mm:6.2f} mm: "
@@ -44,7 +44,7 @@ class PlainView(Listener):
         )
 
     def event(self, event: RunEvent) -> None:
-        """Say what happened."""
+        """Print an event."""
         if event.name in _TOLD:
             self._say(f"{event.name.replace('_', ' ')}: {event.text}" + (f" ({event.cause})" if event.cause else ""))
 
@@ -53,7 +53,7 @@ class PlainView(Listener):
 
 
 class LiveView(PlainView):
-    """The numbers of now, above them the events, on a terminal."""
+    """Shows the current values on a terminal, and events above them."""
 
     def __init__(self, live: Live, table: PolicyTable, options: Options) -> None:
         self._live = live
@@ -65,7 +65,7 @@ class LiveView(PlainView):
         self._table, self._line = table, np.empty((0, 2))
 
     def sample(self, sample: Sample) -> None:
-        """Keep a sample, and show all now and then."""
+        """Keep a sample; update the terminal if the last update is old enough."""
         self._samples[type(sample)] = sample
         self._now_ns = max(self._now_ns, sample.stamp.received_ns)
         if time.monotonic() >= self._due_s:
@@ -74,11 +74,11 @@ class LiveView(PlainView):
             self._live.update(self.rows(), refresh=True)
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Keep where the tip is."""
+        """Keep the estimate of the tip."""
         self._tip = tip
 
     def step(self, step: ExecutedStep) -> None:
-        """Keep a decision; at the first one, the plan from there."""
+        """Keep a decision; the first one also determines the planned path."""
         if self._step is None:
             self._line = drawn(self._table.path(step.pose), self._table)
         self._step = step
@@ -88,7 +88,7 @@ class LiveView(PlainView):
         self._state = str(event.state)
 
     def rows(self) -> Table:
-        """Return what is shown."""
+        """Return the table of current values."""
         from rich.table import Table
 
         rows = Table(show_header=False, box=None, padding=(0, 2))

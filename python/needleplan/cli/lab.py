@@ -31,8 +31,8 @@ def add_to(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "lab",
         help="run the lab twin in real time, behind UDP ports and a serial line",
-        description="Run a simulated robot, force sensor and tracker in real time, each in a process of its own that "
-        "speaks the bytes of a real device, print their addresses, and serve them until Ctrl-C.",
+        description="Run a simulated robot, force sensor and tracker in real time, each in its own process and with "
+        "the protocol of a real device. Print their addresses and serve them until Ctrl-C.",
     )
     parser.add_argument(
         "experiment", metavar="EXPERIMENT", nargs="?", default="steering",
@@ -40,22 +40,27 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--table", metavar="TABLE.h5",
-        help="put the needle where this table's insertion begins, and let it bend as planned, but for the effects",
+        help="place the needle where an insertion by this table begins; it bends as planned, apart from the effects",
     )  # fmt: skip
     add_start(parser)
     add_output(parser, "REGISTRATION.toml", "write the registration that `insert` needs")
-    parser.add_argument("--seed", type=whole, metavar="N", help="instead of the seed of the experiment")
-    parser.add_argument("--host", default="127.0.0.1", metavar="HOST", help="where to listen (127.0.0.1)")
+    parser.add_argument("--seed", type=whole, metavar="N", help="seed that replaces the seed of the experiment")
+    parser.add_argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (127.0.0.1)")
     parser.add_argument("--robot-port", type=whole, default=0, metavar="N", help="UDP port of the robot (a free one)")
     parser.add_argument("--force-port", type=whole, default=0, metavar="N", help="UDP port of the force sensor")
-    parser.add_argument("--http-port", type=whole, default=0, metavar="N", help="HTTP port of its configuration")
-    parser.add_argument("--tracker", choices=("pty", "tcp"), default="pty", help="how the tracker is reached (pty)")
+    parser.add_argument("--http-port", type=whole, default=0, metavar="N", help="HTTP port of the force sensor")
+    parser.add_argument(
+        "--tracker",
+        choices=("pty", "tcp"),
+        default="pty",
+        help="connection of the tracker: pseudo-terminal or TCP (pty)",
+    )
     parser.add_argument("--tracker-port", type=whole, default=0, metavar="N", help="TCP port of the tracker")
     parser.add_argument(
         "--longest-silence", type=float, default=0.34, metavar="S",
-        help="longest time that the robot moves without hearing its controller, if that asks for it (0.34)",
+        help="longest time without a heartbeat that a controller may ask the robot to accept, s (0.34)",
     )  # fmt: skip
-    parser.add_argument("--duration", type=float, dest="duration_s", metavar="S", help="end after so many seconds")
+    parser.add_argument("--duration", type=float, dest="duration_s", metavar="S", help="end after this time, s")
     add_answer(parser, verbose=False)
     add_old_spelling(parser, "--for", "--duration", convert=float)
     add_old_spelling(parser, "--registration", "--output")
@@ -97,7 +102,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
-    """Return the setup with the needle where an insertion by the table begins."""
+    """Return the setup with the needle at the beginning of an insertion by the table."""
     from needleplan.planning import PolicyTable
     from needleplan.simulation import simulated_station
 
@@ -109,7 +114,7 @@ def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
 
 @contextmanager
 def _ended_by_signals() -> Iterator[threading.Event]:
-    """Yield an event that Ctrl-C and requests to end set."""
+    """Yield an event that is set by Ctrl-C and by requests to end."""
     ending = threading.Event()
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, lambda *_: ending.set()) for number in numbers}
@@ -121,7 +126,7 @@ def _ended_by_signals() -> Iterator[threading.Event]:
 
 
 def _started(start: Callable[[], RealTimeLab]) -> RealTimeLab:
-    """Return a started lab whose processes never see Ctrl-C, not even while they begin: they inherit the block."""
+    """Return a started lab whose processes never receive Ctrl-C: they inherit the blocked signal."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         return start()
@@ -130,7 +135,7 @@ def _started(start: Callable[[], RealTimeLab]) -> RealTimeLab:
 
 
 def _serve(lab: RealTimeLab, ending: threading.Event, duration_s: float | None) -> bool:
-    """Wait for the end, and tell of processes that end before; whether all of them did."""
+    """Wait for the end and report processes that end before it; return whether all of them ended."""
     end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
     while not ending.wait(_LOOK_S) and time.monotonic() < end_s:
         for name, how in lab.newly_ended().items():

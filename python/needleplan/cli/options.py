@@ -1,4 +1,4 @@
-"""Options that several commands share, and the poses that they read and print."""
+"""Options that several commands share, and poses as the commands read and print them."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ def add_start(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--start",
         metavar="X,Y,DEG[,BEVEL]",
-        help="position in mm, heading in degrees, bevel -1 or +1; without a bevel the better one, without a start the "
-        "best entry on the left edge; write --start=-1,... where it begins with a minus",
+        help="position in mm, heading in degrees, bevel -1 or +1 (the better bevel; the best entry on the left edge); "
+        "write --start=-1,... if it begins with a minus",
     )
 
 
@@ -84,7 +84,7 @@ def add_greedy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--greedy",
         action="store_true",
-        help="decide by the values interpolated at the true pose, not by the policy of the nearest state",
+        help="decide by values interpolated at the true pose, not by the policy of the nearest state",
     )
 
 
@@ -112,7 +112,7 @@ def numbers(option: str, text: str, *counts: int, form: str = "") -> list[float]
 
 
 def _split(text: str) -> list[float]:
-    """Return the finite numbers between commas; nothing if one of the words is none."""
+    """Return the finite numbers between commas; an empty list if a word is not one."""
     try:
         found = [float(word) for word in text.split(",")]
     except ValueError:

@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterable, Sequence
 from decimal import Decimal, InvalidOperation
 from typing import Any, Never
 
-from needleplan.config import suggestion
-
 __all__ = ["Parser", "add_old_spelling", "whole"]
 
 _MOST_DIGITS = 18  # digits of the largest whole number that is accepted; 64-bit integers hold them
@@ -47,6 +45,8 @@ class Parser(argparse.ArgumentParser):
             if not word.startswith("--") or " " in name:
                 continue
             if not any(known.startswith(name) for known in self._option_string_actions):
+                from needleplan.config import suggestion
+
                 self.error(f"unknown option {name}{suggestion(name, self._shown_options())}")
 
     def _shown_options(self) -> Iterable[str]:
@@ -57,6 +57,8 @@ class Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is None or value in action.choices:
             return
+        from needleplan.config import suggestion
+
         words = [str(choice) for choice in action.choices]
         if isinstance(action, argparse._SubParsersAction):
             rule = f'there is no command "{value}"{suggestion(str(value), words)}'

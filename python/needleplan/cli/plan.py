@@ -18,22 +18,24 @@ if TYPE_CHECKING:
 
 __all__ = ["UNREACHABLE_SUCCESS", "Replaced", "add_to", "run", "with_identified"]
 
-_POOR_SUCCESS = 0.8
+_POOR_SUCCESS = 0.8  # success of the best entry below which the user is warned
 UNREACHABLE_SUCCESS = 0.001
-_NOISY_PATHS = 40
-_DETERRENT = 10
+"""Success of the best entry below which the target counts as unreachable."""
+
+_NOISY_PATHS = 40  # executions with noise in the figure
+_DETERRENT = 10  # failures must cost this many times the way through the workspace to deter
 
 
 @dataclass(frozen=True)
 class Replaced:
-    """A radius of the scenario that was replaced: of which place, by what, out of which file."""
+    """A radius of the scenario that an identified one replaced: the place, the identified radius and its file."""
 
     place: str
     found: Identified
     file: str
 
     def record(self) -> dict[str, Any]:
-        """Return it for JSON."""
+        """Return the replacement for JSON."""
         low, high = self.found.interval_mm
         found = {"radius_mm": self.found.radius_mm, "interval_mm": [_finite(low), _finite(high)]}
         return {"place": self.place, **found, "kind": self.found.kind, "model": self.file, "digest": self.found.digest}
@@ -51,14 +53,14 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--needle",
         metavar="MODEL.toml",
-        help="take the radius of the needle from this model, in place of that of the scenario and of its layers",
+        help="replace the radius of the needle, and of its layers, by the radius of this model",
     )
     parser.add_argument(
         "--tissue",
         action="append",
         default=[],
         metavar="NAME=MODEL.toml",
-        help="take the radius of the tissue of that name from this model; may be given more than once",
+        help="replace the radius of the tissue with this name by the radius of this model; may be given several times",
     )
     add_edge(parser)
     add_figure(parser, "the path from the best entry and the success map")
@@ -101,14 +103,14 @@ def run(options: argparse.Namespace) -> int:
         return complain(f"the target cannot be reached from the {options.edge} edge")
     if best.success < _POOR_SUCCESS:
         note(
-            f"warning: even the best entry on the {options.edge} edge reaches the target in {percent(best.success)} of "
-            f"executions only{_giving_up(scenario)}"
+            f"warning: even the best entry on the {options.edge} edge reaches the target in only "
+            f"{percent(best.success)} of the executions{_giving_up(scenario)}"
         )
     return 0
 
 
 def _giving_up(scenario: Scenario) -> str:
-    """Return a hint where failing is so cheap that the plan may give up on purpose."""
+    """Return a hint if failing costs so little that the plan may give up on purpose."""
     objective = scenario.objective
     way_through = objective.insertion_per_mm * scenario.workspace.width_mm + objective.rotation
     if objective.discount == 1 and min(objective.collision, objective.exit) > _DETERRENT * way_through:
@@ -166,7 +168,7 @@ def _draw(table: PolicyTable, best: Entry, file: str) -> None:
 
 
 def with_identified(scenario: Scenario, options: argparse.Namespace) -> tuple[Scenario, list[Replaced]]:
-    """Return the scenario with the radii of the model files, and what was replaced. Raises InputError."""
+    """Return the scenario with the radii of the model files, and the replacements. Raises InputError."""
     files = [("", options.needle)] if options.needle else []
     for each in options.tissue:
         name, equals, file = each.partition("=")

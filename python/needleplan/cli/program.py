@@ -1,7 +1,7 @@
-"""The program: which command, and how it ends.
+"""The program: parses the command line, runs the command and returns the exit code.
 
-Exit codes: 0 done; 1 the job ran and the answer is no; 2 the input is wrong. Besides, as the shell has them: 130
-interrupted, 141 nobody reads the output any more.
+Exit codes: 0 done; 1 the job ran and the answer is no; 2 the input is wrong; and as in shells 130 for an interrupt and
+141 if the reader of the output has gone.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def make_parser() -> Parser:
 
 
 class _Version(argparse.Action):
-    """Prints the version; looks it up only then."""
+    """Prints the version, which is looked up only on demand."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from needleplan.artifacts import version
@@ -82,5 +82,5 @@ class _Version(argparse.Action):
 
 
 def _drop_output() -> None:
-    """Send what is still buffered nowhere, so that the interpreter does not complain when it ends."""
+    """Discard buffered output, so that the interpreter does not report it when it ends."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -28,17 +28,17 @@ def add_to(commands: Any) -> None:
     )
     subcommands = parser.add_subparsers(title="commands", metavar="{info,recover,export,replay}", required=True)
     info = subcommands.add_parser(
-        "info", help="show what is in a recording and verify its checksums",
-        description="Show what is in a recording and verify its checksums.",
+        "info", help="show the contents of a recording and verify its checksums",
+        description="Show the contents of a recording and verify its checksums.",
     )  # fmt: skip
     info.add_argument("recording", metavar="RUN.mcap")
     info.add_argument("--events", action="store_true", help="print the events, one a line")
     add_answer(info)
     info.set_defaults(run=run_info)
     recover = subcommands.add_parser(
-        "recover", help="make a recording of what a killed or damaged one still holds",
-        description="Write all that can be read of a recording, however it ended, and say what is missing. "
-        "Exit code 1: something is known to be missing.",
+        "recover", help="write the readable messages of a partial or damaged recording",
+        description="Write all readable messages of a partial or damaged recording, and report the missing ones. "
+        "Exit code 1: messages are missing.",
     )  # fmt: skip
     recover.add_argument("recording", metavar="RUN.mcap.partial")
     add_output(recover, "RUN.mcap", "the recording to write", required=True)
@@ -46,8 +46,8 @@ def add_to(commands: Any) -> None:
     recover.set_defaults(run=run_recover)
     export = subcommands.add_parser(
         "export", help="write a recording in another format",
-        description="Write a recording as HDF5 or CSV (what `identify` reads; HDF5 with all channels beside it), as a "
-        "folder of Parquet files, or as a ROS 2 bag.",
+        description="Write a recording as CSV or HDF5 for `identify` (HDF5 also holds all channels), as a folder of "
+        "Parquet files, or as a ROS 2 bag.",
     )  # fmt: skip
     export.add_argument("recording", metavar="RUN.mcap")
     export.add_argument("--to", required=True, choices=FORMATS)
@@ -55,9 +55,9 @@ def add_to(commands: Any) -> None:
     add_answer(export, verbose=False, json=False)
     export.set_defaults(run=run_export)
     again = subcommands.add_parser(
-        "replay", help="let the loop run on the recording of an insertion again",
-        description="Let the loop run on the samples of a recorded insertion, with the table that was used, and "
-        "compare its decisions and commands with the recorded ones. Exit code 1: they are not the same.",
+        "replay", help="run the insertion loop on a recorded insertion",
+        description="Run the insertion loop on the samples of a recorded insertion, with the table of that insertion, "
+        "and compare decisions and commands with the recorded ones. Exit code 1: they differ.",
     )  # fmt: skip
     again.add_argument("recording", metavar="RUN.mcap")
     again.add_argument("--table", required=True, metavar="TABLE.h5", help="the policy table of the insertion")
@@ -114,7 +114,7 @@ def run_recover(options: argparse.Namespace) -> int:
         topics = [f"  {topic:<12} {count:,} messages" for topic, count in done.by_topic.items()]
         print_first(options, [options.output, *topics])
     if not done.complete:
-        note("the recorder did not close it: what it had not handed to the disk yet, some 20 ms, is not in it")
+        note("the recorder did not close this recording: messages of the last 20 ms or so may be missing")
     if done.missing or done.damaged_bytes:
         lost = ", ".join(f"{count} of {topic}" for topic, count in done.missing.items()) or "nothing between others"
         return complain(f"{done.damaged_bytes} bytes at {done.places} places are damaged; missing messages: {lost}")
@@ -136,7 +136,7 @@ def run_export(options: argparse.Namespace) -> int:
 
 
 def _require_export(options: argparse.Namespace) -> None:
-    """Raise OutputError if the output cannot be written; another recording is never overwritten, whatever is forced."""
+    """Raise OutputError if the output cannot be written; even with `--force`, no recording is overwritten."""
     from needleplan.recording.export import require_no_recording
 
     if Path(options.output).is_dir() and options.to in FOLDERS:
@@ -163,7 +163,9 @@ def run_replay(options: argparse.Namespace) -> int:
                  "first": first}  # fmt: skip
         print_summary(options, options.recording, lines)
     if not done.same:
-        return complain(f"the loop does not decide as it did: {(*done.differences, 'it made fewer decisions')[0]}")
+        return complain(
+            f"the decisions differ from the recorded ones: {(*done.differences, 'it made fewer decisions')[0]}"
+        )
     return 0
 
 

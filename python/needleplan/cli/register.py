@@ -1,4 +1,4 @@
-"""`needleplan register`: where the tip of a tracked needle is, and how the tracker lies to the plan."""
+"""`needleplan register`: from the coil of a tracked needle to its tip, and from the tracker to the plan."""
 
 from __future__ import annotations
 
@@ -20,17 +20,15 @@ def add_to(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "register",
         help="register a tracked needle: coil to tip, tracker to plan",
-        description="Find how far the coil of a tracked needle is from its tip, from poses while the needle pivots "
-        "about its tip, and how the tracker's frame lies to that of the plan, from points in both. Exit code 1: the "
-        "needle was not turned enough.",
+        description="Compute the distance of the coil of a tracked needle from its tip, from poses while the needle "
+        "pivots about its tip, and the transform from the tracker to the plan, from points in both frames. "
+        "Exit code 1: the needle was not turned enough.",
     )
     parser.add_argument("--pivot", required=True, metavar="POSES.csv", help="poses of the coil while the needle pivots")
     parser.add_argument("--points", required=True, metavar="POINTS.csv", help="points in both frames")
     add_output(parser, "REGISTRATION.toml", "write the registration")
-    parser.add_argument(
-        "--target", metavar="X,Y[,Z]", help="a target of the plan, mm: tell the error that is to be expected there"
-    )
-    parser.add_argument("--title", default="", metavar="TEXT", help="a name for people, kept in the file")
+    parser.add_argument("--target", metavar="X,Y[,Z]", help="target of the plan, mm: print the expected error there")
+    parser.add_argument("--title", default="", metavar="TEXT", help="title of the registration file")
     add_answer(parser)
     parser.set_defaults(run=run)
 

@@ -1,4 +1,4 @@
-"""`needleplan reproduce`: published numbers beside ours."""
+"""`needleplan reproduce`: published numbers beside computed ones."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ def add_to(commands: Any) -> None:
     """Declare the command."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "reproduce",
-        help="print published results beside ours",
-        description="Print published tables beside ours, and draw the figures. A verdict that is no is "
-        "an answer too: the exit code is 0.",
+        help="print published results beside computed ones",
+        description="Print published results beside computed ones, and write the figures. The exit code is 0 also if a "
+        "published statement does not hold.",
     )
     parser.add_argument(
         "chapters",
         nargs="*",
         metavar="CHAPTER",
-        help="ch2, ch3, ch4, ch5, ch6, diagnosis; all where none is given",
+        help="ch2, ch3, ch4, ch5, ch6, diagnosis (all)",
     )
     add_output(parser, "DIR", "write figures and results into this folder")
     parser.add_argument(
@@ -49,8 +49,8 @@ def add_to(commands: Any) -> None:
     add_old_spelling(parser, "--figures", "--output")
     add_old_spelling(parser, "--seeds", "--runs", convert=whole)
     effort = parser.add_mutually_exclusive_group()
-    effort.add_argument("--quick", action="store_true", help="coarse grids: whether everything runs, not the numbers")
-    effort.add_argument("--full", action="store_true", help="finer grids besides; much longer")
+    effort.add_argument("--quick", action="store_true", help="coarse grids, to see that everything runs")
+    effort.add_argument("--full", action="store_true", help="finer grids too; takes much longer")
     parser.set_defaults(run=run)
 
 
@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _lines(comparisons: Iterable[Comparison]) -> Iterator[str]:
-    """Yield a table for every section, and below it, numbered, the reasons that several rows share."""
+    """Yield a table for every section; reasons that several rows share are numbered and follow the table."""
     for section, group in groupby(comparisons, key=lambda each: "/".join(each.id.split("/")[:2])):
         rows = list(group)
         shared = [reason for reason, times in Counter(row.reason for row in rows).items() if reason and times > 1]

@@ -26,13 +26,15 @@ def add_to(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "simulate",
         help="run an experiment in the lab twin",
-        description="Run an experiment with a simulated robot, needle, tissue and sensors, faster than real time, and "
-        "write what the sensors say as records for `needleplan identify`, or as a recording (MCAP).",
+        description="Run an experiment with a simulated robot, needle, tissue and sensors, faster than real time. "
+        "Write the readings of the sensors as records for `needleplan identify`, or as a recording (MCAP).",
     )
     parser.add_argument("experiment", metavar="EXPERIMENT", help="an experiment file (.toml), or a shipped one by name")
     add_output(parser, "RUN", "write the records (.csv or .h5), or a recording (.mcap)")
-    parser.add_argument("--seed", type=whole, metavar="N", help="instead of the seed of the experiment")
-    parser.add_argument("--runs", type=whole, default=1, metavar="N", help="trials, with consecutive seeds (1)")
+    parser.add_argument("--seed", type=whole, metavar="N", help="seed that replaces the seed of the experiment")
+    parser.add_argument(
+        "--runs", type=whole, default=1, metavar="N", help="number of trials, with consecutive seeds (1)"
+    )
     add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -88,7 +90,7 @@ def _require(options: argparse.Namespace) -> None:
     if not 1 <= options.runs <= 10_000:
         mistakes.append(Mistake("--runs", f"{options.runs}", "must be a whole number from 1 to 10000"))
     if options.output and Path(options.output).suffix.lower() == _RECORDING and options.runs != 1:
-        mistakes.append(Mistake("--runs", f"{options.runs}", "must be 1: a recording is of one run"))
+        mistakes.append(Mistake("--runs", f"{options.runs}", "must be 1: a recording holds one run"))
     if mistakes:
         raise InputError(mistakes)
 

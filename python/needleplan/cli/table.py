@@ -100,8 +100,8 @@ def _add_evaluate(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "evaluate",
         help="execute a policy many times, with noise",
-        description="Execute a policy many times with tip noise in the continuous model; print the success with its "
-        "confidence interval beside the prediction. Exit code 1: no run reached the target.",
+        description="Execute a policy many times with tip noise in the continuous model, and print the success with "
+        "its 95 % interval beside the predicted success. Exit code 1: no run reached the target.",
     )
     add_table(parser)
     add_start(parser)
@@ -165,7 +165,7 @@ def _add_entry(commands: Any) -> None:
     )
     add_table(parser)
     add_edge(parser)
-    parser.add_argument("--at", type=float, metavar="MM", help="search the headings at this place of the edge only")
+    parser.add_argument("--at", type=float, metavar="MM", help="search only the headings at this place of the edge")
     add_answer(parser)
     parser.set_defaults(run=_run_entry)
 
@@ -191,13 +191,13 @@ def _add_info(commands: Any) -> None:
     """Declare `info`."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "info",
-        help="show what is in a table and verify its checksums, or list and search an atlas",
-        description="Show what is in a table and verify its checksums, or list and search an atlas of axial forces. "
+        help="show the contents of a table and verify its checksums, or list and search an atlas",
+        description="Show the contents of a table and verify its checksums, or list and search an atlas of axial forces. "
         "Exit code 1: a checksum is wrong, or no combination of the atlas fits.",
     )
     parser.add_argument("table", metavar="FILE", help="a policy table (.h5), an atlas (.toml), or `published`")
     add_search(parser)
-    parser.add_argument("--scenario", action="store_true", help="print the scenario that the table carries, as TOML")
+    parser.add_argument("--scenario", action="store_true", help="print the scenario of the table as TOML")
     add_answer(parser)
     parser.set_defaults(run=_run_info)
 
