@@ -192,7 +192,7 @@ def _add_info(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "info",
         help="show the contents of a table and verify its checksums, or list and search an atlas",
-        description="Show the contents of a table and verify its checksums, or list and search an atlas of axial forces. "
+        description="Show the contents of a table and verify its checksums, or list and search an atlas of forces. "
         "Exit code 1: a checksum is wrong, or no combination of the atlas fits.",
     )
     parser.add_argument("table", metavar="FILE", help="a policy table (.h5), an atlas (.toml), or `published`")
