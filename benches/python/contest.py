@@ -1,7 +1,7 @@
-"""What a contestant of `compare_peers.py` is, and how it is measured: in a process of its own, with a time limit.
+"""Measuring a contestant of `compare_peers.py`: in a process of its own, with a time limit.
 
-`python contest.py NAME FOLDER` is that process: it reads the problem from FOLDER, builds what the contestant takes,
-solves it a few times and prints a line of JSON.
+That process is `python contestants.py NAME FOLDER`, which calls `serve`. It reads the problem from FOLDER, builds the
+contestant's input, solves it a few times and prints a line of JSON.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import resource
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
@@ -108,7 +108,7 @@ def compete(contestant: Contestant, folder: Path) -> Result:
 
 def measure(contestant: Contestant, folder: Path, time_limit_s: float) -> Result:
     """Measure a contestant in a process of its own; a failure of any kind is a result as well."""
-    command = [sys.executable, str(Path(__file__).resolve()), contestant.name, str(folder)]
+    command = [sys.executable, str(Path(__file__).with_name("contestants.py").resolve()), contestant.name, str(folder)]
     named = _named(contestant)
     with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
         try:
@@ -128,16 +128,10 @@ def _named(contestant: Contestant) -> Result:
     return Result(contestant.name, contestant.label, note=contestant.note)
 
 
-def main() -> None:
-    """Be the process of one contestant."""
-    from contestants import CONTESTANTS
-
+def serve(contestants: Mapping[str, Contestant]) -> None:
+    """Measure the contestant that the command line names, and print its result."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("name", choices=sorted(CONTESTANTS))
+    parser.add_argument("name", choices=sorted(contestants))
     parser.add_argument("folder", type=Path)
     options = parser.parse_args()
-    print(_MARK + json.dumps(asdict(compete(CONTESTANTS[options.name], options.folder))), flush=True)
-
-
-if __name__ == "__main__":
-    main()
+    print(_MARK + json.dumps(asdict(compete(contestants[options.name], options.folder))), flush=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ours
 import peers
-from contest import Contestant, Prepare, Solve
+from contest import Contestant, Prepare, Solve, serve
 from problem import Problem
 
 PARTITIONS = ((6, 4), (12, 8), (24, 16))
@@ -86,3 +86,7 @@ THESIS = (
 )
 
 CONTESTANTS = {each.name: each for each in (*OURS, *BY_HAND, *PEERS, *THESIS)}
+
+
+if __name__ == "__main__":
+    serve(CONTESTANTS)

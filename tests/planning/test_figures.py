@@ -92,6 +92,7 @@ def test_layers_and_tissues_are_tinted_and_labelled() -> None:
 
 
 def test_without_axes_there_is_a_figure_of_pyplot(table: npl.PolicyTable) -> None:
+    pyplot.close("all")
     entry = table.best_entry()
     for shown in (table, table.scenario, table.path(entry), table.rollout(entry, runs=3)):
         axes = shown.plot()
