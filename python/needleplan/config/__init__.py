@@ -5,10 +5,10 @@ whose keys are relative to the value::
 
     read : Raw -> Value + [Mistake]
 
-The rule of a table is the product of the rules of its fields: its mistakes are those of all fields together, each under
-the key of its field, with those of unknown and missing keys, and of the rules *between* fields that could be read. The
-rule of a list of tables is the product over its entries. `Given` makes the rule of a field depend on the value of
-another field. Reading is therefore one recursion, and no mistake hides another.
+The rule of a table is the product of the rules of its fields. It reports the mistakes of all fields, each under the
+key of its field. It also reports unknown keys, missing keys, and the mistakes of rules *between* fields, which are
+checked if all their fields could be read. The rule of a list of tables is the product over its entries. `Given` makes
+the rule of a field depend on the value of another field. Reading is one recursion, and no mistake hides another.
 
 A table is a frozen dataclass (`ConfigTable`) with one rule per field (`ruled`). Its constructor checks the same rules
 as a file. `parse_toml` reads a text, `toml_text` writes one; for every document d without dates,

@@ -55,7 +55,7 @@ class Rule(Protocol):
 
 @dataclass(frozen=True)
 class Number:
-    """A number in a range, finite unless told; integers become floats, truth values are not numbers."""
+    """A number in a range, stored as a float. Truth values are not numbers. NaN is refused, infinity if `finite`."""
 
     unit: str = ""
     above: float | None = None

@@ -58,10 +58,13 @@ class Given:
 class ConfigTable:
     """One TOML table as a frozen dataclass; abstract.
 
-    Every field is declared by `ruled`. Class arguments: `key` is the name of the table in messages and headers
-    (`needle.layer`), `error` the exception that reports its mistakes, `schema` the schema of a file whose top level the
-    table is, `between` rules between fields. The parameters of such a rule are names of fields; it yields mistakes and
-    is called if all these fields could be read. The constructor checks all rules as reading a file does.
+    Every field is declared by `ruled`. The constructor and the reading of a file check the same rules. Class arguments:
+
+    - `key`: name of the table in messages and headers, such as `needle.layer`
+    - `error`: exception that reports the mistakes
+    - `schema`: value of the key `schema`, if the table is the top level of a file
+    - `between`: rules between fields. The parameters of such a function are names of fields. It yields mistakes and is
+      called if all these fields could be read.
     """
 
     key: ClassVar[str] = ""

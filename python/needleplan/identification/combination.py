@@ -94,10 +94,10 @@ class CombinationTable(ConfigTable, key="combination", error=ModelError, between
 class Combination:
     """A needle in a tissue at a speed, with the identified model.
 
-    `depth_mm` is the depth of the identification, `intervals` the known 95 % intervals of parameters, `mae_n` the mean
-    absolute error (N) of the open loop on the data or None, `source` the origin, and `digests` the digests of the data
-    files. The parameters hold for the speed of the identification: the model does not contain the speed. Raises
-    ModelError with all mistakes.
+    `depth_mm` is the depth of the identification. `intervals` holds the known 95 % intervals of parameters. `mae_n` is
+    the mean absolute error (N) of the open loop on the data, or None. `source` names the origin of the numbers and
+    `digests` the data files. The parameters hold for the speed of the identification, because the model does not
+    contain the speed. Raises ModelError with all mistakes.
     """
 
     needle: str

@@ -1,4 +1,4 @@
-"""From insertions to the part of a scenario that they identify: the needle, and the tip noise."""
+"""The needle and the tip noise of a scenario, identified from insertions."""
 
 from __future__ import annotations
 
@@ -25,16 +25,15 @@ from needleplan.signals import Array, Record, Role
 
 __all__ = ["PathPiece", "ScenarioPart", "scenario_part"]
 
+# Largest number of windows along x in which headings are estimated.
 _MOST_WINDOWS = 6
+# Number of points of each path that a window must exceed.
 _POINTS_A_WINDOW = 4
 
 
 @dataclass(frozen=True)
 class PathPiece:
-    """Curvature of a piece of the path, 1/mm, the mean of all insertions, with its 95 % interval.
-
-    `low_mm` is the x at which the piece begins.
-    """
+    """Mean curvature (1/mm) of all insertions in the piece of the path from x = `low_mm` on, with 95 % interval."""
 
     curvature_per_mm: float
     low_per_mm: float
@@ -44,9 +43,9 @@ class PathPiece:
 
 @dataclass(frozen=True)
 class ScenarioPart:
-    """A scenario with what insertions say about its needle and its tip noise, and where that came from.
+    """A scenario with the identified needle and tip noise, and remarks on the identification.
 
-    `noise` is None for a single insertion, which says nothing about it.
+    `noise` is None for a single insertion, from which no noise can be estimated.
     """
 
     scenario: Scenario
@@ -65,11 +64,11 @@ def scenario_part(
 ) -> ScenarioPart:
     """Return the scenario with the curvature and the heading scatter of repeated insertions without rotation.
 
-    `records`, `plane` and `skip_mm` are those of `curvature.identify`; x along the insertion, from the entry, which the
-    scenario has at x = 0. With more than one of `layers` the range of x that all insertions have is cut into as many
-    equal parts, each with a radius of its own; the last one holds from there on. The noise is that of the scenario's
-    headings at the radius of the whole path. Raises DataError for records that cannot be used and where a part of the
-    path may be straight, ScenarioError where the scenario cannot take the numbers.
+    `records`, `plane` and `skip_mm` are used as in `curvature.identify`. x is along the insertion, with the entry at
+    x = 0. With several `layers`, the range of x that all insertions cover is cut into equal parts with one radius each;
+    the last part has no end. The noise refers to the scenario's headings and to the radius of the whole path. Raises
+    DataError for unusable records and if a part of the path may be straight, ScenarioError if the identified values
+    violate a rule of the scenario.
     """
     used = [record for record in records if record.role is not Role.NOISE]
     if not used:
