@@ -101,7 +101,7 @@ WRONG: dict[str, tuple[Any, str, str]] = {
     "part": ([{"low": 1}, {"low": -1, "name": "n"}], 'part 2 ("n").low', "must be a finite number in mm at least 0"),
     "kind": ("texte", "kind", 'must be one of "text", "number"; did you mean "text"?'),
     "value": ({"it": "x"}, "value.it", "must be a finite number"),
-    "parent": ([{"nmae": "x"}], "parent 1.nmae", 'unknown key; did you mean "name"?'),
+    "parent": ([{"name": "x", "digest": "", "sha": "y"}], 'parent 1 ("x").sha', "unknown key"),
     "schema": ("test/2", "schema", 'must be "test/1"'),
     "lmit": (1, "lmit", 'unknown key; did you mean "limit"?'),
 }

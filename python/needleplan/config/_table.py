@@ -241,20 +241,31 @@ class Keyed:
 class _ParentTable(ConfigTable, key="parent"):
     """One `[[parent]]`."""
 
+    name: str = ruled(Text(100_000))
+    digest: str = ruled(Text())
+
+
+@dataclass(frozen=True)
+class _PartialParentTable(_ParentTable):
+    """One `[[parent]]` whose keys may be left out."""
+
     name: str = ruled(Text(100_000), "")
     digest: str = ruled(Text(), "")
 
 
 @dataclass(frozen=True)
 class ParentList:
-    """The parents of an artefact: tables under `[[parent]]`, each with name and digest."""
+    """The parents of an artefact: tables under `[[parent]]`, each with name and digest, which may lack if `partial`."""
+
+    partial: bool = False
 
     def read(self, value: object) -> tuple[Parent, ...]:
         """Return the parents. Raises Violation."""
         entries = sequence(value)
         if entries is not None and all(isinstance(each, Parent) for each in entries):
             return tuple(entries)  # type: ignore[arg-type]
-        return tuple(Parent(each.name, each.digest) for each in TableList(_ParentTable).read(value))
+        kind = _PartialParentTable if self.partial else _ParentTable
+        return tuple(Parent(each.name, each.digest) for each in TableList(kind).read(value))
 
 
 def key_of(of: Field[Any]) -> str:

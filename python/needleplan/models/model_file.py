@@ -80,9 +80,13 @@ _Entry = tuple[float, Estimate | None]
 
 @dataclass(frozen=True)
 class _ParameterRule:
-    """The table of a parameter: value and unit, and where it was identified its estimate."""
+    """The table of a parameter: value and unit, and where it was identified its estimate.
+
+    `ordered` refuses an interval that does not contain the value. Files of effects may hold such intervals.
+    """
 
     what: Parameter
+    ordered: bool = True
 
     def read(self, value: object) -> _Entry:
         """Return the value, and the estimate or None. Raises Violation."""
@@ -102,7 +106,7 @@ class _ParameterRule:
         if "sd" not in read:
             return read["value"], None
         low, high = read["low"], read["high"]
-        if not (low <= read["value"] <= high and read["sd"] >= 0):
+        if self.ordered and not (low <= read["value"] <= high and read["sd"] >= 0):
             rule = "must hold the value between them, and sd be 0 or more"
             raise Violation([Mistake("low, high", f"{low:g}, {high:g}", rule)])
         return read["value"], Estimate(read["value"], read["sd"], low, high, unit, read.get("identified", True))
@@ -125,7 +129,7 @@ class _NameRule:
 def _parameters_of(what: type[Model] | Effect) -> Rule:
     """Return the rule of all parameters of a model or an effect."""
     if isinstance(what, Effect):
-        return Keyed({name: _ParameterRule(each) for name, each in what.parameters.items()})
+        return Keyed({name: _ParameterRule(each, ordered=False) for name, each in what.parameters.items()})
     known = what.parameters()
     return Keyed({name: _ParameterRule(each) for name, each in known.items()}, _required(what, known))
 
@@ -177,7 +181,7 @@ class _ModelTable(ConfigTable, error=ModelError, schema="needleplan.model/1", be
     title: str = ruled(_TEXT, "")
     made_by: str = ruled(_TEXT, "")
     remarks: tuple[str, ...] = ruled(Texts(), ())
-    parent: tuple[Parent, ...] = ruled(ParentList(), ())
+    parent: tuple[Parent, ...] = ruled(ParentList(partial=True), ())
     parameters: dict[str, _Entry] = ruled(Given("kind", _parameters_of))
     options: dict[str, Any] = ruled(Given("kind", _options_of))
     effect: tuple[_EffectTable, ...] = ruled(TableList(_EffectTable), ())
