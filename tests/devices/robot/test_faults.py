@@ -22,7 +22,7 @@ MS = 1e-3
      (RobotDriveFaults(reported=Fault.ESTOP), "the emergency stop was pressed", 1 * MS),
      (RobotDriveFaults(jump_mm=0.5), "an encoder has jumped", 1 * MS),
      (RobotDriveFaults(stuck=True), "an axis does not move", 22 * MS),
-     (RobotDriveFaults(reversed=True), "counts the wrong way", 12 * MS),
+     (RobotDriveFaults(reversed=True), "counts in the wrong direction", 12 * MS),
      (RobotDriveFaults(slow=0.5), "an axis does not follow", 42 * MS)],
 )  # fmt: skip
 def test_28_30_what_is_wrong_with_a_drive_stops_it_and_is_told(
