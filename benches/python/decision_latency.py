@@ -38,12 +38,9 @@ from needleplan.control import (
     RunEventName,
     RunRecorder,
     RunSetup,
-    Sample,
-    Station,
-    ThreadedFeed,
 )
 from needleplan.control.safety import SafetyLimits
-from needleplan.devices import PoseSample, SystemClock, open_station
+from needleplan.devices import PoseSample, Sample, Station, SystemClock, ThreadedFeed, open_station
 from needleplan.devices.ati import NetFt
 from needleplan.devices.ndi import NdiTracker
 from needleplan.devices.robot import RobotLimits, RobotStage
