@@ -92,8 +92,8 @@ def records(data: DataSet) -> list[Record]:
 
 def said(found: Diagnosis) -> dict[str, Any]:
     """Return what a diagnosis said, as plain values."""
-    first = found.selection.steps[0]
-    after = found.verified
+    first = found.selection.rounds[0]
+    after = found.validation
     return {
         "failure": "",
         "verdict": str(found.verdict),
@@ -101,19 +101,17 @@ def said(found: Diagnosis) -> dict[str, Any]:
         "names": list(found.names),
         "tied": list(found.decision.tied),
         "axis": str(found.decision.axis) if found.decision.axis else None,
-        "level": found.selection.base.level,
+        "level": found.selection.base.heterogeneity_sd,
         "p_value": first.p_value,
-        "stop": str(first.stop),
-        "best": first.ranked[0].name if first.ranked else first.screened[0].effect.name,
-        "balance": first.ranked[0].balance if first.ranked else first.screened[0].balance,
-        "rival": {"name": first.rivals[0].name, "balance": first.rivals[0].balance},
+        "stop": str(first.outcome),
+        "best": first.ranked[0].newest.name if first.ranked else first.screened[0].name,
+        "balance": first.ranked[0].newest.bic_gain if first.ranked else first.screened[0].bic_gain,
+        "rival": {"name": first.alternatives[0].name, "balance": first.alternatives[0].bic_gain},
         "effects": [
             {
                 "name": each.effect.name,
                 "rms": each.rms,
-                "estimates": {
-                    name: [value.value, value.low, value.high] for name, value in each.added.estimates.items()
-                },
+                "estimates": {name: [value.value, value.low, value.high] for name, value in each.estimates.items()},
             }
             for each in found.effects
         ],

@@ -39,13 +39,13 @@ def named(found: Diagnosis, library: Library, seed: int) -> dict[str, list[str]]
 
 def _problem(found: Diagnosis, library: Library) -> tuple[list[str], Array, Array]:
     cases = found.calibration.training
-    candidates = library.candidates([case.motion for case in cases])
+    candidates = library.entries([case.motion for case in cases])
     columns, target = [], []
     for case in cases:
-        each = case.whiten(library.columns(found.calibration.model, case.motion, candidates))
-        q = np.linalg.qr(case.block.sensitivities)[0]
+        each = case.whiten(library.sensitivities(found.calibration.model, case.motion, candidates))
+        q = np.linalg.qr(case.whitened.base_sensitivities)[0]
         columns.append(each - q @ (q.T @ each))
-        target.append(case.block.residual - q @ (q.T @ case.block.residual))
+        target.append(case.whitened.residual - q @ (q.T @ case.whitened.residual))
     stacked, left = np.vstack(columns), np.concatenate(target)
     length = np.linalg.norm(stacked, axis=0)
     good = length > 1e-6 * length.max()

@@ -30,8 +30,7 @@ from diagnosis_subject import SubjectName
 from next_motion_case import SOURCES, Source, Spec
 
 from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
-from needleplan.diagnosis.next_motion import Separating, limits_of, next_motion
-from needleplan.diagnosis.program import programs
+from needleplan.diagnosis.next_motion import Separating, limits_of, next_motion, programs
 from needleplan.models.effects import effects_of
 from tests.blind.campaign import HETEROGENEITY, Purpose
 

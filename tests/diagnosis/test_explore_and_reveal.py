@@ -1,4 +1,4 @@
-"""What is measured next where nothing is named: more of a gap's axis, or smaller effects."""
+"""The next motion without a named effect: it explores the axis of a gap, or lowers detection limits."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleplan.diagnosis import Axis, Diagnosis, Gates, Library, Verdict, diagnose
+from needleplan.diagnosis import Diagnosis, GapAxis, Gates, Library, Verdict, diagnose
 from needleplan.diagnosis.next_motion import Exploring, NextMotion, Revealing, next_motion
-from needleplan.diagnosis.next_motion.explore import information_bits
+from needleplan.diagnosis.next_motion._explore import information_bits
 from needleplan.models import simulate
 from needleplan.models.effects import effect_named
 from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
@@ -47,10 +47,10 @@ def quiet() -> Diagnosis:
 
 
 @pytest.mark.slow
-def test_a_gap_without_a_name_is_explored_along_its_axis(nameless: Diagnosis) -> None:
+def test_an_unexplained_gap_is_explored_along_its_axis(nameless: Diagnosis) -> None:
     proposed = next_motion(nameless)
     assert isinstance(proposed, Exploring)
-    assert proposed.axis is nameless.decision.axis is Axis.SPEED
+    assert proposed.axis is nameless.decision.axis is GapAxis.SPEED
     assert proposed.bits == max(bits for _, bits in proposed.considered)
     assert dict(proposed.considered)["constant_slow"] < proposed.bits
     assert proposed.reach[0] < 1 < proposed.reach[1]
@@ -58,7 +58,7 @@ def test_a_gap_without_a_name_is_explored_along_its_axis(nameless: Diagnosis) ->
 
 
 @pytest.mark.slow
-def test_what_would_be_seen_after_the_motion_is_what_is_seen_after_it(quiet: Diagnosis) -> None:
+def test_predicted_detection_limits_are_those_after_the_motion(quiet: Diagnosis) -> None:
     """Slow twin: the motion made, and everything diagnosed again."""
     proposed = next_motion(quiet)
     assert isinstance(proposed, Revealing)
@@ -66,7 +66,7 @@ def test_what_would_be_seen_after_the_motion_is_what_is_seen_after_it(quiet: Dia
     names = ("time_s", "depth_mm", "velocity_mm_s")
     columns = {name: getattr(proposed.motion, name) for name in names} | {"force_n": force}
     again = diagnose(BASE, [Record(columns, "more"), *recordings()], library=LIBRARY, gates=HIDES)
-    seen = {each.effect: each.size for each in again.smallest}
+    seen = {each.effect: each.amplitude for each in again.detection_limits}
     for each in proposed.effects:
         assert each.after == pytest.approx(seen[each.effect], rel=0.1)
         assert each.now is not None
@@ -87,7 +87,7 @@ def test_their_files_run_in_the_lab_twin(which: str, tmp_path: Path, request: py
     assert next_motion_document(proposed)["why"] == proposed.why
 
 
-def test_where_nothing_is_open_nothing_is_proposed(quiet: Diagnosis) -> None:
+def test_no_motion_is_proposed_without_an_open_question(quiet: Diagnosis) -> None:
     assert next_motion(replace(quiet, decision=replace(quiet.decision, verdict=Verdict.NONE))) is None
 
 

@@ -3,10 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from needleplan.diagnosis import Library
-from needleplan.diagnosis.calibrate import calibrate
-from needleplan.diagnosis.isolability import Isolability, isolability
-from needleplan.diagnosis.noise import fit_noise
+from needleplan.diagnosis import Isolability, Library, isolability
+from needleplan.diagnosis.calibration import calibrate
+from needleplan.diagnosis.data import fit_noise
 from needleplan.models import simulate
 from needleplan.models.effects import effect_named
 from needleplan.signals import Record, Role, lspb
@@ -16,10 +15,10 @@ NAMES = ("viscous", "bias", "drift", "inertia", "gain_error")
 LIBRARY = Library([effect_named(name) for name in NAMES], BASE)
 
 
-def matrix(records: list[Record], level: float = 0.0) -> Isolability:
+def matrix(records: list[Record], heterogeneity_sd: float = 0.0) -> Isolability:
     noise = fit_noise([each["force_n"] for each in records if each.role is Role.NOISE])
     training = [each for each in records if each.role is Role.TRAIN]
-    return isolability(calibrate(BASE, training, [], noise), LIBRARY, level)
+    return isolability(calibrate(BASE, training, [], noise), LIBRARY, heterogeneity_sd)
 
 
 def one_speed() -> list[Record]:
@@ -56,11 +55,11 @@ def test_with_one_place_each_it_is_the_square_of_a_correlation() -> None:
     noise = fit_noise([each["force_n"] for each in records if each.role is Role.NOISE])
     found = calibrate(BASE, [each for each in records if each.role is Role.TRAIN], [], noise)
     library = Library([effect_named("viscous"), effect_named("bias")], BASE)
-    candidates = library.candidates([case.motion for case in found.training])
+    entries = library.entries([trial.motion for trial in found.training])
     left = []
-    for case in found.training:
-        columns = case.whiten(library.columns(found.model, case.motion, candidates))
-        base = case.block.sensitivities
+    for trial in found.training:
+        columns = trial.whiten(library.sensitivities(found.model, trial.motion, entries))
+        base = trial.whitened.base_sensitivities
         left.append(columns - base @ np.linalg.lstsq(base, columns, rcond=None)[0])
     a, b = np.vstack(left).T
     expected = (a @ b) ** 2 / ((a @ a) * (b @ b))

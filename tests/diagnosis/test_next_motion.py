@@ -1,4 +1,4 @@
-"""What is measured next, against fitting the rivals to what each of them would show."""
+"""The next motion, against fits of each effect to the prediction of the other."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
-from needleplan.diagnosis.calibrate import fit_case
-from needleplan.diagnosis.next_motion import limits_of, next_motion, separations
-from needleplan.diagnosis.program import Limits, programs
-from needleplan.diagnosis.refit import added_output
+from needleplan.diagnosis.calibration import calibrate_trial
+from needleplan.diagnosis.joint_fit import effects_output
+from needleplan.diagnosis.next_motion import Limits, limits_of, next_motion, programs, separations
 from needleplan.errors import DataError
 from needleplan.models import Channel, simulate
 from needleplan.models.effects import effect_named
@@ -49,29 +48,31 @@ def wavering() -> Diagnosis:
 
 
 @pytest.mark.slow
-def test_the_linear_choice_is_that_of_fitting_the_rival_to_what_the_other_shows(wavering: Diagnosis) -> None:
+def test_the_linear_prediction_agrees_with_a_fit_of_the_other_effect(wavering: Diagnosis) -> None:
     """Slow twin: the whitened square that a full calibration of the rival leaves of the other's prediction."""
-    ranked = {each.name: each.joint for step in wavering.selection.steps[-1:] for each in step.ranked}
+    ranked = {each.newest.name: each for step in wavering.selection.rounds[-1:] for each in step.ranked}
     assert len(ranked) >= 2
     fast, slow = [], []
     for program in programs(Channel.FORCE, limits_of(wavering)):
         motion = program.motion(RATE_HZ)
         for pair in separations(wavering, motion):
-            if pair.true not in ranked or pair.rival not in ranked:
+            if pair.true not in ranked or pair.alternative not in ranked:
                 continue
-            true, rival = ranked[pair.true], ranked[pair.rival]
-            base = true.cases[0].model
-            shown = simulate(base, motion).output + added_output(true.added, base, motion)
-            seen = shown - added_output(rival.added, rival.cases[0].model, motion)
+            true, alternative = ranked[pair.true], ranked[pair.alternative]
+            base = true.trials[0].model
+            shown = simulate(base, motion).output + effects_output(true.effects, base, motion)
+            seen = shown - effects_output(alternative.effects, alternative.trials[0].model, motion)
             columns = {"time_s": motion.time_s, "depth_mm": motion.depth_mm, "velocity_mm_s": motion.velocity_mm_s}
             record = Record({**columns, "force_n": seen})
             noise, free = wavering.calibration.noise, wavering.calibration.free
-            left = fit_case(rival.cases[0].model, record, noise, free, modes=False, about=rival.cases[0].model)
-            q, _ = np.linalg.qr(left.block.sensitivities)
-            rest = left.block.residual - q @ (q.T @ left.block.residual)
+            left = calibrate_trial(
+                alternative.trials[0].model, record, noise, free, modes=False, about=alternative.trials[0].model
+            )
+            q, _ = np.linalg.qr(left.whitened.base_sensitivities)
+            rest = left.whitened.residual - q @ (q.T @ left.whitened.residual)
             fast.append(pair.expected)
             slow.append(float(rest @ rest))
-    # Own parameters of the rival move as well, and tissue may vary: what is promised is less, but in the same order.
+    # The other effect's parameters and the heterogeneity are free too: the prediction is smaller, but in this order.
     assert np.corrcoef(np.log1p(fast), np.log1p(slow))[0, 1] > 0.8
     assert np.median(np.array(fast) / np.array(slow)) < 1.2
 

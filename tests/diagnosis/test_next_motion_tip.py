@@ -1,4 +1,4 @@
-"""What is measured next of a tip's path that was only ever inserted one way."""
+"""The next motion for a tip's path, after insertions without rotation."""
 
 from __future__ import annotations
 

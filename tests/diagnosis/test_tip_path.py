@@ -5,13 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from needleplan.diagnosis import Library, Verdict, diagnose
-from needleplan.diagnosis.document import document_of
-from needleplan.diagnosis.noise import fit_axes
-from needleplan.diagnosis.tip_position import bent
+from needleplan.diagnosis import Library, Verdict, diagnose, document_of
+from needleplan.diagnosis.data import fit_axes
 from needleplan.errors import DataError
 from needleplan.models import ModelFile, SpatialBeam, SpatialBicycle, simulate
 from needleplan.models.effects import AugmentedModel, effect_named
+from needleplan.models.path import path_displacement
 from tests.diagnosis.tip_trials import BASE, NOISE_MM, motion, recordings
 
 NAMES = ("curvature_speed", "torsional_lag", "pre_bend", "misalignment", "tracker_bias", "entry_rupture")
@@ -45,10 +44,10 @@ def test_nothing_is_named_where_nothing_is_missing() -> None:
 def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, float], *, of_the_sensor: bool) -> None:
     found = diagnose(BASE, recordings({name: values}, seed=3), library=LIBRARY)
     assert (found.verdict, found.names) == (Verdict.NAMED, (name,))
-    size = found.effects[0].added.estimates["size"]
+    size = found.effects[0].estimates["size"]
     assert abs(size.value) == pytest.approx(values["size"], abs=5 * size.sd)
-    assert found.verified is not None
-    assert found.verified.shrink > 0.8
+    assert found.validation is not None
+    assert found.validation.shrink > 0.8
     model = found.model
     assert isinstance(model, AugmentedModel)
     assert (model.plant is model.base) == of_the_sensor
@@ -67,7 +66,7 @@ def test_modes_and_simulation_move_the_tip_alike(base: SpatialBicycle) -> None:
     states = plain.states
     direction = np.cos(states[9]) * states[6:9] + np.sin(states[9]) * np.cross(states[3:6], states[6:9], axis=0)
     bend = np.hypot(*base.bend_per_mm(path, states[9]))[:, None] / base.curvature_per_mm
-    linear = bent(states, path, more * bend, direction, getattr(base, "felt_mm", 0.0))[:, 0]
+    linear = path_displacement(states, path, more * bend, direction, getattr(base, "felt_mm", 0.0))[:, 0]
     aside = slice(len(path), None)  # along the path a beam that turns as a whole is left out
     np.testing.assert_allclose(linear[aside], moved.ravel()[aside], atol=0.02 * np.abs(moved).max())
 
@@ -78,7 +77,7 @@ def test_a_beam_is_a_base_too() -> None:
     data = recordings({"curvature_layer": {"size": 0.5, "depth_mm": 30.0}}, seed=3, base=beam)
     found = diagnose(beam, data, library=library)
     assert (found.verdict, found.names) == (Verdict.NAMED, ("curvature_layer",))
-    estimates = found.effects[0].added.estimates
+    estimates = found.effects[0].estimates
     assert estimates["size"].low < 0.5 < estimates["size"].high
     assert estimates["depth_mm"].value == pytest.approx(30.0, abs=0.2)
 

@@ -1,4 +1,4 @@
-"""Paths of a tip made with the models themselves and noise: enough to test stages; `tests/blind` judges the whole."""
+"""Paths of a tip simulated with the models and noise, to test single stages; `tests/blind` tests the whole."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings made with the models themselves and noise: enough to test stages; `tests/blind` judges the whole."""
+"""Recordings simulated with the models and noise, to test single stages; `tests/blind` tests the whole."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.diagnosis import Verdict
     from needleplan.models.effects import register_file
     from needleplan.reports.diagnosis import FILES, diagnose_files, write_folder
-    from needleplan.reports.diagnosis.scenario_file import remedy_lines, write_scenario
+    from needleplan.reports.diagnosis.corrected_plan import corrected_plan_lines, write_scenario
 
     for file in options.effects:
         register_file(file)
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
     if not options.json:
         print_first(options, lines)
         if scenario:
-            print("\n".join(remedy_lines(found, what)))
+            print("\n".join(corrected_plan_lines(found, what)))
     for each in written:
         note(f"wrote {each}")
     if options.json:
@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
 def _scenario(options: argparse.Namespace) -> Scenario | None:
     """Read the scenario to change, if any, before the long computation begins. Raises InputError."""
     from needleplan.models import ModelFile
-    from needleplan.reports.diagnosis.scenario_file import require_path
+    from needleplan.reports.diagnosis.corrected_plan import require_path
     from needleplan.scenario import Scenario
 
     if not options.scenario:
@@ -111,16 +111,16 @@ def _lines(found: Diagnosis) -> Iterator[str]:
     yield f"{decision.verdict}: {decision.because}"
     for each in found.effects:
         yield f"  {each.effect.title}: {each.effect.meaning}"
-        for name, value in each.added.estimates.items():
+        for name, value in each.estimates.items():
             yield f"    {name:<14} {value.value:.4g} {value.unit}  ({value.low:.4g} to {value.high:.4g})".rstrip()
-        yield f"    adds {each.rms:.3g} RMS in the training data, {each.share:.0%} of what was found"
+        yield f"    adds {each.rms:.3g} RMS in the training data, {each.share:.0%} of the total gain"
     if decision.axis:
-        yield f"  what is left lies along: {decision.axis}"
-    if found.effects and found.verified:
-        after = found.verified
+        yield f"  the unexplained gap depends on: {decision.axis}"
+    if found.effects and found.validation:
+        after = found.validation
         yield (
             f"  held out: {after.before_rms:.4g} -> {after.after_rms:.4g} RMS, noise {after.floor_rms:.4g}; "
-            f"{after.transfer:.2f} of what was promised"
+            f"{after.transfer:.2f} of the predicted gain"
         )
     for part in found.localisation.where()[:4]:
         yield f"  where: {part.axis}, {part.label}: {part.share:.0%} of the gap (p {part.p_value:.2g})"

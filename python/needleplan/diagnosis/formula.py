@@ -1,6 +1,7 @@
-"""A short formula for what no effect explains: products of a few terms, found one after the other (L0).
+"""Description of a gap that no effect explains: its curves, and a sparse formula found by greedy selection.
 
-It describes, and explains nothing: other formulas that do as well are named beside it.
+The formula is a sum of products of elementary terms. It describes the gap and states no cause; equivalent formulas are
+listed beside it.
 """
 
 from __future__ import annotations
@@ -11,22 +12,38 @@ from itertools import product
 
 import numpy as np
 
-from needleplan.diagnosis.calibrate import Case
-from needleplan.diagnosis.space import Space
-from needleplan.diagnosis.verdict import Gates
+from needleplan.diagnosis._verdict import DiagnosisDecision, Verdict
+from needleplan.diagnosis.alternatives import AlternativeModel
+from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
+from needleplan.diagnosis.channels import GapAxis
+from needleplan.diagnosis.gap import Curve, Curves, Localisation, curves_along, localise
+from needleplan.diagnosis.likelihood import Gates, JointLikelihood
+from needleplan.diagnosis.selection import Selection
+from needleplan.models import Channel
 from needleplan.signals import Array, Motion
 
-__all__ = ["Formula", "FormulaTerm", "Product", "find_formula", "grammar"]
+__all__ = [
+    "Formula",
+    "FormulaTerm",
+    "GapDescription",
+    "Product",
+    "describe_gap",
+    "describe_unexplained",
+    "find_formula",
+    "grammar",
+]
 
+# Most products in a formula.
 _MOST = 3
+# Shortest wavelength (mm).
 _SHORTEST_MM = 0.6
+# Number of wavelengths, and number per resolvable wavelength.
 _COARSE, _FINE = 28, 4
-"""Waves: how many, and how many for each that the depth can tell apart."""
 
 
 @dataclass(frozen=True)
 class _Along:
-    """What a formula depends on, along a motion; rows of one shape."""
+    """Variables of a formula along a motion, rows of one shape."""
 
     depth_mm: Array
     velocity_mm_s: Array
@@ -40,62 +57,65 @@ class _Along:
         return cls(*(np.asarray(row, float) for row in rows))
 
 
+_Term = tuple[str, Callable[[_Along], Array], int]
+
+
 @dataclass(frozen=True)
 class Product:
-    """A product of terms: an expression of Python in the names of `_Along`, and a function."""
+    """A product of terms, as a Python expression in the names of `_Along` and as a function."""
 
     text: str
     function: Callable[[_Along], Array]
     places: int
-    """How many numbers were looked for within it."""
+    """Number of parameters that were searched within the product."""
 
     def values(self, motion: Motion, force: Array) -> Array:
-        """Return it along a motion, shape (samples,); `force` is that of the model."""
+        """Return the product along a motion, shape (samples,); `force` is the output of the model."""
         return self.function(_Along.of(motion, force))
 
 
 @dataclass(frozen=True)
 class FormulaTerm:
-    """One product of a formula: what it is multiplied with (N, and what the product is in), and its balance."""
+    """One product of a formula with its factor (N over the product's unit) and its BIC gain."""
 
     text: str
-    size: float
-    balance: float
+    factor: float
+    bic_gain: float
 
 
 @dataclass(frozen=True)
 class Formula:
-    """A sum of products, what it gains (twice the log likelihood), and what becomes of it in another motion."""
+    """A sum of products with its likelihood gain and its transfer to the held-out trials."""
 
     products: tuple[Product, ...]
     factors: tuple[float, ...]
-    balances: tuple[float, ...]
-    """Of each product over those before it."""
+    bic_gains: tuple[float, ...]
+    """BIC gain of each product over those before it."""
 
-    gain: float
+    likelihood_gain: float
     share: float
-    """Of what the best smooth function gains."""
+    """Likelihood gain over that of the best smooth alternative, at most 1."""
 
     transfer: float | None
-    """Kept over promised on the held-out trials; None without any."""
+    """Achieved over predicted gain on the held-out trials; None without any."""
 
     alike: tuple[str, ...]
-    """First products that do nearly as well."""
+    """Expressions of first products that fit nearly as well."""
 
     @property
     def terms(self) -> tuple[FormulaTerm, ...]:
         """The products with their factors."""
-        rows = zip(self.products, self.factors, self.balances, strict=True)
-        return tuple(FormulaTerm(each.text, factor, balance) for each, factor, balance in rows)
+        rows = zip(self.products, self.factors, self.bic_gains, strict=True)
+        return tuple(FormulaTerm(each.text, factor, bic_gain) for each, factor, bic_gain in rows)
 
     @property
     def text(self) -> str:
-        """The formula, an expression of Python."""
+        """The formula as a Python expression."""
         pairs = zip(self.factors, self.products, strict=True)
         return " + ".join(f"{factor:.6g} * {each.text}" for factor, each in pairs)
 
     def values(self, motion: Motion, force: Array) -> Array:
-        """Return the formula along a motion, shape (samples,); `force` is that of the model."""
+        """Return the formula along a motion, shape (samples,); `force` is the output of the model."""
         parts = [factor * each.values(motion, force) for factor, each in zip(self.factors, self.products, strict=True)]
         return np.asarray(sum(parts), float)
 
@@ -108,10 +128,10 @@ def grammar(
     steps_mm: Sequence[float] = (),
     steps_s: Sequence[float] = (),
 ) -> tuple[Product, ...]:
-    """Return all products: a power of depth or time or the force, one of speed or a wave, with or without direction.
+    """Return all products of a power of depth or time or the force with a function of speed or a wave, or a step.
 
-    Waves are as close to each other as the depth can tell apart, where `fine_waves`, or else a few; `steps_mm` and
-    `steps_s` are places and times where something may begin.
+    Each product exists with and without the sign of the motion. With `fine_waves` the wavelengths are as close as the
+    depth range resolves. `steps_mm` and `steps_s` are places and times of steps.
     """
     one: _Term = ("1", lambda u: np.ones_like(u.depth_mm), 0)
     amounts: list[_Term] = [
@@ -135,63 +155,61 @@ def grammar(
 
 
 def find_formula(
-    space: Space,
-    cases: Sequence[Case],
-    held_out: Sequence[Case],
+    likelihood: JointLikelihood,
+    trials: Sequence[CalibratedTrial],
+    held_out: Sequence[CalibratedTrial],
     gates: Gates,
     smooth_gain: float,
     products: Sequence[Product],
 ) -> Formula | None:
-    """Return the formula that explains most, each product through the gate of an effect; None where none passes."""
-    columns = [case.whiten(_columns(products, case)) for case in cases]
-    prices = np.array([1 + each.places for each in products]) * float(np.log(space.samples))
-    needed = gates.balance_varied if space.level > gates.varied else gates.balance
+    """Return the formula of the most significant products; None if no product passes the gate of an effect."""
+    sensitivities = [trial.whiten(_product_values(products, trial)) for trial in trials]
+    bic_penalties = np.array([1 + each.places for each in products]) * float(np.log(likelihood.samples))
+    needed = gates.bic_gain_heterogeneous if likelihood.heterogeneity_sd > gates.heterogeneous_above else gates.bic_gain
     chosen: list[int] = []
     alike: tuple[str, ...] = ()
-    level = np.array([space.level])  # that of the base: what varies is not what is looked for
-    now, gain = Space(space.blocks, level), 0.0
-    kept: list[float] = []
+    heterogeneity_sd = np.array([likelihood.heterogeneity_sd])  # held at the base model's heterogeneity
+    now, likelihood_gain = JointLikelihood(likelihood.blocks, heterogeneity_sd), 0.0
+    product_gains: list[float] = []
     while len(chosen) < _MOST:
-        gains, _ = now.scores(columns).gains()
-        balances = gains - prices
-        best = int(balances.argmax())
-        if balances[best] < max(needed, gates.further * gain):
+        gains, _ = now.scores(sensitivities).gains()
+        bic_gains = gains - bic_penalties
+        best = int(bic_gains.argmax())
+        if bic_gains[best] < max(needed, gates.further * likelihood_gain):
             break
         if not chosen:
-            near = np.flatnonzero(balances > balances[best] - gates.lead)
-            alike = tuple(products[each].text for each in near[np.argsort(-balances[near])] if each != best)
-        gain += float(gains[best])
+            near = np.flatnonzero(bic_gains > bic_gains[best] - gates.lead)
+            alike = tuple(products[each].text for each in near[np.argsort(-bic_gains[near])] if each != best)
+        likelihood_gain += float(gains[best])
         chosen.append(best)
-        kept.append(float(balances[best]))
-        now = Space([
-            replace(block, shared=np.column_stack([block.shared, each[:, chosen]]))
-            for block, each in zip(space.blocks, columns, strict=True)
-        ], level)  # fmt: skip
+        product_gains.append(float(bic_gains[best]))
+        now = JointLikelihood([
+            replace(whitened, shared=np.column_stack([whitened.shared, each[:, chosen]]))
+            for whitened, each in zip(likelihood.blocks, sensitivities, strict=True)
+        ], heterogeneity_sd)  # fmt: skip
     if not chosen:
         return None
-    matrix, target = space.normal([each[:, chosen] for each in columns], space.best)
+    matrix, target = likelihood.normal([each[:, chosen] for each in sensitivities], likelihood.best)
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
     factors = np.linalg.solve(matrix / np.outer(scale, scale), target / scale) / scale
     taken = tuple(products[each] for each in chosen)
-    share = min(gain / max(smooth_gain, 1e-12), 1.0)
-    found = Formula(taken, tuple(map(float, factors)), tuple(kept), gain, share, None, alike)
+    share = min(likelihood_gain / max(smooth_gain, 1e-12), 1.0)
+    found = Formula(taken, tuple(map(float, factors)), tuple(product_gains), likelihood_gain, share, None, alike)
     return replace(found, transfer=_transfer(found, held_out))
 
 
-def _transfer(found: Formula, held_out: Sequence[Case]) -> float | None:
+def _transfer(found: Formula, held_out: Sequence[CalibratedTrial]) -> float | None:
+    """Return achieved over predicted gain on the held-out trials."""
     if not held_out:
         return None
-    space = Space([case.block for case in held_out])
-    scores = space.scores([case.whiten(found.values(case.motion, case.output)[:, None]) for case in held_out])
-    slope, curvature = float(scores.slope[space.best, 0]), float(scores.curvature[space.best, 0])
+    likelihood = JointLikelihood([trial.whitened for trial in held_out])
+    scores = likelihood.scores([trial.whiten(found.values(trial.motion, trial.output)[:, None]) for trial in held_out])
+    slope, curvature = float(scores.slope[likelihood.best, 0]), float(scores.curvature[likelihood.best, 0])
     return (2 * slope - curvature) / curvature if curvature > 0 else None
 
 
-def _columns(products: Sequence[Product], case: Case) -> Array:
-    return np.column_stack([each.values(case.motion, case.output) for each in products])
-
-
-_Term = tuple[str, Callable[[_Along], Array], int]
+def _product_values(products: Sequence[Product], trial: CalibratedTrial) -> Array:
+    return np.column_stack([each.values(trial.motion, trial.output) for each in products])
 
 
 def _slow(speed: float) -> _Term:
@@ -217,3 +235,88 @@ def _product(parts: Sequence[_Term]) -> Product:
         return found
 
     return Product(text, function, sum(part[2] for part in parts))
+
+
+@dataclass(frozen=True)
+class GapDescription:
+    """A gap along its axis, as curves and as a formula if one passes the gates."""
+
+    axis: GapAxis
+    curves: Curves
+    sparse: Formula | None
+    rms: float
+    """RMS of the formula, or else of the curves, in the training data (N)."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of the axis."""
+        return self.curves.unit
+
+    @property
+    def main(self) -> Curve:
+        """The most significant curve."""
+        return max(self.curves.curves, key=lambda each: float((np.abs(each.mean / each.sd) * each.inside).max()))
+
+    @property
+    def places(self) -> tuple[float, ...]:
+        """Visited nodes of the main curve."""
+        return tuple(map(float, self.main.places[self.main.inside]))
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """Mean of the main curve at these nodes (N)."""
+        return tuple(map(float, self.main.mean[self.main.inside]))
+
+    @property
+    def sds(self) -> tuple[float, ...]:
+        """Standard deviation of the main curve at these nodes (N)."""
+        return tuple(map(float, self.main.sd[self.main.inside]))
+
+    @property
+    def formula(self) -> tuple[FormulaTerm, ...]:
+        """The products of the formula; empty without a formula."""
+        return self.sparse.terms if self.sparse else ()
+
+
+def describe_gap(
+    likelihood: JointLikelihood,
+    trials: Sequence[CalibratedTrial],
+    held_out: Sequence[CalibratedTrial],
+    alternative: AlternativeModel,
+    place: Localisation,
+    gates: Gates,
+) -> GapDescription:
+    """Describe the gap that the base model of `likelihood` leaves along the axis of the best alternative.
+
+    `held_out` are trials that validate the formula, with the same base model; empty if it was not calibrated there.
+    """
+    products = grammar(
+        max(5.0, *(float(trial.motion.depth_mm.max()) for trial in trials)),
+        max(float(np.abs(trial.motion.velocity_mm_s).max()) for trial in trials),
+        fine_waves=alternative.axis is GapAxis.PERIOD,
+        steps_mm=[each.place for each in place.changes if each.axis is GapAxis.DEPTH],
+        steps_s=[each.place for each in place.changes if each.axis is GapAxis.TIME],
+    )
+    formula = find_formula(likelihood, trials, held_out, gates, alternative.likelihood_gain, products)
+    curves = curves_along(alternative.axis, likelihood, trials)
+    if formula is not None:
+        rows = np.concatenate([formula.values(trial.motion, trial.output) for trial in trials])
+    else:
+        rows = np.concatenate([each.mean[each.inside] for each in curves.curves])
+    return GapDescription(alternative.axis, curves, formula, float(np.sqrt(np.mean(rows**2))) or 1.0)
+
+
+def describe_unexplained(
+    decision: DiagnosisDecision, selection: Selection, calibration: Calibration, place: Localisation, gates: Gates
+) -> GapDescription | None:
+    """Return the description of a gap that no effect explains; None if the verdict states no such gap."""
+    if calibration.given.channel is not Channel.FORCE:  # formulas describe forces only
+        return None
+    if decision.verdict is Verdict.UNKNOWN:
+        alternative = selection.rounds[0].alternatives[0]
+        return describe_gap(selection.base, calibration.training, calibration.held_out, alternative, place, gates)
+    if decision.verdict is Verdict.INCOMPLETE and selection.joint:
+        alternative, joint = selection.rounds[-1].alternatives[0], selection.joint
+        place = localise(joint.likelihood, joint.trials)
+        return describe_gap(joint.likelihood, joint.trials, (), alternative, place, gates)
+    return None

@@ -1,4 +1,4 @@
-"""An insertion as a figure: the path that was planned and the one that was taken, how far they are apart, the force."""
+"""Figure of an insertion: planned and executed path, deviation, and axial force."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ _FLAT = 2.2
 def insertion_figure(
     table: PolicyTable, report: InsertionReport, true_tip_mm: tuple[float, float, float] | None = None
 ) -> Figure:
-    """Return the figure; `table` is the first one of the run, `true_tip_mm` where the tip ended, if somebody knows."""
+    """Return the figure of an insertion.
+
+    `table` is the policy table at the start of the run; `true_tip_mm` is the true final position of the tip, if known.
+    """
     import matplotlib as mpl
     from matplotlib.figure import Figure
 

@@ -17,8 +17,7 @@ from needleplan.diagnosis.next_motion import next_motion
 from needleplan.models import Channel, Estimate, SpatialBicycle
 from needleplan.models.effects import effects_of
 from needleplan.planning import PolicyTable, plan
-from needleplan.reports.diagnosis.motion_file import motion_text
-from needleplan.reports.diagnosis.remedy import Remedy, along_mm, remedy
+from needleplan.reports.diagnosis import CorrectedPlan, along_mm, corrected_plan, motion_text
 from needleplan.scenario import Scenario
 from needleplan.signals import Record
 from needleplan.simulation import Experiment, Plant, SimulatedEntry
@@ -79,8 +78,8 @@ def once_around(hidden: Hidden, scenario: Scenario, seeds: Sequence[int]) -> Rou
     """Plan, insert, diagnose, plan again and insert again; the first of the seeds is that of the recordings too."""
     found, motions = diagnosed(hidden, scenario, seeds[0])
     last = found[-1]
-    wrong = remedy(_base(scenario), scenario, velocity_mm_s=VELOCITY_MM_S)
-    right = remedy(
+    wrong = corrected_plan(_base(scenario), scenario, velocity_mm_s=VELOCITY_MM_S)
+    right = corrected_plan(
         last.model, scenario, velocity_mm_s=VELOCITY_MM_S, stiffness_n_mm2=SHAFT.torsional_stiffness_n_mm2,
         shaft_mm=SHAFT.length_mm, places=along_mm(last.checked.training),
     )  # fmt: skip
@@ -90,7 +89,7 @@ def once_around(hidden: Hidden, scenario: Scenario, seeds: Sequence[int]) -> Rou
         tuple(seeds),
         tuple(each.verdict for each in found),
         motions,
-        tuple(Named(each.added.name, dict(each.added.estimates)) for each in effects),
+        tuple(Named(each.name, dict(each.estimates)) for each in effects),
         *(
             tuple(_inserted(lab, known, scenario, seed) for seed in seeds)
             for lab, known in ((hidden, wrong), (hidden, right), (NOTHING, wrong))
@@ -130,7 +129,7 @@ def _library(scenario: Scenario) -> Library:
     return Library(effects_of(Channel.TIP), _base(scenario))
 
 
-def _inserted(hidden: Hidden, known: Remedy, scenario: Scenario, seed: int) -> Inserted:
+def _inserted(hidden: Hidden, known: CorrectedPlan, scenario: Scenario, seed: int) -> Inserted:
     table = _planned(known.scenario)
     start = table.best_entry().pose
     entry = SimulatedEntry(start.x_mm, start.y_mm, start.heading_rad - known.heading_rad)

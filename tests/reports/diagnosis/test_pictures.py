@@ -25,11 +25,11 @@ from tests.diagnosis import tip_trials, trials
 def test_every_figure_holds_all_its_texts(base: Model, records: list[Record], monkeypatch: pytest.MonkeyPatch) -> None:
     figures: list[Figure] = []
 
-    def kept(figure: Figure) -> str:
+    def achieved(figure: Figure) -> str:
         figures.append(figure)
         return "<svg/>"
 
-    monkeypatch.setattr(pictures, "_svg", kept)
+    monkeypatch.setattr(pictures, "_svg", achieved)
     library = Library(effects_of(base.channel), base)
     report_of(diagnose(base, records, library=library), ModelFile(base, {}, ()), library, None)
     assert len(figures) > 5

@@ -123,7 +123,7 @@ def test_it_says_what_the_document_says(folder: Path, page: Page) -> None:
     assert document["digest"] in text
     for each in document["effects"]:
         size = each["parameters"]["size"]
-        assert f"Size {size['value']:.3g} {size['unit']} (95 %: {size['low']:.3g} to {size['high']:.3g})" in text
+        assert f"Amplitude {size['value']:.3g} {size['unit']} (95 %: {size['low']:.3g} to {size['high']:.3g})" in text
     assert all(each["effect"] in text for each in document["smallest"])
     assert all(f"{each['trial']} (" in text for each in document["trials"])
     for name in ("model.toml", "next_motion.toml", "effect_to_name.py"):

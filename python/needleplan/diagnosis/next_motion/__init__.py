@@ -1,28 +1,34 @@
-"""What to measure next: one more motion, chosen for what the diagnosis could not say.
+"""The motion to measure next: one more trial, chosen for the question that the diagnosis left open.
 
-| verdict | the motion that |
+| verdict | the motion |
 |---|---|
-| ambiguous | tells the effects apart that are left (`separate`) |
-| unknown, incomplete | shows most of the gap along its axis (`explore`) |
-| underpowered | lets the smallest effects be seen (`reveal`) |
+| ambiguous | separates the effects that explain the data alike (`Separating`) |
+| unknown, incomplete | shows most of the gap along its axis (`Exploring`) |
+| underpowered | lowers the detection limits most (`Revealing`) |
 """
 
-from needleplan.diagnosis.next_motion.explore import Exploring
-from needleplan.diagnosis.next_motion.proposal import NextMotion
-from needleplan.diagnosis.next_motion.propose import limits_of, next_motion, separations
-from needleplan.diagnosis.next_motion.reveal import Revealed, Revealing
-from needleplan.diagnosis.next_motion.separate import NOTHING, Separating, Separation, Synonyms
+from needleplan.diagnosis.next_motion._choice import limits_of, next_motion, separations
+from needleplan.diagnosis.next_motion._explore import Exploring
+from needleplan.diagnosis.next_motion._programs import Dwell, Insert, Limits, NextMotion, Program, Rotate, programs
+from needleplan.diagnosis.next_motion._reveal import Revealed, Revealing
+from needleplan.diagnosis.next_motion._separate import NOTHING, Separating, Separation, Synonyms
 
 __all__ = [
     "NOTHING",
+    "Dwell",
     "Exploring",
+    "Insert",
+    "Limits",
     "NextMotion",
+    "Program",
     "Revealed",
     "Revealing",
+    "Rotate",
     "Separating",
     "Separation",
     "Synonyms",
     "limits_of",
     "next_motion",
+    "programs",
     "separations",
 ]

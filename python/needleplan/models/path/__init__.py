@@ -5,10 +5,12 @@
 | `Bicycle`, `arc_step` | the path in a plane as a model, and one exact arc of it |
 | `TipFrame` | position and orientation of the tip in space; takes exact arcs |
 | `SteeredModel`, `SpatialBicycle` | the path in space as a model: the abstract family, and its plain member |
+| `path_displacement` | displacement of a path in space by a small additional curvature |
 | `Torsion`, `dragged` | how far the tip lags behind the base when the needle is rotated |
 """
 
 from needleplan.models.path._bicycle import Bicycle, arc_step
+from needleplan.models.path._displacement import bevel_direction, fixed_direction, path_displacement
 from needleplan.models.path._frame import TipFrame, Vector, axes_of, quaternion_of, quaternions_along
 from needleplan.models.path._steered import SpatialBicycle, SteeredModel
 from needleplan.models.path._torsion import Torsion, dragged
@@ -22,7 +24,10 @@ __all__ = [
     "Vector",
     "arc_step",
     "axes_of",
+    "bevel_direction",
     "dragged",
+    "fixed_direction",
+    "path_displacement",
     "quaternion_of",
     "quaternions_along",
 ]

@@ -1,5 +1,18 @@
-"""A diagnosis on files: model and data in, a folder with the diagnosis out."""
+"""A diagnosis as files: model and data in, a folder with the diagnosis out."""
 
+from needleplan.reports.diagnosis.corrected_plan import CorrectedPlan, along_mm, corrected_plan
+from needleplan.reports.diagnosis.effect_file import effect_file_text
 from needleplan.reports.diagnosis.folder import FILES, diagnose_files, write_folder
+from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
 
-__all__ = ["FILES", "diagnose_files", "write_folder"]
+__all__ = [
+    "FILES",
+    "CorrectedPlan",
+    "along_mm",
+    "corrected_plan",
+    "diagnose_files",
+    "effect_file_text",
+    "motion_text",
+    "next_motion_document",
+    "write_folder",
+]

@@ -1,4 +1,4 @@
-"""What `needleplan diagnose` reads and writes."""
+"""Input and output files of `needleplan diagnose`."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from needleplan.artifacts import write_whole
-from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
-from needleplan.diagnosis.document import document_of
+from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose, document_of
 from needleplan.diagnosis.next_motion import next_motion
 from needleplan.errors import Mistake, OutputError
 from needleplan.models import ModelFile, Parent
 from needleplan.models.effects import effects_of
 from needleplan.recording import read_records
+from needleplan.reports.diagnosis.effect_file import effect_file_text
 from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
 from needleplan.reports.diagnosis.report import report_of
 
@@ -27,7 +27,10 @@ FILES = ("diagnosis.json", "report.html", "model.toml", "next_motion.toml", "eff
 def diagnose_files(
     model: str, data: Sequence[str], *, accept_units: bool = False, seed: int = 0
 ) -> tuple[Diagnosis, ModelFile, Library]:
-    """Diagnose a model file with data files; the library keeps what a report needs. Raises ModelError and DataError."""
+    """Diagnose a model file with data files. Returns the diagnosis, the model file and the library.
+
+    Raises ModelError and DataError.
+    """
     file = ModelFile.read(model)
     records = read_records(list(data), accept_units=accept_units)
     library = Library(effects_of(file.model.channel), file.model)
@@ -37,10 +40,11 @@ def diagnose_files(
 def write_folder(
     found: Diagnosis, file: ModelFile, library: Library, folder: str, *, merge_anyway: bool = False
 ) -> tuple[str, ...]:
-    """Write `diagnosis.json` and `report.html`, and return what was written.
+    """Write a diagnosis into a folder and return the paths of all files.
 
-    Besides `model.toml`, where an effect was named or `merge_anyway`, and `next_motion.toml`, where effects are left
-    between which another trial would decide, and `effect_to_name.py`, where a gap has no name. Raises OutputError.
+    Always writes `diagnosis.json` and `report.html`. Writes `model.toml` if effects were named or `merge_anyway` is
+    set, `next_motion.toml` if a further motion is proposed, and `effect_to_name.py` for an unexplained gap. Raises
+    OutputError.
     """
     place = Path(folder)
     try:
@@ -64,5 +68,5 @@ def write_folder(
         ModelFile(model, found.estimates(), parents, (*file.remarks, remark), file.title).write(written[-1])
     if found.described:
         written.append(place / "effect_to_name.py")
-        write_whole(written[-1], found.described.effect_file().encode())
+        write_whole(written[-1], effect_file_text(found.described).encode())
     return tuple(map(str, written))

@@ -1,4 +1,4 @@
-"""Pieces of a page that holds all it shows: no script, no request, one heading of the first order."""
+"""Elements of a self-contained HTML page: no script, no request, one heading of first order."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ a { color: #00527f; }
 
 
 def page(title: str, body: Iterable[str]) -> str:
-    """Return a whole page; `title` is also its first heading."""
+    """Return a page; `title` is also its first heading."""
     return "\n".join([
         "<!DOCTYPE html>",
         '<html lang="en">',
         "<head>",
         '<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        # Nothing is fetched, whatever a name from a data file holds.
+        # Forbids requests, whatever text a data file contains.
         "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; "
         "style-src 'unsafe-inline'\">",
         f"<title>{escape(title)}</title>",
@@ -55,13 +55,13 @@ def page(title: str, body: Iterable[str]) -> str:
     ])  # fmt: skip
 
 
-def heading(text: str, level: int = 2) -> str:
-    """Return a heading of the second or a further order."""
-    return f"<h{level}>{escape(text)}</h{level}>"
+def heading(text: str, heterogeneity_sd: int = 2) -> str:
+    """Return a heading of second or lower order."""
+    return f"<h{heterogeneity_sd}>{escape(text)}</h{heterogeneity_sd}>"
 
 
 def paragraph(text: str, kind: str = "") -> str:
-    """Return a paragraph; `kind` is a class of the style."""
+    """Return a paragraph; `kind` is its CSS class."""
     return f'<p class="{escape(kind)}">{escape(text)}</p>' if kind else f"<p>{escape(text)}</p>"
 
 
@@ -71,7 +71,7 @@ def items(texts: Iterable[str]) -> str:
 
 
 def table(caption: str, columns: Sequence[str], rows: Iterable[Sequence[str | float | int | None]]) -> str:
-    """Return a table; the first cell of a row is its heading, numbers are set to the right, None is a dash."""
+    """Return a table. The first cell of a row is its heading, numbers are aligned right, None is a dash."""
     lines = ['<div class="scroll"><table>', f"<caption>{escape(caption)}</caption>", "<thead><tr>"]
     lines += [f'<th scope="col">{escape(each)}</th>' for each in columns]
     lines.append("</tr></thead><tbody>")
@@ -81,7 +81,7 @@ def table(caption: str, columns: Sequence[str], rows: Iterable[Sequence[str | fl
 
 
 def picture(svg: str, alternative: str, caption: str = "") -> str:
-    """Return a figure; `alternative` says in words what it shows."""
+    """Return a figure; `alternative` describes it in words."""
     data = base64.b64encode(svg.encode()).decode("ascii")
     below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
     return f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{escape(alternative)}">{below}</figure>'

@@ -1,31 +1,39 @@
-"""The next motion as an experiment file: `needleplan simulate` runs it, and a robot can follow its moves."""
+"""The next motion as an experiment file, which `needleplan simulate` runs, and as an entry of `diagnosis.json`."""
 
 from __future__ import annotations
 
 from textwrap import wrap
 
 from needleplan.config import toml_text
-from needleplan.diagnosis.next_motion import Exploring, NextMotion, Revealing, Separating, Separation
-from needleplan.diagnosis.program import Dwell, Insert, Rotate
+from needleplan.diagnosis.next_motion import (
+    Dwell,
+    Exploring,
+    Insert,
+    NextMotion,
+    Revealing,
+    Rotate,
+    Separating,
+    Separation,
+)
 from needleplan.models import Model
 from needleplan.simulation import Experiment
 
 __all__ = ["motion_text", "next_motion_document"]
 
 _HEAD = """\
-The next motion to be measured: {about}.
+The next motion to measure: {about}.
 {why}
 
 In the lab twin:   needleplan simulate next_motion.toml -o next.csv
-On the robot:      each [[move]] is one call of Stage.insert or Stage.rotate, and the next one begins when the stage
-                   rests (docs/reference/diagnosis.md); begin with the tip at entry.depth_mm below the surface.
+On the robot:      each [[move]] is one call of Stage.insert or Stage.rotate; start the next one when the stage rests
+                   (docs/reference/diagnosis.md). Start with the tip at entry.depth_mm below the surface.
 Give the trial the role {role}, and diagnose again with all recordings.
 """
 _WIDTH = 117
 
 
 def motion_text(next_: NextMotion, model: Model) -> str:
-    """Return the text of an experiment file with the moves of a motion, in the tissue as far as `model` knows it."""
+    """Return the experiment file of a motion, in the tissue as `model` describes it."""
     program, limits = next_.program, next_.program.limits
     document = {
         "schema": "needleplan.experiment/1",
@@ -44,12 +52,12 @@ def motion_text(next_: NextMotion, model: Model) -> str:
     }
     why = "\n".join(wrap(next_.why, _WIDTH))
     text = toml_text(document, _HEAD.format(about=program.about, why=why, role=next_.role))
-    Experiment.from_toml(text, "next_motion.toml")  # what is offered can be run
+    Experiment.from_toml(text, "next_motion.toml")  # raises if the file is invalid
     return text
 
 
 def next_motion_document(next_: NextMotion) -> dict[str, object]:
-    """Return what diagnosis.json says of it."""
+    """Return the entry of a motion in `diagnosis.json`."""
     found: dict[str, object] = {
         "name": next_.program.name,
         "about": next_.program.about,
@@ -97,7 +105,7 @@ def _separating(next_: Separating) -> dict[str, object]:
 
 def _pair(each: Separation) -> dict[str, object]:
     return {
-        "true": each.true, "rival": each.rival, "lead": each.lead, "expected": each.expected,
+        "true": each.true, "rival": each.alternative, "lead": each.lead, "expected": each.expected,
         "thresholds": each.thresholds, "resolves": each.resolves,
     }  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""The figures of a diagnosis report, as SVG: they need no font, no file and no request beside themselves."""
+"""Figures of a diagnosis report as SVG without external fonts or files."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.diagnosis import Diagnosis
-from needleplan.diagnosis.isolability import Isolability
-from needleplan.diagnosis.unknown import Described
+from needleplan.diagnosis import Diagnosis, GapDescription, Isolability
 from needleplan.plotting.canvas import BLACK, BLUE, GREY, ORANGE, VERMILLION
-from needleplan.reports.diagnosis.traces import Trace, correlation, gap_map
+from needleplan.reports.diagnosis.traces import TrialTrace, correlation, gap_map
 from needleplan.signals import Motion
 
 if TYPE_CHECKING:
@@ -36,8 +34,8 @@ _LAGS = 40
 _MOST = 12
 
 
-def trial_figure(trace: Trace, unit: str, axes_names: Sequence[str]) -> str:
-    """Return one trial: depth, measured against model, and what is left."""
+def trial_figure(trace: TrialTrace, unit: str, axes_names: Sequence[str]) -> str:
+    """Return one trial: measured and modelled output, residual, and depth."""
     rows = len(trace.measured)
     figure, panels = _sheet(2 * rows + 1, 1, (7.4, 1.4 + 2.8 * rows), _Margins(top=0.3, between=0.12), sharex=True)
     time = trace.motion.time_s
@@ -58,7 +56,7 @@ def trial_figure(trace: Trace, unit: str, axes_names: Sequence[str]) -> str:
         ax.plot(time, measured - before, color=VERMILLION, lw=0.7)
         if after is not None:
             ax.plot(time, measured - after, color=BLUE, lw=0.6)
-        ax.set_ylabel(f"left of {name}")
+        ax.set_ylabel(f"residual {name}")
         ax.grid(alpha=0.25)
     panels[0].legend(ncols=3, fontsize=8, loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0.2, frameon=False)
     panels[-1].plot(time, trace.motion.depth_mm, color=BLACK, lw=0.9)
@@ -68,8 +66,8 @@ def trial_figure(trace: Trace, unit: str, axes_names: Sequence[str]) -> str:
     return _svg(figure)
 
 
-def gap_figure(found: Diagnosis, traces: Sequence[Trace], unit: str) -> str:
-    """Return bars of what is left, RMS, before and after, beside the noise."""
+def gap_figure(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> str:
+    """Return bars of the residual RMS before and after, with the noise."""
     groups = [(name, [each for each in traces if each.held_out is out]) for name, out in
               (("training", False), ("held out", True))]  # fmt: skip
     groups = [(name, part) for name, part in groups if part]
@@ -87,13 +85,13 @@ def gap_figure(found: Diagnosis, traces: Sequence[Trace], unit: str) -> str:
     ax.axvline(noise, color=BLACK, lw=1, ls=":")
     ax.text(noise, -0.42, f" noise {noise:.3g} {unit}", fontsize=8, va="bottom")
     ax.set_yticks(range(len(groups)), [name for name, _ in groups])
-    ax.set(xlabel=f"what the model leaves, RMS ({unit})", ylim=(len(groups) - 0.5, -0.75))
+    ax.set(xlabel=f"residual RMS ({unit})", ylim=(len(groups) - 0.5, -0.75))
     ax.set_xlim(0, 1.35 * ax.get_xlim()[1])
     return _svg(figure)
 
 
-def map_figure(traces: Sequence[Trace]) -> str:
-    """Return the whitened residual over the depth, and where its energy lies, by depth and phase; before and after."""
+def map_figure(traces: Sequence[TrialTrace]) -> str:
+    """Return the whitened residual over depth, and its energy by depth and phase, before and after."""
     from matplotlib.colors import LogNorm
 
     both = traces[0].left_after is not None
@@ -125,7 +123,7 @@ def map_figure(traces: Sequence[Trace]) -> str:
     return _svg(figure)
 
 
-def _residual_panel(ax: Axes, traces: Sequence[Trace], *, after: bool) -> None:
+def _residual_panel(ax: Axes, traces: Sequence[TrialTrace], *, after: bool) -> None:
     for each in traces:
         left = each.left_after if after else each.left_before
         if left is not None:
@@ -133,35 +131,35 @@ def _residual_panel(ax: Axes, traces: Sequence[Trace], *, after: bool) -> None:
                     rasterized=True)  # fmt: skip
     ax.axhspan(-2.576, 2.576, color=GREY, alpha=0.3, lw=0)
     ax.set_title("model after" if after else "model before", loc="left", fontsize=9)
-    ax.set_ylabel("left, in\nnoise sd")
+    ax.set_ylabel("residual\n(noise sd)")
     ax.grid(alpha=0.25)
 
 
 def candidates_figure(found: Diagnosis) -> str:
-    """Return the balances of all effects and of the competitors without a name in the first round."""
-    step = found.selection.steps[0]
-    fitted = {each.name: each.balance for each in step.ranked}
-    rows = [(each.effect.name, fitted.get(each.effect.name, each.balance), True) for each in step.screened]
-    rows += [(each.name, each.balance, False) for each in step.rivals]
+    """Return the BIC gains of all effects and nonparametric alternatives in the first round."""
+    step = found.selection.rounds[0]
+    fitted = {each.newest.name: each.newest.bic_gain for each in step.ranked}
+    rows = [(each.effect.name, fitted.get(each.effect.name, each.bic_gain), True) for each in step.screened]
+    rows += [(each.name, each.bic_gain, False) for each in step.alternatives]
     rows = sorted(rows, key=lambda each: -each[1])[: 2 * _MOST]
     floor = -10.0
     longest = max(len(name) + 2 * (not named) for name, _, named in rows)
     figure, (ax,) = _sheet(1, 1, (7.4, 0.8 + 0.19 * len(rows)), _Margins(left=0.2 + 0.06 * longest, top=0.1))
-    for place, (_, balance, named) in enumerate(rows):
-        ax.barh(place, max(balance, floor), 0.7, color=BLUE if named else ORANGE, hatch="" if named else "//",
+    for place, (_, bic_gain, named) in enumerate(rows):
+        ax.barh(place, max(bic_gain, floor), 0.7, color=BLUE if named else ORANGE, hatch="" if named else "//",
                 edgecolor="white")  # fmt: skip
-    ax.axvline(found.gates.balance, color=BLACK, lw=1, ls=":")
-    ax.text(found.gates.balance, len(rows) - 0.3, f" threshold {found.gates.balance:g}", fontsize=8, va="bottom")
+    ax.axvline(found.gates.bic_gain, color=BLACK, lw=1, ls=":")
+    ax.text(found.gates.bic_gain, len(rows) - 0.3, f" threshold {found.gates.bic_gain:g}", fontsize=8, va="bottom")
     ax.set_yticks(range(len(rows)), [name if named else f"({name})" for name, _, named in rows], fontsize=7.5)
     ax.set_xscale("symlog", linthresh=20)
     ax.xaxis.set_major_formatter(_plain)
     ax.set_xlim(left=1.4 * floor)
-    ax.set(ylim=(len(rows) - 0.3, -0.6), xlabel="balance: gain in likelihood less its price")
+    ax.set(ylim=(len(rows) - 0.3, -0.6), xlabel="BIC gain")
     ax.grid(axis="x", alpha=0.25)
     return _svg(figure)
 
 
-def correlation_figure(traces: Sequence[Trace]) -> str:
+def correlation_figure(traces: Sequence[TrialTrace]) -> str:
     """Return the autocorrelation of the whitened residual with the 99 % band of white noise."""
     both = traces[0].left_after is not None
     figure, panels = _sheet(1, 1 + both, (7.4 if both else 4.2, 2.2), _Margins(top=0.25, between=0.2), sharey=True)
@@ -177,7 +175,7 @@ def correlation_figure(traces: Sequence[Trace]) -> str:
 
 
 def isolability_figure(matrix: Isolability) -> str:
-    """Return which effect imitates which."""
+    """Return the matrix of effects that imitate each other."""
     names, count = matrix.effects, len(matrix.effects)
     words = 0.058 * max(map(len, names))
     margins = _Margins(left=0.4 + words, bottom=0.45 + 0.87 * words)
@@ -205,18 +203,18 @@ def motion_figure(motion: Motion) -> str:
     return _svg(figure)
 
 
-def course_figure(described: Described, unit: str) -> str:
-    """Return the course of a gap without a name, with two standard deviations."""
+def course_figure(described: GapDescription, unit: str) -> str:
+    """Return the curves of an unexplained gap with two standard deviations."""
     figure, (ax,) = _sheet(1, 1, (7.4, 2.4))
     for curve, colour in zip(described.curves.curves, (BLUE, ORANGE, VERMILLION, GREY), strict=False):
-        # Outside of what the data visited nothing is drawn.
+        # Curves are drawn within the visited range only.
         mean, sd = (np.where(curve.inside, each, np.nan) for each in (curve.mean, curve.sd))
         ax.fill_between(curve.places, mean - 2 * sd, mean + 2 * sd, color=colour, alpha=0.25, lw=0)
         ax.plot(curve.places, mean, color=colour, label=str(curve.way))
     if len(described.curves.curves) > 1:
         ax.legend(fontsize=8)
     ax.axhline(0, color=BLACK, lw=0.6)
-    ax.set(xlabel=f"{described.axis} ({described.unit})", ylabel=f"what is missing ({unit})")
+    ax.set(xlabel=f"{described.axis} ({described.unit})", ylabel=f"missing ({unit})")
     ax.grid(alpha=0.25)
     return _svg(figure)
 
@@ -227,7 +225,7 @@ def _rms(rows: Sequence[Any]) -> float:
 
 @dataclass(frozen=True)
 class _Margins:
-    """About the panels, and between them, in inches: to measure every text of a sheet takes as long as to draw it."""
+    """Margins around and between panels in inches; automatic layout would take as long as the drawing."""
 
     left: float = 0.75
     right: float = 0.1
@@ -267,14 +265,14 @@ def _sheet(
 
 
 def _aligned(panels: Sequence[Axes]) -> None:
-    """Set the names of the axes one below the other."""
+    """Align the axis labels of panels vertically."""
     for ax in panels:
         figure = ax.figure
         ax.yaxis.set_label_coords(-0.55 / (ax.get_position().width * float(figure.bbox.width) / figure.dpi), 0.5)
 
 
 def _plain(value: float, _: float | None = None) -> str:
-    """Return a number for a tick: those of powers go through a typesetter of formulas that takes its time."""
+    """Return a tick label without mathtext, which is slow."""
     return f"{value:g}".replace("-", "\N{MINUS SIGN}")
 
 

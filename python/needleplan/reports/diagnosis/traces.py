@@ -1,4 +1,4 @@
-"""What a report shows of every trial: what was measured, what the model says before and after, what is left."""
+"""Measured and modelled output of every trial, for figures."""
 
 from __future__ import annotations
 
@@ -8,21 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.diagnosis import Diagnosis
-from needleplan.diagnosis.calibrate import Case
-from needleplan.diagnosis.localise import Phase, phases
-from needleplan.diagnosis.refit import cases_with
+from needleplan.diagnosis import CalibratedTrial, Diagnosis, MotionPhase, motion_phases, recalibrated_trials
 from needleplan.signals import Array, Motion
 
-__all__ = ["Trace", "correlation", "gap_map", "traces_of"]
+__all__ = ["TrialTrace", "correlation", "gap_map", "traces_of"]
 
 _DEPTHS = 10
 _FEWEST = 5
 
 
 @dataclass(frozen=True)
-class Trace:
-    """One trial: rows of shape (axes, samples), and whitened residuals with the samples that they are of."""
+class TrialTrace:
+    """One trial: outputs of shape (axes, samples), and whitened residuals with their sample indices."""
 
     trial: str
     held_out: bool
@@ -30,38 +27,38 @@ class Trace:
     measured: Array
     before: Array
     after: Array | None
-    """With what was named; None where nothing was."""
+    """Output with the named effects; None without any."""
 
     left_before: Array
     left_after: Array | None
     sample: NDArray[np.intp]
 
 
-def traces_of(found: Diagnosis) -> tuple[Trace, ...]:
-    """Return the training trials, then those held out."""
+def traces_of(found: Diagnosis) -> tuple[TrialTrace, ...]:
+    """Return the training trials, then the held-out ones."""
     calibration = found.calibration
-    joint = found.joint if found.effects or found.lacks_data else None  # what was turned down mends nothing
-    training = joint.cases if joint else None
-    held_out = cases_with(joint.added, calibration, calibration.held_out) if joint else None
+    joint = found.joint if found.effects or found.lacks_data else None  # rejected effects are not shown
+    training = joint.trials if joint else None
+    held_out = recalibrated_trials(joint.effects, calibration, calibration.held_out) if joint else None
     return (
         *_traces(calibration.training, training, held_out=False),
         *_traces(calibration.held_out, held_out, held_out=True),
     )
 
 
-def gap_map(traces: Sequence[Trace], *, after: bool) -> tuple[tuple[Phase, ...], Array, Array]:
-    """Return phases, edges of depth, and the mean square of the whitened residual, shape (phases, depths).
+def gap_map(traces: Sequence[TrialTrace], *, after: bool) -> tuple[tuple[MotionPhase, ...], Array, Array]:
+    """Return phases, depth edges, and the mean square of the whitened residual, shape (phases, depths).
 
-    1 is noise alone; NaN where the needle hardly was. Phases that no trial has are left out.
+    1 is noise alone; NaN marks bins with few samples. Phases that do not occur are omitted.
     """
     deepest = max(float(each.motion.depth_mm.max()) for each in traces)
     edges = np.linspace(min(0.0, *(float(each.motion.depth_mm.min()) for each in traces)), deepest, _DEPTHS + 1)
-    order = list(Phase)
+    order = list(MotionPhase)
     total, count = np.zeros((len(order), _DEPTHS)), np.zeros((len(order), _DEPTHS))
     for each in traces:
         left = each.left_after if after and each.left_after is not None else each.left_before
         depth = np.clip(np.searchsorted(edges, each.motion.depth_mm[each.sample], side="right") - 1, 0, _DEPTHS - 1)
-        phase = np.array([order.index(name) for name in phases(each.motion)[each.sample].tolist()])
+        phase = np.array([order.index(name) for name in motion_phases(each.motion)[each.sample].tolist()])
         np.add.at(total, (phase, depth), left**2)
         np.add.at(count, (phase, depth), 1)
     visited = np.flatnonzero((count >= _FEWEST).any(axis=1))
@@ -69,7 +66,7 @@ def gap_map(traces: Sequence[Trace], *, after: bool) -> tuple[tuple[Phase, ...],
     return tuple(order[index] for index in visited), edges, energy[visited]
 
 
-def correlation(traces: Sequence[Trace], lags: int, *, after: bool) -> tuple[Array, float]:
+def correlation(traces: Sequence[TrialTrace], lags: int, *, after: bool) -> tuple[Array, float]:
     """Return the autocorrelation of the whitened residual at lags 1 to `lags`, and the 99 % bound of white noise."""
     rows = [each.left_after if after and each.left_after is not None else each.left_before for each in traces]
     products = np.array([sum(float(row[lag:] @ row[:-lag]) for row in rows) for lag in range(1, lags + 1)])
@@ -77,18 +74,20 @@ def correlation(traces: Sequence[Trace], lags: int, *, after: bool) -> tuple[Arr
     return products / max(sum(float(row @ row) for row in rows), 1e-12), 2.576 / float(np.sqrt(samples))
 
 
-def _traces(before: Sequence[Case], after: Sequence[Case] | None, *, held_out: bool) -> list[Trace]:
+def _traces(
+    before: Sequence[CalibratedTrial], after: Sequence[CalibratedTrial] | None, *, held_out: bool
+) -> list[TrialTrace]:
     found = []
     for index, case in enumerate(before):
         other = after[index] if after else None
         samples = len(case.motion)
         count = int(case.rows.sum())
         found.append(
-            Trace(
+            TrialTrace(
                 case.record.trial, held_out, case.motion, case.measured.reshape(-1, samples),
                 case.predicted.reshape(-1, samples), other.predicted.reshape(-1, samples) if other else None,
-                case.block.residual[:count],
-                other.block.residual[:count] if other else None, case.samples(),
+                case.whitened.residual[:count],
+                other.whitened.residual[:count] if other else None, case.samples(),
             )
         )  # fmt: skip
     return found

@@ -1,0 +1,87 @@
+"""Isolability: which effects the given motions can separate.
+
+Sensitivities are compared with the base model projected out, weighted for noise and heterogeneity. With a the
+sensitivity of one effect and b those of another one at all of its grid points,
+
+    imitated = max over b of (a'b)^2 / (a'a b'b)
+
+at the grid point of the first effect with the median energy. At 1, no number of such trials separates the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
+from needleplan.diagnosis.catalogue import Library
+from needleplan.signals import Array
+
+__all__ = ["Isolability", "isolability"]
+
+# Squared correlation from which two effects count as hard to separate.
+_ALIKE_SHARE = 0.8
+# Share of a sensitivity's energy below which the base model has absorbed it.
+_INVISIBLE = 1e-6
+
+
+@dataclass(frozen=True)
+class Isolability:
+    """`imitated[i, j]`: share, 0 to 1, of effect i that effect j imitates; NaN if effect i is invisible."""
+
+    effects: tuple[str, ...]
+    imitated: Array
+
+    def alike(self, share: float = _ALIKE_SHARE) -> tuple[tuple[str, str, float], ...]:
+        """Return pairs (effect, imitator, share) with at least this share, the largest first."""
+        found = [
+            (self.effects[i], self.effects[j], float(self.imitated[i, j]))
+            for i in range(len(self.effects))
+            for j in range(len(self.effects))
+            if i != j and self.imitated[i, j] >= share
+        ]
+        return tuple(sorted(found, key=lambda each: -each[2]))
+
+
+def isolability(calibration: Calibration, library: Library, heterogeneity_sd: float) -> Isolability:
+    """Return the isolability matrix of the training trials at a heterogeneity standard deviation."""
+    trials = calibration.training
+    entries = library.entries([trial.motion for trial in trials])
+    parts, raw = [], np.zeros(entries[-1].last)
+    for trial in trials:
+        whitened = trial.whiten(library.sensitivities(calibration.model, trial.motion, entries))
+        raw += (whitened**2).sum(axis=0)
+        parts.append(_projected(trial, whitened, heterogeneity_sd))
+    left = np.vstack(parts)
+    energy = (left**2).sum(axis=0)
+    seen = energy > _INVISIBLE * raw
+    unit = left / np.sqrt(np.where(seen, energy, 1.0))
+    imitated = np.full((len(entries), len(entries)), np.nan)
+    visible = [np.arange(each.first, each.last)[seen[each.first : each.last]] for each in entries]
+    shown = [i for i, places in enumerate(visible) if places.size]
+    middles = [int(visible[i][np.argsort(energy[visible[i]], kind="stable")[visible[i].size // 2]]) for i in shown]
+    likeness = np.where(seen, (unit[:, middles].T @ unit) ** 2, 0.0)
+    for i, alike in zip(shown, likeness, strict=True):
+        for j, other in enumerate(entries):
+            imitated[i, j] = 1.0 if i == j else _best(alike, other.first, other.last)
+    return Isolability(tuple(each.effect.name for each in entries), imitated)
+
+
+def _best(likeness: Array, first: int, last: int) -> float:
+    return float(np.clip(likeness[first:last].max(), 0.0, 1.0))
+
+
+def _projected(trial: CalibratedTrial, sensitivities: Array, heterogeneity_sd: float) -> Array:
+    """Return whitened sensitivities, weighted for heterogeneity, with the base model projected out."""
+    weighed = _weighed(trial, (trial.whitened.base_sensitivities, sensitivities), heterogeneity_sd)
+    basis = np.linalg.qr(weighed[0])[0]
+    return np.asarray(weighed[1] - basis @ (basis.T @ weighed[1]), float)
+
+
+def _weighed(trial: CalibratedTrial, many: Sequence[Array], heterogeneity_sd: float) -> list[Array]:
+    whitened = trial.whitened
+    # Factor (1 + h^2 variance)^(-1/2) along each orthonormal mode.
+    share = 1 - 1 / np.sqrt(1 + heterogeneity_sd**2 * whitened.variances)
+    return [each - whitened.modes @ (share[:, None] * (whitened.modes.T @ each)) for each in many]

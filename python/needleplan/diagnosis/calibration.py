@@ -1,0 +1,375 @@
+"""Calibration: before an effect is called missing, all parameters of the base model are fitted to each trial.
+
+Each trial is linearised at its own best parameters. The sensor lag is calibrated too: low-pass filters of some
+milliseconds are usual, so a lag is a nuisance with a prior, and only a far longer one is an effect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleplan.diagnosis.channels import channel_description
+from needleplan.diagnosis.data import CheckedData, Lack, SensorNoise, measured_output
+from needleplan.diagnosis.likelihood import WhitenedTrial
+from needleplan.models import Model, Scale, recurrence, simulate
+from needleplan.signals import Array, Motion, Record
+
+__all__ = [
+    "LAG",
+    "UNUSUAL_LAG_FACTOR",
+    "CalibratedTrial",
+    "Calibration",
+    "calibrate",
+    "calibrate_trial",
+    "calibration_remarks",
+    "check_needle",
+    "lag_taps",
+    "lagged",
+    "mean_model",
+    "unusual_lag_s",
+]
+
+# Multiple of the usual sensor lag up to which a lag is no effect.
+UNUSUAL_LAG_FACTOR = 2.0
+# Name of the sensor lag among the parameters to hold.
+LAG = "lag_s"
+# Largest ratio of measured to predicted RMS, either way, for recordings of the model's needle.
+_OTHER_NEEDLE_RATIO = 5.0
+# Most Levenberg-Marquardt steps of a calibration.
+_MAX_STEPS = 10
+# Most damping values tried in one step.
+_DAMPING_TRIES = 5
+# Longest step of a parameter's coordinate.
+_LONGEST_STEP = 0.7
+# Step of a coordinate for numerical sensitivities.
+_COORDINATE_STEP = 1e-3
+# Drop of the cost below which the calibration ends.
+_LEAST_DROP = 0.02
+# Range (s) of the sensor lag.
+_EARLIEST_S, _LONGEST_LAG_S = -0.001, 0.2
+# Decay of the lag filter over one sample below which two taps of history suffice.
+_FORGOTTEN = 0.05
+# Logarithm of the tap weight at which the lag filter is truncated.
+_ROUNDING = math.log(1e-14)
+# Prior standard deviation of a coordinate about its value in the given model: about a factor of two.
+_PRIOR_SD = 0.7
+
+
+def unusual_lag_s(calibration: Calibration) -> float:
+    """Return the median calibrated lag (s) if it exceeds the usual lag of sensors, else 0."""
+    usual_lag_s = channel_description(calibration.given.channel).usual_lag_s
+    found = float(np.median([trial.lag_s for trial in calibration.training]))
+    return found if usual_lag_s > 0 and found > UNUSUAL_LAG_FACTOR * usual_lag_s else 0.0
+
+
+@dataclass(frozen=True)
+class CalibratedTrial:
+    """A trial with the base model calibrated to it, measured and predicted output, and both whitened."""
+
+    record: Record
+    motion: Motion
+    measured: Array
+    model: Model
+    lag_s: float
+    output: Array
+    """Output of the calibrated base model with fixed effects."""
+
+    predicted: Array
+    """The output as the sensor shows it, with its lag."""
+
+    whitened: WhitenedTrial
+    rows: Array
+    """Whether each whitened sample is valid, shape (axes * (samples - order),)."""
+
+    noise: SensorNoise
+    lag_sensitivity: Array
+    """Whitened change of the reading by one second of lag; zero in the rows of priors."""
+
+    def whiten(self, values: Array) -> Array:
+        """Return whitened changes of the output as the sensor shows them, shape (n, ...); zero for the priors."""
+        taps = lag_taps(self.motion, self.lag_s)
+        read = values if taps is not None else lagged(values, self.motion, self.lag_s)
+        count = int(self.rows.sum())
+        found = np.empty((self.whitened.samples, *values.shape[1:]))
+        if count == len(self.rows):
+            self.noise.whiten_into(found[:count], read, taps)
+        else:
+            found[:count] = self.noise.whiten(read, taps)[self.rows]
+        found[count:] = 0.0
+        return found
+
+    def samples(self) -> NDArray[np.intp]:
+        """Return the sample index of each valid whitened row, axis after axis."""
+        each = len(self.motion) - self.noise.order
+        return np.asarray(np.flatnonzero(self.rows) % each + self.noise.order)
+
+    def on_each_axis(self, values: Array) -> Array:
+        """Return functions (samples, m) separately on each axis, shape (axes * samples, axes * m)."""
+        return np.asarray(np.kron(np.eye(len(self.measured) // len(self.motion)), values), float)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The sensor noise, and the base model calibrated to each trial."""
+
+    noise: SensorNoise
+    training: tuple[CalibratedTrial, ...]
+    held_out: tuple[CalibratedTrial, ...]
+    free: tuple[str, ...]
+    model: Model
+    """Base model with the mean parameters of the training trials."""
+
+    given: Model
+
+
+def check_needle(checked: CheckedData, model: Model) -> CheckedData:
+    """Add a lack if the readings are far larger or smaller than the model predicts.
+
+    Calibration would compensate the difference, and the diagnosis would compare two needles.
+    """
+    given = np.concatenate([simulate(model, each.motion()).output.ravel() for each in checked.training])
+    measured = np.concatenate([measured_output(each, model.channel) for each in checked.training])
+    ratio = float(np.sqrt(np.nanmean(measured**2)) / max(float(np.sqrt(np.mean(given**2))), 1e-12))
+    if 1 / _OTHER_NEEDLE_RATIO < ratio < _OTHER_NEEDLE_RATIO:
+        return checked
+    why = (
+        f"the readings are {ratio:.2g} times as large as the model predicts (RMS): another needle or tissue, or a "
+        "wrong unit? Identify the base from recordings of this needle first"
+    )
+    return replace(checked, lacks={**checked.lacks, Lack.NEEDLE: why})
+
+
+def calibrate(
+    model: Model, training: Sequence[Record], held_out: Sequence[Record], noise: SensorNoise, *, modes: bool = True
+) -> Calibration:
+    """Calibrate all free parameters of `model` to each trial separately."""
+    free = tuple(name for name, what in model.parameters().items() if what.free)
+    trials = [calibrate_trial(model, record, noise, free, modes=modes) for record in training]
+    base = mean_model([trial.model for trial in trials], free)
+    others = [calibrate_trial(base, record, noise, free, modes=modes, about=model) for record in held_out]
+    return Calibration(noise, tuple(trials), tuple(others), free, base, model)
+
+
+def mean_model(models: Sequence[Model], free: Sequence[str]) -> Model:
+    """Return the model with the mean coordinate of each free parameter."""
+    first = models[0]
+    what = first.parameters()
+    return first.with_values(**{
+        name: what[name].value(float(np.mean([what[name].coordinate(getattr(each, name)) for each in models])))
+        for name in free
+    })  # fmt: skip
+
+
+def calibrate_trial(
+    model: Model,
+    record: Record,
+    noise: SensorNoise,
+    free: Sequence[str],
+    *,
+    modes: bool = True,
+    whole: Callable[[Model], Model] = lambda base: base,
+    start_lag_s: float = 0.004,
+    about: Model | None = None,
+    hold: Collection[str] = (),
+) -> CalibratedTrial:
+    """Calibrate `model` to one trial (Levenberg-Marquardt on whitened residuals) and linearise it there.
+
+    `whole` adds fixed effects to the base model. The prior of the parameters is centred at `about`, by default `model`.
+    Parameters in `hold` keep their value in `model`; `LAG` keeps its start. If the last step is too short to matter,
+    the sensitivities are those before it.
+    """
+    description = channel_description(model.channel)
+    usual_lag_s = max(description.usual_lag_s, 1e-9)
+    motion = record.motion()
+    measured = measured_output(record, model.channel)
+    rows = np.isfinite(noise.whiten(measured))
+    what = model.parameters()
+    coordinates = np.array([what[name].coordinate(getattr(model, name)) for name in free])
+    low = np.array([
+        what[name].coordinate(max(what[name].lower, 1e-300) if what[name].scale is Scale.LOG else what[name].lower)
+        for name in free
+    ])  # fmt: skip
+    high = np.array([what[name].coordinate(what[name].upper) for name in free])
+    given = about or model
+    centre = np.append([what[name].coordinate(getattr(given, name)) for name in free], 0.0)
+    prior_sd = np.array([description.priors.get(name, _PRIOR_SD) for name in free] + [usual_lag_s])
+
+    def model_at(u: Array) -> Model:
+        return model.with_values(**{
+            name: min(max(what[name].value(each), what[name].lower), what[name].upper)
+            for name, each in zip(free, u.tolist(), strict=True)
+        })  # fmt: skip
+
+    def output(u: Array) -> Array:
+        return simulate(whole(model_at(u)), motion).output.ravel()
+
+    def whitened_residual(plain: Array, its_lag: float) -> Array:
+        return noise.whiten(measured - lagged(plain, motion, its_lag))[rows]
+
+    def prior_deviation(u: Array, its_lag: float) -> Array:
+        return np.asarray((np.append(u, its_lag) - centre) / prior_sd)
+
+    def cost(plain: Array, u: Array, its_lag: float) -> float:
+        each, known = whitened_residual(plain, its_lag), prior_deviation(u, its_lag)
+        return float(each @ each) + float(known @ known)
+
+    lag = start_lag_s if description.usual_lag_s else 0.0
+    plain = output(coordinates)
+    least = cost(plain, coordinates, lag)
+    moving = np.array(
+        [name not in (*hold, *description.linear_parameters) for name in free]
+        + [description.usual_lag_s > 0 and LAG not in hold]
+    )
+
+    def at(wanted: NDArray[np.bool_]) -> Array:
+        return _sensitivities(output, coordinates, plain, motion, lag, noise, rows, wanted)
+
+    damping = 1e-4
+    for _ in range(_MAX_STEPS):
+        sensitivities = at(moving)
+        normal = sensitivities.T @ sensitivities + np.diag(prior_sd**-2)
+        target = np.where(
+            moving, sensitivities.T @ whitened_residual(plain, lag) - prior_deviation(coordinates, lag) / prior_sd, 0.0
+        )
+        normal = np.where(np.outer(moving, moving), normal, np.diag(np.diag(normal)))
+        expected_drop, found = 0.0, False
+        for _ in range(_DAMPING_TRIES):
+            move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), target)
+            move *= min(1.0, _LONGEST_STEP / max(float(np.abs(move[:-1]).max(initial=0.0)), 1e-12))
+            expected_drop = float(move @ target)
+            trial = np.clip(coordinates + move[:-1], low, high)
+            its_lag = float(np.clip(lag + move[-1], _EARLIEST_S, _LONGEST_LAG_S))
+            there = output(trial)
+            its_cost = cost(there, trial, its_lag)
+            if its_cost < least:
+                found = least - its_cost > _LEAST_DROP
+                coordinates, lag, plain, least = trial, its_lag, there, its_cost
+                damping = max(damping / 10, 1e-6)
+                break
+            if expected_drop < _LEAST_DROP:
+                break
+            damping = max(damping * 20, 1e-2)
+        if not found or expected_drop < _LEAST_DROP:
+            break
+    else:
+        sensitivities = at(moving)
+    if not moving.all():
+        sensitivities += at(~moving)
+    predicted, residual = lagged(plain, motion, lag), whitened_residual(plain, lag)
+    best = model_at(coordinates)
+    vectors, variances = (
+        _whitened_modes(description.modes(best, motion), motion, lag, noise, rows)
+        if modes
+        else (np.zeros((len(residual), 0)), np.zeros(0))
+    )
+    jitter = noise.whiten(description.turn_errors(predicted, motion))[rows]
+    # Priors of parameters, lag and timing errors enter as additional measurements.
+    q, k = sensitivities.shape[1], jitter.shape[1]
+    more = q + k
+    sensitivities = np.block(
+        [[sensitivities, jitter], [np.diag(1 / prior_sd), np.zeros((q, k))], [np.zeros((k, q)), np.eye(k)]]
+    )
+    lag_sensitivity = np.concatenate([sensitivities[: len(residual), q - 1], np.zeros(more)])
+    whitened = WhitenedTrial(
+        np.concatenate([residual, -prior_deviation(coordinates, lag), np.zeros(k)]),
+        sensitivities / np.maximum(np.linalg.norm(sensitivities, axis=0), 1e-12),
+        np.zeros((len(residual) + more, 0)),
+        np.vstack([vectors, np.zeros((more, vectors.shape[1]))]),
+        variances,
+        description.usual_heterogeneity_sd,
+        description.independent_samples(motion),
+    )
+    return CalibratedTrial(
+        record, motion, measured, best, lag, plain, predicted, whitened, rows, noise, lag_sensitivity
+    )
+
+
+def lagged(force: Array, motion: Motion, lag_s: float) -> Array:
+    """Return an output as a sensor with a first-order lag shows it, shape (samples, ...) or (axes * samples, ...)."""
+    if len(force) > len(motion):
+        axes = np.moveaxis(force.reshape(-1, len(motion), *force.shape[1:]), 0, -1)
+        return np.moveaxis(lagged(axes, motion, lag_s), -1, 0).reshape(force.shape)
+    h = motion.interval_s.reshape((-1,) + (1,) * (force.ndim - 1))
+    rise = np.diff(force, axis=0) / h
+    found: Array = np.array(force, float)
+    if lag_s <= 0:  # a lead, the continuous extension of a small lag
+        found[1:] -= lag_s * rise
+        return found
+    decay = np.exp(-h / lag_s)
+    behind = -lag_s * rise * (1 - decay)
+    if float(decay.max()) >= _FORGOTTEN:
+        return force + recurrence(decay.ravel(), behind, np.zeros(force.shape[1:]))
+    found[1:] += behind
+    found[2:] += decay[1:] * behind[:-1]
+    return found
+
+
+def lag_taps(motion: Motion, lag_s: float) -> Array | None:
+    """Return the lag as a filter on present and past samples; None if the sampling is uneven."""
+    h = motion.interval_s
+    step = float(np.median(h))
+    if lag_s == 0:
+        return np.ones(1)
+    decay = math.exp(-step / lag_s) if lag_s > 0 else 0.0
+    if float(np.abs(h - step).max()) > 1e-3 * step:
+        return None
+    count = 3 if decay <= _FORGOTTEN else math.ceil(_ROUNDING / math.log(decay))
+    rise = lag_s / step * (1 - decay) * decay ** np.arange(count)
+    taps: Array = np.append(-rise, 0.0) + np.append(0.0, rise)
+    taps[0] += 1
+    return taps
+
+
+def _sensitivities(
+    output: Callable[[Array], Array], coordinates: Array, plain: Array, motion: Motion, lag: float, noise: SensorNoise,
+    rows: Array, wanted: NDArray[np.bool_],
+) -> Array:  # fmt: skip
+    """Return the whitened derivative of the reading by each coordinate and by the lag; zero if not wanted."""
+    chosen = np.flatnonzero(wanted)
+    raw = np.empty((len(plain), chosen.size))
+    count = int((chosen < coordinates.size).sum())
+    for column, index in enumerate(chosen[:count]):
+        moved = coordinates.copy()
+        moved[index] += _COORDINATE_STEP
+        raw[:, column] = output(moved) - plain
+    if count:
+        raw[:, :count] = lagged(raw[:, :count] / _COORDINATE_STEP, motion, lag)
+    if count < chosen.size:
+        step = 1e-4
+        raw[:, count] = (lagged(plain, motion, lag + step) - lagged(plain, motion, lag)) / step
+    whitened = noise.whiten(raw)
+    found: Array = np.zeros((int(rows.sum()), wanted.size))
+    found[:, chosen] = whitened if rows.all() else whitened[rows]
+    return found
+
+
+def _whitened_modes(raw: Array, motion: Motion, lag: float, noise: SensorNoise, rows: Array) -> tuple[Array, Array]:
+    """Return the whitened modes of the heterogeneity, orthonormalised, and their variances."""
+    whitened = noise.whiten(lagged(raw, motion, lag))
+    if not rows.all():
+        whitened = whitened[rows]
+    gram = whitened.T @ whitened
+    values, vectors = np.linalg.eigh(gram)
+    keep = values > 1e-6 * values[-1]
+    return whitened @ (vectors[:, keep] / np.sqrt(values[keep])), values[keep]
+
+
+def calibration_remarks(model: Model, calibration: Calibration) -> list[str]:
+    """Return remarks on the calibrated base model: parameters at a bound or far from the model file, long lags."""
+    found = []
+    for name in calibration.free:
+        what, given, now = model.parameters()[name], getattr(model, name), getattr(calibration.model, name)
+        if now in (what.lower, what.upper) or (given * now > 0 and not 0.2 < now / given < 5):
+            found.append(
+                f"{name} is {now:.3g} {what.unit} in these recordings, and {given:.3g} in the model: another needle or "
+                "tissue, or wrong units?"
+            )
+    lags = [trial.lag_s for trial in calibration.training]
+    if max(lags) > 0.03:
+        found.append(f"the readings lag by {max(lags) * 1e3:.0f} ms: are the clocks of sensor and robot synchronised?")
+    return found

@@ -1,0 +1,386 @@
+"""Input of a diagnosis: checked recordings, and the noise of the sensor as an autoregression.
+
+    y[k] = sum_j weights[j] y[k - 1 - j] + sd e[k],        e white with variance 1
+
+The order minimises the BIC of the noise record. A sensor's filter and quantisation are no autoregression, but an
+autoregression of some order approximates them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import lru_cache
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+
+from needleplan.errors import DataError, Mistake
+from needleplan.models import Channel, Model
+from needleplan.signals import UNITS, Array, Record, Role
+
+__all__ = [
+    "CheckedData",
+    "Lack",
+    "MultiAxisNoise",
+    "SensorNoise",
+    "check_data",
+    "combine_axes",
+    "fit_axes",
+    "fit_noise",
+    "measured_output",
+    "scatter",
+    "sensor_noise",
+    "with_measured",
+]
+
+# Least number of values in a trial, all axes together.
+_FEWEST_VALUES = 200
+# Least total duration (s) of noise records.
+_NOISE_RECORD_S = 5.0
+# Largest relative difference between the sampling intervals of recordings.
+_RATE_TOLERANCE = 0.03
+# RMS depth difference (mm) below which two trials have the same motion.
+_SAME_MOTION_MM = 0.5
+# Longest sampling interval, in units of the median.
+_GAP_FACTOR = 5.0
+# Least maximum depth (mm) of a trial.
+_SHALLOWEST_MM = 3.0
+# Largest movement (mm) in a noise record.
+_REST_TOLERANCE_MM = 1.0
+# Largest ratio between the scatter of noise record and trials, either way.
+_NOISE_RATIO = 5.0
+# Relative deviation from the median from which a sampling interval is uneven.
+_INTERVAL_TOLERANCE = 0.5
+# Largest share of uneven sampling intervals.
+_UNEVEN_SHARE = 0.1
+# Highest order of an autoregression of one axis.
+_HIGHEST_ORDER = 12
+# Highest order of an autoregression that several axes share.
+_HIGHEST_SHARED_ORDER = 24
+# Samples filtered at once: a larger block multiplies more zeros, a smaller one has smaller products.
+_FILTER_BLOCK = 16
+
+
+class Lack(StrEnum):
+    """Data whose absence prevents a name."""
+
+    NOISE = "noise record"
+    HELD_OUT = "held-out trial"
+    OTHER_MOTION = "held-out trial of another motion"
+    TRIALS = "second training trial"
+    NEEDLE = "recording of the needle of the model"
+
+
+@dataclass(frozen=True)
+class CheckedData:
+    """Recordings by role, missing data with their consequence, and remarks."""
+
+    training: tuple[Record, ...]
+    held_out: tuple[Record, ...]
+    noise: tuple[Record, ...]
+    lacks: dict[Lack, str]
+    remarks: tuple[str, ...]
+
+
+def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
+    """Sort recordings by role and list missing data.
+
+    Raises DataError with all mistakes if a diagnosis is impossible: no training trial, a missing column, too few
+    samples, uneven sampling, different sampling rates, or a constant channel.
+    """
+    roles = {role: tuple(each for each in recordings if each.role is role) for role in Role}
+    training, held_out, noise = roles[Role.TRAIN], roles[Role.HOLDOUT], roles[Role.NOISE]
+    mistakes: list[Mistake] = []
+    if not training:
+        mistakes.append(Mistake("role", "", "no trial has the role train: there is nothing to diagnose"))
+    for each in (*training, *held_out):
+        mistakes += _trial_mistakes(each, channel)
+    for each in noise:
+        mistakes += _noise_mistakes(each, channel)
+    if mistakes:
+        raise DataError(mistakes, "diagnose")
+    rates = {each.trial: _interval_s(each) for each in recordings}
+    first = rates[training[0].trial]
+    mistakes += [
+        Mistake(
+            f"time_s of {name}", f"every {rate:.4g} s", f"must be sampled as {training[0].trial}, every {first:.4g} s"
+        )
+        for name, rate in rates.items()
+        if abs(rate / first - 1) > _RATE_TOLERANCE
+    ]
+    if mistakes:
+        raise DataError(mistakes, "diagnose")
+    lacks: dict[Lack, str] = {}
+    long_enough = sum(float(np.ptp(each["time_s"])) for each in noise) >= _NOISE_RECORD_S
+    other = _foreign_noise(training, noise, channel) if long_enough else ""
+    if other:
+        lacks[Lack.NOISE] = other
+    if not long_enough:
+        lacks[Lack.NOISE] = (
+            f"no noise record of at least {_NOISE_RECORD_S:g} s (role noise: the sensor at rest): the noise is "
+            "estimated from the trials, and an error of that estimate cannot be distinguished from a gap"
+        )
+    if not held_out:
+        lacks[Lack.HELD_OUT] = "no held-out trial (role holdout): no effect can be validated"
+    elif not any(_is_other_motion(each, training) for each in held_out):
+        lacks[Lack.OTHER_MOTION] = (
+            "the held-out trials repeat a training motion: they cannot validate an effect in another motion"
+        )
+    if len(training) < 2:
+        lacks[Lack.TRIALS] = "one training trial: heterogeneity cannot be distinguished from a missing effect"
+    remarks = [f"{each.trial}: {note}" for each in recordings for note in each.notes]
+    return CheckedData(training, held_out, noise if long_enough and not other else (), lacks, tuple(remarks))
+
+
+def _trial_mistakes(record: Record, channel: Channel) -> list[Mistake]:
+    """Return the mistakes of a training or held-out trial."""
+    missing = [name for name in ("depth_mm", *channel.columns) if name not in record.columns]
+    if missing:
+        return [Mistake(f"{name} ({record.trial})", "", "is missing, but needed for this model") for name in missing]
+    mistakes = []
+    for name in channel.columns:
+        good = np.isfinite(record[name])
+        fewest = -(-_FEWEST_VALUES // len(channel.columns))
+        if good.sum() < fewest:
+            rule = f"too short: at least {fewest} samples of {name} are needed"
+            mistakes.append(Mistake(record.trial, f"{int(good.sum())} samples", rule))
+        elif np.ptp(record[name][good]) == 0:
+            rule = "is constant: the reading of a working sensor varies"
+            mistakes.append(Mistake(f"{name} ({record.trial})", "", rule))
+    if np.ptp(record["depth_mm"]) == 0:
+        mistakes.append(Mistake(f"depth_mm ({record.trial})", "", "is constant: the needle does not move"))
+    elif (deepest := float(record["depth_mm"].max())) < _SHALLOWEST_MM:
+        rule = f"must reach {_SHALLOWEST_MM:g} mm: the tip is not in the tissue. Depth counts inwards from its surface"
+        mistakes.append(Mistake(f"depth_mm ({record.trial})", f"{deepest:.3g} mm at most", rule))
+    steps = np.diff(record["time_s"])
+    if steps.size and steps.max() > _GAP_FACTOR * np.median(steps):
+        rule = f"has a gap of {steps.max():.3g} s between samples every {np.median(steps):.3g} s; cut the trial there"
+        mistakes.append(Mistake(f"time_s ({record.trial})", "", rule))
+    elif (
+        steps.size
+        and (uneven := float(np.mean(np.abs(steps / np.median(steps) - 1) > _INTERVAL_TOLERANCE))) > _UNEVEN_SHARE
+    ):
+        usual = f"from {np.median(steps):.3g} s"
+        rule = (
+            f"is sampled unevenly: {uneven:.0%} of the intervals differ by more than {_INTERVAL_TOLERANCE:.0%} "
+            f"{usual}, and noise from sample to sample says nothing then. Record, or interpolate, at one rate"
+        )
+        mistakes.append(Mistake(f"time_s ({record.trial})", "", rule))
+    return mistakes
+
+
+def _noise_mistakes(record: Record, channel: Channel) -> list[Mistake]:
+    """Return the mistakes of a noise record."""
+    mistakes = []
+    for name in channel.columns:
+        if name not in record.columns:
+            mistakes.append(Mistake(f"{name} ({record.trial})", "", "is missing from the noise record"))
+        elif not np.isfinite(record[name]).all() or np.ptp(record[name]) == 0:
+            rule = f"a noise record must have a number in {UNITS[name]} in every row, and they must not all be equal"
+            mistakes.append(Mistake(f"{name} ({record.trial})", "", rule))
+    moved = float(np.ptp(record["depth_mm"])) if "depth_mm" in record.columns else 0.0
+    if moved > _REST_TOLERANCE_MM:
+        rule = f"moves by {moved:.3g} mm, and a noise record is of a needle at rest in the air"
+        mistakes.append(Mistake(f"depth_mm ({record.trial})", "", rule))
+    return mistakes
+
+
+def _foreign_noise(training: Sequence[Record], noise: Sequence[Record], channel: Channel) -> str:
+    """Return why a noise record is from another sensor than the trials; empty if it is not."""
+    for name in channel.columns:
+        quiet, busy = (float(np.median([scatter(each[name]) for each in part])) for part in (noise, training))
+        if quiet > 0 and busy > 0 and not 1 / _NOISE_RATIO < busy / quiet < _NOISE_RATIO:
+            unit = UNITS[name]
+            return (
+                f"the noise record is not of this sensor as it was in the trials: from sample to sample {name} "
+                f"scatters by {quiet:.2g} {unit} in it, by {busy:.2g} {unit} in them; the noise is that of the trials"
+            )
+    return ""
+
+
+def scatter(values: Array) -> float:
+    """Return the standard deviation from sample to sample; second differences remove the motion."""
+    return float(np.nanmedian(np.abs(np.diff(values, n=2))) / 0.6745 / np.sqrt(6))
+
+
+def _interval_s(record: Record) -> float:
+    return float(np.median(np.diff(record["time_s"])))
+
+
+def _is_other_motion(record: Record, training: Sequence[Record]) -> bool:
+    """Return whether a trial's motion differs from every training motion."""
+    for each in training:
+        time = record["time_s"] - record["time_s"][0]
+        other = np.interp(time, each["time_s"] - each["time_s"][0], each["depth_mm"])
+        if float(np.sqrt(np.mean((record["depth_mm"] - other) ** 2))) < _SAME_MOTION_MM:
+            return False
+    return True
+
+
+def sensor_noise(model: Model, checked: CheckedData) -> SensorNoise:
+    """Return the sensor noise from the noise record, or else from the scatter of the training trials."""
+    if checked.noise:
+        return fit_axes([[each[name] for each in checked.noise] for name in model.channel.columns])
+    # Without a noise record, the noise is the scatter from sample to sample; second differences remove the motion.
+    found = []
+    for name in model.channel.columns:
+        sd = float(np.median([scatter(each[name]) for each in checked.training])) or 1e-9
+        found.append(SensorNoise(np.zeros(0), sd, sd))
+    return combine_axes(found)
+
+
+def measured_output(record: Record, channel: Channel) -> Array:
+    """Return the measured values of a channel, the axes one after the other, shape (axes * samples,)."""
+    return np.concatenate([record[name] for name in channel.columns])
+
+
+def with_measured(record: Record, channel: Channel, values: Array) -> Record:
+    """Return a recording with other values of a channel, the axes one after the other."""
+    axes = zip(channel.columns, np.split(values, len(channel.columns)), strict=True)
+    return replace(record, columns={**record.columns, **dict(axes)})
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Noise of one axis: weights of past samples, standard deviation of the innovation, RMS (the channel's unit)."""
+
+    weights: Array
+    sd: float
+    rms: float
+
+    @property
+    def order(self) -> int:
+        """Number of past samples."""
+        return int(self.weights.size)
+
+    def whiten(self, values: Array, taps: Array | None = None) -> Array:
+        """Return the innovations of values in units of their standard deviation, shape (n - order, ...).
+
+        `taps` is a filter applied to the values first, such as a sensor lag. Values before the first sample equal the
+        first one.
+        """
+        found = np.empty((max(len(values) - self.order, 0), *values.shape[1:]))
+        self.whiten_into(found, values, taps)
+        return found
+
+    def whiten_into(self, found: Array, values: Array, taps: Array | None = None) -> None:
+        """Write the result of `whiten` into an existing array."""
+        whole = np.concatenate([[1.0], -self.weights]) / self.sd
+        if taps is not None:
+            whole = np.convolve(whole, taps)
+        early = min(len(whole) - 1 - self.order, len(found))  # rows that need values before the first
+        if early:
+            before = np.broadcast_to(values[:1], (len(whole) - 1 - self.order, *values.shape[1:]))
+            _filter(found[:early], whole, np.concatenate([before, values[: early + self.order]]))
+        if early < len(found):
+            _filter(found[early:], whole, np.asarray(values, float))
+
+
+@dataclass(frozen=True)
+class MultiAxisNoise(SensorNoise):
+    """Noise of several independent axes, whose values follow one another, shape (axes * samples, ...).
+
+    Every axis is whitened with the highest order of all axes, so that all results have one length.
+    """
+
+    axes: tuple[SensorNoise, ...]
+
+    def whiten(self, values: Array, taps: Array | None = None) -> Array:
+        """Return the innovations of each axis, one after the other, shape (axes * (samples - order), ...)."""
+        each = max(len(values) // len(self.axes) - self.order, 0)
+        found = np.empty((each * len(self.axes), *values.shape[1:]))
+        self.whiten_into(found, values, taps)
+        return found
+
+    def whiten_into(self, found: Array, values: Array, taps: Array | None = None) -> None:
+        """Write the result of `whiten` into an existing array."""
+        count = len(self.axes)
+        for axis, rows, part in zip(self.axes, np.split(found, count), np.split(values, count), strict=True):
+            if axis.order == self.order:
+                axis.whiten_into(rows, part, taps)
+            else:
+                rows[...] = axis.whiten(part, taps)[self.order - axis.order :]
+
+
+def _filter(found: Array, weights: Array, values: Array) -> None:
+    """Write sum_j weights[j] values[k - j] for each k with a full history into `found`, shape (n - order, ...).
+
+    Values with several columns are filtered in blocks, each one product with a band matrix. That computes more terms
+    than a loop over the weights, but much faster.
+    """
+    if values.ndim == 1:
+        found[:] = np.convolve(values, weights, "valid")
+        return
+    order = len(weights) - 1
+    values = np.ascontiguousarray(values, float).reshape(len(values), -1)
+    n, m = len(values) - order, values.shape[1]
+    found = found.reshape(n, m)
+    band = _band(weights.tobytes())
+    part = len(band)
+    parts, rest = divmod(n, part)
+    row, column = values.strides
+    windows = as_strided(values, (parts, part + order, m), (part * row, row, column), writeable=False)
+    np.matmul(band, windows, out=found[: parts * part].reshape(parts, part, m))
+    if rest:
+        np.matmul(band[:rest, : rest + order], values[parts * part :], out=found[parts * part :])
+
+
+@lru_cache(maxsize=16)
+def _band(weights: bytes) -> Array:
+    row = np.frombuffer(weights)
+    order = len(row) - 1
+    part = max(_FILTER_BLOCK, order)
+    at = np.arange(part)
+    band = np.zeros((part, part + order))
+    for lag, weight in enumerate(row):
+        band[at, at + order - lag] = weight
+    return band
+
+
+def combine_axes(axes: Sequence[SensorNoise]) -> SensorNoise:
+    """Return the noise of several axes; the noise itself if there is one axis."""
+    if len(axes) == 1:
+        return axes[0]
+    longest = max(axes, key=lambda each: each.order)
+    mean = [float(np.sqrt(np.mean([getattr(each, name) ** 2 for each in axes]))) for name in ("sd", "rms")]
+    return MultiAxisNoise(longest.weights, mean[0], mean[1], tuple(axes))
+
+
+def fit_axes(rows: Sequence[Sequence[Array]]) -> SensorNoise:
+    """Fit the noise of several axes, each with its recordings: common weights, separate standard deviations.
+
+    Smooth functions depend on the slowest part of the noise, which a short autoregression underestimates. The common
+    order therefore minimises the AIC.
+    """
+    if len(rows) == 1:
+        return fit_noise(rows[0])
+    rms = [float(np.sqrt(np.mean(np.concatenate([row - row.mean() for row in axis]) ** 2))) for axis in rows]
+    shared = [row / size for axis, size in zip(rows, rms, strict=True) for row in axis]
+    whole = fit_noise(shared, highest=_HIGHEST_SHARED_ORDER, penalty=2.0)
+    return combine_axes([SensorNoise(whole.weights, whole.sd * size, size) for size in rms])
+
+
+def fit_noise(rows: Sequence[Array], *, highest: int = _HIGHEST_ORDER, penalty: float | None = None) -> SensorNoise:
+    """Fit an autoregression to noise recordings, shape (samples,) each, about their means.
+
+    `penalty` is the cost of one weight in twice the log-likelihood; by default log(n), as in the BIC.
+    """
+    centred = [row - row.mean() for row in rows]
+    n = sum(row.size for row in centred)
+    most = min(highest, min(row.size for row in centred) // 10)
+    rms = float(np.sqrt(sum(row @ row for row in centred) / max(n - len(centred), 1)))
+    best, least = SensorNoise(np.zeros(0), rms, rms), n * np.log(max(rms, 1e-300) ** 2)
+    target = np.concatenate([row[most:] for row in centred])
+    past = np.vstack([
+        np.column_stack([row[most - lag : row.size - lag] for lag in range(1, most + 1)]) for row in centred
+    ]) if most else np.zeros((n, 0))  # fmt: skip
+    for order in range(1, most + 1):
+        weights = np.linalg.lstsq(past[:, :order], target, rcond=None)[0]
+        left = target - past[:, :order] @ weights
+        variance = float(left @ left) / max(target.size - order, 1)
+        criterion = n * np.log(max(variance, 1e-300)) + order * (np.log(n) if penalty is None else penalty)
+        if criterion < least:
+            best, least = SensorNoise(weights, float(np.sqrt(variance)), rms), criterion
+    return best

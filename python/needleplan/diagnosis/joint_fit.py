@@ -1,0 +1,392 @@
+"""Joint fits of the base model and effects, by simulation.
+
+The fit alternates: the base model is recalibrated to each trial beside the effects as they are; then the effects'
+parameters, shared by all trials, take a Gauss-Newton step with the base model projected out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from needleplan.diagnosis.calibration import CalibratedTrial, Calibration, calibrate_trial
+from needleplan.diagnosis.catalogue import FittedEffect
+from needleplan.diagnosis.channels import channel_description
+from needleplan.diagnosis.likelihood import Gates, JointLikelihood
+from needleplan.models import Model, Scale, simulate
+from needleplan.models.effects import SIZE, Reach
+from needleplan.signals import Array, Motion
+
+__all__ = [
+    "DIRECTION",
+    "TWO_SIDED_95",
+    "HeldOutValidation",
+    "JointFit",
+    "amplitude_interval",
+    "effect_sensitivities",
+    "effects_output",
+    "fit_jointly",
+    "is_nonzero",
+    "is_within_bounds",
+    "model_with_effects",
+    "recalibrated_trials",
+    "transfers",
+]
+
+# Relative step of a logarithmic parameter for numerical sensitivities.
+_LOG_STEP = 1e-3
+# Step of a linear parameter for numerical sensitivities, in units of its typical value.
+_LINEAR_STEP = 0.05
+# Expected likelihood gain below which a full step ends the fit.
+_LEAST_GAIN = 0.05
+# Likelihood gain per round above which a fit continues beyond its usual rounds.
+_CLIMBING_GAIN = 3.0
+# Most rounds of a fit that still gains, as a multiple of the usual rounds.
+_LONG_FACTOR = 4
+# Expected likelihood gain below which a shortened step is not tried.
+_RETRY_GAIN = 0.5
+# Scales of the neighbourhood that a nonlinear effect searches before a fit, coarse to fine.
+_SCALES = (1.0, 0.5, 0.25)
+# Longest step of a logarithmic parameter.
+_LONGEST = 0.4
+# Predicted held-out gain below which the transfer test is waived.
+_LEAST_PREDICTED = 2.0
+# Largest loss of held-out likelihood if the transfer test is waived.
+_MOST_HARM = 4.0
+# Name of the parameter that gives an amplitude its direction.
+DIRECTION = "direction_rad"
+# Two-sided 95 % quantile of the standard normal distribution.
+TWO_SIDED_95 = 1.959964
+# Points on the confidence ellipse of an amplitude with a direction.
+_ELLIPSE_POINTS = 720
+
+
+@dataclass(frozen=True)
+class HeldOutValidation:
+    """How effects predict the held-out trials: base model recalibrated to each trial, effects held at their values.
+
+    "Before" is the base model alone, or with the effects of earlier rounds.
+    """
+
+    predicted: float
+    """Drop of the weighted residual energy that the effects predict for these trials."""
+
+    achieved: float
+    """Drop of the weighted residual energy that the effects achieve."""
+
+    likelihood_gain: float
+    """Twice the log-likelihood gain over before; each side uses its own best heterogeneity."""
+
+    before_rms: float
+    after_rms: float
+    floor_rms: float
+    """Residual RMS before and with the effects, and RMS of the sensor noise, in the channel's unit."""
+
+    shrink: float
+    """Share of the residual energy above the noise that the effects remove; NaN without any."""
+
+    gap_sds: float
+    """Residual energy above the noise before, in standard deviations of the noise energy."""
+
+    whiteness_before: float
+    whiteness_after: float
+    """p-values of the Ljung-Box test on the whitened residuals, before and with the effects."""
+
+    @property
+    def transfer(self) -> float:
+        """Achieved over predicted gain: about 1 for a true effect; NaN without a predicted gain."""
+        return self.achieved / self.predicted if self.predicted > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """Base model and effects, fitted together to the training trials."""
+
+    effects: tuple[FittedEffect, ...]
+    trials: tuple[CalibratedTrial, ...]
+    """Training trials, with the base model calibrated beside the effects."""
+
+    likelihood: JointLikelihood
+    """Likelihood with the effects' parameters as nuisances shared by all trials."""
+
+    likelihood_gain: float
+    """Twice the log-likelihood gain of all effects over the base model alone."""
+
+    covariance: Array
+    """Covariance of the coordinates, with the base model projected out."""
+
+    coordinates: tuple[tuple[int, str], ...]
+    """Index of the effect and name of the parameter of each coordinate."""
+
+    validation: HeldOutValidation | None = None
+    """Validation of the newest effect beside the earlier ones; None if it was not validated."""
+
+    refuted: bool = False
+    """Whether the validation refutes the newest effect."""
+
+    @property
+    def newest(self) -> FittedEffect:
+        """The effect that was added last; its gains are those over the earlier effects."""
+        return self.effects[-1]
+
+    @property
+    def combined_gain(self) -> float:
+        """BIC gain of the newest effect in training plus its likelihood gain on the held-out trials."""
+        return self.newest.bic_gain + (self.validation.likelihood_gain if self.validation else 0.0)
+
+    def with_newest(self, likelihood_gain: float, bic_gain: float) -> JointFit:
+        """Return the fit with the gains of the newest effect over the earlier ones."""
+        newest = replace(self.newest, likelihood_gain=likelihood_gain, bic_gain=bic_gain)
+        return replace(self, effects=(*self.effects[:-1], newest))
+
+    def sd(self, which: int, name: str) -> float:
+        """Return the standard deviation of a parameter in its unit, first order."""
+        index = self.coordinates.index((which, name))
+        each = self.effects[which]
+        what = each.effect.parameters[name]
+        return float(np.sqrt(max(self.covariance[index, index], 0.0)) * what.slope(each.values[name]))
+
+
+def effects_output(effects: Sequence[FittedEffect], model: Model, motion: Motion) -> Array:
+    """Return the change of a model's output by effects along a motion, flat, shape (axes * samples,)."""
+    plain = simulate(model, motion).output
+    return np.asarray((simulate(model_with_effects(effects, model), motion).output - plain).ravel())
+
+
+def model_with_effects(effects: Sequence[FittedEffect], model: Model) -> Model:
+    """Return the model with effects applied."""
+    for each in effects:
+        model = each.effect.apply(model, each.values)
+    return model
+
+
+def recalibrated_trials(
+    effects: Sequence[FittedEffect], calibration: Calibration, trials: Sequence[CalibratedTrial]
+) -> tuple[CalibratedTrial, ...]:
+    """Return trials with the base model recalibrated beside fixed effects."""
+    return tuple(
+        calibrate_trial(
+            trial.model, trial.record, calibration.noise, calibration.free,
+            whole=lambda model: model_with_effects(effects, model),
+            start_lag_s=trial.lag_s, about=calibration.given,
+        )
+        for trial in trials
+    )  # fmt: skip
+
+
+def fit_jointly(
+    start: Sequence[FittedEffect],
+    calibration: Calibration,
+    base: JointLikelihood,
+    trials: Sequence[CalibratedTrial] | None = None,
+) -> JointFit:
+    """Fit effects and base model together.
+
+    `start` holds the effects with starting values. `base` is the likelihood of the base model alone. The base model
+    starts as in `trials`, by default as calibrated alone.
+    """
+    effects = tuple(start)
+    coordinates = tuple((index, name) for index, each in enumerate(effects) for name in _free(each))
+    effects = _moved(effects, coordinates, np.zeros(len(coordinates)))  # screening ignores some bounds
+    trials = tuple(trials or calibration.training)
+    max_rounds = channel_description(calibration.model.channel).max_rounds
+    tried = _tried(effects, trials)
+    if tried != effects:
+        effects, max_rounds = tried, 2 * max_rounds
+    best: JointFit | None = None
+    move, share, expected_gain = np.zeros(len(coordinates)), 1.0, 0.0
+    for count in range(_LONG_FACTOR * max_rounds):
+        trials = recalibrated_trials(effects, calibration, trials)
+        sensitivities = [
+            trial.whiten(effect_sensitivities(effects, coordinates, trial.model, trial.motion)) for trial in trials
+        ]
+        shared = JointLikelihood(
+            [replace(trial.whitened, shared=each) for trial, each in zip(trials, sensitivities, strict=True)]
+        )
+        matrix, target = shared.shared_normal(shared.best)
+        ridge = 1e-6 * np.diag(np.diag(matrix) + 1e-12)
+        covariance = np.asarray(np.linalg.inv(matrix + ridge), float)
+        # The likelihood of the present effects, not of a linearised step.
+        likelihood_gain = 2 * float(shared.evidence_alone.max() - base.evidence.max())
+        rise = likelihood_gain - best.likelihood_gain if best else np.inf
+        if best is None or rise > 0:
+            best = JointFit(effects, trials, shared, likelihood_gain, covariance, coordinates)
+            move, share = _allowed(effects, coordinates, matrix + ridge, target), 1.0
+            expected_gain = float(move @ target)
+        else:
+            share /= 3
+            expected_gain /= 3
+        if expected_gain < (_LEAST_GAIN if share == 1 else _RETRY_GAIN) or (
+            count + 1 >= max_rounds and rise < _CLIMBING_GAIN
+        ):
+            break
+        effects, trials = _moved(best.effects, coordinates, share * move), best.trials
+    assert best is not None
+    return best
+
+
+def _tried(effects: tuple[FittedEffect, ...], trials: Sequence[CalibratedTrial]) -> tuple[FittedEffect, ...]:
+    """Return effects with the last one moved to the best point of its neighbourhood, the base model linearised.
+
+    Effects that are nonlinear in their amplitude are evaluated at the amplitudes of the grid, without rescaling.
+    """
+    *before, last = effects
+    reach = Reach.of([trial.motion for trial in trials])
+    likelihood: JointLikelihood | None = None
+    for scale in _SCALES:
+        grid = last.effect.nearby(last.values, reach, scale)
+        if not grid:
+            break
+        if likelihood is None:
+            likelihood = JointLikelihood([replace(trial.whitened, residual=_beside(before, trial)) for trial in trials])
+        sensitivities = [
+            trial.whiten(last.effect.columns(model_with_effects(before, trial.model), trial.motion, grid))
+            for trial in trials
+        ]
+        scores, amplitudes = likelihood.scores(sensitivities), np.array([each[SIZE] for each in grid])
+        evidence = 2 * likelihood.evidence[:, None] + 2 * scores.slope * amplitudes - scores.curvature * amplitudes**2
+        last = replace(last, values=grid[int(evidence.max(axis=0).argmax())])
+    return (*before, last)
+
+
+def _beside(effects: Sequence[FittedEffect], trial: CalibratedTrial) -> Array:
+    """Return the whitened residual of a trial beside effects, shape (n,)."""
+    if not effects:
+        return trial.whitened.residual
+    return np.asarray(trial.whitened.residual - trial.whiten(effects_output(effects, trial.model, trial.motion)))
+
+
+def _free(effects: FittedEffect) -> tuple[str, ...]:
+    """Return the names of the free parameters."""
+    return tuple(name for name, what in effects.effect.parameters.items() if what.free)
+
+
+def effect_sensitivities(
+    effects: Sequence[FittedEffect], coordinates: Sequence[tuple[int, str]], model: Model, motion: Motion
+) -> Array:
+    """Return the derivative of the output by each coordinate, shape (axes * samples, coordinates)."""
+    plain = effects_output(effects, model, motion)
+    found = []
+    for index, name in coordinates:
+        step = _LOG_STEP if effects[index].effect.parameters[name].scale is Scale.LOG else _LINEAR_STEP
+        if name == SIZE:
+            # Relative to the amplitude itself, because the effect may be small.
+            what = effects[index].effect.parameters[SIZE]
+            step = _LOG_STEP * max(abs(effects[index].values[SIZE]), 1e-3 * what.typical) / what.typical
+            step = step if what.scale is Scale.LINEAR else _LOG_STEP
+        moved = _moved(effects, ((index, name),), np.array([step]))
+        if moved[index].values[name] == effects[index].values[name]:  # at its upper bound
+            step = -step
+            moved = _moved(effects, ((index, name),), np.array([step]))
+        found.append((effects_output(moved, model, motion) - plain) / step)
+    return np.column_stack(found) if found else np.zeros((len(plain), 0))
+
+
+def _allowed(
+    effects: Sequence[FittedEffect], coordinates: Sequence[tuple[int, str]], matrix: Array, target: Array
+) -> Array:
+    """Return the Gauss-Newton step with parameters held that would leave their bounds, shortened as a whole.
+
+    Parameters are correlated, so shortening the step of one parameter alone would worsen the fit.
+    """
+    free = np.ones(len(coordinates), bool)
+    while True:
+        move = np.zeros(len(coordinates))
+        move[free] = np.linalg.solve(matrix[np.ix_(free, free)], target[free])
+        there = _moved(effects, coordinates, 1e-6 * np.sign(move))
+        stuck = np.array([
+            there[index].values[name] == effects[index].values[name] and move[row] != 0
+            for row, (index, name) in enumerate(coordinates)
+        ], bool)  # fmt: skip
+        if not stuck.any():
+            break
+        free &= ~stuck
+    logs = [
+        abs(float(each)) for each, (index, name) in zip(move, coordinates, strict=True)
+        if effects[index].effect.parameters[name].scale is Scale.LOG
+    ]  # fmt: skip
+    return np.asarray(move * min(1.0, _LONGEST / max(max(logs, default=0.0), 1e-12)))
+
+
+def _moved(
+    effects: Sequence[FittedEffect], coordinates: Sequence[tuple[int, str]], move: Array
+) -> tuple[FittedEffect, ...]:
+    """Return effects with their coordinates moved, within bounds and step limits."""
+    changed = [dict(each.values) for each in effects]
+    for (index, name), step in zip(coordinates, move, strict=True):
+        what = effects[index].effect.parameters[name]
+        value = changed[index][name]
+        if what.scale is Scale.LOG:
+            each = max(min(float(step), _LONGEST), -_LONGEST)
+            new = value * float(np.exp(each))
+        else:
+            new = value + float(step) * what.typical
+        low, high = effects[index].bounds.get(name, (what.lower, what.upper))
+        changed[index][name] = min(max(new, low, what.lower), high, what.upper)
+    return tuple(replace(each, values=values) for each, values in zip(effects, changed, strict=True))
+
+
+def transfers(validation: HeldOutValidation, gates: Gates) -> bool:
+    """Return whether effects hold on the held-out trials.
+
+    The achieved gain of a true effect is normal with mean `predicted` and variance 4 `predicted`. The threshold is the
+    smaller of a fixed share of the predicted gain and the 1 % quantile of that distribution, but not negative.
+    """
+    if validation.predicted < _LEAST_PREDICTED:
+        return validation.achieved > -_MOST_HARM
+    chance = validation.predicted - gates.transfer_sds * 2 * math.sqrt(max(validation.predicted, 0.0))
+    return validation.achieved > max(0.0, min(gates.transfer * validation.predicted, chance))
+
+
+def is_nonzero(joint: JointFit, which: int) -> bool:
+    """Return whether the amplitude of an effect differs from zero, with its other parameters held.
+
+    They are held because an effect of amplitude zero has no place or time.
+    """
+    kept = [row for row, (index, name) in enumerate(joint.coordinates) if index != which or name in (SIZE, DIRECTION)]
+    # Scaled by the standard deviations, so that an undetermined parameter does not hide a well determined one.
+    scale = np.sqrt(np.maximum(np.diag(joint.covariance), 1e-300))
+    precision = np.linalg.pinv(joint.covariance / np.outer(scale, scale), hermitian=True)[np.ix_(kept, kept)]
+    covariance = np.zeros_like(joint.covariance)
+    covariance[np.ix_(kept, kept)] = np.linalg.pinv(precision, hermitian=True)
+    covariance *= np.outer(scale, scale)
+    low, high = amplitude_interval(covariance, joint, which)
+    return low * high > 0
+
+
+def is_within_bounds(joint: JointFit, which: int) -> bool:
+    """Return whether the amplitude of an effect is inside its bounds."""
+    each = joint.effects[which]
+    what, amplitude = each.effect.parameters[SIZE], each.values[SIZE]
+    sd = joint.sd(which, SIZE)
+    within = what.lower - 2 * sd <= amplitude <= what.upper + 2 * sd
+    return bool(within and amplitude not in (what.lower, what.upper))
+
+
+def amplitude_interval(covariance: Array, joint: JointFit, which: int) -> tuple[float, float]:
+    """Return the linearised 95 % interval of an amplitude.
+
+    An amplitude with a direction is a vector. Its two components are normal even if the direction is undetermined, so
+    the interval holds the lengths of all vectors in their confidence ellipse.
+    """
+    each = joint.effects[which]
+    amplitude, unit = each.values[SIZE], each.effect.parameters[SIZE].typical
+    row = joint.coordinates.index((which, SIZE))
+    if DIRECTION not in each.effect.parameters:
+        sd = unit * float(np.sqrt(max(covariance[row, row], 0.0)))
+        return amplitude - TWO_SIDED_95 * sd, amplitude + TWO_SIDED_95 * sd
+    angle, rows = each.values[DIRECTION], [row, joint.coordinates.index((which, DIRECTION))]
+    units = np.array([unit, each.effect.parameters[DIRECTION].typical])
+    turn = np.array([[np.cos(angle), -amplitude * np.sin(angle)], [np.sin(angle), amplitude * np.cos(angle)]]) * units
+    vector = amplitude * np.array([np.cos(angle), np.sin(angle)])
+    values, axes = np.linalg.eigh(turn @ covariance[np.ix_(rows, rows)] @ turn.T)
+    radii = TWO_SIDED_95 * np.sqrt(np.maximum(values, 0.0))
+    round_ = np.linspace(0.0, 2 * np.pi, _ELLIPSE_POINTS, endpoint=False)
+    edge = vector[:, None] + axes @ (radii[:, None] * np.array([np.cos(round_), np.sin(round_)]))
+    lengths = np.hypot(*edge)
+    inside = bool(((axes.T @ vector / np.maximum(radii, 1e-9 * abs(amplitude))) ** 2).sum() <= 1)
+    low, high = (0.0 if inside else float(lengths.min())), float(lengths.max())
+    return (low, high) if amplitude >= 0 else (-high, -low)

@@ -1,0 +1,75 @@
+"""Choice of the next motion by the question that the diagnosis left open."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from needleplan.diagnosis._diagnosis import Diagnosis
+from needleplan.diagnosis._verdict import Verdict
+from needleplan.diagnosis.data import Lack
+from needleplan.diagnosis.next_motion._explore import exploring
+from needleplan.diagnosis.next_motion._programs import LEAST_ROOM_MM, Limits, NextMotion, programs
+from needleplan.diagnosis.next_motion._reveal import revealing
+from needleplan.diagnosis.next_motion._separate import Separation, alternatives_of, separating, separations_by
+from needleplan.signals import Motion, Role
+
+__all__ = ["limits_of", "next_motion", "separations"]
+
+# Smallest depth (mm) at which a motion starts.
+_FLOOR_MM = -10.0
+
+
+def limits_of(found: Diagnosis, *, fastest_mm_s: float = 0.0) -> Limits | None:
+    """Return limits from the recordings: their depths, and their largest speed or 15 mm/s, whichever is larger.
+
+    Returns None if the recorded depths leave no room for a motion.
+    """
+    motions = [trial.motion for trial in (*found.calibration.training, *found.calibration.held_out)]
+    top = min(float(each.depth_mm.min()) for each in motions)
+    deepest = max(float(each.depth_mm.max()) for each in motions)
+    fastest = max(float(np.abs(each.velocity_mm_s).max()) for each in motions)
+    if deepest < max(top, _FLOOR_MM) + LEAST_ROOM_MM + 0.01:
+        return None
+    return Limits(round(deepest, 2), fastest_mm_s or max(fastest, Limits.fastest_mm_s), round(max(top, _FLOOR_MM), 2))
+
+
+def next_motion(found: Diagnosis, limits: Limits | None = None) -> NextMotion | None:
+    """Return the motion to measure next; None if no question is open or the recordings hardly moved.
+
+    Between tied effects, the motion separates them. For an unexplained gap, it shows most of the gap along its axis. If
+    effects may be hidden, it lowers the detection limits. Candidates are `programs` within `limits`, by default those
+    of the recordings. Raises DataError for limits that leave no room to move.
+    """
+    alternatives = alternatives_of(found)
+    axis = found.decision.axis
+    hidden = found.verdict is Verdict.UNDERPOWERED
+    open_ = (
+        len(alternatives) >= 2
+        or hidden
+        or (axis is not None and found.verdict in (Verdict.UNKNOWN, Verdict.INCOMPLETE))
+    )
+    limits = limits or limits_of(found)
+    if not open_ or limits is None:
+        return None
+    rate_hz = 1 / float(np.median(found.calibration.training[-1].motion.interval_s))
+    made = programs(found.given.channel, limits)
+    tried = [(program, program.motion(rate_hz)) for program in made]
+    role = _role(found)
+    if len(alternatives) >= 2:
+        return separating(found, alternatives, tried, role)
+    if hidden:
+        return revealing(found, tried, role)
+    assert axis is not None
+    return exploring(found, axis, tried, role)
+
+
+def separations(found: Diagnosis, motion: Motion) -> tuple[Separation, ...]:
+    """Return how well one more trial of a motion would separate the effects in question, each pair both ways."""
+    return separations_by(found, alternatives_of(found), motion)
+
+
+def _role(found: Diagnosis) -> Role:
+    """Return the role of the next trial: holdout if only a held-out trial of another motion is missing, else train."""
+    lacks = found.checked.lacks
+    waits = found.lacks_data and Lack.TRIALS not in lacks
+    return Role.HOLDOUT if waits and (Lack.HELD_OUT in lacks or Lack.OTHER_MOTION in lacks) else Role.TRAIN

@@ -1,0 +1,358 @@
+"""One round of the selection: screen all effects, fit the best, validate them, compare them with alternatives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+
+from needleplan.diagnosis.alternatives import AlternativeModel, refit_alternatives, score_alternatives, validate
+from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR, CalibratedTrial, Calibration, unusual_lag_s
+from needleplan.diagnosis.catalogue import (
+    CatalogueEntry,
+    FittedEffect,
+    Library,
+    chance_probability,
+    local_optima,
+    screen,
+    whitened_sensitivities,
+)
+from needleplan.diagnosis.channels import channel_description
+from needleplan.diagnosis.joint_fit import JointFit, fit_jointly, is_nonzero, transfers
+from needleplan.diagnosis.likelihood import Gates, JointLikelihood
+from needleplan.models.effects import SIZE, Effect
+from needleplan.signals import Array
+
+__all__ = ["RoundOutcome", "Search", "SelectionRound", "explains_as_well", "run_round"]
+
+# Most screened effects that are fitted in a round.
+_MOST_FITTED = 4
+# Distance in BIC gain behind the best effect up to which an effect is fitted.
+_FIT_MARGIN = 40.0
+# The same distance as a share of the best BIC gain, if larger.
+_FIT_MARGIN_SHARE = 0.1
+# The same share for an effect with local optima, whose screened gain is less reliable.
+_FIT_MARGIN_SHARE_NONCONVEX = 0.5
+# Most further local optima that are fitted.
+_MOST_OPTIMA = 5
+# BIC gain that an effect may lack at the prior, because the base model imitates it.
+_IMITATION_MARGIN = 30.0
+# Screened BIC gain below which no effect is fitted.
+_LEAST_SCREENED_GAIN = 5.0
+# Most further effects that are fitted to break a tie.
+_MOST_OTHERS = 2
+# Share of its BIC gain that an effect must keep beside another one to be independent of it.
+_INDEPENDENT_SHARE = 0.5
+# Multiple of the required BIC gain that held-out trials must predict to confirm an effect.
+_CONFIRMING_FACTOR = 3.0
+# Number of effects beyond the number of names: one name may stand for several places.
+_MOST_REPEATS = 2
+# Start of a joint fit: a screened effect, and the trials whose base model it starts from.
+_Start = tuple[FittedEffect, Sequence[CalibratedTrial]]
+
+
+class RoundOutcome(StrEnum):
+    """How a round ended. The values are those of `diagnosis.json`."""
+
+    ACCEPTED = "accepted"
+    WEAK = "weak"
+    """The best effect misses the required BIC gain, or its amplitude may be zero."""
+
+    CHANCE = "chance"
+    """Data without an effect reach the same BIC gain too often."""
+
+    TIE = "tie"
+    """Another effect explains the data as well."""
+
+    NO_TRANSFER = "no_transfer"
+    """The held-out trials refute the best effect."""
+
+    SMALL = "small"
+    """The gain is too small a share of the first effect's gain."""
+
+    NAMELESS = "nameless"
+    """A nonparametric alternative does better in place of an effect."""
+
+    ENOUGH = "enough"
+    """The largest number of names is reached."""
+
+
+@dataclass(frozen=True)
+class SelectionRound:
+    """One round: screened effects, alternatives, fits ordered by rank, p-value of the best fit, and outcome."""
+
+    screened: tuple[FittedEffect, ...]
+    alternatives: tuple[AlternativeModel, ...]
+    ranked: tuple[JointFit, ...]
+    p_value: float | None
+    outcome: RoundOutcome
+    tied: tuple[str, ...] = ()
+    """Names of effects that explain the data alike, the best first; empty without a tie."""
+
+
+def explains_as_well(best: JointFit, other: JointFit, lead: float) -> bool:
+    """Return whether the data do not separate two fits, or the training data favour the other one."""
+    fits_better = not other.refuted and other.newest.bic_gain > best.newest.bic_gain + lead
+    return bool(other.combined_gain > best.combined_gain - lead or fits_better)
+
+
+@dataclass(frozen=True)
+class Search:
+    """What all rounds share: data, catalogue and gates, with a cache of sensitivities and fits."""
+
+    calibration: Calibration
+    library: Library
+    entries: tuple[CatalogueEntry, ...]
+    base: JointLikelihood
+    sensitivities: Sequence[Array]
+    """Whitened sensitivities of all candidates beside the base model alone, one array per trial."""
+
+    at_prior: tuple[CalibratedTrial, ...]
+    """Training trials with parameters held at their priors that calibration moved far; else empty."""
+
+    gates: Gates
+    seed: int
+    _sensitivities: dict[int, tuple[JointFit, list[Array]]] = field(default_factory=dict)
+    _rests: dict[tuple[int, int], tuple[JointFit, JointFit]] = field(default_factory=dict)
+
+    @property
+    def bic_penalty(self) -> float:
+        """BIC penalty of one parameter."""
+        return self.base.bic_penalty
+
+    def sensitivities_beside(self, joint: JointFit | None) -> Sequence[Array]:
+        """Return the whitened sensitivities of all candidates beside the effects of a fit."""
+        if joint is None:
+            return self.sensitivities
+        if id(joint) not in self._sensitivities:
+            made = whitened_sensitivities(self.calibration, self.library, joint.trials, self.entries)
+            self._sensitivities[id(joint)] = joint, made  # keeps the fit alive, so that its id stays unique
+        return self._sensitivities[id(joint)][1]
+
+    def without(self, joint: JointFit, index: int) -> JointFit:
+        """Return the fit without one of its effects."""
+        key = id(joint), index
+        if key not in self._rests:
+            rest = [each for place, each in enumerate(joint.effects) if place != index]
+            self._rests[key] = joint, fit_jointly(rest, self.calibration, self.base, joint.trials)
+        return self._rests[key][1]
+
+    def has_local_optima(self, effect: Effect) -> bool:
+        """Return whether fits of an effect may end in local optima."""
+        return next(each.has_local_optima for each in self.entries if each.effect is effect)
+
+    def start(self, screened: FittedEffect) -> FittedEffect:
+        """Return a screened effect as the start of a joint fit, bounded to its search range."""
+        bounds = next(each.bounds() for each in self.entries if each.effect is screened.effect)
+        return FittedEffect(screened.effect, screened.values, bounds)
+
+    def sensitivities_at_prior(self) -> Sequence[Array]:
+        """Return the whitened sensitivities of all candidates beside the base model at the prior."""
+        return whitened_sensitivities(
+            self.calibration, self.library, self.at_prior, self.entries, self.calibration.given
+        )
+
+
+def run_round(search: Search, taken: JointFit | None, first_gain: float) -> SelectionRound:
+    """Look for one more effect beside those of `taken`; `first_gain` is the likelihood gain of the first effect."""
+    gates = search.gates
+    likelihood = taken.likelihood if taken else search.base
+    trials = taken.trials if taken else search.calibration.training
+    sensitivities, count = search.sensitivities_beside(taken), len(taken.effects) if taken else 0
+    known = {each.effect.name for each in taken.effects} if taken else set()
+    closed = {each.effect.name for each in taken.effects if not each.effect.repeats} if taken else set()
+    screened = tuple(
+        each for each in screen(likelihood, sensitivities, search.entries) if each.effect.name not in closed
+    )
+    alternatives = score_alternatives(likelihood, trials)
+    needed = gates.needed(likelihood.heterogeneity_sd)
+    if not screened:
+        return SelectionRound(screened, alternatives, (), None, RoundOutcome.WEAK)
+    if len(known) >= gates.most or count >= gates.most + _MOST_REPEATS:
+        return SelectionRound(screened, alternatives, (), None, RoundOutcome.ENOUGH)
+    starts = _starts_at_prior(search, needed) if search.at_prior and not taken else []
+    likely = screened if screened[0].bic_gain >= _LEAST_SCREENED_GAIN else ()
+    ranked = _fit_candidates(search, taken, starts, [(each, trials) for each in likely])
+    if not ranked:
+        return SelectionRound(screened, alternatives, (), None, RoundOutcome.WEAK)
+    ranked = _ordered(_at_other_optima(search, taken, _ordered(_validated(search, taken, ranked, needed)), needed))
+    tied: tuple[str, ...] = ()
+    if ranked[0].newest.bic_gain >= needed:
+        before = first_gain if taken else 0.0
+        ranked, tied = _least_contested(search, ranked, screened, before, needed)
+        tried = {each.newest.name for each in ranked}
+        others = [(each, trials) for each in screened if each.effect.name not in tried and each.bic_gain >= needed]
+        if tied and others:  # a weaker effect may be present and break the tie
+            more = _validated(search, taken, _fit_candidates(search, taken, others[:_MOST_OTHERS], ()), needed)
+            ranked, tied = _least_contested(search, _ordered([*ranked, *more]), screened, before, needed)
+    best = ranked[0]
+    left = [each for each in search.entries if each.effect.name not in closed]
+    p_value = chance_probability(likelihood, sensitivities, left, best.newest.bic_gain, search.seed + count)
+    if not taken and best.newest.bic_gain >= needed:
+        alternatives = refit_alternatives(best, best.validation, alternatives, search.calibration, search.base)
+
+    def ended(stop: RoundOutcome) -> SelectionRound:
+        return SelectionRound(
+            screened, alternatives, tuple(ranked), p_value, stop, tied if stop is RoundOutcome.TIE else ()
+        )
+
+    if best.newest.bic_gain < needed or not is_nonzero(best, count):
+        return ended(RoundOutcome.WEAK)
+    if p_value > gates.p_value:
+        return ended(RoundOutcome.CHANCE)
+    if (
+        taken
+        and best.newest.likelihood_gain
+        < (gates.further_elsewhere if _is_confirmed(best, needed) else gates.further) * first_gain
+    ):
+        return ended(RoundOutcome.SMALL)
+    if tied:
+        return ended(RoundOutcome.TIE)
+    return ended(RoundOutcome.NO_TRANSFER if best.refuted else RoundOutcome.ACCEPTED)
+
+
+def _is_confirmed(best: JointFit, needed: float) -> bool:
+    """Return whether the held-out trials confirm an effect of another family than the first one."""
+    first, seen = best.effects[0].effect, best.validation
+    return (
+        seen is not None and not best.refuted
+        and seen.predicted >= _CONFIRMING_FACTOR * needed and best.newest.effect.family is not first.family
+    )  # fmt: skip
+
+
+def _least_contested(
+    search: Search, ranked: Sequence[JointFit], screened: Sequence[FittedEffect], first_gain: float, needed: float
+) -> tuple[list[JointFit], tuple[str, ...]]:
+    """Return the fits with one first that has no tie, and no names; or unchanged, and the names that tie with the best.
+
+    If two effects tie, a third one that is independent of both comes first: beside it the two may differ.
+    """
+    tied = _tied(search, ranked, screened)
+    least = search.gates.further * max(first_gain, ranked[0].newest.likelihood_gain)
+    for place, each in enumerate(ranked if tied else ()):
+        fits = each.newest.bic_gain >= needed and not each.refuted and each.newest.likelihood_gain >= least
+        if place and each.newest.name not in tied and fits:
+            order = [each, *ranked[:place], *ranked[place + 1 :]]
+            if not _tied(search, order, screened):
+                return order, ()
+    return list(ranked), tied
+
+
+def _tied(search: Search, ranked: Sequence[JointFit], screened: Sequence[FittedEffect]) -> tuple[str, ...]:
+    """Return the names of the effects that explain the data as well as the best one, the best first; empty if it leads.
+
+    Two true effects may have equal gains, but each keeps its gain beside the other. An effect that keeps most of its
+    gain beside the best one is therefore no tie.
+    """
+    best, lead = ranked[0], search.gates.lead
+    tried = {each.newest.name for each in ranked}
+    alone = {each.newest.name: each.newest.bic_gain for each in ranked[1:] if explains_as_well(best, each, lead)} | {
+        each.effect.name: each.bic_gain
+        for each in screened if each.effect.name not in tried and each.bic_gain > best.newest.bic_gain - lead
+    }  # fmt: skip
+    if not alone:
+        return ()
+    beside = screen(best.likelihood, search.sensitivities_beside(best), search.entries)
+    achieved = {each.effect.name: each.bic_gain for each in beside}
+    needed = search.gates.needed(best.likelihood.heterogeneity_sd)
+    alternatives = [
+        name for name, bic_gain in alone.items() if achieved[name] < max(needed, _INDEPENDENT_SHARE * bic_gain)
+    ]
+    return (best.newest.name, *alternatives) if alternatives else ()
+
+
+def _at_other_optima(search: Search, taken: JointFit | None, ranked: list[JointFit], needed: float) -> list[JointFit]:
+    """Return the fits with the best one moved to a local optimum that the held-out trials do not refute, if one exists.
+
+    For example, breathing that is visible only during a few seconds of dwell fits at several frequencies; the held-out
+    trials choose among them.
+    """
+    best = ranked[0]
+    each = next(each for each in search.entries if each.effect is best.newest.effect)
+    places = [name for name in each.effect.parameters if name != SIZE]
+    if not best.refuted or best.newest.bic_gain < needed or not each.has_local_optima:
+        return ranked
+    likelihood, sensitivities = (taken.likelihood if taken else search.base), search.sensitivities_beside(taken)
+    found = local_optima(likelihood, sensitivities, search.entries, each.effect, places[0])
+    starts = [
+        optimum
+        for optimum in found[: _MOST_OPTIMA + 1]
+        if optimum.bic_gain > (1 - _FIT_MARGIN_SHARE) * found[0].bic_gain
+    ]
+    trials = taken.trials if taken else search.calibration.training
+    others = [other for optimum in starts for other in _fit_candidates(search, taken, [(optimum, trials)], ())]
+    as_well = [other for other in others if other.newest.bic_gain > best.newest.bic_gain - search.gates.lead]
+    held = [other for other in _validated(search, taken, as_well, needed) if other.validation and not other.refuted]
+    return [max(held, key=lambda other: other.combined_gain), *ranked[1:]] if held else ranked
+
+
+def _ordered(ranked: Sequence[JointFit]) -> list[JointFit]:
+    """Return fits by combined gain; refuted fits and fits without validation come after validated ones."""
+    ordered = sorted(ranked, key=lambda each: -each.combined_gain)
+    if any(each.validation and not each.refuted for each in ordered):
+        ordered.sort(key=lambda each: each.validation is None or each.refuted)
+    return ordered
+
+
+def _validated(search: Search, taken: JointFit | None, ranked: Sequence[JointFit], needed: float) -> list[JointFit]:
+    """Return fits with their validation, if they could be named or are near the best."""
+    top = max((each.newest.bic_gain for each in ranked), default=0.0)
+    least = max(needed, top - max(_FIT_MARGIN, _FIT_MARGIN_SHARE * top))
+    found = []
+    for each in ranked:
+        seen = validate(each, search.calibration, taken) if each.newest.bic_gain >= least else None
+        refuted = seen is not None and not transfers(seen, search.gates)
+        found.append(replace(each, validation=seen, refuted=refuted))
+    return found
+
+
+def _starts_at_prior(search: Search, needed: float) -> list[_Start]:
+    """Return starts for effects that the calibrated base model imitates, screened with the base model at its prior."""
+    trials, sensitivities = search.at_prior, search.sensitivities_at_prior()
+    at_prior = JointLikelihood([trial.whitened for trial in trials])
+    behind = 2 * float(search.base.evidence.max() - at_prior.evidence.max())
+    seen = screen(at_prior, sensitivities, search.entries)
+    likely = [each for each in seen if each.bic_gain - behind > needed - _IMITATION_MARGIN][: _MOST_FITTED - 1]
+    lag = unusual_lag_s(search.calibration)
+    lag_starts = [replace(each, values={**each.values, SIZE: lag}) for each in seen if each.effect.is_lag and lag]
+    return [(each, trials) for each in (*likely, *lag_starts)]
+
+
+def _fit_candidates(
+    search: Search, taken: JointFit | None, certain: Sequence[_Start], screened: Sequence[_Start]
+) -> list[JointFit]:
+    """Return joint fits from screened starts, the largest BIC gain first and one per effect.
+
+    All `certain` starts are fitted. Of the screened ones the best are fitted, until the next is far behind the best
+    fit.
+    """
+    usual_lag_s = channel_description(search.calibration.given.channel).usual_lag_s
+    before = taken.likelihood_gain if taken else 0.0
+    found: dict[str, JointFit] = {}
+    for count, (each, trials) in enumerate([*certain, *screened]):
+        best = max((fit.newest.bic_gain for fit in found.values()), default=-math.inf)
+        if count >= len(certain) + _MOST_FITTED:
+            break
+        far = max(
+            _FIT_MARGIN,
+            (_FIT_MARGIN_SHARE_NONCONVEX if search.has_local_optima(each.effect) else _FIT_MARGIN_SHARE) * best,
+        )
+        if count >= len(certain) and each.bic_gain < best - far:
+            continue
+        start = [*(taken.effects if taken else ()), search.start(each)]
+        joint = fit_jointly(start, search.calibration, search.base, trials if not taken else None)
+        if each.effect.is_lag and _total_lag_s(joint) < (1 + UNUSUAL_LAG_FACTOR) * usual_lag_s:
+            continue  # within the usual lag of sensors
+        likelihood_gain = max(joint.likelihood_gain - before, 0.0)
+        bic_gain = likelihood_gain - len(each.effect.parameters) * search.bic_penalty
+        if each.name not in found or bic_gain > found[each.name].newest.bic_gain:
+            found[each.name] = joint.with_newest(likelihood_gain, bic_gain)
+    return sorted(found.values(), key=lambda fit: -fit.newest.bic_gain)
+
+
+def _total_lag_s(joint: JointFit) -> float:
+    """Return the lag of the readings (s): the newest effect's plus the calibrated lag of the sensor."""
+    return joint.newest.values[SIZE] + float(np.median([trial.lag_s for trial in joint.trials]))

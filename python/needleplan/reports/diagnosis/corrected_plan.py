@@ -1,0 +1,175 @@
+"""The corrected plan: what follows from a diagnosed model for the planner and for the robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from needleplan.artifacts import write_whole
+from needleplan.diagnosis import Diagnosis, Verdict
+from needleplan.errors import Mistake, ModelError
+from needleplan.models import Channel, InPlane, Model, Torsion, in_plane
+from needleplan.scenario import Scenario, pieces_of, within
+from needleplan.signals import Record
+
+__all__ = ["CorrectedPlan", "along_mm", "corrected_plan", "corrected_plan_lines", "require_path", "write_scenario"]
+
+# Torque per length (N) below which the needle has no torsional lag.
+_NOTHING_N = 1e-12
+# Smallest rotation (rad) that a robot resolves.
+_TURNED_RAD = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectedPlan:
+    """A scenario for the diagnosed tissue, and what the robot needs to know besides.
+
+    `bends` gives the roll at which the needle bends to a side; `torsion` compensates the lag of the tip's roll.
+    """
+
+    scenario: Scenario
+    bends: InPlane
+    torsion: Torsion | None = None
+
+    @property
+    def heading_rad(self) -> float:
+        """Heading of the path relative to the commanded direction, in the plane, positive to the left."""
+        return self.bends.heading_rad
+
+    @property
+    def turned_rad(self) -> float:
+        """Mean rotation of the left and the right bevel direction at the entry."""
+        return (self.bends.roll_rad(1, 0.0) + self.bends.roll_rad(-1, 0.0) - math.pi) / 2
+
+    def options(self) -> dict[str, str]:
+        """Return the options that `needleplan insert` needs, by name."""
+        found = {}
+        if self.torsion:
+            found["--torsion"] = f"{self.torsion.stiffness_n_mm2:.6g},{self.torsion.torque_per_length_n:.6g}"
+        if abs(self.turned_rad) > _TURNED_RAD:
+            found["--roll-left-deg"] = f"{math.degrees(self.turned_rad):.2f}"
+        return found
+
+
+def corrected_plan(
+    model: Model,
+    scenario: Scenario,
+    *,
+    velocity_mm_s: float = 5.0,
+    stiffness_n_mm2: float = 1.5e4,
+    shaft_mm: float = 200.0,
+    places: tuple[np.ndarray, np.ndarray] | None = None,
+) -> CorrectedPlan:
+    """Return the corrected plan for a model of the tip's path with its effects.
+
+    Parameters
+    ----------
+    model
+        Model of the tip's path in space.
+    scenario
+        Scenario of the present plan.
+    velocity_mm_s
+        Speed of the insertions.
+    stiffness_n_mm2, shaft_mm
+        Torsional stiffness and length of the needle; they convert a lag of the tip into a torque per length.
+    places
+        Depths and positions along x, as from `along_mm`; by default those of a needle that is rotated half of the time.
+
+    Returns
+    -------
+    CorrectedPlan
+        The scenario with the diagnosed curvature, and the options for the robot.
+
+    Raises
+    ------
+    ModelError
+        If the model is not of a tip's path.
+    ScenarioError
+        If the scenario does not permit the curvature.
+    """
+    size = scenario.workspace
+    deepest = math.ceil(1.1 * math.hypot(size.width_mm, size.height_mm))
+    bends = in_plane(model, min(deepest, shaft_mm), velocity_mm_s)
+    along = bends.along_mm
+    if places is not None:
+        depth, there = places
+        beyond = np.interp(bends.depth_mm, depth, there) + np.maximum(bends.depth_mm - depth[-1], 0.0)
+        along = np.maximum.accumulate(beyond)
+    return CorrectedPlan(
+        scenario.with_curvature(within(pieces_of(along, bends.curvature_per_mm), size.width_mm)),
+        bends,
+        _torsion(bends, stiffness_n_mm2, shaft_mm),
+    )
+
+
+def along_mm(records: tuple[Record, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return depths and mean positions of the tip along x (mm) over recordings, shape (n,) each."""
+    deepest = min(float(np.nanmax(each["depth_mm"])) for each in records)
+    if not deepest > 0:
+        raise ModelError(Mistake("depth_mm", f"{deepest:g}", "must reach into the tissue"), "recordings")
+    depth = np.arange(0.0, deepest, 0.5)
+    rows = []
+    for each in records:
+        inserted, first = np.unique(np.maximum.accumulate(each["depth_mm"]), return_index=True)
+        rows.append(np.interp(depth, inserted, each["x_mm"][first]))
+    there = np.mean(rows, axis=0)
+    return depth, np.maximum.accumulate(there - there[0])
+
+
+def _torsion(bends: InPlane, stiffness_n_mm2: float, shaft_mm: float) -> Torsion | None:
+    """Return the torque per length whose lag approximates the model's over the first half of the depth."""
+    depth = bends.depth_mm
+    shape = depth * (shaft_mm - depth / 2) / stiffness_n_mm2
+    near = depth <= depth[-1] / 2
+    size = float(shape[near] @ bends.lag_rad[near] / (shape[near] @ shape[near]))
+    return Torsion(stiffness_n_mm2, size) if size > _NOTHING_N else None
+
+
+def require_path(channel: Channel) -> None:
+    """Raise ModelError unless the channel is the position of the tip, which a corrected plan needs."""
+    if channel is not Channel.TIP:
+        rule = "needs a model of the tip's path in space (spatial_bicycle or spatial_beam)"
+        raise ModelError(Mistake("--scenario", "", rule))
+
+
+def write_scenario(
+    found: Diagnosis, scenario: Scenario, folder: str, velocity_mm_s: float
+) -> tuple[str, CorrectedPlan]:
+    """Write `scenario.toml` into a folder; return its path and the corrected plan.
+
+    The scenario follows from `Diagnosis.model`: the base model with the named effects, or the calibrated base model
+    alone. The first line of the file says which. Raises ModelError, ScenarioError and OutputError.
+    """
+    require_path(found.given.channel)
+    what = corrected_plan(found.model, scenario, velocity_mm_s=velocity_mm_s, places=along_mm(found.checked.training))
+    place = Path(folder) / "scenario.toml"
+    write_whole(place, f"# {_said(found)} Diagnosis {found.digest}.\n{what.scenario.to_toml()}".encode())
+    return str(place), what
+
+
+def _said(found: Diagnosis) -> str:
+    """Return a sentence on what the scenario contains."""
+    if found.verdict is Verdict.NAMED:
+        return f"Curvature with the named effects: {', '.join(found.names)}."
+    return f"Curvature calibrated to these recordings, without effects (verdict: {found.verdict})."
+
+
+def corrected_plan_lines(found: Diagnosis, what: CorrectedPlan) -> Iterator[str]:
+    """Yield lines on the scenario, and on what the robot needs to know."""
+    yield f"  plan: {_said(found)}"
+    layers = len(what.scenario.needle.layers)
+    yield f"  plan: radius {what.scenario.needle.curvature_radius_mm:.4g} mm" + f", layers behind it: {layers}" * bool(
+        layers
+    )
+    if abs(what.heading_rad) > _TURNED_RAD:
+        yield f"  robot: the path starts {math.degrees(what.heading_rad):+.2f} deg from the commanded heading (+ left)"
+    for option, value in what.options().items():
+        yield f"  robot: insert {option} {value}"
+    left, right = what.bends.roll_rad(1, 0.0), what.bends.roll_rad(-1, 0.0) - math.pi
+    # A common rotation of both sides is an option of the command; different rotations are not.
+    if max(abs(left - what.turned_rad), abs(right - what.turned_rad)) > _TURNED_RAD:
+        yield f"  robot: at the entry, bevel left is a roll of {left:.4f} rad, right {right + math.pi:.4f} rad"

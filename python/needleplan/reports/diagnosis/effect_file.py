@@ -1,0 +1,138 @@
+"""An effect file: Python source of an effect with the shape of an unexplained gap, for a person to complete."""
+
+from __future__ import annotations
+
+import json
+
+from needleplan.diagnosis import Curve, Curves, Formula, GapAxis, GapDescription
+
+__all__ = ["effect_file_text"]
+
+_AXES = {
+    GapAxis.TIME: "time", GapAxis.DEPTH: "depth", GapAxis.SPEED: "speed", GapAxis.FORCE: "force",
+    GapAxis.DWELL: "time at rest", GapAxis.PERIOD: "depth", GapAxis.ANGLE: "angle",
+}  # fmt: skip
+
+_VARIABLES = {GapAxis.TIME: "time_s", GapAxis.SPEED: "abs(velocity_mm_s)", GapAxis.FORCE: "force_n"}
+
+_WAYS = {"advance": "(sign > 0)", "retraction": "(sign < 0)", "any": "1.0"}
+
+
+_TEMPLATE = '''\
+"""A draft of an effect for an unexplained gap. It describes the recordings and explains no cause.
+
+{description}
+
+Find the physical cause, replace `drawn` by its law, and set the name, the family, the place where it enters (TIP,
+SHAFT, TISSUE or SENSOR) and the source. Then look for it beside all other effects:
+
+    needleplan diagnose MODEL.toml DATA... -o DIR --effects effect_to_name.py
+
+To make the effect known to every command, let a package name EFFECT in its entry point `needleplan.effects`.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy import abs, cos, exp, interp, pi, sin  # noqa: A004, F401
+
+from needleplan.models.effects import Enters, Family, Term, TermEffect
+from needleplan.models import parameter
+
+
+def drawn(depth_mm, velocity_mm_s, sign, time_s, force_n):
+    """Missing force (N), scaled to an RMS of 1 N in the training data.
+
+    depth_mm is 0 in the air. sign is +1 inwards and -1 outwards, and keeps its value in a dwell. force_n is the force
+    of the model without the effect.
+    """
+    return {expression}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draft(Term):
+    """The draft, without memory."""
+
+    name: ClassVar[str] = {name}
+    order: ClassVar[int] = 0
+    size: float = parameter("N", -20, 20, "RMS of the missing force", typical={typical!r})
+
+    def initial(self, motion):
+        """Return no memory."""
+        return np.zeros(0)
+
+    def rate(self, state, motion):
+        """Return no memory."""
+        return state
+
+    def states(self, motion, start):
+        """Return no memory."""
+        return np.zeros((0, len(motion)))
+
+    def shape(self, state, motion, plain):
+        """Return what is added for size 1."""
+        depth = np.maximum(np.asarray(motion.depth_mm, float), 0.0)
+        rows = motion.velocity_mm_s, motion.direction, motion.time_s, plain
+        return np.asarray(drawn(depth, *(np.asarray(row, float) for row in rows)) + np.zeros_like(depth))
+
+
+EFFECT = TermEffect(
+    name={name},
+    title="draft: a gap along {axis}",
+    family=Family.TISSUE,
+    enters=Enters.SHAFT,
+    equation={equation},
+    meaning="A gap along {axis}, described but not explained.",
+    source="effect_to_name.py of a diagnosis",
+    term=Draft,
+)
+'''
+
+
+def effect_file_text(described: GapDescription, name: str = "my_effect") -> str:
+    """Return the source of an effect with the shape of a gap: its formula, or else its curves as a table."""
+    axis, curves, formula, rms = described.axis, described.curves, described.sparse, described.rms
+    if formula is not None:
+        expression = " + ".join(f"{each.factor / rms!r} * {each.text}" for each in formula.terms)
+        equation = formula.text
+    else:
+        expression = _table(axis, curves, rms)
+        equation = f"a table over {_AXES[axis]}, see drawn"
+    return _TEMPLATE.format(
+        description=_description(axis, formula),
+        expression=expression,
+        name=json.dumps(name),
+        typical=float(f"{rms:.3g}"),
+        axis=_AXES[axis],
+        equation=json.dumps(equation),
+    )
+
+
+def _table(axis: GapAxis, curves: Curves, rms: float) -> str:
+    parts = [_part(axis, each, rms) for each in curves.curves if each.inside.any()]
+    return "(\n        " + "\n        + ".join(parts or ["0.0 * depth_mm"]) + "\n    )"
+
+
+def _part(axis: GapAxis, curve: Curve, rms: float) -> str:
+    places = [float(f"{each:.5g}") for each in curve.places[curve.inside]]
+    values = [float(f"{each / rms:.4g}") for each in curve.mean[curve.inside]]
+    along = _VARIABLES.get(axis, "depth_mm")
+    return f"{_WAYS.get(curve.way, '(abs(velocity_mm_s) < 1e-9)')} * interp({along}, {places}, {values})"
+
+
+def _description(axis: GapAxis, formula: Formula | None) -> str:
+    lines = [f"The gap depends on {_AXES[axis]}."]
+    if formula is None:
+        lines.append("No short formula passes the gates: the table below is the curve within the visited range.")
+        return "\n".join(lines)
+    kept = (
+        ""
+        if formula.transfer is None
+        else f"; on the held-out trials it achieves {formula.transfer:.0%} of the predicted gain"
+    )
+    lines.append(f"As a formula, in N: {formula.text}")
+    lines.append(f"It has {formula.share:.0%} of the gain of the best smooth function{kept}.")
+    if formula.alike:
+        lines.append("Equivalent first products: " + "; ".join(formula.alike[:6]))
+    return "\n".join(lines)
