@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order, SafetyEventName, SafetyLimits
-from needleplan.devices import Health, Source
+from needleplan.devices import ForceSample, Health, PoseSample, Source, Stamp
 from needleplan.errors import DeviceFault, MotionRefused
 from tests.control.safety.bench import NAN, Bench
 
@@ -323,3 +323,45 @@ def test_closing_stops_and_closes_the_stage() -> None:
         guard.insert(50.0, 5.0)
     assert bench.stage.wire[-1] == ("stop",)
     assert bench.stage.broken
+
+
+class OneSample:
+    """A device that returns one sample, or fails."""
+
+    def __init__(self, sample: ForceSample | PoseSample | Exception) -> None:
+        self.sample = sample
+
+    def read(self, _: float) -> ForceSample | PoseSample:
+        if isinstance(self.sample, Exception):
+            raise self.sample
+        return self.sample
+
+
+def test_a_sample_is_validated_as_it_is_read_before_the_loop_takes_it() -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    guard.insert(50.0, 5.0)
+    force = ForceSample(Stamp(bench.clock.now_ns(), 10_000), (0.0, 0.0, 60.0), (0.0, 0.0, 0.0))
+    assert guard.read_device(Source.FORCE, OneSample(force), 0.0) is force  # type: ignore[arg-type]
+    assert bench.stage.wire[-1] == ("stop",)
+    assert Cause.FORCE_EXCEEDED in guard.state.latched
+
+
+def test_a_pose_that_is_read_keeps_the_tip_until_the_loop_has_another() -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    pose = PoseSample(Stamp(bench.clock.now_ns(), 10_000), (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), 0.1)
+    guard.read_device(Source.POSE, OneSample(pose), 0.0)  # type: ignore[arg-type]
+    assert guard.state.operating is E
+    guard.observe_tip((10.0, 5.0), 0.2)
+    assert guard.state.operating is E
+    assert guard.observe_tip(None, 0.2).present == {Cause.TIP_UNKNOWN}
+
+
+@pytest.mark.parametrize("error", [DeviceFault("cable"), OSError("cable")], ids=["fault", "other error"])
+def test_a_device_that_fails_as_it_is_read_is_a_fault(error: Exception) -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    with pytest.raises(type(error), match="cable"):
+        guard.read_device(Source.FORCE, OneSample(error), 0.0)  # type: ignore[arg-type]
+    assert Cause.FORCE_FAULT in guard.state.latched
