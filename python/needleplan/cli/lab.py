@@ -61,7 +61,7 @@ def add_to(commands: Any) -> None:
         help="longest time without a heartbeat that a controller may ask the robot to accept, s (0.34)",
     )  # fmt: skip
     parser.add_argument("--duration", type=float, dest="duration_s", metavar="S", help="end after this time, s")
-    add_answer(parser, verbose=False)
+    add_answer(parser)
     add_old_spelling(parser, "--for", "--duration", convert=float)
     add_old_spelling(parser, "--registration", "--output")
     parser.set_defaults(run=run)
