@@ -70,7 +70,7 @@ class Path:
 
     @property
     def end(self) -> Pose:
-        """The last pose, with its heading brought back below a full turn."""
+        """The last pose, without whole turns in its heading."""
         return Pose.wound(self.poses[-1].tolist())
 
     @property
