@@ -25,6 +25,7 @@ WITH_EXAMPLES = [
     name for name in MODULES
     if ">>> " in Path(str(importlib.util.find_spec(name).origin)).read_text(encoding="utf-8")  # type: ignore[union-attr]
 ]  # fmt: skip
+SLOW = {"needleplan.diagnosis._diagnosis"}  # a whole diagnosis
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE | doctest.IGNORE_EXCEPTION_DETAIL
 
 
@@ -42,7 +43,9 @@ def planned_once() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("planned_once")
-@pytest.mark.parametrize("name", WITH_EXAMPLES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in WITH_EXAMPLES]
+)
 def test_examples(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # examples may write files
     module = importlib.import_module(name)

@@ -44,9 +44,6 @@ def public() -> Iterator[tuple[str, Any]]:
 
 
 PUBLIC = dict(public())
-# Still to be documented in sections.
-OPEN = {"diagnose"}
-CHECKED = [name for name in PUBLIC if name not in OPEN]
 
 
 def parameters(each: Any) -> list[str]:
@@ -58,7 +55,7 @@ def parameters(each: Any) -> list[str]:
     return [name for name in names if name not in ("self", "cls")]
 
 
-@pytest.mark.parametrize("name", CHECKED)
+@pytest.mark.parametrize("name", PUBLIC)
 def test_sections(name: str) -> None:
     each = PUBLIC[name]
     text = inspect.getdoc(each)
