@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from needleplan.devices import Address, Station, open_station, require_schemes
 from needleplan.errors import AddressError, Mistake
-from needleplan.estimation.registration import Registration
 from needleplan.models import Torsion
 from needleplan.planning import PolicyTable, Pose
 from needleplan.simulation._experiment import Experiment
 from needleplan.simulation._lab import Lab
 from needleplan.simulation._setup import SimulatedEntry
+
+if TYPE_CHECKING:
+    from needleplan.estimation.registration import Registration
 
 __all__ = ["SimulatedStation", "are_simulated", "open_insertion_station", "simulated_station"]
 
@@ -92,6 +95,9 @@ def simulated_station(
     seed
         Seed of all random effects; None: the seed of the experiment.
     """
+    # Imported here: estimation imports scipy.stats, which takes long and which an experiment alone does not need.
+    from needleplan.estimation.registration import Registration
+
     setup = experiment.setup
     entry = SimulatedEntry(start.x_mm, start.y_mm, start.heading_rad, setup.entry.depth_mm, setup.entry.roll_rad)
     planned = replace(
