@@ -59,7 +59,7 @@ def test_starts_are_wrong_by_the_factor() -> None:
 
 
 def test_errors_by_phase() -> None:
-    from needleplan.estimation.bank import run_bank
+    from needleplan_thesis.chapter2.bank import run_bank
 
     record = insertion_record(FAST, 0)
     phases = phases_of(run_bank(FAST.model, record), record, 5)

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.estimation import FilterStatus, JointForce, identify_by_passes, mean_absolute_error
-from needleplan.estimation.bank import TABLE_2_1, BankRun, BankSettings, run_bank
 from needleplan.identification.force import fit_force
 from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import Record
+from needleplan_thesis.chapter2.bank import TABLE_2_1, BankRun, BankSettings, run_bank
 from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES
 from needleplan_thesis.chapter2.generator import SENSOR, insertion_record
 from needleplan_thesis.chapter2.published import NO_DATA, TABLE_2_2

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.estimation import replay
-from needleplan.estimation.bank import BankRun, run_bank
 from needleplan.models.force import DepthForce, ForceModel1
 from needleplan.plotting.canvas import BLACK, BLUE, GREY, SKY, VERMILLION, save, title
 from needleplan.signals import Record
+from needleplan_thesis.chapter2.bank import BankRun, run_bank
 from needleplan_thesis.chapter2.generator import SENSOR
 from needleplan_thesis.chapter2.loops import Loop
 from needleplan_thesis.chapter2.starts import corners

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from needleplan.estimation import FilterStatus, mean_absolute_error
-from needleplan.estimation.bank import TABLE_2_1, BankSettings, Exponents, Trigger, run_bank
 from needleplan.models.force import ForceModel1, ForceModel2
+from needleplan_thesis.chapter2.bank import TABLE_2_1, BankSettings, Exponents, Trigger, run_bank
 from tests.estimation.insertions import AVERAGE, MODEL, moved, recorded
 
 RECORD = recorded(MODEL, depth=40.0)
