@@ -22,7 +22,15 @@ import machine
 
 from needleplan.scenario import Scenario
 from needleplan.simulation import Experiment
-from needleplan_thesis.steering import Course, Guidance, Task, Trial, gap_closed, run_all, summarized
+from needleplan_thesis.steering import (
+    Guidance,
+    SteeringCase,
+    SteeringTask,
+    SteeringTrial,
+    gap_closed,
+    run_all,
+    summarized,
+)
 
 SCENARIOS = ("phantom", "four_obstacles", "layered")
 OFF = (-0.2, 0.2)
@@ -36,7 +44,7 @@ GAP = (
 )  # fmt: skip
 
 
-def kinds(courses: list[Course], errors: list[float]) -> Iterator[tuple[Course, Guidance, float]]:
+def kinds(courses: list[SteeringCase], errors: list[float]) -> Iterator[tuple[SteeringCase, Guidance, float]]:
     """Yield what is tried: everything as planned first, then the loops and none where the curvature is off."""
     for course in courses:
         yield from ((course, guidance, 0.0) for guidance in Guidance if guidance is not Guidance.KEPT)
@@ -57,10 +65,12 @@ def main() -> int:
     options = parser.parse_args()
     began, of = time.time(), machine.description()
     results: list[dict[str, Any]] = []
-    courses = [Course(name, Scenario.read(name), Experiment.read("steering")) for name in options.scenarios]
+    courses = [SteeringCase(name, Scenario.read(name), Experiment.read("steering")) for name in options.scenarios]
     for course, guidance, error in kinds(courses, options.off):
         seeds = (options.off_seeds or options.seeds) if error else options.seeds
-        trials = list(run_all([Task(course, guidance, seed, error) for seed in range(seeds)], options.processes))
+        trials = list(
+            run_all([SteeringTask(course, guidance, seed, error) for seed in range(seeds)], options.processes)
+        )
         results.append(row(course.name, guidance, error, trials))
         print(f"{course.name}, {guidance}, {error:+.0%}: {results[-1]['success']:.1%}", file=sys.stderr)
         if options.json:
@@ -70,7 +80,7 @@ def main() -> int:
     return 0
 
 
-def row(name: str, guidance: Guidance, error: float, trials: list[Trial]) -> dict[str, Any]:
+def row(name: str, guidance: Guidance, error: float, trials: list[SteeringTrial]) -> dict[str, Any]:
     """Return what is kept of insertions of one kind: the summary, and of each that failed its cause."""
     failed = [
         {"seed": each.task.seed, "ending": each.ending, "cause": each.cause, "touched": each.touched,

@@ -11,12 +11,9 @@ from needleplan.models import simulate
 from needleplan.models.force import ForceModel1
 from needleplan.reports.comparison import Agreement
 from needleplan_thesis.chapter2.bank_table import phases_of, tables_2_1_and_2_2
-from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES
-from needleplan_thesis.chapter2.forward import forward
-from needleplan_thesis.chapter2.generator import SENSOR, insertion_record
-from needleplan_thesis.chapter2.loops import Loop, table_2_3_and_loops
-from needleplan_thesis.chapter2.panels import draw_all
-from needleplan_thesis.chapter2.starts import corners
+from needleplan_thesis.chapter2.figures import draw_all
+from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES, SENSOR, corners, insertion_record
+from needleplan_thesis.chapter2.parameters import IdentifiedForce, forward, table_2_3_and_loops
 
 pytestmark = pytest.mark.slow
 
@@ -69,7 +66,7 @@ def test_errors_by_phase() -> None:
 def test_loops_and_figures(tmp_path: Path) -> None:
     record = insertion_record(FAST, 0).select(slice(0, None, 4))
     run = identify_by_passes(JointForce(FAST.model), FAST.model, [record])
-    made = [Loop(each, record, run) for each in PUBLISHED_FORCES]
+    made = [IdentifiedForce(each, record, run) for each in PUBLISHED_FORCES]
     rows = table_2_3_and_loops(made)
     assert len(rows) == 5 * 6
     assert rows[0].published == FAST.model.sigma0

@@ -12,10 +12,7 @@ from needleplan.models.friction import Profile
 from needleplan.reports.chapters import Effort, Request
 from needleplan.reports.comparison import Agreement
 from needleplan_thesis.chapter3 import chapter
-from needleplan_thesis.chapter3.errors import statements
-from needleplan_thesis.chapter3.fits import CaseFits, errors_mn, fit_case
-from needleplan_thesis.chapter3.generator import NOISE_N, Generator, periodic
-from needleplan_thesis.chapter3.lag import velocity_lag
+from needleplan_thesis.chapter3.fits import NOISE_N, CaseFits, Generator, errors_mn, fit_case, periodic
 from needleplan_thesis.chapter3.prediction import inside, predictors
 from needleplan_thesis.chapter3.published import (
     CASES,
@@ -26,7 +23,8 @@ from needleplan_thesis.chapter3.published import (
     passing_through,
     pooled_mn,
 )
-from needleplan_thesis.chapter3.tissue import opening
+from needleplan_thesis.chapter3.simplifications import opening, velocity_lag
+from needleplan_thesis.chapter3.tables import statements
 
 pytestmark = pytest.mark.slow
 

@@ -11,9 +11,8 @@ from needleplan.reports.chapters import Effort, Request
 from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.scenario import Scenario
 from needleplan_thesis.chapter5 import chapter
-from needleplan_thesis.chapter5.published import CASES, CHANGES, SENSITIVITY
-from needleplan_thesis.chapter5.runs import MEMORY, PRINTED, required_force_n
-from needleplan_thesis.chapter5.table51 import residual_n, singular_force_n
+from needleplan_thesis.chapter5.chapter import residual_n, singular_force_n
+from needleplan_thesis.chapter5.insertions import CASES, CHANGES, MEMORY, PRINTED, SENSITIVITY, required_force_n
 from needleplan_thesis.chapter5.table52 import arcs_apart_mm
 
 pytestmark = pytest.mark.slow

@@ -10,7 +10,7 @@ from needleplan.errors import InputError
 from needleplan.reports.chapters import Effort, Request, reproduce
 from needleplan.reports.comparison import Agreement
 from needleplan_thesis.chapter6 import chapter
-from needleplan_thesis.chapter6.experiments import experiments
+from needleplan_thesis.chapter6.phantom import experiments
 
 pytestmark = pytest.mark.slow
 

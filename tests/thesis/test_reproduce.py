@@ -12,10 +12,8 @@ from needleplan.errors import InputError, OutputError
 from needleplan.reports.chapters import Effort, Request, reproduce
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.scenario import Method, Scenario
-from needleplan_thesis.chapter6.claims import in_obstacles
-from needleplan_thesis.chapter6.problem import formula_states, problem
-from needleplan_thesis.chapter6.published import TABLE_6_2, TABLE_6_3
-from needleplan_thesis.chapter6.solves import processed_states
+from needleplan_thesis.chapter6.partitions import in_obstacles
+from needleplan_thesis.chapter6.tables import TABLE_6_2, TABLE_6_3, formula_states, problem, processed_states
 from tests.cli.commands import needleplan, refused
 
 pytestmark = pytest.mark.slow

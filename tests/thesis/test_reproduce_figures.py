@@ -16,11 +16,9 @@ from needleplan.cli import main
 from needleplan.planning import Outcome
 from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.scenario import Scenario, Transition
-from needleplan_thesis.chapter6 import dependents
-from needleplan_thesis.chapter6.believability import summary, write_entries
-from needleplan_thesis.chapter6.entries import Execution, choose_entries, execute, planned
-from needleplan_thesis.chapter6.panels import Panel, draw_panels, ending
-from needleplan_thesis.chapter6.paths import clearance_mm, nearest_heading
+from needleplan_thesis.chapter6.entries import ExecutionRule, choose_entries, execute, planned, summary, write_entries
+from needleplan_thesis.chapter6.partitions import dependent_points, draw_dependents
+from needleplan_thesis.chapter6.paths import Panel, clearance_mm, draw_panels, ending, nearest_heading
 from needleplan_thesis.chapter6.phantom import EXPERIMENTS, miss_mm
 
 pytestmark = pytest.mark.slow
@@ -30,7 +28,7 @@ def test_dependents_lie_a_step_around_the_partition(table: npl.PolicyTable) -> N
     scenario = table.scenario
     columns, rows = scenario.partitions
     column, row = 4, 2
-    points = dependents.dependent_points(table, column * rows + row)
+    points = dependent_points(table, column * rows + row)
     nx, ny, *_ = scenario.shape
     i, j = np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij")
     inside = (i * columns // nx == column) & (j * rows // ny == row)
@@ -39,7 +37,7 @@ def test_dependents_lie_a_step_around_the_partition(table: npl.PolicyTable) -> N
     reach = np.array([np.abs(members - point).max(axis=1).min() for point in np.argwhere(points)])
     assert 0 < reach.max() <= math.ceil(scenario.step_mm)
     figure, (axes,) = plotting.sheet(scenario.workspace, 1)
-    dependents.draw_dependents(axes, table, column * rows + row)
+    draw_dependents(axes, table, column * rows + row)
     assert axes.images[0].get_array().count() == points.sum()
     assert len(figure.axes) == 1
 
@@ -57,7 +55,7 @@ def test_entries_follow_the_rule(small: Scenario) -> None:
 def test_the_study_counts_what_a_rollout_counts(small: Scenario, tmp_path: Path) -> None:
     table = planned(small, Transition.INTERPOLATED, 1.0)
     entries = choose_entries(table)
-    study = execute("small", table, entries, Execution(), 2000)
+    study = execute("small", table, entries, ExecutionRule(), 2000)
     single = table.rollout(entries[0].tolist(), 2000, seed=6)
     assert study.realised[0] == single.success
     assert tuple(study.interval[0]) == single.interval
@@ -74,7 +72,7 @@ def test_the_study_counts_what_a_rollout_counts(small: Scenario, tmp_path: Path)
 
 def test_the_goal_is_for_half_a_millimetre(small: Scenario) -> None:
     table = planned(small, Transition.INTERPOLATED, 0.5)
-    study = execute("small", table, choose_entries(table), Execution(), 1000)
+    study = execute("small", table, choose_entries(table), ExecutionRule(), 1000)
     for row, goal in zip(summary(study), (1.0, 2.0), strict=True):
         assert isinstance(row.ours, float)
         assert row.verdict is (Agreement.MET if row.ours <= goal else Agreement.MISSED)

@@ -14,19 +14,16 @@ from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import Record
 from needleplan_thesis.chapter2.bank import TABLE_2_1, BankRun, BankSettings, run_bank
-from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES
-from needleplan_thesis.chapter2.generator import SENSOR, insertion_record
-from needleplan_thesis.chapter2.published import NO_DATA, TABLE_2_2
-from needleplan_thesis.chapter2.starts import corners
+from needleplan_thesis.chapter2.forces import NO_DATA, PUBLISHED_FORCES, SENSOR, TABLE_2_2, corners, insertion_record
 
-__all__ = ["Phases", "phases_of", "tables_2_1_and_2_2"]
+__all__ = ["PhaseErrors", "phases_of", "tables_2_1_and_2_2"]
 
 _FAILED_N = 0.1
 _OTHER_PAIRING = ({"sigma0": 9, "sigma2": 15}, {"f1": 15, "sigma1": 15}, {"beta": 3})
 
 
 @dataclass(frozen=True)
-class Phases:
+class PhaseErrors:
     """Root mean squared innovations of one run (N), infinite where it did not get there."""
 
     insertion_n: float
@@ -34,7 +31,7 @@ class Phases:
     entire_n: float
 
 
-def phases_of(run: BankRun, record: Record, skip: int) -> Phases:
+def phases_of(run: BankRun, record: Record, skip: int) -> PhaseErrors:
     """Return the errors by phase, the first `skip` samples of each left out."""
     direction = record.motion().direction
     turn = int(np.flatnonzero(direction < 0)[0])
@@ -43,7 +40,7 @@ def phases_of(run: BankRun, record: Record, skip: int) -> Phases:
         squares[: len(run.track.innovation)] = run.track.innovation**2
     parts = (squares[skip:turn], squares[turn + skip :])
     rmse = [float(np.sqrt(np.mean(each))) for each in (*parts, np.concatenate(parts))]
-    return Phases(*rmse)
+    return PhaseErrors(*rmse)
 
 
 def tables_2_1_and_2_2(starts: int) -> list[Comparison]:

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 from needleplan.reports.chapters import Effort
 from needleplan_thesis.chapter2.bank_table import tables_2_1_and_2_2
-from needleplan_thesis.chapter2.forward import forward
-from needleplan_thesis.chapter2.loops import loops, robust_starts, table_2_3_and_loops
-from needleplan_thesis.chapter2.panels import draw_all
+from needleplan_thesis.chapter2.figures import draw_all
+from needleplan_thesis.chapter2.parameters import forward, loops, robust_starts, table_2_3_and_loops
 
 if TYPE_CHECKING:
     from needleplan.reports.chapters import Request

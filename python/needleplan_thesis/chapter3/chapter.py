@@ -1,27 +1,36 @@
-"""Everything of chapter 3, in the order of the chapter."""
+"""Everything of chapter 3, in the order of the chapter.
+
+Figs. 3.3 and 3.5: how the normal force is spread, and loops of friction and velocity.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from needleplan.identification.shaft_models import EXPONENTS
+from needleplan.models import Model, Profile, simulate
+from needleplan.models.friction import intensity, steady
+from needleplan.plotting import caption, save
+from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, title
 from needleplan.reports.chapters import Effort
-from needleplan_thesis.chapter3.claims import averaging, peaks
-from needleplan_thesis.chapter3.errors import errors, orders, printed_output, statements
-from needleplan_thesis.chapter3.figures import draw_loops, draw_profiles
-from needleplan_thesis.chapter3.fits import fit_cases
-from needleplan_thesis.chapter3.generator import Generator
-from needleplan_thesis.chapter3.lag import velocity_lag
+from needleplan.signals import Record
+from needleplan_thesis.chapter3.fits import CaseFits, Generator, fit_cases
 from needleplan_thesis.chapter3.prediction import prediction
-from needleplan_thesis.chapter3.tables import parameters, recovered
-from needleplan_thesis.chapter3.tissue import deforming_tissue
+from needleplan_thesis.chapter3.simplifications import averaging, deforming_tissue, peaks, velocity_lag
+from needleplan_thesis.chapter3.tables import errors, orders, parameters, printed_output, recovered, statements
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from needleplan.reports.chapters import Request
     from needleplan.reports.comparison import Comparison
 
-__all__ = ["files", "run"]
+__all__ = ["draw_loops", "draw_profiles", "files", "run"]
 
 _RATE_HZ = {Effort.QUICK: 12.5, Effort.DEFAULT: 50.0, Effort.FULL: 200.0}
 """Samples a second of the records that models are fitted to; noise of the same size is more of it at fewer."""
@@ -62,3 +71,79 @@ def run(request: Request) -> list[Comparison]:
         *([] if quick else velocity_lag(request.note)),
         *deforming_tissue(request.folder, request.note),
     ]
+
+
+_COLOURS = (VERMILLION, ORANGE, GREEN, BLUE, BLACK)
+_RAMP_MM = 2.5
+
+
+def draw_profiles(file: Path) -> None:
+    """Draw fn along the patch while the needle goes in, states 1 to 5 of both trapezoids."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.6, 2.9), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    states = {
+        Profile.RIGHT: (0.8, 1.4, 2.0, _RAMP_MM, 9.0),
+        Profile.ISOSCELES: (1.5, 2.8, 4.0, 2 * _RAMP_MM, 11.0),
+    }
+    for each, (profile, lengths) in zip(axes, states.items(), strict=True):
+        for number, (length, colour) in enumerate(zip(lengths, _COLOURS, strict=True), start=1):
+            # Just inside of the far end: the right trapezoid ends with a jump.
+            position = np.linspace(0, length, 400)
+            shape = intensity(profile, position, length, _RAMP_MM)
+            label = f"{number}: L = {length:g} mm"
+            each.plot([*position, length], [*shape, 0], color=colour, linewidth=1.3, label=label)
+        each.set_xlabel("distance from the entry (mm)")
+        each.legend(frameon=False, fontsize=8, loc="upper right")
+        each.set_ylim(0, 1.1)
+        each.set_xlim(-0.4, 1.6 * max(lengths))
+    axes[0].set_ylabel("fn/f")
+    title(axes[0], "(a) right trapezoid, Model III-A")
+    title(axes[1], "(b) isosceles trapezoid, Model III-B")
+    caption(figure, "Fig. 3.3: normal force per length as the needle goes in, w = 2.5 mm; state 4: the last triangle.")
+    save(figure, file)
+
+
+def draw_loops(fits: Sequence[CaseFits], file: Path) -> None:
+    """Draw Fig. 3.5: III-B by lambda for case 1, all models for cases 2 and 4."""
+    from matplotlib.figure import Figure
+
+    by_case = {each.case: each for each in fits}
+    figure = Figure(figsize=(10.5, 4.0), layout="constrained")
+    every = figure.subplots(1, 3)
+    lambdas = {
+        f"lambda {value:g}: {1e3 * found.rmse:.1f} mN": found.model for value, found in by_case[1].exponents.items()
+    }
+    _loop(every[0], by_case[1].record, lambdas)
+    title(every[0], "(a) III-B, case 1")
+    for axes, case, letter in ((every[1], 2, "b"), (every[2], 4, "c")):
+        chosen = by_case[case]
+        named = {f"{label}: {1e3 * found.rmse:.1f} mN": found.model for label, found in chosen.fits.items()}
+        _loop(axes, chosen.record, named)
+        title(axes, f"({letter}) case {case}")
+    every[0].set_ylabel("friction (N)")
+    caption(
+        figure,
+        "Fig. 3.5: identified friction and velocity after the first cycle. Light blue: synthetic data from "
+        f"{fits[0].generator} with 15 mN of noise. Insets: around rest.",
+    )
+    save(figure, file)
+
+
+def _loop(axes: Axes, record: Record, models: Mapping[str, Model]) -> None:
+    counts, motion = steady(record), record.motion()
+    last = counts & (motion.time_s > motion.time_s[counts].mean())
+    near = np.abs(motion.velocity_mm_s) < 0.12 * np.abs(motion.velocity_mm_s).max()
+    inset = axes.inset_axes((0.6, 0.07, 0.37, 0.37))
+    for each, shown, size in ((axes, counts, 0.8), (inset, counts & near, 1.2)):
+        each.plot(motion.velocity_mm_s[shown], record["force_n"][shown], ".", color=SKY, markersize=size, alpha=0.5)
+    for (label, model), colour in zip(models.items(), _COLOURS, strict=False):
+        force = simulate(model, motion).output
+        axes.plot(motion.velocity_mm_s[last], force[last], color=colour, linewidth=0.9, label=label)
+        masked = np.where(last & near, force, np.nan)
+        inset.plot(motion.velocity_mm_s, masked, color=colour, linewidth=0.9)
+    axes.axhline(0, color=GREY, linewidth=0.5)
+    inset.tick_params(labelsize=6)
+    axes.set_xlabel("velocity (mm/s)")
+    axes.legend(frameon=False, fontsize=7.5, loc="upper left")

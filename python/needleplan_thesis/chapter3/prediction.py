@@ -1,8 +1,11 @@
-"""Table 3.6 and Fig. 3.6: friction predicted with the tip inside of the tissue, and the cutting force that is left."""
+"""Table 3.6 and Fig. 3.6: friction predicted with the tip inside of the tissue, and the cutting force that is left.
+
+Fig. 3.6: measured and predicted force with the tip inside of the tissue.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,13 +14,14 @@ from numpy.typing import NDArray
 
 from needleplan.models import AveragedLuGre, Model, Profile, cutting_force, into_fresh_tissue, simulate
 from needleplan.models.friction import Friction
+from needleplan.plotting import caption, save
+from needleplan.plotting.canvas import BLUE, GREY, ORANGE, SKY, VERMILLION, title
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import Array, Motion, Record, Start, sinusoid
-from needleplan_thesis.chapter3.generator import NOISE_N, Generator, generated, recorded
-from needleplan_thesis.chapter3.insertion_figure import draw_prediction
+from needleplan_thesis.chapter3.fits import NOISE_N, Generator, generated, recorded
 from needleplan_thesis.chapter3.published import CASES, NEEDLE_MASS_KG, TABLE_3_6, model_i, model_ii, model_iii_b
 
-__all__ = ["Insertion", "inside", "prediction", "predictors"]
+__all__ = ["InsideRecord", "draw_prediction", "inside", "prediction", "predictors"]
 
 _MIDDLE_MM, _AMPLITUDE_MM = 38.0, 25.0
 _CUTTING_N, _CUTTING_PER_MM_S = 0.10, 0.01
@@ -33,7 +37,7 @@ _CASES = "cases 1 and 2 are needles A and B in tissue A, as Fig. 3.6 and Table 3
 
 
 @dataclass(frozen=True)
-class Insertion:
+class InsideRecord:
     """One record of Fig. 3.6: what was measured, what of it was friction and cutting, and where major cutting was."""
 
     case: int
@@ -54,7 +58,7 @@ class Insertion:
         return 1e3 * float(np.sqrt(np.mean(error[~self.major] ** 2)))
 
 
-def inside(case: int, profile: str, hidden: bool = True, rate_hz: float = 200.0, seed: int = 0) -> Insertion:
+def inside(case: int, profile: str, hidden: bool = True, rate_hz: float = 200.0, seed: int = 0) -> InsideRecord:
     """Return four cycles about the middle of the phantom, in first (`solid`) or out first (`dashed`).
 
     Hidden effects: cutting of fresh tissue (0.10 N + 0.01 N s/mm v); minor cutting, 60 mN for 1 s at random on the way
@@ -78,7 +82,7 @@ def inside(case: int, profile: str, hidden: bool = True, rate_hz: float = 200.0,
         bumps = np.exp(-(((motion.depth_mm[:, None] - places) / _BUBBLE_MM) ** 2))
         other = np.sign(motion.velocity_mm_s) * (bumps @ sizes)
     record = recorded(motion, friction + cutting + other, seed, NOISE_N if hidden else 0.0)
-    return Insertion(case, profile, record, friction, cutting, major)
+    return InsideRecord(case, profile, record, friction, cutting, major)
 
 
 def predictors(case: int) -> dict[str, Friction]:
@@ -143,7 +147,7 @@ def _rows(
     return [measured(identity, printed[label][case - 1], ours, "mN", reason), plain]
 
 
-def _cutting(insertion: Insertion, friction: Friction) -> Comparison:
+def _cutting(insertion: InsideRecord, friction: Friction) -> Comparison:
     """Return how well measured - friction - inertia finds the cutting force that was put in."""
     mass = NEEDLE_MASS_KG[CASES[insertion.case].needle]
     parts = cutting_force(insertion.record, friction, mass)
@@ -155,3 +159,39 @@ def _cutting(insertion: Insertion, friction: Friction) -> Comparison:
         f"measured less friction (III-B) less inertia, where fresh tissue was cut with {1e3 * size.mean():.0f} mN on "
         f"average; inertia at most {1e3 * np.abs(parts.inertia_n).max():.2f} mN; bubbles and noise remain",
     )  # fmt: skip
+
+
+_COLOURS = (VERMILLION, BLUE, ORANGE)
+
+
+def draw_prediction(
+    records: Sequence[tuple[str, Record, NDArray[np.bool_]]], models: Mapping[str, Model], file: Path
+) -> None:
+    """Draw records (name, record, where major cutting is) one above the other with the predictions."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 5.6), layout="constrained")
+    every = figure.subplots(len(records), 1, sharex=True, squeeze=False).flat
+    for axes, (name, record, major) in zip(every, records, strict=True):
+        motion = record.motion()
+        axes.plot(motion.time_s, record["force_n"], color=GREY, linewidth=0.6, label="synthetic measurement")
+        for (label, model), colour in zip(models.items(), _COLOURS, strict=True):
+            style = "--" if label == "III-A" else "-"
+            shown = f"Model {label}" + (", Fn frozen" if label == "II" else "")
+            axes.plot(motion.time_s, simulate(model, motion).output, style, color=colour, linewidth=1.0, label=shown)
+        low, high = axes.get_ylim()
+        axes.fill_between(
+            motion.time_s, low, high, where=major, color=SKY, alpha=0.25, linewidth=0, label="fresh tissue"
+        )
+        axes.set_ylim(low, high)
+        axes.set_ylabel("axial force (N)")
+        title(axes, f"{name} profile")
+    axes.set_xlabel("time (s)")
+    handles = axes.get_legend_handles_labels()
+    figure.legend(*handles, loc="outside upper right", ncols=5, frameon=False, fontsize=8)
+    caption(
+        figure,
+        "Fig. 3.6: needle B in tissue A, 0.08 Hz, 25 mm, tip inside. The measurement is Model III-B with the inserted "
+        "length, with cutting, minor cutting, air bubbles and noise of sizes that are ours.",
+    )
+    save(figure, file)

@@ -38,7 +38,7 @@ __all__ = [
     "THICKNESS_MM",
     "Errors",
     "FrictionCase",
-    "Printed",
+    "PrintedParameter",
     "model_i",
     "model_ii",
     "model_iii_b",
@@ -81,17 +81,17 @@ CASES = {
 
 
 @dataclass(frozen=True)
-class Printed:
+class PrintedParameter:
     """A printed parameter: mean and standard deviation."""
 
     mean: float
     sd: float
 
 
-def _table(**rows: tuple[float, ...]) -> dict[int, dict[str, Printed]]:
+def _table(**rows: tuple[float, ...]) -> dict[int, dict[str, PrintedParameter]]:
     """Turn rows of mean, sd, mean, sd ... into columns by case."""
     return {
-        case: {name: Printed(*row[2 * column : 2 * column + 2]) for name, row in rows.items()}
+        case: {name: PrintedParameter(*row[2 * column : 2 * column + 2]) for name, row in rows.items()}
         for column, case in enumerate(CASES)
     }
 
@@ -126,7 +126,7 @@ MODEL_III_B = _table(
 """Table 3.4."""
 
 
-def _means(table: dict[int, dict[str, Printed]], case: int) -> dict[str, Any]:
+def _means(table: dict[int, dict[str, PrintedParameter]], case: int) -> dict[str, Any]:
     return {name: printed.mean for name, printed in table[case].items()}
 
 

@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 
 from needleplan.reports.chapters import Effort
 from needleplan_thesis.chapter4.loops import compensated, draw_loops, loop_rows
-from needleplan_thesis.chapter4.phantoms import AGAR_PHANTOM, GELATIN_PHANTOM, PHANTOMS
-from needleplan_thesis.chapter4.published import AGAR, FORCE_HZ, GELATIN
+from needleplan_thesis.chapter4.phantoms import AGAR, AGAR_PHANTOM, FORCE_HZ, GELATIN, GELATIN_PHANTOM, PHANTOMS
 from needleplan_thesis.chapter4.response import draw_bode, response
-from needleplan_thesis.chapter4.sensors import draw_sensors, sensor_rows
-from needleplan_thesis.chapter4.tissues import tissue_rows
+from needleplan_thesis.chapter4.sensors import draw_sensors, sensor_rows, tissue_rows
 
 if TYPE_CHECKING:
     from needleplan.reports.chapters import Request

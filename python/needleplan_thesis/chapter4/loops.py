@@ -13,10 +13,9 @@ from needleplan.plotting import save
 from needleplan.plotting.canvas import BLUE, GREY, VERMILLION, title
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import Array, Motion, MovingAverage, Projection, Record
-from needleplan_thesis.chapter4.phantoms import Trial
-from needleplan_thesis.chapter4.published import FREQUENCY_HZ, Tuned
+from needleplan_thesis.chapter4.phantoms import FREQUENCY_HZ, PhantomTrial, Tuned
 
-__all__ = ["Loop", "compensated", "draw_loops", "loop_rows"]
+__all__ = ["FrictionLoop", "compensated", "draw_loops", "loop_rows"]
 
 _SKIPPED_S = 1.0
 _CLEARLY = 0.8
@@ -26,13 +25,13 @@ _OURS = "the phantom is ours; it was tuned by hand in the thesis, here by the ga
 
 
 @dataclass(frozen=True)
-class Loop:
+class FrictionLoop:
     """Model II fitted over the velocity of the fast observer, and over that of the slow one.
 
     Where the tuning finds no slow observer, `projection` has the one that the thesis tuned.
     """
 
-    trial: Trial
+    trial: PhantomTrial
     tuned: SlowObserver
     projection: Projection
     fast_mm_s: Array
@@ -65,7 +64,7 @@ class Loop:
         return float(np.sqrt(np.mean((velocity[self.counted] - true) ** 2) / np.mean(true**2)))
 
 
-def compensated(trial: Trial, slow_alpha1: float) -> Loop:
+def compensated(trial: PhantomTrial, slow_alpha1: float) -> FrictionLoop:
     """Return the loop of a trial; `slow_alpha1` stands in where the tuning finds no slow observer."""
     record = trial.record
     tuned = tune_slow_observer(record["time_s"], record["depth_mm"], record["force_n"])
@@ -74,7 +73,7 @@ def compensated(trial: Trial, slow_alpha1: float) -> Loop:
     fast = projection.fast.observe(record["depth_mm"])
     slow = projection.transfer.apply(fast)
     forces = [_fitted(record, velocity) for velocity in (fast, slow)]
-    return Loop(trial, tuned, projection, fast, slow, *forces)
+    return FrictionLoop(trial, tuned, projection, fast, slow, *forces)
 
 
 def _fitted(record: Record, velocity: Array) -> Array:
@@ -89,7 +88,7 @@ def _fitted(record: Record, velocity: Array) -> Array:
     return average(simulate(found.model, motion).output)
 
 
-def loop_rows(loop: Loop, tuned: Tuned, figure: str) -> list[Comparison]:
+def loop_rows(loop: FrictionLoop, tuned: Tuned, figure: str) -> list[Comparison]:
     """Return alpha1, errors of the fits and of v_s."""
     name = f"ch4/{figure}/{tuned.phantom}"
     rows = []
@@ -126,7 +125,7 @@ def loop_rows(loop: Loop, tuned: Tuned, figure: str) -> list[Comparison]:
     return rows
 
 
-def draw_loops(loop: Loop, tuned: Tuned, file: Path) -> None:
+def draw_loops(loop: FrictionLoop, tuned: Tuned, file: Path) -> None:
     """Draw the loops over v_f, the identified one brought back by the inverse, and over v_s."""
     from matplotlib.figure import Figure
 

@@ -1,4 +1,9 @@
-"""The generator of chapter 4's data: phantoms of known stiffness under a friction that is not the one that is fitted.
+"""What chapter 4 of the thesis prints: section 4.3.2 and the captions of Figures 4.3 to 4.6.
+
+The figures themselves are not in the text that is available, so that displacements and forces, which are only drawn,
+have no published number here.
+
+The generator of chapter 4's data: phantoms of known stiffness under a friction that is not the one that is fitted.
 
 Friction: Model III-B (beta v), so that the identified Model II never sees itself, with lambda = 0.5, the value of the
 thesis' four that is nearest to what the distributed equations give (lambda -> 0). Tissue: Kelvin-Voigt. The needle has
@@ -19,9 +24,51 @@ import numpy as np
 
 from needleplan.models import AveragedOnTissue, simulate
 from needleplan.signals import Array, HighGainObserver, Motion, MovingAverage, Record, lag_rad, sinusoid
-from needleplan_thesis.chapter4.published import AMPLITUDE_MM, FAST, FORCE_HZ, FREQUENCY_HZ, TRACKER_HZ
 
-__all__ = ["AGAR_PHANTOM", "DRY", "GELATIN_PHANTOM", "PHANTOMS", "SHARES", "VISCOUS", "Phantom", "Trial"]
+__all__ = [
+    "AGAR",
+    "AGAR_PHANTOM",
+    "AMPLITUDE_MM",
+    "DRY",
+    "FAST",
+    "FORCE_HZ",
+    "FREQUENCY_HZ",
+    "GELATIN",
+    "GELATIN_PHANTOM",
+    "PHANTOMS",
+    "SENSOR_LAG_DEG",
+    "SHARES",
+    "TRACKER_HZ",
+    "VISCOUS",
+    "Phantom",
+    "PhantomTrial",
+    "Tuned",
+]
+
+FREQUENCY_HZ, AMPLITUDE_MM = 0.1, 40.0
+FORCE_HZ, TRACKER_HZ = 200.0, 40.0
+
+FAST = (40.0, 400.0)
+"""pf of Figures 4.3 and 4.5: alpha1 (1/s), alpha2 (1/s^2)."""
+
+SENSOR_LAG_DEG = 10.13
+"""By how much the needle's velocity less that of sensor 3 lags the needle's, in gelatin."""
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """A slow observer that was tuned by hand, and H(z) at 0.1 Hz."""
+
+    phantom: str
+    alpha1: float
+    alpha2: float
+    attenuation_percent: float
+    lag_deg: float
+
+
+GELATIN = Tuned("gelatin", 9.0, 20.25, 1.67, 12.36)
+AGAR = Tuned("agar", 22.0, 121.0, 0.19, 2.99)
+
 
 SHARES = (0.8, 0.6, 1.0)
 """Displacement of the three sensors over that of the tissue at the shaft."""
@@ -34,7 +81,7 @@ _LAMBDA = 0.5
 
 
 @dataclass(frozen=True)
-class Trial:
+class PhantomTrial:
     """A trial with the truth that no sensor shows.
 
     `record` has the depth of the encoder and the averaged force; `relative_mm_s` is the true velocity against the
@@ -62,7 +109,7 @@ class Phantom:
     name: str
     model: AveragedOnTissue
 
-    def trial(self, cycles: float = 4.0, rate_hz: float = FORCE_HZ, amplitude_mm: float = AMPLITUDE_MM) -> Trial:
+    def trial(self, cycles: float = 4.0, rate_hz: float = FORCE_HZ, amplitude_mm: float = AMPLITUDE_MM) -> PhantomTrial:
         """Return one trial, always the same."""
         motion = sinusoid(
             offset_mm=_OUTSIDE_MM, amplitude_mm=amplitude_mm, frequency_hz=FREQUENCY_HZ, cycles=cycles, rate_hz=rate_hz
@@ -84,7 +131,7 @@ class Phantom:
         moved = np.interp(time, motion.time_s, done.states[1])
         noise = _TRACKER_SD_MM * generator.standard_normal((len(SHARES), time.size))
         sensors = np.array(SHARES)[:, None] * moved + noise
-        return Trial(motion, record, motion.velocity_mm_s - done.states[2], time, sensors)
+        return PhantomTrial(motion, record, motion.velocity_mm_s - done.states[2], time, sensors)
 
 
 def _mixed(stiffness: float, damping: float) -> AveragedOnTissue:

@@ -11,7 +11,7 @@ from needleplan.plotting import save
 from needleplan.plotting.canvas import BLUE, GREEN, ORANGE, title
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.signals import FAST_ALPHA1, HighGainObserver, ObserverForm, Projection, sinusoid
-from needleplan_thesis.chapter4.published import AGAR, FAST, FREQUENCY_HZ, GELATIN, Tuned
+from needleplan_thesis.chapter4.phantoms import AGAR, FAST, FREQUENCY_HZ, GELATIN, Tuned
 
 __all__ = ["draw_bode", "response"]
 

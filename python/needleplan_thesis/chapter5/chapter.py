@@ -1,12 +1,18 @@
-"""Everything of chapter 5, in the order of the chapter."""
+"""Everything of chapter 5, in the order of the chapter.
+
+Table 5.1: the lifting polynomial, and the section of the needle.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from needleplan.reports.chapters import Effort
-from needleplan_thesis.chapter5.table51 import table51
+from needleplan.reports.comparison import Agreement, Comparison
+from needleplan_thesis.chapter5.dynamics import natural_frequencies_hz
+from needleplan_thesis.chapter5.insertions import AREA_M2, CASES, NEEDLE, SECOND_MOMENT_M4
 from needleplan_thesis.chapter5.table52 import table52
 from needleplan_thesis.chapter5.table53 import table53
 
@@ -14,7 +20,7 @@ if TYPE_CHECKING:
     from needleplan.reports.chapters import Request
     from needleplan.reports.comparison import Comparison
 
-__all__ = ["files", "run"]
+__all__ = ["files", "residual_n", "run", "singular_force_n", "table51"]
 
 _STEPS_MM = {Effort.QUICK: 4.0, Effort.DEFAULT: 1.0, Effort.FULL: 0.5}
 
@@ -42,3 +48,51 @@ def run(request: Request) -> list[Comparison]:
             replace(each, reason=f"quick: steps of 4 mm; {each.reason}".rstrip("; ")) for each in comparisons
         ]
     return comparisons
+
+
+def residual_n(force_n: float) -> float:
+    """Return what the coefficients of Table 5.1 leave of the end conditions (5.6), the larger of the two, N.
+
+    In the sign of the thesis: EI phi''' = Fc cos a - Fc sin a phi', phi'' = 0 at L, phi = (c3 x^3 + c2 x^2) Fc.
+    """
+    bending, length, alpha = NEEDLE.bending_stiffness_n_mm2, NEEDLE.length_mm, NEEDLE.bevel_angle_rad
+    c3 = math.cos(alpha) / (6 * bending - 3 * length**2 * force_n * math.sin(alpha))
+    c2 = -3 * length * c3
+    slope, moment = (3 * c3 * length**2 + 2 * c2 * length) * force_n, (6 * c3 * length + 2 * c2) * force_n
+    shear = 6 * c3 * bending * force_n - (force_n * math.cos(alpha) - force_n * math.sin(alpha) * slope)
+    return max(abs(shear), abs(moment) * bending / length)
+
+
+def singular_force_n() -> float:
+    """Return the force at which the coefficients are infinite, 2 EI/(L^2 sin a), N."""
+    return 2 * NEEDLE.bending_stiffness_n_mm2 / (NEEDLE.length_mm**2 * math.sin(NEEDLE.bevel_angle_rad))
+
+
+def table51() -> list[Comparison]:
+    """Compare geometry and polynomial."""
+    worst = max(residual_n(force) for force in (0.05, 0.15, 0.2, 0.25))
+    greatest = max(case.greatest_n or 0 for case in CASES)
+    frequency = float(natural_frequencies_hz(NEEDLE, CASES[0].tissue, 0.0, 1)[0])
+    return [
+        _rounded("I", SECOND_MOMENT_M4, NEEDLE.second_moment_mm4 * 1e-12, "m4"),
+        _rounded("A", AREA_M2, NEEDLE.area_mm2 * 1e-6, "m2"),
+        Comparison(
+            "ch5/Table 5.1/c2 and c3 meet (5.6)", "yes", f"to {worst:.1e} N", "",
+            Agreement.REPRODUCED if worst < 1e-12 else Agreement.NOT_REPRODUCED,
+        ),
+        Comparison(
+            "ch5/Table 5.1/force of infinite c2 and c3", None, round(singular_force_n(), 4), "N", Agreement.OURS,
+            f"the tip force is made to turn against the tip: with the right sign there is none; greatest axial force "
+            f"{greatest:g} N",
+        ),
+        Comparison(
+            "ch5/needle/lowest natural frequency in air", None, round(frequency, 2), "Hz", Agreement.OURS,
+            "an insertion takes seconds: inertia does nothing; rho is printed in kg/m2, which has to be kg/m3",
+        ),
+    ]  # fmt: skip
+
+
+def _rounded(name: str, published: float, ours: float, unit: str) -> Comparison:
+    same = abs(ours / published - 1) < 3e-4
+    verdict = Agreement.REPRODUCED if same else Agreement.NOT_REPRODUCED
+    return Comparison(f"ch5/needle/{name}", published, float(f"{ours:.6g}"), unit, verdict)

@@ -9,11 +9,15 @@ import numpy as np
 
 from needleplan.models.deflection import Beam, march, solve_uniform
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, save, title
-from needleplan_thesis.chapter5.published import CASES, COIL_MM, END_MM, NEEDLE, Case
-from needleplan_thesis.chapter5.runs import (
+from needleplan_thesis.chapter5.insertions import (
+    CASES,
+    COIL_MM,
+    END_MM,
     MEMORY,
+    NEEDLE,
     PRINTED,
-    Course,
+    DeflectionCase,
+    ForceProfile,
     coil_path,
     depths_mm,
     required_force_n,
@@ -71,7 +75,7 @@ def figure_5_2(folder: Path, step_mm: float) -> None:
     save(figure, folder / "fig_5_2.png")
 
 
-def _draw_case(axes: Axes, case: Case, offset_n: float, step_mm: float) -> None:
+def _draw_case(axes: Axes, case: DeflectionCase, offset_n: float, step_mm: float) -> None:
     depth = depths_mm(step_mm)
     arcs = {
         name: radius - np.sqrt(radius**2 - depth**2)
@@ -82,7 +86,7 @@ def _draw_case(axes: Axes, case: Case, offset_n: float, step_mm: float) -> None:
     # The greatest axial force was published at 15 mm/s; at 10 mm/s the same force on the bevel is assumed.
     known = next(each for each in CASES if each.greatest_n and each.tissue == case.tissue)
     end = tip_force_n(known.greatest_n or 0.0, known.tissue, known.velocity_mm_s, 0.0)
-    courses = (Course.QUADRATIC, Course.LINEAR, Course.SATURATING)
+    courses = (ForceProfile.QUADRATIC, ForceProfile.LINEAR, ForceProfile.SATURATING)
     forces = np.stack([end * course.of(depth) for course in courses])
     _, printed = coil_path(PRINTED, case.tissue, case.velocity_mm_s, forces, step_mm)
     axes.fill_between(depth, printed.min(axis=0), printed.max(axis=0), color=ORANGE, alpha=0.25, linewidth=0)
@@ -93,7 +97,7 @@ def _draw_case(axes: Axes, case: Case, offset_n: float, step_mm: float) -> None:
     axes.set_ylim(bottom=0)
 
 
-def _draw_needle(axes: Axes, case: Case, step_mm: float) -> None:
+def _draw_needle(axes: Axes, case: DeflectionCase, step_mm: float) -> None:
     """Draw shape, path and the load of the tissue at 80 mm, with the force that memory needs."""
     depth, force = required_force_n(MEMORY, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm)
     path = march(NEEDLE, case.tissue, np.concatenate([[0.0], force]), step_mm, case.velocity_mm_s)

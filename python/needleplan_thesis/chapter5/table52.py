@@ -8,11 +8,15 @@ import numpy as np
 
 from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.signals import Array
-from needleplan_thesis.chapter5.published import CASES, END_MM, NEEDLE, NO_FORCE, Case
-from needleplan_thesis.chapter5.runs import (
+from needleplan_thesis.chapter5.insertions import (
+    CASES,
+    END_MM,
     MEMORY,
+    NEEDLE,
+    NO_FORCE,
     PRINTED,
-    Course,
+    DeflectionCase,
+    ForceProfile,
     coil_path,
     depths_mm,
     radius_mm,
@@ -38,27 +42,27 @@ def table52(step_mm: float) -> list[Comparison]:
     ]
 
 
-def arcs_apart_mm(case: Case) -> tuple[float, float]:
+def arcs_apart_mm(case: DeflectionCase) -> tuple[float, float]:
     """Return how far arcs of the two radii are apart at most: both tangent at the entry, and with the best offset."""
     depth = np.linspace(0, END_MM, 801)
     apart = _arc(case.estimated_mm, depth) - _arc(case.measured_mm, depth)
     return float(np.abs(apart).max()), float(np.ptp(apart) / 2)
 
 
-def missing_force_n(case: Case, step_mm: float) -> float:
+def missing_force_n(case: DeflectionCase, step_mm: float) -> float:
     """Return what vf and the force that memory needs for the estimated radius leave of the greatest axial force."""
     _, force = required_force_n(MEMORY, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm)
     friction = case.tissue.friction_n_s_mm2 * case.velocity_mm_s * END_MM
     return float((case.greatest_n or math.nan) - friction - force[-1] * math.sin(NEEDLE.bevel_angle_rad))
 
 
-def _radii(case: Case, step_mm: float) -> list[Comparison]:
+def _radii(case: DeflectionCase, step_mm: float) -> list[Comparison]:
     depth = depths_mm(step_mm)
     known = next(each for each in CASES if each.greatest_n and each.tissue == case.tissue)
     end = tip_force_n(known.greatest_n or 0.0, known.tissue, known.velocity_mm_s, 0.0)
-    forces = np.stack([end * course.of(depth) for course in Course])
+    forces = np.stack([end * course.of(depth) for course in ForceProfile])
     _, paths = coil_path(PRINTED, case.tissue, case.velocity_mm_s, forces, step_mm)
-    ours = [f"{radius_mm(depth, path):.0f} {course}" for course, path in zip(Course, paths, strict=True)]
+    ours = [f"{radius_mm(depth, path):.0f} {course}" for course, path in zip(ForceProfile, paths, strict=True)]
     why = f"{NO_FORCE}; ours end at Fc = {end:.3f} N, by the greatest axial force at 15 mm/s with F0 = 0"
     return [
         Comparison(
@@ -72,7 +76,7 @@ def _radii(case: Case, step_mm: float) -> list[Comparison]:
     ]  # fmt: skip
 
 
-def _percentage(case: Case, printed: float | None) -> Comparison:
+def _percentage(case: DeflectionCase, printed: float | None) -> Comparison:
     ours = round(case.error_percent, 2)
     name = f"{_SECTION}/{case.name}/error of the radius"
     if printed is None:
@@ -82,7 +86,7 @@ def _percentage(case: Case, printed: float | None) -> Comparison:
     return Comparison(name, printed, ours, "%", verdict, "by the printed radii: |estimated - measured|/measured")
 
 
-def _errors(case: Case) -> list[Comparison]:
+def _errors(case: DeflectionCase) -> list[Comparison]:
     tangent, shifted = arcs_apart_mm(case)
     if shifted > case.max_error_mm:
         says = "impossible for arcs of these radii, with any offset"
@@ -104,7 +108,7 @@ def _errors(case: Case) -> list[Comparison]:
     ]  # fmt: skip
 
 
-def memory_path(case: Case, offset_n: float, step_mm: float) -> tuple[Array, Array]:
+def memory_path(case: DeflectionCase, offset_n: float, step_mm: float) -> tuple[Array, Array]:
     """Return depth and path of the coil with memory, for the force that an offset leaves of the axial force.
 
     Its course is that which makes a circle from the entry. The greatest axial force is known at 15 mm/s; the same force
@@ -182,7 +186,7 @@ def _velocity() -> list[Comparison]:
     return rows
 
 
-def _circle_sd_mm(case: Case) -> float:
+def _circle_sd_mm(case: DeflectionCase) -> float:
     """Return the least standard deviation of a radius by a circle of free centre: R^2 sigma sqrt(720/n)/L^2."""
     samples = END_MM / case.velocity_mm_s * _RATE_HZ
     return case.measured_mm**2 * _TRACKER_MM * math.sqrt(720 / samples) / END_MM**2

@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from needleplan.reports.comparison import Agreement, Comparison
-from needleplan_thesis.chapter5.published import (
+from needleplan_thesis.chapter5.insertions import (
     CASES,
     CHANGES,
-    NO_FORCE,
-    SENSITIVITY,
-    Case,
-    Change,
-)
-from needleplan_thesis.chapter5.runs import (
     MEMORY,
+    NO_FORCE,
     PRINTED,
+    SENSITIVITY,
+    DeflectionCase,
+    ParameterChange,
     Reading,
     coil_path,
     depths_mm,
@@ -29,7 +27,7 @@ _SECTION = "ch5/Table 5.3"
 
 
 def radius_change(
-    reading: Reading, case: Case, changes: tuple[Change, ...], speed: float, step_mm: float
+    reading: Reading, case: DeflectionCase, changes: tuple[ParameterChange, ...], speed: float, step_mm: float
 ) -> list[float]:
     """Return by which factor the radius of the coil's path changes, the cutting force held, for every change.
 
@@ -40,11 +38,11 @@ def radius_change(
     force = np.concatenate([[0.0], force])
     depth = depths_mm(step_mm)
 
-    def radius(change: Change, factor: float) -> float:
+    def radius(change: ParameterChange, factor: float) -> float:
         _, path = coil_path(reading, change.of(case.tissue), factor * case.velocity_mm_s, force, step_mm)
         return radius_mm(depth, path)
 
-    nominal = radius(Change("", 1.0, 1.0), 1.0)
+    nominal = radius(ParameterChange("", 1.0, 1.0), 1.0)
     return [radius(change, speed) / nominal for change in changes]
 
 
@@ -70,7 +68,7 @@ def table53(step_mm: float) -> list[Comparison]:
     return [*cells, *_statements(), *_signs(factors, step_mm)]
 
 
-def _error(case: Case, factor: float) -> float:
+def _error(case: DeflectionCase, factor: float) -> float:
     return 100 * abs(factor * case.estimated_mm - case.measured_mm) / case.measured_mm
 
 
@@ -104,7 +102,7 @@ def _signs(factors: dict[str, np.ndarray], step_mm: float) -> list[Comparison]:
             _sign(f"kf -20 %: smaller radius, {name}", 100 * (values[1] - 1)),
             _sign(f"vf +20 % at the same force: smaller radius, {name}", 100 * (values[2] - 1)),
         ]
-    same = (Change("", 1.0, 1.0),)
+    same = (ParameterChange("", 1.0, 1.0),)
     for reading in (MEMORY, PRINTED):
         faster = [radius_change(reading, case, same, 1.5, step_mm)[0] for case in CASES[:2]]
         rows.append(

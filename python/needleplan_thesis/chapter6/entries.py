@@ -3,20 +3,51 @@
 Entries are chosen by a rule, not by hand: on the left edge at every whole 10 mm, with the headings nearest to -30, 0
 and +30 degrees and the bevel of the lower cost, wherever the interpolated table at 0.5 mm predicts more than 1 %. All
 tables of a scenario are asked about the same entries.
+
+Predicted beside realised success: transitions, spacings and executions compared on the shipped scenarios.
+
+Predicted less realised success, entry by entry: one panel a scenario, one colour a grid.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from needleplan.artifacts import write_whole
 from needleplan.planning import MOST_STEPS, PolicyTable, plan, wilson
+from needleplan.plotting import caption, save
+from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, title
+from needleplan.reports.chapters import Effort
+from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.scenario import Grid, Method, Scenario, Transition
 
-__all__ = ["SEED", "Execution", "Study", "choose_entries", "execute", "planned"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from needleplan.reports.chapters import Request
+
+__all__ = [
+    "SCENARIOS",
+    "SEED",
+    "EntryStudy",
+    "ExecutionRule",
+    "believability",
+    "choose_entries",
+    "draw_believability",
+    "execute",
+    "planned",
+    "summary",
+    "write_entries",
+]
 
 SEED = 6
 _EVERY_MM = 10.0
@@ -25,7 +56,7 @@ _LEAST_SUCCESS = 0.01
 
 
 @dataclass(frozen=True)
-class Execution:
+class ExecutionRule:
     """How a table is executed: by the policy of the nearest state, or greedily by values interpolated at the true pose.
 
     `arc_samples` is the number of points of an arc that are tested for events; None means that of the scenario.
@@ -40,12 +71,12 @@ class Execution:
 
 
 @dataclass(frozen=True)
-class Study:
+class EntryStudy:
     """Success from entries [n, 4] (x_mm, y_mm, heading_rad, bevel): predicted, realised [n], 95 % interval [n, 2]."""
 
     scenario: str
     grid: Grid
-    execution: Execution
+    execution: ExecutionRule
     entries: NDArray[np.float64]
     predicted: NDArray[np.float64]
     realised: NDArray[np.float64]
@@ -76,7 +107,9 @@ def choose_entries(table: PolicyTable) -> NDArray[np.float64]:
     return entries
 
 
-def execute(name: str, table: PolicyTable, entries: NDArray[np.float64], execution: Execution, runs: int) -> Study:
+def execute(
+    name: str, table: PolicyTable, entries: NDArray[np.float64], execution: ExecutionRule, runs: int
+) -> EntryStudy:
     """Execute `table` of the scenario `name` `runs` times from every entry."""
     ended = table.lattice.rollout(
         policy=table.policy,
@@ -90,7 +123,7 @@ def execute(name: str, table: PolicyTable, entries: NDArray[np.float64], executi
     )
     target = 1
     reached = np.count_nonzero(ended["outcome"] == target, axis=1)
-    return Study(
+    return EntryStudy(
         scenario=name,
         grid=table.scenario.grid,
         execution=execution,
@@ -99,3 +132,184 @@ def execute(name: str, table: PolicyTable, entries: NDArray[np.float64], executi
         realised=reached / runs,
         interval=np.array([wilson(int(each), runs) for each in reached]),
     )
+
+
+SCENARIOS = ("four_obstacles", "narrow_passage", "prostate", "brain")
+_REFERENCE = (Transition.INTERPOLATED, 0.5)
+_RUNS = {Effort.QUICK: 1000, Effort.DEFAULT: 20_000, Effort.FULL: 20_000}
+_SPACINGS_MM = {Effort.QUICK: (1.0,), Effort.DEFAULT: (1.0, 0.5), Effort.FULL: (1.0, 0.5, 0.25)}
+_REFINEMENT = 3
+_MOST_POINTS, _MEAN_POINTS = 2.0, 1.0
+_FINE_ARC = 40
+
+
+def believability(request: Request) -> list[Comparison]:
+    """Run the study; where there is a folder, every entry goes to predicted_realised.csv and .png."""
+    studies = [study for name in SCENARIOS for study in _of_scenario(name, request)]
+    if request.folder:
+        write_entries(request.folder / "predicted_realised.csv", studies)
+        draw_believability(studies, _RUNS[request.effort], request.folder / "predicted_realised.png")
+    comparisons = [comparison for study in studies for comparison in summary(study)]
+    goal = [study for study in studies if _has_goal(study)]
+    return comparisons + [comparison for study in goal for comparison in _each_entry(study)]
+
+
+def summary(study: EntryStudy) -> list[Comparison]:
+    """Return mean and maximum of |predicted - realised|, with a verdict where there is a goal."""
+    apart = np.abs(study.points)
+    name = f"ch6/predicted less realised/{study.scenario}, {_grid(study)}, {study.execution}"
+    ours = {"mean": float(apart.mean()), "max": float(apart.max())}
+    goals = {"mean": _MEAN_POINTS, "max": _MOST_POINTS} if _has_goal(study) else {}
+    worst = int(apart.argmax())
+    reasons = {
+        "mean": f"{len(apart)} entries, bias {study.points.mean():+.2f}",
+        "max": f"at {_pose(study.entries[worst])}: {_shares(study, worst)}",
+    }
+    return [
+        Comparison(
+            f"{name}/{what}", None, round(value, 3), "points", _verdict(value, goals.get(what)),
+            reasons[what] + (f"; goal: at most {goals[what]:g}" if what in goals else ""),
+        )
+        for what, value in ours.items()
+    ]  # fmt: skip
+
+
+def write_entries(path: Path, studies: list[EntryStudy]) -> None:
+    """Write a line for every entry of every study. Raises OutputError."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(
+        ["scenario", "transition", "spacing_mm", "success_refinement", "execution", "x_mm", "y_mm", "heading_deg",
+         "bevel", "predicted", "realised", "realised_low", "realised_high", "difference_points"]
+    )  # fmt: skip
+    for study in studies:
+        grid = study.grid
+        for k, (x, y, heading, bevel) in enumerate(study.entries.tolist()):
+            low, high = study.interval[k]
+            table.writerow(
+                [study.scenario, grid.transition, grid.spacing_mm[0], grid.success_refinement, study.execution, x, y,
+                 round(math.degrees(heading), 3), int(bevel), f"{study.predicted[k]:.4f}", f"{study.realised[k]:.4f}",
+                 f"{low:.4f}", f"{high:.4f}", f"{study.points[k]:.2f}"]
+            )  # fmt: skip
+    write_whole(path, text.getvalue().encode())
+
+
+def _of_scenario(name: str, request: Request) -> Iterator[EntryStudy]:
+    scenario, runs = Scenario.read(name), _RUNS[request.effort]
+    reference = planned(scenario, *_REFERENCE)
+    entries = choose_entries(reference)
+    for transition in Transition:
+        for spacing in _SPACINGS_MM[request.effort]:
+            request.note(f"predicted and realised: {name}, {transition}, {spacing:g} mm")
+            is_reference = (transition, spacing) == _REFERENCE
+            table = reference if is_reference else planned(scenario, transition, spacing)
+            executions = [ExecutionRule()]
+            if spacing == _REFERENCE[1] or request.effort is not Effort.DEFAULT:
+                executions.append(ExecutionRule(greedy=True))
+            if is_reference and request.effort is Effort.FULL:
+                executions += [ExecutionRule(arc_samples=_FINE_ARC), ExecutionRule(greedy=True, arc_samples=_FINE_ARC)]
+            for execution in executions:
+                study = execute(name, table, entries, execution, runs)
+                yield study
+                if is_reference and execution == ExecutionRule():
+                    yield _predicted_finer(study, planned(scenario, *_REFERENCE, _REFINEMENT))
+
+
+def _predicted_finer(study: EntryStudy, table: PolicyTable) -> EntryStudy:
+    """Return `study` with the predictions of `table`, which has the same policy and knows better what it does."""
+    predicted = table.lookup_many(study.entries).success.astype(np.float64)
+    return replace(study, grid=table.scenario.grid, predicted=predicted)
+
+
+def _is_reference(study: EntryStudy) -> bool:
+    return (study.grid.transition, study.grid.spacing_mm[0]) == _REFERENCE
+
+
+def _has_goal(study: EntryStudy) -> bool:
+    return _is_reference(study) and study.execution == ExecutionRule()
+
+
+def _verdict(value: float, goal: float | None) -> Agreement:
+    if goal is None:
+        return Agreement.OURS
+    return Agreement.MET if value <= goal else Agreement.MISSED
+
+
+def _each_entry(study: EntryStudy) -> Iterator[Comparison]:
+    for k, entry in enumerate(study.entries):
+        verdict = _verdict(abs(study.points[k]), _MOST_POINTS)
+        name = f"ch6/entries/{study.scenario}, {_grid(study)}, {study.execution}/{_pose(entry)}"
+        yield Comparison(name, None, f"{_shares(study, k)}, {study.points[k]:+.2f} points", "", verdict, "")
+
+
+def _grid(study: EntryStudy) -> str:
+    times = study.grid.success_refinement
+    finer = f", success on a grid {times} times finer" if times > 1 else ""
+    return f"{study.grid.transition} {study.grid.spacing_mm[0]:g} mm{finer}"
+
+
+def _pose(entry: np.ndarray) -> str:
+    x, y, heading, bevel = entry.tolist()
+    return f"({x:g}, {y:g}) mm, {math.degrees(heading):.0f} deg, bevel {bevel:+.0f}"
+
+
+def _shares(study: EntryStudy, k: int) -> str:
+    predicted, realised = 100 * study.predicted[k], 100 * study.realised[k]
+    low, high = 100 * study.interval[k]
+    return f"predicted {predicted:.1f} %, realised {realised:.1f} % ({low:.1f} to {high:.1f})"
+
+
+_FINER = "#CC79A7"
+_COLOURS = {
+    (Transition.NEAREST, 1.0): ORANGE,
+    (Transition.NEAREST, 0.5): VERMILLION,
+    (Transition.NEAREST, 0.25): BLACK,
+    (Transition.INTERPOLATED, 1.0): SKY,
+    (Transition.INTERPOLATED, 0.5): BLUE,
+    (Transition.INTERPOLATED, 0.25): GREEN,
+}
+_GOAL = 2.0
+
+
+def draw_believability(studies: Sequence[EntryStudy], runs: int, file: Path) -> None:
+    """Draw the studies that execute the policy of the nearest state."""
+    from matplotlib.figure import Figure
+
+    names = list(dict.fromkeys(study.scenario for study in studies))
+    figure = Figure(figsize=(3.1 * len(names), 3.2), layout="constrained")
+    every = figure.subplots(1, len(names), squeeze=False, sharey=True).flat
+    for axes, name in zip(every, names, strict=True):
+        chosen = [study for study in studies if study.scenario == name and study.execution == ExecutionRule()]
+        _draw(axes, chosen)
+        title(axes, name.replace("_", " "))
+    axes = figure.axes[0]
+    axes.set_ylabel("predicted - realised (points)")
+    handles = axes.get_legend_handles_labels()
+    figure.legend(*handles, loc="outside upper left", ncols=len(handles[0]), frameon=False, fontsize=8)
+    caption(
+        figure,
+        f"Predicted less realised success, {runs:,} executions an entry by the policy of the nearest state; bars: 95 % "
+        f"intervals. Grey: within {_GOAL:g} points. Above: the table promises too much. Scenarios of our own.",
+    )
+    save(figure, file)
+
+
+def _draw(axes: Axes, studies: Sequence[EntryStudy]) -> None:
+    axes.axhspan(-_GOAL, _GOAL, color=GREY, alpha=0.2, linewidth=0)
+    axes.axhline(0, color=GREY, linewidth=0.8)
+    for study in studies:
+        transition, spacing, times = study.grid.transition, study.grid.spacing_mm[0], study.grid.success_refinement
+        low, high = study.interval.T
+        axes.errorbar(
+            100 * study.realised,
+            study.points,
+            yerr=100 * abs(study.realised - [high, low])[::-1],
+            linestyle="none",
+            marker="o",
+            markersize=3.2,
+            linewidth=0.8,
+            color=_COLOURS.get((transition, spacing), BLACK) if times == 1 else _FINER,
+            label=f"{transition} {spacing:g} mm" + (f", success {times} x finer" if times > 1 else ""),
+        )
+    axes.set_xlabel("realised success (%)")
+    axes.set_xlim(0, 100)

@@ -1,4 +1,6 @@
-"""Figs. 6.4 and 6.5: plans with and without noise, and with other costs of insertion and rotation.
+"""Executions beside each other: one panel each, with its turn points, one caption below.
+
+Figs. 6.4 and 6.5: plans with and without noise, and with other costs of insertion and rotation.
 
 The start is (0, 20) mm, the thesis' (0, 2) cm. Its scene is not known, and on ours its heading of -30 degrees leads
 into an obstacle, whatever is done; Fig. 6.4 is therefore drawn from the nearest heading that does not. Costs a
@@ -10,20 +12,98 @@ are drawn apart.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path as File
+from typing import TYPE_CHECKING
 
 import numpy as np
 from shapely import LineString, MultiPolygon, Polygon
 
-from needleplan.planning import PolicyTable, plan
+from needleplan.planning import Outcome, Path, PolicyTable, Pose, plan
+from needleplan.plotting import caption, save, sheet
+from needleplan.plotting.canvas import BLUE, GREEN, GREY, SKY, title
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.scenario import Scenario
-from needleplan_thesis.chapter6.panels import Panel, draw_panels, ending
-from needleplan_thesis.chapter6.published import OTHER_SCENE
+from needleplan_thesis.chapter6.tables import OTHER_SCENE
 
-__all__ = ["clearance_mm", "nearest_heading", "paths"]
+if TYPE_CHECKING:
+    from matplotlib.lines import Line2D
+
+__all__ = ["Panel", "clearance_mm", "draw_panels", "ending", "nearest_heading", "paths"]
+
+_NOISY = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One execution without noise, of `table`, under a heading."""
+
+    heading: str
+    table: PolicyTable
+    path: Path
+
+    @classmethod
+    def of(cls, heading: str, table: PolicyTable, start: Sequence[float]) -> Panel:
+        """Execute `table` from a pose; a missing bevel becomes the one of the lower cost."""
+        return cls(heading, table, table.path(start))
+
+    @property
+    def start(self) -> Pose:
+        """The first pose."""
+        return self.path.start
+
+    @property
+    def turns(self) -> int:
+        """Number of rotations."""
+        return len(self.path.turns)
+
+    @property
+    def success(self) -> float:
+        """Predicted probability of reaching the target."""
+        return self.table.lookup(*self.start).success
+
+
+def ending(path: Path) -> str:
+    """Return how an execution ended, in words."""
+    words = {
+        Outcome.TARGET: "reaches the target",
+        Outcome.COLLISION: "hits an obstacle",
+        Outcome.EXIT: "leaves the workspace",
+        Outcome.STEP_LIMIT: "does not end",
+    }
+    return words[path.outcome]
+
+
+def draw_panels(panels: Sequence[Panel], text: str, file: File) -> None:
+    """Draw the panels with some noisy executions behind each path, and save the figure."""
+    figure, every = sheet(panels[0].table.scenario.workspace, len(panels))
+    for axes, panel in zip(every, panels, strict=True):
+        panel.table.rollout(panel.start, runs=_NOISY).plot(axes)
+        panel.path.plot(axes, scene=False)
+        title(axes, panel.heading)
+    figure.legend(handles=_legend(), loc="outside upper right", ncols=4, frameon=False, fontsize=7.5)
+    caption(figure, f"{text} Thin: {_NOISY} executions with tip noise.")
+    save(figure, file)
+
+
+def _legend() -> list[Line2D]:
+    from matplotlib.lines import Line2D
+
+    turn = {
+        "marker": "o",
+        "markersize": 6,
+        "markerfacecolor": "white",
+        "markeredgecolor": GREEN,
+        "markeredgewidth": 1.6,
+    }
+    return [
+        Line2D([], [], color=BLUE, linewidth=1.8, label="without noise"),
+        Line2D([], [], linestyle="none", label="turn", **turn),  # type: ignore[arg-type]
+        Line2D([], [], color=SKY, linewidth=0.8, label="with noise, reached"),
+        Line2D([], [], color=GREY, linewidth=0.8, label="with noise, failed"),
+    ]
+
 
 _START_MM = (0.0, 20.0)
 _MOST = 0.75
@@ -34,7 +114,7 @@ _COSTS = ((10, 40, 11), (10, 100, 9), (1, 100, 3))
 """Fig. 6.5: cost of insertion a cm, cost of a rotation, published number of turns."""
 
 
-def paths(folder: Path | None, note: Callable[[str], None]) -> list[Comparison]:
+def paths(folder: File | None, note: Callable[[str], None]) -> list[Comparison]:
     """Plan, draw where there is a folder, and compare."""
     note("Figs. 6.4 and 6.5")
     return [*_noise(folder), *_costs(folder)]
@@ -56,7 +136,7 @@ def nearest_heading(table: PolicyTable, wanted_rad: float) -> float:
     return float(fit[np.abs(fit).argmin()]) + wanted_rad
 
 
-def _noise(folder: Path | None) -> list[Comparison]:
+def _noise(folder: File | None) -> list[Comparison]:
     four = Scenario.read("four_obstacles")
     scenario = replace(four, objective=replace(four.objective, rotation=40.0))
     noisy = plan(scenario)
@@ -101,7 +181,7 @@ def _noise(folder: Path | None) -> list[Comparison]:
     ]  # fmt: skip
 
 
-def _costs(folder: Path | None) -> list[Comparison]:
+def _costs(folder: File | None) -> list[Comparison]:
     start = (*_START_MM, 0.0)
     drawn, comparisons = {}, []
     for name, base in (("safe", Scenario.read("four_obstacles")), ("literal", Scenario.read("four_obstacles_thesis"))):

@@ -1,19 +1,187 @@
-"""Tables 6.2 and 6.3 and the plain value iteration, published beside ours."""
+"""What chapter 6 of the thesis prints: numbers of sections 6.2 to 6.5, Tables 6.2 and 6.3.
+
+The size of the problem and the noise of the tip: sections 6.2 and 6.4, which need no obstacle.
+
+Solving the problem of section 6.4 by every method: plain value iteration, the six of Table 6.2, and the sweeps.
+
+Tables 6.2 and 6.3 and the plain value iteration, published beside ours.
+"""
 
 from __future__ import annotations
 
-from needleplan.planning import PolicyTable, Stats
-from needleplan.reports.comparison import Agreement, Comparison, measured
-from needleplan_thesis.chapter6.published import (
-    OTHER_MACHINE,
-    OTHER_SCENE,
-    TABLE_6_2,
-    TABLE_6_3,
-    VALUE_ITERATION,
-)
-from needleplan_thesis.chapter6.solves import Solves, processed_states
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
-__all__ = ["name_of", "solving_seconds", "tables"]
+import numpy as np
+
+from needleplan.planning import PolicyTable, Stats, plan
+from needleplan.reports.comparison import Agreement, Comparison, measured
+from needleplan.scenario import Method, Priority, Scenario
+
+__all__ = [
+    "FORMULA_STATES",
+    "OTHER_MACHINE",
+    "OTHER_SCENE",
+    "STATES",
+    "TABLE_6_2",
+    "TABLE_6_3",
+    "VALUE_ITERATION",
+    "PlainValueIteration",
+    "Row62",
+    "Solves",
+    "formula_states",
+    "name_of",
+    "problem",
+    "processed_states",
+    "solve_all",
+    "solving_seconds",
+    "tables",
+]
+
+STATES = 1_176_120
+"""Section 6.4: number of states."""
+
+FORMULA_STATES = 1_152_000
+"""Table 6.3: all states at (6, 4), where every partition was processed; what the formula of section 6.2 gives."""
+
+OTHER_SCENE = "the thesis prints no coordinates of its obstacles; the scene is ours"
+OTHER_MACHINE = (
+    "compiled code on today's machine, one thread; the thesis: MATLAB, Pentium IV, 2.4 GHz, 512 MB; scene ours"
+)
+
+
+@dataclass(frozen=True)
+class Row62:
+    """A row of Table 6.2: seconds for solving partitions, for updating priorities, and altogether."""
+
+    partitions: tuple[int, int]
+    priority: Priority
+    solving_s: float
+    priorities_s: float
+    total_s: float
+
+
+TABLE_6_2 = (
+    Row62((6, 4), Priority.H1, 2443.2, 269.4, 2712.6),
+    Row62((6, 4), Priority.H2, 2317.0, 259.9, 2576.9),
+    Row62((12, 8), Priority.H1, 1115.1, 690.5, 1850.6),
+    Row62((12, 8), Priority.H2, 812.2, 552.3, 1363.5),
+    Row62((24, 16), Priority.H1, 700.8, 1612.1, 2312.9),
+    Row62((24, 16), Priority.H2, 522.4, 1663.8, 2186.2),
+)
+"""As printed, although the parts of (12, 8) add up to 1805.6 (H1) and 1364.5 (H2)."""
+
+TABLE_6_3 = {(6, 4): (24, 1_152_000), (12, 8): (91, 1_092_000), (24, 16): (332, 996_000)}
+"""Table 6.3: partitions processed and processed states, by (nx, ny)."""
+
+
+@dataclass(frozen=True)
+class PlainValueIteration:
+    """Section 6.4: the generic value iteration."""
+
+    sweeps: int
+    updates: int
+    seconds: float
+    updates_per_second: float
+
+
+VALUE_ITERATION = PlainValueIteration(196, 230_519_520, (8 * 60 + 4) * 60.0, 7928.5)
+
+
+_SECTION = "ch6/problem"
+
+
+def formula_states(scenario: Scenario) -> float:
+    """Return n = 4 pi rho xmax ymax / (spacing^2 delta), section 6.2: without the points of two edges."""
+    dx, dy = scenario.grid.spacing_mm
+    area = scenario.workspace.width_mm * scenario.workspace.height_mm
+    return 4 * math.pi * scenario.needle.curvature_radius_mm * area / (dx * dy * scenario.step_mm)
+
+
+def problem(thesis: Scenario) -> list[Comparison]:
+    """Compare the size and the noise of `thesis`, a scenario with the workspace and the grid of section 6.4."""
+    noise = thesis.motion.tip_noise
+    steps = range(1 - len(noise), len(noise))
+    mean = sum(m * noise[abs(m)] for m in steps)
+    deviation = math.sqrt(sum(m * m * noise[abs(m)] for m in steps) - mean**2)
+    formula = round(formula_states(thesis))
+    return [
+        _exact(
+            "n, all grid points",
+            STATES,
+            thesis.states,
+            "states",
+            "(120 + 1)(80 + 1) grid points, 60 headings, 2 bevels",
+        ),
+        _exact(
+            "n by the formula of 6.2",
+            FORMULA_STATES,
+            formula,
+            "states",
+            "without the points of two edges, as Table 6.3",
+        ),
+        _exact(
+            "updates of 196 sweeps",
+            VALUE_ITERATION.updates,
+            VALUE_ITERATION.sweeps * thesis.states,
+            "backups",
+            "so the thesis' sweeps go over all grid points, its Table 6.3 does not",
+        ),
+        _exact("mean of the noise", 0, round(mean, 9), "heading steps", ""),
+        measured(
+            f"{_SECTION}/deviation of the noise",
+            0.85,
+            round(deviation, 4),
+            "heading steps",
+            "the printed probabilities have sqrt(2 * 0.24 + 8 * 0.027) = 0.834; 0.85 is that of the Gaussian behind "
+            "them: its density at 0, 1, 2, scaled to one, is 0.470, 0.235, 0.030",
+        ),
+    ]
+
+
+def _exact(what: str, published: float, ours: float, unit: str, reason: str) -> Comparison:
+    verdict = Agreement.REPRODUCED if ours == published else Agreement.NOT_REPRODUCED
+    return Comparison(f"{_SECTION}/{what}", published, ours, unit, verdict, reason)
+
+
+SolverCase = tuple[tuple[int, int], Priority]
+
+
+@dataclass(frozen=True)
+class Solves:
+    """The tables of one scenario: by plain value iteration, by partitions and priority, by directional sweeps."""
+
+    plain: PolicyTable
+    partitioned: dict[SolverCase, PolicyTable]
+    sweep: PolicyTable
+
+
+def solve_all(thesis: Scenario, note: Callable[[str], None]) -> Solves:
+    """Solve `thesis` eight times, each on one thread, so that times compare."""
+
+    def solved(method: Method, partitions: tuple[int, int] = (1, 1), priority: Priority = Priority.H1) -> PolicyTable:
+        note(f"Tables 6.2 and 6.3: {method}" + (f", {partitions}, {priority}" if method is Method.PPVI else ""))
+        solver = replace(thesis.solver, method=method, partitions=partitions, priority=priority, threads=1)
+        return plan(replace(thesis, solver=solver))
+
+    return Solves(
+        plain=solved(Method.VALUE_ITERATION),
+        partitioned={
+            (row.partitions, row.priority): solved(Method.PPVI, row.partitions, row.priority) for row in TABLE_6_2
+        },
+        sweep=solved(Method.SWEEP),
+    )
+
+
+def processed_states(table: PolicyTable) -> int:
+    """Return the number of states in the partitions that were processed at all (Table 6.3)."""
+    nx, ny, headings, bevels = table.scenario.shape
+    columns, rows = table.scenario.partitions
+    widths = np.bincount(np.arange(nx) * columns // nx, minlength=columns)
+    heights = np.bincount(np.arange(ny) * rows // ny, minlength=rows)
+    points = np.outer(widths, heights).ravel()
+    return int(points[list(table.stats.order)].sum()) * headings * bevels
 
 
 def tables(solves: Solves) -> list[Comparison]:

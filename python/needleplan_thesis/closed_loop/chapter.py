@@ -10,11 +10,10 @@ from needleplan.artifacts import write_whole
 from needleplan.reports.chapters import Effort
 from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.scenario import Scenario
-from needleplan_thesis.closed_loop.figure import draw
 from needleplan_thesis.closed_loop.hidden import HIDDEN
-from needleplan_thesis.closed_loop.results import json_of, markdown_of, percent, size_text
-from needleplan_thesis.closed_loop.series import run_rounds
-from needleplan_thesis.closed_loop.summary import Summary, Total, shrink, summarized, total
+from needleplan_thesis.closed_loop.loop import run_rounds
+from needleplan_thesis.closed_loop.results import draw, json_of, markdown_of, percent, size_text
+from needleplan_thesis.closed_loop.summary import EffectSummary, OverallResult, shrink, summarized, total
 
 if TYPE_CHECKING:
     from needleplan.reports.chapters import Request
@@ -65,7 +64,7 @@ def run(request: Request) -> list[Comparison]:
     return [*(row for each in summaries for row in _compared(each)), *_together(whole, summaries[0].before.runs)]
 
 
-def _compared(each: Summary) -> list[Comparison]:
+def _compared(each: EffectSummary) -> list[Comparison]:
     name, before, after, known = f"diagnosis/{each.hidden.name}", each.before, each.after, each.known
     named = ", ".join(f"{count} {' + '.join(names)}" for names, count in each.named.items()) or "nothing"
     sizes = "; ".join(f"{key} {size_text(size)}" for key, size in each.sizes.items())
@@ -85,7 +84,7 @@ def _compared(each: Summary) -> list[Comparison]:
     ]  # fmt: skip
 
 
-def _together(whole: Total, runs: int) -> list[Comparison]:
+def _together(whole: OverallResult, runs: int) -> list[Comparison]:
     return [
         _goal(
             "diagnosis/together/gap of success, shrink",

@@ -1,7 +1,11 @@
-"""Tissues, needles and bases of the lab twin that hide something from a plan."""
+"""Tissues, needles and bases of the lab twin that hide something from a plan.
+
+Recordings in a lab that hides something: those that a diagnosis needs, and the motion that it asks for.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,9 +14,10 @@ import numpy as np
 
 from needleplan.errors import InputError, Mistake
 from needleplan.scenario import CurvaturePiece, Scenario
-from needleplan.simulation import Effects, Robot, Setup, Shaft, SimulatedEntry
+from needleplan.signals import Record, Role
+from needleplan.simulation import Effects, Experiment, Move, Robot, Setup, Shaft, SimulatedEntry, run_experiment
 
-__all__ = ["HIDDEN", "NOTHING", "SHAFT", "Hidden", "hidden_named", "laboratory"]
+__all__ = ["HIDDEN", "NOTHING", "SHAFT", "HiddenEffect", "another", "hidden_named", "laboratory", "recordings"]
 
 _WANDER = 5e-4
 _TRACKER_MM = 0.1
@@ -23,7 +28,7 @@ SHAFT = Shaft(torsional_stiffness_n_mm2=1.5e4)
 
 
 @dataclass(frozen=True)
-class Hidden:
+class HiddenEffect:
     """What a lab hides: `hide` puts it into a lab that is as planned."""
 
     name: str
@@ -66,31 +71,88 @@ def _tilted(setup: Setup) -> Setup:
 
 _SKIN = [(float(x), 0.4 + 0.6 * x / 20) for x in np.arange(0.0, 20.0, 2.0)] + [(20.0, 1.0)]
 
-NOTHING = Hidden("nothing", "all is as planned", "", lambda setup: setup)
-HIDDEN: tuple[Hidden, ...] = (
-    Hidden("soft_layer", "from 25 mm on the path bends 25 % less", "a layer of size -0.25 from 26 mm of the path on",
-           _layers([(0.0, 1.0), (25.0, 0.75)])),
-    Hidden("stiff_layer", "from 35 mm on the path bends 35 % more", "a layer of size 0.35 from 36 mm of the path on",
-           _layers([(0.0, 1.0), (35.0, 1.35)])),
-    Hidden("guiding_skin", "the path bends 60 % less at the entry, and as planned from 20 mm on",
-           "size -0.6 at the entry, falling linearly over 20 mm", _layers(_SKIN)),
-    Hidden("speed", "the curvature falls with the fourth root of the speed", "size -0.16 from 5 to 10 mm/s",
-           _effect(curvature_speed_power=-0.25)),
-    Hidden("torsion", "the tissue holds the shaft: at 60 mm the tip is 12 degrees behind the base",
-           "lag of 0.0040 rad/mm at first, 0.0033 at 70 mm", _effect(torsional_friction_n=0.3)),
-    Hidden("bent_needle", "the needle is bent across its bevel, a fifth as much as it steers",
-           "size 0.002 1/mm at a right angle to the bevel", _effect(pre_bend_per_mm=0.002)),
-    Hidden("sagging_needle", "the weight of the needle bends the path downwards", "size 0.0015 1/mm, downwards",
-           _effect(sag_per_mm=0.0015)),
-    Hidden("misaligned_base", "the needle goes in 2.3 degrees beside the planned direction",
-           "size 0.04 rad, in the plane to the left", _tilted),
+NOTHING = HiddenEffect("nothing", "no hidden effect", "", lambda setup: setup)
+HIDDEN: tuple[HiddenEffect, ...] = (
+    HiddenEffect(
+        "soft_layer", "from 25 mm on the curvature is 25 % smaller", "amplitude -0.25 from 26 mm of path on",
+        _layers([(0.0, 1.0), (25.0, 0.75)]),
+    ),
+    HiddenEffect(
+        "stiff_layer", "from 35 mm on the curvature is 35 % larger", "amplitude 0.35 from 36 mm of path on",
+        _layers([(0.0, 1.0), (35.0, 1.35)]),
+    ),
+    HiddenEffect(
+        "guiding_skin", "the curvature is 60 % smaller at the entry, and as planned from 20 mm on",
+        "amplitude -0.6 at the entry, falling linearly to 0 over 20 mm", _layers(_SKIN),
+    ),
+    HiddenEffect(
+        "speed", "the curvature falls with the fourth root of the speed", "amplitude -0.16 from 5 to 10 mm/s",
+        _effect(curvature_speed_power=-0.25),
+    ),
+    HiddenEffect(
+        "torsion", "friction twists the shaft: at 60 mm the tip lags the base by 12 degrees",
+        "lag of 0.0040 rad/mm at first, 0.0033 at 70 mm", _effect(torsional_friction_n=0.3),
+    ),
+    HiddenEffect(
+        "bent_needle", "the needle is bent at a right angle to its bevel, by a fifth of its steering curvature",
+        "amplitude 0.002 1/mm at a right angle to the bevel", _effect(pre_bend_per_mm=0.002),
+    ),
+    HiddenEffect(
+        "sagging_needle", "the weight of the needle bends the path downwards", "amplitude 0.0015 1/mm, downwards",
+        _effect(sag_per_mm=0.0015),
+    ),
+    HiddenEffect(
+        "misaligned_base", "the needle enters 2.3 degrees beside the planned direction",
+        "amplitude 0.04 rad, in the plane to the left", _tilted,
+    ),
 )  # fmt: skip
 """Each for a plan with a radius of 100 mm."""
 
 
-def hidden_named(name: str) -> Hidden:
+def hidden_named(name: str) -> HiddenEffect:
     """Return the hidden effect of a name. Raises InputError where there is none."""
     for each in (NOTHING, *HIDDEN):
         if each.name == name:
             return each
     raise InputError(Mistake("hidden effect", name, f"must be one of {', '.join(each.name for each in HIDDEN)}"))
+
+
+_NOISE_S = 20.0
+_TURN_RAD_S = 3.0
+_COLUMNS = ("time_s", "depth_mm", "angle_rad", "x_mm", "y_mm", "z_mm")
+
+_PROGRAMS: tuple[tuple[Role, float, tuple[tuple[float, float], ...]], ...] = (
+    (Role.TRAIN, 0.0, ((35, 4), (70, 10))),
+    (Role.TRAIN, math.pi, ((25, 10), (70, 4))),
+    (Role.TRAIN, 0.0, ((45, 10), (70, 4))),
+    (Role.HOLDOUT, 0.0, ((52, 8), (70, 3))),
+    (Role.HOLDOUT, math.pi, ((30, 6), (70, 8))),
+)
+"""Role, roll at the begin, and places with speeds, half a turn between: two speeds and one rotation."""
+
+
+def recordings(setup: Setup, seed: int) -> list[Record]:
+    """Return insertions into the lab at the origin, at two speeds with one rotation, and a noise record."""
+    found = []
+    for number, (role, roll, legs) in enumerate(_PROGRAMS):
+        entry = replace(setup.entry, roll_rad=roll)
+        moves: list[Move] = []
+        for index, (place, speed) in enumerate(legs):
+            moves.append(Move(insert_to_mm=float(place), velocity_mm_s=float(speed)))
+            if index + 1 < len(legs):
+                moves.append(Move(dwell_s=0.3))
+                moves.append(Move(rotate_to_rad=math.pi - roll, velocity_rad_s=_TURN_RAD_S))
+        found.append(_recorded(replace(setup, entry=entry), (*moves, Move(dwell_s=1.0)), seed + number, role))
+    found.append(_recorded(setup, (Move(dwell_s=_NOISE_S),), seed + len(_PROGRAMS), Role.NOISE))
+    return found
+
+
+def another(setup: Setup, moves: Sequence[Move], seed: int) -> Record:
+    """Return one more trial for the training, of the moves that were asked for."""
+    return _recorded(setup, (*moves, Move(dwell_s=1.0)), seed, Role.TRAIN)
+
+
+def _recorded(setup: Setup, moves: tuple[Move, ...], seed: int, role: Role) -> Record:
+    whole = run_experiment(Experiment(setup, moves, seed)).record(f"{role} {seed}")
+    seen = whole.select(np.isfinite(whole["x_mm"]))
+    return Record({name: seen[name] for name in _COLUMNS}, seen.trial, role)

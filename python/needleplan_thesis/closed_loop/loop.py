@@ -4,13 +4,15 @@ The lab twin hides something. The plan does not know it, and its insertions miss
 the same tissue are diagnosed; where effects are left that explain them alike, the motion that the diagnosis asks for is
 made, and all recordings are diagnosed again. The model with what was named is what the next plan is made from.
 Insertions follow the moves of their plan without feedback, which would hide what the plan does not know.
+
+Many rounds, in several processes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
 from needleplan.diagnosis.next_motion import next_motion
@@ -21,12 +23,19 @@ from needleplan.reports.diagnosis import CorrectedPlan, along_mm, corrected_plan
 from needleplan.scenario import Scenario
 from needleplan.signals import Record
 from needleplan.simulation import Experiment, Plant, SimulatedEntry
-from needleplan_thesis.closed_loop.hidden import NOTHING, SHAFT, Hidden, laboratory
-from needleplan_thesis.closed_loop.trials import another, recordings
-from needleplan_thesis.steering.ended import ended
-from needleplan_thesis.steering.unguided import carried_out, planned_moves
+from needleplan_thesis.closed_loop.hidden import (
+    NOTHING,
+    SHAFT,
+    HiddenEffect,
+    another,
+    hidden_named,
+    laboratory,
+    recordings,
+)
+from needleplan_thesis.processes import map_in_processes
+from needleplan_thesis.steering import carried_out, path_end, planned_moves
 
-__all__ = ["VELOCITY_MM_S", "Inserted", "Named", "Round", "diagnosed", "once_around"]
+__all__ = ["VELOCITY_MM_S", "NamedEffect", "OpenLoopInsertion", "Round", "diagnosed", "once_around", "run_rounds"]
 
 VELOCITY_MM_S = 10.0
 """Of insertions by a plan."""
@@ -40,7 +49,7 @@ _A_ROUND = 100
 
 
 @dataclass(frozen=True)
-class Inserted:
+class OpenLoopInsertion:
     """An insertion by a plan: success promised and realised, and distance from the centre of the target in space."""
 
     promised: float
@@ -49,7 +58,7 @@ class Inserted:
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedEffect:
     """An effect that was named, with its parameters and their intervals."""
 
     name: str
@@ -67,14 +76,14 @@ class Round:
     seeds: tuple[int, ...]
     verdicts: tuple[Verdict, ...]
     motions: tuple[str, ...]
-    named: tuple[Named, ...]
-    before: tuple[Inserted, ...]
-    after: tuple[Inserted, ...]
-    known: tuple[Inserted, ...]
+    named: tuple[NamedEffect, ...]
+    before: tuple[OpenLoopInsertion, ...]
+    after: tuple[OpenLoopInsertion, ...]
+    known: tuple[OpenLoopInsertion, ...]
     """By the first plan in a lab that hides nothing: what scatter alone leaves."""
 
 
-def once_around(hidden: Hidden, scenario: Scenario, seeds: Sequence[int]) -> Round:
+def once_around(hidden: HiddenEffect, scenario: Scenario, seeds: Sequence[int]) -> Round:
     """Plan, insert, diagnose, plan again and insert again; the first of the seeds is that of the recordings too."""
     found, motions = diagnosed(hidden, scenario, seeds[0])
     last = found[-1]
@@ -89,7 +98,7 @@ def once_around(hidden: Hidden, scenario: Scenario, seeds: Sequence[int]) -> Rou
         tuple(seeds),
         tuple(each.verdict for each in found),
         motions,
-        tuple(Named(each.name, dict(each.estimates)) for each in effects),
+        tuple(NamedEffect(each.name, dict(each.estimates)) for each in effects),
         *(
             tuple(_inserted(lab, known, scenario, seed) for seed in seeds)
             for lab, known in ((hidden, wrong), (hidden, right), (NOTHING, wrong))
@@ -97,7 +106,7 @@ def once_around(hidden: Hidden, scenario: Scenario, seeds: Sequence[int]) -> Rou
     )
 
 
-def diagnosed(hidden: Hidden, scenario: Scenario, seed: int) -> tuple[list[Diagnosis], tuple[str, ...]]:
+def diagnosed(hidden: HiddenEffect, scenario: Scenario, seed: int) -> tuple[list[Diagnosis], tuple[str, ...]]:
     """Return the diagnoses, one after the other, and the names of the motions made between them."""
     setup = hidden.hide(laboratory(scenario))
     first = _RECORDED_FROM + _A_ROUND * seed
@@ -129,7 +138,7 @@ def _library(scenario: Scenario) -> Library:
     return Library(effects_of(Channel.TIP), _base(scenario))
 
 
-def _inserted(hidden: Hidden, known: CorrectedPlan, scenario: Scenario, seed: int) -> Inserted:
+def _inserted(hidden: HiddenEffect, known: CorrectedPlan, scenario: Scenario, seed: int) -> OpenLoopInsertion:
     table = _planned(known.scenario)
     start = table.best_entry().pose
     entry = SimulatedEntry(start.x_mm, start.y_mm, start.heading_rad - known.heading_rad)
@@ -138,11 +147,29 @@ def _inserted(hidden: Hidden, known: CorrectedPlan, scenario: Scenario, seed: in
         Plant(setup, seed), planned_moves(table, start), VELOCITY_MM_S, _VELOCITY_RAD_S, known.torsion,
         known.bends.roll_rad,
     )  # fmt: skip
-    end = ended(scenario, path)
+    end = path_end(scenario, path)
     success = not (end.touched or end.left) and end.distance_mm <= scenario.target.radius_mm
-    return Inserted(float(table.lookup(*start).success), success, end.distance_mm)
+    return OpenLoopInsertion(float(table.lookup(*start).success), success, end.distance_mm)
 
 
 @lru_cache(maxsize=4)
 def _planned(scenario: Scenario) -> PolicyTable:
     return plan(scenario)
+
+
+_SHARING = 5
+"""Insertions that share a diagnosis, which takes longer than all of them."""
+
+
+def run_rounds(
+    scenario: Scenario, hidden: Sequence[HiddenEffect], seeds: Sequence[int], processes: int = 1
+) -> Iterator[Round]:
+    """Yield what comes of every hidden effect, in their order; five seeds share recordings and a diagnosis."""
+    groups = [tuple(seeds[first : first + _SHARING]) for first in range(0, len(seeds), _SHARING)]
+    tasks = [(each.name, group) for each in hidden for group in groups]
+    yield from map_in_processes(partial(_round, scenario), tasks, processes)
+
+
+def _round(scenario: Scenario, task: tuple[str, tuple[int, ...]]) -> Round:
+    name, seeds = task
+    return once_around(hidden_named(name), scenario, seeds)

@@ -1,17 +1,35 @@
-"""The results as files: a table for people, and every round for programs."""
+"""The results as files: a table for people, and every round for programs.
+
+Success and error before and after, effect by effect.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from needleplan.artifacts import version
+from needleplan.plotting import caption, save
+from needleplan.plotting.canvas import BLUE, GREY, VERMILLION, title
 from needleplan.scenario import Scenario
 from needleplan_thesis.closed_loop.loop import Round
-from needleplan_thesis.closed_loop.summary import Insertions, Size, Summary, Total, shrink
+from needleplan_thesis.closed_loop.summary import (
+    EffectSummary,
+    InsertionStatistics,
+    OverallResult,
+    ParameterMedians,
+    shrink,
+)
 
-__all__ = ["json_of", "markdown_of", "percent", "size_text", "times"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["draw", "json_of", "markdown_of", "percent", "size_text", "times"]
 
 _HEAD = (
     "hidden", "true", "verdicts", "named", "found (median, median 95 % interval)", "asked for", "promised", "before",
@@ -19,7 +37,7 @@ _HEAD = (
 )  # fmt: skip
 
 
-def markdown_of(scenario: Scenario, summaries: Sequence[Summary], whole: Total, command: str) -> str:
+def markdown_of(scenario: Scenario, summaries: Sequence[EffectSummary], whole: OverallResult, command: str) -> str:
     """Return the table, and what its columns mean."""
     rows = [_HEAD, ("---",) * 6 + ("--:",) * 10, *(_row(each) for each in summaries)]
     runs = summaries[0].before.runs
@@ -46,7 +64,7 @@ def markdown_of(scenario: Scenario, summaries: Sequence[Summary], whole: Total, 
 
 
 def json_of(
-    scenario: Scenario, summaries: Sequence[Summary], whole: Total, rounds: Sequence[Round], command: str
+    scenario: Scenario, summaries: Sequence[EffectSummary], whole: OverallResult, rounds: Sequence[Round], command: str
 ) -> str:
     """Return everything as JSON."""
     return json.dumps(
@@ -63,7 +81,7 @@ def json_of(
     ) + "\n"  # fmt: skip
 
 
-def _document(each: Summary) -> dict[str, object]:
+def _document(each: EffectSummary) -> dict[str, object]:
     return {
         "name": each.hidden.name,
         "title": each.hidden.title,
@@ -84,7 +102,7 @@ def _document(each: Summary) -> dict[str, object]:
     }
 
 
-def _row(each: Summary) -> tuple[str, ...]:
+def _row(each: EffectSummary) -> tuple[str, ...]:
     before, after, known = each.before, each.after, each.known
     return (
         each.hidden.title, each.hidden.truth, _counts(each.verdicts),
@@ -102,7 +120,7 @@ def _counts(counted: object) -> str:
     return ", ".join(f"{count} {what}" for what, count in counted.items()) or "none"
 
 
-def _success(each: Insertions) -> str:
+def _success(each: InsertionStatistics) -> str:
     low, high = each.success_interval
     return f"{percent(each.success)} ({100 * low:.0f} to {100 * high:.0f})"
 
@@ -111,7 +129,7 @@ def _shrinks(before: float, after: float, known: float) -> str:
     return f"{times(shrink(before, after))} ({times(shrink(before, after, known))})"
 
 
-def size_text(size: Size) -> str:
+def size_text(size: ParameterMedians) -> str:
     """Return a parameter with its interval and unit."""
     return f"{size.value:.3g} {size.unit}".rstrip() + f" ({size.low:.3g} to {size.high:.3g})"
 
@@ -124,3 +142,55 @@ def percent(share: float) -> str:
 def times(share: float | None) -> str:
     """Return a shrink in percent; a dash where there is none to speak of."""
     return "-" if share is None else f"{100 * share:.0f} %"
+
+
+_APART = 0.24
+
+
+def draw(summaries: Sequence[EffectSummary], rounds: Sequence[Round], file: Path) -> None:
+    """Draw a row for every hidden effect: success promised and realised, and the errors of all insertions."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 1.3 + 0.62 * len(summaries)), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    for row, each in enumerate(summaries):
+        own = [one for one in rounds if one.hidden == each.hidden.name]
+        rows = (
+            (each.before, [a.error_mm for one in own for a in one.before], VERMILLION, -_APART),
+            (each.after, [a.error_mm for one in own for a in one.after], BLUE, 0.0),
+            (each.known, [a.error_mm for one in own for a in one.known], GREY, _APART),
+        )
+        for insertions, errors, colour, shift in rows:
+            _draw_success(left, insertions, row + shift, colour)
+            _draw_errors(right, errors, row + shift, colour)
+    left.set_yticks(range(len(summaries)), [each.hidden.name.replace("_", " ") for each in summaries])
+    left.invert_yaxis()
+    left.set_xlim(-3, 103)
+    left.set_xlabel("success (%)")
+    right.set_xlabel("distance from the centre of the target (mm)")
+    right.set_xlim(left=0)
+    title(left, "promised (line) and realised (dot)")
+    title(right, "every insertion, and the median")
+    handles = [
+        left.plot([], [], "o", color=colour, markersize=5, label=label)[0]
+        for colour, label in ((VERMILLION, "before"), (BLUE, "by the diagnosed model"), (GREY, "nothing hidden"))
+    ]
+    figure.legend(handles=handles, loc="outside upper right", ncols=3, frameon=False, fontsize=8)
+    caption(
+        figure,
+        f"Insertions in lab twins that hide something, {summaries[0].before.runs} for each, without feedback. Bars: "
+        "95 % intervals of the realised success.",
+    )
+    save(figure, file)
+
+
+def _draw_success(axes: Axes, each: InsertionStatistics, at: float, colour: str) -> None:
+    low, high = each.success_interval
+    axes.plot([100 * low, 100 * high], [at, at], color=colour, linewidth=1.0)
+    axes.plot(100 * each.success, at, "o", color=colour, markersize=4.5)
+    axes.plot([100 * each.promised] * 2, [at - 0.11, at + 0.11], color=colour, linewidth=2.0)
+
+
+def _draw_errors(axes: Axes, errors: Sequence[float], at: float, colour: str) -> None:
+    axes.plot(errors, np.full(len(errors), at), "o", color=colour, markersize=3, alpha=0.3, markeredgewidth=0)
+    axes.plot([np.median(errors)] * 2, [at - 0.11, at + 0.11], color=colour, linewidth=2.0)

@@ -1,8 +1,23 @@
-"""Many insertions in the lab twin: steered by the loop, without feedback, not steered; what comes of them."""
+"""Insertions in the lab twin, with and without feedback, and their statistics."""
 
-from needleplan_thesis.steering.course import Course, Guidance, Task
-from needleplan_thesis.steering.series import run_all
-from needleplan_thesis.steering.summary import Summary, gap_closed, summarized
-from needleplan_thesis.steering.trial import Trial, run_trial
+from needleplan_thesis.steering._case import Guidance, SteeringCase, SteeringTask
+from needleplan_thesis.steering._trial import SteeringSummary, SteeringTrial, gap_closed, run_all, run_trial, summarized
+from needleplan_thesis.steering._unguided import Moves, PathEnd, aimed_at_target, carried_out, path_end, planned_moves
 
-__all__ = ["Course", "Guidance", "Summary", "Task", "Trial", "gap_closed", "run_all", "run_trial", "summarized"]
+__all__ = [
+    "Guidance",
+    "Moves",
+    "PathEnd",
+    "SteeringCase",
+    "SteeringSummary",
+    "SteeringTask",
+    "SteeringTrial",
+    "aimed_at_target",
+    "carried_out",
+    "gap_closed",
+    "path_end",
+    "planned_moves",
+    "run_all",
+    "run_trial",
+    "summarized",
+]

@@ -16,10 +16,9 @@ from needleplan.reports.chapters import Effort, Request, reproduce
 from needleplan.reports.comparison import Agreement
 from needleplan.signals import Role
 from needleplan_thesis.closed_loop.chapter import circle_scenario, files
-from needleplan_thesis.closed_loop.hidden import HIDDEN, laboratory
-from needleplan_thesis.closed_loop.loop import Inserted, Named, Round
+from needleplan_thesis.closed_loop.hidden import HIDDEN, laboratory, recordings
+from needleplan_thesis.closed_loop.loop import NamedEffect, OpenLoopInsertion, Round
 from needleplan_thesis.closed_loop.summary import shrink, summarized, total
-from needleplan_thesis.closed_loop.trials import recordings
 
 pytestmark = pytest.mark.slow
 
@@ -52,12 +51,13 @@ def test_recordings_of_a_lab_have_what_a_diagnosis_asks_for() -> None:
 
 
 def a_round(seed: int, before_mm: float, after_mm: float) -> Round:
-    def inserted(error_mm: float) -> tuple[Inserted, ...]:
-        return (Inserted(0.9, error_mm <= 1.5, error_mm),)
+    def inserted(error_mm: float) -> tuple[OpenLoopInsertion, ...]:
+        return (OpenLoopInsertion(0.9, error_mm <= 1.5, error_mm),)
 
     size = Estimate(0.1 * (seed + 1), 0.01, 0.05, 0.5, "", identified=True)
     return Round(
-        HIDDEN[0].name, (seed,), (Verdict.AMBIGUOUS, Verdict.NAMED), ("fast",), (Named("gravity", {"size": size}),),
+        HIDDEN[0].name, (seed,), (Verdict.AMBIGUOUS, Verdict.NAMED), ("fast",),
+        (NamedEffect("gravity", {"size": size}),),
         inserted(before_mm), inserted(after_mm), inserted(0.4),
     )  # fmt: skip
 

@@ -1,19 +1,39 @@
-"""What section 6.4 says about prioritized-partitioned value iteration in words, checked on our scene one by one."""
+"""What section 6.4 says about prioritized-partitioned value iteration in words, checked on our scene one by one.
+
+A partition and the states that depend on it (Fig. 6.3 of the thesis).
+
+Figs. 6.3 and 6.6: in which order the partitions were processed, and who depends on one of them.
+"""
 
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from needleplan.planning import PolicyTable
+from needleplan.plotting import caption, save, sheet
+from needleplan.plotting.canvas import title
 from needleplan.reports.comparison import Agreement, Comparison
 from needleplan.scenario import Priority
-from needleplan_thesis.chapter6.published import TABLE_6_2, VALUE_ITERATION
-from needleplan_thesis.chapter6.solves import Solves, processed_states
-from needleplan_thesis.chapter6.tables import name_of, solving_seconds
+from needleplan_thesis.chapter6.tables import (
+    TABLE_6_2,
+    VALUE_ITERATION,
+    Solves,
+    name_of,
+    processed_states,
+    solving_seconds,
+)
 
-__all__ = ["claims", "in_obstacles"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from needleplan.planning import PolicyTable
+
+__all__ = ["claims", "dependent_points", "draw_dependents", "in_obstacles", "orders"]
 
 _H1, _H2 = Priority.H1, Priority.H2
 _ONE_SCENE = "one scene, ours, and times of this run; it may turn out otherwise on another"
@@ -146,3 +166,86 @@ def _same_policy(solves: Solves) -> Comparison:
 
 def _listed(ratios: dict[tuple[int, int], float]) -> str:
     return ", ".join(f"{name_of(partitions)}: {ratio:.2f}" for partitions, ratio in ratios.items())
+
+
+_CYAN, _RED = "#00bcd4", "#d00000"
+
+
+def dependent_points(table: PolicyTable, partition: int) -> NDArray[np.bool_]:
+    """Return for every grid point [nx, ny] whether one of its states can step into `partition`.
+
+    These are the positions of SDP(p), the state dependents of a partition in Table 6.1 of the thesis, read from the
+    explicit form of the problem.
+    """
+    nx, ny, headings, bevels = table.scenario.shape
+    columns, rows = table.scenario.partitions
+    labels = np.add.outer(np.arange(nx) * columns // nx * rows, np.arange(ny) * rows // ny).ravel()
+    sparse = table.lattice.tabular()
+    member = np.append(np.repeat(labels == partition, headings * bevels), False)
+    hits = member[sparse["successors"]] & (sparse["probabilities"] > 0)
+    # Entries counted up to each row, and rows up to each state: a difference is what a state has of its own.
+    entries = np.concatenate([[0], np.cumsum(hits)])[sparse["row_offsets"]][sparse["action_offsets"]]
+    steps_in = np.diff(entries)[: nx * ny * headings * bevels] > 0
+    reaching: NDArray[np.bool_] = np.logical_or.reduce(steps_in.reshape(nx, ny, headings * bevels), axis=2)
+    return reaching
+
+
+def draw_dependents(axes: Axes, table: PolicyTable, partition: int) -> None:
+    """Outline `partition` in red and colour the grid points that depend on it, on top of the order of processing."""
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Rectangle
+
+    scenario = table.scenario
+    dx, dy = scenario.grid.spacing_mm
+    points = dependent_points(table, partition)
+    axes.imshow(
+        np.ma.masked_equal(points.T, False),
+        origin="lower",
+        extent=(-dx / 2, scenario.x_mm[-1] + dx / 2, -dy / 2, scenario.y_mm[-1] + dy / 2),
+        aspect=axes.get_aspect(),
+        cmap=ListedColormap([_CYAN]),
+        alpha=0.55,
+        interpolation="nearest",
+        zorder=2,
+    )
+    columns, rows = scenario.partitions
+    column, row = divmod(partition, rows)
+    width, height = scenario.workspace.width_mm / columns, scenario.workspace.height_mm / rows
+    corner = (column * width, row * height)
+    axes.add_patch(Rectangle(corner, width, height, facecolor="none", edgecolor=_RED, linewidth=2.0, zorder=5))
+    axes.set_xlim(0, scenario.workspace.width_mm)
+    axes.set_ylim(0, scenario.workspace.height_mm)
+
+
+_SAMPLE = (8, 4)
+"""Column and row of the sample partition among (12, 8), from 0: in the open, so that its dependents are seen."""
+
+
+def orders(solves: Solves, folder: Path) -> None:
+    """Draw both figures; H1 is the default of the thesis."""
+    _order(solves.partitioned[(12, 8), Priority.H1], folder / "fig_6_3.png", sample=_SAMPLE)
+    _order(solves.partitioned[(24, 16), Priority.H1], folder / "fig_6_6.png", sample=None)
+
+
+def _order(table: PolicyTable, file: Path, sample: tuple[int, int] | None) -> None:
+    scenario = table.scenario
+    columns, rows = scenario.partitions
+    figure, (axes,) = sheet(scenario.workspace, 1)
+    table.plot_order(axes)
+    left_out = columns * rows - len(table.stats.order)
+    text = (
+        f"Large: place in the order of first processing. Grey: never processed ({left_out} of {columns * rows}). "
+        f"({columns}, {rows}) partitions, H1, costs of the thesis; the obstacles are ours, the thesis prints none."
+    )
+    if sample:
+        partition = sample[0] * rows + sample[1]
+        draw_dependents(axes, table, partition)
+        text = (
+            f"Small: number of the partition. Red: partition {partition + 1}; cyan: where its state dependents SDP "
+            f"lie, a step around it (the thesis shows its number 26). {text}"
+        )
+    title(
+        axes, f"Fig. {file.stem.removeprefix('fig_').replace('_', '.')}: order of processing, ({columns}, {rows}), H1"
+    )
+    caption(figure, text)
+    save(figure, file)

@@ -1,20 +1,57 @@
-"""Insertions without feedback: a program of moves, carried out whatever comes of it."""
+"""How an insertion ended, in truth.
+
+Insertions without feedback: a program of moves, carried out whatever comes of it.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from needleplan.control import ScenarioGeometry
 from needleplan.models import Torsion
 from needleplan.planning import Action, PolicyTable, Pose
+from needleplan.scenario import Scenario
 from needleplan.signals import Array
 from needleplan.simulation import Plant, Setup
 
-__all__ = ["Moves", "aimed_at_target", "carried_out", "planned_moves"]
+__all__ = ["Moves", "PathEnd", "aimed_at_target", "carried_out", "path_end", "planned_moves"]
+
+
+@dataclass(frozen=True)
+class PathEnd:
+    """Where a path ended: `error_mm` from the centre of the target in the plane of the plan, `aside_mm` beside it.
+
+    `touched` names the first obstacle on the path, if any; `left` says whether it left the workspace.
+    """
+
+    error_mm: float
+    aside_mm: float
+    touched: str
+    left: bool
+
+    @property
+    def distance_mm(self) -> float:
+        """Distance from the centre of the target in space."""
+        return math.hypot(self.error_mm, self.aside_mm)
+
+
+def path_end(scenario: Scenario, path_mm: Array) -> PathEnd:
+    """Return how a path, shape (n, 3), ended in a scenario."""
+    scene, places = _scene(scenario), path_mm[:, :2].tolist()
+    touched = next((name for place in places if (name := scene.touches(*place))), "")
+    left = any(scene.outside(*place) for place in places)
+    return PathEnd(scene.target_distance_mm(*places[-1]), abs(float(path_mm[-1, 2])), touched, left)
+
+
+@lru_cache(maxsize=16)
+def _scene(scenario: Scenario) -> ScenarioGeometry:
+    return ScenarioGeometry(scenario)
+
 
 _AT_REST_S = 0.1
 """How long a move is waited after, as the loop waits for four frames of the tracker."""

@@ -10,7 +10,7 @@ from needleplan.planning import PolicyTable, Pose, plan
 from needleplan.scenario import Scenario
 from needleplan.simulation import Experiment, SimulatedStation, simulated_station
 
-__all__ = ["Course", "Guidance", "Task"]
+__all__ = ["Guidance", "SteeringCase", "SteeringTask"]
 
 
 class Guidance(StrEnum):
@@ -38,7 +38,7 @@ class Guidance(StrEnum):
 
 
 @dataclass(frozen=True)
-class Course:
+class SteeringCase:
     """A scenario, and the lab it is tried in: a needle that bends as planned, but for the effects of the experiment.
 
     `start` is x_mm, y_mm, heading_rad (the best entry where none is given), with the bevel of the lower cost. The servo
@@ -72,10 +72,10 @@ class Course:
 
 
 @dataclass(frozen=True)
-class Task:
+class SteeringTask:
     """One insertion: `curvature_error` is the share by which the true curvature is above that of the plan."""
 
-    course: Course
+    course: SteeringCase
     guidance: Guidance
     seed: int
     curvature_error: float = 0.0

@@ -1,8 +1,15 @@
-"""One insertion in the lab twin, and what came of it in truth, which no sensor tells."""
+"""One insertion in the lab twin, and what came of it in truth, which no sensor tells.
+
+Many insertions, in several processes.
+
+What many insertions have in common: shares with intervals, means, percentiles.
+"""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,18 +17,18 @@ import numpy as np
 from needleplan.control import Insertion, Listener, Options, drawn, path_distances_mm
 from needleplan.control.safety import SafetyLimits
 from needleplan.estimation.tip import TipEstimate
-from needleplan.planning import PolicyTable
+from needleplan.planning import PolicyTable, wilson
 from needleplan.signals import Array
 from needleplan.simulation import Plant
-from needleplan_thesis.steering.course import Guidance, Task
-from needleplan_thesis.steering.ended import ended
-from needleplan_thesis.steering.unguided import aimed_at_target, carried_out, planned_moves
+from needleplan_thesis.processes import map_in_processes
+from needleplan_thesis.steering._case import Guidance, SteeringTask
+from needleplan_thesis.steering._unguided import aimed_at_target, carried_out, path_end, planned_moves
 
-__all__ = ["Trial", "run_trial"]
+__all__ = ["SteeringSummary", "SteeringTrial", "gap_closed", "run_all", "run_trial", "summarized"]
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class SteeringTrial:
     """What came of an insertion; lengths in mm, places in the plane of the plan.
 
     `path_mm` [n, 3] is the true path of the tip. `error_mm` is the distance of its end from the centre of the target,
@@ -30,7 +37,7 @@ class Trial:
     plan promises, `ending` and `cause` say how the loop itself took it to end.
     """
 
-    task: Task
+    task: SteeringTask
     path_mm: Array
     planned_mm: Array
     turns_mm: Array
@@ -58,7 +65,7 @@ class Trial:
         return max(self.error_mm - self.task.course.scenario.target.radius_mm, 0.0)
 
 
-def run_trial(task: Task) -> Trial:
+def run_trial(task: SteeringTask) -> SteeringTrial:
     """Carry out an insertion; the same task gives the same result."""
     return _with_feedback(task) if task.guidance.feels else _without(task)
 
@@ -76,7 +83,7 @@ class _Truth(Listener):
             self.path.append(self._plant.tip().position_mm)
 
 
-def _with_feedback(task: Task) -> Trial:
+def _with_feedback(task: SteeringTask) -> SteeringTrial:
     course = task.course
     table, station = course.table, course.station(task.seed, task.curvature_error)
     options = Options(
@@ -101,7 +108,7 @@ def _with_feedback(task: Task) -> Trial:
     )  # fmt: skip
 
 
-def _without(task: Task) -> Trial:
+def _without(task: SteeringTask) -> SteeringTrial:
     course, guidance = task.course, task.guidance
     table, start, station = course.table, course.pose, course.station(task.seed, task.curvature_error)
     setup = station.lab.plant.setup
@@ -116,11 +123,11 @@ def _without(task: Task) -> Trial:
 
 
 def _judged(
-    task: Task, table: PolicyTable, path: Array, planned: Array, turns_mm: Array, *, seen: tuple[float, float],
+    task: SteeringTask, table: PolicyTable, path: Array, planned: Array, turns_mm: Array, *, seen: tuple[float, float],
     counts: tuple[int, int], ending: tuple[str, str],
-) -> Trial:  # fmt: skip
-    end = ended(table.scenario, path)
-    return Trial(
+) -> SteeringTrial:  # fmt: skip
+    end = path_end(table.scenario, path)
+    return SteeringTrial(
         task, path, planned, turns_mm, end.error_mm, float(np.abs(path[:, 2]).max()), _deviation_mm(planned, path),
         *seen, end.touched, end.left, *counts, table.lookup(*task.course.pose).success, *ending,
     )  # fmt: skip
@@ -135,3 +142,77 @@ def _deviation_mm(planned: Array, path: Array) -> float:
     along = np.concatenate([[0.0], np.cumsum(lengths[1])])
     within = path[along <= lengths[0].sum(), :2]
     return float(path_distances_mm(planned, within).max(initial=0.0))
+
+
+def run_all(tasks: Sequence[SteeringTask], processes: int = 1) -> Iterator[SteeringTrial]:
+    """Yield what comes of each task, in their order."""
+    return map_in_processes(run_trial, tasks, processes, chunk=4)
+
+
+_RESAMPLED = 2000
+
+
+@dataclass(frozen=True)
+class SteeringSummary:
+    """Numbers of many insertions of one kind; lengths in mm, intervals of 95 %.
+
+    `success` has the interval of Wilson, means those of the bootstrap. `failures` counts what kept the others from
+    success, `seeds` says which they are.
+    """
+
+    runs: int
+    predicted: float
+    success: float
+    success_interval: tuple[float, float]
+    error_mm: float
+    error_interval_mm: tuple[float, float]
+    error_median_mm: float
+    error_95_mm: float
+    deviation_mm: float
+    turns: float
+    replans: float
+    failures: Mapping[str, int]
+    seeds: tuple[int, ...]
+
+
+def summarized(trials: Sequence[SteeringTrial]) -> SteeringSummary:
+    """Return what insertions of one kind have in common; there must be some."""
+    errors = np.array([each.error_mm for each in trials])
+    failed = [each for each in trials if not each.success]
+    return SteeringSummary(
+        runs=len(trials),
+        predicted=trials[0].predicted,
+        success=1 - len(failed) / len(trials),
+        success_interval=wilson(len(trials) - len(failed), len(trials)),
+        error_mm=float(errors.mean()),
+        error_interval_mm=_mean_interval(errors),
+        error_median_mm=float(np.median(errors)),
+        error_95_mm=float(np.percentile(errors, 95)),
+        deviation_mm=float(np.mean([each.deviation_mm for each in trials])),
+        turns=float(np.mean([each.turns for each in trials])),
+        replans=float(np.mean([each.replans for each in trials])),
+        failures=dict(Counter(map(_failure, failed)).most_common()),
+        seeds=tuple(each.task.seed for each in failed),
+    )
+
+
+def gap_closed(promised: float, kept: float, replanned: float) -> float | None:
+    """Return by which share planning again narrows what is missing from a promise; None where nothing is missing."""
+    gap = promised - kept
+    return None if gap <= 0 else (replanned - kept) / gap
+
+
+def _failure(trial: SteeringTrial) -> str:
+    if trial.touched:
+        return "an obstacle"
+    if trial.left:
+        return "out of the workspace"
+    if trial.ending in ("", "target"):
+        return "beside the target"
+    return trial.ending
+
+
+def _mean_interval(values: np.ndarray) -> tuple[float, float]:
+    drawn = np.random.default_rng(1).choice(values, (_RESAMPLED, len(values))).mean(axis=1)
+    low, high = np.percentile(drawn, [2.5, 97.5]).tolist()
+    return low, high

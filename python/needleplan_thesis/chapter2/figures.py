@@ -12,9 +12,8 @@ from needleplan.models.force import DepthForce, ForceModel1
 from needleplan.plotting.canvas import BLACK, BLUE, GREY, SKY, VERMILLION, save, title
 from needleplan.signals import Record
 from needleplan_thesis.chapter2.bank import BankRun, run_bank
-from needleplan_thesis.chapter2.generator import SENSOR
-from needleplan_thesis.chapter2.loops import Loop
-from needleplan_thesis.chapter2.starts import corners
+from needleplan_thesis.chapter2.forces import SENSOR, corners
+from needleplan_thesis.chapter2.parameters import IdentifiedForce
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -26,7 +25,7 @@ __all__ = ["draw_all"]
 _START_FACTOR = 2.0
 
 
-def draw_all(made: list[Loop], folder: Path) -> None:
+def draw_all(made: list[IdentifiedForce], folder: Path) -> None:
     """Draw every figure of the chapter into `folder`. Raises OutputError."""
     fast, slow, stiff, _, thin = made
     models = {"I": ForceModel1(**fast.published.model.values()), "II": fast.published.model}
@@ -61,7 +60,7 @@ def _figure(rows: int, columns: int, width: float, height: float) -> tuple[Figur
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
-def _profile(loop: Loop, path: Path) -> None:
+def _profile(loop: IdentifiedForce, path: Path) -> None:
     figure, ((above,), (below,)) = _figure(2, 1, 6.4, 4.6)
     record = loop.record
     above.plot(record["time_s"], record["force_n"], color=BLUE, linewidth=0.9)
@@ -134,7 +133,7 @@ def _legend() -> tuple[list[Artist], list[str]]:
     return list(handles), ["estimate", "+-3 sigma", "made the record"]
 
 
-def _loops(made: list[Loop], path: Path) -> None:
+def _loops(made: list[IdentifiedForce], path: Path) -> None:
     figure, axes = _figure(1, len(made), 4.0 * len(made), 3.4)
     for panel, loop in zip(axes.flat, made, strict=True):
         record = loop.record
