@@ -21,7 +21,7 @@ import machine
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.estimation import PathForm, TrackerNoise, curvature
+from needleplan.identification import PathForm, TrackerNoise, arc_curvature
 from needleplan.models import arc_step
 
 LENGTH_MM, RADIUS_MM, SIGMA_MM, POINTS = 80.0, 1200.0, 0.1, 320
@@ -80,7 +80,7 @@ def _study(seed: int, trials: int, name: str, noise: Noise, assumed: str, option
     clean = _arc()
     paths = [clean + SIGMA_MM * noise(random) for _ in range(trials)]
     began = perf_counter()
-    found = [curvature(path, **options) for path in paths]
+    found = [arc_curvature(path, **options) for path in paths]
     seconds = perf_counter() - began
     value = np.array([each.curvature_per_mm for each in found])
     low, high = (np.array([getattr(each, f"{end}_per_mm") for each in found]) for end in ("low", "high"))

@@ -17,7 +17,8 @@ from time import perf_counter
 import machine
 import numpy as np
 
-from needleplan.estimation import JointFilter, JointForce, Recipe, Sample, Use, identify_by_passes, mean_absolute_error
+from needleplan.estimation import FilterSample, JointFilter, JointForce, SampleUse
+from needleplan.identification import Recipe, identify_by_passes, mean_absolute_error
 from needleplan.models import simulate
 from needleplan.models.force import DepthForce
 from needleplan.signals import MovingAverage, Record, insertion_cycles
@@ -116,11 +117,11 @@ def time_per_sample() -> float:
     online = JointFilter(JointForce(start), start, variance=1e-4, sd=0.2, settle=5)
     seconds = []
     for values in columns:
-        sample = Sample(*values)
+        sample = FilterSample(*values)
         began = perf_counter()
         step = online.update(sample)
         seconds.append(perf_counter() - began)
-        assert step.use is not Use.DIVERGED
+        assert step.use is not SampleUse.DIVERGED
     return median(seconds)
 
 

@@ -10,7 +10,7 @@ from needleplan.cli import main
 from needleplan.models import ModelFile
 from needleplan.recording import write_records
 from needleplan.signals import Record
-from tests.estimation.arcs import arc, white
+from tests.identification.arcs import arc, white
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from needleplan.errors import DataError, InputError
 from needleplan.estimation import Registration
-from needleplan.estimation.registration.files import read_points, read_poses
-from needleplan.identification.registration import register_needle
+from needleplan.estimation.registration import read_points, read_poses, register_needle
 from tests.cli.commands import needleplan, refused
 from tests.estimation.registrations import (
     OFFSET_MM,

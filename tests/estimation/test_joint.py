@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from needleplan.errors import ModelError
-from needleplan.estimation import Joint, JointForce, NumericJoint
+from needleplan.estimation import JointForce, JointSystem, NumericJointSystem
 from needleplan.models import simulate
 from needleplan.models.force import ForceModel1
 from needleplan.signals import Array, Motion, insertion_cycles
@@ -14,7 +14,7 @@ from tests.models.lag import Lag, SteppedLag
 MOTION = insertion_cycles(80.0, 10.0)
 
 
-def slow_derivatives(joint: Joint, x: Array, before: Motion, after: Motion) -> tuple[Array, Array]:
+def slow_derivatives(joint: JointSystem, x: Array, before: Motion, after: Motion) -> tuple[Array, Array]:
     steps = 1e-6 * np.maximum(np.abs(x), 1e-2)
     ups, downs = ([x + sign * step * row for step, row in zip(steps, np.eye(x.size), strict=True)] for sign in (1, -1))
     pairs = list(zip(ups, downs, steps, strict=True))
@@ -58,7 +58,7 @@ def test_no_coordinate_makes_g_negative() -> None:
 
 
 def test_any_model_becomes_a_joint_system() -> None:
-    force, numeric = JointForce(MODEL), NumericJoint(MODEL)
+    force, numeric = JointForce(MODEL), NumericJointSystem(MODEL)
     x = numeric.initial(MODEL, MOTION)
     x[0] = 0.1
     same = force.initial(MODEL, MOTION)
@@ -76,7 +76,7 @@ def test_any_model_becomes_a_joint_system() -> None:
 
 @pytest.mark.parametrize("model", [Lag(0.2, 0.4, 0.05), SteppedLag(0.2, 0.4)])
 def test_a_numeric_joint_steps_as_the_simulation(model: Lag | SteppedLag) -> None:
-    joint = NumericJoint(model)
+    joint = NumericJointSystem(model)
     done = simulate(model, MOTION)
     x = joint.initial(model, MOTION)
     x[0] = done.states[0, 500]
@@ -91,4 +91,4 @@ def test_what_cannot_be_joint_is_refused() -> None:
     with pytest.raises(ModelError, match="f1 and f1"):
         JointForce(MODEL.with_values(f1=0.001))
     with pytest.raises(ModelError, match="must be one of"):
-        NumericJoint(MODEL, ["sigma3"])
+        NumericJointSystem(MODEL, ["sigma3"])

@@ -11,16 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleplan.estimation import TipSettings
-from needleplan.estimation.tip.arc import FACTOR, HEADING, ROLL, SIZE, along, moved, tangent
-from needleplan.estimation.tip.channel import Channel, Piece
+from needleplan.estimation.tip._path import FACTOR, HEADING, ROLL, SIZE, ChannelPiece, CutChannel, along, moved, tangent
 from needleplan.models import TipFrame
 
 LEGS = st.lists(st.tuples(st.floats(0.1, 30), st.floats(-4, 4)), min_size=1, max_size=5)
 
 
-def piece(length_mm: float, roll_rad: float, turned_rad: float = 0.0) -> Piece:
+def piece(length_mm: float, roll_rad: float, turned_rad: float = 0.0) -> ChannelPiece:
     """A piece of fresh tissue with one roll."""
-    return Piece(length_mm, math.cos(roll_rad), math.sin(roll_rad), turned_rad, fresh=True)
+    return ChannelPiece(length_mm, math.cos(roll_rad), math.sin(roll_rad), turned_rad, fresh=True)
 
 
 @settings(max_examples=100, deadline=None)
@@ -82,7 +81,7 @@ def test_turning_the_base_makes_the_roll_uncertain() -> None:
 @settings(max_examples=100, deadline=None)
 @given(LEGS, st.floats(-10, 100), st.floats(0, 100))
 def test_pieces_are_the_whole_way(legs: list[tuple[float, float]], begin: float, length: float) -> None:
-    channel = Channel(-5.0, 0.0)
+    channel = CutChannel(-5.0, 0.0)
     depth = 0.0
     for step, roll in legs:
         depth += step
@@ -97,7 +96,7 @@ def test_pieces_are_the_whole_way(legs: list[tuple[float, float]], begin: float,
 
 
 def test_a_bevel_that_spins_bends_nothing() -> None:
-    channel = Channel(0.0, 0.0)
+    channel = CutChannel(0.0, 0.0)
     for step in range(1, 2001):
         channel.move(step * 0.01, step * 0.01 * 30)
     pieces = list(channel.pieces(0.0, 20.0))
@@ -107,7 +106,7 @@ def test_a_bevel_that_spins_bends_nothing() -> None:
 
 def test_a_turned_needle_leaves_its_channel_and_another_follows_it() -> None:
     for roll, leaves in ((math.pi, True), (0.2, False), (2 * math.pi, False)):
-        channel = Channel(0.0, 0.0)
+        channel = CutChannel(0.0, 0.0)
         channel.move(20.0, 0.0)
         assert channel.move(10.0, 0.0) is None
         assert channel.move(10.5, roll) == (10.0 if leaves else None)

@@ -9,7 +9,7 @@ from needleplan.errors import DataError
 from needleplan.identification import curvature
 from needleplan.models import arc_step
 from needleplan.signals import Array, Record, Role
-from tests.estimation.arcs import arc, white
+from tests.identification.arcs import arc, white
 
 
 def trial(name: str, points: Array, **columns: Array) -> Record:

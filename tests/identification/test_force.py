@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from needleplan.errors import DataError
-from needleplan.estimation.force_start import starting_force
 from needleplan.identification import force
+from needleplan.identification._force_record import starting_force
 from needleplan.models import FitStatus, simulate
 from needleplan.models.force import ForceModel1, ForceModel2, with_gauge
 from needleplan.signals import Record, Role

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from needleplan.errors import DataError
 from needleplan.identification.friction import identify, traded
-from needleplan.identification.shaft_models import effective_samples
+from needleplan.identification.friction_candidates import effective_samples
 from needleplan.models import fit, simulate
 from needleplan.models.friction import AveragedLuGre, Friction, LumpedLuGre, Profile, first_guess, steady
 from needleplan.signals import Motion, Record, Role, Start, sinusoid

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from needleplan.errors import DataError, ScenarioError
-from needleplan.estimation import NoiseStatus
+from needleplan.identification import NoiseStatus
 from needleplan.identification.scenario_part import scenario_part
 from needleplan.models import arc_step
 from needleplan.scenario import Layer, Motion, Needle, Scenario, Tissue

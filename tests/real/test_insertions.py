@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from needleplan.errors import DataError
-from needleplan.estimation import agreement
-from needleplan.identification import Identification, curvature
+from needleplan.identification import Identification, agreement, curvature
 from needleplan.recording import read_stepwise_insertion
 from needleplan.signals import Record
 from tests.real.shared import require

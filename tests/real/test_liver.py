@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from needleplan.estimation import force_drops
+from needleplan.identification import force_drops
 from needleplan.models import FitStatus, ForceModel1, fit, residual_findings
 from needleplan.recording import read_depth_force
 from needleplan.signals import Record

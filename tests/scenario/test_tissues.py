@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from needleplan.errors import ModelError, ScenarioError
-from needleplan.estimation import path_curvature
+from needleplan.identification import path_curvature
 from needleplan.models import Bicycle, Estimate, ModelFile, Parent, TipPath, arc_step
 from needleplan.scenario import Layer, Needle, Scenario, Target, Tissue, Workspace, identified
 from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from needleplan.estimation import FilterStatus, mean_absolute_error
+from needleplan.identification import FilterStatus, mean_absolute_error
 from needleplan.models.force import ForceModel1, ForceModel2
 from needleplan_thesis.chapter2.bank import TABLE_2_1, BankSettings, Exponents, Trigger, run_bank
 from tests.estimation.insertions import AVERAGE, MODEL, moved, recorded

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needleplan.estimation import JointForce, identify_by_passes
+from needleplan.estimation import JointForce
+from needleplan.identification import identify_by_passes
 from needleplan.models import simulate
 from needleplan.models.force import ForceModel1
 from needleplan.reports.comparison import Agreement

@@ -10,7 +10,7 @@ from needleplan.cli.answer import complain, note, print_json, print_summary, wor
 from needleplan.cli.options import add_answer, add_output, numbers, require_outputs
 
 if TYPE_CHECKING:
-    from needleplan.identification.registration import Registered
+    from needleplan.estimation.registration import Registered
 
 __all__ = ["add_to", "run"]
 
@@ -35,7 +35,7 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from needleplan.identification.registration import register_needle
+    from needleplan.estimation.registration import register_needle
 
     target = _target(options.target)
     require_outputs(options, [options.pivot, options.points], options.output)

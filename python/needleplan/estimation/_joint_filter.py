@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
 
 import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
 
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation.extended import Extended
-from needleplan.estimation.joint import Joint
-from needleplan.estimation.sample import Sample, Step, Use
+from needleplan.estimation._joint_system import JointSystem
 from needleplan.models import Channel, Model
 from needleplan.signals import Array, Motion
 
-__all__ = ["JointFilter"]
+__all__ = ["FilterSample", "FilterStep", "JointFilter", "SampleUse", "ScalarKalmanFilter"]
 
 
 class JointFilter:
@@ -35,7 +37,7 @@ class JointFilter:
 
     def __init__(
         self,
-        joint: Joint,
+        joint: JointSystem,
         model: Model,
         *,
         variance: float,
@@ -59,11 +61,11 @@ class JointFilter:
         self._state_sd = state_sd
         self._sd = np.broadcast_to(np.asarray(sd, float), (len(joint.free),))
         self._start: Model | None = model
-        self._kalman: Extended | None = None
+        self._kalman: ScalarKalmanFilter | None = None
         self._last: Motion | None = None
         self._to_settle = 0
         self._kept: Array | None = None
-        self.counts = dict.fromkeys(Use, 0)
+        self.counts = dict.fromkeys(SampleUse, 0)
 
     @property
     def channel(self) -> Channel:
@@ -73,7 +75,7 @@ class JointFilter:
     @property
     def diverged(self) -> bool:
         """Whether the estimate is lost."""
-        return self.counts[Use.DIVERGED] > 0
+        return self.counts[SampleUse.DIVERGED] > 0
 
     @property
     def x(self) -> Array:
@@ -90,7 +92,7 @@ class JointFilter:
         """The model as it is estimated now."""
         return self._joint.model(self.x)
 
-    def update(self, sample: Sample, *, masked: bool = False) -> Step:
+    def update(self, sample: FilterSample, *, masked: bool = False) -> FilterStep:
         """Take one sample; `masked` ones move the filter on and correct nothing.
 
         Raises DataError, and leaves the filter as it was, where the time does not increase or time, depth or velocity
@@ -99,7 +101,7 @@ class JointFilter:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return self._take(sample, masked)
 
-    def _take(self, sample: Sample, masked: bool) -> Step:
+    def _take(self, sample: FilterSample, masked: bool) -> FilterStep:
         now = self._instant(sample)
         turned = self._last is not None and now.direction * self._last.direction < 0
         if self._kalman is None:
@@ -129,12 +131,12 @@ class JointFilter:
     def _forget(self) -> None:
         self._kalman, self._last, self._to_settle, self._kept = None, None, 0, None
 
-    def _filter(self) -> Extended:
+    def _filter(self) -> ScalarKalmanFilter:
         if self._kalman is None:
             raise DataError("the filter has not had a sample yet")
         return self._kalman
 
-    def _begin(self, now: Motion) -> Extended:
+    def _begin(self, now: Motion) -> ScalarKalmanFilter:
         assert self._start is not None
         x = self._joint.initial(self._start, now)
         n = self._joint.states
@@ -144,25 +146,25 @@ class JointFilter:
         covariance[:n, :n] = np.eye(n) * self._state_sd**2
         covariance[n:, n:] = np.diag(self._sd**2) if self._kept is None else self._kept
         walk = np.diag([0.0] * n + [self._walk] * (x.size - n))
-        return Extended(x, covariance, walk, self._variance)
+        return ScalarKalmanFilter(x, covariance, walk, self._variance)
 
-    def _correct(self, value: float, now: Motion, masked: bool) -> Step:
+    def _correct(self, value: float, now: Motion, masked: bool) -> FilterStep:
         kalman = self._filter()
         expected, change = self._joint.measure(kalman.x, now)
         spread = float(change @ kalman.P @ change) + self._variance
         use = (
-            Use.DIVERGED if kalman.lost or not math.isfinite(expected) or not math.isfinite(spread)
-            else Use.MISSING if not math.isfinite(value)
-            else Use.MASKED if masked
-            else Use.USED
+            SampleUse.DIVERGED if kalman.lost or not math.isfinite(expected) or not math.isfinite(spread)
+            else SampleUse.MISSING if not math.isfinite(value)
+            else SampleUse.MASKED if masked
+            else SampleUse.USED
         )  # fmt: skip
-        if use is Use.USED:
+        if use is SampleUse.USED:
             self._update(kalman, value, expected, change)
         self.counts[use] += 1
         sd = np.sqrt(np.maximum(np.diagonal(kalman.P), 0.0))
-        return Step(use, expected, value - expected, math.sqrt(max(spread, 0.0)), kalman.x, sd)
+        return FilterStep(use, expected, value - expected, math.sqrt(max(spread, 0.0)), kalman.x, sd)
 
-    def _update(self, kalman: Extended, value: float, expected: float, change: Array) -> None:
+    def _update(self, kalman: ScalarKalmanFilter, value: float, expected: float, change: Array) -> None:
         n = self._joint.states
         variance = self._variance
         if self._limit < math.inf:
@@ -174,7 +176,7 @@ class JointFilter:
         if self._reach < math.inf and self._anchor is not None:
             kalman.x[n:] = np.clip(kalman.x[n:], self._anchor - self._reach, self._anchor + self._reach)
 
-    def _instant(self, sample: Sample) -> Motion:
+    def _instant(self, sample: FilterSample) -> Motion:
         last = self._last
         if last is not None and not sample.time_s > float(last.time_s):
             rule = f"must be greater than that of the sample before, {float(last.time_s):g}"
@@ -191,3 +193,80 @@ class JointFilter:
         direction = math.copysign(1.0, velocity) if velocity != 0 else before
         # One instant: numbers in the place of arrays, which `Motion` allows.
         return Motion(sample.time_s, sample.depth_mm, velocity, direction, sample.angle_rad)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, slots=True)
+class FilterSample:
+    """One measurement; `value` is in the unit of the model's channel, NaN where there is none at this time.
+
+    Without a velocity it is the difference of the depths over that of the times.
+    """
+
+    time_s: float
+    depth_mm: float
+    value: float
+    velocity_mm_s: float | None = None
+    angle_rad: float = 0.0
+
+
+class SampleUse(StrEnum):
+    """What a filter did with a measurement."""
+
+    USED = "used"
+    MASKED = "masked"
+    """At a reversal, where the sensor's average mixes both directions; or masked by the caller."""
+
+    MISSING = "missing"
+    """It is not a number."""
+
+    DIVERGED = "diverged"
+    """The filter has lost its estimate and does nothing any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilterStep:
+    """What a filter says after one sample.
+
+    `predicted` is what it expected before it saw the value, `innovation` the value less that (NaN where there is none),
+    `sd` the standard deviation that it gave the innovation. `x` is the estimate and `x_sd` its standard deviations,
+    shape (n,), in the coordinates of the joint system.
+    """
+
+    use: SampleUse
+    predicted: float
+    innovation: float
+    sd: float
+    x: Array
+    x_sd: Array
+
+
+class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
+    """An extended Kalman filter with one measured number, told what its state becomes and the derivative of that.
+
+    filterpy's own prediction of x is linear, F x; its update has the form of Joseph, which keeps P symmetric and
+    positive.
+    """
+
+    def __init__(self, x: Array, covariance: Array, walk: Array, variance: float) -> None:
+        """Start at `x`, shape (n,), with `covariance` and `walk` (Q), shape (n, n); `variance` is R."""
+        super().__init__(dim_x=x.size, dim_z=1)
+        self.x, self.P, self.Q = x.copy(), covariance.copy(), walk
+        self.R = np.array([[variance]])
+
+    def predict_x(self, u: Any = 0) -> None:
+        """Take the prediction as it is given."""
+        self.x = u
+
+    def advance(self, x: Array, change: Array) -> None:
+        """Predict: the state becomes `x`, whose derivative by the state before is `change`, shape (n, n)."""
+        self.F = change
+        self.predict(x)
+
+    def correct(self, measured: float, expected: float, change: Array) -> None:
+        """Update with a measured number; `change` is the derivative of the expected one, shape (n,)."""
+        self.update(np.array([measured]), lambda _: change[np.newaxis], lambda _: np.array([expected]))
+
+    @property
+    def lost(self) -> bool:
+        """Whether the estimate is no longer a number."""
+        return not (np.isfinite(self.x).all() and np.isfinite(self.P).all())

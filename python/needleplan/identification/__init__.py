@@ -1,5 +1,58 @@
-"""Identification of models from data files, one file a kind."""
+"""Identification: models of the mechanics from recordings. Each kind of model has a module with `identify`."""
 
-from needleplan.identification.identification import Finding, Identification
+from needleplan.identification._circle import Circle, CircleMethod, fit_circle
+from needleplan.identification._force_record import Drop, force_drops
+from needleplan.identification._identification import Finding, Identification
+from needleplan.identification._passes import (
+    FilterRun,
+    FilterStatus,
+    Recipe,
+    Track,
+    feed,
+    identify_by_passes,
+    mean_absolute_error,
+    replay,
+    track_of,
+)
+from needleplan.identification._path_curvature import (
+    Curvature,
+    CurvatureChange,
+    Heterogeneity,
+    PathForm,
+    TrackerNoise,
+    agreement,
+    arc_curvature,
+    path_curvature,
+)
+from needleplan.identification._tip_noise import NoiseStatus, TipNoise, headings_at, tip_noise
 
-__all__ = ["Finding", "Identification"]
+__all__ = [
+    "Circle",
+    "CircleMethod",
+    "Curvature",
+    "CurvatureChange",
+    "Drop",
+    "FilterRun",
+    "FilterStatus",
+    "Finding",
+    "Heterogeneity",
+    "Identification",
+    "NoiseStatus",
+    "PathForm",
+    "Recipe",
+    "TipNoise",
+    "Track",
+    "TrackerNoise",
+    "agreement",
+    "arc_curvature",
+    "feed",
+    "fit_circle",
+    "force_drops",
+    "headings_at",
+    "identify_by_passes",
+    "mean_absolute_error",
+    "path_curvature",
+    "replay",
+    "tip_noise",
+    "track_of",
+]

@@ -14,17 +14,24 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation.joint import Joint
-from needleplan.estimation.joint_filter import JointFilter
-from needleplan.estimation.replay import mean_absolute_error
-from needleplan.estimation.sample import Step, Use
-from needleplan.estimation.track import Track, feed, track_of
-from needleplan.models import Model
-from needleplan.signals import MovingAverage, Record
+from needleplan.estimation import FilterSample, FilterStep, JointFilter, JointSystem, SampleUse
+from needleplan.models import Model, simulate
+from needleplan.signals import Array, MovingAverage, Record
 
-__all__ = ["FilterRun", "FilterStatus", "Recipe", "identify_by_passes"]
+__all__ = [
+    "FilterRun",
+    "FilterStatus",
+    "Recipe",
+    "Track",
+    "feed",
+    "identify_by_passes",
+    "mean_absolute_error",
+    "replay",
+    "track_of",
+]
 
 
 @dataclass(frozen=True)
@@ -75,7 +82,7 @@ class FilterRun:
     tracks: tuple[Track, ...]
     innovation_rmse: tuple[float, ...]
     replay_mae: tuple[float, ...]
-    counts: dict[Use, int]
+    counts: dict[SampleUse, int]
 
     @property
     def ok(self) -> bool:
@@ -84,7 +91,7 @@ class FilterRun:
 
 
 def identify_by_passes(
-    joint: Joint,
+    joint: JointSystem,
     model: Model,
     records: Sequence[Record],
     recipe: Recipe | None = None,
@@ -101,7 +108,7 @@ def identify_by_passes(
         raise DataError(Mistake("records", "", "there is none"))
     sd = math.log(recipe.factor)
     rmse, mae = [], []
-    last: list[list[Step]] = []
+    last: list[list[FilterStep]] = []
     filtered = JointFilter(
         joint, model, variance=recipe.variances[0], sd=sd * recipe.spreads[0], walk=recipe.walk, settle=recipe.settle,
         reach=sd * recipe.reach, limit=recipe.limit,
@@ -118,7 +125,7 @@ def identify_by_passes(
                 break
         if filtered.diverged:
             break
-        innovations = np.array([each.innovation for steps in last for each in steps if each.use is Use.USED])
+        innovations = np.array([each.innovation for steps in last for each in steps if each.use is SampleUse.USED])
         with np.errstate(over="ignore"):
             rmse.append(float(np.sqrt(np.mean(innovations**2))) if innovations.size else math.nan)
         mae.append(mean_absolute_error(filtered.model, records, smooth=smooth))
@@ -128,3 +135,83 @@ def identify_by_passes(
         model if lost else filtered.model, FilterStatus.DIVERGED if lost else FilterStatus.DONE, tracks,
         tuple(rmse), tuple(mae), dict(filtered.counts),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Track:
+    """What a filter said along one record; every array has the shape (samples,).
+
+    `values` holds for every free parameter its lower limit, estimate and upper limit: the estimate -+ 3 standard
+    deviations in coordinates, carried back. `state` is the same for the first state, if there is one.
+    """
+
+    time_s: Array
+    depth_mm: Array
+    predicted: Array
+    innovation: Array
+    innovation_sd: Array
+    used: NDArray[np.bool_]
+    values: dict[str, tuple[Array, Array, Array]]
+    state: tuple[Array, Array, Array] | None
+
+    def innovation_rmse(self, rows: NDArray[np.bool_] | None = None) -> float:
+        """Return the root mean square of the innovations that were used, of all rows or of some; NaN for none."""
+        chosen = self.innovation[self.used if rows is None else self.used & rows]
+        return float(np.sqrt(np.mean(chosen**2))) if chosen.size else float("nan")
+
+
+def feed(filtered: JointFilter, record: Record, settle: int = 0) -> list[FilterStep]:
+    """Feed one record, sample by sample, and return what the filter said; ends where it diverges.
+
+    With `settle` the sample before each reversal is masked too, which a filter on line cannot know of. Raises DataError
+    for a record without motion, or without the channel of the model.
+    """
+    motion = record.motion()
+    measured = record[filtered.channel]
+    masked = np.zeros(len(motion), bool)
+    if settle:
+        masked[:-1] = motion.direction[1:] * motion.direction[:-1] < 0
+    columns = (motion.time_s, motion.depth_mm, measured, motion.velocity_mm_s, motion.angle_rad)
+    steps = []
+    for mask, *values in zip(masked.tolist(), *(each.tolist() for each in columns), strict=True):
+        steps.append(filtered.update(FilterSample(*values), masked=mask))
+        if steps[-1].use is SampleUse.DIVERGED:
+            break
+    return steps
+
+
+def track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Track:
+    """Return the steps of a record as arrays; shorter than the record where the filter diverged."""
+    n = len(steps)
+    x, sd = np.array([each.x for each in steps]), np.array([each.x_sd for each in steps])
+    # [lower, estimate, upper] by [sample] by [parameter]
+    limits = np.array([
+        [list(joint.values(row).values()) for row in x + offset * sd] for offset in (-3.0, 0.0, 3.0)
+    ])  # fmt: skip
+    values = {name: (limits[0, :, k], limits[1, :, k], limits[2, :, k]) for k, name in enumerate(joint.free)}
+    state = (x[:, 0] - 3 * sd[:, 0], x[:, 0], x[:, 0] + 3 * sd[:, 0]) if joint.states else None
+    return Track(
+        record["time_s"][:n], record["depth_mm"][:n], np.array([each.predicted for each in steps]),
+        np.array([each.innovation for each in steps]), np.array([each.sd for each in steps]),
+        np.array([each.use is SampleUse.USED for each in steps]), values, state,
+    )  # fmt: skip
+
+
+def replay(model: Model, record: Record, *, smooth: MovingAverage | None = None) -> Array:
+    """Return what the model predicts for a record, shape (samples,), averaged as the sensor does if told."""
+    output = simulate(model, record.motion()).output
+    return output if smooth is None else smooth.apply(output)
+
+
+def mean_absolute_error(model: Model, records: Sequence[Record], *, smooth: MovingAverage | None = None) -> float:
+    """Return the mean of |measured - replayed| over all samples that were measured, in the channel's unit.
+
+    Infinite where the simulation grows without bound, NaN where nothing was measured.
+    """
+    measured = np.concatenate([np.isfinite(record[model.channel]) for record in records])
+    if not measured.any():
+        return float("nan")
+    with np.errstate(over="ignore", invalid="ignore"):
+        errors = [np.abs(record[model.channel] - replay(model, record, smooth=smooth)) for record in records]
+        error = float(np.mean(np.concatenate(errors)[measured]))
+    return error if np.isfinite(error) else float("inf")

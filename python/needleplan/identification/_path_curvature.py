@@ -1,9 +1,10 @@
-"""The curvature of a needle's path from tracked points, with an interval that may be believed.
+"""Curvature of a needle path from tracked points, with an interval whose coverage was measured.
 
-The path is a chain of arcs that touch: from a pose of entry, curvature k_1 up to the first edge, k_2 up to the second
-and so on; one arc is the circle. The distances of the points are fitted, first by plain least squares, then once more
-with noise whose correlation is unknown (`needleplan.estimation.noise`), which gives the intervals. Curvature, not
-radius, is estimated: its errors are symmetric, and zero is an ordinary value.
+The path is a chain of tangent arcs: from the entry pose with curvature k_1 up to the first edge, then k_2 up to the
+second edge, and so on. A path without edges is one circle. The distances of the points from the path are fitted by
+plain least squares. Their noise has an unknown correlation along the path, which `_correlated_noise` integrates out;
+the intervals come from there. The parameter is the curvature, not the radius: errors of the curvature are symmetric,
+and zero is an ordinary value.
 """
 
 from __future__ import annotations
@@ -15,19 +16,19 @@ from enum import StrEnum
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation.circle import arc_distance, checked_points, fit_circle
-from needleplan.estimation.noise import Marginal, marginalise
+from needleplan.identification._circle import arc_distance, checked_points, fit_circle
+from needleplan.identification._correlated_noise import Marginal, marginalise
 from needleplan.models import arc_step
 from needleplan.signals import Array
 
 __all__ = [
-    "Change",
     "Curvature",
+    "CurvatureChange",
     "Heterogeneity",
     "PathForm",
     "TrackerNoise",
     "agreement",
-    "curvature",
+    "arc_curvature",
     "path_curvature",
 ]
 
@@ -53,7 +54,7 @@ class TrackerNoise(StrEnum):
 
 
 @dataclass(frozen=True)
-class Change:
+class CurvatureChange:
     """Difference of the curvatures of two neighbouring segments, with its 95 % interval."""
 
     value_per_mm: float
@@ -116,7 +117,7 @@ class Heterogeneity:
         return self.p_value >= 0.05
 
 
-def curvature(
+def arc_curvature(
     points_mm: Array,
     *,
     form: PathForm = PathForm.FREE,
@@ -142,7 +143,7 @@ def path_curvature(
     entry: tuple[float, float, float] | None = None,
     noise: TrackerNoise = TrackerNoise.CORRELATED,
     correlation_mm: float | None = None,
-) -> tuple[tuple[Curvature, ...], tuple[Change, ...]]:
+) -> tuple[tuple[Curvature, ...], tuple[CurvatureChange, ...]]:
     """Return the curvature of every segment of a path, and the changes from each to the next.
 
     `edges_mm` are the positions, increasing, at which the curvature may change, in the scale of `position_mm` (n,): how
@@ -174,7 +175,9 @@ def path_curvature(
             low, high = said.interval(direction)
             base = float(direction @ found.x)
             below = said.below(-base, direction)
-            changes.append(Change(float(direction @ estimate), base + low, base + high, 2 * min(below, 1 - below)))
+            changes.append(
+                CurvatureChange(float(direction @ estimate), base + low, base + high, 2 * min(below, 1 - below))
+            )
     return tuple(segments), tuple(changes)
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from needleplan.artifacts import write_whole
 from needleplan.config import ConfigTable, TableList, Text, parse_toml, ruled, shipped_names, text_of, toml_text
 from needleplan.errors import DataError, Mistake, ModelError
+from needleplan.identification._identification import Identification
 from needleplan.identification.combination import Combination, CombinationTable
-from needleplan.identification.identification import Identification
 from needleplan.models.force import DepthForce
 from needleplan.signals import Record, Role
 

@@ -11,17 +11,23 @@ import numpy as np
 from scipy import stats
 
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation import Change, Curvature, Heterogeneity, TrackerNoise, agreement, path_curvature
-from needleplan.estimation.circle import fit_circle
-from needleplan.identification.identification import Identification
-from needleplan.identification.trials import trials_by_role
+from needleplan.identification._circle import fit_circle
+from needleplan.identification._identification import Identification, trials_by_role
+from needleplan.identification._path_curvature import (
+    Curvature,
+    CurvatureChange,
+    Heterogeneity,
+    TrackerNoise,
+    agreement,
+    path_curvature,
+)
 from needleplan.models import Bicycle, Estimate, Finding, findings_of
 from needleplan.signals import Array, Motion, Record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Insertion", "identify", "insertion_of"]
+__all__ = ["CurvatureTrial", "identify", "insertion_of"]
 
 _POINTS_A_SEGMENT = 10
 _BACK = 1.0
@@ -29,14 +35,14 @@ _BACK = 1.0
 
 
 @dataclass(frozen=True)
-class Insertion:
+class CurvatureTrial:
     """One trial: its points (n, 2) in mm on the way in, its curvature, that of each segment, and the changes."""
 
     name: str
     points_mm: Array
     whole: Curvature
     segments: tuple[Curvature, ...]
-    changes: tuple[Change, ...]
+    changes: tuple[CurvatureChange, ...]
     motion: Motion
     """How the needle moved, a sample a point."""
 
@@ -87,14 +93,14 @@ def insertion_of(
     skip_mm: float = 0.0,
     noise: TrackerNoise = TrackerNoise.CORRELATED,
     correlation_mm: float | None = None,
-) -> Insertion:
+) -> CurvatureTrial:
     """Return the curvature of one trial. Raises DataError, with the name of the trial."""
     points, motion, remarks = _points(record, plane, skip_mm)
     options = {"noise": noise, "correlation_mm": correlation_mm}
     try:
         (whole,), _ = path_curvature(points, **options)  # type: ignore[arg-type]
         parts: tuple[Curvature, ...] = ()
-        changes: tuple[Change, ...] = ()
+        changes: tuple[CurvatureChange, ...] = ()
         if segments > 1 and len(points) >= segments * _POINTS_A_SEGMENT:
             edges = np.linspace(0, whole.high_mm, segments + 1)[1:-1]
             parts, changes = path_curvature(points, edges, **options)  # type: ignore[arg-type]
@@ -103,7 +109,7 @@ def insertion_of(
     except DataError as error:
         raise DataError(error.mistakes, record.trial) from None
     prefix = f"{record.trial}: " if record.trial else ""
-    return Insertion(record.trial, points, whole, parts, changes, motion, tuple(prefix + each for each in remarks))
+    return CurvatureTrial(record.trial, points, whole, parts, changes, motion, tuple(prefix + each for each in remarks))
 
 
 def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, Motion, list[str]]:
@@ -142,7 +148,7 @@ def _estimate(first: Curvature, together: Heterogeneity | None) -> Estimate:
     return Estimate(together.mean_per_mm, together.sd_per_mm, low, high, "1/mm", low > 0 or high < 0)
 
 
-def _scores(found: Sequence[Insertion], together: Heterogeneity | None) -> list[tuple[str, float, str]]:
+def _scores(found: Sequence[CurvatureTrial], together: Heterogeneity | None) -> list[tuple[str, float, str]]:
     scores: list[tuple[str, float, str]] = []
     for each in found:
         name = each.name or "trial"
@@ -162,7 +168,7 @@ def _scores(found: Sequence[Insertion], together: Heterogeneity | None) -> list[
     return scores
 
 
-def _findings(found: Sequence[Insertion], together: Heterogeneity | None) -> list[Finding]:
+def _findings(found: Sequence[CurvatureTrial], together: Heterogeneity | None) -> list[Finding]:
     findings = []
     if together:
         says = (
@@ -181,12 +187,12 @@ def _findings(found: Sequence[Insertion], together: Heterogeneity | None) -> lis
     return findings
 
 
-def _distances(insertion: Insertion) -> Array:
+def _distances(insertion: CurvatureTrial) -> Array:
     """Return the signed distances of the points from their circle (mm), shape (n,)."""
     return fit_circle(insertion.points_mm).distances(insertion.points_mm)
 
 
-def _judged(held: Insertion, estimate: Estimate, together: Heterogeneity | None) -> Finding:
+def _judged(held: CurvatureTrial, estimate: Estimate, together: Heterogeneity | None) -> Finding:
     """Return whether the curvature of a trial held out is one to expect: scatter, and errors of both, as they are."""
     variance = held.whole.sd_per_mm**2 + estimate.sd**2 + (together.between_sd_per_mm**2 if together else 0.0)
     score = (held.whole.curvature_per_mm - estimate.value) / float(np.sqrt(variance))
@@ -197,7 +203,7 @@ def _judged(held: Insertion, estimate: Estimate, together: Heterogeneity | None)
     return Finding(f"held out, {held.name}".rstrip(", "), score, p_value, says)
 
 
-def _remarks(found: Sequence[Insertion], together: Heterogeneity | None, estimate: Estimate) -> list[str]:
+def _remarks(found: Sequence[CurvatureTrial], together: Heterogeneity | None, estimate: Estimate) -> list[str]:
     remarks = []
     if not estimate.identified:
         remarks.append("the interval of the curvature contains zero: a straight path is possible")
@@ -214,7 +220,7 @@ def _remarks(found: Sequence[Insertion], together: Heterogeneity | None, estimat
     return remarks
 
 
-def _draw(figure: Figure, found: Sequence[Insertion], plane: str) -> None:
+def _draw(figure: Figure, found: Sequence[CurvatureTrial], plane: str) -> None:
     from needleplan.plotting.canvas import BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, title
 
     colours = (BLUE, VERMILLION, GREEN, ORANGE, SKY, GREY)

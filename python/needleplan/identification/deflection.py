@@ -18,21 +18,23 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
 
 from needleplan.errors import DataError
-from needleplan.identification.axial_offset import axial_estimates
-from needleplan.identification.bending_figure import draw
-from needleplan.identification.bent_path import PathFit, beyond, depth_factor, mean_of, path_fit
-from needleplan.identification.identification import Finding, Identification
-from needleplan.identification.trials import trials_by_role
-from needleplan.models import Estimate, Fit, NeedleShaft, TipPath, findings_of, fit
+from needleplan.identification._bent_path import PathFit, axial_estimates, beyond, depth_factor, mean_of, path_fit
+from needleplan.identification._identification import Finding, Identification, trials_by_role
+from needleplan.models import Estimate, Fit, NeedleShaft, TipPath, findings_of, fit, simulate
 from needleplan.models.deflection import AxialOffset, ElasticTissue
+from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, title
 from needleplan.signals import Record
 
-__all__ = ["NEEDLE", "TISSUE", "identify"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["NEEDLE", "TISSUE", "draw", "identify"]
 
 NEEDLE = NeedleShaft(0.718, 0.413, 203.0, math.radians(24.8))
 """The 22-gauge needle of chapter 5, where none is given."""
@@ -207,3 +209,37 @@ def _what_it_rests_on(
         "intervals hold for noise that is correlated over few samples; for a distorted tracker see curvature"
     )
     return remarks
+
+
+_COLOURS = (BLUE, ORANGE, GREEN, VERMILLION, SKY, BLACK)
+
+
+def draw(
+    figure: Figure, paths: Sequence[PathFit], axial: Fit | None, records: Sequence[Record], skip_mm: float
+) -> None:
+    """Draw measured and fitted deflection, what is left, and measured and fitted axial force where there is one."""
+    panels = figure.subplots(3 if axial else 2, 1, sharex=True, squeeze=False)[:, 0]
+    for path, colour in zip(paths, _COLOURS * len(paths), strict=False):
+        motion, y = path.record.motion(), path.record["y_mm"]
+        panels[0].plot(motion.depth_mm, y, ".", color=colour, markersize=2, alpha=0.5, rasterized=True)
+        panels[0].plot(
+            motion.depth_mm, simulate(path.model, motion).output, color=colour, label=path.record.trial or "fit"
+        )
+        panels[1].plot(motion.depth_mm, 1000 * path.fit.residuals[0], ".", color=colour, markersize=2)
+    for axes in panels:
+        axes.axvspan(0, skip_mm, color="#f0f0f0", zorder=0)
+    panels[1].axhline(0, color=GREY, linewidth=0.8)
+    panels[0].set_ylabel("lateral (mm)")
+    panels[1].set_ylabel("measured - fitted (um)")
+    title(panels[0], "Deflection: points measured, lines fitted; the entry (grey) does not count")
+    if len(paths) <= len(_COLOURS):
+        panels[0].legend(frameon=False, fontsize=8)
+    if axial:
+        for record, colour in zip(records, _COLOURS * len(records), strict=False):
+            motion = record.motion()
+            panels[2].plot(motion.depth_mm, record["force_n"], ".", color=colour, markersize=2, alpha=0.5)
+            order = np.argsort(motion.depth_mm)
+            panels[2].plot(motion.depth_mm[order], simulate(axial.model, motion).output[order], color=colour)
+        panels[2].set_ylabel("axial force (N)")
+    panels[-1].set_xlabel("depth (mm)")
+    panels[-1].set_xlim(left=0)

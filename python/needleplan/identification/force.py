@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation import FilterRun, JointForce, force_drops, identify_by_passes, mean_absolute_error
-from needleplan.estimation.force_start import has_retraction, starting_force
-from needleplan.identification.force_figure import draw_force
-from needleplan.identification.identification import Finding, Identification
-from needleplan.identification.trials import averaged, trials_by_role
+from needleplan.estimation import JointForce
+from needleplan.identification._force_record import force_drops, has_retraction, starting_force
+from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role
+from needleplan.identification._passes import FilterRun, identify_by_passes, mean_absolute_error, replay
 from needleplan.models import Fit, FitStatus, fit, residual_findings
 from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
-from needleplan.signals import Array, MovingAverage, Record
+from needleplan.plotting.canvas import BLUE, GREY, ORANGE, SKY, VERMILLION, title
+from needleplan.signals import Array, MovingAverage, Record, Role
 
-__all__ = ["fit_force", "identify", "settled"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["draw_force", "fit_force", "identify", "settled"]
 
 _LEAST_DEPTH_MM = 5.0
 _DROP, _DROP_MM = 0.15, 2.0
@@ -206,3 +210,29 @@ def _limits(found: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]
             "speed in it: fit them one by one"
         )
     return remarks
+
+
+def draw_force(figure: Figure, *, model: DepthForce, records: Sequence[Record], sensor: MovingAverage,
+    counts: Callable[[Record], Array],
+) -> None:  # fmt: skip
+    """Draw the loop of every trial above its residuals, of the samples that count."""
+    figure.set_layout_engine("constrained")
+    above, below = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.4, 1]})
+    seen: set[str] = set()
+    for record in records:
+        held = record.role is Role.HOLDOUT
+        depth, measured, simulated = record["depth_mm"], record["force_n"], replay(model, record, smooth=sensor)
+        for values, colour, label in (
+            (measured, ORANGE if held else GREY, "measured, held out" if held else "measured"),
+            (simulated, VERMILLION if held else BLUE, "open loop, held out" if held else "open loop"),
+        ):
+            above.plot(depth, values, color=colour, linewidth=1.0, label=None if label in seen else label)
+            seen.add(label)
+        left = np.where(counts(record), 1e3 * (measured - simulated), np.nan)
+        below.plot(depth, left, color=ORANGE if held else SKY, linewidth=0.7)
+    title(above, f"Axial force, {model.name}")
+    above.set_ylabel("force (N)")
+    above.legend(frameon=False, fontsize=8)
+    below.axhline(0, color=GREY, linewidth=0.6)
+    below.set_xlabel("depth (mm)")
+    below.set_ylabel("left over (mN)")

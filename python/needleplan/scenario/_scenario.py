@@ -311,7 +311,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         Parameters
         ----------
         probabilities : sequence of float
-            P(0), P(+-1) ... heading steps per insertion step, as from `needleplan.estimation.tip_noise` for the
+            P(0), P(+-1) ... heading steps per insertion step, as from `needleplan.identification._tip_noise` for the
             headings and the radius of this scenario.
 
         Returns

@@ -24,9 +24,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from needleplan.estimation.extended import Extended
-from needleplan.estimation.passes import FilterStatus
-from needleplan.estimation.track import Track
+from needleplan.estimation import ScalarKalmanFilter
+from needleplan.identification import FilterStatus, Track
 from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
 from needleplan.models.force.sensitivity import NAMES, Row, Values, force, kutta_step
 from needleplan.signals import Array, Record
@@ -129,7 +128,7 @@ class _Bank:
             covariance = np.diag([settings.state_sd**2, *np.broadcast_to(variances, known.shape)])
             walk = np.diag([settings.state_walk, *(0.05 * 10.0 ** (sign * n) for n in each.values())])
             self.filters.append(
-                Extended(np.array([0.0, *known]), covariance, walk, settings.measurement_variance)
+                ScalarKalmanFilter(np.array([0.0, *known]), covariance, walk, settings.measurement_variance)
             )  # fmt: skip
         self.before: tuple[float, float] | None = None
         self.count = 0

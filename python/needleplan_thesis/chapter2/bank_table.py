@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.estimation import FilterStatus, JointForce, identify_by_passes, mean_absolute_error
+from needleplan.estimation import JointForce
+from needleplan.identification import FilterStatus, identify_by_passes, mean_absolute_error
 from needleplan.identification.force import fit_force
 from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
 from needleplan.reports.comparison import Agreement, Comparison, measured

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.estimation import replay
+from needleplan.identification import replay
 from needleplan.models.force import DepthForce, ForceModel1
 from needleplan.plotting.canvas import BLACK, BLUE, GREY, SKY, VERMILLION, save, title
 from needleplan.signals import Record

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needleplan.estimation import FilterRun, JointForce, identify_by_passes, mean_absolute_error
+from needleplan.estimation import JointForce
+from needleplan.identification import FilterRun, identify_by_passes, mean_absolute_error
 from needleplan.models import simulate
 from needleplan.models.force import ForceModel2, insertion_asymptote, regauged, retraction_asymptote, with_gauge
 from needleplan.reports.comparison import Agreement, Comparison, measured

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.identification.shaft_models import EXPONENTS
+from needleplan.identification.friction_candidates import EXPONENTS
 from needleplan.models import Model, Profile, simulate
 from needleplan.models.friction import intensity, steady
 from needleplan.plotting import caption, save

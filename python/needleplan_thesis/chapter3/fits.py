@@ -11,7 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from needleplan.identification.shaft_models import candidates
+from needleplan.identification.friction_candidates import candidates
 from needleplan.models import Fit, Model, fit, simulate
 from needleplan.models.friction import Beta, Profile, distributed, steady
 from needleplan.signals import Array, Motion, Record

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from needleplan.estimation import fit_circle
+from needleplan.identification import fit_circle
 from needleplan.models import NeedleShaft
 from needleplan.models.deflection import AxialTerms, Beam, ElasticTissue, Foundation, march, solve_uniform
 from needleplan.signals import Array

@@ -11,16 +11,10 @@ import numpy as np
 
 from needleplan.artifacts import Parent
 from needleplan.errors import DataError
-from needleplan.estimation import (
-    Outlier,
-    Pivot,
-    Registration,
-    RigidMotion,
-    calibrate_axis,
-    register,
-    worst_pair,
-)
-from needleplan.estimation.registration.files import Points, Poses, read_points, read_poses
+from needleplan.estimation.registration._measurements import Points, Poses, read_points, read_poses
+from needleplan.estimation.registration._pivot import Pivot, calibrate_axis
+from needleplan.estimation.registration._registration import Registration
+from needleplan.estimation.registration._rigid import Outlier, RigidMotion, register, worst_pair
 from needleplan.signals import Array
 
 __all__ = ["Registered", "register_needle"]
@@ -50,7 +44,7 @@ class Registered:
 def register_needle(
     poses_file: str | os.PathLike[str], points_file: str | os.PathLike[str], title: str = ""
 ) -> Registered:
-    """Register a needle from two files (`needleplan.estimation.registration.files`).
+    """Register a needle from two files (`needleplan.estimation.registration._measurements`).
 
     Raises DataError for files that cannot be used, and for points on one line. A needle that was not turned enough is
     an outcome, not an error.

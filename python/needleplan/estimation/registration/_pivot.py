@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation.registration.rows import rows_of
+from needleplan.estimation.registration._rigid import rows_of
 from needleplan.signals import Array
 
 if TYPE_CHECKING:

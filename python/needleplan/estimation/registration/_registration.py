@@ -31,7 +31,7 @@ from needleplan.config import (
     toml_text,
 )
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation.registration.rigid import RigidMotion, register
+from needleplan.estimation.registration._rigid import RigidMotion, register
 
 __all__ = ["CoilPose", "Registration"]
 

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation.registration.rows import rows_of
 from needleplan.signals import Array
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-__all__ = ["Outlier", "RigidMotion", "register", "worst_pair"]
+__all__ = ["Outlier", "RigidMotion", "register", "rows_of", "worst_pair"]
 
 FLAT = 1e-3
 """Ratio of singular values below which points lie on one line."""
@@ -141,3 +140,11 @@ def worst_pair(first_mm: Array, second_mm: Array) -> Outlier | None:
         found.append(Outlier(number, off, p_value))
     worst = min(found, key=lambda each: each.p_value, default=None)
     return worst if worst and worst.p_value < _UNLIKELY / whole.points else None
+
+
+def rows_of(values: Array, name: str) -> Array:
+    """Return values of shape (n, 3), finite numbers. Raises DataError."""
+    rows = np.asarray(values, float)
+    if rows.ndim != 2 or rows.shape[1] != 3 or not np.isfinite(rows).all():
+        raise DataError(Mistake(name, f"shape {rows.shape}", "must have the shape (n, 3) and finite numbers"))
+    return rows

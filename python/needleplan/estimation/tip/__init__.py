@@ -1,7 +1,12 @@
-"""Where the tip is: a filter that knows the arc, from stage samples and poses of a coil behind the tip."""
+"""Tip estimation: a Kalman filter of the needle path, from stage samples and poses of a coil behind the tip."""
 
-from needleplan.estimation.tip.estimate import PoseUse, TipEstimate, TipStatus
-from needleplan.estimation.tip.filter import TipFilter
-from needleplan.estimation.tip.settings import TipSettings
+from needleplan.estimation.tip._estimate import PoseUse, TipEstimate, TipSettings, TipStatus
+from needleplan.estimation.tip._filter import TipFilter
 
-__all__ = ["PoseUse", "TipEstimate", "TipFilter", "TipSettings", "TipStatus"]
+__all__ = [
+    "PoseUse",
+    "TipEstimate",
+    "TipFilter",
+    "TipSettings",
+    "TipStatus",
+]

@@ -21,11 +21,20 @@ from scipy.special import chdtri
 
 from needleplan.devices import Health, PoseSample, StageSample
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation.registration import Registration
-from needleplan.estimation.tip.arc import ELEVATION, FACTOR, HEADING, ROLL, SIZE, WANDER, moved, tangent
-from needleplan.estimation.tip.channel import Channel, Piece
-from needleplan.estimation.tip.estimate import PoseUse, TipEstimate, TipStatus
-from needleplan.estimation.tip.settings import TipSettings
+from needleplan.estimation.registration._registration import Registration
+from needleplan.estimation.tip._estimate import PoseUse, TipEstimate, TipSettings, TipStatus
+from needleplan.estimation.tip._path import (
+    ELEVATION,
+    FACTOR,
+    HEADING,
+    ROLL,
+    SIZE,
+    WANDER,
+    ChannelPiece,
+    CutChannel,
+    moved,
+    tangent,
+)
 from needleplan.scenario import Scenario
 from needleplan.signals import Array
 
@@ -75,7 +84,7 @@ class TipFilter:
         self._entry = entry
         self._planned = planned_per_mm
         self._gate = float(chdtri(5, settings.gate))
-        self._channel: Channel | None = None
+        self._channel: CutChannel | None = None
         self._stage: deque[tuple[int, float, float]] = deque(maxlen=_KEPT)
         self._base_roll = 0.0
         # The path where the coil is, and where it was: lengths, states, covariances.
@@ -115,7 +124,7 @@ class TipFilter:
         self._stage.append((now, depth, sample.velocity_mm_s))
         self._base_roll = roll
         if self._channel is None:
-            self._channel = Channel(depth, roll)
+            self._channel = CutChannel(depth, roll)
             self._begin(min(depth - self.registration.coil_offset_mm, 0.0))
         else:
             left_at = self._channel.move(depth, roll)
@@ -138,7 +147,7 @@ class TipFilter:
         return self._cached
 
     def tip_state(self) -> tuple[Array, Array]:
-        """Return state and covariance of the tip, shape (10,) and (10, 10), as `needleplan.estimation.tip.arc` has it.
+        """Return state and covariance of the tip, shape (10,) and (10, 10), in the order of `tip._path`.
 
         Raises DataError before the first stage sample.
         """
@@ -258,7 +267,7 @@ class TipFilter:
                 state, covariance = moved(state, covariance, part, planned, self.settings)
         return until_mm, state, covariance
 
-    def _parts(self, piece: Piece) -> list[Piece]:
+    def _parts(self, piece: ChannelPiece) -> list[ChannelPiece]:
         longest = _LOOKED_UP_MM if callable(self._planned) else _LONGEST_MM
         if piece.length_mm <= longest or not piece.fresh:
             return [piece]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from needleplan.errors import DataError
-from needleplan.estimation import force_drops
+from needleplan.identification import force_drops
 from needleplan.signals import Record
 
 

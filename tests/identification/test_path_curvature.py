@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from needleplan.errors import DataError
-from needleplan.estimation import PathForm, TrackerNoise, agreement, curvature, path_curvature
-from needleplan.estimation.noise import marginalise
+from needleplan.identification import PathForm, TrackerNoise, agreement, arc_curvature, path_curvature
+from needleplan.identification._correlated_noise import marginalise
 from needleplan.models import arc_step
 from needleplan.signals import Array
-from tests.estimation.arcs import LENGTH_MM, POINTS, RADIUS_MM, SIGMA_MM, arc, correlated, white
+from tests.identification.arcs import LENGTH_MM, POINTS, RADIUS_MM, SIGMA_MM, arc, correlated, white
 
 KAPPA = 1 / RADIUS_MM
 Disturbance = Callable[[np.random.Generator], Array]
@@ -21,7 +21,7 @@ STRAIGHT_IN = (0.0, 0.0, 0.0)
 @pytest.mark.parametrize("noise", list(TrackerNoise))
 def test_an_exact_arc(form: PathForm, noise: TrackerNoise) -> None:
     for bend in (KAPPA, -1 / 40, 0.0):
-        found = curvature(arc(bend), form=form, entry=STRAIGHT_IN, noise=noise)
+        found = arc_curvature(arc(bend), form=form, entry=STRAIGHT_IN, noise=noise)
         assert found.curvature_per_mm == pytest.approx(bend, abs=1e-9)
         assert found.low_per_mm <= found.curvature_per_mm <= found.high_per_mm
 
@@ -44,7 +44,7 @@ def coverage(
 ) -> tuple[float, float]:
     """Return how often the interval holds the truth, and the mean of the estimates over it."""
     random = np.random.default_rng(7)
-    found = [curvature(arc() + disturbance(random), **options) for _ in range(trials)]  # type: ignore[arg-type]
+    found = [arc_curvature(arc() + disturbance(random), **options) for _ in range(trials)]  # type: ignore[arg-type]
     held = np.mean([each.low_per_mm <= KAPPA <= each.high_per_mm for each in found])
     return float(held), float(np.mean([each.curvature_per_mm for each in found]) * RADIUS_MM)
 
@@ -71,12 +71,12 @@ def test_the_interval_holds_the_truth(
 def test_the_tangent_form_is_narrower_and_needs_its_entry() -> None:
     random = np.random.default_rng(3)
     points = arc() + white(random)
-    free = curvature(points, noise=TrackerNoise.WHITE)
-    tangent = curvature(points, form=PathForm.TANGENT, entry=STRAIGHT_IN, noise=TrackerNoise.WHITE)
+    free = arc_curvature(points, noise=TrackerNoise.WHITE)
+    tangent = arc_curvature(points, form=PathForm.TANGENT, entry=STRAIGHT_IN, noise=TrackerNoise.WHITE)
     assert free.sd_per_mm == pytest.approx(SIGMA_MM * np.sqrt(720 / POINTS) / LENGTH_MM**2, rel=0.15)
     assert tangent.sd_per_mm == pytest.approx(SIGMA_MM * np.sqrt(20 / POINTS) / LENGTH_MM**2, rel=0.15)
     with pytest.raises(DataError, match="is needed"):
-        curvature(points, form=PathForm.TANGENT)
+        arc_curvature(points, form=PathForm.TANGENT)
 
 
 def test_known_noise_is_generalised_least_squares() -> None:
@@ -97,10 +97,10 @@ def test_known_noise_is_generalised_least_squares() -> None:
 
 def test_paths_of_one_curvature_agree_and_others_do_not() -> None:
     random = np.random.default_rng(5)
-    same = [curvature(arc() + white(random)) for _ in range(5)]
+    same = [arc_curvature(arc() + white(random)) for _ in range(5)]
     assert agreement(same).agree
     assert agreement(same).low_per_mm < KAPPA < agreement(same).high_per_mm
-    other = curvature(arc(2 * KAPPA) + white(random))
+    other = arc_curvature(arc(2 * KAPPA) + white(random))
     apart = agreement([*same, other])
     assert not apart.agree
     assert apart.between_sd_per_mm > 0
@@ -110,7 +110,7 @@ def test_paths_of_one_curvature_agree_and_others_do_not() -> None:
 
 def test_points_that_cannot_be_used_are_refused() -> None:
     with pytest.raises(DataError, match="too short"):
-        curvature(arc(points=5))
+        arc_curvature(arc(points=5))
     with pytest.raises(DataError, match="must increase between 0 and"):
         path_curvature(arc(), [50.0, 20.0])
     with pytest.raises(DataError, match="a segment needs at least 5"):

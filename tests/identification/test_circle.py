@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleplan.errors import DataError
-from needleplan.estimation import CircleMethod, fit_circle
-from needleplan.estimation.circle import arc_distance
-from tests.estimation.arcs import LENGTH_MM, POINTS, RADIUS_MM, SIGMA_MM, arc, kasa, white
+from needleplan.identification import CircleMethod, fit_circle
+from needleplan.identification._circle import arc_distance
+from tests.identification.arcs import LENGTH_MM, POINTS, RADIUS_MM, SIGMA_MM, arc, kasa, white
 
 METHODS = list(CircleMethod)
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needleplan.errors import DataError
-from needleplan.estimation import NoiseStatus, headings_at, tip_noise
-from needleplan.estimation.tip_noise import probabilities_of
+from needleplan.identification import NoiseStatus, headings_at, tip_noise
+from needleplan.identification._tip_noise import probabilities_of
 from needleplan.scenario import Motion
 from needleplan.signals import Array, Record
 
