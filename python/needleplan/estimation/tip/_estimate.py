@@ -100,7 +100,7 @@ def _positive(unit: str, at_most: float, default: float) -> Any:
 
 
 @dataclass(frozen=True)
-class TipSettings(ConfigTable, key="tip filter", error=ModelError):
+class TipSettings(ConfigTable, error=ModelError):
     """Standard deviations and limits of the filter; the defaults are of an electromagnetic tracker near its field.
 
     Raises ModelError with every value that cannot be.
