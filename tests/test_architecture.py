@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import pkgutil
 import subprocess
 import sys
 import tomllib
+from collections import defaultdict
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from types import ModuleType
 
@@ -27,6 +30,43 @@ MODULES = [
 ]  # fmt: skip
 
 
+class ImportGraph:
+    """Which file takes a name from which other file; a name that a package hands on counts for the file it is from."""
+
+    def __init__(self, root: Path) -> None:
+        self.trees = {self._name(file, root): ast.parse(file.read_text()) for file in sorted(root.rglob("*.py"))}
+
+    @staticmethod
+    def _name(file: Path, root: Path) -> str:
+        return ".".join(file.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
+
+    def home(self, module: str, name: str) -> str:
+        """Return the module in which `name` of `module` is defined."""
+        if f"{module}.{name}" in self.trees:
+            return f"{module}.{name}"
+        for node in self.trees[module].body:
+            if isinstance(node, ast.ImportFrom) and node.module in self.trees:
+                for alias in node.names:
+                    if (alias.asname or alias.name) == name:
+                        return self.home(node.module, alias.name)
+        return module
+
+    def edges(self) -> dict[str, set[str]]:
+        found: dict[str, set[str]] = {}
+        for module, tree in self.trees.items():
+            named = [
+                (str(node.module), alias.name)
+                for node in ast.walk(tree)
+                if isinstance(node, ast.ImportFrom)
+                for alias in node.names
+                if alias.name != "_ppvi"
+            ]
+            plain = [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
+            homes = {self.home(source, name) for source, name in named if source in self.trees}
+            found[module] = (homes | {each for each in plain if each in self.trees}) - {module}
+        return found
+
+
 def test_imports_point_one_way() -> None:
     done = subprocess.run(
         [sys.executable, "-c", "from importlinter.cli import lint_imports_command as lint; lint(['--no-cache'])"],
@@ -41,6 +81,23 @@ def test_every_module_has_its_layer() -> None:
     layers = {part.strip(" ()") for layer in contracts[0]["layers"] for part in layer.split("|")}
     rooms = {name.split(".")[1] for name in MODULES if name.startswith("needleplan.")}
     assert rooms <= layers
+
+
+@pytest.mark.parametrize("folder", ["python", "benches/python"])
+def test_no_file_imports_itself_by_way_of_others(folder: str) -> None:
+    try:
+        TopologicalSorter(ImportGraph(ROOT / folder).edges()).prepare()
+    except CycleError as error:
+        pytest.fail(f"an import cycle: {' -> '.join(error.args[1])}")
+
+
+def test_class_names_are_unique() -> None:
+    homes = defaultdict(list)
+    for module, tree in ImportGraph(ROOT / "python").trees.items():
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef):
+                homes[node.name].append(module)
+    assert not {name: modules for name, modules in homes.items() if len(modules) > 1}
 
 
 def test_only_planning_names_the_compiled_module() -> None:

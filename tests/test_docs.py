@@ -15,6 +15,7 @@ from tests import pages
 
 PAGES = sorted((pages.ROOT / "docs").rglob("*.md"))
 OTHER_PAGES = [pages.ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "rust/ppvi/README.md")]
+CLASSES = {"motion": scenario.TipMotion}
 PARTS = ("workspace", "obstacle", "target", "needle", "layer", "tissue", "motion", "grid", "objective", "solver")
 
 
@@ -41,7 +42,9 @@ def test_the_scenario_reference_has_every_key_and_default(part: str) -> None:
         for key in re.findall(r"`(\w+)`", cells[0]) if row.startswith("| `") else ():
             told[key] = cells[3].strip("`")
     assert told == {
-        each.name: default(each) for each in fields(getattr(scenario, part.capitalize())) if each.name != "layers"
+        each.name: default(each)
+        for each in fields(CLASSES.get(part) or getattr(scenario, part.capitalize()))
+        if each.name != "layers"
     }
 
 

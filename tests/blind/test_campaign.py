@@ -57,6 +57,7 @@ def test_pairs_are_of_comparable_size(full: dict[Purpose, list[Case]]) -> None:
         assert 0.25 <= first.noise_multiple / second.noise_multiple <= 4.0
 
 
+@pytest.mark.slow
 def test_a_pair_is_made_as_it_is_listed() -> None:
     case = next(case for case in campaign(Purpose.TUNING, SMALL) if case.stratum is Stratum.PAIR)
     _, truth = generate(case.spec)

@@ -21,6 +21,7 @@ def columns(spec: ForceSpec, role: Role = Role.TRAIN) -> list[np.ndarray]:
     return [each.columns["force_n"] for each in generate(spec)[0].of(role)]
 
 
+@pytest.mark.slow
 def test_same_seed_same_data_and_another_seed_other_data() -> None:
     spec = ForceSpec(3, (Wanted(ForceName.PUNCTURE, 1.0),), 0.03)
     assert all(np.array_equal(a, b) for a, b in zip(columns(spec), columns(spec), strict=True))
@@ -151,6 +152,7 @@ def test_two_effects_have_both_their_sizes() -> None:
     assert [each.noise_multiple for each in hidden] == pytest.approx([1.0, 0.5], rel=0.02)
 
 
+@pytest.mark.slow
 def test_what_calibration_absorbs_and_what_is_left() -> None:
     names = (ForceName.GAIN, ForceName.BIAS, ForceName.MOTOR_RIPPLE)
     absorbed, rest = zip(*(

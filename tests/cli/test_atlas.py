@@ -29,6 +29,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_what_was_identified_is_stored_once_and_found_again(data: Path, tmp_path: Path) -> None:
     identify = ("identify", "force", data, "--average", "1", "--atlas", "atlas.toml", *NAMES)
     done = needleplan(*identify, "--json", cwd=tmp_path)

@@ -10,7 +10,7 @@ from needleplan.control.safety import SafetyLimits
 from needleplan.devices import Station
 from needleplan.estimation.registration import Registration
 from needleplan.planning import PolicyTable, plan
-from needleplan.scenario import Grid, Motion, Needle, Obstacle, Scenario, Target, Workspace
+from needleplan.scenario import Grid, Needle, Obstacle, Scenario, Target, TipMotion, Workspace
 from needleplan.simulation import Effects, Lab, Robot, Setup, SimulatedEntry
 
 FAST = Options(velocity_mm_s=20.0, velocity_rad_s=10.0)
@@ -31,7 +31,7 @@ def small_table() -> PolicyTable:
             Target((50.0, 26.0), 1.5),
             Needle(40.0),
             obstacles=(Obstacle(((22.0, 14.0), (30.0, 14.0), (30.0, 24.0), (22.0, 24.0)), "vessel"),),
-            motion=Motion(headings=72),
+            motion=TipMotion(headings=72),
             grid=Grid((0.5, 0.5)),
         )
     )

@@ -96,7 +96,7 @@ def test_a_held_out_trial_of_the_same_motion_proves_nothing() -> None:
     assert found.verdict is Verdict.AMBIGUOUS
     assert found.decision.tied == ("viscous",)
     assert "no held-out trial of another motion" in found.decision.because
-    assert "repeat a motion" in " ".join(found.checked.lacks.values())
+    assert "repeat a training motion" in " ".join(found.checked.lacks.values())
 
 
 def _short(data: list[Record]) -> list[Record]:
@@ -122,7 +122,7 @@ def _constant(data: list[Record]) -> list[Record]:
         (_short, "too short"),
         (_gap, "has a gap"),
         (_other_rate, "must be sampled as"),
-        (_constant, "constant to the last bit"),
+        (_constant, "is constant: the reading of a working sensor varies"),
         (lambda data: data[2:], "no trial has the role train"),
     ],
 )

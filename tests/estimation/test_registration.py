@@ -116,6 +116,7 @@ def test_registration_is_exact_and_never_a_reflection(seed: int, points: int, fl
     np.testing.assert_allclose(found.translation_mm, shift, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_errors_at_points_and_target_are_those_of_the_formulas() -> None:
     random, fle, target = np.random.default_rng(3), 0.5, np.array([30.0, -40.0, 80.0])
     first = random.uniform(-50, 50, (8, 3))
@@ -137,6 +138,7 @@ def test_degenerate_points_are_refused(points: Array) -> None:
         register(np.eye(3), np.zeros((4, 3)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("points", [4, 6, 12])
 def test_a_bad_point_is_named_and_good_ones_are_not(points: int) -> None:
     random, blamed, found = np.random.default_rng(12), 0, 0

@@ -84,6 +84,7 @@ def test_mistakes_are_named(old: str, new: str, says: str, tmp_path: Path) -> No
     assert caught.value.source == str(file)
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(st.text(max_size=200), st.integers(0, 900))
 def test_any_text_is_read_or_refused(text: str, place: int) -> None:

@@ -75,6 +75,7 @@ def test_errors_are_as_large_as_the_filter_says() -> None:
     assert outliers == pytest.approx(0.01, abs=0.006)
 
 
+@pytest.mark.slow
 def test_the_arc_is_better_than_the_straight_line_from_the_coil() -> None:
     arc, line = [], []
     for seed in range(5):

@@ -127,6 +127,7 @@ def test_a_needle_that_twists_is_seen_to() -> None:
         assert end.roll_rad == pytest.approx(lab.plant.tip_roll_rad, abs=3 * end.roll_sd_rad)
 
 
+@pytest.mark.slow
 def test_layers_that_the_plan_knows_are_expected() -> None:
     text = Scenario.read("four_obstacles").to_toml()
     text += "\n[[needle.layer]]\nfrom_mm = 25.0\ncurvature_radius_mm = 80.0\n"
@@ -154,6 +155,7 @@ def test_layers_that_the_plan_knows_are_expected() -> None:
     assert known.curvature_per_mm == pytest.approx(known.curvature_factor / 80)
 
 
+@pytest.mark.slow
 def test_the_shipped_experiment_bends_more_than_planned() -> None:
     with open_lab("sim://insertion?seed=3") as lab:
         coil = lab.plant.setup.effects.coil_offset_mm
@@ -167,6 +169,7 @@ def test_the_shipped_experiment_bends_more_than_planned() -> None:
     assert tip.tip.status is TipStatus.TRACKING
 
 
+@pytest.mark.slow
 def test_breathing_is_not_tracked_in_silence() -> None:
     effects = {"respiration_across_mm": 3.0}
     found = watched(range(1), **effects)

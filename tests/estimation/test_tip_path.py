@@ -22,6 +22,7 @@ def piece(length_mm: float, roll_rad: float, turned_rad: float = 0.0) -> Channel
     return ChannelPiece(length_mm, math.cos(roll_rad), math.sin(roll_rad), turned_rad, fresh=True)
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(LEGS, st.floats(-1, 1), st.floats(0.5, 1.5), st.floats(-0.3, 0.3))
 def test_arcs_are_those_of_a_frame_that_does_not_twist(

@@ -88,6 +88,7 @@ def test_the_axial_force_gives_friction_and_its_offset() -> None:
     assert 0 < offset.sd < 0.004
 
 
+@pytest.mark.slow
 def test_a_known_offset_gives_the_stiffness() -> None:
     softer = ElasticTissue(TISSUE.stiffness_n_mm2 / 2, TISSUE.friction_n_s_mm2)  # wrong, and not believed
     records = [record(seed=seed) for seed in range(3)]
@@ -108,6 +109,7 @@ def test_a_flip_gives_the_stiffness() -> None:
     assert any("nobody has tested" in each for each in found.remarks)
 
 
+@pytest.mark.slow
 def test_records_that_agree_and_records_that_do_not() -> None:
     same = identify([record(seed=seed) for seed in range(4)])
     apart = identify([record(0.03, 1), record(0.05, 2), record(0.07, 3)])

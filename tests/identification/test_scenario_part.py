@@ -12,14 +12,14 @@ from needleplan.errors import DataError, ScenarioError
 from needleplan.identification import NoiseStatus
 from needleplan.identification.scenario_part import scenario_part
 from needleplan.models import arc_step
-from needleplan.scenario import Layer, Motion, Needle, Scenario, Tissue
+from needleplan.scenario import Layer, Needle, Scenario, TipMotion, Tissue
 from needleplan.signals import Record, Role
 
 PIECE_MM, PIECES = 0.25, 280
 
 
 def scenario() -> Scenario:
-    return replace(Scenario.read("brain"), motion=Motion(headings=72, tip_noise=(0.6, 0.2)))
+    return replace(Scenario.read("brain"), motion=TipMotion(headings=72, tip_noise=(0.6, 0.2)))
 
 
 def insertions(

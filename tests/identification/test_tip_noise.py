@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from needleplan.errors import DataError
 from needleplan.identification import NoiseStatus, headings_at, tip_noise
 from needleplan.identification._tip_noise import probabilities_of
-from needleplan.scenario import Motion
+from needleplan.scenario import TipMotion
 from needleplan.signals import Array, Record
 
 HEADINGS, RADIUS_MM = 60, 40.0
@@ -23,7 +23,7 @@ def test_probabilities_have_the_variance_and_the_scenario_takes_them(steps: floa
     noise = probabilities_of(steps * STEP_RAD, STEP_RAD)
     variance = 2 * sum(k**2 * p for k, p in enumerate(noise))
     assert variance == pytest.approx(steps**2, rel=0.02, abs=2e-6)
-    assert Motion(headings=HEADINGS, tip_noise=noise).tip_noise == noise
+    assert TipMotion(headings=HEADINGS, tip_noise=noise).tip_noise == noise
 
 
 def replicates(random: np.random.Generator, trials: int, noise: tuple[float, ...], measured_rad: float) -> Array:

@@ -54,6 +54,7 @@ def test_stiffness_and_damping_are_found_with_the_friction(identified: Identific
         assert estimate.sd < 0.1 * estimate.value
 
 
+@pytest.mark.slow
 def test_three_ways_to_the_lag(identified: Identification) -> None:
     scores = {name: value for name, value, _ in identified.scores}
     lag = true_lag_deg(TRUTH)
@@ -82,6 +83,7 @@ def test_the_figure_has_three_loops(identified: Identification) -> None:
     assert len(figure.axes) == 3
 
 
+@pytest.mark.slow
 def test_dry_friction_misleads_the_observer_and_that_is_said() -> None:
     found = identify([recorded(DRY)], starts=1)
     lag = true_lag_deg(DRY)

@@ -28,7 +28,6 @@ __all__ = [
     "Grid",
     "Layer",
     "Method",
-    "Motion",
     "Needle",
     "NoiseProbabilities",
     "Objective",
@@ -36,6 +35,7 @@ __all__ = [
     "Priority",
     "Solver",
     "Target",
+    "TipMotion",
     "Tissue",
     "Transition",
     "Workspace",
@@ -197,7 +197,7 @@ class Tissue(ConfigTable, key="tissue", error=ScenarioError):
 
 
 @dataclass(frozen=True)
-class Motion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_below_half_a_turn,)):
+class TipMotion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_below_half_a_turn,)):
     """One step: an arc of one heading step, after which the heading is disturbed.
 
     `tip_noise` holds P(0), P(+-1), P(+-2) ... of the disturbance in heading steps. `arc_samples` is the number of

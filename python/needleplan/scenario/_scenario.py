@@ -29,12 +29,12 @@ from needleplan.scenario._drawing import draw_scene
 from needleplan.scenario._identified import needle_with, tissues_with
 from needleplan.scenario._parts import (
     Grid,
-    Motion,
     Needle,
     Objective,
     Obstacle,
     Solver,
     Target,
+    TipMotion,
     Tissue,
     Workspace,
 )
@@ -74,7 +74,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         Radius of the needle's arc, with layers of other radii.
     obstacles : sequence of Obstacle, optional
         Polygons that the tip must not touch.
-    motion : Motion, optional
+    motion : TipMotion, optional
         Headings and tip noise.
     grid : Grid, optional
         Grid of positions.
@@ -107,7 +107,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
     target: Target = ruled(Subtable(Target))
     needle: Needle = ruled(Subtable(Needle))
     obstacles: tuple[Obstacle, ...] = ruled(TableList(Obstacle), (), key="obstacle")
-    motion: Motion = ruled(Subtable(Motion), Motion())
+    motion: TipMotion = ruled(Subtable(TipMotion), TipMotion())
     grid: Grid = ruled(Subtable(Grid), Grid())
     objective: Objective = ruled(Subtable(Objective), Objective())
     solver: Solver = ruled(Subtable(Solver), Solver())

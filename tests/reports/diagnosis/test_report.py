@@ -64,7 +64,10 @@ CASES: dict[str, tuple[list[Record], int]] = {
 }
 
 
-@pytest.fixture(scope="module", params=list(CASES))
+@pytest.fixture(
+    scope="module",
+    params=[name if name == "puncture" else pytest.param(name, marks=pytest.mark.slow) for name in CASES],
+)
 def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What `diagnose` wrote, of trials with a name that would break a page."""
     place = tmp_path_factory.mktemp("diagnosis")
@@ -81,7 +84,6 @@ def page(folder: Path) -> Page:
     return Page((folder / "report.html").read_text(encoding="utf-8"))
 
 
-@pytest.mark.slow
 def test_nothing_is_fetched_and_nothing_runs(page: Page) -> None:
     assert not {"script", "link", "iframe", "object", "form"} & {tag for tag, _ in page.tags}
     for _, attributes in page.tags:
