@@ -12,9 +12,9 @@ from needleplan.models import simulate
 from needleplan.models.force import ForceModel1
 from needleplan.reports.comparison import Agreement
 from needleplan_thesis.chapter2.bank_table import phases_of, tables_2_1_and_2_2
-from needleplan_thesis.chapter2.figures import draw_all
+from needleplan_thesis.chapter2.figures import draw_figures
 from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES, SENSOR, corners, insertion_record
-from needleplan_thesis.chapter2.parameters import IdentifiedForce, forward, table_2_3_and_loops
+from needleplan_thesis.chapter2.parameters import IdentifiedForce, forward, table_2_3_and_open_loops
 
 pytestmark = pytest.mark.slow
 
@@ -68,9 +68,9 @@ def test_loops_and_figures(tmp_path: Path) -> None:
     record = insertion_record(FAST, 0).select(slice(0, None, 4))
     run = identify_by_passes(JointForce(FAST.model), FAST.model, [record])
     made = [IdentifiedForce(each, record, run) for each in PUBLISHED_FORCES]
-    rows = table_2_3_and_loops(made)
+    rows = table_2_3_and_open_loops(made)
     assert len(rows) == 5 * 6
     assert rows[0].published == FAST.model.sigma0
     assert all(each.verdict is Agreement.SAME_ORDER for each in rows[:5])
-    draw_all(made, tmp_path)
+    draw_figures(made, tmp_path)
     assert sorted(each.name for each in tmp_path.iterdir()) == [f"fig_2_{n}.png" for n in range(2, 10)]

@@ -1,18 +1,20 @@
-"""The bank of three joint extended Kalman filters as the thesis describes it (section 2.4, Table 2.1).
+"""The bank of three joint extended Kalman filters of the thesis (section 2.4, Table 2.1).
 
-Each filter estimates z and one or two parameters, in natural units, and takes the others as known; its estimates go
-into the model before the next one is triggered. z takes a step of Kutta's method. This is the published form, for
-comparison: it is easily lost, and its final parameters mean little. `identify_by_passes` is the one to use.
+Each filter estimates the state z and one or two parameters in natural units, and treats the other parameters as known.
+The estimates of a filter enter the model before the next filter is triggered. The prediction of z is a step of Kutta's
+method. This is the published form, kept for comparison: it diverges easily, and its final parameters predict poorly.
+Use `needleplan.estimation.identify_by_passes` for identification.
 
-What the text leaves open is a choice here (`BankSettings`):
+`BankSettings` holds the choices that the text leaves open:
 
-- *The exponents of Q.* Printed are 0.05 * 10^(+3 to +15). The standard deviation of a step of sigma1 would be 7e6 where
-  sigma1 is 2.5, and the +-3 sigma bands of Fig. 2.5 could not be drawn. With negative exponents the steps are sane: a
-  minus sign that was lost is our reading, and the default.
-- *The order of triggering.* All three filters on every sample, each from the same z of the sample before (otherwise z
-  would advance three times), or one filter a sample in turn.
-- *P0.* "Large"; either (5 theta)^2, as the starts are within +-500 %, or a constant, up to the 10^15 of the text.
-- *P0 and Q of z*, which are not given.
+- *The exponents of Q.* The thesis prints 0.05 * 10^(+3 to +15). One step of sigma1 would have a standard deviation of
+  7e6, although sigma1 is 2.5, and the +-3 sigma bands of Fig. 2.5 could not be drawn. The default assumes that a minus
+  sign was lost: negative exponents give plausible steps.
+- *The order of triggering.* Either all three filters process every sample, each from the z of the previous sample (z
+  would otherwise advance three times), or one filter in turn processes each sample.
+- *P0.* The thesis calls it "large". Either (5 theta)^2, because the starting values are within +-500 %, or a constant
+  of up to 10^15, as in the text.
+- *P0 and Q of z.* The thesis gives no values.
 """
 
 from __future__ import annotations
@@ -36,21 +38,21 @@ TABLE_2_1: Mapping[type[DepthForce], tuple[dict[str, int], ...]] = {
     ForceModel1: ({"f2": 5, "sigma0": 9}, {"f1": 15, "sigma1": 15}, {"alpha": 5, "sigma2": 15}),
     ForceModel2: ({"sigma0": 9}, {"f1": 15, "sigma1": 15}, {"beta": 3, "sigma2": 15}),
 }
-"""The parameters of each filter with the printed exponents of their variances, Q = 0.05 diag(10^n)."""
+"""By model: the parameters of each filter with the printed exponents n of their variances, Q = 0.05 diag(10^n)."""
 
 
 class Exponents(StrEnum):
-    """How the exponents of Table 2.1 are read."""
+    """Sign of the exponents of Table 2.1."""
 
     NEGATIVE = "negative"
-    """0.05 * 10^-n: steps that are small beside the parameters."""
+    """Variance 0.05 * 10^-n: steps are small compared with the parameters."""
 
     AS_PRINTED = "as_printed"
-    """0.05 * 10^n: every parameter is new at every sample."""
+    """Variance 0.05 * 10^n: a parameter keeps nothing of its previous value."""
 
 
 class Trigger(StrEnum):
-    """Which filters take a sample."""
+    """Which filters process a sample."""
 
     ALL_IN_SEQUENCE = "all_in_sequence"
     ONE_IN_TURN = "one_in_turn"
@@ -58,16 +60,17 @@ class Trigger(StrEnum):
 
 @dataclass(frozen=True)
 class BankSettings:
-    """The choices that the text leaves open; see the module.
+    """Choices that the text of the thesis leaves open; see the module docstring.
 
-    `initial_variance` None means (5 theta)^2 for each parameter. `filters` replaces the pairing of Table 2.1.
+    `initial_variance` is P0 of the parameters; None means (5 theta)^2. `filters` replaces the pairing of Table 2.1.
+    `state_sd` and `state_walk` are the initial standard deviation and the process variance of z.
     """
 
     exponents: Exponents = Exponents.NEGATIVE
     trigger: Trigger = Trigger.ALL_IN_SEQUENCE
     initial_variance: float | None = None
     measurement_variance: float = 0.01
-    """R in N^2, as printed."""
+    """Measurement variance R (N^2), as printed."""
 
     state_sd: float = 0.0
     state_walk: float = 0.0
@@ -76,9 +79,9 @@ class BankSettings:
 
 @dataclass(frozen=True)
 class BankRun:
-    """What the bank said; `values` are the final parameters, which need not be those of any model.
+    """Result of the bank: status, final parameters, and the estimates of every sample.
 
-    `track` has natural +-3 sigma limits; it ends where the bank diverged.
+    `values` may lie outside the bounds of the model. `track` has +-3 sigma limits and ends where the bank diverged.
     """
 
     status: FilterStatus
@@ -87,9 +90,9 @@ class BankRun:
 
 
 def run_bank(model: DepthForce, record: Record, settings: BankSettings | None = None) -> BankRun:
-    """Run the bank along a record from the parameters of `model`.
+    """Run the bank over a record, starting from the parameters of `model`.
 
-    Raises DataError for a record without force or motion.
+    Raises DataError if the record lacks force or motion.
     """
     settings = settings or BankSettings()
     definition = settings.filters or TABLE_2_1[type(model)]
@@ -99,18 +102,18 @@ def run_bank(model: DepthForce, record: Record, settings: BankSettings | None = 
     )
     bank = _Bank(model, definition, settings)
     with np.errstate(all="ignore"):
-        said = []
+        samples = []
         for instant in instants:
             try:
-                said.append(bank.take(*instant))
+                samples.append(bank.take(*instant))
             except (ArithmeticError, ValueError, np.linalg.LinAlgError):
-                break  # g has gone through zero, or a number has left the range of numbers
-    status = FilterStatus.DONE if len(said) == len(measured) else FilterStatus.DIVERGED
-    return BankRun(status, dict(zip(NAMES, bank.values, strict=True)), _track(record, bank, said))
+                break  # g crossed zero, or a number overflowed
+    status = FilterStatus.DONE if len(samples) == len(measured) else FilterStatus.DIVERGED
+    return BankRun(status, dict(zip(NAMES, bank.values, strict=True)), _track(record, bank, samples))
 
 
-_Said = tuple[float, float, float, list[float], list[float]]
-"""Prediction, innovation, its standard deviation, (z, parameters), their standard deviations."""
+_Sample = tuple[float, float, float, list[float], list[float]]
+"""Of one sample: predicted force (N), innovation (N) and its standard deviation, (z, parameters), their deviations."""
 
 
 class _Bank:
@@ -133,7 +136,7 @@ class _Bank:
         self.before: tuple[float, float] | None = None
         self.count = 0
 
-    def take(self, time: float, depth: float, direction: float, measured: float) -> _Said:
+    def take(self, time: float, depth: float, direction: float, measured: float) -> _Sample:
         in_turn = self.settings.trigger is Trigger.ONE_IN_TURN
         triggered = [self.count % len(self.filters)] if in_turn else range(len(self.filters))
         self.count += 1
@@ -180,12 +183,12 @@ def _part(row: Row, places: list[int]) -> list[float]:
     return [row[1], *(row[2][place] for place in places)]
 
 
-def _track(record: Record, bank: _Bank, said: list[_Said]) -> Track:
-    n = len(said)
-    predicted, innovation, spread = (np.array([each[k] for each in said]) for k in range(3))
+def _track(record: Record, bank: _Bank, samples: list[_Sample]) -> Track:
+    n = len(samples)
+    predicted, innovation, spread = (np.array([each[k] for each in samples]) for k in range(3))
     width = 1 + len(bank.names)
-    x: Array = np.array([each[3] for each in said]).reshape(n, width)
-    sd: Array = np.array([each[4] for each in said]).reshape(n, width)
+    x: Array = np.array([each[3] for each in samples]).reshape(n, width)
+    sd: Array = np.array([each[4] for each in samples]).reshape(n, width)
     bands = [(x[:, k] - 3 * sd[:, k], x[:, k], x[:, k] + 3 * sd[:, k]) for k in range(width)]
     return Track(
         record["time_s"][:n], record["depth_mm"][:n], predicted, innovation, spread, np.isfinite(innovation),

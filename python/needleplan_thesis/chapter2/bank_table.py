@@ -1,4 +1,4 @@
-"""Tables 2.1 and 2.2: the bank of filters as published, on our records, from starts that are wrong by six times."""
+"""Tables 2.1 and 2.2: the published bank of filters on simulated records, started wrong by a factor of six."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ from needleplan_thesis.chapter2.forces import NO_DATA, PUBLISHED_FORCES, SENSOR,
 
 __all__ = ["PhaseErrors", "phases_of", "tables_2_1_and_2_2"]
 
+# RMS innovation of the retraction (N) above which a run counts as failed.
 _FAILED_N = 0.1
+
+# The pairing of parameters that section 2.5.2 calls worse than that of Table 2.1.
 _OTHER_PAIRING = ({"sigma0": 9, "sigma2": 15}, {"f1": 15, "sigma1": 15}, {"beta": 3})
 
 
 @dataclass(frozen=True)
 class PhaseErrors:
-    """Root mean squared innovations of one run (N), infinite where it did not get there."""
+    """RMS innovations of one run (N); infinite for a phase in which the bank diverged."""
 
     insertion_n: float
     retraction_n: float
@@ -33,7 +36,7 @@ class PhaseErrors:
 
 
 def phases_of(run: BankRun, record: Record, skip: int) -> PhaseErrors:
-    """Return the errors by phase, the first `skip` samples of each left out."""
+    """Return the RMS innovations by phase, without the first `skip` samples of each phase."""
     direction = record.motion().direction
     turn = int(np.flatnonzero(direction < 0)[0])
     squares = np.full(len(record), np.inf)
@@ -45,7 +48,7 @@ def phases_of(run: BankRun, record: Record, skip: int) -> PhaseErrors:
 
 
 def tables_2_1_and_2_2(starts: int) -> list[Comparison]:
-    """Run both models from `starts` starts each, and both pairings, and compare."""
+    """Run the bank for both models and both pairings, from `starts` starting values each, and compare."""
     chosen = PUBLISHED_FORCES[0]
     record = insertion_record(chosen, 0)
     truths: dict[str, DepthForce] = {"I": ForceModel1(**chosen.model.values()), "II": chosen.model}
@@ -61,7 +64,7 @@ def tables_2_1_and_2_2(starts: int) -> list[Comparison]:
 
 def _definition(record: Record, starts: int) -> list[Comparison]:
     names = {kind: [tuple(each) for each in TABLE_2_1[kind]] for kind in (ForceModel1, ForceModel2)}
-    said = {
+    filters = {
         kind: "; ".join(f"({', '.join(each)})" for each in pairing) for kind, pairing in names.items()
     }  # fmt: skip
     sd = math.sqrt(0.05 * 10**15)
@@ -74,20 +77,20 @@ def _definition(record: Record, starts: int) -> list[Comparison]:
     ]
     return [
         *(
-            Comparison(f"ch2/table 2.1/{kind.name}, filters", said[kind], said[kind], "", Agreement.REPRODUCED)
+            Comparison(f"ch2/table 2.1/{kind.name}, filters", filters[kind], filters[kind], "", Agreement.REPRODUCED)
             for kind in names
         ),
         Comparison(
             "ch2/table 2.1/step of sigma1 in one sample, sd", round(sd), round(1 / sd * 0.05, 10), "N s",
             Agreement.NOT_REPRODUCED,
-            "sigma1 is 2.5 N s: with the printed exponents no band of +-3 sigma could be drawn as in Fig. 2.5; we read "
-            "0.05 * 10^-n",
+            "sigma1 is 2.5 N s: with the printed exponents the +-3 sigma bands of Fig. 2.5 could not be drawn; "
+            "computed with 0.05 * 10^-n",
         ),
         Comparison(
             "ch2/section 2.5.2/pairing (sigma0, sigma2), (beta) is worse, failures", "slow convergence, noise",
             f"{failed[1]} of {starts} fail, {failed[0]} with Table 2.1", "",
             Agreement.REPRODUCED if failed[1] > failed[0] else Agreement.NOT_REPRODUCED,
-            f"P0 = 10^15; failed: lost, or over {1e3 * _FAILED_N:g} mN in the retraction; {starts} starts",
+            f"P0 = 10^15; failed: diverged, or above {1e3 * _FAILED_N:g} mN in the retraction; {starts} starts",
         ),
     ]  # fmt: skip
 
@@ -103,14 +106,18 @@ def _table_2_2(runs: dict[str, list[BankRun]], record: Record) -> list[Compariso
         which = "with the transition" if row.transition else "first five samples left out"
         for phase in ("insertion", "retraction", "entire"):
             key = f"{phase}_n"
-            ours = float(np.median([getattr(each, key) for each in phases]))
+            median = float(np.median([getattr(each, key) for each in phases]))
             reason = (
-                f"median over {len(phases)} starts; Q read as 0.05 * 10^-n, P0 = (5 theta)^2, all filters each "
-                f"sample, which the thesis leaves open; {NO_DATA}"
+                f"median over {len(phases)} starts; assumed, as the thesis does not say: Q = 0.05 * 10^-n, "
+                f"P0 = (5 theta)^2, all filters on each sample; {NO_DATA}"
             )
             rows.append(
                 measured(
-                    f"ch2/table 2.2/{row.model}, {which}/{phase}", getattr(row, key), float(f"{ours:.3g}"), "N", reason
+                    f"ch2/table 2.2/{row.model}, {which}/{phase}",
+                    getattr(row, key),
+                    float(f"{median:.3g}"),
+                    "N",
+                    reason,
                 )
             )
     return rows
@@ -125,7 +132,7 @@ def _inconsistent() -> list[Comparison]:
         rows.append(Comparison(
             f"ch2/table 2.2/{row.model}, {which}/entire, pooled from its phases", row.entire_n, round(pooled, 5), "N",
             Agreement.REPRODUCED if agrees else Agreement.IMPOSSIBLE,
-            "" if agrees else "the printed row contradicts itself: both phases have equally many samples",
+            "" if agrees else "the printed row contradicts itself: both phases have the same number of samples",
         ))  # fmt: skip
     return rows
 
@@ -134,24 +141,25 @@ def _outperforms(runs: dict[str, list[BankRun]], record: Record, model: ForceMod
     medians = {
         name: float(np.median([phases_of(run, record, 5).entire_n for run in each])) for name, each in runs.items()
     }
-    kept = [fit_force(each, [record], SENSOR, 1).rmse for each in (ForceModel1(**model.values()), model)]
+    rmse = [fit_force(each, [record], SENSOR, 1).rmse for each in (ForceModel1(**model.values()), model)]
     return [
         Comparison(
             "ch2/section 2.5.2/Model II outperforms Model I/bank of filters", "yes",
             f"I {1e3 * medians['I']:.1f} mN, II {1e3 * medians['II']:.1f} mN", "",
             Agreement.REPRODUCED if medians["II"] < medians["I"] else Agreement.NOT_REPRODUCED,
-            "median of the innovations over the starts",
+            "RMS innovation, median over the starts",
         ),
         Comparison(
             "ch2/section 2.5.2/Model II outperforms Model I/least squares", "yes",
-            f"I {1e3 * kept[0]:.2f} mN, II {1e3 * kept[1]:.2f} mN", "", Agreement.NOT_REPRODUCED,
-            "up to the scale of z Model II is a part of Model I and cannot fit better: the estimator makes it",
+            f"I {1e3 * rmse[0]:.2f} mN, II {1e3 * rmse[1]:.2f} mN", "", Agreement.NOT_REPRODUCED,
+            "apart from the scale of z, Model II is a special case of Model I and cannot fit better: the published "
+            "advantage comes from the estimator",
         ),
     ]  # fmt: skip
 
 
 def _open_loop(runs: Sequence[BankRun], record: Record, model: ForceModel2) -> Comparison:
-    """Whether small innovations come with parameters that predict."""
+    """Compare innovations of the bank with open-loop errors of its final parameters."""
     known = model.parameters()
     errors = []
     for run in runs:
@@ -166,6 +174,6 @@ def _open_loop(runs: Sequence[BankRun], record: Record, model: ForceModel2) -> C
         f"{good} of {len(errors)}; passes of one joint filter in logarithms: {1e3 * robust.replay_mae[-1]:.1f} mN",
         "",
         Agreement.REPRODUCED if good > len(errors) / 2 else Agreement.NOT_REPRODUCED,
-        "one pass of the bank follows the force with parameters that mean little; the thesis iterates, it does not say "
-        "how often",
+        "one pass of the bank follows the force, but its final parameters predict poorly; the thesis iterates, and "
+        "does not say how often",
     )  # fmt: skip

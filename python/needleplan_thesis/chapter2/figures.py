@@ -20,14 +20,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_all"]
+__all__ = ["draw_figures"]
 
+# Factor by which the starting values of the bank are wrong.
 _START_FACTOR = 2.0
 
 
-def draw_all(made: list[IdentifiedForce], folder: Path) -> None:
-    """Draw every figure of the chapter into `folder`. Raises OutputError."""
-    fast, slow, stiff, _, thin = made
+def draw_figures(identified: list[IdentifiedForce], folder: Path) -> None:
+    """Draw all figures of the chapter into `folder`. Raises OutputError."""
+    fast, slow, stiff, _, thin = identified
     models = {"I": ForceModel1(**fast.published.model.values()), "II": fast.published.model}
     runs = {name: _bank(model, fast.record) for name, model in models.items()}
     _profile(fast, folder / "fig_2_2.png")
@@ -46,18 +47,18 @@ def draw_all(made: list[IdentifiedForce], folder: Path) -> None:
          for loop in (stiff, thin)],
         ("sigma0", "sigma1", "sigma2", "f1", "beta"), folder / "fig_2_8.png",
     )  # fmt: skip
-    _loops(made[2:], folder / "fig_2_9.png")
+    _loops(identified[2:], folder / "fig_2_9.png")
 
 
 def _bank(model: DepthForce, record: Record) -> BankRun:
     return run_bank(next(corners(model, _START_FACTOR, 1, seed=3)), record)
 
 
-def _figure(rows: int, columns: int, width: float, height: float) -> tuple[Figure, np.ndarray]:
+def _figure(rows: int, panels: int, width: float, height: float) -> tuple[Figure, np.ndarray]:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False)
+    return figure, figure.subplots(rows, panels, squeeze=False)
 
 
 def _profile(loop: IdentifiedForce, path: Path) -> None:
@@ -65,7 +66,7 @@ def _profile(loop: IdentifiedForce, path: Path) -> None:
     record = loop.record
     above.plot(record["time_s"], record["force_n"], color=BLUE, linewidth=0.9)
     below.plot(record["time_s"], record["depth_mm"], color=BLACK, linewidth=1.2)
-    title(above, f"Force and depth, {loop.published.title}; generated")
+    title(above, f"Force and depth, {loop.published.title}; simulated")
     above.set_ylabel("force (N)")
     below.set_ylabel("depth (mm)")
     below.set_xlabel("time (s)")
@@ -77,7 +78,9 @@ def _phases(runs: dict[str, BankRun], record: Record, path: Path, *, inward: boo
     rows = record.motion().direction == (1 if inward else -1)
     for panel, (name, run) in zip(axes.flat, runs.items(), strict=True):
         shown = np.flatnonzero(rows[: len(run.track.predicted)])
-        panel.plot(record["depth_mm"][rows], record["force_n"][rows], color=GREY, linewidth=1.6, label="generated")
+        panel.plot(
+            record["depth_mm"][rows], record["force_n"][rows], color=GREY, linewidth=1.6, label="simulated record"
+        )
         panel.plot(run.track.depth_mm[shown], run.track.predicted[shown], color=BLUE, linewidth=0.9, label="predicted")
         seen = record["force_n"][rows][5:]
         panel.set_ylim(seen.min() - 0.3 * np.ptp(seen), seen.max() + 0.3 * np.ptp(seen))
@@ -89,11 +92,11 @@ def _phases(runs: dict[str, BankRun], record: Record, path: Path, *, inward: boo
 
 
 def _tracks(
-    columns: list[tuple[str, BankRun, DepthForce]], names: tuple[str, ...], path: Path, *, deepest: float = 80.0
+    panels: list[tuple[str, BankRun, DepthForce]], names: tuple[str, ...], path: Path, *, deepest: float = 80.0
 ) -> None:
     rows = ("z", *names) if len(names) == 3 and "f2" in names else names
-    figure, axes = _figure(len(rows), len(columns), 4.3 * len(columns), 1.5 * len(rows) + 0.6)
-    for column, (text, run, model) in enumerate(columns):
+    figure, axes = _figure(len(rows), len(panels), 4.3 * len(panels), 1.5 * len(rows) + 0.6)
+    for column, (text, run, model) in enumerate(panels):
         track = run.track
         turn = int(np.argmax(track.depth_mm >= min(deepest, float(track.depth_mm.max()))))
         for row, name in enumerate(rows):
@@ -130,14 +133,14 @@ def _legend() -> tuple[list[Artist], list[str]]:
         Patch(color=SKY, alpha=0.4),
         Line2D([], [], color=VERMILLION, linestyle="--"),
     ]
-    return list(handles), ["estimate", "+-3 sigma", "made the record"]
+    return list(handles), ["estimate", "+-3 sigma", "parameter of the record"]
 
 
-def _loops(made: list[IdentifiedForce], path: Path) -> None:
-    figure, axes = _figure(1, len(made), 4.0 * len(made), 3.4)
-    for panel, loop in zip(axes.flat, made, strict=True):
+def _loops(identified: list[IdentifiedForce], path: Path) -> None:
+    figure, axes = _figure(1, len(identified), 4.0 * len(identified), 3.4)
+    for panel, loop in zip(axes.flat, identified, strict=True):
         record = loop.record
-        panel.plot(record["depth_mm"], record["force_n"], color=GREY, linewidth=1.4, label="generated record")
+        panel.plot(record["depth_mm"], record["force_n"], color=GREY, linewidth=1.4, label="simulated record")
         panel.plot(
             record["depth_mm"], replay(loop.run.model, record, smooth=SENSOR), color=BLUE, linewidth=1.1,
             label="open loop",

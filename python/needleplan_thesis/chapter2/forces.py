@@ -1,22 +1,19 @@
-"""Parameters that the thesis identified: section 2.5.2 (needle A) and Table 2.3 (needle B), all of Model II.
+"""Published parameters of chapter 2, and the records that are simulated with them.
 
-The shipped atlas `published` holds them. Here they carry the letters of the thesis: needle A is 18 GA, B is 22 GA;
-tissue A is 4.5 % gellan gum, B is 6 %.
+Section 2.5.2 (needle A) and Table 2.3 (needle B) give parameters of Model II; the shipped atlas `published` holds them.
+Here they carry the letters of the thesis: needle A is 18 GA, needle B is 22 GA; tissue A is 4.5 % gellan gum, tissue B
+6 %.
 
-What chapter 2 of the thesis prints beside the parameters, which are in `needleplan.models.force`.
+The force of a simulated record is the sum of
 
-Records for chapter 2: what a robot with a force sensor would have seen.
+- Model II with the published parameters, along the LSPB profile (80 mm, blends of 0.5 s, 200 Hz);
+- bumps due to air bubbles (section 2.5.2) at fixed depths, about one per 4 mm: Gaussian in depth with a width of 1.5
+  mm, normally distributed heights, the same in insertion and retraction, with the sign of the velocity;
+- white noise of 4.2 mN; the sensor's moving average over five samples leaves 1.9 mN of it.
 
-Force = Model II with the published parameters, along the LSPB profile (80 mm, blends of 0.5 s, 200 Hz)
-      + bumps where air bubbles are (section 2.5.2): at fixed depths about 4 mm apart, the same on both ways, with the
-        sign of the motion, Gaussian in depth with a width of 1.5 mm and normal heights,
-      + white noise of 4.2 mN, then the sensor's moving average of five samples, which leaves 1.9 mN of it.
-
-The bumps are not in any model that is fitted. Their size is ours: 10 mN for needle A and 8 mN for B, more beside its
-smaller forces, as the text calls it more susceptible. It decides the errors in the open loop, so these say nothing
-about the thesis' data.
-
-Starts that are wrong by factors: phi(0) within +-500 % of the estimate, as section 2.5.2 has it.
+No fitted model has the bumps. Their standard deviation is an assumption: 10 mN for needle A, and 8 mN for needle B,
+which is more relative to its smaller forces, because the text calls needle B more susceptible. The bumps dominate the
+open-loop errors, so these errors are no evidence about the data of the thesis.
 """
 
 from __future__ import annotations
@@ -48,7 +45,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class PublishedForce:
-    """One column of Table 2.3, or one of the two sets of the text, with its mean absolute error on their data."""
+    """A column of Table 2.3, or one of the two parameter sets of the text, with its published error."""
 
     needle: str
     tissue: str
@@ -56,7 +53,7 @@ class PublishedForce:
     depth_mm: float
     model: ForceModel2
     mae_n: float
-    """Mean absolute error of the open-loop simulation against the measured force of Figs. 2.7 and 2.9 (N)."""
+    """Published mean absolute error of the open-loop simulation (N), Figs. 2.7 and 2.9."""
 
     source: str
 
@@ -78,19 +75,19 @@ def _published() -> tuple[PublishedForce, ...]:
 
 
 PUBLISHED_FORCES = _published()
-"""As printed. The positive f2 of B/B at 6 mm/s (g falls with depth) is legal. Order: text, then Table 2.3."""
+"""As printed, in the order text, Table 2.3. The positive f2 of B/B at 6 mm/s is admissible: g falls with depth."""
 
 
-NO_DATA = "the measurements of the thesis are not published; ours are made with its parameters and disturbances of ours"
+NO_DATA = "the measurements of the thesis are not published; computed from simulated records with assumed disturbances"
 
 
 @dataclass(frozen=True)
 class Row22:
-    """A row of Table 2.2: root mean squared errors of the estimator (N)."""
+    """A row of Table 2.2: RMS innovations of the estimator (N)."""
 
     model: str
     transition: bool
-    """Whether the first five samples of each phase count."""
+    """Whether the first five samples of each phase are included."""
 
     insertion_n: float
     retraction_n: float
@@ -103,22 +100,27 @@ TABLE_2_2 = (
     Row22("I", False, 1.81e-2, 1.71e-2, 2.03e-2),
     Row22("II", False, 3.44e-3, 2.83e-3, 3.9e-3),
 )
-"""As printed; that the columns do not agree with each other is one of the comparisons."""
+"""As printed. The columns contradict each other, which a comparison shows."""
 
 
 SENSOR = MovingAverage(5)
+
+# Standard deviation of the bump heights by needle (N).
 BUBBLES_N = {"A": 10e-3, "B": 8e-3}
+
+# Standard deviation of the white noise (N): the average over five samples leaves 1.9 mN.
 _NOISE_N = 1.9e-3 * 5**0.5
+# Mean distance and width of the bumps.
 _SPACING_MM, _WIDTH_MM = 4.0, 1.5
 
 
-def insertion_record(chosen: PublishedForce, seed: int, *, bubbles: bool = True) -> Record:
-    """Return one insertion and retraction; see the module."""
-    random = np.random.default_rng([seed, round(10 * chosen.velocity_mm_s)])
-    motion = insertion_cycles(chosen.depth_mm, chosen.velocity_mm_s)
-    force = simulate(chosen.model, motion).output
-    places = random.uniform(0, chosen.depth_mm, round(chosen.depth_mm / _SPACING_MM))
-    heights = BUBBLES_N[chosen.needle] * random.standard_normal(places.size)
+def insertion_record(published: PublishedForce, seed: int, *, bubbles: bool = True) -> Record:
+    """Return a simulated insertion and retraction; see the module docstring."""
+    random = np.random.default_rng([seed, round(10 * published.velocity_mm_s)])
+    motion = insertion_cycles(published.depth_mm, published.velocity_mm_s)
+    force = simulate(published.model, motion).output
+    places = random.uniform(0, published.depth_mm, round(published.depth_mm / _SPACING_MM))
+    heights = BUBBLES_N[published.needle] * random.standard_normal(places.size)
     if bubbles:
         bumps = np.exp(-(((motion.depth_mm[:, None] - places) / _WIDTH_MM) ** 2)) @ heights
         force = force + motion.direction * bumps
@@ -128,21 +130,21 @@ def insertion_record(chosen: PublishedForce, seed: int, *, bubbles: bool = True)
             "time_s": motion.time_s, "depth_mm": motion.depth_mm, "velocity_mm_s": motion.velocity_mm_s,
             "force_n": measured,
         },
-        trial=f"{chosen.title}, seed {seed}",
+        trial=f"{published.title}, seed {seed}",
     )  # fmt: skip
 
 
 def corners(model: DepthForce, factor: float, count: int, seed: int = 0) -> Iterator[DepthForce]:
-    """Return `count` models whose free parameters are each wrong by `factor` or its inverse, f2 excepted.
+    """Yield `count` starting models: each free parameter but f2 is multiplied by `factor` or its inverse, at random.
 
-    f1 is wrong in its distance from the bound that keeps g positive.
+    For f1, the distance from the bound that keeps g positive is multiplied. Section 2.5.2 starts within +-500 %.
     """
     joint = JointForce(model)
     x = joint.initial(model, insertion_cycles(1.0, 1.0))
     random = np.random.default_rng(seed)
-    may = np.array([0.0, *(0.0 if name == "f2" else 1.0 for name in joint.free)])
+    changed = np.array([0.0, *(0.0 if name == "f2" else 1.0 for name in joint.free)])
     for _ in range(count):
         signs = random.choice([-1.0, 1.0], x.size)
-        made = joint.model(x + math.log(factor) * signs * may)
-        assert isinstance(made, DepthForce)
-        yield made
+        start = joint.model(x + math.log(factor) * signs * changed)
+        assert isinstance(start, DepthForce)
+        yield start

@@ -1,6 +1,6 @@
-"""What the model says without data: the profile of Fig. 2.2, and the statements of section 2.3 about its parameters.
+"""What the published parameters imply (Fig. 2.2, section 2.3), and parameters identified from simulated records.
 
-Table 2.3 and the open loops of Figs. 2.7 and 2.9: parameters identified from our records, and what they predict.
+The second part is Table 2.3 with the open loops of Figs. 2.7 and 2.9: the force that the identified parameters predict.
 """
 
 from __future__ import annotations
@@ -25,22 +25,23 @@ from needleplan_thesis.chapter2.forces import (
     insertion_record,
 )
 
-__all__ = ["IdentifiedForce", "forward", "loops", "robust_starts", "table_2_3_and_loops"]
+__all__ = ["IdentifiedForce", "forward", "identified_forces", "robust_starts", "table_2_3_and_open_loops"]
 
+# Motion of section 2.3, and the index of its last insertion sample.
 _MOTION = insertion_cycles(80.0, 10.0)
 _TURN = int(np.flatnonzero(_MOTION.direction > 0)[-1])
 
 
 def forward() -> list[Comparison]:
-    """Return peaks and asymptotes of the published sets, and a verdict for every statement."""
-    return [*_levels(), *_statements(), *_structure()]
+    """Return peaks and asymptotes of the published sets, and a verdict on every statement of section 2.3."""
+    return [*_peaks(), *_statements(), *_symmetries()]
 
 
 def _force(model: ForceModel2) -> Array:
     return simulate(model, _MOTION).output
 
 
-def _levels() -> list[Comparison]:
+def _peaks() -> list[Comparison]:
     rows = []
     for each in PUBLISHED_FORCES:
         motion = insertion_cycles(each.depth_mm, each.velocity_mm_s)
@@ -71,21 +72,21 @@ def _statements() -> list[Comparison]:
         float(np.abs(damped - force)[back][side].max()) for side in (depth[back] < 20, depth[back] > 50)
     )  # fmt: skip
     return [
-        _said("smaller sigma0: a bigger peak", "yes", f"{peaks[0]:.3f} to {peaks[1]:.3f} N", peaks[1] > peaks[0]),
-        _said(
+        _statement("smaller sigma0: a bigger peak", "yes", f"{peaks[0]:.3f} to {peaks[1]:.3f} N", peaks[1] > peaks[0]),
+        _statement(
             "smaller sigma0: almost no change in retraction", "almost none",
             f"{1e3 * moved:.1f} mN at most, of {1e3 * pulled:.0f}",
             moved < 0.1 * pulled,
         ),
-        _said("larger sigma1: a bigger peak", "same", f"{peaks[0]:.3f} to {peaks[2]:.3f} N", peaks[2] > peaks[0]),
-        _said(
+        _statement("larger sigma1: a bigger peak", "same", f"{peaks[0]:.3f} to {peaks[2]:.3f} N", peaks[2] > peaks[0]),
+        _statement(
             "sigma1 shapes the retraction near the entry", "near the entry point",
             f"{1e3 * near:.1f} mN above 20 mm, {1e3 * far:.2f} mN below 50 mm", near > 10 * far,
         ),
     ]  # fmt: skip
 
 
-def _structure() -> list[Comparison]:
+def _symmetries() -> list[Comparison]:
     base = PUBLISHED_FORCES[0].model
     done = simulate(base, _MOTION)
     printed = base.output_as_printed(done.states, _MOTION)
@@ -95,32 +96,34 @@ def _structure() -> list[Comparison]:
             "ch2/eq. 2.1/force at the start of the retraction", "negative (Fig. 2.7a)",
             f"{done.output[_TURN + 1]:.3f} N with sign(l'), {printed[_TURN + 1]:.3f} N with sign(l)", "N",
             Agreement.REPRODUCED,
-            "the print has lost the place of the dot; with sign(l) the needle would be pushed out",
+            "a misprint of the dot: with sign(l) the tissue would push the needle out",
         ),
         Comparison(
             "ch2/section 2.3/number of parameters that data can tell", "six (Model I), five (Model II)",
-            f"of the seven six: all scaled by 7 changes the force by {np.abs(scaled - done.output).max():.0e} N", "",
-            Agreement.REPRODUCED, "an exact symmetry of z; fixing beta (I) or f2 (II) removes it",
+            f"six of seven: scaling all by 7 changes the force by {np.abs(scaled - done.output).max():.0e} N", "",
+            Agreement.REPRODUCED, "an exact symmetry of the scale of z; fixing beta (I) or f2 (II) removes it",
         ),
     ]  # fmt: skip
 
 
-def _said(what: str, published: str, ours: str, holds: bool) -> Comparison:
+def _statement(what: str, published: str, computed: str, holds: bool) -> Comparison:
     verdict = Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED
-    return Comparison(f"ch2/section 2.3/{what}", published, ours, "", verdict, "published parameters of A/A, 10 mm/s")
+    return Comparison(
+        f"ch2/section 2.3/{what}", published, computed, "", verdict, "published parameters of A/A, 10 mm/s"
+    )
 
 
 @dataclass(frozen=True)
 class IdentifiedForce:
-    """A record of one combination, and the joint filter's passes over it."""
+    """A simulated record of one published combination, and the passes of the joint filter over it."""
 
     published: PublishedForce
     record: Record
     run: FilterRun
 
 
-def loops() -> list[IdentifiedForce]:
-    """Identify every published combination from a record of its own, started wrong by a factor of three."""
+def identified_forces() -> list[IdentifiedForce]:
+    """Identify each published combination from its own record, from starting values wrong by a factor of three."""
     made = []
     for number, each in enumerate(PUBLISHED_FORCES):
         record = insertion_record(each, number)
@@ -131,13 +134,13 @@ def loops() -> list[IdentifiedForce]:
     return made
 
 
-def table_2_3_and_loops(made: list[IdentifiedForce]) -> list[Comparison]:
-    """Return the identified parameters beside those that made the record, and the errors in the open loop."""
-    return [*(row for loop in made for row in _parameters(loop)), *(_error(loop) for loop in made)]
+def table_2_3_and_open_loops(identified: list[IdentifiedForce]) -> list[Comparison]:
+    """Compare the identified parameters with those of the record, and the open-loop errors with the published ones."""
+    return [*(row for loop in identified for row in _parameters(loop)), *(_error(loop) for loop in identified)]
 
 
 def robust_starts(count: int) -> list[Comparison]:
-    """Return how many of `count` starts for each combination, wrong by six, end below 10 mN without bubbles."""
+    """Count the starting values, wrong by six, that lead to an open-loop error below 10 mN without bubbles."""
     good = 0
     for number, each in enumerate(PUBLISHED_FORCES):
         record = insertion_record(each, 100 + number, bubbles=False)
@@ -148,33 +151,33 @@ def robust_starts(count: int) -> list[Comparison]:
     return [Comparison(
         "ch2/section 2.5.2/joint filter in passes, starts wrong by six that end below 10 mN", None,
         f"{good} of {total}", "", Agreement.OURS, "data from Model II with the sensor's noise; benches/python/"
-        "force_filter.py takes all corners",
+        "force_filter.py starts from all corners",
     )]  # fmt: skip
 
 
 def _parameters(loop: IdentifiedForce) -> list[Comparison]:
     place = "table 2.3" if loop.published.source.startswith("Table") else "section 2.5.2"
-    made, found = loop.published.model, loop.run.model
+    true, found = loop.published.model, loop.run.model
     assert isinstance(found, ForceModel2)
-    found = with_gauge(found, made.beta)
+    found = with_gauge(found, true.beta)
     reason = (
-        "published: what made the record; ours: identified from it in spite of noise and bubbles, from a start wrong "
-        "by three, then brought to the published beta, as only ratios are well told"
+        "published: the parameters of the record; computed: identified from the record with noise and bubbles, from a "
+        "start wrong by three, then scaled to the published beta, because only ratios are identifiable"
     )
     rows = []
     for name in ("sigma0", "sigma1", "sigma2", "f1", "f2"):
-        value, ours = getattr(made, name), float(f"{getattr(found, name):.3g}")
-        row = measured(f"ch2/{place}/{loop.published.title}/{name}", abs(value), ours * math.copysign(1, value),
-                       made.parameters()[name].unit, reason)  # fmt: skip
-        rows.append(replace(row, published=value, ours=ours))
+        value, computed = getattr(true, name), float(f"{getattr(found, name):.3g}")
+        row = measured(f"ch2/{place}/{loop.published.title}/{name}", abs(value), computed * math.copysign(1, value),
+                       true.parameters()[name].unit, reason)  # fmt: skip
+        rows.append(replace(row, published=value, ours=computed))
     return rows
 
 
 def _error(loop: IdentifiedForce) -> Comparison:
     figure = loop.published.source.split(", ")[-1].replace("Fig.", "fig.")
-    ours = mean_absolute_error(loop.run.model, [loop.record], smooth=SENSOR)
+    error = mean_absolute_error(loop.run.model, [loop.record], smooth=SENSOR)
     return measured(
         f"ch2/{figure}/{loop.published.title}, mean absolute error of the open loop", loop.published.mae_n,
-        round(ours, 5), "N",
-        f"the size of the bubbles decides it, and that is ours; {NO_DATA}",
+        round(error, 5), "N",
+        f"the assumed amplitude of the bubbles determines it; {NO_DATA}",
     )  # fmt: skip

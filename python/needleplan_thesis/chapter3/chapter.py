@@ -1,7 +1,4 @@
-"""Everything of chapter 3, in the order of the chapter.
-
-Figs. 3.3 and 3.5: how the normal force is spread, and loops of friction and velocity.
-"""
+"""Entry point of `needleplan reproduce ch3`: all comparisons in the order of the chapter, and Figs. 3.3 and 3.5."""
 
 from __future__ import annotations
 
@@ -33,26 +30,26 @@ if TYPE_CHECKING:
 __all__ = ["draw_loops", "draw_profiles", "files", "run"]
 
 _RATE_HZ = {Effort.QUICK: 12.5, Effort.DEFAULT: 50.0, Effort.FULL: 200.0}
-"""Samples a second of the records that models are fitted to; noise of the same size is more of it at fewer."""
+"""Sampling rate of the fitted records (Hz). The noise is the same at each rate, so lower rates are less accurate."""
 
 
 def files(_: Request) -> tuple[str, ...]:
-    """Return the names of the files that `run` writes into its folder."""
+    """Return the names of the files that `run` writes into the output folder."""
     return ("fig_3_3_profiles.png", "fig_3_5_loops.png", "fig_3_6_prediction.png", "fig_3_7_tissue.png")
 
 
 def run(request: Request) -> list[Comparison]:
-    """Reproduce the chapter; figures where there is a folder."""
+    """Reproduce the chapter; draw the figures if the request names a folder."""
     quick, rate = request.effort is Effort.QUICK, _RATE_HZ[request.effort]
     exponents = (0.5, 5.0) if quick else EXPONENTS
     generators = (Generator.III_B,) if quick else tuple(Generator)
-    every = [fit_cases(each, rate, exponents, request.note) for each in generators]
-    from_three = every[0]
+    by_generator = [fit_cases(each, rate, exponents, request.note) for each in generators]
+    from_three = by_generator[0]
     compared = [
         *parameters(from_three),
-        *(row for fits in every for row in recovered(fits)),
+        *(row for fits in by_generator for row in recovered(fits)),
         *errors(from_three),
-        *orders(every),
+        *orders(by_generator),
     ]
     if quick:
         compared = [
@@ -78,7 +75,7 @@ _RAMP_MM = 2.5
 
 
 def draw_profiles(file: Path) -> None:
-    """Draw fn along the patch while the needle goes in, states 1 to 5 of both trapezoids."""
+    """Draw Fig. 3.3: the normal force per length along the patch, at five inserted lengths, for both trapezoids."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.6, 2.9), layout="constrained")
@@ -89,7 +86,7 @@ def draw_profiles(file: Path) -> None:
     }
     for each, (profile, lengths) in zip(axes, states.items(), strict=True):
         for number, (length, colour) in enumerate(zip(lengths, _COLOURS, strict=True), start=1):
-            # Just inside of the far end: the right trapezoid ends with a jump.
+            # Without the far end, where the right trapezoid jumps to zero.
             position = np.linspace(0, length, 400)
             shape = intensity(profile, position, length, _RAMP_MM)
             label = f"{number}: L = {length:g} mm"
@@ -101,32 +98,32 @@ def draw_profiles(file: Path) -> None:
     axes[0].set_ylabel("fn/f")
     title(axes[0], "(a) right trapezoid, Model III-A")
     title(axes[1], "(b) isosceles trapezoid, Model III-B")
-    caption(figure, "Fig. 3.3: normal force per length as the needle goes in, w = 2.5 mm; state 4: the last triangle.")
+    caption(figure, "Fig. 3.3: normal force per length by inserted length, w = 2.5 mm; state 4 is the last triangle.")
     save(figure, file)
 
 
 def draw_loops(fits: Sequence[CaseFits], file: Path) -> None:
-    """Draw Fig. 3.5: III-B by lambda for case 1, all models for cases 2 and 4."""
+    """Draw Fig. 3.5: Model III-B for each lambda (case 1), and all models (cases 2 and 4)."""
     from matplotlib.figure import Figure
 
     by_case = {each.case: each for each in fits}
     figure = Figure(figsize=(10.5, 4.0), layout="constrained")
-    every = figure.subplots(1, 3)
+    panels = figure.subplots(1, 3)
     lambdas = {
         f"lambda {value:g}: {1e3 * found.rmse:.1f} mN": found.model for value, found in by_case[1].exponents.items()
     }
-    _loop(every[0], by_case[1].record, lambdas)
-    title(every[0], "(a) III-B, case 1")
-    for axes, case, letter in ((every[1], 2, "b"), (every[2], 4, "c")):
+    _loop(panels[0], by_case[1].record, lambdas)
+    title(panels[0], "(a) III-B, case 1")
+    for axes, case, letter in ((panels[1], 2, "b"), (panels[2], 4, "c")):
         chosen = by_case[case]
         named = {f"{label}: {1e3 * found.rmse:.1f} mN": found.model for label, found in chosen.fits.items()}
         _loop(axes, chosen.record, named)
         title(axes, f"({letter}) case {case}")
-    every[0].set_ylabel("friction (N)")
+    panels[0].set_ylabel("friction (N)")
     caption(
         figure,
-        "Fig. 3.5: identified friction and velocity after the first cycle. Light blue: synthetic data from "
-        f"{fits[0].generator} with 15 mN of noise. Insets: around rest.",
+        "Fig. 3.5: identified friction over velocity after the first cycle. Light blue: synthetic data from "
+        f"{fits[0].generator} with 15 mN of noise. Insets: around zero velocity.",
     )
     save(figure, file)
 

@@ -1,6 +1,6 @@
-"""Where the data of chapter 3 come from: stated models with the printed parameters, and white noise.
+"""Synthetic data of chapter 3, and all models fitted to them.
 
-All models of chapter 3 fitted to the data of one generator.
+The data are a model with the printed parameters plus white noise. A `Generator` names the model.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ __all__ = [
 ]
 
 NOISE_N = 0.015
-"""Standard deviation of the noise, of the size of the smallest published errors."""
+"""Standard deviation of the noise (N): about the smallest published error."""
 
 
 class Generator(StrEnum):
-    """What makes the data of a periodic motion through the phantom."""
+    """The model that generates the data of a periodic motion through the phantom."""
 
     III_B = "III-B (beta v, lambda 5, Table 3.4)"
     ABSOLUTE = "III-B (beta |v|, lambda 5, Table 3.4)"
@@ -54,7 +54,7 @@ def generated(case: int, generator: Generator, motion: Motion) -> Array:
 
 
 def recorded(motion: Motion, force_n: Array, seed: int, noise_n: float = NOISE_N) -> Record:
-    """Return a trial with that force and white noise."""
+    """Return a record of `force_n` plus white noise."""
     noise = noise_n * np.random.default_rng(seed).standard_normal(len(motion))
     return Record(
         {
@@ -67,20 +67,20 @@ def recorded(motion: Motion, force_n: Array, seed: int, noise_n: float = NOISE_N
 
 
 def periodic(case: int, generator: Generator, rate_hz: float, seed: int) -> Record:
-    """Return four cycles of a case of Table 3.1."""
+    """Return a record of four cycles of a case of Table 3.1."""
     motion = passing_through(case, rate_hz=rate_hz)
     return recorded(motion, generated(case, generator, motion), seed)
 
 
 _EVALUATIONS = 100
-"""Enough for all but the static model, which walks along a valley of the same error for as long as it may."""
+"""Evaluation limit of a fit. Only the static model reaches it: its parameters trade off at almost the same error."""
 
 _KINDS = ("Karnopp", "I", "II", "III-B")
 
 
 @dataclass(frozen=True)
 class CaseFits:
-    """The fits of one case: by model for the best lambda (`fits`), and of III-B by lambda (`exponents`)."""
+    """The fits of one case: by model with the best lambda (`fits`), and of Model III-B by lambda (`exponents`)."""
 
     case: int
     generator: Generator
@@ -90,16 +90,16 @@ class CaseFits:
 
     @property
     def exponent(self) -> float:
-        """Lambda with the smallest error."""
+        """The lambda with the smallest RMSE."""
         return min(self.exponents, key=lambda each: self.exponents[each].rmse)
 
     def errors(self, label: str) -> Errors:
-        """Return the RMSE of a model after the first cycle."""
+        """Return the RMSE (mN) of a fitted model after the first cycle."""
         return errors_mn(self.fits[label].model, self.record)
 
 
 def errors_mn(model: Model, record: Record) -> Errors:
-    """Return the RMSE (mN) after the first cycle: in total, below and above half of the top speed."""
+    """Return the RMSE (mN) after the first cycle: total, below half of the top speed, and above."""
     motion = record.motion()
     counts = steady(record)
     squared = 1e6 * (record["force_n"] - simulate(model, motion).output) ** 2
@@ -109,7 +109,7 @@ def errors_mn(model: Model, record: Record) -> Errors:
 
 
 def fit_case(case: int, generator: Generator, rate_hz: float, exponents: Sequence[float], seed: int) -> CaseFits:
-    """Make the data of a case, and fit Karnopp, I, II and III-B with each lambda after the first cycle."""
+    """Simulate the data of a case, and fit Karnopp, I, II, and III-B with each lambda, after the first cycle."""
     record = periodic(case, generator, rate_hz, seed)
     found = {
         each.label: fit(each.model, record, free=each.free, mask=steady, max_evaluations=_EVALUATIONS)

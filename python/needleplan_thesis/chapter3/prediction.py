@@ -1,6 +1,6 @@
-"""Table 3.6 and Fig. 3.6: friction predicted with the tip inside of the tissue, and the cutting force that is left.
+"""Table 3.6 and Fig. 3.6: friction predicted with the tip inside the tissue, and the remaining cutting force.
 
-Fig. 3.6: measured and predicted force with the tip inside of the tissue.
+The synthetic measurement is Model III-B with the inserted length, plus effects that no friction model has.
 """
 
 from __future__ import annotations
@@ -23,22 +23,29 @@ from needleplan_thesis.chapter3.published import CASES, NEEDLE_MASS_KG, TABLE_3_
 
 __all__ = ["InsideRecord", "draw_prediction", "inside", "prediction", "predictors"]
 
+# Motion: depth of the middle of the stroke, and amplitude.
 _MIDDLE_MM, _AMPLITUDE_MM = 38.0, 25.0
+
+# Cutting of fresh tissue: force at rest (N), and its increase with the velocity (N s/mm).
 _CUTTING_N, _CUTTING_PER_MM_S = 0.10, 0.01
+
+# Minor cutting: force (N), mean rate (1/s), and duration (s).
 _MINOR_N, _MINOR_PER_S, _MINOR_S = 0.06, 0.15, 1.0
+
+# Air bubbles: number, standard deviation of the force (N), and width (mm).
 _BUBBLES, _BUBBLE_N, _BUBBLE_MM = 20, 0.05, 1.5
 
 _HIDDEN = (
     "data from III-B with the inserted length, and effects that no friction model has: cutting (excluded), minor "
-    "cutting, air bubbles, noise; their sizes are ours"
+    "cutting, air bubbles, noise; their amplitudes are assumed"
 )
-_FROZEN = "the printed errors come about with Fn frozen at the length in the middle of the stroke, which the text omits"
-_CASES = "cases 1 and 2 are needles A and B in tissue A, as Fig. 3.6 and Table 3.1 have it, not tissues A and B"
+_FROZEN = "errors like the printed ones need Fn frozen at the length in the middle of the stroke, which the text omits"
+_CASES = "cases 1 and 2 are needles A and B in tissue A, by Fig. 3.6 and Table 3.1, not tissues A and B"
 
 
 @dataclass(frozen=True)
 class InsideRecord:
-    """One record of Fig. 3.6: what was measured, what of it was friction and cutting, and where major cutting was."""
+    """A record with the tip inside the tissue: measured force, its parts (N), and a mask of major cutting."""
 
     case: int
     profile: str
@@ -59,10 +66,11 @@ class InsideRecord:
 
 
 def inside(case: int, profile: str, hidden: bool = True, rate_hz: float = 200.0, seed: int = 0) -> InsideRecord:
-    """Return four cycles about the middle of the phantom, in first (`solid`) or out first (`dashed`).
+    """Simulate four cycles about the middle of the phantom.
 
-    Hidden effects: cutting of fresh tissue (0.10 N + 0.01 N s/mm v); minor cutting, 60 mN for 1 s at random on the way
-    in, 0.15 times a second; 20 air bubbles at fixed depths, +-50 mN (standard deviation) over 1.5 mm; 15 mN of noise.
+    `profile` is `solid` (insertion first) or `dashed` (retraction first), as in Fig. 3.4(b). `hidden` adds cutting of
+    fresh tissue (0.10 N + 0.01 N s/mm v); minor cutting during insertion, 60 mN for 1 s at random times, 0.15 times a
+    second; 20 air bubbles at fixed depths with a standard deviation of 50 mN over 1.5 mm; and 15 mN of noise.
     """
     motion = sinusoid(
         offset_mm=_MIDDLE_MM, amplitude_mm=_AMPLITUDE_MM, frequency_hz=CASES[case].frequency_hz, rate_hz=rate_hz,
@@ -86,7 +94,10 @@ def inside(case: int, profile: str, hidden: bool = True, rate_hz: float = 200.0,
 
 
 def predictors(case: int) -> dict[str, Friction]:
-    """Return the models with the printed values: I and II with Fn frozen at the middle, as is, and with Fn(L); III."""
+    """Return the models with the printed parameters.
+
+    Models I and II have Fn frozen at the middle of the stroke, and once more Fn = 1 N; Model II once more Fn(L).
+    """
     three = model_iii_b(case)
     middle = Motion.sampled(np.arange(2.0), np.full(2, _MIDDLE_MM))
     frozen = float(three.total_normal_force_n(middle)[0])
@@ -102,23 +113,24 @@ def predictors(case: int) -> dict[str, Friction]:
 
 
 def prediction(folder: Path | None, note: Callable[[str], None], rate_hz: float) -> list[Comparison]:
-    """Compare Table 3.6, the same without hidden effects, and the cutting force; draw Fig. 3.6."""
-    note("friction: prediction with the tip inside")
+    """Compare Table 3.6 with and without hidden effects, and the cutting force; draw Fig. 3.6 if a folder is given."""
+    note("friction: prediction with the tip inside the tissue")
     rows, cutting, drawn = [], [], []
     for profile, printed in TABLE_3_6.items():
         for case in (1, 2):
             insertion = inside(case, profile, rate_hz=rate_hz)
             clean = inside(case, profile, hidden=False, rate_hz=rate_hz)
             models = predictors(case)
-            ours = {label: insertion.error_mn(model) for label, model in models.items()}
-            bare = {label: clean.error_mn(model) for label, model in models.items()}
+            errors = {label: insertion.error_mn(model) for label, model in models.items()}
+            undisturbed = {label: clean.error_mn(model) for label, model in models.items()}
             for label in models:
-                rows += _rows(profile, case, label, printed, ours[label], bare[label])
-            better = max(ours["III-A"], ours["III-B"]) < min(ours["I"], ours["II"])
+                rows += _rows(profile, case, label, printed, errors[label], undisturbed[label])
+            better = max(errors["III-A"], errors["III-B"]) < min(errors["I"], errors["II"])
             rows.append(Comparison(
                 f"ch3/Table 3.6/{profile}, case {case}: both Models III better than I and II", "yes",
                 "yes" if better else "no", "", Agreement.REPRODUCED if better else Agreement.NOT_REPRODUCED,
-                "what helps is Fn(L): II with it is as good" if ours["II, Fn(L)"] < min(ours["I"], ours["II"]) else "",
+                "Fn(L) makes the difference: Model II with it is as good"
+                if errors["II, Fn(L)"] < min(errors["I"], errors["II"]) else "",
             ))  # fmt: skip
             cutting.append(_cutting(insertion, models["III-B"]))
             if case == 2:
@@ -134,30 +146,30 @@ def prediction(folder: Path | None, note: Callable[[str], None], rate_hz: float)
 
 
 def _rows(
-    profile: str, case: int, label: str, printed: dict[str, tuple[float, float]], ours: float, bare: float
+    profile: str, case: int, label: str, printed: dict[str, tuple[float, float]], error: float, undisturbed: float
 ) -> list[Comparison]:
-    """Return a cell of the table, and the same without hidden effects."""
+    """Compare a cell of Table 3.6, and list the error without hidden effects."""
     identity = f"ch3/Table 3.6/{profile}, case {case}, {label}"
     reason = f"{_HIDDEN}; {_CASES}"
-    plain = Comparison(f"{identity}, no hidden effects", None, bare, "mN", Agreement.OURS)
+    plain = Comparison(f"{identity}, no hidden effects", None, undisturbed, "mN", Agreement.OURS)
     if label not in printed:
-        return [Comparison(identity, None, ours, "mN", Agreement.OURS, reason), plain]
+        return [Comparison(identity, None, error, "mN", Agreement.OURS, reason), plain]
     if label in ("I", "II"):
         reason = f"{_FROZEN}; {reason}"
-    return [measured(identity, printed[label][case - 1], ours, "mN", reason), plain]
+    return [measured(identity, printed[label][case - 1], error, "mN", reason), plain]
 
 
 def _cutting(insertion: InsideRecord, friction: Friction) -> Comparison:
-    """Return how well measured - friction - inertia finds the cutting force that was put in."""
+    """Compare the estimated cutting force (measured - friction - inertia) with the simulated one."""
     mass = NEEDLE_MASS_KG[CASES[insertion.case].needle]
     parts = cutting_force(insertion.record, friction, mass)
     error = (parts.cutting_n - insertion.cutting_n)[insertion.major]
-    size = insertion.cutting_n[insertion.major]
+    true = insertion.cutting_n[insertion.major]
     return Comparison(
         f"ch3/section 3.4.2/error of the cutting force, {insertion.profile}, case {insertion.case}", None,
         1e3 * float(np.sqrt(np.mean(error**2))), "mN", Agreement.OURS,
-        f"measured less friction (III-B) less inertia, where fresh tissue was cut with {1e3 * size.mean():.0f} mN on "
-        f"average; inertia at most {1e3 * np.abs(parts.inertia_n).max():.2f} mN; bubbles and noise remain",
+        f"measured - friction (III-B) - inertia, while fresh tissue is cut with {1e3 * true.mean():.0f} mN on average; "
+        f"inertia at most {1e3 * np.abs(parts.inertia_n).max():.2f} mN; bubbles and noise remain",
     )  # fmt: skip
 
 
@@ -167,7 +179,7 @@ _COLOURS = (VERMILLION, BLUE, ORANGE)
 def draw_prediction(
     records: Sequence[tuple[str, Record, NDArray[np.bool_]]], models: Mapping[str, Model], file: Path
 ) -> None:
-    """Draw records (name, record, where major cutting is) one above the other with the predictions."""
+    """Draw Fig. 3.6: records (name, record, mask of major cutting) one above the other, with the predictions."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.0, 5.6), layout="constrained")
@@ -192,6 +204,6 @@ def draw_prediction(
     caption(
         figure,
         "Fig. 3.6: needle B in tissue A, 0.08 Hz, 25 mm, tip inside. The measurement is Model III-B with the inserted "
-        "length, with cutting, minor cutting, air bubbles and noise of sizes that are ours.",
+        "length, plus cutting, minor cutting, air bubbles and noise of assumed amplitudes.",
     )
     save(figure, file)

@@ -49,6 +49,7 @@ __all__ = [
 THICKNESS_MM = 76.0
 """Thickness of the phantoms."""
 
+# Distance of the tip beyond the phantom, in the middle of the stroke.
 _PROTRUSION_MM = 50.0
 
 NEEDLE_MASS_KG = {"A": 0.044058, "B": 0.013128}
@@ -57,7 +58,7 @@ NEEDLE_MASS_KG = {"A": 0.044058, "B": 0.013128}
 
 @dataclass(frozen=True)
 class FrictionCase:
-    """A column of Table 3.1. The amplitude is from zero to peak: the text speaks of 10 mm/s in case 4, peak 14.1."""
+    """A column of Table 3.1. The amplitude is from zero to peak: case 4 reaches 14.1 mm/s; the text says 10 mm/s."""
 
     number: int
     frequency_hz: float
@@ -67,7 +68,7 @@ class FrictionCase:
 
     @property
     def top_speed_mm_s(self) -> float:
-        """Largest speed of the motion."""
+        """Largest speed of the motion (mm/s)."""
         return 2 * math.pi * self.frequency_hz * self.amplitude_mm
 
 
@@ -89,7 +90,7 @@ class PrintedParameter:
 
 
 def _table(**rows: tuple[float, ...]) -> dict[int, dict[str, PrintedParameter]]:
-    """Turn rows of mean, sd, mean, sd ... into columns by case."""
+    """Convert rows of mean, sd, mean, sd ... to parameters by case and name."""
     return {
         case: {name: PrintedParameter(*row[2 * column : 2 * column + 2]) for name, row in rows.items()}
         for column, case in enumerate(CASES)
@@ -156,7 +157,7 @@ def passing_through(case: int, cycles: float = 4.0, rate_hz: float = 200.0) -> M
 
 @dataclass(frozen=True)
 class Errors:
-    """RMSE in mN: over all speeds, up to half of the top speed, and above."""
+    """RMSE (mN): over all speeds, up to half of the top speed, and above."""
 
     total: float
     low: float
@@ -173,15 +174,15 @@ TABLE_3_5 = {
     "III-B": _row((17.9, 13.3, 28.1, 15.8), (18.1, 11.6, 26.6, 17.6), (17.8, 13.5, 28.7, 14.3)),
     "Karnopp": _row((28.2, 22.9, 39.8, 21.8), (38.9, 31.4, 52.3, 29.4), (21.2, 17.5, 32.3, 17.0)),
 }
-"""By model and case."""
+"""Table 3.5 by model and case."""
 
 TABLE_3_6 = {
     "solid": {"I": (79.0, 68.9), "II": (73.1, 67.0), "III-A": (39.2, 31.5), "III-B": (41.9, 22.8)},
     "dashed": {"I": (74.7, 62.8), "II": (75.6, 68.7), "III-A": (55.3, 35.7), "III-B": (51.6, 29.0)},
 }
-"""By profile of Fig. 3.4(b) and model: RMSE (mN) of cases 1 and 2, major cutting excluded."""
+"""Table 3.6 by profile of Fig. 3.4(b) and model: RMSE (mN) of cases 1 and 2 without major cutting."""
 
 
 def pooled_mn(errors: Errors) -> float:
-    """Return the total RMSE that low and high range make: a sine is slow (|cos| < 1/2) for a third of the time."""
+    """Return the total RMSE that follows from both ranges: a sine is slow (|cos| < 1/2) for a third of the time."""
     return math.sqrt(errors.low**2 / 3 + 2 * errors.high**2 / 3)

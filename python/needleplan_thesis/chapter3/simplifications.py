@@ -1,11 +1,10 @@
-"""Section 3.2: what the lumped and averaged models are worth beside the distributed one that they stand for.
+"""What simplifications of the friction model and of the signals cost: section 3.2 and Fig. 3.7.
 
-What a late velocity does to the identified friction.
-
-The fast observer of the thesis, [40, 400], delays the velocity by 0.1 s; the force went through a moving average of
-five samples, 10 ms. A loop between two signals that are not equally late opens, and the bristles get the blame.
-
-Fig. 3.7: tissue that gives way, and what the relative velocity makes of its loop.
+- Section 3.2: lumped and averaged models compared with the distributed model, which they approximate.
+- Delays: the fast observer of the thesis, [40, 400], delays the velocity by 0.1 s, and a moving average over five
+  samples delays the force by 10 ms. Two signals with different delays form an open loop, which the fit attributes to
+  the bristles.
+- Fig. 3.7: tissue that moves with the needle. Over the relative velocity, its loop closes.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ from needleplan_thesis.chapter3.published import CASES, model_ii, model_iii_b, p
 
 __all__ = ["averaging", "deforming_tissue", "opening", "peaks", "velocity_lag"]
 
-_SAYS = "rms against the distributed model with the same parameters, solved along its characteristics"
+_REFERENCE = "rms deviation from the distributed model with the same parameters, solved along its characteristics"
 
 
 def peaks() -> list[Comparison]:
-    """Return the largest forces of Models II and III-B, case 1, which nobody printed."""
+    """Return the largest forces of Models II and III-B, case 1, which the thesis does not print."""
     rows = []
     for label, model in (("II", model_ii(1)), ("III-B", model_iii_b(1))):
         motion = passing_through(1, cycles=2)
@@ -39,14 +38,14 @@ def peaks() -> list[Comparison]:
         for name, value in (("in", force.max()), ("out", force.min())):
             rows.append(Comparison(
                 f"ch3/section 3.2/largest force of Model {label} on the way {name}, case 1", None, float(value), "N",
-                Agreement.OURS, "beta v lowers it on the way in, and raises it on the way out" if label != "II" else "",
+                Agreement.OURS, "beta v lowers it on the way in and raises it on the way out" if label != "II" else "",
             ))  # fmt: skip
     return rows
 
 
 def averaging(note: Callable[[str], None], rate_hz: float) -> list[Comparison]:
-    """Compare lumped and averaged models with the distributed one: constant patch, and tip inside."""
-    note("friction: lumped models beside the distributed one")
+    """Compare lumped and averaged models with the distributed model: constant patch, and tip inside the tissue."""
+    note("friction: lumped models compared with the distributed model")
     rows = []
     for case, each in CASES.items():
         through = passing_through(case, cycles=1.25, rate_hz=rate_hz)
@@ -57,7 +56,7 @@ def averaging(note: Callable[[str], None], rate_hz: float) -> list[Comparison]:
         two, three = model_ii(case), model_iii_b(case)
         values = {name: value for name, value in three.values().items() if name != "exponent"}
         two_with_length = LumpedLuGre(**values, profile=Profile.ISOSCELES)
-        # One run of the distributed model for all that stand for the same parameters.
+        # The slow distributed model runs once for all models with the same parameters.
         rows += _compared(case, through, Profile.UNIFORM, {"constant patch, uniform force: II": two})
         rows += _compared(case, through, Profile.ISOSCELES, {"constant patch, trapezoid: II": two})
         rows += _compared(case, through, Profile.ISOSCELES, {
@@ -77,22 +76,23 @@ def _with(model: AveragedLuGre, beta: Beta) -> AveragedLuGre:
 
 
 def _compared(case: int, motion: Motion, profile: Profile, models: Mapping[str, LuGre]) -> list[Comparison]:
-    """Compare models of the same surface with the distributed one."""
+    """Compare models that share their parameters with the distributed model."""
     exact = distributed(next(iter(models.values())), motion, profile)
     rows = []
     for name, model in models.items():
         error = 1e3 * float(np.sqrt(np.mean((simulate(model, motion).output - exact) ** 2)))
-        rows.append(Comparison(f"ch3/section 3.2/{name}, case {case}", None, error, "mN", Agreement.OURS, _SAYS))
+        rows.append(Comparison(f"ch3/section 3.2/{name}, case {case}", None, error, "mN", Agreement.OURS, _REFERENCE))
     return rows
 
 
+# Standard deviation of the noise (N), and sampling rate.
 _NOISE_N = 0.004
 _RATE_HZ = 200.0
 
 
 def velocity_lag(note: Callable[[str], None]) -> list[Comparison]:
-    """Identify Model II, case 1, from signals that are late in four ways; 4 mN of noise on the force."""
-    note("friction: bias by the delay of the velocity")
+    """Identify Model II, case 1, from signals with four combinations of delays and 4 mN of noise."""
+    note("friction: bias due to the delay of the velocity")
     truth, motion = model_ii(1), passing_through(1, cycles=3, rate_hz=_RATE_HZ)
     observer = HighGainObserver.critically_damped(40.0, 1 / _RATE_HZ)
     force = simulate(truth, motion).output + _NOISE_N * np.random.default_rng(0).standard_normal(len(motion))
@@ -135,12 +135,12 @@ _TISSUES = {
         sigma0=5.0, sigma1=0.02, sigma2=0.015, mu_c=0.01, mu_s=0.008, alpha=0.1, stiffness=0.03, damping=0.005,
     )),
 }  # fmt: skip
-"""Amplitude (mm) and model at 0.1 Hz; no parameters were published for these tissues, and these are ours."""
+"""Amplitude (mm) and model at 0.1 Hz. The parameters are assumed: none were published for these tissues."""
 
 
 @dataclass(frozen=True)
 class _Loop:
-    """Velocities (mm/s) and force (N) after the first cycle."""
+    """Velocities (mm/s) and force (N) after the first cycle, for one tissue."""
 
     name: str
     needle: Array
@@ -150,8 +150,8 @@ class _Loop:
 
 
 def deforming_tissue(folder: Path | None, note: Callable[[str], None]) -> list[Comparison]:
-    """Compare how wide the loops are against both velocities; draw Fig. 3.7."""
-    note("friction: tissue that gives way")
+    """Compare the widths of the loops over both velocities; draw Fig. 3.7 if a folder is given."""
+    note("friction: moving tissue")
     loops = [_loop(name, amplitude, model) for name, (amplitude, model) in _TISSUES.items()]
     rows = []
     for each in loops:
@@ -160,9 +160,9 @@ def deforming_tissue(folder: Path | None, note: Callable[[str], None]) -> list[C
         rows.append(Comparison(
             f"ch3/Fig. 3.7/{each.name}: hysteresis mostly gone against the relative velocity", "yes",
             "yes" if narrower else "no", "", Agreement.REPRODUCED if narrower else Agreement.NOT_REPRODUCED,
-            f"opening at zero force, share of the top speed: {wide:.2f} against the needle, {tuned:.2f} against the "
-            f"tuned slow observer, {true:.2f} against the true relative velocity; Kelvin-Voigt tissue of ours under "
-            "Model II, no relaxation",
+            f"width at zero force over the top speed: {wide:.2f} over the velocity of the needle, {tuned:.2f} over "
+            f"that of the tuned slow observer, {true:.2f} over the true relative velocity; assumed Kelvin-Voigt tissue "
+            "under Model II, no relaxation",
         ))  # fmt: skip
     if folder:
         _draw(loops, folder / "fig_3_7_tissue.png")
@@ -170,7 +170,7 @@ def deforming_tissue(folder: Path | None, note: Callable[[str], None]) -> list[C
 
 
 def opening(force: Array, velocity: Array) -> float:
-    """Return the distance of the two branches of a loop at zero force, as a share of the top speed."""
+    """Return the distance between the two branches of a loop at zero force, divided by the top speed."""
     before = np.flatnonzero(np.sign(force[:-1]) != np.sign(force[1:]))
     share = force[before] / (force[before] - force[before + 1])
     crossing = velocity[before] + share * (velocity[before + 1] - velocity[before])
@@ -209,7 +209,7 @@ def _draw(loops: list[_Loop], file: Path) -> None:
             title(axes, f"({letter}) {loop.name}")
     caption(
         figure,
-        "Fig. 3.7: friction in tissue that gives way, 0.1 Hz, 40 mm and 25 mm. Synthetic: Kelvin-Voigt tissue under "
-        "Model II with parameters of ours; force and velocities all through the fast observer's low pass.",
+        "Fig. 3.7: friction in moving tissue, 0.1 Hz, 40 mm and 25 mm. Synthetic: Kelvin-Voigt tissue under Model II "
+        "with assumed parameters; force and velocities filtered by the low pass of the fast observer.",
     )
     save(figure, file)

@@ -1,7 +1,4 @@
-"""Tables 3.1 to 3.4: conditions and parameters.
-
-Table 3.5: how far each model is from data, and in which order.
-"""
+"""Tables 3.1 to 3.5: conditions, identified parameters, and errors of the models."""
 
 from __future__ import annotations
 
@@ -25,16 +22,16 @@ from needleplan_thesis.chapter3.published import (
 
 __all__ = ["errors", "orders", "parameters", "printed_output", "recovered", "statements"]
 
-_NO_DATA = "no measured data were published; ours: identified from data of III-B with Table 3.4 and 15 mN of noise"
-_ROUND_TRIP = "a round trip, no evidence on tissue: data made with the printed values give them back"
+_NO_DATA = "no measured data were published; computed: identified from data of III-B with Table 3.4 and 15 mN of noise"
+_ROUND_TRIP = "a round trip, no evidence about tissue: data simulated with the printed values return them"
 _STATIC = (
-    "mu_c, alpha and sigma2 of a static model trade off (standard deviations above 50 %): another point of the valley"
+    "mu_c, alpha and sigma2 of a static model trade off (standard deviations above 50 %): other values fit as well"
 )
-_SIGMA0 = "a patch of 76 mm is 50 to 2000 times g/sigma0: the force of Model I does not depend on sigma0 by 1 %"
+_SIGMA0 = "a patch of 76 mm is 50 to 2000 times g/sigma0: sigma0 changes the force of Model I by less than 1 %"
 
 
 def parameters(fits: Sequence[CaseFits]) -> list[Comparison]:
-    """Compare the identified parameters of Models I, II and III-B with Tables 3.2 to 3.4; data from III-B."""
+    """Compare identified parameters of Models I, II and III-B with Tables 3.2 to 3.4; data from III-B."""
     speed = CASES[4].top_speed_mm_s
     rows = [
         Comparison(
@@ -58,70 +55,72 @@ def _row(identity: str, printed: PrintedParameter, fits: CaseFits, label: str, n
         return Comparison(identity, printed.mean, None, "", Agreement.IMPOSSIBLE, _SIGMA0)
     found = estimates[name]
     reason = {"I": f"{_NO_DATA}; {_STATIC}", "II": _NO_DATA, "III-B": _ROUND_TRIP}[label]
-    reason = f"{reason}; ours +- {found.sd:.2g}, printed +- {printed.sd:g}"
-    # The table prints three digits: a standard deviation of 0.000 is up to half of the last one.
+    reason = f"{reason}; computed +- {found.sd:.2g}, printed +- {printed.sd:g}"
+    # The table prints three decimals, so a standard deviation of 0.000 may be up to 0.0005.
     if abs(found.value - printed.mean) <= 2 * max(printed.sd, 5e-4):
         return Comparison(identity, printed.mean, found.value, found.unit, Agreement.REPRODUCED, reason)
     return measured(identity, printed.mean, found.value, found.unit, reason)
 
 
 def recovered(fits: Sequence[CaseFits]) -> list[Comparison]:
-    """Say which lambda comes back, and how little it rests on."""
+    """Compare the best lambda with the published one; the reason lists the errors of all lambdas."""
     rows = []
     for each in fits:
         errors = {exponent: 1e3 * found.rmse for exponent, found in each.exponents.items()}
         slopes = {exponent: found.estimates["mu_c"].value for exponent, found in each.exponents.items()}
-        said = ", ".join(f"{exponent:g}: {errors[exponent]:.1f} mN, mu_c {slopes[exponent]:.2f}" for exponent in errors)
+        listed = ", ".join(
+            f"{exponent:g}: {errors[exponent]:.1f} mN, mu_c {slopes[exponent]:.2f}" for exponent in errors
+        )
         published = 5.0 if each.case == 1 else None
         verdict = Agreement.OURS if published is None else (
             Agreement.REPRODUCED if each.exponent == published else Agreement.NOT_REPRODUCED
         )  # fmt: skip
         rows.append(Comparison(
             f"ch3/section 3.4.1/lambda of the smallest error, case {each.case}, data from {each.generator}",
-            published, each.exponent, "", verdict, said,
+            published, each.exponent, "", verdict, listed,
         ))  # fmt: skip
     return rows
 
 
-_SYNTHETIC = "data from III-B with Table 3.4 and 15 mN of white noise, the floor; no measured data were published"
-_CASE_3 = "the printed 28 to 49 mN of case 3 are twice those of the others: something in that record that no model has"
+_SYNTHETIC = "data from III-B with Table 3.4 and 15 mN of white noise (the lower limit); no data were published"
+_CASE_3 = "the printed 28 to 49 mN of case 3 are twice those of the others: an effect in that record that no model has"
 _NESTED = (
     "the Karnopp model is Model I with alpha or mu_s at an end of its range, so a fitted Model I cannot be worse; the "
-    "printed order comes about with the averaged values of Table 3.2"
+    "printed order follows with the averaged values of Table 3.2"
 )
 _PRINTED_ORDER = "III-B < II < Karnopp < I"
 
 
 def errors(fits: Sequence[CaseFits]) -> list[Comparison]:
-    """Compare all 48 errors; data from III-B."""
+    """Compare all 48 errors of Table 3.5; data from III-B."""
     rows = []
     for label, cases in TABLE_3_5.items():
         for each in fits:
-            ours, printed = each.errors(label), cases[each.case]
+            computed, printed = each.errors(label), cases[each.case]
             for part in ("total", "low", "high"):
                 reason = f"{_SYNTHETIC}; {_CASE_3}" if each.case == 3 else _SYNTHETIC
                 identity = f"ch3/Table 3.5/{label}, case {each.case}, {part}"
-                rows.append(measured(identity, getattr(printed, part), getattr(ours, part), "mN", reason))
+                rows.append(measured(identity, getattr(printed, part), getattr(computed, part), "mN", reason))
     return rows
 
 
 def orders(every: Sequence[Sequence[CaseFits]]) -> list[Comparison]:
-    """Compare the order of the models by total error, generator by generator."""
+    """Compare the ranking of the models by total error, for each generator."""
     rows = []
     for fits in every:
         for each in fits:
             total = {label: each.errors(label).total for label in TABLE_3_5}
             ranking = sorted(total, key=lambda label: total[label])
-            ours = " < ".join(ranking)
-            same = ours == _PRINTED_ORDER
+            computed = " < ".join(ranking)
+            same = computed == _PRINTED_ORDER
             reason = ", ".join(f"{label} {total[label]:.1f} mN" for label in ranking)
             if total["I"] <= total["Karnopp"]:
                 reason += f"; {_NESTED}"
             if each.errors("II").total <= each.errors("III-B").total:
-                reason += "; that III-B is better than II holds for data with its asymmetry only"
+                reason += "; III-B is better than II only for data with its asymmetry"
             rows.append(Comparison(
                 f"ch3/Table 3.5/order of fitted models, case {each.case}, data from {each.generator}", _PRINTED_ORDER,
-                ours, "", Agreement.REPRODUCED if same else Agreement.NOT_REPRODUCED, reason,
+                computed, "", Agreement.REPRODUCED if same else Agreement.NOT_REPRODUCED, reason,
             ))  # fmt: skip
     for each in every[0]:
         averaged = errors_mn(model_i(each.case), each.record).total
@@ -136,7 +135,7 @@ def orders(every: Sequence[Sequence[CaseFits]]) -> list[Comparison]:
 
 
 def statements() -> list[Comparison]:
-    """Hold the text of section 3.4.1 against the table it speaks of."""
+    """Compare statements of section 3.4.1 with Table 3.5, which they describe."""
     worst = max(
         (abs(pooled_mn(each) - each.total), f"{label}, case {case}")
         for label, cases in TABLE_3_5.items()
@@ -148,35 +147,35 @@ def statements() -> list[Comparison]:
         Comparison(
             "ch3/Table 3.5/total^2 = low^2/3 + 2 high^2/3, largest deviation of 16", 0.0, worst[0], "mN",
             Agreement.REPRODUCED if worst[0] < 0.5 else Agreement.NOT_REPRODUCED,
-            f"rounding of the table, and its averages over four points; largest for {worst[1]}",
+            f"due to rounding and to averages over four insertion points; largest for {worst[1]}",
         ),
-        _claim("Model I better than Karnopp at low speed", "1, 2, 4", low["I"], low["Karnopp"]),
-        _claim("Model II better than III-B at low speed", "1, 4", low["II"], low["III-B"]),
-        _claim("Karnopp better than Model II at high speed", "3, 4", high["Karnopp"], high["II"]),
+        _statement("Model I better than Karnopp at low speed", "1, 2, 4", low["I"], low["Karnopp"]),
+        _statement("Model II better than III-B at low speed", "1, 4", low["II"], low["III-B"]),
+        _statement("Karnopp better than Model II at high speed", "3, 4", high["Karnopp"], high["II"]),
     ]  # fmt: skip
 
 
-def _claim(name: str, published: str, better: dict[int, float], worse: dict[int, float]) -> Comparison:
-    ours = ", ".join(str(case) for case in better if better[case] < worse[case])
-    reason = "" if ours == published else "the text names other cases than its own table, as pooling proves"
-    verdict = Agreement.REPRODUCED if ours == published else Agreement.NOT_REPRODUCED
-    return Comparison(f"ch3/Table 3.5/cases: {name}", published, ours, "", verdict, reason)
+def _statement(name: str, published: str, better: dict[int, float], worse: dict[int, float]) -> Comparison:
+    computed = ", ".join(str(case) for case in better if better[case] < worse[case])
+    reason = "" if computed == published else "the cases in the text contradict the table, as pooling proves"
+    verdict = Agreement.REPRODUCED if computed == published else Agreement.NOT_REPRODUCED
+    return Comparison(f"ch3/Table 3.5/cases: {name}", published, computed, "", verdict, reason)
 
 
 def printed_output(fits: Sequence[CaseFits]) -> list[Comparison]:
-    """Fit Model III-B with the output (3.19) as printed: what the tables would then look like."""
+    """Fit Model III-B with the output as printed in (3.19), to show that the tables do not use it."""
     rows = []
     for each in fits:
         start = each.fits["III-B"].model
         assert isinstance(start, AveragedLuGre)
         printed = AveragedLuGre(**{**vars(start), "form": OutputForm.PRINTED})
         found = fit(printed, each.record, mask=steady)
-        ours: Errors = errors_mn(found.model, each.record)
+        with_printed: Errors = errors_mn(found.model, each.record)
         rows.append(Comparison(
             f"ch3/Eq. 3.19/sigma1 of III-B fitted with the printed output, case {each.case}",
             MODEL_III_B[each.case]["sigma1"].mean, found.estimates["sigma1"].value, "s/mm", Agreement.NOT_REPRODUCED,
             "as printed, the damping of the bristles cancels and leaves a one-sided force, which a fit drives to zero: "
-            f"the printed sigma1 speaks for (3.11); error {ours.total:.1f} mN with (3.19), "
+            f"the printed sigma1 indicates (3.11); error {with_printed.total:.1f} mN with (3.19), "
             f"{each.errors('III-B').total:.1f} mN with (3.11), {each.errors('I').total:.1f} mN for the static model",
         ))  # fmt: skip
     return rows

@@ -1,4 +1,4 @@
-"""Everything of chapter 4, in the order of the chapter."""
+"""Entry point of `needleplan reproduce ch4`: all comparisons and figures, in the order of the chapter."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ __all__ = ["files", "run"]
 
 
 def files(_: Request) -> tuple[str, ...]:
-    """Return the names of the files that `run` writes into its folder."""
+    """Return the names of the files that `run` writes into the output folder."""
     return ("figure_4_3.png", "figure_4_4.png", "figure_4_5.png", "figure_4_6.png")
 
 
 def run(request: Request) -> list[Comparison]:
-    """Reproduce the chapter; Figures 4.3 to 4.6 where there is a folder."""
+    """Reproduce the chapter; draw Figures 4.3 to 4.6 if the request names a folder."""
     quick = request.effort is Effort.QUICK
     cycles, rate_hz = (2.0, 50.0) if quick else (4.0, FORCE_HZ)
-    request.note("chapter 4: the loops")
+    request.note("chapter 4: loops of friction and velocity")
     gelatin = compensated(GELATIN_PHANTOM.trial(cycles, rate_hz), GELATIN.alpha1)
     agar = compensated(AGAR_PHANTOM.trial(cycles, rate_hz), AGAR.alpha1)
     if request.folder:

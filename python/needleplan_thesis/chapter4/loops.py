@@ -17,18 +17,20 @@ from needleplan_thesis.chapter4.phantoms import FREQUENCY_HZ, PhantomTrial, Tune
 
 __all__ = ["FrictionLoop", "compensated", "draw_loops", "loop_rows"]
 
+# Beginning of a trial that no error includes (s).
 _SKIPPED_S = 1.0
-_CLEARLY = 0.8
-"""An error below this share of another is clearly smaller."""
 
-_OURS = "the phantom is ours; it was tuned by hand in the thesis, here by the gap at zero force"
+# Ratio of two errors below which the first one is clearly smaller.
+_CLEARLY = 0.8
+
+_TUNING = "the phantom is assumed; the thesis tunes by hand, the computation by the gap at zero force"
 
 
 @dataclass(frozen=True)
 class FrictionLoop:
-    """Model II fitted over the velocity of the fast observer, and over that of the slow one.
+    """Model II fitted over the velocities of the fast and of the slow observer.
 
-    Where the tuning finds no slow observer, `projection` has the one that the thesis tuned.
+    If the tuning finds no slow observer, `projection` holds that of the thesis.
     """
 
     trial: PhantomTrial
@@ -41,22 +43,22 @@ class FrictionLoop:
 
     @property
     def counted(self) -> Array:
-        """Samples that count: all but the first second."""
+        """Mask of the samples that errors include: all but the first second."""
         return np.asarray(self.trial.motion.time_s >= _SKIPPED_S)
 
     def rmse_n(self, simulated: Array) -> float:
-        """Return the error of a simulated force."""
+        """Return the RMSE of a simulated force (N)."""
         left = (self.trial.record["force_n"] - simulated)[self.counted]
         return float(np.sqrt(np.mean(left**2)))
 
     @property
     def vs_error(self) -> float:
-        """Error of v_s over the true velocity against the tissue as the fast observer sees it, rms over rms."""
+        """RMS error of v_s, relative to the true velocity against the tissue, filtered by the fast observer."""
         return self._error(self.slow_mm_s)
 
     @property
     def vf_error(self) -> float:
-        """The same without compensation."""
+        """RMS error of v_f, relative to the same velocity: the error without compensation."""
         return self._error(self.fast_mm_s)
 
     def _error(self, velocity: Array) -> float:
@@ -65,7 +67,10 @@ class FrictionLoop:
 
 
 def compensated(trial: PhantomTrial, slow_alpha1: float) -> FrictionLoop:
-    """Return the loop of a trial; `slow_alpha1` stands in where the tuning finds no slow observer."""
+    """Tune the slow observer to a trial, and fit Model II over both velocities.
+
+    `slow_alpha1` is used if the tuning finds no slow observer.
+    """
     record = trial.record
     tuned = tune_slow_observer(record["time_s"], record["depth_mm"], record["force_n"])
     interval = float(record["time_s"][1] - record["time_s"][0])
@@ -77,7 +82,7 @@ def compensated(trial: PhantomTrial, slow_alpha1: float) -> FrictionLoop:
 
 
 def _fitted(record: Record, velocity: Array) -> Array:
-    """Return the force of Model II fitted over a velocity, as the thesis does: the force is not filtered with it."""
+    """Return the force of Model II, fitted over a filtered velocity and an unfiltered force, as in the thesis."""
     seen = record.with_column("velocity_mm_s", velocity)
     first = tissue_start(record)
     names = ("sigma0", "sigma1", "sigma2", "mu_c", "mu_s", "alpha")
@@ -89,22 +94,24 @@ def _fitted(record: Record, velocity: Array) -> Array:
 
 
 def loop_rows(loop: FrictionLoop, tuned: Tuned, figure: str) -> list[Comparison]:
-    """Return alpha1, errors of the fits and of v_s."""
+    """Compare alpha1 and the fits, and list the errors of the velocities."""
     name = f"ch4/{figure}/{tuned.phantom}"
     rows = []
     if loop.tuned.alpha1 is None:
-        words = f"{loop.tuned.status}, the fast velocity stays"
-        why = f"damping of the bristles closes the loop of a stiff phantom: no slow observer is needed; {_OURS}"
+        words = f"{loop.tuned.status}, the fast velocity is used"
+        why = (
+            f"the damping of the bristles closes the loop of a stiff phantom, so no slow observer is needed; {_TUNING}"
+        )
         rows.append(
             Comparison(f"{name}/alpha1 of the slow observer", tuned.alpha1, words, "1/s", Agreement.DIFFERS, why)
         )
     else:
         late = float(np.degrees(loop.projection.lag_rad(FREQUENCY_HZ)))
         rows += [
-            measured(f"{name}/alpha1 of the slow observer", tuned.alpha1, loop.tuned.alpha1, "1/s", _OURS),
+            measured(f"{name}/alpha1 of the slow observer", tuned.alpha1, loop.tuned.alpha1, "1/s", _TUNING),
             Comparison(
                 f"{name}/lag of the slow observer less the true one", None, late - loop.trial.lag_deg, "deg",
-                Agreement.OURS, "true lag of the generator, which no sensor of the thesis shows",
+                Agreement.OURS, "the true lag is known from the simulation; no sensor of the thesis measures it",
             ),
         ]  # fmt: skip
     before, after = 1e3 * loop.rmse_n(loop.over_fast_n), 1e3 * loop.rmse_n(loop.over_slow_n)
@@ -114,19 +121,19 @@ def loop_rows(loop: FrictionLoop, tuned: Tuned, figure: str) -> list[Comparison]
             f"{name}/Model II fits over v_s and not over v_f", "yes",
             f"RMSE {before:.1f} mN over v_f, {after:.1f} mN over v_s", "",
             Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED,
-            "said to hold where the second error is below 0.8 of the first; 4 mN are noise",
+            "holds if the second error is below 0.8 of the first; the noise contributes 4 mN",
         ),
         Comparison(
             f"{name}/error of the velocity against the tissue", None,
             f"{100 * loop.vf_error:.1f} % with v_f, {100 * loop.vs_error:.1f} % with v_s", "", Agreement.OURS,
-            "rms over rms, beside the true one through the fast observer",
+            "rms error over rms of the true velocity, which is filtered by the fast observer",
         ),
     ]  # fmt: skip
     return rows
 
 
 def draw_loops(loop: FrictionLoop, tuned: Tuned, file: Path) -> None:
-    """Draw the loops over v_f, the identified one brought back by the inverse, and over v_s."""
+    """Draw the loops over v_f and v_s; 1/H maps the fit over v_s back to v_f."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
@@ -135,7 +142,7 @@ def draw_loops(loop: FrictionLoop, tuned: Tuned, file: Path) -> None:
     back = loop.projection.inverse.apply(loop.slow_mm_s)
     slow = loop.projection.slow.alpha1
     panels = (
-        (loop.fast_mm_s, back, "fast velocity v_f (mm/s)", f"(a) {tuned.phantom}, brought back by 1/H"),
+        (loop.fast_mm_s, back, "fast velocity v_f (mm/s)", f"(a) {tuned.phantom}, mapped back by 1/H"),
         (
             loop.slow_mm_s,
             loop.slow_mm_s,

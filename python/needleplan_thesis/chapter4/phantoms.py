@@ -1,19 +1,20 @@
-"""What chapter 4 of the thesis prints: section 4.3.2 and the captions of Figures 4.3 to 4.6.
+"""Published numbers of chapter 4, and the phantoms of known stiffness that replace its measurements.
 
-The figures themselves are not in the text that is available, so that displacements and forces, which are only drawn,
-have no published number here.
+Published: section 4.3.2 and the captions of Figures 4.3 to 4.6. Displacements and forces are only drawn in the figures,
+so they have no published numbers here.
 
-The generator of chapter 4's data: phantoms of known stiffness under a friction that is not the one that is fitted.
+Simulated: the friction is Model III-B (beta v), so that the fitted Model II is not the true model. Lambda is 0.5, which
+of the four values of the thesis is nearest to the distributed equations (lambda -> 0). The tissue is Kelvin-Voigt. The
+needle has passed through the phantom and oscillates by 40 mm at 0.1 Hz for four cycles. The sensors are
 
-Friction: Model III-B (beta v), so that the identified Model II never sees itself, with lambda = 0.5, the value of the
-thesis' four that is nearest to what the distributed equations give (lambda -> 0). Tissue: Kelvin-Voigt. The needle has
-passed through and swings by 40 mm at 0.1 Hz for four cycles. Force at 200 Hz, 4 mN after the average over five samples;
-encoder in steps of 1 micrometre; three trackers in the tissue at 40 Hz with 0.1 mm of noise, which move by 0.8, 0.6 and
-1 times the displacement that the friction feels (the order of the thesis: sensor 3 moves most, sensor 2 least).
+- force at 200 Hz with 4 mN of noise after the average over five samples;
+- an encoder with steps of 1 micrometre;
+- three trackers in the tissue at 40 Hz with 0.1 mm of noise. They move by 0.8, 0.6 and 1 times the displacement at the
+  shaft: in the thesis, sensor 3 moves most and sensor 2 least.
 
-Stiffness and damping are ours. Those of gelatin are chosen so that the velocity against the tissue lags by about what
-sensor 3 said (10.13 degrees), those of agar by about what its observer said (2.99 degrees): lags are not evidence, what
-methods make of them is.
+Stiffness and damping are assumed. With those of gelatin, the velocity against the tissue lags by about the published
+lag of sensor 3 (10.13 degrees); with those of agar, by about that of its observer (2.99 degrees). The lags are
+therefore no evidence, but the errors of the methods are.
 """
 
 from __future__ import annotations
@@ -52,12 +53,12 @@ FAST = (40.0, 400.0)
 """pf of Figures 4.3 and 4.5: alpha1 (1/s), alpha2 (1/s^2)."""
 
 SENSOR_LAG_DEG = 10.13
-"""By how much the needle's velocity less that of sensor 3 lags the needle's, in gelatin."""
+"""Lag in gelatin of the velocity of the needle relative to sensor 3, behind the velocity of the needle."""
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """A slow observer that was tuned by hand, and H(z) at 0.1 Hz."""
+    """A slow observer of the thesis, tuned by hand, and its H(z) at 0.1 Hz."""
 
     phantom: str
     alpha1: float
@@ -71,21 +72,26 @@ AGAR = Tuned("agar", 22.0, 121.0, 0.19, 2.99)
 
 
 SHARES = (0.8, 0.6, 1.0)
-"""Displacement of the three sensors over that of the tissue at the shaft."""
+"""Displacements of the three sensors, relative to that of the tissue at the shaft."""
 
+# Standard deviation of the force after the average, and of the trackers.
 _FORCE_SD_N = 0.004
 _TRACKER_SD_MM = 0.1
+
+# Depth of the tip in the middle of the stroke; the phantom ends before it.
 _OUTSIDE_MM = 126.0
+
+# Number of samples of the force sensor's moving average.
 _AVERAGED = 5
 _LAMBDA = 0.5
 
 
 @dataclass(frozen=True)
 class PhantomTrial:
-    """A trial with the truth that no sensor shows.
+    """A simulated trial with its true velocity.
 
     `record` has the depth of the encoder and the averaged force; `relative_mm_s` is the true velocity against the
-    tissue; `tracker_time_s` and `sensors_mm`, shape (3, samples), are what the trackers say.
+    tissue; `sensors_mm`, shape (3, samples), are the positions of the trackers at `tracker_time_s`.
     """
 
     motion: Motion
@@ -96,7 +102,7 @@ class PhantomTrial:
 
     @property
     def lag_deg(self) -> float:
-        """True lag of the velocity against the tissue, without the first cycle."""
+        """True lag of the velocity against the tissue (degrees), without the first cycle."""
         settled = self.motion.time_s >= 1 / FREQUENCY_HZ
         time, velocity = self.motion.time_s[settled], self.motion.velocity_mm_s[settled]
         return float(np.degrees(lag_rad(FREQUENCY_HZ, time, self.relative_mm_s[settled], velocity)))
@@ -104,13 +110,13 @@ class PhantomTrial:
 
 @dataclass(frozen=True)
 class Phantom:
-    """A tissue with its friction."""
+    """A tissue, and the friction of a needle in it."""
 
     name: str
     model: AveragedOnTissue
 
     def trial(self, cycles: float = 4.0, rate_hz: float = FORCE_HZ, amplitude_mm: float = AMPLITUDE_MM) -> PhantomTrial:
-        """Return one trial, always the same."""
+        """Simulate a trial; the noise is the same in each call."""
         motion = sinusoid(
             offset_mm=_OUTSIDE_MM, amplitude_mm=amplitude_mm, frequency_hz=FREQUENCY_HZ, cycles=cycles, rate_hz=rate_hz
         )
@@ -135,7 +141,7 @@ class Phantom:
 
 
 def _mixed(stiffness: float, damping: float) -> AveragedOnTissue:
-    """Return friction of the size of Table 3.4, case 1, on tissue."""
+    """Return the friction of Table 3.4, case 1, on tissue of a stiffness (N/mm) and damping (N s/mm)."""
     return AveragedOnTissue(
         sigma0=1.203, sigma1=0.374, sigma2=0.014, mu_c=0.788, mu_s=0.033, alpha=0.088,
         stiffness=stiffness, damping=damping, exponent=_LAMBDA,

@@ -1,4 +1,4 @@
-"""The observers by themselves: equations (4.1) to (4.3), Figure 4.6 and its numbers; no data are needed."""
+"""The observers without data: equations (4.1) to (4.3), and Figure 4.6 with its numbers."""
 
 from __future__ import annotations
 
@@ -15,13 +15,18 @@ from needleplan_thesis.chapter4.phantoms import AGAR, FAST, FREQUENCY_HZ, GELATI
 
 __all__ = ["draw_bode", "response"]
 
+# Sampling intervals to compare with the unpublished one; 25 ms is that of the tracker.
 _INTERVALS_S = (0.001, 0.005, 0.025)
+
+# A value other than that of the thesis (1), to tell the printed equations from the correct ones.
 _EPSILON = 0.5
+
+# alpha1 of the curves of Figure 4.6 (1/s).
 _ALPHAS = (5.0, GELATIN.alpha1, AGAR.alpha1)
 
 
 def response() -> list[Comparison]:
-    """Return all that follows from the equations alone."""
+    """Return all comparisons that need the equations only."""
     return [
         *_damping(),
         *_equations(),
@@ -32,7 +37,7 @@ def response() -> list[Comparison]:
 
 
 def draw_bode(folder: Path) -> None:
-    """Draw Figure 4.6."""
+    """Draw Figure 4.6 into a folder."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
@@ -80,9 +85,10 @@ def _equations() -> list[Comparison]:
         rows.append(
             Comparison(
                 f"ch4/equation 4.2/transfer function of the recursion, epsilon {epsilon:g}",
-                "(4.2) for any epsilon", f"(4.2) is off by up to {100 * apart:.2g} %; ours by {recursion:.1g} mm/s", "",
+                "(4.2) for any epsilon", f"(4.2) is off by up to {100 * apart:.2g} %; "
+                f"the computed one by {recursion:.1g} mm/s", "",
                 Agreement.REPRODUCED if apart < 1e-9 else Agreement.NOT_REPRODUCED,
-                "" if apart < 1e-9 else "(4.1) and (4.2) divide alpha2 by epsilon once; the observer needs it twice",
+                "" if apart < 1e-9 else "(4.1) and (4.2) divide alpha2 by epsilon once; the observer divides it twice",
             )
         )  # fmt: skip
     longest = HighGainObserver.critically_damped(FAST_ALPHA1, 0.005).longest_interval_s
@@ -101,7 +107,7 @@ def _at_a_tenth_of_a_hertz(tuned: Tuned) -> list[Comparison]:
         rows += [
             measured(
                 f"{name}/attenuation at 0.1 Hz, {at}", tuned.attenuation_percent, round(lost, 3), "%",
-                "the sampling interval is not printed; 25 ms, that of the tracker, comes nearest",
+                "the sampling interval is not printed; 25 ms, that of the tracker, agrees best",
             ),
             measured(
                 f"{name}/lag at 0.1 Hz, {at}", tuned.lag_deg, round(late, 3), "deg",
@@ -115,7 +121,7 @@ def _at_a_tenth_of_a_hertz(tuned: Tuned) -> list[Comparison]:
         )
 
     implied = 1e3 * float(brentq(excess, 1e-3, 0.1))
-    why = "both attenuations agree on it; of the rates named, the 40 Hz of the tracker (25 ms) is nearest"
+    why = "both attenuations imply nearly the same interval; of the named rates, 40 Hz (tracker, 25 ms) is nearest"
     rows.append(Comparison(f"{name}/interval that the attenuation implies", None, implied, "ms", Agreement.OURS, why))
     return rows
 
@@ -126,9 +132,9 @@ def _monotone() -> Comparison:
     lost = np.array([float(each.attenuation(FREQUENCY_HZ)) for each in pairs])
     late = np.array([float(each.lag_rad(FREQUENCY_HZ)) for each in pairs])
     holds = bool((np.diff(lost) < 0).all() and (np.diff(late) < 0).all())
-    ours = f"at each of {alphas.size} values" if holds else "no"
+    computed = f"at each of {alphas.size} values" if holds else "no"
     return Comparison(
-        "ch4/figure 4.6/a smaller alpha1 attenuates and delays more", "yes", ours, "",
+        "ch4/figure 4.6/a smaller alpha1 attenuates and delays more", "yes", computed, "",
         Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED,
     )  # fmt: skip
 
@@ -146,12 +152,12 @@ def _inverse() -> list[Comparison]:
                 f"ch4/equation 4.3/{tuned.phantom}/back to the fast velocity", "inverse z-transform",
                 f"causal and stable, round trip {error:.1g} mm/s", "",
                 Agreement.REPRODUCED if causal and error < 1e-8 else Agreement.NOT_REPRODUCED,
-                "a round trip says nothing of the friction model: the fast velocity is known",
+                "a round trip does not test the friction model, because the fast velocity is known",
             ),
             Comparison(
                 f"ch4/equation 4.3/{tuned.phantom}/gain of the inverse at Nyquist", None,
                 float(np.abs(projection.inverse.response(100.0))), "", Agreement.OURS,
-                "what noise in v_s is amplified by",
+                "amplification of noise in v_s",
             ),
         ]  # fmt: skip
     return rows

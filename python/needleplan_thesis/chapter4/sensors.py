@@ -1,6 +1,6 @@
-"""Figure 4.4: what sensors in the tissue say of its motion, beside the slow observer.
+"""Sensors in the tissue compared with the slow observer (Figure 4.4), and tissue parameters fitted to known phantoms.
 
-What the slow observer and the fit of the tissue make of phantoms of known stiffness; nothing of it was published.
+The thesis publishes nothing to compare the second part with.
 """
 
 from __future__ import annotations
@@ -21,18 +21,20 @@ from needleplan_thesis.chapter4.phantoms import FREQUENCY_HZ, GELATIN, SENSOR_LA
 
 __all__ = ["draw_sensors", "sensor_rows", "tissue_rows"]
 
+# Noise density of the tracker filter (mm^2/s^5): jerks of about 1 mm/s^3 that last a second, as in tissue at 0.1 Hz.
 _DENSITY = 3.0
-"""Driving noise of the tracker's filter, mm^2/s^5: jerks of 1 mm/s^3, as tissue at 0.1 Hz has, for a second or so."""
 
+# Standard deviation of the trackers.
 _SD_MM = 0.1
+
+# Beginning of a trial that no comparison includes (s), and that no velocity is drawn for, until the filter settles.
 _SKIPPED_S = 2.0
 _SETTLING_S = 0.5
-"""While the filter of the trackers finds their velocity, it is not drawn."""
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """Velocities at the samples of the trackers; shape (3, samples) for the sensors."""
+    """Velocities at the times of the trackers; `tissue_mm_s` has the shape (3, samples), one row per sensor."""
 
     time_s: Array
     tissue_mm_s: Array
@@ -41,7 +43,7 @@ class _Seen:
 
     @property
     def relative_mm_s(self) -> Array:
-        """Fast velocity of the needle less that of each sensor: v_comp of the thesis."""
+        """Fast velocity of the needle minus that of each sensor, shape (3, samples): v_comp of the thesis."""
         return np.asarray(self.fast_mm_s - self.tissue_mm_s)
 
 
@@ -55,7 +57,7 @@ def _seen(loop: FrictionLoop) -> _Seen:
 
 
 def sensor_rows(loop: FrictionLoop) -> list[Comparison]:
-    """Return lags of the sensors and how well the slow observer agrees with them."""
+    """Compare the lags of the sensors, and the slow observer with the sensors."""
     seen = _seen(loop)
     counts = seen.time_s >= _SKIPPED_S
     relative = seen.relative_mm_s[:, counts]
@@ -64,23 +66,23 @@ def sensor_rows(loop: FrictionLoop) -> list[Comparison]:
     apart = np.sqrt(np.mean((relative - slow) ** 2, axis=1) / np.mean(relative**2, axis=1))
     best = int(np.argmin(apart)) + 1
     observed = float(np.degrees(loop.projection.lag_rad(FREQUENCY_HZ)))
-    chosen = "the stiffness of the generator was chosen for this lag"
+    chosen = "the stiffness of the phantom was chosen for this lag"
     return [
         measured("ch4/figure 4.4/lag of v_comp,3 behind v_f", SENSOR_LAG_DEG, lags[2], "deg", chosen),
         measured(
             "ch4/figure 4.4/observer less v_comp,3", round(GELATIN.lag_deg - SENSOR_LAG_DEG, 2), observed - lags[2],
-            "deg", "the error of the method; its sign and size depend on how dry the friction is",
+            "deg", "the error of the method; it depends on the ratio of dry to viscous friction",
         ),
         Comparison(
             "ch4/figure 4.4/v_s agrees with the sensors", "close agreement",
             ", ".join(f"sensor {number}: {100 * each:.0f} %" for number, each in enumerate(apart, start=1)), "",
             Agreement.REPRODUCED if apart.min() < 0.1 else Agreement.NOT_REPRODUCED,
-            "rms of the difference over rms of v_comp",
+            "rms difference over rms of v_comp",
         ),
         Comparison(
             "ch4/figure 4.4/best match", "sensor 3", f"sensor {best}", "",
             Agreement.REPRODUCED if best == 3 else Agreement.NOT_REPRODUCED,
-            f"sensors that move {', '.join(map(str, SHARES))} times as far as the tissue at the shaft: our assumption",
+            f"sensors that move {', '.join(map(str, SHARES))} times as far as the tissue at the shaft (assumed)",
         ),
         Comparison(
             "ch4/figure 4.4/largest displacements", None,
@@ -89,17 +91,17 @@ def sensor_rows(loop: FrictionLoop) -> list[Comparison]:
         ),
         Comparison(
             "ch4/section 4.3/less deformation at h = 40 mm", "yes", None, "", Agreement.IMPOSSIBLE,
-            "how stiffness depends on the height of insertion is not published, and is an input here",
+            "the dependence of stiffness on the height of insertion is not published; here it would be an input",
         ),
         Comparison(
             "ch4/section 4.3/agar moves too little for the tracker", "yes", None, "", Agreement.IMPOSSIBLE,
-            "how far it moved is not published; stiffness that gives the lag of 3 degrees moves it by millimetres here",
+            "its displacement is not published; here the stiffness for a lag of 3 degrees gives millimetres",
         ),
     ]  # fmt: skip
 
 
 def draw_sensors(loop: FrictionLoop, file: Path) -> None:
-    """Draw displacements, velocities of the tissue, and velocities of the needle."""
+    """Draw Figure 4.4: displacements and velocities of the tissue, and velocities of the needle against it."""
     from matplotlib.figure import Figure
 
     seen = _seen(loop)
@@ -130,32 +132,33 @@ def draw_sensors(loop: FrictionLoop, file: Path) -> None:
     save(figure, file)
 
 
+# Amplitude of the second trial of the full effort.
 _SECOND_AMPLITUDE_MM = 10.0
 
 
 def tissue_rows(
     phantoms: Sequence[Phantom], cycles: float, rate_hz: float, note: Callable[[str], None], *, both: bool
 ) -> list[Comparison]:
-    """Return true, observed and fitted lag for each phantom; with `both` also from a second amplitude."""
+    """Compare true, observed and fitted lag for each phantom; `both` adds fits to two amplitudes."""
     rows = []
     for phantom in phantoms:
         note(f"chapter 4: fitting {phantom.name}")
         trial = phantom.trial(cycles, rate_hz)
         observed = _observed(trial)
         records = [_punctual(trial.record)]
-        told = [_fitted(phantom, records)]
+        fitted = [_fitted(phantom, records)]
         if both:
             records.append(_punctual(phantom.trial(cycles, rate_hz, _SECOND_AMPLITUDE_MM).record))
-            told.append(_fitted(phantom, records))
-        for amplitudes, (lag, sd, text) in zip(("40 mm", "40 and 10 mm"), told, strict=False):
+            fitted.append(_fitted(phantom, records))
+        for amplitudes, (lag, sd, text) in zip(("40 mm", "40 and 10 mm"), fitted, strict=False):
             better = abs(lag - trial.lag_deg) <= abs(observed - trial.lag_deg)
-            held = abs(lag - trial.lag_deg) <= 2 * sd
-            misses = "" if held else "; its interval, of the noise alone, misses the truth"
+            covered = abs(lag - trial.lag_deg) <= 2 * sd
+            misses = "" if covered else "; its interval covers the noise only, and misses the truth"
             rows.append(
                 Comparison(
                     f"ch4/ours/{phantom.name}, {amplitudes}", f"true lag {trial.lag_deg:.2f} deg",
                     f"observer {observed:.2f} deg; {text}", "", Agreement.MET if better else Agreement.MISSED,
-                    "goal: the fitted tissue (Model II, data of Model III-B) is nearer to the truth than the observer"
+                    "goal: the fitted tissue (Model II, data from Model III-B) is closer to the truth than the observer"
                     + misses,
                 )
             )  # fmt: skip
@@ -163,7 +166,7 @@ def tissue_rows(
 
 
 def _observed(trial: PhantomTrial) -> float:
-    """Return the lag that the tuning says; zero where it says that there is nothing to compensate."""
+    """Return the lag of the tuned slow observer (degrees); zero if the tuning finds no slow observer."""
     record = trial.record
     tuned = tune_slow_observer(record["time_s"], record["depth_mm"], record["force_n"])
     return float(np.degrees(tuned.projection.lag_rad(FREQUENCY_HZ))) if tuned.projection else 0.0

@@ -1,7 +1,4 @@
-"""Everything of chapter 5, in the order of the chapter.
-
-Table 5.1: the lifting polynomial, and the section of the needle.
-"""
+"""Entry point of `needleplan reproduce ch5`: all comparisons and figures; Table 5.1 with the section of the needle."""
 
 from __future__ import annotations
 
@@ -22,16 +19,17 @@ if TYPE_CHECKING:
 
 __all__ = ["files", "residual_n", "run", "singular_force_n", "table51"]
 
+# Depth step of the simulated insertions (mm).
 _STEPS_MM = {Effort.QUICK: 4.0, Effort.DEFAULT: 1.0, Effort.FULL: 0.5}
 
 
 def files(_: Request) -> tuple[str, ...]:
-    """Return the names of the files that `run` writes into its folder."""
+    """Return the names of the files that `run` writes into the output folder."""
     return ("fig_5_1.png", "fig_5_2.png")
 
 
 def run(request: Request) -> list[Comparison]:
-    """Reproduce the chapter; fig_5_1.png and fig_5_2.png where there is a folder."""
+    """Reproduce the chapter; draw both figures if the request names a folder."""
     step = _STEPS_MM[request.effort]
     request.note("Tables 5.1 and 5.2")
     comparisons = [*table51(), *table52(step)]
@@ -51,9 +49,9 @@ def run(request: Request) -> list[Comparison]:
 
 
 def residual_n(force_n: float) -> float:
-    """Return what the coefficients of Table 5.1 leave of the end conditions (5.6), the larger of the two, N.
+    """Return the larger residual (N) of the end conditions (5.6) with the coefficients of Table 5.1.
 
-    In the sign of the thesis: EI phi''' = Fc cos a - Fc sin a phi', phi'' = 0 at L, phi = (c3 x^3 + c2 x^2) Fc.
+    With the sign of the thesis: EI phi''' = Fc cos a - Fc sin a phi', phi'' = 0 at L, phi = (c3 x^3 + c2 x^2) Fc.
     """
     bending, length, alpha = NEEDLE.bending_stiffness_n_mm2, NEEDLE.length_mm, NEEDLE.bevel_angle_rad
     c3 = math.cos(alpha) / (6 * bending - 3 * length**2 * force_n * math.sin(alpha))
@@ -64,12 +62,12 @@ def residual_n(force_n: float) -> float:
 
 
 def singular_force_n() -> float:
-    """Return the force at which the coefficients are infinite, 2 EI/(L^2 sin a), N."""
+    """Return the force (N) at which the coefficients become infinite, 2 EI/(L^2 sin a)."""
     return 2 * NEEDLE.bending_stiffness_n_mm2 / (NEEDLE.length_mm**2 * math.sin(NEEDLE.bevel_angle_rad))
 
 
 def table51() -> list[Comparison]:
-    """Compare geometry and polynomial."""
+    """Compare the section of the needle and the polynomial of Table 5.1."""
     worst = max(residual_n(force) for force in (0.05, 0.15, 0.2, 0.25))
     greatest = max(case.greatest_n or 0 for case in CASES)
     frequency = float(natural_frequencies_hz(NEEDLE, CASES[0].tissue, 0.0, 1)[0])
@@ -82,17 +80,17 @@ def table51() -> list[Comparison]:
         ),
         Comparison(
             "ch5/Table 5.1/force of infinite c2 and c3", None, round(singular_force_n(), 4), "N", Agreement.OURS,
-            f"the tip force is made to turn against the tip: with the right sign there is none; greatest axial force "
+            f"a sign error in the tip force: with the correct sign no force is singular; largest axial force "
             f"{greatest:g} N",
         ),
         Comparison(
             "ch5/needle/lowest natural frequency in air", None, round(frequency, 2), "Hz", Agreement.OURS,
-            "an insertion takes seconds: inertia does nothing; rho is printed in kg/m2, which has to be kg/m3",
+            "an insertion takes seconds, so inertia is negligible; rho is printed in kg/m2 instead of kg/m3",
         ),
     ]  # fmt: skip
 
 
-def _rounded(name: str, published: float, ours: float, unit: str) -> Comparison:
-    same = abs(ours / published - 1) < 3e-4
+def _rounded(name: str, published: float, computed: float, unit: str) -> Comparison:
+    same = abs(computed / published - 1) < 3e-4
     verdict = Agreement.REPRODUCED if same else Agreement.NOT_REPRODUCED
-    return Comparison(f"ch5/needle/{name}", published, float(f"{ours:.6g}"), unit, verdict)
+    return Comparison(f"ch5/needle/{name}", published, float(f"{computed:.6g}"), unit, verdict)

@@ -1,4 +1,4 @@
-"""Figs. 5.1 and 5.2: the forces on the shaft, and deflection over depth."""
+"""Figs. 5.1 and 5.2: forces on the shaft, and deflection by depth."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = ["figure_5_1", "figure_5_2"]
 
 
 def figure_5_1(folder: Path, step_mm: float) -> None:
-    """Draw the needle with its path at 80 mm, and the cutting force that the published radius needs at every depth."""
+    """Draw Fig. 5.1: the needle at 80 mm, and the cutting force that the published radius requires at every depth."""
     from matplotlib.figure import Figure
 
     case = CASES[2]
@@ -49,15 +49,15 @@ def figure_5_1(folder: Path, step_mm: float) -> None:
     for each, style in ((CASES[2], "-"), (CASES[3], "--")):
         most = tip_force_n(each.greatest_n or 0.0, each.tissue, each.velocity_mm_s, 0.0)
         right.plot(END_MM, most, "v" if style == "-" else "^", color=VERMILLION, clip_on=False, zorder=5,
-                   label=f"most that the axial force leaves, {each.name[0]}")  # fmt: skip
+                   label=f"upper limit by the axial force, {each.name[0]}")  # fmt: skip
     right.set(xlabel="depth (mm)", ylabel="cutting force Fc (N)", xlim=(0, END_MM), ylim=(0, None))
     right.legend(frameon=False, fontsize=7)
-    title(right, "What the estimated radius needs")
+    title(right, "Force that the estimated radius requires")
     save(figure, folder / "fig_5_1.png")
 
 
 def figure_5_2(folder: Path, step_mm: float) -> None:
-    """Draw the deflection of the coil over depth in the four cases."""
+    """Draw Fig. 5.2: the deflection of the coil by depth in the four cases."""
     from matplotlib.figure import Figure
 
     offset = mean_offset_n(step_mm)
@@ -83,11 +83,11 @@ def _draw_case(axes: Axes, case: DeflectionCase, offset_n: float, step_mm: float
     }
     axes.plot(depth, arcs["measured"], color=BLACK, label="arc of the published measured radius, tangent at the entry")
     axes.plot(depth, arcs["estimated"], "--", color=BLACK, label="arc of the published estimated radius")
-    # The greatest axial force was published at 15 mm/s; at 10 mm/s the same force on the bevel is assumed.
+    # The largest axial force was published for 15 mm/s; the same force on the bevel is assumed at 10 mm/s.
     known = next(each for each in CASES if each.greatest_n and each.tissue == case.tissue)
     end = tip_force_n(known.greatest_n or 0.0, known.tissue, known.velocity_mm_s, 0.0)
-    courses = (ForceProfile.QUADRATIC, ForceProfile.LINEAR, ForceProfile.SATURATING)
-    forces = np.stack([end * course.of(depth) for course in courses])
+    profiles = (ForceProfile.QUADRATIC, ForceProfile.LINEAR, ForceProfile.SATURATING)
+    forces = np.stack([end * profile.of(depth) for profile in profiles])
     _, printed = coil_path(PRINTED, case.tissue, case.velocity_mm_s, forces, step_mm)
     axes.fill_between(depth, printed.min(axis=0), printed.max(axis=0), color=ORANGE, alpha=0.25, linewidth=0)
     axes.plot(depth, printed[0], color=ORANGE, label="as printed, F0 = 0, quadratic force; band: linear, saturating")
@@ -98,7 +98,7 @@ def _draw_case(axes: Axes, case: DeflectionCase, offset_n: float, step_mm: float
 
 
 def _draw_needle(axes: Axes, case: DeflectionCase, step_mm: float) -> None:
-    """Draw shape, path and the load of the tissue at 80 mm, with the force that memory needs."""
+    """Draw shape, path and load of the tissue at 80 mm, for the memory model and the force that it requires."""
     depth, force = required_force_n(MEMORY, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm)
     path = march(NEEDLE, case.tissue, np.concatenate([[0.0], force]), step_mm, case.velocity_mm_s)
     last = Beam.of(NEEDLE, case.tissue, END_MM, float(force[-1]), case.velocity_mm_s)
@@ -110,13 +110,17 @@ def _draw_needle(axes: Axes, case: DeflectionCase, step_mm: float) -> None:
     cut = np.interp(place[inside], path.depth_mm, path.tip_mm)
     axes.axvspan(0, END_MM + 8, color="#f3ead9", zorder=0)
     axes.plot(place, needle, color=BLACK, linewidth=1.6, label="needle")
-    axes.plot(path.depth_mm, path.tip_mm, "--", color=BLUE, label="path that the tip has cut")
+    axes.plot(path.depth_mm, path.tip_mm, "--", color=BLUE, label="path cut by the tip")
     load = 1000 * case.tissue.stiffness_n_mm2 * (cut - needle[inside])
     twin = axes.twinx()
     twin.fill_between(place[inside], load, color=GREEN, alpha=0.3, linewidth=0, label="load of the tissue (N/m)")
     twin.plot([0, END_MM], [0, 0], color=GREY, linewidth=0.5)
     twin.set_ylabel("load of the tissue (N/m)", color=GREEN)
     twin.set_ylim(-4 * abs(load).max(), 4 * abs(load).max())
-    axes.set(xlabel="place from the entry (mm)", ylabel="lateral (mm)", xlim=(-NEEDLE.length_mm + END_MM, END_MM + 8))
+    axes.set(
+        xlabel="distance from the entry (mm)",
+        ylabel="lateral position (mm)",
+        xlim=(-NEEDLE.length_mm + END_MM, END_MM + 8),
+    )
     axes.legend(frameon=False, fontsize=8, loc="upper left")
     title(axes, f"Needle at 80 mm, tissue {case.name}, Fc {force[-1]:.3f} N")

@@ -1,7 +1,4 @@
-"""What chapter 5 of the thesis prints.
-
-Insertions of chapter 5 with forces of our own choice, their radii, and the forces that radii need.
-"""
+"""Published numbers of chapter 5, and insertions with assumed forces: paths, radii, and required forces."""
 
 from __future__ import annotations
 
@@ -45,12 +42,15 @@ SECOND_MOMENT_M4, AREA_M2 = 1.162e-14, 2.709e-7
 COIL_MM = 9.3
 END_MM = 80.0
 
-NO_FORCE = "the cutting force over depth, which drives the model, was not published"
+NO_FORCE = "the cutting force by depth, which drives the model, was not published"
 
 
 @dataclass(frozen=True)
 class DeflectionCase:
-    """A column of Table 5.2: tissue and velocity, errors and radii; `greatest_n` is known at 15 mm/s only."""
+    """A column of Table 5.2: tissue, velocity, errors of the path, and radii.
+
+    `greatest_n` is the largest axial force (N), published for 15 mm/s only.
+    """
 
     name: str
     tissue: ElasticTissue
@@ -63,7 +63,7 @@ class DeflectionCase:
 
     @property
     def error_percent(self) -> float:
-        """|estimated - measured|/measured of the radii, in percent."""
+        """Error of the estimated radius, |estimated - measured|/measured, in percent."""
         return 100 * abs(self.estimated_mm - self.measured_mm) / self.measured_mm
 
 
@@ -79,14 +79,14 @@ CASES = (
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """A row of Table 5.3: kf and vf are multiplied by these."""
+    """A row of Table 5.3: factors of kf (`stiffness`) and vf (`friction`)."""
 
     name: str
     stiffness: float
     friction: float
 
     def of(self, tissue: ElasticTissue) -> ElasticTissue:
-        """Return the changed tissue."""
+        """Return a tissue with changed parameters."""
         return ElasticTissue(self.stiffness * tissue.stiffness_n_mm2, self.friction * tissue.friction_n_s_mm2)
 
 
@@ -103,15 +103,16 @@ SENSITIVITY = (
     (15.07, 14.39, 12.51, 21.76),
     (13.80, 8.85, 8.97, 16.53),
 )
-"""Table 5.3, percent: a row for every one of CHANGES, a column for every one of CASES."""
+"""Table 5.3 in percent: a row per element of CHANGES, a column per element of CASES."""
 
 
+# Depth from which a circle is fitted to a path.
 _FROM_MM = 10.0
 
 
 @dataclass(frozen=True)
 class Reading:
-    """How the chapter is read: its foundation and its axial terms."""
+    """An interpretation of the chapter: its foundation and its axial terms."""
 
     name: str
     foundation: Foundation
@@ -123,7 +124,7 @@ MEMORY = Reading("memory, all axial terms", Foundation.MEMORY, AxialTerms.CONSIS
 
 
 class ForceProfile(StrEnum):
-    """How the cutting force comes up; all end at the same force at 80 mm."""
+    """Assumed growth of the cutting force with depth; all profiles have the same force at 80 mm."""
 
     QUADRATIC = "quadratic"
     LINEAR = "linear"
@@ -131,10 +132,10 @@ class ForceProfile(StrEnum):
     """1 - exp(-l/20 mm)."""
 
     CONSTANT = "constant"
-    """From 5 mm on."""
+    """Constant from 5 mm on."""
 
     def of(self, depth_mm: Array) -> Array:
-        """Return the force over that at 80 mm."""
+        """Return the force relative to that at 80 mm, for depths of any shape."""
         if self is ForceProfile.QUADRATIC:
             return (depth_mm / END_MM) ** 2
         if self is ForceProfile.LINEAR:
@@ -145,12 +146,12 @@ class ForceProfile(StrEnum):
 
 
 def depths_mm(step_mm: float) -> Array:
-    """Return the depths from 0 to 80 mm."""
+    """Return the depths of a simulated insertion, 0 to 80 mm."""
     return np.asarray(step_mm * np.arange(round(END_MM / step_mm) + 1), float)
 
 
 def tip_force_n(axial_n: float, tissue: ElasticTissue, velocity_mm_s: float, offset_n: float) -> float:
-    """Return Fc at 80 mm, (F - F0 - vf v l)/sin a."""
+    """Return the cutting force Fc (N) at 80 mm, (F - F0 - vf v l)/sin a, with F0 = `offset_n`."""
     friction = tissue.friction_n_s_mm2 * velocity_mm_s * END_MM
     return (axial_n - offset_n - friction) / math.sin(NEEDLE.bevel_angle_rad)
 
@@ -158,7 +159,7 @@ def tip_force_n(axial_n: float, tissue: ElasticTissue, velocity_mm_s: float, off
 def coil_path(
     reading: Reading, tissue: ElasticTissue, velocity_mm_s: float, force_n: Array, step_mm: float
 ) -> tuple[Array, Array]:
-    """Return depth and deflection of the coil for forces at every step, (..., steps + 1)."""
+    """Return depth and deflection (mm) of the coil for cutting forces at every step, shape (..., steps + 1)."""
     path = march(
         NEEDLE, tissue, force_n, step_mm, velocity_mm_s, terms=reading.terms, foundation=reading.foundation,
         behind_tip_mm=COIL_MM,
@@ -167,9 +168,9 @@ def coil_path(
 
 
 def radius_mm(depth_mm: Array, lateral_mm: Array) -> float:
-    """Return the radius of the circle through a path from 10 mm of depth on, by distances.
+    """Return the radius (mm) of the circle fitted to a path from a depth of 10 mm on.
 
-    Negative where the path bends away from the push of the bevel.
+    The radius is negative if the path bends against the force on the bevel.
     """
     used = depth_mm >= _FROM_MM
     return 1 / fit_circle(np.column_stack([depth_mm, lateral_mm])[used]).curvature_per_mm
@@ -185,9 +186,10 @@ def required_force_n(
     *,
     behind_mm: float = 0.0,
 ) -> tuple[Array, Array]:
-    """Return depths (0 excluded) and the cutting force that keeps a point of the needle on a circle from the entry.
+    """Return depths (without 0) and the cutting force (N) that keeps a point of the needle on a circle.
 
-    With memory the path that was cut is the circle. The force acts also by its axial part: solved by secants.
+    The circle is tangent at the entry; the point is `behind_mm` behind the tip. With `Foundation.MEMORY` the circle is
+    also the path that was cut. The force has an axial part, so the equation is nonlinear; it is solved by secants.
     """
     depth = depths_mm(step_mm)[1:]
     steps = depth.size

@@ -1,4 +1,4 @@
-"""Table 5.2: radii and errors, and whether they fit each other."""
+"""Table 5.2: radii and errors, and their consistency."""
 
 from __future__ import annotations
 
@@ -27,11 +27,12 @@ from needleplan_thesis.chapter5.insertions import (
 __all__ = ["arcs_apart_mm", "mean_offset_n", "memory_path", "missing_force_n", "table52"]
 
 _SECTION = "ch5/Table 5.2"
+# Assumed standard deviation and rate of the tracker.
 _TRACKER_MM, _RATE_HZ = 0.1, 40.0
 
 
 def table52(step_mm: float) -> list[Comparison]:
-    """Compare radii, errors and percentages."""
+    """Compare radii, errors, percentages and axial forces."""
     return [
         *(each for case in CASES for each in _radii(case, step_mm)),
         *(_percentage(case, printed) for case, printed in zip(CASES, (None, None, 8.7, 18.72), strict=True)),
@@ -43,14 +44,17 @@ def table52(step_mm: float) -> list[Comparison]:
 
 
 def arcs_apart_mm(case: DeflectionCase) -> tuple[float, float]:
-    """Return how far arcs of the two radii are apart at most: both tangent at the entry, and with the best offset."""
+    """Return the largest distance (mm) of arcs of both radii: tangent at the entry, and with the best offset."""
     depth = np.linspace(0, END_MM, 801)
     apart = _arc(case.estimated_mm, depth) - _arc(case.measured_mm, depth)
     return float(np.abs(apart).max()), float(np.ptp(apart) / 2)
 
 
 def missing_force_n(case: DeflectionCase, step_mm: float) -> float:
-    """Return what vf and the force that memory needs for the estimated radius leave of the greatest axial force."""
+    """Return the remainder (N) of the largest axial force in the memory model.
+
+    Shaft friction vf and the cutting force that the estimated radius requires are subtracted.
+    """
     _, force = required_force_n(MEMORY, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm)
     friction = case.tissue.friction_n_s_mm2 * case.velocity_mm_s * END_MM
     return float((case.greatest_n or math.nan) - friction - force[-1] * math.sin(NEEDLE.bevel_angle_rad))
@@ -60,14 +64,14 @@ def _radii(case: DeflectionCase, step_mm: float) -> list[Comparison]:
     depth = depths_mm(step_mm)
     known = next(each for each in CASES if each.greatest_n and each.tissue == case.tissue)
     end = tip_force_n(known.greatest_n or 0.0, known.tissue, known.velocity_mm_s, 0.0)
-    forces = np.stack([end * course.of(depth) for course in ForceProfile])
+    forces = np.stack([end * profile.of(depth) for profile in ForceProfile])
     _, paths = coil_path(PRINTED, case.tissue, case.velocity_mm_s, forces, step_mm)
-    ours = [f"{radius_mm(depth, path):.0f} {course}" for course, path in zip(ForceProfile, paths, strict=True)]
-    why = f"{NO_FORCE}; ours end at Fc = {end:.3f} N, by the greatest axial force at 15 mm/s with F0 = 0"
+    computed = [f"{radius_mm(depth, path):.0f} {profile}" for profile, path in zip(ForceProfile, paths, strict=True)]
+    why = f"{NO_FORCE}; computed with Fc = {end:.3f} N at 80 mm, from the largest force at 15 mm/s, F0 = 0"
     return [
         Comparison(
-            f"{_SECTION}/{case.name}/estimated radius", case.estimated_mm, ", ".join(ours), "mm", Agreement.IMPOSSIBLE,
-            f"{why}; negative: bent away from the push",
+            f"{_SECTION}/{case.name}/estimated radius", case.estimated_mm, ", ".join(computed), "mm", Agreement.IMPOSSIBLE,
+            f"{why}; negative: bent against the force on the bevel",
         ),
         Comparison(
             f"{_SECTION}/{case.name}/measured radius", case.measured_mm, None, "mm", Agreement.IMPOSSIBLE,
@@ -77,24 +81,26 @@ def _radii(case: DeflectionCase, step_mm: float) -> list[Comparison]:
 
 
 def _percentage(case: DeflectionCase, printed: float | None) -> Comparison:
-    ours = round(case.error_percent, 2)
+    computed = round(case.error_percent, 2)
     name = f"{_SECTION}/{case.name}/error of the radius"
     if printed is None:
-        return Comparison(name, None, ours, "%", Agreement.OURS, "not printed; by the printed radii")
-    same = abs(ours - printed) <= 0.01
+        return Comparison(name, None, computed, "%", Agreement.OURS, "not printed; computed from the printed radii")
+    same = abs(computed - printed) <= 0.01
     verdict = Agreement.REPRODUCED if same else Agreement.NOT_REPRODUCED
-    return Comparison(name, printed, ours, "%", verdict, "by the printed radii: |estimated - measured|/measured")
+    return Comparison(
+        name, printed, computed, "%", verdict, "computed from the printed radii: |estimated - measured|/measured"
+    )
 
 
 def _errors(case: DeflectionCase) -> list[Comparison]:
     tangent, shifted = arcs_apart_mm(case)
     if shifted > case.max_error_mm:
-        says = "impossible for arcs of these radii, with any offset"
+        consistency = "impossible for arcs of these radii, with any offset"
     elif tangent > case.max_error_mm:
-        says = "impossible for arcs of these radii that are tangent at the entry"
+        consistency = "impossible for arcs of these radii that are tangent at the entry"
     else:
-        says = "possible"
-    reason = f"{says}; the radii come from circles with a free centre, or the curves are no arcs; {NO_FORCE}"
+        consistency = "possible"
+    reason = f"{consistency}; the circles have a free centre, or the curves are no arcs; {NO_FORCE}"
     return [
         Comparison(
             f"{_SECTION}/{case.name}/greatest error", case.max_error_mm,
@@ -109,9 +115,9 @@ def _errors(case: DeflectionCase) -> list[Comparison]:
 
 
 def memory_path(case: DeflectionCase, offset_n: float, step_mm: float) -> tuple[Array, Array]:
-    """Return depth and path of the coil with memory, for the force that an offset leaves of the axial force.
+    """Return depth and deflection (mm) of the coil in the memory model, for an axial force without an offset F0.
 
-    Its course is that which makes a circle from the entry. The greatest axial force is known at 15 mm/s; the same force
+    The force grows with depth as a circular path requires. The largest axial force is known for 15 mm/s; the same force
     on the bevel is assumed at 10 mm/s.
     """
     known = next(each for each in CASES if each.greatest_n and each.tissue == case.tissue)
@@ -122,13 +128,13 @@ def memory_path(case: DeflectionCase, offset_n: float, step_mm: float) -> tuple[
 
 
 def mean_offset_n(step_mm: float) -> float:
-    """Return the mean of what the cases with a known axial force leave over."""
+    """Return the mean remainder (N) of the cases with a known axial force."""
     return float(np.mean([missing_force_n(case, step_mm) for case in CASES if case.greatest_n]))
 
 
 def _with_one_offset(step_mm: float) -> list[Comparison]:
     offset = mean_offset_n(step_mm)
-    why = f"F0 = {offset:.3f} N for all, the mean of what the radii at 15 mm/s leave over: no prediction"
+    why = f"F0 = {offset:.3f} N for all cases, the mean remainder at 15 mm/s: a fit, not a prediction"
     return [
         Comparison(
             f"{_SECTION}/{case.name}/radius by the memory model", case.estimated_mm,
@@ -151,20 +157,20 @@ def _axial_balance(step_mm: float) -> list[Comparison]:
             f"{_SECTION}/{case.name}/axial force that the printed model needs for its radius", case.greatest_n,
             round(needed[case.name], 3), "N",
             Agreement.NOT_REPRODUCED if needed[case.name] > (case.greatest_n or 0) else Agreement.REPRODUCED,
-            "published: the greatest that was measured; the printed model needs more than there was"
-            if needed[case.name] > (case.greatest_n or 0) else "published: the greatest that was measured",
+            "published: the largest measured force; the printed model requires more than that"
+            if needed[case.name] > (case.greatest_n or 0) else "published: the largest measured force",
         )
         for case in known
     ]  # fmt: skip
-    told = ", ".join(f"{value:.3f} ({name[0]})" for name, value in missing.items())
+    remainders = ", ".join(f"{value:.3f} ({name[0]})" for name, value in missing.items())
     rows.append(
         Comparison(
             f"{_SECTION}/axial force left over by the memory model at 15 mm/s",
             None,
-            told,
+            remainders,
             "N",
             Agreement.OURS,
-            "one constant F0 (Coulomb friction, rupture, zero) would explain both tissues; two numbers, so no proof",
+            "one constant F0 (Coulomb friction, rupture, sensor offset) would explain both tissues; two numbers are no proof",
         )
     )
     return rows
@@ -179,15 +185,15 @@ def _velocity() -> list[Comparison]:
             Comparison(
                 f"{_SECTION}/{slow.name[0]}/measured radius falls with velocity", round(apart, 1),
                 f"{apart / spread:.1f} standard deviations", "mm", Agreement.OURS,
-                "if the tracker has white noise of 0.1 mm at 40 Hz (assumed) and circles have a free centre: one "
-                "insertion a case does not establish it",
+                "for white tracker noise of 0.1 mm at 40 Hz (assumed) and circles with a free centre; one insertion per "
+                "case does not establish it",
             )
         )  # fmt: skip
     return rows
 
 
 def _circle_sd_mm(case: DeflectionCase) -> float:
-    """Return the least standard deviation of a radius by a circle of free centre: R^2 sigma sqrt(720/n)/L^2."""
+    """Return the smallest standard deviation (mm) of the radius of a fitted circle: R^2 sigma sqrt(720/n)/L^2."""
     samples = END_MM / case.velocity_mm_s * _RATE_HZ
     return case.measured_mm**2 * _TRACKER_MM * math.sqrt(720 / samples) / END_MM**2
 

@@ -1,4 +1,4 @@
-"""Table 5.3: what wrong values of kf and vf do to the radius, and what the text says of it."""
+"""Table 5.3: effect of wrong values of kf and vf on the radius, and the statements of the text."""
 
 from __future__ import annotations
 
@@ -29,10 +29,9 @@ _SECTION = "ch5/Table 5.3"
 def radius_change(
     reading: Reading, case: DeflectionCase, changes: tuple[ParameterChange, ...], speed: float, step_mm: float
 ) -> list[float]:
-    """Return by which factor the radius of the coil's path changes, the cutting force held, for every change.
+    """Return the factor by which the radius of the coil's path changes with each parameter change, at the same force.
 
-    `speed` multiplies the velocity of all. The force is the one that the reading needs for the printed estimated
-    radius.
+    `speed` multiplies the velocity. The cutting force is the one that the printed estimated radius requires.
     """
     _, force = required_force_n(reading, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm, behind_mm=0.0)
     force = np.concatenate([[0.0], force])
@@ -47,7 +46,7 @@ def radius_change(
 
 
 def table53(step_mm: float) -> list[Comparison]:
-    """Compare the cells, the statements of the text, and the signs."""
+    """Compare the cells of the table, the statements of the text, and the signs of the changes."""
     factors = {
         reading.name: np.array([radius_change(reading, case, CHANGES, 1.0, step_mm) for case in CASES]).T
         for reading in (MEMORY, PRINTED)
@@ -60,7 +59,7 @@ def table53(step_mm: float) -> list[Comparison]:
                 for name, values in factors.items()
             ),
             "%", Agreement.IMPOSSIBLE,
-            f"{NO_FORCE}; ours: our change of the radius at a fixed force, applied to the printed radius",
+            f"{NO_FORCE}; computed: the change of the radius at a fixed force, applied to the printed radius",
         )
         for row, change in enumerate(CHANGES)
         for column, case in enumerate(CASES)
@@ -84,13 +83,13 @@ def _statements() -> list[Comparison]:
             f"{_SECTION}/kf +20 % or vf -20 % is better by almost 5 % (B, 10 mm/s)", "almost 5",
             f"{better[0]:.2f}, {better[1]:.2f}", "%",
             Agreement.REPRODUCED if all(4.5 < each < 5 for each in better) else Agreement.NOT_REPRODUCED,
-            "so a cell is |R' - R_measured|/R_measured",
+            "therefore a cell is |R' - R_measured|/R_measured",
         ),
         Comparison(
             f"{_SECTION}/more robust to kf too high than too low", "yes", f"in {holds} of 4 cases", "",
             Agreement.REPRODUCED if holds == len(CASES) else Agreement.NOT_REPRODUCED,
-            "by the printed numbers; no property of the model: the nominal radius is too small, a higher kf makes it "
-            "larger, and the error passes through zero",
+            "from the printed numbers; no property of the model: the nominal radius is too small, a larger kf increases "
+            "it, and the error passes through zero",
         ),
     ]  # fmt: skip
 
@@ -113,8 +112,8 @@ def _signs(factors: dict[str, np.ndarray], step_mm: float) -> list[Comparison]:
 
 def _sign(what: str, percent: np.ndarray) -> Comparison:
     holds = bool((percent < 0).all())
-    told = ", ".join(f"{each:+.2f}" for each in percent)
+    listed = ", ".join(f"{each:+.2f}" for each in percent)
     return Comparison(
-        f"ch5/signs/{what}", "yes", told, "%", Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED,
-        "" if holds else "the sign depends on the course of the force, which was not published",
+        f"ch5/signs/{what}", "yes", listed, "%", Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED,
+        "" if holds else "the sign depends on the force by depth, which was not published",
     )  # fmt: skip
