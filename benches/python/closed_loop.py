@@ -47,10 +47,12 @@ GAP = (
 def kinds(courses: list[SteeringCase], errors: list[float]) -> Iterator[tuple[SteeringCase, Guidance, float]]:
     """Yield what is tried: everything as planned first, then the loops and none where the curvature is off."""
     for course in courses:
-        yield from ((course, guidance, 0.0) for guidance in Guidance if guidance is not Guidance.KEPT)
+        yield from ((course, guidance, 0.0) for guidance in Guidance if guidance is not Guidance.ONE_TABLE)
     for course in courses:
         for error in errors:
-            yield from ((course, guidance, error) for guidance in (Guidance.KEPT, Guidance.REPLANNED, Guidance.OPEN))
+            yield from (
+                (course, guidance, error) for guidance in (Guidance.ONE_TABLE, Guidance.REPLANNED, Guidance.OPEN)
+            )
 
 
 def main() -> int:
@@ -83,7 +85,7 @@ def main() -> int:
 def row(name: str, guidance: Guidance, error: float, trials: list[SteeringTrial]) -> dict[str, Any]:
     """Return what is kept of insertions of one kind: the summary, and of each that failed its cause."""
     failed = [
-        {"seed": each.task.seed, "ending": each.ending, "cause": each.cause, "touched": each.touched,
+        {"seed": each.task.seed, "ending": each.outcome, "cause": each.cause, "touched": each.touched,
          "error_mm": each.error_mm, "seen_error_mm": each.seen_error_mm, "out_of_plane_mm": each.out_of_plane_mm}
         for each in trials if not each.success
     ]  # fmt: skip
@@ -138,7 +140,7 @@ def _line(each: dict[str, Any]) -> str:
 def _gaps(results: list[dict[str, Any]]) -> Iterator[str]:
     found = {(each["scenario"], each["curvature_error"], each["guidance"]): each for each in results}
     for (name, error, guidance), again in found.items():
-        kept = found.get((name, error, Guidance.KEPT))
+        kept = found.get((name, error, Guidance.ONE_TABLE))
         if not error or guidance != Guidance.REPLANNED or kept is None:
             continue
         closed = gap_closed(again["predicted"], kept["success"], again["success"])

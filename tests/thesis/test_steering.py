@@ -25,7 +25,7 @@ from tests.control.scenes import NOISY, SLOW_SERVO, small_table
 pytestmark = pytest.mark.slow
 
 
-def course(effects: Effects) -> SteeringCase:
+def case(effects: Effects) -> SteeringCase:
     lab = Experiment(Setup(1 / 40, effects=effects, robot=SLOW_SERVO), ())
     return SteeringCase("small", small_table().scenario, lab, velocity_rad_s=10.0)
 
@@ -35,41 +35,41 @@ QUIET = Effects(coil_offset_mm=2.0)
 
 @pytest.fixture(scope="module")
 def closed() -> SteeringTrial:
-    return run_trial(SteeringTask(course(NOISY), Guidance.REPLANNED, 3))
+    return run_trial(SteeringTask(case(NOISY), Guidance.REPLANNED, 3))
 
 
 def test_the_same_seed_is_the_same_insertion(closed: SteeringTrial) -> None:
-    again = run_trial(SteeringTask(course(NOISY), Guidance.REPLANNED, 3))
+    again = run_trial(SteeringTask(case(NOISY), Guidance.REPLANNED, 3))
     assert np.array_equal(again.path_mm, closed.path_mm)
-    assert run_trial(SteeringTask(course(NOISY), Guidance.REPLANNED, 4)).error_mm != closed.error_mm
+    assert run_trial(SteeringTask(case(NOISY), Guidance.REPLANNED, 4)).error_mm != closed.error_mm
 
 
 def test_feedback_reaches_the_target(closed: SteeringTrial) -> None:
     assert closed.success
-    assert closed.ending == "target"
+    assert closed.outcome == "target"
     assert closed.turns >= 1
     assert closed.error_mm == pytest.approx(math.dist(closed.path_mm[-1, :2], (50.0, 26.0)))
     assert closed.seen_error_mm == pytest.approx(closed.error_mm, abs=1.0)
 
 
 def test_without_disturbances_the_planned_moves_follow_the_plan() -> None:
-    open_loop = run_trial(SteeringTask(course(QUIET), Guidance.OPEN, 0))
+    open_loop = run_trial(SteeringTask(case(QUIET), Guidance.OPEN, 0))
     assert open_loop.success
     assert open_loop.deviation_mm < 0.02
-    assert open_loop.turns == planned_moves(small_table(), open_loop.task.course.pose).turns > 0
-    off = run_trial(SteeringTask(course(QUIET), Guidance.OPEN, 0, curvature_error=0.3))
+    assert open_loop.turns == planned_moves(small_table(), open_loop.task.case.pose).turns > 0
+    off = run_trial(SteeringTask(case(QUIET), Guidance.OPEN, 0, curvature_error=0.3))
     assert off.deviation_mm > 1.0
-    assert run_trial(SteeringTask(course(QUIET), Guidance.KEPT, 0, curvature_error=0.3)).success
+    assert run_trial(SteeringTask(case(QUIET), Guidance.ONE_TABLE, 0, curvature_error=0.3)).success
 
 
 def test_a_needle_that_is_not_steered() -> None:
-    straight = run_trial(SteeringTask(course(QUIET), Guidance.STRAIGHT, 0))
+    straight = run_trial(SteeringTask(case(QUIET), Guidance.STRAIGHT, 0))
     begin, end = straight.path_mm[0, :2], straight.path_mm[-1, :2]
     along = (end - begin) / np.linalg.norm(end - begin)
     across = (straight.path_mm[:, :2] - begin) @ np.array([-along[1], along[0]])
     assert abs(across).max() < 1e-6
     assert straight.error_mm < 0.01
-    aimed = run_trial(SteeringTask(course(QUIET), Guidance.AIMED, 0))
+    aimed = run_trial(SteeringTask(case(QUIET), Guidance.AIMED, 0))
     # On a circle of 40 mm, tangent to the line to the target: as long as the line, so the end is off by the sagitta.
     turn = np.linalg.norm(np.array([50.0, 26.0]) - begin) / 40
     off = 40 * math.hypot(math.sin(turn) - turn, 1 - math.cos(turn))
@@ -78,7 +78,7 @@ def test_a_needle_that_is_not_steered() -> None:
 
 
 def test_what_touches_an_obstacle_has_failed() -> None:
-    trial = run_trial(SteeringTask(course(QUIET), Guidance.OPEN, 0))
+    trial = run_trial(SteeringTask(case(QUIET), Guidance.OPEN, 0))
     assert trial.success
     assert not replace(trial, touched="vessel").success
     assert not replace(trial, left=True).success
@@ -87,7 +87,7 @@ def test_what_touches_an_obstacle_has_failed() -> None:
 
 
 def test_summary_counts(closed: SteeringTrial) -> None:
-    failed = replace(closed, error_mm=9.0, ending="missed"), replace(closed, touched="vessel")
+    failed = replace(closed, error_mm=9.0, outcome="missed"), replace(closed, touched="vessel")
     summary = summarized([closed, closed, *failed])
     assert summary.success == 0.5
     assert summary.failures == {"missed": 1, "an obstacle": 1}
@@ -98,7 +98,7 @@ def test_summary_counts(closed: SteeringTrial) -> None:
 
 
 def test_processes_give_what_one_gives() -> None:
-    tasks = [SteeringTask(course(QUIET), guidance, 3) for guidance in (Guidance.OPEN, Guidance.STRAIGHT)]
+    tasks = [SteeringTask(case(QUIET), guidance, 3) for guidance in (Guidance.OPEN, Guidance.STRAIGHT)]
     one, two = list(run_all(tasks)), list(run_all(tasks, processes=2))
     assert [each.error_mm for each in one] == [each.error_mm for each in two]
 

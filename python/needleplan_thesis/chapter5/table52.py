@@ -70,7 +70,8 @@ def _radii(case: DeflectionCase, step_mm: float) -> list[Comparison]:
     why = f"{NO_FORCE}; computed with Fc = {end:.3f} N at 80 mm, from the largest force at 15 mm/s, F0 = 0"
     return [
         Comparison(
-            f"{_SECTION}/{case.name}/estimated radius", case.estimated_mm, ", ".join(computed), "mm", Agreement.IMPOSSIBLE,
+            f"{_SECTION}/{case.name}/estimated radius", case.estimated_mm, ", ".join(computed), "mm",
+            Agreement.IMPOSSIBLE,
             f"{why}; negative: bent against the force on the bevel",
         ),
         Comparison(
@@ -170,7 +171,7 @@ def _axial_balance(step_mm: float) -> list[Comparison]:
             remainders,
             "N",
             Agreement.OURS,
-            "one constant F0 (Coulomb friction, rupture, sensor offset) would explain both tissues; two numbers are no proof",
+            "one constant F0 (Coulomb friction, rupture, sensor offset) would explain both tissues; no proof",
         )
     )
     return rows
@@ -185,8 +186,8 @@ def _velocity() -> list[Comparison]:
             Comparison(
                 f"{_SECTION}/{slow.name[0]}/measured radius falls with velocity", round(apart, 1),
                 f"{apart / spread:.1f} standard deviations", "mm", Agreement.OURS,
-                "for white tracker noise of 0.1 mm at 40 Hz (assumed) and circles with a free centre; one insertion per "
-                "case does not establish it",
+                "for white tracker noise of 0.1 mm at 40 Hz (assumed) and circles with a free centre; one insertion "
+                "per case does not establish it",
             )
         )  # fmt: skip
     return rows

@@ -88,8 +88,8 @@ def _statements() -> list[Comparison]:
         Comparison(
             f"{_SECTION}/more robust to kf too high than too low", "yes", f"in {holds} of 4 cases", "",
             Agreement.REPRODUCED if holds == len(CASES) else Agreement.NOT_REPRODUCED,
-            "from the printed numbers; no property of the model: the nominal radius is too small, a larger kf increases "
-            "it, and the error passes through zero",
+            "from the printed numbers; no property of the model: the nominal radius is too small, a larger kf "
+            "increases it, and the error passes through zero",
         ),
     ]  # fmt: skip
 

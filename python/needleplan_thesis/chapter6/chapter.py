@@ -1,11 +1,9 @@
-"""Everything of chapter 6, in the order of the chapter.
+"""Entry point of `needleplan reproduce ch6`; predicted costs of five entries compared with an independent prototype.
 
-The five entries at which an independent prototype measured what rounding and interpolation do to the expected cost.
-
-Its numbers stand in the notes on the planner's semantics that this project began with: the four obstacles, rotation 4,
-failures 10,000 and 20,000, no discount; 20,000 runs each, executed by the policy of the nearest state. They do not say
-which failure costs what: with collision 20,000 and exit 10,000 our values on the nearest-point grid are equal to theirs
-to the last digit, the other way round they are not.
+The prototype measured how rounding and interpolation change the expected cost: four obstacles, rotation 4, failures
+10,000 and 20,000, no discount, 20,000 executions per entry by the policy of the nearest state. Its notes do not say
+which failure has which cost. With collision 20,000 and exit 10,000 the computed values on the nearest-point grid equal
+those of the prototype to the last digit; with exchanged costs they do not.
 """
 
 from __future__ import annotations
@@ -21,8 +19,8 @@ from needleplan.planning import PolicyTable
 from needleplan.reports.chapters import Effort
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.scenario import Scenario, Transition
-from needleplan_thesis.chapter6.entries import ExecutionRule, believability, execute, planned
-from needleplan_thesis.chapter6.partitions import claims, orders
+from needleplan_thesis.chapter6.entries import ExecutionRule, execute, planned, predicted_and_realised
+from needleplan_thesis.chapter6.partitions import draw_orders, statements
 from needleplan_thesis.chapter6.paths import paths
 from needleplan_thesis.chapter6.phantom import experiments, phantom
 from needleplan_thesis.chapter6.tables import problem, solve_all, tables
@@ -33,11 +31,12 @@ if TYPE_CHECKING:
 
 __all__ = ["COARSE", "ENTRIES", "FINE", "PrototypeResult", "files", "prototype", "run"]
 
+# Insertions per experiment, and those of the quick effort.
 _SEEDS, _FEW = 100, 2
 
 
 def files(request: Request) -> tuple[str, ...]:
-    """Return the names of the files that `run` writes into its folder."""
+    """Return the names of the files that `run` writes into the output folder."""
     if request.experiments:
         return "fig_6_7_lab.png", "fig_6_8_lab.png", "fig_6_9_lab.png"
     figures = ("6_3", "6_4", "6_5", "6_5_literal", "6_6", "6_7", "6_8", "6_9")
@@ -45,7 +44,7 @@ def files(request: Request) -> tuple[str, ...]:
 
 
 def run(request: Request) -> list[Comparison]:
-    """Reproduce the chapter, or its experiments alone; figures and predicted_realised.csv where there is a folder."""
+    """Reproduce the chapter, or only its experiments; write figures and tables if the request names a folder."""
     if request.experiments:
         return experiments(request.folder, request.note, _FEW if request.effort is Effort.QUICK else _SEEDS)
     quick, full = request.effort is Effort.QUICK, request.effort is Effort.FULL
@@ -55,9 +54,9 @@ def run(request: Request) -> list[Comparison]:
         thesis = replace(thesis, grid=replace(thesis.grid, spacing_mm=(2.0, 2.0)))
     solves = solve_all(thesis, request.note)
     if request.folder:
-        orders(solves, request.folder)
-    believed = believability(request)
-    measured = [*tables(solves), *claims(solves), *believed]
+        draw_orders(solves, request.folder)
+    predictions = predicted_and_realised(request)
+    measured = [*tables(solves), *statements(solves), *predictions]
     if quick:
         measured = [replace(each, reason=f"quick: coarse grids; {each.reason}".rstrip("; ")) for each in measured]
     return [
@@ -70,12 +69,12 @@ def run(request: Request) -> list[Comparison]:
 
 
 ENTRIES = ((0, 40, 0), (0, 60, -18), (0, 45, 18), (0, 35, -18), (0, 50, 0))
-"""x_mm, y_mm, heading_deg; the bevel of the lower cost."""
+"""x_mm, y_mm, heading_deg. The bevel is the one with the lower cost."""
 
 
 @dataclass(frozen=True)
 class PrototypeResult:
-    """What the prototype found on one grid: expected cost predicted and realised, success realised, by entry."""
+    """Results of the prototype on one grid: predicted and realised cost, and realised success, by entry."""
 
     transition: Transition
     spacing_mm: float
@@ -100,32 +99,32 @@ FINE = (
              (0.945, 0.742, 0.575, 0.930, 0.839)),
 )  # fmt: skip
 
-_OTHER_ARCS = "executions differ by chance and by the points of an arc that are tested: 4 here"
-_OTHER_CORNERS = "the prototype's cells at obstacles and at the border are a little darker"
+_OTHER_ARCS = "executions differ by chance and by the number of tested points per arc: 4 here"
+_OTHER_CORNERS = "the prototype treats cells at obstacles and at the border as slightly more costly"
 
 
 def prototype(note: Callable[[str], None], fine: bool, runs: int) -> list[Comparison]:
-    """Compare predicted cost, realised cost and realised success; `fine` takes the grids of 0.25 mm, too."""
+    """Compare predicted cost and realised success with the prototype; `fine` adds the grids of 0.25 mm."""
     four = Scenario.read("four_obstacles")
     scenario = replace(four, objective=replace(four.objective, collision=20_000.0, exit=10_000.0))
     comparisons = []
-    for theirs in COARSE + FINE if fine else COARSE:
-        note(f"five entries: {theirs.transition}, {theirs.spacing_mm:g} mm")
-        comparisons += _compared(theirs, planned(scenario, theirs.transition, theirs.spacing_mm), runs)
+    for published in COARSE + FINE if fine else COARSE:
+        note(f"five entries: {published.transition}, {published.spacing_mm:g} mm")
+        comparisons += _compared(published, planned(scenario, published.transition, published.spacing_mm), runs)
     return comparisons
 
 
-def _compared(theirs: PrototypeResult, table: PolicyTable, runs: int) -> list[Comparison]:
+def _compared(published: PrototypeResult, table: PolicyTable, runs: int) -> list[Comparison]:
     entries = np.array([table.start((x, y, math.radians(degrees))) for x, y, degrees in ENTRIES], dtype=np.float64)
     predicted = table.lookup_many(entries).value
     study = execute("four_obstacles", table, entries, ExecutionRule(), runs)
     comparisons = []
     for k, (x, y, degrees) in enumerate(ENTRIES):
-        name = f"ch6/five entries/{theirs.transition} {theirs.spacing_mm:g} mm, ({x}, {y}) mm, {degrees} deg"
-        exact = Agreement.REPRODUCED if round(float(predicted[k])) == theirs.predicted[k] else Agreement.SAME_ORDER
+        name = f"ch6/five entries/{published.transition} {published.spacing_mm:g} mm, ({x}, {y}) mm, {degrees} deg"
+        exact = Agreement.REPRODUCED if round(float(predicted[k])) == published.predicted[k] else Agreement.SAME_ORDER
         comparisons += [
-            Comparison(f"{name}/predicted cost", theirs.predicted[k], round(float(predicted[k])), "cost", exact,
+            Comparison(f"{name}/predicted cost", published.predicted[k], round(float(predicted[k])), "cost", exact,
                        "" if exact is Agreement.REPRODUCED else _OTHER_CORNERS),
-            measured(f"{name}/realised success", theirs.success[k], float(study.realised[k]), "1", _OTHER_ARCS),
+            measured(f"{name}/realised success", published.success[k], float(study.realised[k]), "1", _OTHER_ARCS),
         ]  # fmt: skip
     return comparisons

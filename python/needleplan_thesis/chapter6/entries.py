@@ -1,12 +1,8 @@
-"""Predicted and realised success from many entries, which says whether a table is to be believed.
+"""Predicted and realised success from many entries of the shipped scenarios: transitions, spacings and executions.
 
-Entries are chosen by a rule, not by hand: on the left edge at every whole 10 mm, with the headings nearest to -30, 0
-and +30 degrees and the bevel of the lower cost, wherever the interpolated table at 0.5 mm predicts more than 1 %. All
-tables of a scenario are asked about the same entries.
-
-Predicted beside realised success: transitions, spacings and executions compared on the shipped scenarios.
-
-Predicted less realised success, entry by entry: one panel a scenario, one colour a grid.
+The entries follow a rule: on the left edge at every multiple of 10 mm, with the headings nearest to -30, 0 and +30
+degrees and the bevel of the lower cost, if the interpolated table at 0.5 mm predicts more than 1 %. All tables of a
+scenario are evaluated at the same entries.
 """
 
 from __future__ import annotations
@@ -40,16 +36,19 @@ __all__ = [
     "SEED",
     "EntryStudy",
     "ExecutionRule",
-    "believability",
     "choose_entries",
-    "draw_believability",
+    "draw_predicted_and_realised",
     "execute",
     "planned",
+    "predicted_and_realised",
     "summary",
     "write_entries",
 ]
 
+# Seed of all executions.
 SEED = 6
+
+# The rule of the entries: spacing along the edge, headings, and the smallest predicted success.
 _EVERY_MM = 10.0
 _HEADINGS_DEG = (-30.0, 0.0, 30.0)
 _LEAST_SUCCESS = 0.01
@@ -57,9 +56,9 @@ _LEAST_SUCCESS = 0.01
 
 @dataclass(frozen=True)
 class ExecutionRule:
-    """How a table is executed: by the policy of the nearest state, or greedily by values interpolated at the true pose.
+    """How a table is executed: by the policy of the nearest state, or greedily by interpolated values.
 
-    `arc_samples` is the number of points of an arc that are tested for events; None means that of the scenario.
+    `arc_samples` is the number of points per arc that are tested for events; None means that of the scenario.
     """
 
     greedy: bool = False
@@ -84,18 +83,18 @@ class EntryStudy:
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """Predicted less realised in percentage points, [n]."""
+        """Predicted minus realised success in percentage points, [n]."""
         return 100 * (self.predicted - self.realised)
 
 
 def planned(scenario: Scenario, transition: Transition, spacing_mm: float, refinement: int = 1) -> PolicyTable:
-    """Plan `scenario` on a square grid of `spacing_mm`, by sweeps; success on one `refinement` times finer."""
+    """Plan `scenario` by sweeps on a square grid; success is evaluated on a grid `refinement` times finer."""
     grid = Grid((spacing_mm, spacing_mm), transition, refinement)
     return plan(replace(scenario, grid=grid, solver=replace(scenario.solver, method=Method.SWEEP, partitions=None)))
 
 
 def choose_entries(table: PolicyTable) -> NDArray[np.float64]:
-    """Return the entries [n, 4] that the rule gives for `table`, which is the reference of its scenario."""
+    """Return the entries [n, 4] that the rule of this module gives for `table`."""
     scenario = table.scenario
     step = 2 * math.pi / scenario.motion.headings
     headings = [step * round(math.radians(degrees) / step) for degrees in _HEADINGS_DEG]
@@ -110,8 +109,8 @@ def choose_entries(table: PolicyTable) -> NDArray[np.float64]:
 def execute(
     name: str, table: PolicyTable, entries: NDArray[np.float64], execution: ExecutionRule, runs: int
 ) -> EntryStudy:
-    """Execute `table` of the scenario `name` `runs` times from every entry."""
-    ended = table.lattice.rollout(
+    """Execute `table` of the scenario `name` from every entry, `runs` times each."""
+    result = table.lattice.rollout(
         policy=table.policy,
         values=table.values,
         starts=np.ascontiguousarray(entries),
@@ -122,7 +121,7 @@ def execute(
         max_steps=MOST_STEPS,
     )
     target = 1
-    reached = np.count_nonzero(ended["outcome"] == target, axis=1)
+    reached = np.count_nonzero(result["outcome"] == target, axis=1)
     return EntryStudy(
         scenario=name,
         grid=table.scenario.grid,
@@ -135,30 +134,36 @@ def execute(
 
 
 SCENARIOS = ("four_obstacles", "narrow_passage", "prostate", "brain")
+# The grid that has a goal, and that chooses the entries.
 _REFERENCE = (Transition.INTERPOLATED, 0.5)
 _RUNS = {Effort.QUICK: 1000, Effort.DEFAULT: 20_000, Effort.FULL: 20_000}
 _SPACINGS_MM = {Effort.QUICK: (1.0,), Effort.DEFAULT: (1.0, 0.5), Effort.FULL: (1.0, 0.5, 0.25)}
+# Refinement of the grid on which success is evaluated once more.
 _REFINEMENT = 3
+
+# Goals: largest and mean difference of predicted and realised success (percentage points).
 _MOST_POINTS, _MEAN_POINTS = 2.0, 1.0
+
+# Tested points per arc of the finest execution.
 _FINE_ARC = 40
 
 
-def believability(request: Request) -> list[Comparison]:
-    """Run the study; where there is a folder, every entry goes to predicted_realised.csv and .png."""
+def predicted_and_realised(request: Request) -> list[Comparison]:
+    """Run all studies; if the request names a folder, write predicted_realised.csv and .png."""
     studies = [study for name in SCENARIOS for study in _of_scenario(name, request)]
     if request.folder:
         write_entries(request.folder / "predicted_realised.csv", studies)
-        draw_believability(studies, _RUNS[request.effort], request.folder / "predicted_realised.png")
+        draw_predicted_and_realised(studies, _RUNS[request.effort], request.folder / "predicted_realised.png")
     comparisons = [comparison for study in studies for comparison in summary(study)]
     goal = [study for study in studies if _has_goal(study)]
     return comparisons + [comparison for study in goal for comparison in _each_entry(study)]
 
 
 def summary(study: EntryStudy) -> list[Comparison]:
-    """Return mean and maximum of |predicted - realised|, with a verdict where there is a goal."""
+    """Return mean and maximum of |predicted - realised|, with a verdict for the study that has a goal."""
     apart = np.abs(study.points)
     name = f"ch6/predicted less realised/{study.scenario}, {_grid(study)}, {study.execution}"
-    ours = {"mean": float(apart.mean()), "max": float(apart.max())}
+    differences = {"mean": float(apart.mean()), "max": float(apart.max())}
     goals = {"mean": _MEAN_POINTS, "max": _MOST_POINTS} if _has_goal(study) else {}
     worst = int(apart.argmax())
     reasons = {
@@ -170,12 +175,12 @@ def summary(study: EntryStudy) -> list[Comparison]:
             f"{name}/{what}", None, round(value, 3), "points", _verdict(value, goals.get(what)),
             reasons[what] + (f"; goal: at most {goals[what]:g}" if what in goals else ""),
         )
-        for what, value in ours.items()
+        for what, value in differences.items()
     ]  # fmt: skip
 
 
 def write_entries(path: Path, studies: list[EntryStudy]) -> None:
-    """Write a line for every entry of every study. Raises OutputError."""
+    """Write a CSV line for every entry of every study. Raises OutputError."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(
@@ -216,7 +221,7 @@ def _of_scenario(name: str, request: Request) -> Iterator[EntryStudy]:
 
 
 def _predicted_finer(study: EntryStudy, table: PolicyTable) -> EntryStudy:
-    """Return `study` with the predictions of `table`, which has the same policy and knows better what it does."""
+    """Return `study` with the more accurate predictions of `table`, which has the same policy."""
     predicted = table.lookup_many(study.entries).success.astype(np.float64)
     return replace(study, grid=table.scenario.grid, predicted=predicted)
 
@@ -268,11 +273,10 @@ _COLOURS = {
     (Transition.INTERPOLATED, 0.5): BLUE,
     (Transition.INTERPOLATED, 0.25): GREEN,
 }
-_GOAL = 2.0
 
 
-def draw_believability(studies: Sequence[EntryStudy], runs: int, file: Path) -> None:
-    """Draw the studies that execute the policy of the nearest state."""
+def draw_predicted_and_realised(studies: Sequence[EntryStudy], runs: int, file: Path) -> None:
+    """Draw predicted minus realised success by entry: a panel per scenario, a colour per grid."""
     from matplotlib.figure import Figure
 
     names = list(dict.fromkeys(study.scenario for study in studies))
@@ -288,14 +292,14 @@ def draw_believability(studies: Sequence[EntryStudy], runs: int, file: Path) -> 
     figure.legend(*handles, loc="outside upper left", ncols=len(handles[0]), frameon=False, fontsize=8)
     caption(
         figure,
-        f"Predicted less realised success, {runs:,} executions an entry by the policy of the nearest state; bars: 95 % "
-        f"intervals. Grey: within {_GOAL:g} points. Above: the table promises too much. Scenarios of our own.",
+        f"Predicted minus realised success, {runs:,} executions per entry by the policy of the nearest state; bars: "
+        f"95 % intervals. Grey: within {_MOST_POINTS:g} points. Above zero: the prediction is too high.",
     )
     save(figure, file)
 
 
 def _draw(axes: Axes, studies: Sequence[EntryStudy]) -> None:
-    axes.axhspan(-_GOAL, _GOAL, color=GREY, alpha=0.2, linewidth=0)
+    axes.axhspan(-_MOST_POINTS, _MOST_POINTS, color=GREY, alpha=0.2, linewidth=0)
     axes.axhline(0, color=GREY, linewidth=0.8)
     for study in studies:
         transition, spacing, times = study.grid.transition, study.grid.spacing_mm[0], study.grid.success_refinement

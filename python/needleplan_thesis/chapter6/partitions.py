@@ -1,8 +1,6 @@
-"""What section 6.4 says about prioritized-partitioned value iteration in words, checked on our scene one by one.
+"""Statements of section 6.4 about prioritized-partitioned value iteration, and Figs. 6.3 and 6.6.
 
-A partition and the states that depend on it (Fig. 6.3 of the thesis).
-
-Figs. 6.3 and 6.6: in which order the partitions were processed, and who depends on one of them.
+The figures show the order in which the partitions are processed, and the states that depend on one of them.
 """
 
 from __future__ import annotations
@@ -31,16 +29,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from needleplan.planning import PolicyTable
 
-__all__ = ["claims", "dependent_points", "draw_dependents", "in_obstacles", "orders"]
+__all__ = ["dependent_points", "draw_dependents", "draw_orders", "in_obstacles", "statements"]
 
 _H1, _H2 = Priority.H1, Priority.H2
-_ONE_SCENE = "one scene, ours, and times of this run; it may turn out otherwise on another"
+_ONE_SCENE = "one assumed scene, and times of this run; another scene may give another result"
 
 
-def claims(solves: Solves) -> list[Comparison]:
-    """Return a verdict for every statement."""
+def statements(solves: Solves) -> list[Comparison]:
+    """Return a verdict on every statement."""
     return [
         *_beats_plain(solves),
         _h2_beats_h1(solves),
@@ -52,7 +49,7 @@ def claims(solves: Solves) -> list[Comparison]:
 
 
 def in_obstacles(table: PolicyTable) -> set[int]:
-    """Return the partitions all of whose grid points are obstacle points."""
+    """Return the indices of the partitions that contain obstacle points only."""
     nx, ny, *_ = table.scenario.shape
     columns, rows = table.scenario.partitions
     labels = np.add.outer(np.arange(nx) * columns // nx * rows, np.arange(ny) * rows // ny)
@@ -61,9 +58,9 @@ def in_obstacles(table: PolicyTable) -> set[int]:
     return set(range(columns * rows)) - set(np.unique(labels[free]).tolist())
 
 
-def _said(what: str, published: str, ours: str, holds: bool, reason: str = _ONE_SCENE) -> Comparison:
+def _statement(what: str, published: str, computed: str, holds: bool, reason: str = _ONE_SCENE) -> Comparison:
     verdict = Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED
-    return Comparison(f"ch6/statement/{what}", published, ours, "", verdict, reason)
+    return Comparison(f"ch6/statement/{what}", published, computed, "", verdict, reason)
 
 
 def _beats_plain(solves: Solves) -> list[Comparison]:
@@ -75,18 +72,18 @@ def _beats_plain(solves: Solves) -> list[Comparison]:
     best_time, best_work = min(times, key=lambda case: times[case]), min(work, key=lambda case: work[case])
     published = min(row.total_s for row in TABLE_6_2)
     why = (
-        "backups do not depend on the machine: ours counts every evaluation, for priorities too, and its plain sweeps "
-        f"need {plain.sweeps:.0f} instead of {VALUE_ITERATION.sweeps}; {_ONE_SCENE}"
+        "backups do not depend on the machine; the computed number counts evaluations for priorities too, and plain "
+        f"value iteration needs {plain.sweeps:.0f} sweeps instead of {VALUE_ITERATION.sweeps}; {_ONE_SCENE}"
     )
     return [
-        _said(
+        _statement(
             "PPVI beats plain value iteration, time",
             f"6 of 6 cases, best {published:g} s against {VALUE_ITERATION.seconds:g} s",
             f"{len(fast)} of 6 cases, best {name_of(*best_time)}: {times[best_time]:.1f} s against "
             f"{solving_seconds(plain):.1f} s",
             len(fast) == len(times),
         ),
-        _said(
+        _statement(
             "PPVI beats plain value iteration, backups",
             "yes",
             f"{len(thrifty)} of 6 cases, best {name_of(*best_work)}: {work[best_work]:.1f} sweeps against "
@@ -103,13 +100,13 @@ def _h2_beats_h1(solves: Solves) -> Comparison:
     published = {(row.partitions, row.priority): row.total_s for row in TABLE_6_2}
     times = {p: solving_seconds(stats[p, _H2]) / solving_seconds(stats[p, _H1]) for p in sizes}
     work = {p: stats[p, _H2].backups / stats[p, _H1].backups for p in sizes}
-    return _said(
+    return _statement(
         "H2 slightly outperforms H1, H2 over H1",
         f"time {_listed({p: published[p, _H2] / published[p, _H1] for p in sizes})}",
         f"time {_listed(times)}; backups {_listed(work)}",
         all(ratio < 1 for ratio in (*times.values(), *work.values())),
-        "H2 ranks by the value, which does not fall to zero, and so revisits partitions of high cost first; even "
-        f"with the levels of our solver that costs backups; {_ONE_SCENE}",
+        "H2 ranks by the value, which does not decay to zero, so it revisits partitions of high cost first; even "
+        f"with the priority levels of this solver that costs backups; {_ONE_SCENE}",
     )
 
 
@@ -117,14 +114,14 @@ def _best_partitions(solves: Solves) -> Comparison:
     stats = {case: table.stats for case, table in solves.partitioned.items()}
     fast = min(stats, key=lambda case: solving_seconds(stats[case]))
     thrifty = min(stats, key=lambda case: stats[case].backups)
-    return _said(
+    return _statement(
         "the best total time is that of (12, 8) with H2",
         "(12, 8) H2, 1363.5 s",
         f"{name_of(*fast)}, {solving_seconds(stats[fast]):.1f} s; fewest backups: {name_of(*thrifty)}, "
         f"{stats[thrifty].sweeps:.1f} sweeps",
         fast == ((12, 8), _H2),
-        "a backup and an update of a priority cost about the same in compiled code; in MATLAB each partition and each "
-        f"step has its overhead; {_ONE_SCENE}",
+        "a backup and a priority update take about the same time in compiled code; MATLAB adds an overhead per "
+        f"partition and per step; {_ONE_SCENE}",
     )
 
 
@@ -132,7 +129,7 @@ def _fewer_states(solves: Solves) -> Comparison:
     states = {p: processed_states(table) for (p, _), table in solves.partitioned.items()}
     counts = list(states.values())
     falling = all(finer < coarser for coarser, finer in pairwise(counts))
-    return _said(
+    return _statement(
         "fewer states are processed with more partitions",
         "1,152,000 > 1,092,000 > 996,000",
         " > ".join(f"{count:,}" for count in counts) if falling else ", ".join(f"{count:,}" for count in counts),
@@ -144,7 +141,7 @@ def _obstacles_stay_unprocessed(solves: Solves) -> Comparison:
     table = solves.partitioned[(12, 8), Priority.H1]
     left_out = set(range(table.stats.partitions)) - set(table.stats.order)
     inside = in_obstacles(table)
-    return _said(
+    return _statement(
         "partitions within obstacles remain unprocessed, (12, 8) H1",
         "5 of 96 unprocessed",
         f"{len(left_out)} of {table.stats.partitions} unprocessed, {len(inside)} lie within an obstacle",
@@ -155,7 +152,7 @@ def _obstacles_stay_unprocessed(solves: Solves) -> Comparison:
 def _same_policy(solves: Solves) -> Comparison:
     policies = [solves.plain.policy, solves.sweep.policy, *(each.policy for each in solves.partitioned.values())]
     differing = max(int(np.count_nonzero(each != policies[0])) for each in policies)
-    return _said(
+    return _statement(
         "the policy does not depend on metric or partitions",
         "no discernible effect",
         f"{differing} of {policies[0].size:,} states differ at most, among 8 solves",
@@ -172,10 +169,10 @@ _CYAN, _RED = "#00bcd4", "#d00000"
 
 
 def dependent_points(table: PolicyTable, partition: int) -> NDArray[np.bool_]:
-    """Return for every grid point [nx, ny] whether one of its states can step into `partition`.
+    """Return a mask [nx, ny] of the grid points with a state that can step into `partition`.
 
-    These are the positions of SDP(p), the state dependents of a partition in Table 6.1 of the thesis, read from the
-    explicit form of the problem.
+    These are the positions of SDP(p), the state dependents of a partition (Table 6.1 of the thesis), computed from the
+    transition probabilities.
     """
     nx, ny, headings, bevels = table.scenario.shape
     columns, rows = table.scenario.partitions
@@ -183,7 +180,7 @@ def dependent_points(table: PolicyTable, partition: int) -> NDArray[np.bool_]:
     sparse = table.lattice.tabular()
     member = np.append(np.repeat(labels == partition, headings * bevels), False)
     hits = member[sparse["successors"]] & (sparse["probabilities"] > 0)
-    # Entries counted up to each row, and rows up to each state: a difference is what a state has of its own.
+    # Cumulative counts at row and state boundaries; their differences are the counts per state.
     entries = np.concatenate([[0], np.cumsum(hits)])[sparse["row_offsets"]][sparse["action_offsets"]]
     steps_in = np.diff(entries)[: nx * ny * headings * bevels] > 0
     reaching: NDArray[np.bool_] = np.logical_or.reduce(steps_in.reshape(nx, ny, headings * bevels), axis=2)
@@ -191,7 +188,7 @@ def dependent_points(table: PolicyTable, partition: int) -> NDArray[np.bool_]:
 
 
 def draw_dependents(axes: Axes, table: PolicyTable, partition: int) -> None:
-    """Outline `partition` in red and colour the grid points that depend on it, on top of the order of processing."""
+    """Outline `partition` in red, and colour the grid points that depend on it."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Rectangle
 
@@ -218,11 +215,11 @@ def draw_dependents(axes: Axes, table: PolicyTable, partition: int) -> None:
 
 
 _SAMPLE = (8, 4)
-"""Column and row of the sample partition among (12, 8), from 0: in the open, so that its dependents are seen."""
+"""Column and row (from 0) of the sample partition among (12, 8), away from obstacles so that all dependents show."""
 
 
-def orders(solves: Solves, folder: Path) -> None:
-    """Draw both figures; H1 is the default of the thesis."""
+def draw_orders(solves: Solves, folder: Path) -> None:
+    """Draw Figs. 6.3 and 6.6 with the priority H1, the default of the thesis."""
     _order(solves.partitioned[(12, 8), Priority.H1], folder / "fig_6_3.png", sample=_SAMPLE)
     _order(solves.partitioned[(24, 16), Priority.H1], folder / "fig_6_6.png", sample=None)
 
@@ -234,15 +231,15 @@ def _order(table: PolicyTable, file: Path, sample: tuple[int, int] | None) -> No
     table.plot_order(axes)
     left_out = columns * rows - len(table.stats.order)
     text = (
-        f"Large: place in the order of first processing. Grey: never processed ({left_out} of {columns * rows}). "
-        f"({columns}, {rows}) partitions, H1, costs of the thesis; the obstacles are ours, the thesis prints none."
+        f"Large: rank in the order of first processing. Grey: never processed ({left_out} of {columns * rows}). "
+        f"({columns}, {rows}) partitions, H1, costs of the thesis; assumed obstacles, the thesis prints none."
     )
     if sample:
         partition = sample[0] * rows + sample[1]
         draw_dependents(axes, table, partition)
         text = (
-            f"Small: number of the partition. Red: partition {partition + 1}; cyan: where its state dependents SDP "
-            f"lie, a step around it (the thesis shows its number 26). {text}"
+            f"Small: number of the partition. Red: partition {partition + 1}; cyan: positions of its state dependents "
+            f"SDP, one step around it (the thesis shows partition 26). {text}"
         )
     title(
         axes, f"Fig. {file.stem.removeprefix('fig_').replace('_', '.')}: order of processing, ({columns}, {rows}), H1"

@@ -1,12 +1,10 @@
-"""Executions beside each other: one panel each, with its turn points, one caption below.
+"""Figs. 6.4 and 6.5: plans with and without noise, and with other costs of insertion and rotation.
 
-Figs. 6.4 and 6.5: plans with and without noise, and with other costs of insertion and rotation.
-
-The start is (0, 20) mm, the thesis' (0, 2) cm. Its scene is not known, and on ours its heading of -30 degrees leads
-into an obstacle, whatever is done; Fig. 6.4 is therefore drawn from the nearest heading that does not. Costs a
-centimetre of the thesis are a tenth a millimetre here. At its literal costs (collision 200, exit 100, discount 0.95)
-giving up is cheaper than going round, so the figures take failures of 10,000 without discount, and the literal plans
-are drawn apart.
+The start is (0, 20) mm, the thesis' (0, 2) cm. The scene of the thesis is not known. In the scene used here, the
+published heading of -30 degrees leads into an obstacle, so Fig. 6.4 is drawn from the nearest heading that does not. A
+cost of the thesis per centimetre is a tenth of it per millimetre here. With the literal costs (collision 200, exit 100,
+discount 0.95) failing is cheaper than a detour. The figures therefore use failures of 10,000 without discount; the
+literal plans are drawn separately.
 """
 
 from __future__ import annotations
@@ -32,12 +30,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Panel", "clearance_mm", "draw_panels", "ending", "nearest_heading", "paths"]
 
+# Noisy executions behind each path.
 _NOISY = 30
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One execution without noise, of `table`, under a heading."""
+    """One execution of `table` without noise, drawn under the title `heading`."""
 
     heading: str
     table: PolicyTable
@@ -45,12 +44,12 @@ class Panel:
 
     @classmethod
     def of(cls, heading: str, table: PolicyTable, start: Sequence[float]) -> Panel:
-        """Execute `table` from a pose; a missing bevel becomes the one of the lower cost."""
+        """Execute `table` from a pose; a missing bevel is the one with the lower cost."""
         return cls(heading, table, table.path(start))
 
     @property
     def start(self) -> Pose:
-        """The first pose."""
+        """The first pose of the execution."""
         return self.path.start
 
     @property
@@ -65,7 +64,7 @@ class Panel:
 
 
 def ending(path: Path) -> str:
-    """Return how an execution ended, in words."""
+    """Return the outcome of an execution in words."""
     words = {
         Outcome.TARGET: "reaches the target",
         Outcome.COLLISION: "hits an obstacle",
@@ -76,7 +75,7 @@ def ending(path: Path) -> str:
 
 
 def draw_panels(panels: Sequence[Panel], text: str, file: File) -> None:
-    """Draw the panels with some noisy executions behind each path, and save the figure."""
+    """Draw the panels with noisy executions behind each path, one caption below, and save the figure."""
     figure, every = sheet(panels[0].table.scenario.workspace, len(panels))
     for axes, panel in zip(every, panels, strict=True):
         panel.table.rollout(panel.start, runs=_NOISY).plot(axes)
@@ -106,29 +105,32 @@ def _legend() -> list[Line2D]:
 
 
 _START_MM = (0.0, 20.0)
+
+# Success that the start of Fig. 6.4 needs at least.
 _MOST = 0.75
+
 _RUNS = 10_000
 _SECTION = "ch6/figures"
 _LETTERS = "abc"
 _COSTS = ((10, 40, 11), (10, 100, 9), (1, 100, 3))
-"""Fig. 6.5: cost of insertion a cm, cost of a rotation, published number of turns."""
+"""Fig. 6.5: cost of insertion per cm, cost of a rotation, published number of turns."""
 
 
 def paths(folder: File | None, note: Callable[[str], None]) -> list[Comparison]:
-    """Plan, draw where there is a folder, and compare."""
+    """Plan and compare; draw the figures if a folder is given."""
     note("Figs. 6.4 and 6.5")
     return [*_noise(folder), *_costs(folder)]
 
 
 def clearance_mm(panel: Panel) -> float:
-    """Return the least distance of the path from an obstacle, mm."""
+    """Return the smallest distance (mm) between path and obstacles."""
     obstacles = MultiPolygon([Polygon(each.polygon_mm) for each in panel.table.scenario.obstacles])
     distance: float = LineString(panel.path.poses[:, :2]).distance(obstacles)
     return distance
 
 
 def nearest_heading(table: PolicyTable, wanted_rad: float) -> float:
-    """Return the heading nearest to `wanted_rad` from which at least three of four executions reach the target."""
+    """Return the heading nearest to `wanted_rad` with a predicted success of at least 0.75."""
     headings = np.remainder(table.scenario.headings_rad - wanted_rad + math.pi, 2 * math.pi) - math.pi
     poses = [(*_START_MM, heading + wanted_rad, bevel) for heading in headings for bevel in (-1, 1)]
     success = table.lookup_many(poses).success.reshape(-1, 2).max(axis=1)
@@ -141,7 +143,7 @@ def _noise(folder: File | None) -> list[Comparison]:
     scenario = replace(four, objective=replace(four.objective, rotation=40.0))
     noisy = plan(scenario)
     calm = plan(replace(scenario, motion=replace(scenario.motion, tip_noise=(1.0,))))
-    # The plan that knows of no noise, executed where there is some.
+    # The plan made without noise, executed with noise.
     exposed = replace(calm, scenario=scenario)
     wanted = math.radians(-30)
     start = (*_START_MM, nearest_heading(noisy, wanted))
@@ -156,9 +158,9 @@ def _noise(folder: File | None) -> list[Comparison]:
             for name, panel, success in zip(names, (without, having), realised, strict=True)
         ]
         text = (
-            f"Fig. 6.4 on our four obstacles, from (0, 20) mm, {degrees}: the heading nearest to the thesis' -30 deg "
-            "from which three of four executions succeed. Ci = 10 a cm, Cr = 40, failures 10,000, no discount. The "
-            f"thesis has 4 and 6 turns. Least clearance {clear[0]:.1f} and {clear[1]:.1f} mm."
+            f"Fig. 6.4 in the scene four_obstacles, from (0, 20) mm, {degrees}: the heading nearest to -30 deg "
+            "(thesis) with a success of at least 0.75. Ci = 10 per cm, Cr = 40, failures 10,000, no discount. The "
+            f"thesis has 4 and 6 turns. Smallest clearance {clear[0]:.1f} and {clear[1]:.1f} mm."
         )
         draw_panels(panels, text, folder / "fig_6_4.png")
     blocked = float(noisy.lookup_many([(*_START_MM, wanted, bevel) for bevel in (-1, 1)]).success.max())
@@ -167,7 +169,7 @@ def _noise(folder: File | None) -> list[Comparison]:
     return [
         Comparison(
             f"{_SECTION}/6.4 success from (0, 20) mm at -30 deg", None, round(blocked, 4), "1", Agreement.IMPOSSIBLE,
-            "on our scene an obstacle stands in the way; the thesis prints no coordinates of its own",
+            "in the assumed scene an obstacle is in the way; the thesis prints no coordinates",
         ),
         measured(f"{_SECTION}/6.4a turns, planned without noise", 4, without.turns, "turns", why),
         measured(f"{_SECTION}/6.4b turns, planned with noise", 6, having.turns, "turns", why),
@@ -194,14 +196,14 @@ def _costs(folder: File | None) -> list[Comparison]:
             panels.append(replace(panel, heading=heading))
         drawn[name] = panels
     if folder:
-        origin = "from (0, 20) mm, 0 deg, on our four obstacles."
+        origin = "from (0, 20) mm, 0 deg, in the scene four_obstacles."
         draw_panels(
             drawn["safe"], f"Fig. 6.5 {origin} Failures cost 10,000, no discount. The thesis has 11, 9 and 3 turns.",
             folder / "fig_6_5.png",
         )  # fmt: skip
         text = (
             f"Fig. 6.5 with the literal costs of the thesis, {origin} Collision 200, exit 100, discount 0.95: failing "
-            "is cheaper than going round, and the plans give up."
+            "is cheaper than a detour, so the plans give up."
         )
         draw_panels(drawn["literal"], text, folder / "fig_6_5_literal.png")
     for letter, (*_, published), safe, literal in zip(_LETTERS, _COSTS, drawn["safe"], drawn["literal"], strict=True):
@@ -211,7 +213,7 @@ def _costs(folder: File | None) -> list[Comparison]:
             measured(f"{_SECTION}/6.5{letter} turns", published, safe.turns, "turns", why),
             Comparison(
                 f"{_SECTION}/6.5{letter} with the literal costs", f"reached, {published} turns", gives_up, "",
-                Agreement.IMPOSSIBLE, "at these costs failing is cheaper than a long way round, on our scene at least",
+                Agreement.IMPOSSIBLE, "with these costs failing is cheaper than a long detour in the assumed scene",
             ),
         ]  # fmt: skip
     dear, dearer, long = (panel.turns for panel in drawn["safe"])
@@ -220,7 +222,7 @@ def _costs(folder: File | None) -> list[Comparison]:
         _fewer("dearer rotations, fewer turns", "11 > 9", dear, dearer, ""),
         _fewer(
             "cheaper insertion, a longer way with fewer turns", "9 > 3", dearer, long,
-            "where a failure costs 10,000 the price of insertion hardly matters, and every turn buys safety",
+            "with failures of 10,000 the cost of insertion hardly matters, and every turn improves safety",
         ),
     ]  # fmt: skip
 

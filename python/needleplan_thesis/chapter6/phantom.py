@@ -1,15 +1,13 @@
-"""Section 6.5, Figs. 6.7 to 6.9: the three experiments in a phantom, on our rods and with our target.
+"""Section 6.5, Figs. 6.7 to 6.9: three experiments in a phantom, as plans and as insertions in the lab twin.
 
-Radius 646.83 mm, 1800 headings of alpha = 0.2 degrees, a grid of 3 x 0.15 mm: the thesis'. Its costs are those of
-section 6.4 with a rotation of 100, then 40; with its discount and failures every plan would give up, so failures cost
-1,000 here, without discount, which leaves the weight of a rotation to be seen. Only the plans are compared: the
-measurements in gel are not ours to repeat.
+From the thesis: starts, radius (646.83 mm), 1800 headings of alpha = 0.2 degrees, the grid of 3 x 0.15 mm, and the
+insertion speed. The costs are those of section 6.4 with a rotation of 100, then 40. With the discount and failures of
+the thesis every plan would give up, so failures cost 1,000 here, without discount; the cost of a rotation then still
+matters.
 
-Section 6.5, Figs. 6.7 to 6.9, as experiments: the loop steers a needle of the thesis' radius in the lab twin.
-
-Starts, costs, radius, grid and insertion speed are the thesis'; rods, target and the imperfections of the lab (those of
-the shipped experiment `steering`) are ours. The base turns ten times faster than the thesis' three turns a minute: in
-the twin nothing depends on that but the time it takes.
+Assumed: rods, target, and the imperfections of the lab (those of the shipped experiment `steering`). The base turns ten
+times faster than the thesis' three turns a minute, which changes only the duration in the twin. The measurements in gel
+cannot be repeated.
 """
 
 from __future__ import annotations
@@ -43,7 +41,7 @@ __all__ = ["EXPERIMENTS", "PhantomExperiment", "experiments", "miss_mm", "phanto
 
 _SECTION = "ch6/section 6.5"
 _FAILURE = 1000.0
-_WHY = "rods and target are ours, the thesis prints no coordinates; failures 1,000, no discount"
+_WHY = "rods and target are assumed, the thesis prints no coordinates; failures 1,000, no discount"
 _RUNS = 10_000
 
 
@@ -51,7 +49,8 @@ _RUNS = 10_000
 class PhantomExperiment:
     """A plan of section 6.5: figure, start, cost of a rotation, published number of turns.
 
-    `alphas` is the heading in heading steps; None means the best one of the table.
+    `alphas` is the heading in heading steps; None means the best heading of the table. `turns` is None if the thesis
+    finds no path.
     """
 
     figure: str
@@ -73,7 +72,10 @@ EXPERIMENTS = (
 
 
 def phantom(folder: Path | None, note: Callable[[str], None], fine: bool) -> list[Comparison]:
-    """Plan, draw where there is a folder, and compare; `fine` halves the spacing, which is not the thesis' then."""
+    """Plan and compare; draw the figures if a folder is given.
+
+    `fine` halves the spacing of the thesis.
+    """
     note("Figs. 6.7 to 6.9")
     scenario = Scenario.read("phantom")
     if fine:
@@ -88,18 +90,18 @@ def phantom(folder: Path | None, note: Callable[[str], None], fine: bool) -> lis
         for each in EXPERIMENTS
         if each.turns is not None
     ]
-    return [*turns, *_statements(panels), *_promises(scenario)]
+    return [*turns, *_statements(panels), *_predictions(scenario)]
 
 
 def miss_mm(panel: Panel) -> float:
-    """Return the least distance of a path's poses from the edge of the target, mm; negative inside."""
+    """Return the smallest distance (mm) of the poses of a path from the edge of the target; negative inside."""
     target = panel.table.scenario.target
     x, y = target.center_mm
     return min(math.hypot(*(pose[:2] - (x, y))) for pose in panel.path.poses) - target.radius_mm
 
 
 def with_rotation(scenario: Scenario, rotation: float) -> Scenario:
-    """Return the scenario with the costs of section 6.5 as they are used here."""
+    """Return the scenario with the costs that this module uses for section 6.5."""
     objective = replace(scenario.objective, rotation=rotation, collision=_FAILURE, exit=_FAILURE)
     return replace(scenario, objective=objective)
 
@@ -120,18 +122,18 @@ def _panel(experiment: PhantomExperiment, table: PolicyTable) -> Panel:
 
 
 def _draw(panels: dict[str, Panel], folder: Path) -> None:
-    ours = (
-        "Alpha = 0.2 deg; rods and target are ours, the thesis prints no coordinates. Failures 1,000, no "
+    conditions = (
+        "Alpha = 0.2 deg; rods and target are assumed, the thesis prints no coordinates. Failures 1,000, no "
         "discount; success realised in 10,000 executions."
     )
-    told = {
+    published_results = {
         "6.7": "The thesis has one turn, at (9, 0.75) mm.",
         "6.8": "The thesis has 1, 4 and 1 turns, and misses the target with the last.",
         "6.9": "The thesis finds no path with +5 alpha, 2 turns with +3 alpha, none with the best heading, -16 alpha.",
     }
-    for figure, published in told.items():
+    for figure, published in published_results.items():
         chosen = [panel for name, panel in panels.items() if name.startswith(figure)]
-        draw_panels(chosen, f"Fig. {figure}. {published} {ours}", folder / f"fig_{figure.replace('.', '_')}.png")
+        draw_panels(chosen, f"Fig. {figure}. {published} {conditions}", folder / f"fig_{figure.replace('.', '_')}.png")
 
 
 def _statements(panels: dict[str, Panel]) -> list[Comparison]:
@@ -139,26 +141,28 @@ def _statements(panels: dict[str, Panel]) -> list[Comparison]:
     dear, cheap, late = panels["6.8a"], panels["6.8b"], panels["6.8c"]
     blocked, steered, best = panels["6.9, no path"], panels["6.9a"], panels["6.9b"]
 
-    def said(what: str, published: str, ours: str, holds: bool) -> Comparison:
+    def statement(what: str, published: str, computed: str, holds: bool) -> Comparison:
         verdict = Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED
-        return Comparison(f"{_SECTION}/{what}", published, ours, "", verdict, _WHY)
+        return Comparison(f"{_SECTION}/{what}", published, computed, "", verdict, _WHY)
 
-    beside = miss_mm(late)
+    miss = miss_mm(late)
     return [
-        said("6.8 cheaper rotations, more turns", "4 > 1", f"{cheap.turns}, {dear.turns}", cheap.turns > dear.turns),
-        said(
+        statement(
+            "6.8 cheaper rotations, more turns", "4 > 1", f"{cheap.turns}, {dear.turns}", cheap.turns > dear.turns
+        ),
+        statement(
             "6.8c from +5 alpha the target is just missed",
             "0.248 mm beside its edge",
-            f"{ending(late.path)}, {beside:+.2f} mm from its edge",
-            0 < beside < 1,
+            f"{ending(late.path)}, {miss:+.2f} mm from its edge",
+            0 < miss < 1,
         ),
-        said(
+        statement(
             "6.9 from (0, 1.8) with +5 alpha a collision is unavoidable",
             "no path",
             f"{ending(blocked.path)}, predicted success {blocked.success:.2f}",
             blocked.path.outcome is Outcome.COLLISION,
         ),
-        said(
+        statement(
             "6.9a with +3 alpha the target is reached",
             "after 2 turns",
             f"{ending(steered.path)} after {steered.turns} turns",
@@ -168,49 +172,51 @@ def _statements(panels: dict[str, Panel]) -> list[Comparison]:
     ]
 
 
-def _promises(scenario: Scenario) -> list[Comparison]:
-    """Compare what the grid of the thesis promises of the best entry with what comes of it, for both transitions."""
+def _predictions(scenario: Scenario) -> list[Comparison]:
+    """Compare predicted with realised success of the best entry on the grid of the thesis, for both transitions."""
     comparisons = []
     for transition in Transition:
         table = plan(replace(scenario, grid=replace(scenario.grid, transition=transition)))
         best = table.best_entry()
         nearest, greedy = (table.rollout(best.pose, _RUNS, greedy=greedy).success for greedy in (False, True))
         dx, dy = scenario.grid.spacing_mm
-        ours = f"predicted {best.success:.3f}, realised {nearest:.3f}, greedy {greedy:.3f}"
+        computed = f"predicted {best.success:.3f}, realised {nearest:.3f}, greedy {greedy:.3f}"
         name = f"{_SECTION}/best entry, {transition} {dx:g} x {dy:g} mm"
         rounded = transition is Transition.NEAREST and dx > scenario.step_mm
         why = f"a step of {scenario.step_mm:.2f} mm, rounded to the nearest point, counts as {dx:g}" if rounded else ""
-        comparisons.append(Comparison(name, None, ours, "", Agreement.OURS, why))
+        comparisons.append(Comparison(name, None, computed, "", Agreement.OURS, why))
     return comparisons
 
 
 _LAB_SECTION = "ch6/experiments"
 _VELOCITY_MM_S, _VELOCITY_RAD_S = 12.0, 3.14
-_DEVIATION_MM, _BESIDE_MM = 0.176, 0.248
+
+# Published: largest deviation from the plan (Fig. 6.7), and distance beyond the rim (Fig. 6.8c).
+_DEVIATION_MM, _BEYOND_MM = 0.176, 0.248
 _LAB_WHY = (
-    "rods, target and the lab's imperfections are ours; the lab's needle wanders by 2 mrad per root mm, which nobody "
-    "measured in the thesis' gel; the thesis has one insertion, measured by its tracker"
+    "rods, target and imperfections of the lab are assumed; the heading of its needle has a random walk of 2 mrad per "
+    "root mm, which was not measured in the thesis' gel; the thesis has one insertion, measured by its tracker"
 )
 
 
 class _Done(NamedTuple):
     experiment: PhantomExperiment
-    course: SteeringCase
+    case: SteeringCase
     trials: list[SteeringTrial]
     summary: SteeringSummary
 
 
 def experiments(folder: Path | None, note: Callable[[str], None], seeds: int) -> list[Comparison]:
-    """Carry out every experiment with so many seeds, draw where there is a folder, and compare."""
+    """Repeat every experiment in the lab twin with `seeds` seeds, and compare; draw if a folder is given."""
     scenario, lab = Scenario.read("phantom"), Experiment.read("steering")
     done = []
     for experiment in EXPERIMENTS:
-        if experiment.turns is None:  # no path is what the thesis says of it: there is nothing to carry out
+        if experiment.turns is None:  # the thesis finds no path, so there is no insertion to repeat
             continue
         note(f"{experiment.figure}: {seeds} insertions in the lab twin")
-        course = _course(experiment, scenario, lab)
-        trials = list(run_all([SteeringTask(course, Guidance.REPLANNED, seed) for seed in range(seeds)]))
-        done.append(_Done(experiment, course, trials, summarized(trials)))
+        case = _steering_case(experiment, scenario, lab)
+        trials = list(run_all([SteeringTask(case, Guidance.REPLANNED, seed) for seed in range(seeds)]))
+        done.append(_Done(experiment, case, trials, summarized(trials)))
     if folder:
         for figure in ("6.7", "6.8", "6.9"):
             chosen = [each for each in done if each.experiment.figure.startswith(figure)]
@@ -218,16 +224,16 @@ def experiments(folder: Path | None, note: Callable[[str], None], seeds: int) ->
     return [comparison for each in done for comparison in _compared(each)]
 
 
-def _course(experiment: PhantomExperiment, scenario: Scenario, lab: Experiment) -> SteeringCase:
+def _steering_case(experiment: PhantomExperiment, scenario: Scenario, lab: Experiment) -> SteeringCase:
     chosen = with_rotation(scenario, experiment.rotation)
     alpha = 2 * math.pi / chosen.motion.headings
-    course = SteeringCase(
+    case = SteeringCase(
         experiment.figure, chosen, lab, (0.0, experiment.y_mm, (experiment.alphas or 0) * alpha),
         velocity_mm_s=_VELOCITY_MM_S, velocity_rad_s=_VELOCITY_RAD_S,
     )  # fmt: skip
     if experiment.alphas is not None:
-        return course
-    best = course.table.best_entry(y_mm=experiment.y_mm).pose
+        return case
+    best = case.table.best_entry(y_mm=experiment.y_mm).pose
     return SteeringCase(
         experiment.figure, chosen, lab, (best.x_mm, best.y_mm, best.heading_rad), _VELOCITY_MM_S, _VELOCITY_RAD_S
     )
@@ -239,22 +245,22 @@ def _compared(done: _Done) -> list[Comparison]:
     seen = np.array([each.seen_deviation_mm for each in done.trials])
     beyond = np.array([each.beyond_rim_mm for each in done.trials])
     low, high = summary.success_interval
-    share = f"95 % interval {low:.2f} to {high:.2f}; promised {summary.predicted:.2f}; {summary.runs} insertions"
+    share = f"95 % interval {low:.2f} to {high:.2f}; predicted {summary.predicted:.2f}; {summary.runs} insertions"
     failures = ", ".join(f"{count} {what}" for what, count in summary.failures.items())
     return [
         Comparison(f"{name} success", None, summary.success, "", Agreement.OURS, share),
         Comparison(f"{name} failures", None, failures or "none", "", Agreement.OURS),
-        _beside(
+        _median(
             f"{name} largest deviation, by the tip filter, median", _DEVIATION_MM if _is(done, "6.7") else None, seen
         ),
         Comparison(f"{name} largest deviation, in truth, median", None, float(np.median(deviations)), "mm",
                    Agreement.OURS, _spread(deviations)),
-        _beside(f"{name} beyond the rim, median", _BESIDE_MM if _is(done, "6.8c") else None, beyond),
+        _median(f"{name} beyond the rim, median", _BEYOND_MM if _is(done, "6.8c") else None, beyond),
         Comparison(f"{name} error to the centre, mean", None, summary.error_mm, "mm", Agreement.OURS,
                    f"95 % interval {summary.error_interval_mm[0]:.3f} to {summary.error_interval_mm[1]:.3f} mm; "
                    f"95 % of them below {summary.error_95_mm:.3f} mm"),
         Comparison(f"{name} turns, mean", float(done.experiment.turns or 0), summary.turns, "turns", Agreement.OURS,
-                   "of the loop, which decides anew at every step; the thesis counts those of the plan"),
+                   "of the loop, which decides again at every step; the thesis counts those of the plan"),
     ]  # fmt: skip
 
 
@@ -266,12 +272,12 @@ def _is(done: _Done, figure: str) -> bool:
     return done.experiment.figure == figure
 
 
-def _beside(name: str, published: float | None, ours: np.ndarray) -> Comparison:
-    """Compare a single published measurement with the median of ours."""
-    middle = float(np.median(ours))
+def _median(name: str, published: float | None, values: np.ndarray) -> Comparison:
+    """Compare a single published measurement with the median of the insertions."""
+    median = float(np.median(values))
     if published is None:
-        return Comparison(name, None, middle, "mm", Agreement.OURS, _spread(ours))
-    return measured(name, published, middle, "mm", f"{_spread(ours)}; {_LAB_WHY}")
+        return Comparison(name, None, median, "mm", Agreement.OURS, _spread(values))
+    return measured(name, published, median, "mm", f"{_spread(values)}; {_LAB_WHY}")
 
 
 def _spread(values: np.ndarray) -> str:
@@ -282,17 +288,17 @@ def _spread(values: np.ndarray) -> str:
 def _draw_lab(figure: str, chosen: Sequence[_Done], file: Path) -> None:
     from matplotlib.lines import Line2D
 
-    drawing, every = sheet(chosen[0].course.scenario.workspace, len(chosen))
+    drawing, every = sheet(chosen[0].case.scenario.workspace, len(chosen))
     for axes, done in zip(every, chosen, strict=True):
-        done.course.scenario.plot(axes)
+        done.case.scenario.plot(axes)
         for trial in sorted(done.trials, key=_reached):
             colour = SKY if trial.success else GREY
             axes.plot(*trial.path_mm[:, :2].T, color=colour, linewidth=0.5, alpha=0.6, zorder=2)
-        done.course.table.path(done.course.pose).plot(axes, scene=False)
+        done.case.table.path(done.case.pose).plot(axes, scene=False)
         summary = done.summary
         title(
             axes,
-            f"{done.experiment.figure}: success {summary.success:.2f} of {summary.runs} (promised "
+            f"{done.experiment.figure}: success {summary.success:.2f} of {summary.runs} (predicted "
             f"{summary.predicted:.2f}), median error {summary.error_median_mm:.2f} mm",
         )
     handles = [
@@ -303,6 +309,6 @@ def _draw_lab(figure: str, chosen: Sequence[_Done], file: Path) -> None:
     caption(
         drawing,
         f"Fig. {figure} in the lab twin. Thick: the plan. Thin: true paths of insertions with feedback, one a seed. "
-        "Rods, target and the imperfections of the lab are ours; the thesis measured one insertion each.",
+        "Rods, target and the imperfections of the lab are assumed; the thesis measured one insertion each.",
     )
     save(drawing, file)

@@ -1,10 +1,6 @@
-"""What chapter 6 of the thesis prints: numbers of sections 6.2 to 6.5, Tables 6.2 and 6.3.
+"""Published numbers of sections 6.2 to 6.5; the size of the problem; Tables 6.2 and 6.3, and plain value iteration.
 
-The size of the problem and the noise of the tip: sections 6.2 and 6.4, which need no obstacle.
-
-Solving the problem of section 6.4 by every method: plain value iteration, the six of Table 6.2, and the sweeps.
-
-Tables 6.2 and 6.3 and the plain value iteration, published beside ours.
+The problem of section 6.4 is solved by plain value iteration, by the six settings of Table 6.2, and by sweeps.
 """
 
 from __future__ import annotations
@@ -43,17 +39,17 @@ STATES = 1_176_120
 """Section 6.4: number of states."""
 
 FORMULA_STATES = 1_152_000
-"""Table 6.3: all states at (6, 4), where every partition was processed; what the formula of section 6.2 gives."""
+"""All states of Table 6.3 at (6, 4), where every partition is processed; also the formula of section 6.2."""
 
-OTHER_SCENE = "the thesis prints no coordinates of its obstacles; the scene is ours"
+OTHER_SCENE = "the thesis prints no coordinates of its obstacles; the scene is assumed"
 OTHER_MACHINE = (
-    "compiled code on today's machine, one thread; the thesis: MATLAB, Pentium IV, 2.4 GHz, 512 MB; scene ours"
+    "compiled code on a present machine, one thread; the thesis: MATLAB, Pentium IV, 2.4 GHz, 512 MB; assumed scene"
 )
 
 
 @dataclass(frozen=True)
 class Row62:
-    """A row of Table 6.2: seconds for solving partitions, for updating priorities, and altogether."""
+    """A row of Table 6.2: seconds for solving partitions, for updating priorities, and in total."""
 
     partitions: tuple[int, int]
     priority: Priority
@@ -70,15 +66,15 @@ TABLE_6_2 = (
     Row62((24, 16), Priority.H1, 700.8, 1612.1, 2312.9),
     Row62((24, 16), Priority.H2, 522.4, 1663.8, 2186.2),
 )
-"""As printed, although the parts of (12, 8) add up to 1805.6 (H1) and 1364.5 (H2)."""
+"""As printed. The parts of (12, 8) add up to 1805.6 (H1) and 1364.5 (H2), not to the printed totals."""
 
 TABLE_6_3 = {(6, 4): (24, 1_152_000), (12, 8): (91, 1_092_000), (24, 16): (332, 996_000)}
-"""Table 6.3: partitions processed and processed states, by (nx, ny)."""
+"""Table 6.3: processed partitions and processed states, by (nx, ny)."""
 
 
 @dataclass(frozen=True)
 class PlainValueIteration:
-    """Section 6.4: the generic value iteration."""
+    """Plain value iteration in section 6.4."""
 
     sweeps: int
     updates: int
@@ -126,7 +122,7 @@ def problem(thesis: Scenario) -> list[Comparison]:
             VALUE_ITERATION.updates,
             VALUE_ITERATION.sweeps * thesis.states,
             "backups",
-            "so the thesis' sweeps go over all grid points, its Table 6.3 does not",
+            "so the sweeps of the thesis cover all grid points, whereas its Table 6.3 does not",
         ),
         _exact("mean of the noise", 0, round(mean, 9), "heading steps", ""),
         measured(
@@ -134,15 +130,15 @@ def problem(thesis: Scenario) -> list[Comparison]:
             0.85,
             round(deviation, 4),
             "heading steps",
-            "the printed probabilities have sqrt(2 * 0.24 + 8 * 0.027) = 0.834; 0.85 is that of the Gaussian behind "
-            "them: its density at 0, 1, 2, scaled to one, is 0.470, 0.235, 0.030",
+            "the printed probabilities have sqrt(2 * 0.24 + 8 * 0.027) = 0.834; 0.85 is that of the Gaussian: "
+            "its density at 0, 1, 2, scaled to sum to one, is 0.470, 0.235, 0.030",
         ),
     ]
 
 
-def _exact(what: str, published: float, ours: float, unit: str, reason: str) -> Comparison:
-    verdict = Agreement.REPRODUCED if ours == published else Agreement.NOT_REPRODUCED
-    return Comparison(f"{_SECTION}/{what}", published, ours, unit, verdict, reason)
+def _exact(what: str, published: float, computed: float, unit: str, reason: str) -> Comparison:
+    verdict = Agreement.REPRODUCED if computed == published else Agreement.NOT_REPRODUCED
+    return Comparison(f"{_SECTION}/{what}", published, computed, unit, verdict, reason)
 
 
 SolverCase = tuple[tuple[int, int], Priority]
@@ -158,7 +154,7 @@ class Solves:
 
 
 def solve_all(thesis: Scenario, note: Callable[[str], None]) -> Solves:
-    """Solve `thesis` eight times, each on one thread, so that times compare."""
+    """Solve `thesis` by all eight methods, on one thread each, so that times are comparable."""
 
     def solved(method: Method, partitions: tuple[int, int] = (1, 1), priority: Priority = Priority.H1) -> PolicyTable:
         note(f"Tables 6.2 and 6.3: {method}" + (f", {partitions}, {priority}" if method is Method.PPVI else ""))
@@ -175,7 +171,7 @@ def solve_all(thesis: Scenario, note: Callable[[str], None]) -> Solves:
 
 
 def processed_states(table: PolicyTable) -> int:
-    """Return the number of states in the partitions that were processed at all (Table 6.3)."""
+    """Return the number of states in the processed partitions (Table 6.3)."""
     nx, ny, headings, bevels = table.scenario.shape
     columns, rows = table.scenario.partitions
     widths = np.bincount(np.arange(nx) * columns // nx, minlength=columns)
@@ -190,12 +186,12 @@ def tables(solves: Solves) -> list[Comparison]:
 
 
 def name_of(partitions: tuple[int, int], priority: str = "") -> str:
-    """Return `(12, 8) H2`, as the tables of the thesis have it."""
+    """Return a name such as `(12, 8) H2`, as in the tables of the thesis."""
     return f"({partitions[0]}, {partitions[1]}) {priority}".strip()
 
 
 def solving_seconds(stats: Stats) -> float:
-    """Return the time that the thesis counts: solving and priorities, without geometry and without the evaluation."""
+    """Return the time that the thesis counts: solving and priorities, without geometry and evaluation."""
     return stats.seconds_solving + stats.seconds_priorities
 
 
@@ -208,8 +204,8 @@ def _table_6_2(solves: Solves) -> list[Comparison]:
             measured(f"{name}/ts, solving", row.solving_s, stats.seconds_solving, "s", OTHER_MACHINE),
             measured(f"{name}/tc, priorities", row.priorities_s, stats.seconds_priorities, "s", OTHER_MACHINE),
             measured(f"{name}/total", row.total_s, solving_seconds(stats), "s", OTHER_MACHINE),
-            _ours(f"{name}/visits of partitions", stats.partitions_processed, "visits"),
-            _ours(f"{name}/backups", stats.backups, "backups"),
+            _computed(f"{name}/visits of partitions", stats.partitions_processed, "visits"),
+            _computed(f"{name}/backups", stats.backups, "backups"),
         ]
     return rows
 
@@ -221,7 +217,7 @@ def _table_6_3(solves: Solves) -> list[Comparison]:
         name = f"ch6/table 6.3/{name_of(partitions)}"
         count = partitions[0] * partitions[1]
         exact = Agreement.REPRODUCED if table.stats.partitions == count else Agreement.NOT_REPRODUCED
-        edge = f"{OTHER_SCENE}; ours counts the grid points of all edges"
+        edge = f"{OTHER_SCENE}; the computed number includes the grid points of all edges"
         rows += [
             Comparison(f"{name}/partitions", count, table.stats.partitions, "partitions", exact),
             measured(f"{name}/processed partitions", processed, len(table.stats.order), "partitions", OTHER_SCENE),
@@ -247,11 +243,11 @@ def _plain(solves: Solves) -> list[Comparison]:
 def _sweep(table: PolicyTable) -> list[Comparison]:
     name = "ch6/section 6.4/directional sweeps"
     return [
-        _ours(f"{name}/sweeps", table.stats.sweeps, "sweeps"),
-        _ours(f"{name}/updates", table.stats.backups, "backups"),
-        _ours(f"{name}/time", solving_seconds(table.stats), "s"),
+        _computed(f"{name}/sweeps", table.stats.sweeps, "sweeps"),
+        _computed(f"{name}/updates", table.stats.backups, "backups"),
+        _computed(f"{name}/time", solving_seconds(table.stats), "s"),
     ]
 
 
-def _ours(identity: str, ours: float, unit: str) -> Comparison:
-    return Comparison(identity, None, ours, unit, Agreement.OURS, "")
+def _computed(identity: str, computed: float, unit: str) -> Comparison:
+    return Comparison(identity, None, computed, unit, Agreement.OURS, "")

@@ -1,1 +1,1 @@
-"""The circle, in lab twins that hide something: plan, insert, diagnose, plan with what was named, insert again."""
+"""The closed loop in lab twins with a hidden effect: plan, insert, diagnose, plan with the diagnosed model, insert."""

@@ -1,7 +1,4 @@
-"""Tissues, needles and bases of the lab twin that hide something from a plan.
-
-Recordings in a lab that hides something: those that a diagnosis needs, and the motion that it asks for.
-"""
+"""Lab twins with a hidden effect, and the recordings that a diagnosis gets from them."""
 
 from __future__ import annotations
 
@@ -17,40 +14,42 @@ from needleplan.scenario import CurvaturePiece, Scenario
 from needleplan.signals import Record, Role
 from needleplan.simulation import Effects, Experiment, Move, Robot, Setup, Shaft, SimulatedEntry, run_experiment
 
-__all__ = ["HIDDEN", "NOTHING", "SHAFT", "HiddenEffect", "another", "hidden_named", "laboratory", "recordings"]
+__all__ = ["HIDDEN", "NOTHING", "SHAFT", "HiddenEffect", "hidden_named", "laboratory", "next_record", "recordings"]
 
-_WANDER = 5e-4
+# Random walk of the heading (rad per root mm), and noise of the tracker.
+_HEADING_NOISE = 5e-4
 _TRACKER_MM = 0.1
+
+# Rate of the servo, below the twin's default because its samples dominate the computing time.
 _SERVO_HZ = 400
-"""Less than the twin's own: its samples are most of what an insertion costs."""
 
 SHAFT = Shaft(torsional_stiffness_n_mm2=1.5e4)
 
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """What a lab hides: `hide` puts it into a lab that is as planned."""
+    """An effect that the plan does not know; `hide` adds it to a lab that behaves as planned."""
 
     name: str
     title: str
     truth: str
-    """In the words of the diagnosis, where it has them."""
+    """The true parameters in the terms of the diagnosis, if it knows the effect."""
 
     hide: Callable[[Setup], Setup]
 
 
 def laboratory(scenario: Scenario, entry: SimulatedEntry | None = None) -> Setup:
-    """Return a lab that bends as planned, with a tracker of 0.1 mm and a heading that wanders a little."""
+    """Return a lab that bends as planned, with tracker noise of 0.1 mm and a small random walk of the heading."""
     return Setup(
         plan_curvature_per_mm=1 / scenario.needle.curvature_radius_mm, scenario=scenario,
         entry=entry or SimulatedEntry(),
-        effects=Effects(heading_noise_rad_sqrt_mm=_WANDER, tracker_noise_mm=_TRACKER_MM), shaft=SHAFT,
+        effects=Effects(heading_noise_rad_sqrt_mm=_HEADING_NOISE, tracker_noise_mm=_TRACKER_MM), shaft=SHAFT,
         robot=Robot(servo_hz=_SERVO_HZ),
     )  # fmt: skip
 
 
 def _layers(pieces: Sequence[tuple[float, float]]) -> Callable[[Setup], Setup]:
-    """Hide tissue in which the path bends otherwise: from where on (mm along x), and the share of the planned."""
+    """Hide changes of curvature: `pieces` are the start (mm along x) and the ratio to the planned curvature."""
 
     def hide(setup: Setup) -> Setup:
         assert setup.scenario is not None
@@ -61,8 +60,8 @@ def _layers(pieces: Sequence[tuple[float, float]]) -> Callable[[Setup], Setup]:
     return hide
 
 
-def _effect(**sizes: Any) -> Callable[[Setup], Setup]:
-    return lambda setup: replace(setup, effects=replace(setup.effects, **sizes))
+def _effect(**amplitudes: Any) -> Callable[[Setup], Setup]:
+    return lambda setup: replace(setup, effects=replace(setup.effects, **amplitudes))
 
 
 def _tilted(setup: Setup) -> Setup:
@@ -106,17 +105,18 @@ HIDDEN: tuple[HiddenEffect, ...] = (
         "amplitude 0.04 rad, in the plane to the left", _tilted,
     ),
 )  # fmt: skip
-"""Each for a plan with a radius of 100 mm."""
+"""Amplitudes are relative to a plan with a radius of 100 mm."""
 
 
 def hidden_named(name: str) -> HiddenEffect:
-    """Return the hidden effect of a name. Raises InputError where there is none."""
+    """Return a hidden effect by its name. Raises InputError if the name is unknown."""
     for each in (NOTHING, *HIDDEN):
         if each.name == name:
             return each
     raise InputError(Mistake("hidden effect", name, f"must be one of {', '.join(each.name for each in HIDDEN)}"))
 
 
+# Duration of the noise record, and speed of rotations.
 _NOISE_S = 20.0
 _TURN_RAD_S = 3.0
 _COLUMNS = ("time_s", "depth_mm", "angle_rad", "x_mm", "y_mm", "z_mm")
@@ -128,17 +128,17 @@ _PROGRAMS: tuple[tuple[Role, float, tuple[tuple[float, float], ...]], ...] = (
     (Role.HOLDOUT, 0.0, ((52, 8), (70, 3))),
     (Role.HOLDOUT, math.pi, ((30, 6), (70, 8))),
 )
-"""Role, roll at the begin, and places with speeds, half a turn between: two speeds and one rotation."""
+"""Role, first roll (rad), and legs of insertion: depth (mm) and speed (mm/s), with half a turn between the legs."""
 
 
 def recordings(setup: Setup, seed: int) -> list[Record]:
-    """Return insertions into the lab at the origin, at two speeds with one rotation, and a noise record."""
+    """Return five recorded insertions from the origin, at two speeds with one rotation each, and a noise record."""
     found = []
     for number, (role, roll, legs) in enumerate(_PROGRAMS):
         entry = replace(setup.entry, roll_rad=roll)
         moves: list[Move] = []
-        for index, (place, speed) in enumerate(legs):
-            moves.append(Move(insert_to_mm=float(place), velocity_mm_s=float(speed)))
+        for index, (depth, speed) in enumerate(legs):
+            moves.append(Move(insert_to_mm=float(depth), velocity_mm_s=float(speed)))
             if index + 1 < len(legs):
                 moves.append(Move(dwell_s=0.3))
                 moves.append(Move(rotate_to_rad=math.pi - roll, velocity_rad_s=_TURN_RAD_S))
@@ -147,8 +147,8 @@ def recordings(setup: Setup, seed: int) -> list[Record]:
     return found
 
 
-def another(setup: Setup, moves: Sequence[Move], seed: int) -> Record:
-    """Return one more trial for the training, of the moves that were asked for."""
+def next_record(setup: Setup, moves: Sequence[Move], seed: int) -> Record:
+    """Return a further training record of the moves that a diagnosis proposes."""
     return _recorded(setup, (*moves, Move(dwell_s=1.0)), seed, Role.TRAIN)
 
 

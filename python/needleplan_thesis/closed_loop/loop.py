@@ -1,11 +1,9 @@
-"""Once around: plan, insert, diagnose from recordings, plan again with what was named, insert again.
+"""One round of the closed loop: plan, insert, diagnose recordings, plan with the diagnosed model, insert again.
 
-The lab twin hides something. The plan does not know it, and its insertions miss. Recordings of a few insertions into
-the same tissue are diagnosed; where effects are left that explain them alike, the motion that the diagnosis asks for is
-made, and all recordings are diagnosed again. The model with what was named is what the next plan is made from.
-Insertions follow the moves of their plan without feedback, which would hide what the plan does not know.
-
-Many rounds, in several processes.
+The lab twin hides an effect that the first plan does not know, so its insertions miss. Recordings of a few insertions
+into the same tissue are diagnosed. While several effects explain the recordings equally well, the proposed next motion
+is recorded and all recordings are diagnosed again. The diagnosed model gives the second plan. Insertions follow the
+moves of their plan without feedback, because feedback would compensate for the missing effect.
 """
 
 from __future__ import annotations
@@ -27,39 +25,40 @@ from needleplan_thesis.closed_loop.hidden import (
     NOTHING,
     SHAFT,
     HiddenEffect,
-    another,
     hidden_named,
     laboratory,
+    next_record,
     recordings,
 )
 from needleplan_thesis.processes import map_in_processes
-from needleplan_thesis.steering import carried_out, path_end, planned_moves
+from needleplan_thesis.steering import execute_moves, path_end, planned_moves
 
-__all__ = ["VELOCITY_MM_S", "NamedEffect", "OpenLoopInsertion", "Round", "diagnosed", "once_around", "run_rounds"]
+__all__ = ["VELOCITY_MM_S", "NamedEffect", "OpenLoopInsertion", "Round", "diagnosed", "run_round", "run_rounds"]
 
 VELOCITY_MM_S = 10.0
-"""Of insertions by a plan."""
+"""Insertion velocity when a plan is executed."""
 
 _VELOCITY_RAD_S = 10.0
 _MORE = 2
-"""How many times the motion that a diagnosis asks for is made."""
+"""Largest number of next motions in a round."""
 
+# First seed of the recordings, and seeds per round.
 _RECORDED_FROM = 10_000
-_A_ROUND = 100
+_SEEDS_PER_ROUND = 100
 
 
 @dataclass(frozen=True)
 class OpenLoopInsertion:
-    """An insertion by a plan: success promised and realised, and distance from the centre of the target in space."""
+    """An insertion: predicted and realised success, and distance of its end from the centre of the target in space."""
 
-    promised: float
+    predicted: float
     success: bool
     error_mm: float
 
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that was named, with its parameters and their intervals."""
+    """An effect that a diagnosis names, with its estimated parameters."""
 
     name: str
     estimates: dict[str, Estimate]
@@ -67,9 +66,9 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Round:
-    """What came of one time around, with one insertion for each of some seeds.
+    """Results of one round, with one insertion per seed.
 
-    `verdicts` are one more than the `motions` that were asked for and made.
+    `motions` are the names of the recorded next motions. `verdicts` has one more element: one per diagnosis.
     """
 
     hidden: str
@@ -80,11 +79,11 @@ class Round:
     before: tuple[OpenLoopInsertion, ...]
     after: tuple[OpenLoopInsertion, ...]
     known: tuple[OpenLoopInsertion, ...]
-    """By the first plan in a lab that hides nothing: what scatter alone leaves."""
+    """Insertions by the first plan in a lab without a hidden effect: the error due to scatter alone."""
 
 
-def once_around(hidden: HiddenEffect, scenario: Scenario, seeds: Sequence[int]) -> Round:
-    """Plan, insert, diagnose, plan again and insert again; the first of the seeds is that of the recordings too."""
+def run_round(hidden: HiddenEffect, scenario: Scenario, seeds: Sequence[int]) -> Round:
+    """Run one round; the first seed also determines the recordings."""
     found, motions = diagnosed(hidden, scenario, seeds[0])
     last = found[-1]
     wrong = corrected_plan(_base(scenario), scenario, velocity_mm_s=VELOCITY_MM_S)
@@ -107,9 +106,9 @@ def once_around(hidden: HiddenEffect, scenario: Scenario, seeds: Sequence[int]) 
 
 
 def diagnosed(hidden: HiddenEffect, scenario: Scenario, seed: int) -> tuple[list[Diagnosis], tuple[str, ...]]:
-    """Return the diagnoses, one after the other, and the names of the motions made between them."""
+    """Return all diagnoses of a round, and the names of the next motions recorded between them."""
     setup = hidden.hide(laboratory(scenario))
-    first = _RECORDED_FROM + _A_ROUND * seed
+    first = _RECORDED_FROM + _SEEDS_PER_ROUND * seed
     data = recordings(setup, first)
     found = [_diagnose(scenario, data)]
     motions: list[str] = []
@@ -118,7 +117,7 @@ def diagnosed(hidden: HiddenEffect, scenario: Scenario, seed: int) -> tuple[list
         if wanted is None:
             break
         moves = Experiment.from_toml(motion_text(wanted, found[-1].base)).moves
-        data.append(another(setup, moves, first + len(data)))
+        data.append(next_record(setup, moves, first + len(data)))
         motions.append(wanted.program.name)
         found.append(_diagnose(scenario, data))
     return found, tuple(motions)
@@ -134,7 +133,7 @@ def _base(scenario: Scenario) -> SpatialBicycle:
 
 @lru_cache(maxsize=1)
 def _library(scenario: Scenario) -> Library:
-    """Return the effects with what was computed for motions: recordings of all seeds have the same."""
+    """Return the library of effects, cached because all seeds share its computations for the motions."""
     return Library(effects_of(Channel.TIP), _base(scenario))
 
 
@@ -143,7 +142,7 @@ def _inserted(hidden: HiddenEffect, known: CorrectedPlan, scenario: Scenario, se
     start = table.best_entry().pose
     entry = SimulatedEntry(start.x_mm, start.y_mm, start.heading_rad - known.heading_rad)
     setup = hidden.hide(laboratory(scenario, entry))
-    path = carried_out(
+    path = execute_moves(
         Plant(setup, seed), planned_moves(table, start), VELOCITY_MM_S, _VELOCITY_RAD_S, known.torsion,
         known.bends.roll_rad,
     )  # fmt: skip
@@ -158,13 +157,13 @@ def _planned(scenario: Scenario) -> PolicyTable:
 
 
 _SHARING = 5
-"""Insertions that share a diagnosis, which takes longer than all of them."""
+"""Insertions per diagnosis; a diagnosis takes longer than five insertions."""
 
 
 def run_rounds(
     scenario: Scenario, hidden: Sequence[HiddenEffect], seeds: Sequence[int], processes: int = 1
 ) -> Iterator[Round]:
-    """Yield what comes of every hidden effect, in their order; five seeds share recordings and a diagnosis."""
+    """Yield the rounds of all hidden effects, in their order; five seeds share recordings and a diagnosis."""
     groups = [tuple(seeds[first : first + _SHARING]) for first in range(0, len(seeds), _SHARING)]
     tasks = [(each.name, group) for each in hidden for group in groups]
     yield from map_in_processes(partial(_round, scenario), tasks, processes)
@@ -172,4 +171,4 @@ def run_rounds(
 
 def _round(scenario: Scenario, task: tuple[str, tuple[int, ...]]) -> Round:
     name, seeds = task
-    return once_around(hidden_named(name), scenario, seeds)
+    return run_round(hidden_named(name), scenario, seeds)

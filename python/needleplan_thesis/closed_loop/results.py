@@ -1,7 +1,4 @@
-"""The results as files: a table for people, and every round for programs.
-
-Success and error before and after, effect by effect.
-"""
+"""Results of the closed-loop study as files: Markdown table, JSON document, and figure."""
 
 from __future__ import annotations
 
@@ -23,57 +20,64 @@ from needleplan_thesis.closed_loop.summary import (
     InsertionStatistics,
     OverallResult,
     ParameterMedians,
-    shrink,
+    reduction,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw", "json_of", "markdown_of", "percent", "size_text", "times"]
+__all__ = ["draw", "in_percent", "json_of", "markdown_of", "parameter_text", "percent"]
 
 _HEAD = (
-    "hidden", "true", "verdicts", "named", "found (median, median 95 % interval)", "asked for", "promised", "before",
-    "promised after", "after", "nothing hidden", "gap, shrink", "error before", "after", "nothing hidden", "shrink",
+    "hidden effect", "true parameters", "verdicts", "named", "estimates (medians with 95 % limits)", "next motions",
+    "predicted before", "realised before", "predicted after", "realised after", "no hidden effect", "gap, reduction",
+    "error before", "error after", "no hidden effect", "error, reduction",
 )  # fmt: skip
 
 
-def markdown_of(scenario: Scenario, summaries: Sequence[EffectSummary], whole: OverallResult, command: str) -> str:
-    """Return the table, and what its columns mean."""
+def markdown_of(scenario: Scenario, summaries: Sequence[EffectSummary], overall: OverallResult, command: str) -> str:
+    """Return the table of all hidden effects, with an explanation of its columns."""
     rows = [_HEAD, ("---",) * 6 + ("--:",) * 10, *(_row(each) for each in summaries)]
     runs = summaries[0].before.runs
-    gap, error = whole.gap, whole.error_mm
+    gap, error = overall.gap, overall.error_mm
     lines = [
-        "# To the planner and back",
+        "# The closed loop: plan, insert, diagnose, plan again",
         "",
-        f"`{command}`, needleplan {version()}, {scenario.title}: {runs} insertions for each hidden effect, of which "
-        "five share recordings, a diagnosis and a plan.",
+        f"`{command}`, needleplan {version()}, {scenario.title}: {runs} insertions per hidden effect; five "
+        "insertions share recordings, a diagnosis and a plan.",
         "",
         *(f"| {' | '.join(each)} |" for each in rows),
         "",
-        f"Together: the gaps between promised and realised success sum to {gap[0]:.2f} before and {gap[1]:.2f} after "
-        f"({gap[2]:.2f} where nothing is hidden), {times(shrink(gap[0], gap[1]))} less, "
-        f"{times(shrink(*gap))} above what scatter leaves. The median error of all "
+        f"All effects: the gaps between predicted and realised success sum to {gap[0]:.2f} before and {gap[1]:.2f} "
+        f"after ({gap[2]:.2f} without a hidden effect), {in_percent(reduction(gap[0], gap[1]))} less, "
+        f"{in_percent(reduction(*gap))} of the part above scatter. The median error of all "
         f"insertions goes from {error[0]:.2f} to {error[1]:.2f} mm ({error[2]:.2f} mm), "
-        f"{times(shrink(error[0], error[1]))} less, {times(shrink(*error))} above scatter.",
+        f"{in_percent(reduction(error[0], error[1]))} less, {in_percent(reduction(*error))} of the part above "
+        "scatter.",
         "",
-        "Before: by the plan that does not know. After: by the plan made from the diagnosed model, in the same tissue. "
-        "Nothing hidden: by the first plan in a lab as it thinks. Shrink: of the whole, and in brackets above what is "
-        "left where nothing is hidden. Success and error are those of the true tip in space; no feedback.",
+        "Before: first plan, which does not know the hidden effect. After: plan with the diagnosed model, in the same "
+        "tissue. No hidden effect: first plan in a lab that behaves as planned. Reduction: relative to the whole gap or "
+        "error, and in brackets relative to the part above scatter. Success and error are those of the true tip in "
+        "space; no feedback.",
     ]
     return "\n".join(lines) + "\n"
 
 
 def json_of(
-    scenario: Scenario, summaries: Sequence[EffectSummary], whole: OverallResult, rounds: Sequence[Round], command: str
+    scenario: Scenario,
+    summaries: Sequence[EffectSummary],
+    overall: OverallResult,
+    rounds: Sequence[Round],
+    command: str,
 ) -> str:
-    """Return everything as JSON."""
+    """Return all results as a JSON document."""
     return json.dumps(
         {
-            "schema": "needleplan.circle/1",
+            "schema": "needleplan.closed_loop/1",
             "made_by": f"needleplan {version()}",
             "command": command,
             "scenario": scenario.digest,
-            "total": asdict(whole),
+            "total": asdict(overall),
             "hidden": [_document(each) for each in summaries],
             "rounds": [asdict(each) for each in rounds],
         },
@@ -89,15 +93,15 @@ def _document(each: EffectSummary) -> dict[str, object]:
         "verdicts": each.verdicts,
         "named": {" + ".join(names): count for names, count in each.named.items()},
         "motions": each.motions,
-        "sizes": {name: asdict(size) for name, size in each.sizes.items()},
+        "parameters": {name: asdict(one) for name, one in each.parameters.items()},
         "before": asdict(each.before),
         "after": asdict(each.after),
         "known": asdict(each.known),
-        "shrink": {
-            "gap": shrink(each.before.gap, each.after.gap),
-            "gap_above_scatter": shrink(each.before.gap, each.after.gap, each.known.gap),
-            "error": shrink(each.before.error_mm, each.after.error_mm),
-            "error_above_scatter": shrink(each.before.error_mm, each.after.error_mm, each.known.error_mm),
+        "reduction": {
+            "gap": reduction(each.before.gap, each.after.gap),
+            "gap_above_scatter": reduction(each.before.gap, each.after.gap, each.known.gap),
+            "error": reduction(each.before.error_mm, each.after.error_mm),
+            "error_above_scatter": reduction(each.before.error_mm, each.after.error_mm, each.known.error_mm),
         },
     }
 
@@ -107,11 +111,11 @@ def _row(each: EffectSummary) -> tuple[str, ...]:
     return (
         each.hidden.title, each.hidden.truth, _counts(each.verdicts),
         _counts({" + ".join(names): count for names, count in each.named.items()}),
-        "; ".join(f"{name.partition('.')[2]} {size_text(size)}" for name, size in each.sizes.items()),
-        _counts(each.motions), percent(before.promised), _success(before), percent(after.promised), _success(after),
-        _success(known), _shrinks(before.gap, after.gap, known.gap), f"{before.error_mm:.2f} mm",
+        "; ".join(parameter_text(name.partition(".")[2], one) for name, one in each.parameters.items()),
+        _counts(each.motions), percent(before.predicted), _success(before), percent(after.predicted), _success(after),
+        _success(known), _reductions(before.gap, after.gap, known.gap), f"{before.error_mm:.2f} mm",
         f"{after.error_mm:.2f} mm", f"{known.error_mm:.2f} mm",
-        _shrinks(before.error_mm, after.error_mm, known.error_mm),
+        _reductions(before.error_mm, after.error_mm, known.error_mm),
     )  # fmt: skip
 
 
@@ -125,30 +129,32 @@ def _success(each: InsertionStatistics) -> str:
     return f"{percent(each.success)} ({100 * low:.0f} to {100 * high:.0f})"
 
 
-def _shrinks(before: float, after: float, known: float) -> str:
-    return f"{times(shrink(before, after))} ({times(shrink(before, after, known))})"
+def _reductions(before: float, after: float, known: float) -> str:
+    return f"{in_percent(reduction(before, after))} ({in_percent(reduction(before, after, known))})"
 
 
-def size_text(size: ParameterMedians) -> str:
-    """Return a parameter with its interval and unit."""
-    return f"{size.value:.3g} {size.unit}".rstrip() + f" ({size.low:.3g} to {size.high:.3g})"
+def parameter_text(name: str, each: ParameterMedians) -> str:
+    """Return name, value, unit and interval of an estimated parameter; `size` is the amplitude of an effect."""
+    called = name.removesuffix("size") + "amplitude" if name.endswith("size") else name
+    return f"{called} {each.value:.3g} {each.unit}".rstrip() + f" ({each.low:.3g} to {each.high:.3g})"
 
 
 def percent(share: float) -> str:
-    """Return a share in percent."""
+    """Format a share in percent, with one decimal."""
     return f"{100 * share:.1f} %"
 
 
-def times(share: float | None) -> str:
-    """Return a shrink in percent; a dash where there is none to speak of."""
+def in_percent(share: float | None) -> str:
+    """Format a reduction in percent; a dash if there was no gap."""
     return "-" if share is None else f"{100 * share:.0f} %"
 
 
+# Vertical distance of the three markers of a row.
 _APART = 0.24
 
 
 def draw(summaries: Sequence[EffectSummary], rounds: Sequence[Round], file: Path) -> None:
-    """Draw a row for every hidden effect: success promised and realised, and the errors of all insertions."""
+    """Draw a row per hidden effect: predicted and realised success, and the errors of all insertions."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0, 1.3 + 0.62 * len(summaries)), layout="constrained")
@@ -169,16 +175,16 @@ def draw(summaries: Sequence[EffectSummary], rounds: Sequence[Round], file: Path
     left.set_xlabel("success (%)")
     right.set_xlabel("distance from the centre of the target (mm)")
     right.set_xlim(left=0)
-    title(left, "promised (line) and realised (dot)")
-    title(right, "every insertion, and the median")
+    title(left, "success: predicted (line), realised (dot)")
+    title(right, "error: each insertion (dot), median (line)")
     handles = [
         left.plot([], [], "o", color=colour, markersize=5, label=label)[0]
-        for colour, label in ((VERMILLION, "before"), (BLUE, "by the diagnosed model"), (GREY, "nothing hidden"))
+        for colour, label in ((VERMILLION, "before"), (BLUE, "with the diagnosed model"), (GREY, "no hidden effect"))
     ]
     figure.legend(handles=handles, loc="outside upper right", ncols=3, frameon=False, fontsize=8)
     caption(
         figure,
-        f"Insertions in lab twins that hide something, {summaries[0].before.runs} for each, without feedback. Bars: "
+        f"Insertions in lab twins with a hidden effect, {summaries[0].before.runs} per row, without feedback. Bars: "
         "95 % intervals of the realised success.",
     )
     save(figure, file)
@@ -188,7 +194,7 @@ def _draw_success(axes: Axes, each: InsertionStatistics, at: float, colour: str)
     low, high = each.success_interval
     axes.plot([100 * low, 100 * high], [at, at], color=colour, linewidth=1.0)
     axes.plot(100 * each.success, at, "o", color=colour, markersize=4.5)
-    axes.plot([100 * each.promised] * 2, [at - 0.11, at + 0.11], color=colour, linewidth=2.0)
+    axes.plot([100 * each.predicted] * 2, [at - 0.11, at + 0.11], color=colour, linewidth=2.0)
 
 
 def _draw_errors(axes: Axes, errors: Sequence[float], at: float, colour: str) -> None:

@@ -1,4 +1,4 @@
-"""What many rounds with one hidden effect have in common, and by how much the gaps shrink."""
+"""Statistics of the rounds with one hidden effect and of all rounds, and the relative reduction of gaps."""
 
 from __future__ import annotations
 
@@ -13,39 +13,48 @@ from needleplan.planning import wilson
 from needleplan_thesis.closed_loop.hidden import HiddenEffect
 from needleplan_thesis.closed_loop.loop import OpenLoopInsertion, Round
 
-__all__ = ["EffectSummary", "InsertionStatistics", "OverallResult", "ParameterMedians", "shrink", "summarized", "total"]
+__all__ = [
+    "EffectSummary",
+    "InsertionStatistics",
+    "OverallResult",
+    "ParameterMedians",
+    "reduction",
+    "summarized",
+    "total",
+]
 
-_FEWEST = 1e-9
+# Gap below which a reduction is undefined.
+_NO_GAP = 1e-9
 
 
 @dataclass(frozen=True)
 class InsertionStatistics:
-    """Insertions by the plans of many seeds: success promised (mean) and realised, median error (mm)."""
+    """Statistics of insertions: mean predicted success, realised success, and median error (mm)."""
 
     runs: int
-    promised: float
+    predicted: float
     success: float
     success_interval: tuple[float, float]
     error_mm: float
 
     @property
     def gap(self) -> float:
-        """Between the success that was planned and the one that was realised."""
-        return abs(self.promised - self.success)
+        """Absolute difference of predicted and realised success."""
+        return abs(self.predicted - self.success)
 
     @classmethod
     def of(cls, each: Sequence[OpenLoopInsertion]) -> InsertionStatistics:
-        """Return what insertions have in common; there must be some."""
+        """Return the statistics of at least one insertion."""
         good = sum(one.success for one in each)
         return cls(
-            len(each), float(np.mean([one.promised for one in each])), good / len(each), wilson(good, len(each)),
+            len(each), float(np.mean([one.predicted for one in each])), good / len(each), wilson(good, len(each)),
             float(np.median([one.error_mm for one in each])),
         )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class ParameterMedians:
-    """A parameter of a named effect: medians over the rounds of its value and of the ends of its 95 % interval."""
+    """A parameter of a named effect: medians over rounds of its value and of the limits of its 95 % interval."""
 
     value: float
     low: float
@@ -55,24 +64,24 @@ class ParameterMedians:
 
 @dataclass(frozen=True)
 class EffectSummary:
-    """What came of one hidden effect.
+    """Results for one hidden effect.
 
-    `verdicts` counts how the last diagnosis of a round ended, `named` the sets of names that were given, `motions` the
-    motions that were asked for and made; `sizes` are those of the set named most often.
+    `verdicts` counts the verdicts of the last diagnosis of each round, `named` the sets of named effects, `motions` the
+    recorded next motions. `parameters` are those of the most frequent set of names.
     """
 
     hidden: HiddenEffect
     verdicts: Mapping[Verdict, int]
     named: Mapping[tuple[str, ...], int]
     motions: Mapping[str, int]
-    sizes: Mapping[str, ParameterMedians]
+    parameters: Mapping[str, ParameterMedians]
     before: InsertionStatistics
     after: InsertionStatistics
     known: InsertionStatistics
 
 
 def summarized(hidden: HiddenEffect, rounds: Sequence[Round]) -> EffectSummary:
-    """Return what rounds with one hidden effect have in common; there must be some."""
+    """Return the results of at least one round with the same hidden effect."""
     named = Counter(tuple(each.name for each in one.named) for one in rounds if one.named)
     motions = Counter(motion for one in rounds for motion in one.motions)
     return EffectSummary(
@@ -80,14 +89,14 @@ def summarized(hidden: HiddenEffect, rounds: Sequence[Round]) -> EffectSummary:
         dict(Counter(one.verdicts[-1] for one in rounds).most_common()),
         dict(named.most_common()),
         dict(motions.most_common()),
-        _sizes(rounds, next(iter(dict(named.most_common())), ())),
+        _parameters(rounds, next(iter(dict(named.most_common())), ())),
         InsertionStatistics.of([each for one in rounds for each in one.before]),
         InsertionStatistics.of([each for one in rounds for each in one.after]),
         InsertionStatistics.of([each for one in rounds for each in one.known]),
     )
 
 
-def _sizes(rounds: Sequence[Round], names: tuple[str, ...]) -> dict[str, ParameterMedians]:
+def _parameters(rounds: Sequence[Round], names: tuple[str, ...]) -> dict[str, ParameterMedians]:
     found: dict[str, ParameterMedians] = {}
     alike = [one for one in rounds if names and tuple(each.name for each in one.named) == names]
     for index, name in enumerate(names):
@@ -100,16 +109,16 @@ def _sizes(rounds: Sequence[Round], names: tuple[str, ...]) -> dict[str, Paramet
     return found
 
 
-def shrink(before: float, after: float, least: float = 0.0) -> float | None:
-    """Return by which share something shrinks above the least that it can be; None where nothing is above that."""
-    return 1 - (after - least) / (before - least) if before - least > _FEWEST else None
+def reduction(before: float, after: float, floor: float = 0.0) -> float | None:
+    """Return the relative reduction of the part above `floor`; None if nothing is above it."""
+    return 1 - (after - floor) / (before - floor) if before - floor > _NO_GAP else None
 
 
 @dataclass(frozen=True)
 class OverallResult:
-    """Over all hidden effects: gaps of success, the sum of those of each, and the median error of all insertions (mm).
+    """Results over all hidden effects: summed gaps of success, and median error (mm) of all insertions.
 
-    `gap` and `error_mm` are before, after, and by the first plan where nothing is hidden.
+    Both hold three values: before, after, and by the first plan without a hidden effect.
     """
 
     gap: tuple[float, float, float]
@@ -117,7 +126,7 @@ class OverallResult:
 
 
 def total(summaries: Sequence[EffectSummary], rounds: Sequence[Round]) -> OverallResult:
-    """Return both over all hidden effects; there must be some."""
+    """Return the results over at least one hidden effect."""
     return OverallResult(
         (
             sum(each.before.gap for each in summaries), sum(each.after.gap for each in summaries),

@@ -2,7 +2,7 @@
 
 from needleplan_thesis.steering._case import Guidance, SteeringCase, SteeringTask
 from needleplan_thesis.steering._trial import SteeringSummary, SteeringTrial, gap_closed, run_all, run_trial, summarized
-from needleplan_thesis.steering._unguided import Moves, PathEnd, aimed_at_target, carried_out, path_end, planned_moves
+from needleplan_thesis.steering._unguided import Moves, PathEnd, aimed_at_target, execute_moves, path_end, planned_moves
 
 __all__ = [
     "Guidance",
@@ -13,7 +13,7 @@ __all__ = [
     "SteeringTask",
     "SteeringTrial",
     "aimed_at_target",
-    "carried_out",
+    "execute_moves",
     "gap_closed",
     "path_end",
     "planned_moves",

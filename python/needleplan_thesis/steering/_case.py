@@ -1,4 +1,4 @@
-"""What is tried: a scenario, the lab in which it is tried, and how the needle is guided."""
+"""What an insertion of the study is made of: scenario, lab, and guidance of the needle."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ class Guidance(StrEnum):
     """How the needle is guided."""
 
     REPLANNED = "closed loop"
-    """As `needleplan insert` does it."""
+    """Feedback and replanning, as in `needleplan insert`."""
 
-    KEPT = "closed loop, one table"
-    """The same without planning again."""
+    ONE_TABLE = "closed loop, one table"
+    """As REPLANNED, without replanning."""
 
     OPEN = "open loop"
-    """The moves of the planned path, torsional lag compensated, whatever the tracker says."""
+    """The moves of the planned path without feedback; torsional lag is compensated."""
 
     AIMED = "aimed, not steered"
-    """The same needle from the same place, its heading at the target, never turned."""
+    """The same needle and position, the heading towards the target, without rotations."""
 
     STRAIGHT = "straight needle"
-    """A needle that does not bend, from the same place, its heading at the target."""
+    """A needle that does not bend; same position, heading towards the target."""
 
     @property
-    def feels(self) -> bool:
-        """Whether there is feedback."""
-        return self in (Guidance.REPLANNED, Guidance.KEPT)
+    def has_feedback(self) -> bool:
+        """Whether the tracker steers the needle."""
+        return self in (Guidance.REPLANNED, Guidance.ONE_TABLE)
 
 
 @dataclass(frozen=True)
 class SteeringCase:
-    """A scenario, and the lab it is tried in: a needle that bends as planned, but for the effects of the experiment.
+    """A scenario and its simulated lab, whose needle bends as planned except for the effects of the experiment.
 
-    `start` is x_mm, y_mm, heading_rad (the best entry where none is given), with the bevel of the lower cost. The servo
-    of the robot runs at `servo_hz`, less than the twin's own: its samples are most of what an insertion costs.
+    `start` is x_mm, y_mm, heading_rad; None means the best entry. The bevel is the one with the lower cost. The servo
+    of the robot runs at `servo_hz`, slower than the twin's default, because its samples dominate the computing time.
     """
 
     name: str
@@ -55,16 +55,16 @@ class SteeringCase:
 
     @property
     def table(self) -> PolicyTable:
-        """The plan; made once in a process."""
+        """The policy table; planned once per process."""
         return _planned(self.scenario)
 
     @property
     def pose(self) -> Pose:
-        """The start."""
+        """The start pose."""
         return self.table.start(self.start) if self.start else self.table.best_entry().pose
 
     def station(self, seed: int, curvature_error: float = 0.0) -> SimulatedStation:
-        """Return the devices of a lab of its own."""
+        """Return the devices of a new lab; `curvature_error` is as in `SteeringTask`."""
         setup = self.experiment.setup
         effects = replace(setup.effects, curvature_error=curvature_error)
         setup = replace(setup, effects=effects, robot=replace(setup.robot, servo_hz=self.servo_hz))
@@ -73,9 +73,9 @@ class SteeringCase:
 
 @dataclass(frozen=True)
 class SteeringTask:
-    """One insertion: `curvature_error` is the share by which the true curvature is above that of the plan."""
+    """One insertion. `curvature_error` is the relative excess of the true curvature over that of the plan."""
 
-    course: SteeringCase
+    case: SteeringCase
     guidance: Guidance
     seed: int
     curvature_error: float = 0.0

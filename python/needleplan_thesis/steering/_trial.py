@@ -1,9 +1,4 @@
-"""One insertion in the lab twin, and what came of it in truth, which no sensor tells.
-
-Many insertions, in several processes.
-
-What many insertions have in common: shares with intervals, means, percentiles.
-"""
+"""Insertions in the lab twin with their true results, which no sensor measures, and statistics of many insertions."""
 
 from __future__ import annotations
 
@@ -22,19 +17,20 @@ from needleplan.signals import Array
 from needleplan.simulation import Plant
 from needleplan_thesis.processes import map_in_processes
 from needleplan_thesis.steering._case import Guidance, SteeringTask
-from needleplan_thesis.steering._unguided import aimed_at_target, carried_out, path_end, planned_moves
+from needleplan_thesis.steering._unguided import aimed_at_target, execute_moves, path_end, planned_moves
 
 __all__ = ["SteeringSummary", "SteeringTrial", "gap_closed", "run_all", "run_trial", "summarized"]
 
 
 @dataclass(frozen=True, eq=False)
 class SteeringTrial:
-    """What came of an insertion; lengths in mm, places in the plane of the plan.
+    """Result of an insertion; lengths in mm, positions in the plane of the plan.
 
     `path_mm` [n, 3] is the true path of the tip. `error_mm` is the distance of its end from the centre of the target,
-    `deviation_mm` its largest distance from the planned path; both once more as the tip filter has them (`seen_`; NaN
-    without feedback). `touched` names the first obstacle on the true path, if any. `predicted` is the success that the
-    plan promises, `ending` and `cause` say how the loop itself took it to end.
+    `deviation_mm` its largest distance from the planned path. `seen_error_mm` and `seen_deviation_mm` are the estimates
+    of the tip filter, NaN without feedback. `touched` names the first obstacle on the true path, or is empty.
+    `predicted` is the success probability of the plan. `outcome` and `cause` are those that the control loop reports,
+    empty without feedback.
     """
 
     task: SteeringTask
@@ -51,92 +47,92 @@ class SteeringTrial:
     turns: int
     replans: int
     predicted: float
-    ending: str
+    outcome: str
     cause: str
 
     @property
     def success(self) -> bool:
-        """Whether the tip ended in the target, past all obstacles, within the workspace."""
+        """Whether the tip reached the target without touching an obstacle or leaving the workspace."""
         return not (self.touched or self.left or self.beyond_rim_mm)
 
     @property
     def beyond_rim_mm(self) -> float:
-        """How far beyond the rim of the target it ended."""
-        return max(self.error_mm - self.task.course.scenario.target.radius_mm, 0.0)
+        """Distance of the end of the path from the target; 0 inside the target."""
+        return max(self.error_mm - self.task.case.scenario.target.radius_mm, 0.0)
 
 
 def run_trial(task: SteeringTask) -> SteeringTrial:
-    """Carry out an insertion; the same task gives the same result."""
-    return _with_feedback(task) if task.guidance.feels else _without(task)
+    """Simulate an insertion; the same task gives the same result."""
+    return _with_feedback(task) if task.guidance.has_feedback else _without(task)
 
 
 class _Truth(Listener):
-    """Notes where the tip really is whenever the loop says where it takes it to be."""
+    """Records the true position of the tip at every estimate of the loop."""
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
         self.path: list[tuple[float, float, float]] = []
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Note where it is, once it is in the tissue."""
+        """Record the true position if the tip is in the tissue."""
         if path_mm >= 0:
             self.path.append(self._plant.tip().position_mm)
 
 
 def _with_feedback(task: SteeringTask) -> SteeringTrial:
-    course = task.course
-    table, station = course.table, course.station(task.seed, task.curvature_error)
+    case = task.case
+    table, station = case.table, case.station(task.seed, task.curvature_error)
     options = Options(
-        velocity_mm_s=course.velocity_mm_s, velocity_rad_s=course.velocity_rad_s, torsion=station.torsion,
+        velocity_mm_s=case.velocity_mm_s, velocity_rad_s=case.velocity_rad_s, torsion=station.torsion,
         needle_length_mm=station.needle_length_mm,
         replan=task.guidance is Guidance.REPLANNED,
     )  # fmt: skip
-    limits = SafetyLimits(insertion_velocity_mm_s=max(course.velocity_mm_s, SafetyLimits().insertion_velocity_mm_s))
+    limits = SafetyLimits(insertion_velocity_mm_s=max(case.velocity_mm_s, SafetyLimits().insertion_velocity_mm_s))
     truth = _Truth(station.lab.plant)
     insertion = Insertion(table, station, options, registration=station.registration, limits=limits, listeners=[truth])
     with station, insertion:
         report = insertion.run()
-    # What the loop itself plans begins at the entry that it has measured.
-    planned = drawn(table.path(course.pose), table)
+    # The plan of the loop starts at the measured entry; the study compares with the plan from the nominal entry.
+    planned = drawn(table.path(case.pose), table)
     seen_mm = _deviation_mm(planned, report.executed_mm[report.path_mm >= 0])
     truth.path.append(station.lab.plant.tip().position_mm)
     turned = [step.pose[:2] for step in report.steps if step.action]
-    return _judged(
+    return _trial(
         task, table, np.array(truth.path), planned, np.array(turned, float).reshape(-1, 2),
         seen=(report.error_mm, seen_mm), counts=(report.turns, report.replans),
-        ending=(report.outcome, report.cause),
+        outcome=(report.outcome, report.cause),
     )  # fmt: skip
 
 
 def _without(task: SteeringTask) -> SteeringTrial:
-    course, guidance = task.course, task.guidance
-    table, start, station = course.table, course.pose, course.station(task.seed, task.curvature_error)
+    case, guidance = task.case, task.guidance
+    table, start, station = case.table, case.pose, case.station(task.seed, task.curvature_error)
     setup = station.lab.plant.setup
     if guidance is Guidance.OPEN:
         moves = planned_moves(table, start)
     else:
         setup, moves = aimed_at_target(setup, table, bending=guidance is Guidance.AIMED)
-    path = carried_out(Plant(setup, task.seed), moves, course.velocity_mm_s, course.velocity_rad_s, station.torsion)
+    path = execute_moves(Plant(setup, task.seed), moves, case.velocity_mm_s, case.velocity_rad_s, station.torsion)
     planned = drawn(table.path(start), table)
     nothing = math.nan, math.nan
-    return _judged(task, table, path, planned, np.empty((0, 2)), seen=nothing, counts=(moves.turns, 0), ending=("", ""))
+    return _trial(task, table, path, planned, np.empty((0, 2)), seen=nothing, counts=(moves.turns, 0), outcome=("", ""))
 
 
-def _judged(
+def _trial(
     task: SteeringTask, table: PolicyTable, path: Array, planned: Array, turns_mm: Array, *, seen: tuple[float, float],
-    counts: tuple[int, int], ending: tuple[str, str],
+    counts: tuple[int, int], outcome: tuple[str, str],
 ) -> SteeringTrial:  # fmt: skip
     end = path_end(table.scenario, path)
     return SteeringTrial(
         task, path, planned, turns_mm, end.error_mm, float(np.abs(path[:, 2]).max()), _deviation_mm(planned, path),
-        *seen, end.touched, end.left, *counts, table.lookup(*task.course.pose).success, *ending,
+        *seen, end.touched, end.left, *counts, table.lookup(*task.case.pose).success, *outcome,
     )  # fmt: skip
 
 
 def _deviation_mm(planned: Array, path: Array) -> float:
-    """Return the largest distance from the plan, as far as the plan goes: it ends on the rim of the target.
+    """Return the largest distance (mm) of a path from the planned path, up to the length of the planned path.
 
-    The path of a plan that fails is the shorter one; beyond its end there is nothing to deviate from.
+    The planned path ends on the rim of the target, or earlier if the plan fails.
     """
     lengths = [np.linalg.norm(np.diff(each[:, :2], axis=0), axis=1) for each in (planned, path)]
     along = np.concatenate([[0.0], np.cumsum(lengths[1])])
@@ -145,19 +141,20 @@ def _deviation_mm(planned: Array, path: Array) -> float:
 
 
 def run_all(tasks: Sequence[SteeringTask], processes: int = 1) -> Iterator[SteeringTrial]:
-    """Yield what comes of each task, in their order."""
+    """Yield the result of each task, in the order of the tasks."""
     return map_in_processes(run_trial, tasks, processes, chunk=4)
 
 
+# Bootstrap samples.
 _RESAMPLED = 2000
 
 
 @dataclass(frozen=True)
 class SteeringSummary:
-    """Numbers of many insertions of one kind; lengths in mm, intervals of 95 %.
+    """Statistics of many insertions of one kind; lengths in mm, intervals of 95 %.
 
-    `success` has the interval of Wilson, means those of the bootstrap. `failures` counts what kept the others from
-    success, `seeds` says which they are.
+    `success` has a Wilson interval, means have bootstrap intervals. `failures` counts the failed insertions by reason;
+    `seeds` lists their seeds.
     """
 
     runs: int
@@ -176,7 +173,7 @@ class SteeringSummary:
 
 
 def summarized(trials: Sequence[SteeringTrial]) -> SteeringSummary:
-    """Return what insertions of one kind have in common; there must be some."""
+    """Return the statistics of at least one insertion."""
     errors = np.array([each.error_mm for each in trials])
     failed = [each for each in trials if not each.success]
     return SteeringSummary(
@@ -196,10 +193,13 @@ def summarized(trials: Sequence[SteeringTrial]) -> SteeringSummary:
     )
 
 
-def gap_closed(promised: float, kept: float, replanned: float) -> float | None:
-    """Return by which share planning again narrows what is missing from a promise; None where nothing is missing."""
-    gap = promised - kept
-    return None if gap <= 0 else (replanned - kept) / gap
+def gap_closed(predicted: float, one_table: float, replanned: float) -> float | None:
+    """Return the share of the gap between predicted and realised success that replanning closes.
+
+    `one_table` and `replanned` are the realised success without and with replanning. None if there is no gap.
+    """
+    gap = predicted - one_table
+    return None if gap <= 0 else (replanned - one_table) / gap
 
 
 def _failure(trial: SteeringTrial) -> str:
@@ -207,9 +207,9 @@ def _failure(trial: SteeringTrial) -> str:
         return "an obstacle"
     if trial.left:
         return "out of the workspace"
-    if trial.ending in ("", "target"):
+    if trial.outcome in ("", "target"):
         return "beside the target"
-    return trial.ending
+    return trial.outcome
 
 
 def _mean_interval(values: np.ndarray) -> tuple[float, float]:

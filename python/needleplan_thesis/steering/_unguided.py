@@ -1,7 +1,4 @@
-"""How an insertion ended, in truth.
-
-Insertions without feedback: a program of moves, carried out whatever comes of it.
-"""
+"""Insertions without feedback: a sequence of moves, the true path of the tip, and where the path ends."""
 
 from __future__ import annotations
 
@@ -19,14 +16,15 @@ from needleplan.scenario import Scenario
 from needleplan.signals import Array
 from needleplan.simulation import Plant, Setup
 
-__all__ = ["Moves", "PathEnd", "aimed_at_target", "carried_out", "path_end", "planned_moves"]
+__all__ = ["Moves", "PathEnd", "aimed_at_target", "execute_moves", "path_end", "planned_moves"]
 
 
 @dataclass(frozen=True)
 class PathEnd:
-    """Where a path ended: `error_mm` from the centre of the target in the plane of the plan, `aside_mm` beside it.
+    """The end of a path, relative to the target of a scenario.
 
-    `touched` names the first obstacle on the path, if any; `left` says whether it left the workspace.
+    `error_mm` is the distance from the centre of the target in the plane of the plan, `aside_mm` the distance from the
+    plane. `touched` names the first obstacle on the path, or is empty; `left` is True if the path left the workspace.
     """
 
     error_mm: float
@@ -41,7 +39,7 @@ class PathEnd:
 
 
 def path_end(scenario: Scenario, path_mm: Array) -> PathEnd:
-    """Return how a path, shape (n, 3), ended in a scenario."""
+    """Return where a path, shape (n, 3), ends in a scenario."""
     scene, places = _scene(scenario), path_mm[:, :2].tolist()
     touched = next((name for place in places if (name := scene.touches(*place))), "")
     left = any(scene.outside(*place) for place in places)
@@ -54,15 +52,18 @@ def _scene(scenario: Scenario) -> ScenarioGeometry:
 
 
 _AT_REST_S = 0.1
-"""How long a move is waited after, as the loop waits for four frames of the tracker."""
+"""Pause after a move (s): the control loop waits for four frames of the tracker."""
 
+# Sampling interval of the true path.
 _EVERY_S = 0.02
+
+# Distance along an arc below which the closest point to the target counts as the beginning of the arc.
 _CLOSE_MM = 0.05
 
 
 @dataclass(frozen=True)
 class Moves:
-    """What the stage is told: lengths of insertion (mm), and before each the side to which the bevel is turned."""
+    """Commands to the stage: lengths of insertions (mm), and the bevel side (-1 or +1) before each insertion."""
 
     lengths_mm: tuple[float, ...]
     bevels: tuple[int, ...]
@@ -74,7 +75,7 @@ class Moves:
 
 
 def planned_moves(table: PolicyTable, start: Pose) -> Moves:
-    """Return the moves of the planned path, on to where it is closest to the centre of the target, as the loop ends."""
+    """Return the moves of the planned path, to the point closest to the centre of the target, where the loop ends."""
     scene, path = ScenarioGeometry(table.scenario), table.path(start)
     lengths, bevels = [0.0], [start.bevel]
     for row, action in zip(path.poses[:-1].tolist(), path.actions.tolist(), strict=True):
@@ -98,7 +99,10 @@ def planned_moves(table: PolicyTable, start: Pose) -> Moves:
 
 
 def aimed_at_target(setup: Setup, table: PolicyTable, *, bending: bool) -> tuple[Setup, Moves]:
-    """Return the lab with the heading at the target and the one move to it; the needle bends, or does not at all."""
+    """Return a lab with the heading towards the target, and one move to the target.
+
+    Without `bending` the needle is straight.
+    """
     entry, (x, y) = setup.entry, table.scenario.target.center_mm
     heading = math.atan2(y - entry.y_mm, x - entry.x_mm)
     setup = replace(setup, entry=replace(entry, heading_rad=heading))
@@ -107,7 +111,7 @@ def aimed_at_target(setup: Setup, table: PolicyTable, *, bending: bool) -> tuple
     return setup, Moves((math.hypot(x - entry.x_mm, y - entry.y_mm),), (1,))
 
 
-def carried_out(
+def execute_moves(
     plant: Plant,
     moves: Moves,
     velocity_mm_s: float,
@@ -115,10 +119,10 @@ def carried_out(
     torsion: Torsion | None,
     roll: Callable[[int, float], float] = lambda bevel, depth_mm: 0.0 if bevel > 0 else math.pi,  # noqa: ARG005
 ) -> Array:
-    """Carry out the moves, and return the true path of the tip in the tissue, [n, 3].
+    """Execute the moves, and return the true path of the tip in the tissue (mm), shape (n, 3).
 
-    The lag of the tip is compensated as the loop does it. `roll` says at which roll (rad) the needle bends to a side,
-    bevel +1 or -1, at a depth; it is asked for the middle of a move.
+    The torsional lag of the tip is compensated as in the control loop. `roll(bevel, depth_mm)` returns the roll (rad)
+    at which the needle bends to a bevel side; it is evaluated at the middle depth of a move.
     """
     shaft_mm = plant.setup.shaft.length_mm
     path: list[tuple[float, float, float]] = []

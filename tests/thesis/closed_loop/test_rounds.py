@@ -1,4 +1,4 @@
-"""Once around: that it runs, what it says, and that a layer is found, planned for and hit."""
+"""One round of the closed loop: a layer is diagnosed, planned with, and the target is hit."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from needleplan.models import Estimate
 from needleplan.reports.chapters import Effort, Request, reproduce
 from needleplan.reports.comparison import Agreement
 from needleplan.signals import Role
-from needleplan_thesis.closed_loop.chapter import circle_scenario, files
+from needleplan_thesis.closed_loop.chapter import closed_loop_scenario, files
 from needleplan_thesis.closed_loop.hidden import HIDDEN, laboratory, recordings
 from needleplan_thesis.closed_loop.loop import NamedEffect, OpenLoopInsertion, Round
-from needleplan_thesis.closed_loop.summary import shrink, summarized, total
+from needleplan_thesis.closed_loop.summary import reduction, summarized, total
 
 pytestmark = pytest.mark.slow
 
-SCENARIO = circle_scenario()
+SCENARIO = closed_loop_scenario()
 
 
 def test_a_layer_is_named_planned_for_and_no_longer_missed(tmp_path: Path) -> None:
@@ -38,7 +38,7 @@ def test_a_layer_is_named_planned_for_and_no_longer_missed(tmp_path: Path) -> No
     size = only["named"][0]["estimates"]["size"]
     assert -0.3 < size["low"] < size["value"] < size["high"] < -0.2
     assert min(each["error_mm"] for each in only["before"]) > 3 > 1.5 > max(each["error_mm"] for each in only["after"])
-    assert "| from 25 mm on the path bends 25 % less |" in (tmp_path / "diagnosis.md").read_text()
+    assert "| from 25 mm on the curvature is 25 % smaller |" in (tmp_path / "diagnosis.md").read_text()
 
 
 def test_recordings_of_a_lab_have_what_a_diagnosis_asks_for() -> None:
@@ -66,7 +66,7 @@ def test_what_rounds_have_in_common() -> None:
     rounds = [a_round(0, 4.0, 0.5), a_round(1, 6.0, 2.5), a_round(2, 1.0, 0.6)]
     found = summarized(HIDDEN[0], rounds)
     assert (found.verdicts, found.named, found.motions) == ({Verdict.NAMED: 3}, {("gravity",): 3}, {"fast": 3})
-    assert found.sizes["gravity.size"].value == pytest.approx(0.2)
+    assert found.parameters["gravity.size"].value == pytest.approx(0.2)
     assert (found.before.error_mm, found.after.error_mm, found.known.error_mm) == (4.0, 0.6, 0.4)
     assert (found.before.gap, found.after.gap) == pytest.approx((0.9 - 1 / 3, 0.9 - 2 / 3))
     whole = total([found, replace(found, after=found.before)], rounds)
@@ -75,8 +75,8 @@ def test_what_rounds_have_in_common() -> None:
 
 
 def test_a_shrink_is_of_what_there_was() -> None:
-    assert shrink(4.0, 1.0) == 0.75
-    assert shrink(4.0, 1.0, 0.5) == pytest.approx(1 - 0.5 / 3.5)
-    assert shrink(4.0, 6.0) == -0.5
-    assert shrink(0.0, 1.0) is None
-    assert math.isclose(shrink(0.9, 0.9) or 0.0, 0.0)
+    assert reduction(4.0, 1.0) == 0.75
+    assert reduction(4.0, 1.0, 0.5) == pytest.approx(1 - 0.5 / 3.5)
+    assert reduction(4.0, 6.0) == -0.5
+    assert reduction(0.0, 1.0) is None
+    assert math.isclose(reduction(0.9, 0.9) or 0.0, 0.0)
