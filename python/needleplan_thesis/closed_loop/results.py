@@ -56,8 +56,8 @@ def markdown_of(scenario: Scenario, summaries: Sequence[EffectSummary], overall:
         "scatter.",
         "",
         "Before: first plan, which does not know the hidden effect. After: plan with the diagnosed model, in the same "
-        "tissue. No hidden effect: first plan in a lab that behaves as planned. Reduction: relative to the whole gap or "
-        "error, and in brackets relative to the part above scatter. Success and error are those of the true tip in "
+        "tissue. No hidden effect: first plan in a lab that behaves as planned. Reduction: relative to the whole gap "
+        "or error, and in brackets relative to the part above scatter. Success and error are those of the true tip in "
         "space; no feedback.",
     ]
     return "\n".join(lines) + "\n"
