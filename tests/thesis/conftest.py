@@ -1,4 +1,4 @@
-"""The chapters of this checkout, whatever is installed."""
+"""Fixture: `reproduce` uses the chapters of this checkout, not those of an installed package."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def test_the_table_of_the_bank() -> None:
     assert sum(name.startswith("ch2/table 2.2/") for name in rows) == 16
 
 
-def test_a_generated_record_is_what_it_says() -> None:
+def test_a_simulated_record_has_model_bumps_and_noise() -> None:
     record, clean = insertion_record(FAST, 3), insertion_record(FAST, 3, bubbles=False)
     force = SENSOR.apply(simulate(FAST.model, record.motion()).output)
     assert np.std(clean["force_n"] - force) == pytest.approx(1.9e-3, rel=0.1)

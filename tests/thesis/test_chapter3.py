@@ -1,4 +1,4 @@
-"""Chapter 3: what can be checked in seconds; the tables themselves take a minute."""
+"""Chapter 3: checks that take seconds; the tables themselves take a minute."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_data_from_the_lumped_model_prefer_it() -> None:
 
 
 @pytest.mark.parametrize("generator", Generator)
-def test_the_noise_is_what_it_is_said_to_be(generator: Generator) -> None:
+def test_the_noise_has_its_standard_deviation(generator: Generator) -> None:
     record = periodic(2, generator, 50.0, 3)
     residual = record["force_n"] - simulate(model_ii(2), passing_through(2, rate_hz=50.0)).output
     assert residual.std() >= 0.95 * NOISE_N
@@ -106,7 +106,7 @@ def test_friction_that_is_frozen_at_the_middle_has_the_published_error(case: int
     assert max(errors["III-A"], errors["III-B"], errors["II, Fn(L)"]) < errors["II"] / 2
 
 
-def test_hidden_effects_are_where_they_are_said_to_be() -> None:
+def test_hidden_effects_are_where_they_belong() -> None:
     insertion = inside(2, "solid", rate_hz=100.0)
     force, friction = insertion.record["force_n"], insertion.friction_n
     left = force - friction - insertion.cutting_n
@@ -131,13 +131,13 @@ def test_the_opening_of_a_loop() -> None:
 
 
 def test_the_chapter_runs_and_draws(tmp_path: Path) -> None:
-    told: list[str] = []
-    rows = chapter.run(Request(tmp_path, Effort.QUICK, told.append))
+    notes: list[str] = []
+    rows = chapter.run(Request(tmp_path, Effort.QUICK, notes.append))
     assert len({each.id for each in rows}) == len(rows) > 150
     assert {each.id.split("/")[1].split(",")[0] for each in rows} >= {f"Table 3.{n}" for n in range(1, 7)}
     assert all(each.reason for each in rows if each.verdict in (Agreement.DIFFERS, Agreement.NOT_REPRODUCED))
     assert {each.name for each in tmp_path.iterdir()} == {
         "fig_3_3_profiles.png", "fig_3_5_loops.png", "fig_3_6_prediction.png", "fig_3_7_tissue.png",
     }  # fmt: skip
-    assert told
+    assert notes
     assert predictors(1)["III-A"].profile is Profile.RIGHT

@@ -54,7 +54,7 @@ def test_the_published_response_and_what_it_implies() -> None:
     assert rows["ch4/equation 4.2/transfer function of the recursion, epsilon 0.5"].verdict is Agreement.NOT_REPRODUCED
 
 
-def test_the_generator_is_what_it_says() -> None:
+def test_the_simulated_phantom_has_the_stated_properties() -> None:
     gelatin, agar = GELATIN_PHANTOM.trial(2.0, 50.0), AGAR_PHANTOM.trial(2.0, 50.0)
     assert gelatin.lag_deg == pytest.approx(10.13, abs=0.5)
     assert agar.lag_deg == pytest.approx(2.99, abs=0.5)

@@ -1,4 +1,4 @@
-"""Chapter 5: what can be checked of it."""
+"""Chapter 5: algebra, signs, and the consistency of the printed numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inertia: natural frequencies, and how little it does at the speed of an insertion."""
+"""Inertia: natural frequencies, and its negligible effect at the speed of an insertion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from needleplan_thesis.chapter5.dynamics import Vibration, natural_frequencies_h
 from tests.models.deflection.thesis import NEEDLE, SOFT, STIFF
 
 FIRST_ROOT = 1.8751040687119611
-"""Of cosh(x) cos(x) = -1."""
+"""Roots of cosh(x) cos(x) = -1."""
 
 
 def analytic_hz(bending: float, line_mass: float) -> float:

@@ -1,4 +1,4 @@
-"""The experiments of section 6.5 in the lab twin: that they run, and what is put beside the thesis."""
+"""The experiments of section 6.5 run in the lab twin, and are compared with the thesis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Published results beside ours: what can be checked without solving for minutes."""
+"""Published results compared with computed ones: checks that need no long solves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The studies and figures of chapter 6, on a small scenario; how figures look is looked at."""
+"""Studies and figures of chapter 6 on a small scenario; the look of figures is checked by eye."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_panels(table: npl.PolicyTable, tmp_path: Path) -> None:
     assert (tmp_path / "panels.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_nearest_promising_heading() -> None:
+def test_the_nearest_heading_with_success() -> None:
     table = planned(Scenario.read("four_obstacles"), Transition.NEAREST, 2.0)
     heading = nearest_heading(table, math.radians(-30))
     assert -30 < math.degrees(heading) < 30

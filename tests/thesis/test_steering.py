@@ -1,4 +1,4 @@
-"""Seeded insertions in the lab twin: what is counted, and that it is the same each time."""
+"""Seeded insertions in the lab twin: their results, statistics and repeatability."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ NEEDLE_MASS_KG = {"A": 0.044058, "B": 0.013128}
 
 @dataclass(frozen=True)
 class FrictionCase:
-    """A column of Table 3.1. The amplitude is from zero to peak: case 4 reaches 14.1 mm/s; the text says 10 mm/s."""
+    """A column of Table 3.1. The amplitude is from zero to peak: case 4 reaches 14.1 mm/s (text: above 10)."""
 
     number: int
     frequency_hz: float

@@ -13,8 +13,8 @@ needle has passed through the phantom and oscillates by 40 mm at 0.1 Hz for four
   shaft: in the thesis, sensor 3 moves most and sensor 2 least.
 
 Stiffness and damping are assumed. With those of gelatin, the velocity against the tissue lags by about the published
-lag of sensor 3 (10.13 degrees); with those of agar, by about that of its observer (2.99 degrees). The lags are
-therefore no evidence, but the errors of the methods are.
+lag of sensor 3 (10.13 degrees). With those of agar, it lags by about the published lag of the observer (2.99 degrees).
+The lags are therefore no evidence, but the errors of the methods are.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ __all__ = ["draw_bode", "response"]
 # Sampling intervals to compare with the unpublished one; 25 ms is that of the tracker.
 _INTERVALS_S = (0.001, 0.005, 0.025)
 
-# A value other than that of the thesis (1), to tell the printed equations from the correct ones.
+# A value other than 1, at which the printed equations differ from the correct ones.
 _EPSILON = 0.5
 
 # alpha1 of the curves of Figure 4.6 (1/s).
@@ -86,7 +86,7 @@ def _equations() -> list[Comparison]:
             Comparison(
                 f"ch4/equation 4.2/transfer function of the recursion, epsilon {epsilon:g}",
                 "(4.2) for any epsilon", f"(4.2) is off by up to {100 * apart:.2g} %; "
-                f"the computed one by {recursion:.1g} mm/s", "",
+                f"the corrected one by {recursion:.1g} mm/s", "",
                 Agreement.REPRODUCED if apart < 1e-9 else Agreement.NOT_REPRODUCED,
                 "" if apart < 1e-9 else "(4.1) and (4.2) divide alpha2 by epsilon once; the observer divides it twice",
             )

@@ -27,7 +27,7 @@ _DENSITY = 3.0
 # Standard deviation of the trackers.
 _SD_MM = 0.1
 
-# Beginning of a trial that no comparison includes (s), and that no velocity is drawn for, until the filter settles.
+# Time (s) from which comparisons use the samples, and from which velocities are drawn: the filter settles before.
 _SKIPPED_S = 2.0
 _SETTLING_S = 0.5
 

@@ -31,7 +31,7 @@ def radius_change(
 ) -> list[float]:
     """Return the factor by which the radius of the coil's path changes with each parameter change, at the same force.
 
-    `speed` multiplies the velocity. The cutting force is the one that the printed estimated radius requires.
+    `speed` multiplies the velocity. The printed estimated radius determines the cutting force.
     """
     _, force = required_force_n(reading, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm, behind_mm=0.0)
     force = np.concatenate([[0.0], force])

@@ -33,7 +33,7 @@ class HiddenEffect:
     name: str
     title: str
     truth: str
-    """The true parameters in the terms of the diagnosis, if it knows the effect."""
+    """The true parameters, in the terms of the diagnosis where the effect is in its library."""
 
     hide: Callable[[Setup], Setup]
 

@@ -43,8 +43,8 @@ def markdown_of(scenario: Scenario, summaries: Sequence[EffectSummary], overall:
     lines = [
         "# The closed loop: plan, insert, diagnose, plan again",
         "",
-        f"`{command}`, needleplan {version()}, {scenario.title}: {runs} insertions per hidden effect; five "
-        "insertions share recordings, a diagnosis and a plan.",
+        f"`{command}`, needleplan {version()}, {scenario.title}: {runs} insertions per hidden effect; up "
+        "to five insertions share recordings, a diagnosis and a plan.",
         "",
         *(f"| {' | '.join(each)} |" for each in rows),
         "",

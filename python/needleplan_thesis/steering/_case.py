@@ -1,4 +1,4 @@
-"""What an insertion of the study is made of: scenario, lab, and guidance of the needle."""
+"""Cases of the steering study: scenario and lab, guidance of the needle, and single insertions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["Guidance", "SteeringCase", "SteeringTask"]
 
 
 class Guidance(StrEnum):
-    """How the needle is guided."""
+    """Guidance of the needle, from feedback with replanning to a needle that does not bend."""
 
     REPLANNED = "closed loop"
     """Feedback and replanning, as in `needleplan insert`."""

@@ -57,7 +57,7 @@ class SteeringTrial:
 
     @property
     def beyond_rim_mm(self) -> float:
-        """Distance of the end of the path from the target; 0 inside the target."""
+        """Distance of the end of the path from the rim of the target; 0 inside."""
         return max(self.error_mm - self.task.case.scenario.target.radius_mm, 0.0)
 
 

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 SCENARIO = closed_loop_scenario()
 
 
-def test_a_layer_is_named_planned_for_and_no_longer_missed(tmp_path: Path) -> None:
+def test_a_layer_is_named_and_the_next_plan_hits_the_target(tmp_path: Path) -> None:
     found = {each.id: each for each in reproduce(["diagnosis"], Request(tmp_path, Effort.QUICK, str, runs=2))}
     assert found["diagnosis/soft_layer/named"].ours == "1 curvature_layer"
     assert found["diagnosis/together/median error, shrink"].verdict is Agreement.MET
@@ -41,7 +41,7 @@ def test_a_layer_is_named_planned_for_and_no_longer_missed(tmp_path: Path) -> No
     assert "| from 25 mm on the curvature is 25 % smaller |" in (tmp_path / "diagnosis.md").read_text()
 
 
-def test_recordings_of_a_lab_have_what_a_diagnosis_asks_for() -> None:
+def test_recordings_of_a_lab_suit_a_diagnosis() -> None:
     data = recordings(HIDDEN[0].hide(laboratory(SCENARIO)), 0)
     assert [each.role for each in data] == [Role.TRAIN] * 3 + [Role.HOLDOUT] * 2 + [Role.NOISE]
     for each in data[:5]:
@@ -62,7 +62,7 @@ def a_round(seed: int, before_mm: float, after_mm: float) -> Round:
     )  # fmt: skip
 
 
-def test_what_rounds_have_in_common() -> None:
+def test_statistics_of_rounds() -> None:
     rounds = [a_round(0, 4.0, 0.5), a_round(1, 6.0, 2.5), a_round(2, 1.0, 0.6)]
     found = summarized(HIDDEN[0], rounds)
     assert (found.verdicts, found.named, found.motions) == ({Verdict.NAMED: 3}, {("gravity",): 3}, {"fast": 3})
@@ -74,7 +74,7 @@ def test_what_rounds_have_in_common() -> None:
     assert whole.error_mm == (4.0, 0.6, 0.4)
 
 
-def test_a_shrink_is_of_what_there_was() -> None:
+def test_a_reduction_is_relative_to_the_gap() -> None:
     assert reduction(4.0, 1.0) == 0.75
     assert reduction(4.0, 1.0, 0.5) == pytest.approx(1 - 0.5 / 3.5)
     assert reduction(4.0, 6.0) == -0.5
