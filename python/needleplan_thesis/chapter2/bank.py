@@ -3,7 +3,7 @@
 Each filter estimates the state z and one or two parameters in natural units, and treats the other parameters as known.
 The estimates of a filter enter the model before the next filter is triggered. The prediction of z is a step of Kutta's
 method. This is the published form, kept for comparison: it diverges easily, and its final parameters predict poorly.
-Use `needleplan.estimation.identify_by_passes` for identification.
+Use `needleplan.identification.identify_by_passes` for identification.
 
 `BankSettings` holds the choices that the text leaves open:
 
