@@ -1,4 +1,4 @@
-"""The joint extended Kalman filter, sample by sample."""
+"""The joint extended Kalman filter: state and free parameters of a model, sample by sample."""
 
 from __future__ import annotations
 
@@ -19,20 +19,113 @@ from needleplan.signals import Array, Motion
 __all__ = ["FilterSample", "FilterStep", "JointFilter", "SampleUse", "ScalarKalmanFilter"]
 
 
+@dataclass(frozen=True, slots=True)
+class FilterSample:
+    """One measurement: time (s), depth (mm), value (unit of the channel), velocity (mm/s), angle of the base (rad).
+
+    A missing `value` is NaN. A missing velocity is computed from the difference to the previous sample.
+    """
+
+    time_s: float
+    depth_mm: float
+    value: float
+    velocity_mm_s: float | None = None
+    angle_rad: float = 0.0
+
+
+class SampleUse(StrEnum):
+    """How the filter used a sample."""
+
+    USED = "used"
+    MASKED = "masked"
+    """Not used: next to a reversal, where the average of the sensor mixes both directions, or masked by the caller."""
+
+    MISSING = "missing"
+    """Not used: the value is not finite."""
+
+    DIVERGED = "diverged"
+    """Not used: the estimate stopped being finite, at this sample or before."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilterStep:
+    """Result of one sample.
+
+    `predicted` is the output before the correction, `innovation` is the value minus `predicted` (NaN without a value),
+    and `sd` is the predicted standard deviation of the innovation, all in the unit of the channel. `x` is the estimate
+    after the correction and `x_sd` its standard deviations, both of shape (n,), in the coordinates of the joint system.
+    """
+
+    use: SampleUse
+    predicted: float
+    innovation: float
+    sd: float
+    x: Array
+    x_sd: Array
+
+
+class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
+    """Extended Kalman filter with a scalar measurement; the caller evaluates the nonlinear functions.
+
+    The prediction of filterpy is linear, F x, and is replaced here. Its update has the Joseph form, which keeps P
+    symmetric and positive.
+    """
+
+    def __init__(self, x: Array, covariance: Array, walk: Array, variance: float) -> None:
+        """Start at `x`, shape (n,), with `covariance` and `walk` (Q), shape (n, n); `variance` is R."""
+        super().__init__(dim_x=x.size, dim_z=1)
+        self.x, self.P, self.Q = x.copy(), covariance.copy(), walk
+        self.R = np.array([[variance]])
+
+    def predict_x(self, u: Any = 0) -> None:
+        """Set x to the given prediction."""
+        self.x = u
+
+    def advance(self, x: Array, change: Array) -> None:
+        """Predict: the state becomes `x`, with the Jacobian `change` of shape (n, n)."""
+        self.F = change
+        self.predict(x)
+
+    def correct(self, measured: float, expected: float, change: Array) -> None:
+        """Correct with a measured number; `change` is the gradient of the expected number, shape (n,)."""
+        self.update(np.array([measured]), lambda _: change[np.newaxis], lambda _: np.array([expected]))
+
+    @property
+    def lost(self) -> bool:
+        """Whether x or P is not finite."""
+        return not (np.isfinite(self.x).all() and np.isfinite(self.P).all())
+
+
 class JointFilter:
-    """Estimates a model's state and free parameters from samples that come one at a time.
+    """Extended Kalman filter of the state and the free parameters of a model, from one sample at a time.
 
-    `variance` is R, in the square of the channel's unit. The standard deviation of every coordinate at the start is
-    `sd` (a number, or one for each free parameter), and `walk` is the variance that each gains in a sample. The state
-    starts at its initial value, of which `state_sd` is the uncertainty.
+    Parameters
+    ----------
+    joint
+        Joint system of the model.
+    model
+        Model with the initial values of the parameters.
+    variance
+        Measurement variance R, in the squared unit of the channel.
+    sd
+        Initial standard deviation of the coordinates: one number, or one for each free parameter.
+    walk
+        Variance that each coordinate gains per sample.
+    state_sd
+        Standard deviation of the initial state.
+    settle
+        Number of samples after a reversal that are masked, because the average of the sensor still contains samples
+        from before. Samples at rest after a motion are masked too. With 0, all samples are used.
+    reach
+        Largest distance of a coordinate from its first initial value.
+    limit
+        Largest change of a coordinate in one sample: R is raised for a sample that would exceed it. Without `reach`
+        and `limit`, a coordinate can move to where the output no longer depends on it, and does not return.
 
-    After a change of direction `settle` samples are not used, as the sensor's average still holds samples from before,
-    and neither are samples at rest after a movement; with `settle` 0 all are used. A value that is no number moves the
-    filter on without correcting it. Both are counted (`counts`).
-
-    Two safeguards for starts that are far off: no coordinate moves by more than `limit` in one sample (R is raised for
-    a sample that would), and none leaves its first start by more than `reach`. Without them a coordinate may run off
-    to where the output no longer depends on it, and never comes back.
+    Raises
+    ------
+    DataError
+        A variance or a standard deviation is negative, or `variance` is 0.
     """
 
     def __init__(
@@ -48,7 +141,7 @@ class JointFilter:
         reach: float = math.inf,
         limit: float = math.inf,
     ) -> None:
-        """Start with the parameters of `model`. Raises DataError for numbers that are no variances."""
+
         for name, value in (("variance", variance), ("sd", np.min(sd)), ("walk", walk), ("state_sd", state_sd)):
             if not value >= 0 or (name == "variance" and value == 0):
                 raise DataError(Mistake(name, f"{value}", "must be positive" if name == "variance" else "must be >= 0"))
@@ -69,17 +162,17 @@ class JointFilter:
 
     @property
     def channel(self) -> Channel:
-        """What the model predicts: the column of a record that it is fed with."""
+        """Channel that the model predicts: the column of a record with the measured values."""
         return self._joint.start.channel
 
     @property
     def diverged(self) -> bool:
-        """Whether the estimate is lost."""
+        """Whether the estimate or its covariance stopped being finite."""
         return self.counts[SampleUse.DIVERGED] > 0
 
     @property
     def x(self) -> Array:
-        """The joint vector. Raises DataError before the first sample."""
+        """The joint vector (state, coordinates), shape (n,). Raises DataError before the first sample."""
         return self._filter().x
 
     @property
@@ -89,14 +182,14 @@ class JointFilter:
 
     @property
     def model(self) -> Model:
-        """The model as it is estimated now."""
+        """The model with the current estimate of its parameters."""
         return self._joint.model(self.x)
 
     def update(self, sample: FilterSample, *, masked: bool = False) -> FilterStep:
-        """Take one sample; `masked` ones move the filter on and correct nothing.
+        """Predict to the time of a sample, and correct with its value unless it is masked or missing.
 
-        Raises DataError, and leaves the filter as it was, where the time does not increase or time, depth or velocity
-        is not a finite number.
+        Raises DataError if the time does not increase, or time, depth or velocity is not finite; the filter is then
+        unchanged.
         """
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return self._take(sample, masked)
@@ -115,14 +208,14 @@ class JointFilter:
         return self._correct(sample.value, now, masked or self._to_settle > 0 or at_rest)
 
     def restart(self, *, variance: float, sd: float | Sequence[float]) -> None:
-        """Begin a new record with the parameters as they are estimated, and new uncertainties."""
+        """Begin a new pass with the estimated parameters, a new R and new initial standard deviations."""
         self._start = self.model
         self._variance = variance
         self._sd = np.broadcast_to(np.asarray(sd, float), self._sd.shape)
         self._forget()
 
     def next_record(self) -> None:
-        """Begin a new record with the parameters and their covariance as they are; only the state starts again."""
+        """Begin a new record: parameters and their covariance continue, the state returns to its initial value."""
         n = self._joint.states
         self._start, covariance = self.model, self.covariance[n:, n:]
         self._forget()
@@ -179,7 +272,7 @@ class JointFilter:
     def _instant(self, sample: FilterSample) -> Motion:
         last = self._last
         if last is not None and not sample.time_s > float(last.time_s):
-            rule = f"must be greater than that of the sample before, {float(last.time_s):g}"
+            rule = f"must be greater than the time of the previous sample, {float(last.time_s):g}"
             raise DataError(Mistake("time_s", f"{sample.time_s:g}", rule))
         velocity = sample.velocity_mm_s
         if velocity is None:
@@ -191,82 +284,5 @@ class JointFilter:
                 raise DataError(Mistake(name, str(number), "must be a finite number"))
         before = 0.0 if last is None else float(last.direction)
         direction = math.copysign(1.0, velocity) if velocity != 0 else before
-        # One instant: numbers in the place of arrays, which `Motion` allows.
+        # One instant: numbers instead of arrays, which `Motion` accepts.
         return Motion(sample.time_s, sample.depth_mm, velocity, direction, sample.angle_rad)  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True, slots=True)
-class FilterSample:
-    """One measurement; `value` is in the unit of the model's channel, NaN where there is none at this time.
-
-    Without a velocity it is the difference of the depths over that of the times.
-    """
-
-    time_s: float
-    depth_mm: float
-    value: float
-    velocity_mm_s: float | None = None
-    angle_rad: float = 0.0
-
-
-class SampleUse(StrEnum):
-    """What a filter did with a measurement."""
-
-    USED = "used"
-    MASKED = "masked"
-    """At a reversal, where the sensor's average mixes both directions; or masked by the caller."""
-
-    MISSING = "missing"
-    """It is not a number."""
-
-    DIVERGED = "diverged"
-    """The filter has lost its estimate and does nothing any more."""
-
-
-@dataclass(frozen=True, slots=True)
-class FilterStep:
-    """What a filter says after one sample.
-
-    `predicted` is what it expected before it saw the value, `innovation` the value less that (NaN where there is none),
-    `sd` the standard deviation that it gave the innovation. `x` is the estimate and `x_sd` its standard deviations,
-    shape (n,), in the coordinates of the joint system.
-    """
-
-    use: SampleUse
-    predicted: float
-    innovation: float
-    sd: float
-    x: Array
-    x_sd: Array
-
-
-class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
-    """An extended Kalman filter with one measured number, told what its state becomes and the derivative of that.
-
-    filterpy's own prediction of x is linear, F x; its update has the form of Joseph, which keeps P symmetric and
-    positive.
-    """
-
-    def __init__(self, x: Array, covariance: Array, walk: Array, variance: float) -> None:
-        """Start at `x`, shape (n,), with `covariance` and `walk` (Q), shape (n, n); `variance` is R."""
-        super().__init__(dim_x=x.size, dim_z=1)
-        self.x, self.P, self.Q = x.copy(), covariance.copy(), walk
-        self.R = np.array([[variance]])
-
-    def predict_x(self, u: Any = 0) -> None:
-        """Take the prediction as it is given."""
-        self.x = u
-
-    def advance(self, x: Array, change: Array) -> None:
-        """Predict: the state becomes `x`, whose derivative by the state before is `change`, shape (n, n)."""
-        self.F = change
-        self.predict(x)
-
-    def correct(self, measured: float, expected: float, change: Array) -> None:
-        """Update with a measured number; `change` is the derivative of the expected one, shape (n,)."""
-        self.update(np.array([measured]), lambda _: change[np.newaxis], lambda _: np.array([expected]))
-
-    @property
-    def lost(self) -> bool:
-        """Whether the estimate is no longer a number."""
-        return not (np.isfinite(self.x).all() and np.isfinite(self.P).all())

@@ -1,11 +1,12 @@
-"""What a joint filter estimates: the state of a model and the coordinates of its free parameters, together.
+"""Joint systems: the state of a model and its free parameters as one state vector of a Kalman filter.
 
-The joint vector is x = (state, u). The state follows the model, the coordinates do not move by themselves::
+The joint vector is x = (state, u), where u are the scaled coordinates of the free parameters. The state follows the
+model, and the coordinates are constant::
 
     x+ = (step(state; u), u)          y = output(state; u)
 
-A filter needs both with their derivatives. `NumericJoint` has them for any model, by differences in the well-scaled
-coordinates of its parameters; a family with closed forms brings its own `Joint`.
+A filter needs both functions and their derivatives. `NumericJointSystem` computes the derivatives of any model by
+central differences. `JointForce` has closed forms for the force-depth models.
 """
 
 from __future__ import annotations
@@ -25,15 +26,28 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["JointForce", "JointSystem", "NumericJointSystem"]
 
+_F1, _F2 = NAMES.index("f1"), NAMES.index("f2")
+
+# Value of f2 (N/mm) per unit of its coordinate.
+_F2_SCALE = 0.02
+
+# Bound of a coordinate: beyond e^40 the filter has diverged, and exp must not overflow before it reports that.
+_FURTHEST = 40.0
+
 
 class JointSystem(ABC):
     """The joint system of a model and its free parameters; abstract.
 
-    `free` are the names of the parameters that are estimated, `states` is the number of states before them in x.
+    `start` is the model with the fixed parameters, `free` are the names of the estimated parameters, and `states` is
+    the number of states, which precede the parameters in x.
     """
 
     def __init__(self, model: Model, free: Sequence[str] | None = None) -> None:
-        """Take the values of all other parameters from `model`. Raises ModelError for a name that it does not have."""
+        """Fix all other parameters at their values in `model`.
+
+        The default of `free` is all parameters that the model declares as free. Raises ModelError if `free` names a
+        parameter that the model does not have.
+        """
         known = model.parameters()
         names = tuple(name for name, what in known.items() if what.free) if free is None else tuple(free)
         unknown = [Mistake(name, "", f"must be one of {', '.join(known)}") for name in names if name not in known]
@@ -49,18 +63,18 @@ class JointSystem(ABC):
 
     @abstractmethod
     def predict(self, x: Array, before: Motion, after: Motion) -> tuple[Array, Array]:
-        """Return x at the instant `after` from x at `before`, and its derivative by x, shape (n, n)."""
+        """Return x at the instant `after`, given x at `before`, and its derivative with respect to x, shape (n, n)."""
 
     @abstractmethod
     def measure(self, x: Array, motion: Motion) -> tuple[float, Array]:
-        """Return the output at an instant, and its derivative by x, shape (n,)."""
+        """Return the output at an instant, and its derivative with respect to x, shape (n,)."""
 
     @abstractmethod
     def values(self, x: Array) -> dict[str, float]:
-        """Return the values of the free parameters, in their units; x may be anything finite."""
+        """Return the values of the free parameters in their units, for any finite x."""
 
     def model(self, x: Array) -> Model:
-        """Return the model at x, with every parameter kept inside of its range."""
+        """Return the model at x, with every parameter clipped to its range."""
         known = self.start.parameters()
         kept = {
             name: float(np.clip(value, known[name].lower, known[name].upper))
@@ -70,16 +84,16 @@ class JointSystem(ABC):
 
 
 class NumericJointSystem(JointSystem):
-    """The joint system of any model: one step of `simulate`, and central differences in the scaled coordinates."""
+    """The joint system of any model: one step of `simulate`, derivatives by central differences."""
 
     def __init__(self, model: Model, free: Sequence[str] | None = None, *, difference: float = 1e-5) -> None:
-        """`difference` is the step of the differences, in coordinates (and relative, for states)."""
+        """`difference` is the step of the differences: absolute for coordinates, relative for states."""
         super().__init__(model, free)
         self._difference = difference
         self._what = [model.parameters()[name] for name in self.free]
 
     def initial(self, model: Model, motion: Motion) -> Array:
-        """Return the initial state of the model and its coordinates."""
+        """Return the initial state of the model and the coordinates of its parameters."""
         state = model.initial_state(motion)
         self.states = state.size
         known = model.values()
@@ -88,7 +102,7 @@ class NumericJointSystem(JointSystem):
         )
 
     def predict(self, x: Array, before: Motion, after: Motion) -> tuple[Array, Array]:
-        """Return the next x and its derivative; 2 n simulations of one step."""
+        """Return the next x and its derivative, from 2 n + 1 simulations of one step."""
         both = Motion(*(np.array([getattr(before, each.name), getattr(after, each.name)]) for each in fields(Motion)))
 
         def step(point: Array) -> Array:
@@ -98,7 +112,7 @@ class NumericJointSystem(JointSystem):
         return step(x), self._derivative(step, x)
 
     def measure(self, x: Array, motion: Motion) -> tuple[float, Array]:
-        """Return the output and its derivative; 2 n outputs."""
+        """Return the output and its derivative, from 2 n + 1 outputs."""
 
         def output(point: Array) -> Array:
             return np.atleast_1d(self.model(point).output(point[: self.states], motion))
@@ -124,17 +138,20 @@ class NumericJointSystem(JointSystem):
         return np.array(columns).T
 
 
-_F1, _F2 = NAMES.index("f1"), NAMES.index("f2")
-_F2_SCALE = 0.02
-_FURTHEST = 40.0
-"""Bound of the coordinates, e^40: a filter that gets there has diverged, and shall do so without an overflow."""
-
-
 class JointForce(JointSystem):
-    """z and the free parameters of a force-depth model; see the module for the coordinates."""
+    """The joint system of a force-depth model in closed form, in coordinates in which it cannot become unstable.
+
+    The coordinates are the logarithms of the parameters, except f2, which may be negative, and f1::
+
+        f2 = 0.02 u          f1 = max(0, -f2) + exp(u)
+
+    Therefore g(l) = f1 + f2 exp(-alpha l) is positive at every depth for all coordinates. The bristle deflection z
+    takes an exponential step, which is bounded for any step size. With both, the filter converges from starts that are
+    wrong by a factor of six. Without them, as the thesis reports for f2(0) = -0.01, "the filter tended to be unstable".
+    """
 
     def __init__(self, model: DepthForce, free: Sequence[str] | None = None) -> None:
-        """Raise ModelError where g(l) is not positive at some depth, or `free` names no parameter of it."""
+        """Raises ModelError if g(l) is not positive at some depth, or `free` names an unknown parameter."""
         super().__init__(model, free)
         if not model.proper:
             raise ModelError(Mistake("f1", f"{model.f1:g}", "f1 and f1 + f2 must be positive"), model.name)
@@ -144,11 +161,11 @@ class JointForce(JointSystem):
         self._places = [NAMES.index(name) for name in self.free]
 
     def initial(self, model: Model, motion: Motion) -> Array:  # noqa: ARG002
-        """Return z = 0 and the coordinates of the parameters."""
+        """Return z = 0 and the coordinates of the free parameters."""
         return np.array([0.0, *(self._coordinate(model, name) for name in self.free)])
 
     def predict(self, x: Array, before: Motion, after: Motion) -> tuple[Array, Array]:
-        """Return the next x and its derivative; the depth is held at the middle of the step."""
+        """Return the next x and its derivative; the depth is constant during the step, at its middle."""
         z, *coordinates = x.tolist()
         values, slopes, floor_moves = self._natural(coordinates)
         middle = (float(before.depth_mm) + float(after.depth_mm)) / 2
@@ -178,7 +195,7 @@ class JointForce(JointSystem):
         return log(value - floor)
 
     def _natural(self, coordinates: list[float]) -> tuple[Values, list[float], bool]:
-        """Return all seven values, the slopes of the free ones, and whether f1 moves with f2."""
+        """Return all seven parameters, d(value)/du of the free ones, and whether f1 depends on f2."""
         values, slopes = self._fixed.copy(), []
         for place, u in zip(self._places, coordinates, strict=True):
             bounded = min(max(u, -_FURTHEST), _FURTHEST)
@@ -193,6 +210,7 @@ class JointForce(JointSystem):
         return (sigma0, sigma1, sigma2, f1, f2, alpha, beta), slopes, free_f1 and floor > 0
 
     def _chain(self, row: Row, slopes: list[float], floor_moves: bool) -> list[float]:
+        """Return the derivative of `row` with respect to z and the free coordinates."""
         _, by_z, by_values = row
         chained = [by_z]
         for place, slope in zip(self._places, slopes, strict=True):

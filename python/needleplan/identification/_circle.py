@@ -1,11 +1,13 @@
-"""Circles through points of a short arc.
+"""Circle fits to points of a short arc.
 
-Plain algebraic least squares (Kasa: minimise the sum of (x^2 + y^2 + B x + C y + D)^2) draws the radius of a short
-noisy arc to small values: for noise sigma on an arc of length L and radius R by R_kasa / R = 1 / (1 + 720 sigma^2 R^2 /
-L^4), a fifth at 80 mm of R = 1200 mm with 0.1 mm of noise. It is not here. The fits that are normalise by
-the gradient on average (Taubin, IEEE Trans. PAMI 13 (1991) 1115), by B^2 + C^2 - 4 A D (Pratt, Computer Graphics 21
-(1987) 145), or minimise the distances themselves. All keep working where the arc is straight.
-See N. Chernov, Circular and Linear Regression, CRC Press 2010, chapters 3 and 5.
+The plain algebraic fit (Kasa), which minimises the sum of (x^2 + y^2 + B x + C y + D)^2, is not offered: on short noisy
+arcs its radius is too small. For noise sigma on an arc of length L and radius R, R_kasa / R = 1 / (1 + 720 sigma^2 R^2
+/ L^4). With sigma = 0.1 mm, L = 80 mm and R = 1200 mm, that is 0.8.
+
+The algebraic fits here normalise A (x^2 + y^2) + B x + C y + D by its mean squared gradient (Taubin, IEEE Trans. PAMI
+13 (1991) 1115) or by B^2 + C^2 - 4 A D (Pratt, Computer Graphics 21 (1987) 145). The geometric fit minimises the
+distances. All of them fit straight lines too. Source: N. Chernov, Circular and Linear Regression, CRC Press 2010,
+chapters 3 and 5.
 """
 
 from __future__ import annotations
@@ -22,20 +24,24 @@ __all__ = ["Circle", "CircleMethod", "arc_distance", "checked_points", "fit_circ
 
 
 class CircleMethod(StrEnum):
-    """What is minimised."""
+    """Objective of a circle fit."""
 
     PRATT = "pratt"
+    """Algebraic fit, normalised by B^2 + C^2 - 4 A D."""
+
     TAUBIN = "taubin"
+    """Algebraic fit, normalised by the mean squared gradient."""
+
     GEOMETRIC = "geometric"
-    """The sum of squared distances: maximum likelihood for white noise."""
+    """Sum of squared distances: the maximum-likelihood fit for white noise."""
 
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle, or a straight line, through points in their order.
+    """A circle or straight line, passed in the order of the fitted points.
 
-    `curvature_per_mm` is positive where the path bends to the left (from +x towards +y). At `point_mm`, on the circle,
-    its tangent has the heading `heading_rad` from +x. `rms_mm` is the root mean square distance of the points.
+    `curvature_per_mm` is positive if the path bends to the left (from +x towards +y). `point_mm` is on the circle, and
+    `heading_rad` is the heading of the tangent there, from +x. `rms_mm` is the root mean square distance of the points.
     """
 
     curvature_per_mm: float
@@ -45,26 +51,26 @@ class Circle:
 
     @property
     def radius_mm(self) -> float:
-        """Radius, positive; infinite for a straight line."""
+        """Radius (mm), positive; infinite for a straight line."""
         return abs(1 / self.curvature_per_mm) if self.curvature_per_mm else float("inf")
 
     @property
     def center_mm(self) -> tuple[float, float]:
-        """Centre; infinite for a straight line."""
+        """Centre (mm); infinite for a straight line."""
         reach = 1 / self.curvature_per_mm if self.curvature_per_mm else float("inf")
         x, y = self.point_mm
         return (x - reach * float(np.sin(self.heading_rad)), y + reach * float(np.cos(self.heading_rad)))
 
     def distances(self, points_mm: Array) -> Array:
-        """Return the signed distances of points (n, 2), positive to the left of the path, shape (n,)."""
+        """Return the signed distances (mm) of points (n, 2), positive to the left of the path, shape (n,)."""
         return arc_distance(points_mm, *self.point_mm, self.heading_rad, self.curvature_per_mm)
 
 
 def arc_distance(points_mm: Array, x_mm: float, y_mm: float, heading_rad: float, curvature_per_mm: float) -> Array:
-    """Return signed distances of points (n, 2) from the circle through (x, y) with that heading, shape (n,).
+    """Return the signed distances of points (n, 2) from a circle through (x, y) with the given heading, shape (n,).
 
-    Positive to the left of the path. Exact for every curvature: d = 2 P / (1 + sqrt(1 - 2 k P)) with P = v - k (u^2 +
-    v^2) / 2, where u is along the heading and v to its left.
+    Distances are positive to the left of the path. The formula d = 2 P / (1 + sqrt(1 - 2 k P)) with P = v - k (u^2 +
+    v^2) / 2, u along the heading and v to its left, is exact for every curvature k, including zero.
     """
     away = points_mm - np.array([x_mm, y_mm])
     along = away @ np.array([np.cos(heading_rad), np.sin(heading_rad)])
@@ -74,9 +80,9 @@ def arc_distance(points_mm: Array, x_mm: float, y_mm: float, heading_rad: float,
 
 
 def fit_circle(points_mm: Array, method: CircleMethod = CircleMethod.GEOMETRIC) -> Circle:
-    """Fit a circle to points (n, 2) in mm, in the order in which the path passes them.
+    """Return the circle fitted to points (n, 2) in mm, in their order along the path.
 
-    Raises DataError for fewer than 3 points, numbers that are not finite, or points that are all in one place.
+    Raises DataError for fewer than 3 points, numbers that are not finite, or points that all coincide.
     """
     points = checked_points(points_mm)
     middle = points.mean(axis=0)
@@ -96,7 +102,7 @@ def fit_circle(points_mm: Array, method: CircleMethod = CircleMethod.GEOMETRIC) 
 
 
 def checked_points(points_mm: Array) -> Array:
-    """Return points (n, 2) of finite numbers, three of them at least, not all in one place. Raises DataError."""
+    """Return the points as an array (n, 2). Raises DataError for fewer than 3, not finite, or coincident points."""
     points = np.asarray(points_mm, float)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
         raise DataError(Mistake("points_mm", f"shape {points.shape}", "must have the shape (n, 2), n at least 3"))
@@ -104,12 +110,12 @@ def checked_points(points_mm: Array) -> Array:
         count = int((~np.isfinite(points)).any(axis=1).sum())
         raise DataError(Mistake("points_mm", f"{count} points", "must be finite numbers"))
     if not np.ptp(points, axis=0).any():
-        raise DataError(Mistake("points_mm", "", "are all in one place"))
+        raise DataError(Mistake("points_mm", "", "must differ, but are all in one place"))
     return points
 
 
 def _algebraic(points: Array, method: CircleMethod) -> tuple[float, float, float, float]:
-    """Return curvature, a point and the heading there of the algebraic fit, by singular values (Chernov 5.6, 5.9)."""
+    """Return curvature, point (x, y) and heading of an algebraic fit, by singular values (Chernov 5.6, 5.9)."""
     square = (points**2).sum(axis=1)
     if method is CircleMethod.TAUBIN:
         mean = square.mean()
@@ -131,7 +137,7 @@ def _algebraic(points: Array, method: CircleMethod) -> tuple[float, float, float
             a, b, c, d = np.linalg.solve(root, vectors[:, smallest])
     norm = np.sqrt(max(b * b + c * c - 4 * a * d, 1e-300))
     a, b, c, d = (each / norm for each in (a, b, c, d))
-    # a r^2 + b x + c y + d = 0; its gradient at the point nearest to the origin is the normal, to the left of the path.
+    # a r^2 + b x + c y + d = 0; the gradient at the point nearest to the origin is the normal to the left of the path.
     steep = np.hypot(b, c) or 1.0
     normal = np.array([b, c]) / steep
     reach = -2 * d / (steep + 1)
@@ -140,7 +146,7 @@ def _algebraic(points: Array, method: CircleMethod) -> tuple[float, float, float
 
 
 def _geometric(points: Array, start: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """Minimise the distances over curvature, shift across the path and turn, from an algebraic fit."""
+    """Return the geometric fit: minimise over curvature, lateral shift and turn, starting from an algebraic fit."""
     from scipy.optimize import least_squares
 
     curvature, x, y, heading = start

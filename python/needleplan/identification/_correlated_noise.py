@@ -1,18 +1,18 @@
-"""Least squares under noise that is correlated to an unknown degree.
+"""Least squares under noise with an unknown correlation.
 
-The noise of samples at positions s_i is taken as a stationary process plus a white part,
+The noise of samples at positions s_i is modelled as a stationary process plus white noise::
 
-    V_ij = sigma^2 ((1 - w) k(|s_i - s_j| / l) + w [i = j]),
+    V_ij = sigma^2 ((1 - w) k(|s_i - s_j| / l) + w [i = j])
 
-with correlation length l, white fraction w and kernel k (the Matern family of smoothness 1/2, 3/2 and 5/2: from rough
-to smooth) all unknown. Estimating them and then believing the estimate gives intervals that are too narrow: over a
-record of a few correlation lengths nobody can know them well. Here they are integrated out. With them given, the
-parameters have a Student distribution around the generalised least-squares estimate (prior 1/sigma); these are mixed
-with the weights of the restricted likelihood (Harville, Biometrika 61 (1974) 383)
+The correlation length l, the white fraction w and the kernel k (Matern, smoothness 1/2, 3/2 or 5/2) are unknown. A
+record of a few correlation lengths does not determine them, and intervals at their point estimates are too narrow.
+They are therefore integrated out: given l, w and k, the parameters have a Student distribution around the generalised
+least-squares estimate (prior 1/sigma). The distributions are mixed with weights proportional to the restricted
+likelihood (Harville, Biometrika 61 (1974) 383) times a prior::
 
     |V|^-1/2 |J' V^-1 J|^-1/2 (r' P r)^(-(n - p)/2)
 
-times a prior: one half for noise that is all white, the other for the rest. What that is worth is measured, not proven:
+The prior probability of white noise is one half. The coverage of the intervals is measured by
 benches/python/curvature.py.
 """
 
@@ -28,32 +28,42 @@ from needleplan.signals import Array
 
 __all__ = ["Marginal", "marginalise"]
 
+# Largest number of groups of neighbouring samples that are averaged; correlation within a group counts as white noise.
 _GROUPS = 64
-"""Samples are averaged to this many neighbours at most: correlation over less than that is white noise between them."""
 
+# Number of correlation lengths, spaced geometrically.
 _LENGTHS = 14
-_WHITE = (1e-4, 0.05, 0.3, 0.7)
-_ALL_WHITE = 0.5
-_LONGEST = 2.0
-"""Longest correlation length considered, in lengths of the record."""
 
+# Values of the white fraction w.
+_WHITE = (1e-4, 0.05, 0.3, 0.7)
+
+# Prior probability that the noise is white.
+_ALL_WHITE = 0.5
+
+# Longest correlation length, relative to the length of the record.
+_LONGEST = 2.0
+
+# Addition to the white fraction that keeps the Cholesky factorisation stable.
 _JITTER = 1e-8
+
+# Weight of a candidate, relative to the largest weight, below which it is dropped.
 _NEGLIGIBLE = 1e-6
+
+# Prior probability (given correlated noise) and correlation function of each kernel.
 _KERNELS: tuple[tuple[float, Callable[[Array], Array]], ...] = (
     (0.5, lambda x: np.exp(-x)),
     (0.3, lambda x: (1 + np.sqrt(3) * x) * np.exp(-np.sqrt(3) * x)),
     (0.2, lambda x: (1 + np.sqrt(5) * x + 5 / 3 * x**2) * np.exp(-np.sqrt(5) * x)),
 )
-"""Prior share of each kernel."""
 
 
 @dataclass(frozen=True)
 class Marginal:
-    """What the data say of p parameters, the noise integrated out: a mixture of m Student distributions.
+    """Distribution of p parameters with the noise integrated out: a mixture of m Student distributions.
 
-    `weights` (m,) sum to one; `centres` (m, p) and `covariances` (m, p, p) are those of the scale; `dof` is common.
-    `correlation` is the median correlation length (in the unit of the positions, 0 for white noise), `all_white` the
-    probability that the noise is white.
+    `weights` (m,) sum to one; `centres` (m, p) and the scale matrices `covariances` (m, p, p) belong to the Student
+    distributions, and `dof` is their common number of degrees of freedom. `correlation` is the median correlation
+    length, in the unit of the positions (0 for white noise), and `all_white` the probability of white noise.
     """
 
     weights: Array
@@ -65,7 +75,7 @@ class Marginal:
 
     @property
     def mean(self) -> Array:
-        """The parameters, shape (p,)."""
+        """Mean of the parameters, shape (p,)."""
         return np.asarray(self.weights @ self.centres)
 
     @property
@@ -83,7 +93,7 @@ class Marginal:
         return float(self.weights @ stats.t.cdf((value - centre) / scale, self.dof))
 
     def interval(self, direction: Array, level: float = 0.95) -> tuple[float, float]:
-        """Return the central interval of `direction` @ parameters."""
+        """Return the central interval of `direction` @ parameters with the probability `level`."""
         centre, scale = self._along(direction)
         low, high = ((1 + sign * level) / 2 for sign in (-1, 1))
         return self._quantile(low, centre, scale), self._quantile(high, centre, scale)
@@ -111,11 +121,11 @@ class Marginal:
 def marginalise(
     residual: Array, jacobian: Array, position: Array, *, correlated: bool = True, correlation: float | None = None
 ) -> Marginal:
-    """Return what residual = jacobian @ parameters + noise says of the parameters.
+    """Return the distribution of the parameters of residual = jacobian @ parameters + noise.
 
-    `residual` (n,), `jacobian` (n, p), `position` (n,) in any unit and order. `correlated` False takes white noise for
-    granted; `correlation` is the correlation length where it is known from elsewhere, in the unit of the positions.
-    Raises DataError for fewer than p + 3 samples, or samples that are all at one position.
+    `residual` has the shape (n,), `jacobian` (n, p), `position` (n,) in any unit and order. With `correlated` False the
+    noise is white. `correlation` is a known correlation length in the unit of the positions. Raises DataError for fewer
+    than p + 3 samples, and for samples that are all at one position.
     """
     samples, parameters = jacobian.shape
     if samples < parameters + 3:
@@ -147,7 +157,7 @@ def marginalise(
 
 
 def _candidates(place: Array, correlation: float | None) -> Sequence[tuple[float, float, Callable[[Array], Array]]]:
-    """Return correlation length, prior share and kernel of everything that is considered but white noise."""
+    """Return correlation length, prior probability and kernel of all candidates except white noise."""
     rest = 1 - _ALL_WHITE
     if correlation is not None:
         if not 0 < correlation < np.inf:
@@ -159,7 +169,7 @@ def _candidates(place: Array, correlation: float | None) -> Sequence[tuple[float
 
 
 class _Points:
-    """Generalised least squares for all candidates of the noise at once: everything is whitened, first axis m."""
+    """Generalised least squares for all m candidates of the noise at once, on whitened data; the first axis is m."""
 
     def __init__(self, residual: Array, jacobian: Array, logdet: Array, cells: Sequence[tuple[float, float]]) -> None:
         self.prior, self.lengths = (np.array(each) for each in zip(*cells, strict=True))
@@ -176,6 +186,7 @@ class _Points:
         self.likelihood = -0.5 * (logdet + logs + self.dof * np.log(self.variance))
 
     def mixture(self) -> Marginal:
+        """Return the mixture of the candidates whose weights are not negligible."""
         weights = self.prior * np.exp(self.likelihood - self.likelihood.max())
         kept = np.flatnonzero(weights > _NEGLIGIBLE * weights.max())
         weights = weights[kept] / weights[kept].sum()

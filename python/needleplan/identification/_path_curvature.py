@@ -34,42 +34,43 @@ __all__ = [
 
 
 class PathForm(StrEnum):
-    """What of the path is known beforehand."""
+    """Prior knowledge of the entry pose."""
 
     FREE = "free"
-    """Nothing: where it enters and in which direction is fitted too (3 parameters for one arc)."""
+    """The entry pose is unknown and fitted too (3 parameters for one arc)."""
 
     TANGENT = "tangent"
-    """It goes through `entry`; biased where that pose is wrong (1 parameter for one arc)."""
+    """The path starts at the pose `entry` (1 parameter for one arc); biased if that pose is wrong."""
 
 
 class TrackerNoise(StrEnum):
-    """What is assumed of the noise of neighbouring points."""
+    """Assumption about the noise of neighbouring points."""
 
     CORRELATED = "correlated"
-    """It may be correlated along the path, nobody knows how far: as a tracker's is whose field is distorted."""
+    """Correlated along the path over an unknown length, as for a tracker with field distortion."""
 
     WHITE = "white"
-    """It is independent from point to point."""
+    """Independent from point to point."""
 
 
 @dataclass(frozen=True)
 class CurvatureChange:
-    """Difference of the curvatures of two neighbouring segments, with its 95 % interval."""
+    """Difference of the curvatures (1/mm) of two neighbouring segments, with its 95 % interval."""
 
     value_per_mm: float
     low_per_mm: float
     high_per_mm: float
     p_value: float
-    """Probability of a difference at least as large where there is none."""
+    """Probability of a difference at least as large if both curvatures are equal (two-sided)."""
 
 
 @dataclass(frozen=True)
 class Curvature:
-    """Curvature of a path or of a segment of it, 1/mm, positive to the left, with its 95 % interval.
+    """Curvature (1/mm) of a path or segment, positive to the left, with standard deviation and 95 % interval.
 
-    `rms_mm` is the root mean square distance of the points from the path; `correlation_mm` over which distance their
-    errors seem to be correlated (0: not). `low_mm` to `high_mm` is the segment, in the unit of the positions given.
+    `rms_mm` is the root mean square distance of the points from the whole path, and `correlation_mm` the median
+    correlation length of their errors (0 for white noise). The segment extends from `low_mm` to `high_mm` along the
+    path and has `samples` points.
     """
 
     curvature_per_mm: float
@@ -84,7 +85,7 @@ class Curvature:
 
     @property
     def radius_mm(self) -> float:
-        """Radius of the arc, positive; infinite for a straight one."""
+        """Radius (mm), positive; infinite for a straight path."""
         return abs(1 / self.curvature_per_mm) if self.curvature_per_mm else float("inf")
 
     @property
@@ -95,10 +96,11 @@ class Curvature:
 
 @dataclass(frozen=True)
 class Heterogeneity:
-    """Whether several paths have one curvature: Cochran's Q, and what is left of its variance between paths.
+    """Heterogeneity of the curvatures of several paths: Cochran's Q test, and the random-effects mean.
 
-    `mean` is the mean of random effects (DerSimonian and Laird, Controlled Clinical Trials 7 (1986) 177) with its 95 %
-    interval for the mean of all such paths (Student, with one degree of freedom less than there are paths).
+    `between_sd_per_mm` is the heterogeneity standard deviation between paths (DerSimonian and Laird, Controlled
+    Clinical Trials 7 (1986) 177). `low_per_mm` and `high_per_mm` bound the 95 % interval of the mean of all such paths,
+    from the Student distribution with one degree of freedom less than the number of paths.
     """
 
     q: float
@@ -113,7 +115,7 @@ class Heterogeneity:
 
     @property
     def agree(self) -> bool:
-        """Whether the paths may have one curvature, at 5 %."""
+        """Whether one curvature for all paths is not rejected at the 5 % level."""
         return self.p_value >= 0.05
 
 
@@ -125,10 +127,35 @@ def arc_curvature(
     noise: TrackerNoise = TrackerNoise.CORRELATED,
     correlation_mm: float | None = None,
 ) -> Curvature:
-    """Return the curvature of a path from points (n, 2) in mm, in their order along it.
+    """Return the curvature of a path of one arc, with its interval.
 
-    `entry` is (x_mm, y_mm, heading_rad), for the form TANGENT. `correlation_mm` is the correlation length of the
-    tracker where it is known. Raises DataError for points that cannot be used, or too few of them.
+    Parameters
+    ----------
+    points_mm
+        Points, shape (n, 2), in their order along the path.
+    form
+        Whether the entry pose is fitted or given.
+    entry
+        Entry pose (x_mm, y_mm, heading_rad) for the form TANGENT.
+    noise
+        Assumption about the noise of neighbouring points.
+    correlation_mm
+        Correlation length of the tracker along the path, if known.
+
+    Raises
+    ------
+    DataError
+        There are too few points, points that are not finite, or no entry for the form TANGENT.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from needleplan.models import arc_step
+    >>> x, y, _ = arc_step(0.0, 0.0, 0.0, 1 / 300, np.linspace(0, 80, 200))
+    >>> points = np.column_stack([x, y]) + np.random.default_rng(0).normal(0, 0.1, (200, 2))
+    >>> found = arc_curvature(points)
+    >>> found.low_per_mm < 1 / 300 < found.high_per_mm
+    True
     """
     segments, _ = path_curvature(points_mm, form=form, entry=entry, noise=noise, correlation_mm=correlation_mm)
     return segments[0]
@@ -144,11 +171,24 @@ def path_curvature(
     noise: TrackerNoise = TrackerNoise.CORRELATED,
     correlation_mm: float | None = None,
 ) -> tuple[tuple[Curvature, ...], tuple[CurvatureChange, ...]]:
-    """Return the curvature of every segment of a path, and the changes from each to the next.
+    """Return the curvature of every segment of a path, and the changes between neighbouring segments.
 
-    `edges_mm` are the positions, increasing, at which the curvature may change, in the scale of `position_mm` (n,): how
-    far along the path each point is, such as its depth; by default the distance along the fitted circle from the
-    first point. Other parameters and errors as for `curvature`.
+    Parameters
+    ----------
+    points_mm
+        Points, shape (n, 2), in their order along the path.
+    edges_mm
+        Increasing positions at which the curvature may change, in the scale of `position_mm`.
+    position_mm
+        Position of each point along the path, shape (n,), such as its depth. The default is the distance from the
+        first point along the fitted circle.
+    form, entry, noise, correlation_mm
+        As for `arc_curvature`.
+
+    Raises
+    ------
+    DataError
+        As for `arc_curvature`; or the edges do not increase inside the path, or a segment has fewer than 5 points.
     """
     from scipy.optimize import least_squares
 
@@ -182,11 +222,11 @@ def path_curvature(
 
 
 def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
-    """Return whether several paths have one curvature. Raises DataError for fewer than two."""
+    """Return the heterogeneity of the curvatures of several paths. Raises DataError for fewer than two paths."""
     from scipy import stats
 
     if len(paths) < 2:
-        raise DataError("one path cannot agree with itself: at least two are needed")
+        raise DataError("one path cannot agree with itself: at least two paths are needed")
     value = np.array([each.curvature_per_mm for each in paths])
     variance = np.array([((each.high_per_mm - each.low_per_mm) / (2 * stats.norm.ppf(0.975))) ** 2 for each in paths])
     weight = 1 / variance
@@ -197,7 +237,7 @@ def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
     between = max(0.0, (q - degrees) / spare)
     weight = 1 / (variance + between)
     mean = float(weight @ value / weight.sum())
-    # Hartung and Knapp: honest for few paths, and never narrower than what the intervals themselves say.
+    # Hartung and Knapp: valid for few paths. The bound 1 keeps the interval from being narrower than the inputs imply.
     spread = max(1.0, float(weight @ (value - mean) ** 2) / degrees)
     sd = float(np.sqrt(spread / weight.sum()))
     reach = float(stats.t.ppf(0.975, degrees)) * sd
@@ -206,7 +246,7 @@ def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
 
 
 class _Path:
-    """A chain of touching arcs and its distances from points; unknown: shift and turn at entry, curvatures."""
+    """A chain of tangent arcs and its distances from points; unknowns: shift and turn at the entry, curvatures."""
 
     def __init__(
         self,
@@ -225,14 +265,14 @@ class _Path:
         self.begin, self.end = float(self.position.min()), float(self.position.max())
         self.edges = np.array([self.begin, *edges_mm, self.end])
         if (np.diff(self.edges) <= 0).any():
-            rule = f"must increase between {self.begin:.4g} and {self.end:.4g} mm, where the points are"
+            rule = f"must increase between {self.begin:.4g} and {self.end:.4g} mm, the range of the points"
             raise DataError(Mistake("edges_mm", ", ".join(f"{each:g}" for each in edges_mm), rule))
         self.segments = len(self.edges) - 1
         self.index = np.clip(np.searchsorted(self.edges, self.position, side="right") - 1, 0, self.segments - 1)
         self._require_points()
         if not self.free:
             if entry is None:
-                raise DataError(Mistake("entry", "", "is needed where the path is tangent to it"))
+                raise DataError(Mistake("entry", "", "is needed for the form tangent"))
             self.pose = entry
         else:
             first = float(along.min())
@@ -287,7 +327,7 @@ def _segment(path: _Path, said: Marginal, base: Array, first: int, number: int, 
 
 
 def _along(points: Array, place: tuple[float, float], heading: float, bend: float) -> Array:
-    """Return how far along a circle from `place` the feet of points are, shape (n,)."""
+    """Return the distances along a circle from `place` to the perpendicular feet of points, shape (n,)."""
     away = points - np.array(place)
     along = away @ np.array([np.cos(heading), np.sin(heading)])
     across = away @ np.array([-np.sin(heading), np.cos(heading)])

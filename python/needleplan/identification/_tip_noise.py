@@ -1,11 +1,10 @@
-"""Heading noise of the planner from replicate insertions.
+"""Tip noise of a plan from replicate insertions.
 
-In the planner every insertion step of length delta = 2 pi R / N is followed by an independent disturbance of the
-heading by 0, +-1, +-2 ... steps of alpha = 2 pi / N. Its variance per length is s^2 / delta. Replicates that are not
-turned drift apart with that variance per length; it is estimated from their heading increments between depths, which
-are independent for a random walk, so that differences of the entry do not count, minus what the tracker adds. Among
-all distributions on the heading steps with that variance, the discrete Gaussian p_k ~ exp(-c k^2), of largest entropy,
-is taken.
+In a plan, every insertion step of length delta = 2 pi R / N is followed by an independent disturbance of the heading by
+0, +-1, +-2 ... steps of alpha = 2 pi / N, with variance s^2. The headings of replicates without rotation diverge with
+the variance s^2 / delta per length. The estimate uses heading increments between depths: they are independent for a
+random walk, and differences of the entry cancel. The variance of the tracker is subtracted. Of all distributions over
+heading steps with the estimated variance, the one of largest entropy is used: the discrete Gaussian p_k ~ exp(-c k^2).
 """
 
 from __future__ import annotations
@@ -22,30 +21,36 @@ from needleplan.signals import Array, Record
 
 __all__ = ["NoiseStatus", "TipNoise", "headings_at", "probabilities_of", "tip_noise"]
 
+# Largest number of probabilities that a scenario can hold: P(0) to P(+-7).
 _TERMS = 8
+
+# Degrees of freedom (heading increments) from which the noise counts as identified.
 _ENOUGH = 10
+
+# Decimals to which the probabilities are rounded.
 _DECIMALS = 6
 
 
 class NoiseStatus(StrEnum):
-    """What the replicates say."""
+    """Outcome of an identification of the tip noise."""
 
     IDENTIFIED = "identified"
     FEW_REPLICATES = "few_replicates"
-    """An estimate, with an interval that spans more than a factor of about two in the standard deviation."""
+    """Identified, but the interval of the standard deviation spans more than a factor of about two."""
 
     NOT_SEPARABLE = "not_separable"
-    """The scatter is no larger than what the tracker's noise makes of no scatter at all."""
+    """The noise of the tracker alone explains the scatter."""
 
     TOO_WIDE = "too_wide"
-    """More than the planner's eight probabilities hold: take fewer headings, which makes steps longer and coarser."""
+    """The scatter exceeds eight probabilities: use fewer headings, which makes the heading steps coarser."""
 
 
 @dataclass(frozen=True)
 class TipNoise:
-    """Noise of the heading per insertion step, with 95 % interval, and the probabilities of `[motion] tip_noise`.
+    """Noise of the heading per insertion step: standard deviation with 95 % interval, and `[motion] tip_noise`.
 
-    `probabilities` are P(0), P(+-1), ...; `low` and `high` those at the ends of the interval. `says` is a sentence.
+    `probabilities` are P(0), P(+-1) ...; `low` and `high` are the probabilities at the ends of the interval. `degrees`
+    is the number of degrees of freedom, and `says` a sentence for the user.
     """
 
     status: NoiseStatus
@@ -61,7 +66,7 @@ class TipNoise:
 
     @property
     def ok(self) -> bool:
-        """Whether there are probabilities that rest on the data."""
+        """Whether the data determine the probabilities."""
         return self.status in (NoiseStatus.IDENTIFIED, NoiseStatus.FEW_REPLICATES)
 
 
@@ -70,9 +75,23 @@ def tip_noise(
 ) -> TipNoise:
     """Return the tip noise from the headings of replicates at common depths.
 
-    `headings_rad` (replicates, depths), `depths_mm` (depths,), increasing: two or more; headings must be independent
-    measurements, each with the standard deviation `measurement_sd_rad`. `headings` (N) and `radius_mm` (R) are those of
-    the scenario. Raises DataError for fewer than two replicates, or numbers that make no sense.
+    Parameters
+    ----------
+    headings_rad
+        Independent measurements of the heading, shape (replicates, depths); at least two replicates.
+    depths_mm
+        Increasing depths, shape (depths,); at least two.
+    headings
+        Number N of headings of the scenario.
+    radius_mm
+        Radius R of the needle path in the scenario.
+    measurement_sd_rad
+        Standard deviation of a measured heading.
+
+    Raises
+    ------
+    DataError
+        There are too few replicates or depths, the shapes differ, or a number is outside its range.
     """
     from scipy import stats
 
@@ -84,7 +103,7 @@ def tip_noise(
     steps = np.diff(depths) / step_mm
     degrees = (replicates - 1) * steps.size
     noise = 2 * measurement_sd_rad**2
-    # Every increment has the variance steps s^2 + 2 m^2; weigh so that a long interval does not count for more.
+    # Every increment has the variance steps s^2 + 2 m^2; the weight 1/steps gives all increments equal influence.
     total = float(np.sum(moved**2 / steps)) / degrees
     added = float(np.mean(noise / steps))
     ends = [total * degrees / float(stats.chi2.ppf(share, degrees)) - added for share in (0.975, 0.025)]
@@ -106,9 +125,10 @@ def tip_noise(
 
 
 def probabilities_of(sd_rad: float, step_rad: float) -> tuple[float, ...]:
-    """Return P(0), P(+-1), ... of the discrete Gaussian with a standard deviation, as the scenario wants them.
+    """Return P(0), P(+-1) ... of the discrete Gaussian with a standard deviation, for `[motion] tip_noise`.
 
-    At most eight; rounded, in sum one when doubled. Raises DataError where eight do not hold it.
+    There are at most eight rounded probabilities, and P(0) + 2 (P(+-1) + ...) = 1. Raises DataError if eight
+    probabilities cannot represent the standard deviation.
     """
     from scipy.optimize import brentq
 
@@ -137,11 +157,11 @@ def probabilities_of(sd_rad: float, step_rad: float) -> tuple[float, ...]:
 
 
 def headings_at(records: Sequence[Record], depths_mm: Array, window_mm: float) -> tuple[Array, float]:
-    """Return headings (trials, depths) of tracked tips in the xy plane, and their standard deviation.
+    """Return headings (rad) of tracked tips in the xy plane, shape (trials, depths), and their standard deviation.
 
-    A straight line through the points within half of `window_mm` of a depth gives the heading there; windows must
-    not overlap. Columns: x_mm (or depth_mm) and y_mm. The deviation is that of the lines, from their residuals, and
-    too small where the errors of the tracker are correlated. Raises DataError where a window has fewer than 4 points.
+    The heading at a depth is the slope of a straight line fitted to the points within half of `window_mm`. The records
+    need x_mm (or depth_mm) and y_mm. The standard deviation comes from the residuals of the lines; it is too small if
+    the errors of the tracker are correlated. Raises DataError if windows overlap, or one has fewer than 4 points.
     """
     from scipy import stats
 
@@ -171,12 +191,12 @@ def _require(values: Array, depths: Array, headings: int, radius_mm: float, meas
         raise DataError(Mistake("headings_rad", f"shape {values.shape}", rule))
     if len(values) < 2:
         mistakes.append(
-            Mistake("headings_rad", f"{len(values)} replicates", "too few: scatter needs two, and ten to be known")
+            Mistake("headings_rad", f"{len(values)} replicates", "too few: at least 2 are needed, better 10")
         )
     if not (np.isfinite(values).all() and np.isfinite(depths).all() and (np.diff(depths) > 0).all()):
-        mistakes.append(Mistake("headings_rad, depths_mm", "", "must be finite, and the depths increase"))
+        mistakes.append(Mistake("headings_rad, depths_mm", "", "must be finite, and the depths must increase"))
     if headings < 4 or not 0 < radius_mm < math.inf or not 0 <= measurement_sd_rad < math.inf:
-        rule = "must be at least 4 headings, a radius above 0 and a deviation of at least 0"
+        rule = "must be at least 4 headings, a radius above 0 and a standard deviation of at least 0"
         mistakes.append(
             Mistake("headings, radius_mm, measurement_sd_rad", f"{headings}, {radius_mm}, {measurement_sd_rad}", rule)
         )
@@ -189,10 +209,11 @@ def _says(status: NoiseStatus, sizes: Sequence[float], step_rad: float, replicat
     size = f"the heading scatters by {sd:.3g} degrees a step (95 %: {low:.3g} to {high:.3g})"
     if status is NoiseStatus.TOO_WIDE:
         return (
-            f"{size}: more than eight probabilities of {math.degrees(step_rad):.3g} degrees hold; take fewer headings"
+            f"{size}, too much for eight probabilities in steps of {math.degrees(step_rad):.3g} degrees: "
+            "take fewer headings"
         )
     if status is NoiseStatus.NOT_SEPARABLE:
-        return f"{size}, which the tracker's noise alone may explain"
+        return f"{size}, which the noise of the tracker alone can explain"
     if status is NoiseStatus.FEW_REPLICATES:
-        return f"{size}; {replicates} replicates ({degrees} increments) are few: 3 with {_ENOUGH} are needed"
+        return f"{size}; {replicates} replicates with {degrees} increments are few: use at least 3 with {_ENOUGH}"
     return f"{size}, from {replicates} replicates"

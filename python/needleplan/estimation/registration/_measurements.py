@@ -1,8 +1,9 @@
-"""The measurements that a registration is made from, as CSV.
+"""CSV files with the measurements of a registration: poses of a pivoting needle, and pairs of points.
 
-Poses: `x_mm, y_mm, z_mm, qw, qx, qy, qz`, one row a frame, in the tracker's frame; a row without numbers is a frame in
-which the coil was not seen. Points: `name, tracker_x_mm, tracker_y_mm, tracker_z_mm, plan_x_mm, plan_y_mm, plan_z_mm`,
-and where the tracker's point is that of the coil while the tip was at the point, its `qw, qx, qy, qz`.
+- Poses: `x_mm, y_mm, z_mm, qw, qx, qy, qz` in the frame of the tracker, one row per frame. A row without numbers is a
+  frame in which the coil was not visible.
+- Points: `name, tracker_x_mm, tracker_y_mm, tracker_z_mm, plan_x_mm, plan_y_mm, plan_z_mm`. If the tip of the needle
+  touched the points, the tracker columns hold the coil, and `qw, qx, qy, qz` its rotation.
 """
 
 from __future__ import annotations
@@ -22,19 +23,27 @@ from needleplan.signals import Array
 
 __all__ = ["Points", "Poses", "read_points", "read_poses"]
 
+# Largest number of mistakes that are reported for one file.
 _MOST_MISTAKES = 10
+
+# Largest magnitude of a cell; a larger number is refused.
 _FARTHEST_MM = 1e5
+
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _POSE = ("x_mm", "y_mm", "z_mm", *_QUATERNION)
 _TRACKER = ("tracker_x_mm", "tracker_y_mm", "tracker_z_mm")
 _PLAN = ("plan_x_mm", "plan_y_mm", "plan_z_mm")
+
+# Largest deviation of the length of a quaternion from 1: files are written with few digits.
 _UNIT = 0.01
-"""A quaternion may be so far from length one: files are written with few digits."""
 
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses of a coil: positions (n, 3), unit quaternions (n, 4), w first; their lines; how many rows had none."""
+    """Poses of a coil: positions (n, 3), unit quaternions (n, 4) with w first, and their lines in the file.
+
+    `missing` is the number of rows without a pose.
+    """
 
     positions_mm: Array
     quaternions: Array
@@ -45,9 +54,9 @@ class Poses:
 
 @dataclass(frozen=True)
 class Points:
-    """Pairs of points: names, in the tracker's frame (n, 3) and in the plan's (n, 3).
+    """Pairs of points: names, points in the frame of the tracker (n, 3) and in the frame of the plan (n, 3).
 
-    With `quaternions` (n, 4) those of the tracker are poses of the coil while its tip was at the point.
+    If there are `quaternions` (n, 4), the tracker points are positions of the coil while the tip was at the point.
     """
 
     names: tuple[str, ...]
@@ -58,7 +67,7 @@ class Points:
 
 
 def read_poses(path: str | os.PathLike[str]) -> Poses:
-    """Read the poses of a pivoting needle. Raises DataError with the mistakes of the file."""
+    """Read the poses of a pivoting needle from a CSV file. Raises DataError with the mistakes of the file."""
     content, source = _content(path), os.fspath(path)
     table = _Table(content, source, _POSE, ())
     numbers = np.array([[row[name] for name in _POSE] for row in table.rows])
@@ -77,12 +86,13 @@ def read_poses(path: str | os.PathLike[str]) -> Poses:
 
 
 def read_points(path: str | os.PathLike[str]) -> Points:
-    """Read pairs of points. Raises DataError with the mistakes of the file."""
+    """Read pairs of points from a CSV file. Raises DataError with the mistakes of the file."""
     content, source = _content(path), os.fspath(path)
     table = _Table(content, source, (*_TRACKER, *_PLAN), _QUATERNION)
     given = [name for name in _QUATERNION if name in table.columns]
     if given and len(given) < len(_QUATERNION):
-        rule = f"are there, but not {', '.join(name for name in _QUATERNION if name not in given)}"
+        absent = ", ".join(name for name in _QUATERNION if name not in given)
+        rule = f"are there without {absent}: a rotation needs all four columns"
         raise DataError(Mistake(", ".join(given), "", rule), source)
     names = (*_TRACKER, *_PLAN, *given)
     numbers = np.array([[row[name] for name in names] for row in table.rows])
@@ -100,7 +110,7 @@ def read_points(path: str | os.PathLike[str]) -> Points:
 
 
 class _Table:
-    """The rows of a CSV file whose columns are numbers, but for `name`."""
+    """The rows of a CSV file; all columns except `name` hold numbers."""
 
     def __init__(self, content: bytes, source: str, needed: tuple[str, ...], optional: tuple[str, ...]) -> None:
         _, rows = rows_of_cells(content, source)

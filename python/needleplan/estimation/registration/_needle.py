@@ -1,4 +1,4 @@
-"""A needle registered: from poses about a fixed tip, and points in both frames, to a registration."""
+"""Registration of a needle from two files: poses about a fixed tip, and points in both frames."""
 
 from __future__ import annotations
 
@@ -19,14 +19,23 @@ from needleplan.signals import Array
 
 __all__ = ["Registered", "register_needle"]
 
+# Number of poses below which a remark asks for more.
 _FEW_POSES = 100
+
+# Spread of the directions (rad) below which a remark warns of a biased offset.
 _NARROW_RAD = math.radians(10)
+
+# Ratio of the FRE of the best reflection to the FRE below which a remark reports a wrong sign of an axis.
 _MIRRORED = 0.5
 
 
 @dataclass(frozen=True)
 class Registered:
-    """What came of it; `registration` is None where the poses do not determine the coil, and `remarks` say why."""
+    """Outcome of `register_needle`: the fits, the registration, and remarks about the data.
+
+    `registration`, `motion` and `outlier` are None if the poses do not determine the offset of the coil; the remarks
+    then give the reason. `names` are the names of the points.
+    """
 
     pivot: Pivot
     motion: RigidMotion | None
@@ -44,10 +53,10 @@ class Registered:
 def register_needle(
     poses_file: str | os.PathLike[str], points_file: str | os.PathLike[str], title: str = ""
 ) -> Registered:
-    """Register a needle from two files (`needleplan.estimation.registration._measurements`).
+    """Register a needle from a file of poses and a file of points.
 
-    Raises DataError for files that cannot be used, and for points on one line. A needle that was not turned enough is
-    an outcome, not an error.
+    Raises DataError for files with mistakes, and for collinear points. Poses that do not determine the coil raise no
+    error: the result then has no registration.
     """
     poses, points = read_poses(poses_file), read_points(points_file)
     pivot = calibrate_axis(poses.positions_mm, _axes(poses.quaternions))
@@ -80,7 +89,7 @@ def register_needle(
 
 
 def _axes(quaternions: Array) -> Array:
-    """Return where quaternions (n, 4), w first, take the z axis, shape (n, 3)."""
+    """Return the z axis rotated by quaternions (n, 4) with w first, shape (n, 3)."""
     from scipy.spatial.transform import Rotation
 
     if not len(quaternions):
@@ -91,20 +100,20 @@ def _axes(quaternions: Array) -> Array:
 def _pivot_remarks(pivot: Pivot, poses: Poses) -> list[str]:
     spread = f"{math.degrees(pivot.spread_rad):.2g} degrees"
     if not pivot.ok:
-        return [f"the coil is not determined, {pivot.status}: {pivot.poses} poses, their directions spread by {spread}"]
+        return [f"the coil is not determined, {pivot.status}: {pivot.poses} poses, directions spread by {spread}"]
     remarks = []
     if poses.missing:
-        remarks.append(f"{poses.missing} rows without a pose were left out")
+        remarks.append(f"{poses.missing} rows without a pose are left out")
     if pivot.poses < _FEW_POSES:
         remarks.append(f"{pivot.poses} poses are few: record at least {_FEW_POSES}")
     if pivot.spread_rad < _NARROW_RAD:
-        remarks.append(f"the directions spread by {spread} only: noise of the directions makes the offset too small")
+        remarks.append(f"the directions spread by only {spread}: their noise makes the offset too small")
     if pivot.outliers:
         named = ", ".join(str(poses.lines[number]) for number in pivot.outliers[:5])
         more = f" and {len(pivot.outliers) - 5} more" if len(pivot.outliers) > 5 else ""
-        remarks.append(f"poses further off than the others explain, not left out: line {named}{more}")
+        remarks.append(f"outliers among the poses, not left out: line {named}{more}")
     if abs(float(pivot.tip_mm[0])) < 2 * float(pivot.tip_sd_mm[0]):
-        remarks.append("the coil may be at the tip: which way its axis points along the needle is not determined")
+        remarks.append("the coil may be at the tip: the sign of its axis along the needle is not determined")
     return remarks
 
 
@@ -119,5 +128,5 @@ def _motion_remarks(motion: RigidMotion, outlier: Outlier | None, points: Points
             f"(p {outlier.p_value:.2g}): measure it again"
         )
     if motion.points == 3:
-        remarks.append("three points: nothing is left to find a bad one with")
+        remarks.append("three points: a wrong point cannot be found; measure at least four")
     return remarks

@@ -1,13 +1,15 @@
-"""Where the tip is on a tracked needle, from poses about a fixed tip.
+"""Pivot calibration: the position of the tip in the frame of a sensor, from poses about a fixed tip.
 
-Pivoting about a fixed tip p, a sensor at t_i with rotation R_i sees t_i + R_i d = p for all i: linear in (d, p), and
-solved by least squares (Yaniv, Proc. SPIE 9415 (2015) 941527, the algebraic one-step method). A coil with 5 degrees of
-freedom gives only its axis z_i; then t_i + d z_i = p, with one number d. Fitting a sphere to the positions alone throws
-the rotations away and is badly biased (for a cone of 30 degrees the distance comes out a third too small): it is not
-offered.
+A sensor at t_i with rotation R_i that pivots about a fixed tip p satisfies t_i + R_i d = p for all i. The equations are
+linear in (d, p) and solved by least squares (Yaniv, Proc. SPIE 9415 (2015) 941527, the algebraic one-step method). A
+coil with 5 degrees of freedom has only its axis z_i; its equations are t_i + d z_i = p, where d is one number.
 
-Noise of the directions draws d to smaller values, by a share of about 2 (noise / spread)^2. With the least spread that
-is accepted, 5 degrees, and half a degree of noise that is 2 %.
+Two properties of the estimate:
+
+- A sphere fitted to the positions alone ignores the rotations and is strongly biased: for a cone of 30 degrees, the
+  distance is a third too small. It is not offered.
+- Noise of the directions makes d too small, by a relative amount of about 2 (noise / spread)^2: 2 % for half a degree
+  of noise and the least accepted spread, 5 degrees.
 """
 
 from __future__ import annotations
@@ -28,30 +30,34 @@ if TYPE_CHECKING:
 
 __all__ = ["Pivot", "PivotStatus", "calibrate_axis", "calibrate_pivot"]
 
+# Number of poses below which the tip is not determined.
 LEAST_POSES = 10
+
+# Root mean square angle (rad) of the least rotated direction below which the tip is not determined.
 LEAST_SPREAD_RAD = math.radians(5)
 
+# Probability that any pose is reported as an outlier if all poses have the same noise.
 _OUTLIER = 0.01
-"""Probability to name a pose where all are alike."""
 
 
 class PivotStatus(StrEnum):
-    """Whether the poses say where the tip is."""
+    """Whether the poses determine the tip."""
 
     DETERMINED = "determined"
     TOO_FEW_POSES = "too few poses"
     TOO_LITTLE_ROTATION = "too little rotation"
-    """The needle did not turn in a cone: where it is along its axis is not in these poses."""
+    """The needle was not swung around a cone: the poses do not contain the distance along its axis."""
 
 
 @dataclass(frozen=True)
 class Pivot:
-    """Tip in the frame of the sensor, (along,) for an axis or (x, y, z); where it stood; deviations of the tip.
+    """Result of a pivot calibration. Without the status DETERMINED, tip, pivot, deviations and RMS are NaN.
 
-    `tip_sd_mm` takes the errors of the poses as independent. `rms_mm` is the root mean square distance of the tips that
-    the poses give from where it stood; `outliers` are the numbers, from 0, of poses that are further off than the
-    others explain; they are not left out. All numbers of a pivot that is not DETERMINED are NaN, but for the spread
-    and the condition.
+    - `tip_mm`: tip in the frame of the sensor, shape (3,), or its distance along the axis of a coil, shape (1,).
+    - `pivot_mm`: position of the tip in the frame of the tracker, shape (3,).
+    - `tip_sd_mm`: standard deviation of `tip_mm` for independent errors of the poses, same shape.
+    - `rms_mm`: root mean square distance between `pivot_mm` and the tips computed from the poses.
+    - `outliers`: indices of poses whose distance exceeds what the noise of the others explains; they are not excluded.
     """
 
     status: PivotStatus
@@ -61,10 +67,10 @@ class Pivot:
     rms_mm: float
     poses: int
     spread_rad: float
-    """Root mean square angle by which the direction turned that turned least."""
+    """Root mean square angle of rotation about the axis with the least rotation."""
 
     condition: float
-    """Of the linear equations: their largest singular value over the smallest."""
+    """Condition number of the linear equations: ratio of their largest to their smallest singular value."""
 
     outliers: tuple[int, ...] = ()
 
@@ -75,7 +81,7 @@ class Pivot:
 
     @property
     def interval_mm(self) -> tuple[Array, Array]:
-        """Lower and upper limits of the tip, 95 %."""
+        """Lower and upper limit of the 95 % interval of `tip_mm`, each with its shape."""
         from scipy import stats
 
         degrees = max(3 * self.poses - len(self.tip_mm) - 3, 1)
@@ -84,10 +90,10 @@ class Pivot:
 
 
 def calibrate_axis(positions_mm: Array, axes: Array) -> Pivot:
-    """Return how far along its axis a 5-degree coil has the tip, from poses about a fixed tip.
+    """Return the distance of the tip along the axis of a coil with 5 degrees of freedom, from poses about a fixed tip.
 
-    `positions_mm` (n, 3); `axes` (n, 3), directions of the coil's axis, normalised here; the distance is negative where
-    they point away from the tip. Raises DataError for arrays of other shapes, and axes of length zero.
+    `positions_mm` and `axes` have the shape (n, 3); the axes are normalised here. The distance is negative if the axes
+    point away from the tip. Raises DataError for arrays of other shapes, and for axes of length zero.
     """
     positions, directions = rows_of(positions_mm, "positions_mm"), rows_of(axes, "axes")
     lengths = np.linalg.norm(directions, axis=1, keepdims=True)
@@ -98,10 +104,10 @@ def calibrate_axis(positions_mm: Array, axes: Array) -> Pivot:
 
 
 def calibrate_pivot(positions_mm: Array, rotations: Rotation) -> Pivot:
-    """Return the tip in the frame of a 6-degree sensor, from poses about a fixed tip.
+    """Return the tip in the frame of a sensor with 6 degrees of freedom, from poses about a fixed tip.
 
-    `positions_mm` (n, 3); `rotations`, n of them, from the sensor's frame to the tracker's. Raises DataError for arrays
-    of other shapes.
+    `positions_mm` has the shape (n, 3); the n `rotations` turn the frame of the sensor to that of the tracker. Raises
+    DataError for arrays of other shapes.
     """
     positions = rows_of(positions_mm, "positions_mm")
     matrices = np.atleast_3d(rotations.as_matrix())
@@ -111,13 +117,13 @@ def calibrate_pivot(positions_mm: Array, rotations: Rotation) -> Pivot:
 
 
 def _solve(positions: Array, turned: Array) -> Pivot:
-    """Solve turned @ tip - pivot = -position; `turned` (n, 3, k)."""
+    """Solve turned @ tip - pivot = -position for (tip, pivot) by least squares; `turned` has the shape (n, 3, k)."""
     from scipy import stats
 
     count, _, unknowns = turned.shape
     matrix = np.concatenate([turned, np.broadcast_to(-np.eye(3), (count, 3, 3))], axis=2).reshape(-1, unknowns + 3)
     singular = np.linalg.svd(matrix, compute_uv=False) if count else np.zeros(1)
-    # The smallest eigenvalue of the mean square is 1 - cos of the angle, on average.
+    # The smallest eigenvalue of the mean normal matrix is the mean of 1 - cos(angle), about angle^2 / 2.
     spread = float(np.sqrt(2 / max(count, 1)) * singular[-1])
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else math.inf
     if count < LEAST_POSES or spread < LEAST_SPREAD_RAD:
@@ -129,7 +135,7 @@ def _solve(positions: Array, turned: Array) -> Pivot:
     variance = float((left**2).sum()) / (3 * count - unknowns - 3)
     sd = np.sqrt(variance * np.diag(np.linalg.inv(matrix.T @ matrix))[:unknowns])
     distance = np.linalg.norm(left, axis=1)
-    # From the median, which outliers leave alone.
+    # The median is robust against outliers.
     scale = float(np.median(distance)) / math.sqrt(stats.chi2.ppf(0.5, 3))
     limit = scale * math.sqrt(stats.chi2.isf(_OUTLIER / count, 3))
     outliers = tuple(np.flatnonzero(distance > max(limit, 1e-9)).tolist())

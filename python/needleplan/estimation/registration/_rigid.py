@@ -1,4 +1,4 @@
-"""How two frames lie to each other, from pairs of points."""
+"""Rigid registration of two frames from pairs of points, its error, and its worst pair."""
 
 from __future__ import annotations
 
@@ -15,54 +15,57 @@ if TYPE_CHECKING:
 
 __all__ = ["Outlier", "RigidMotion", "register", "rows_of", "worst_pair"]
 
+# Ratio of the second to the first singular value below which points count as collinear and are refused.
 FLAT = 1e-3
-"""Ratio of singular values below which points lie on one line."""
 
+# Significance level (for all pairs together) below which a pair is reported as an outlier.
 _UNLIKELY = 0.01
 
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """A rigid motion from one frame to another, b = R a + t, from pairs of points.
+    """A rigid motion b = R a + t from one frame to another, fitted to pairs of points.
 
-    `fre_mm` is the root mean square distance at the points themselves: it says little about other places.
+    `fre_mm` is the fiducial registration error: the root mean square distance of the moved points from their partners.
+    It does not measure the error at other places; `tre_mm` does.
     """
 
     rotation: Rotation
     translation_mm: Array
     fre_mm: float
     distances_mm: Array
-    """Of each point from its partner, (n,)."""
+    """Distance of each moved point from its partner, shape (n,)."""
 
     mirrored_fre_mm: float
-    """The same as `fre_mm` for the best reflection: smaller by far where one axis of one frame has the wrong sign."""
+    """`fre_mm` of the best reflection; much smaller than `fre_mm` if one axis of one frame has the wrong sign."""
 
     centre_mm: Array
     moments_mm2: Array
-    """Mean square distances of the points from their three principal axes, (3,), ..."""
+    """Mean square distances of the points from their three principal axes, shape (3,)."""
 
     axes: Array
-    """... which are the rows of this, (3, 3)."""
+    """Principal axes of the points: the rows of an array of shape (3, 3)."""
 
     @property
     def points(self) -> int:
-        """How many pairs there were."""
+        """Number of pairs."""
         return len(self.distances_mm)
 
     def apply(self, points_mm: Array) -> Array:
-        """Return points (n, 3) or (3,) of the first frame in the second."""
+        """Return points of the first frame, shape (n, 3) or (3,), in the second frame."""
         return np.asarray(self.rotation.apply(points_mm) + self.translation_mm)
 
     @property
     def fle_mm(self) -> float:
-        """Root mean square error of a point that explains the FRE: FRE^2 = (1 - 2/n) FLE^2 on average."""
+        """Fiducial localisation error: root mean square error of a point, from FRE^2 = (1 - 2/n) FLE^2."""
         return float(self.fre_mm / np.sqrt(1 - 2 / self.points))
 
     def tre_mm(self, target_mm: Array, fle_mm: float | None = None) -> float:
         """Return the expected root mean square error at a target of the first frame, to first order.
 
-        Fitzpatrick et al., IEEE Trans. Medical Imaging 17 (1998) 694: TRE^2 = FLE^2 / n (1 + 1/3 sum of d_k^2 / f_k^2),
-        with the distance d_k of the target and f_k of the points from principal axis k.
+        The default of `fle_mm` is the estimate from the points. Source: Fitzpatrick et al., IEEE Trans. Medical
+        Imaging 17 (1998) 694, TRE^2 = FLE^2 / n (1 + 1/3 sum_k d_k^2 / f_k^2), where d_k is the distance of the target,
+        and f_k the root mean square distance of the points, from principal axis k.
         """
         size = self.fle_mm if fle_mm is None else fle_mm
         along = self.axes @ (np.asarray(target_mm, float) - self.centre_mm)
@@ -72,7 +75,7 @@ class RigidMotion:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A pair that the others contradict: its number from 0, how far off it is from them, and how likely that is."""
+    """A pair that contradicts the others: its index, its distance from their fit, and the p-value of that distance."""
 
     number: int
     distance_mm: float
@@ -80,9 +83,9 @@ class Outlier:
 
 
 def register(first_mm: Array, second_mm: Array) -> RigidMotion:
-    """Return the rigid motion that takes points (n, 3) to their partners (n, 3), by least squares (Kabsch).
+    """Return the rigid motion that moves points (n, 3) to their partners (n, 3), by least squares (Kabsch algorithm).
 
-    Never a reflection. Raises DataError for fewer than 3 pairs, and for points on one line.
+    The result is never a reflection. Raises DataError for fewer than 3 pairs and for collinear points.
     """
     from scipy.spatial.transform import Rotation
 
@@ -114,11 +117,11 @@ def register(first_mm: Array, second_mm: Array) -> RigidMotion:
 
 
 def worst_pair(first_mm: Array, second_mm: Array) -> Outlier | None:
-    """Return the pair that the others contradict, at 1 % for all together; None where all agree.
+    """Return the pair that contradicts the others, or None if there is none at the 1 % level.
 
-    Each pair is compared with what the others say of it: its squared distance from there over the variance that they
-    show, as F(3, 3 (n - 1) - 6); one bad point spoils the distances of all in the common fit, but not that. Needs four
-    pairs, and tells more with more of them. Raises DataError as `register` does.
+    Each pair is tested against the fit of the other pairs, which it cannot distort: the ratio of its squared distance
+    to the residual variance of the others has the distribution F(3, 3 (n - 1) - 6). The level holds for all pairs
+    together (Bonferroni). Fewer than four pairs cannot be tested. Raises DataError like `register`.
     """
     from scipy import stats
 
@@ -134,7 +137,7 @@ def worst_pair(first_mm: Array, second_mm: Array) -> Outlier | None:
             continue
         off = float(np.linalg.norm(motion.apply(first[number]) - second[number]))
         variance = (motion.fre_mm**2 * motion.points + 1e-18) / degrees
-        # Of the point itself, and of where the others put it.
+        # Variance of the point itself, plus the variance of its prediction by the others.
         share = 1 + motion.tre_mm(first[number], 1.0) ** 2
         p_value = float(stats.f.sf(off**2 / (3 * share * variance), 3, degrees))
         found.append(Outlier(number, off, p_value))
@@ -143,7 +146,7 @@ def worst_pair(first_mm: Array, second_mm: Array) -> Outlier | None:
 
 
 def rows_of(values: Array, name: str) -> Array:
-    """Return values of shape (n, 3), finite numbers. Raises DataError."""
+    """Return `values` as an array of finite numbers of shape (n, 3). Raises DataError for anything else."""
     rows = np.asarray(values, float)
     if rows.ndim != 2 or rows.shape[1] != 3 or not np.isfinite(rows).all():
         raise DataError(Mistake(name, f"shape {rows.shape}", "must have the shape (n, 3) and finite numbers"))

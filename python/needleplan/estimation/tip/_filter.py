@@ -1,10 +1,10 @@
 """The tip filter: an extended Kalman filter along the path of the needle.
 
-What is filtered is the path where the coil is: its place, direction and curvature. It moves with the inserted length,
-bends as the bevel looked when the tip cut that part of the path, and is corrected by what the tracker says of this very
-point. The tip is what follows from there to the end of the channel, along its arcs; nothing has been seen of that part,
-and its deviations grow accordingly. A pose that was measured some time before it arrived corrects the path where the
-coil was then. `docs/explanation/tip-estimation.md` has the equations.
+The state is the path at the coil: position, direction and curvature. It advances with the inserted length, bends
+according to the stored roll of that part of the channel, and is corrected by the poses of the coil. The tip is
+predicted from there to the end of the channel along arcs; its standard deviations grow because that part was not
+measured. A late pose corrects the path at the position that the coil had when the pose was measured.
+`docs/explanation/tip-estimation.md` has the equations.
 """
 
 from __future__ import annotations
@@ -41,31 +41,51 @@ from needleplan.signals import Array
 __all__ = ["TipFilter"]
 
 _NANO = 1_000_000_000
+
+# Number of stored stage samples, for late poses: four seconds at 1 kHz.
 _KEPT = 4096
-"""Stage samples that are kept for poses that come late: four seconds at 1 kHz."""
 
+# Longest time (s) over which the depth is extrapolated for a pose that is newer than the last stage sample.
 _AHEAD_S = 0.05
-"""A pose that is newer than the stage is met by going on at the last speed, but no longer than this."""
 
+# Distance (mm) between stored states of the path behind the coil.
 _SPACING_MM = 0.25
+
+# Distance (mm) behind the deepest position of the coil within which a pose still corrects the state.
 _SAME_PLACE_MM = 0.05
+
+# Longest piece (mm) of one prediction step: a longer one would have the covariance of its chord.
 _LONGEST_MM = 5.0
-"""The covariance of a longer piece would be that of its chord."""
 
+# Distance (mm) at which a curvature that depends on the place is evaluated.
 _LOOKED_UP_MM = 1.0
-"""Where the curvature differs from place to place, it is looked up so often."""
 
+# Measurement matrix: position plus drift, heading, elevation.
 _SEEN = np.zeros((5, SIZE))
 _SEEN[(0, 1, 2), (0, 1, 2)] = _SEEN[(0, 1, 2), (7, 8, 9)] = _SEEN[3, HEADING] = _SEEN[4, ELEVATION] = 1.0
 
 
 class TipFilter:
-    """Estimates where the tip is, from samples that come one at a time.
+    """Estimates the tip from stage samples and poses, one at a time.
 
-    `entry` is the pose on the surface of the tissue, where the depth of the stage is zero: x_mm, y_mm, heading_rad in
-    the plane of the plan. `planned_per_mm` is the curvature of the plan, a positive number or a function of x and y.
-    Give every stage sample to `predict` and every pose to `update`; `tip` is the estimate at the newest stage sample.
-    Raises DataError for an entry or a curvature that cannot be.
+    Call `predict` with every stage sample and `update` with every pose; `tip` is the estimate at the newest stage
+    sample.
+
+    Parameters
+    ----------
+    registration
+        Distance from coil to tip, and the motion from the frame of the tracker to the frame of the plan.
+    entry
+        Pose on the surface of the tissue, at stage depth zero, in the plane of the plan: x_mm, y_mm, heading_rad.
+    planned_per_mm
+        Curvature of the plan (1/mm): a positive number, or a function of x_mm and y_mm.
+    settings
+        Standard deviations and limits.
+
+    Raises
+    ------
+    DataError
+        The entry or the curvature is not finite, or the curvature is not positive.
     """
 
     def __init__(
@@ -87,7 +107,7 @@ class TipFilter:
         self._channel: CutChannel | None = None
         self._stage: deque[tuple[int, float, float]] = deque(maxlen=_KEPT)
         self._base_roll = 0.0
-        # The path where the coil is, and where it was: lengths, states, covariances.
+        # Length, state and covariance of the path: at the coil, and stored behind it.
         self._at = 0.0
         self._state, self._covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
         self._past: list[tuple[float, Array, Array]] = []
@@ -97,7 +117,7 @@ class TipFilter:
         self._lost = False
         self._cached: TipEstimate | None = None
         self.nis = math.nan
-        """Squared innovation of the last pose over its covariance, chi-squared with 5 degrees of freedom."""
+        """Normalised squared innovation of the last pose, chi-squared with 5 degrees of freedom."""
         self.counts = dict.fromkeys(PoseUse, 0)
 
     @classmethod
@@ -108,13 +128,13 @@ class TipFilter:
         entry: tuple[float, float, float],
         settings: TipSettings | None = None,
     ) -> Self:
-        """Return a filter that expects the curvature of a scenario, which may differ from place to place."""
+        """Return a filter that expects the curvature of a scenario, which may depend on the place."""
         if scenario.uniform:
             return cls(registration, entry, 1 / scenario.needle.curvature_radius_mm, settings)
         return cls(registration, entry, lambda x_mm, y_mm: 1 / float(scenario.radius_mm(x_mm, y_mm)), settings)
 
     def predict(self, sample: StageSample) -> None:
-        """Take a stage sample. One that is not good, not a number, or not newer than the last one, is passed over."""
+        """Take a stage sample; one that is not GOOD, not finite, or not newer than the last one is ignored."""
         now, depth, roll = sample.stamp.received_ns, sample.depth_mm, sample.roll_rad
         if sample.health is not Health.GOOD or not math.isfinite(depth + roll + sample.velocity_mm_s):
             return
@@ -129,12 +149,12 @@ class TipFilter:
         else:
             left_at = self._channel.move(depth, roll)
             if left_at is not None and left_at < self._at:
-                # The path beyond is another one now, and nothing has been seen of it.
+                # The path beyond is new, and no pose has measured it.
                 self._at, self._state, self._covariance = self._path_at(left_at)
                 del self._past[bisect_right(self._past, self._at, key=lambda each: each[0]) :]
 
     def update(self, sample: PoseSample) -> PoseUse:
-        """Take a pose, and return what became of it."""
+        """Take a pose, and return how it was used."""
         use = self._take(sample)
         self.counts[use] += 1
         return use
@@ -160,6 +180,7 @@ class TipFilter:
         return state, covariance
 
     def _begin(self, at_mm: float) -> None:
+        """Set state and covariance at the length `at_mm` from the entry and its standard deviations."""
         settings = self.settings
         x, y, heading = self._entry
         self._state = np.array([x, y, 0, heading, 0, 1, 0, 0, 0, 0], float)
@@ -202,6 +223,7 @@ class TipFilter:
         return PoseUse.USED if used else PoseUse.OUTLIER
 
     def _correct(self, sample: PoseSample) -> bool:
+        """Correct the state with a pose; return False for an outlier."""
         settings = self.settings
         position, direction = self.registration.place(sample.position_mm, sample.quaternion)
         level = math.hypot(direction[0], direction[1])
@@ -210,7 +232,7 @@ class TipFilter:
         left = seen - expected
         left[3] = math.remainder(left[3], 2 * math.pi)
         angle = settings.angle_sd_rad
-        # The heading of a direction that points steeply out of the plane is less certain.
+        # The noise of the heading grows with the elevation.
         across = angle / max(math.cos(float(self._state[ELEVATION])), 1e-3)
         noise = np.diag(np.array([settings.position_sd_mm] * 3 + [across, angle]) ** 2)
         spread = _SEEN @ self._covariance @ _SEEN.T + noise
@@ -222,6 +244,7 @@ class TipFilter:
         return True
 
     def _forget_wander(self, measured_ns: int) -> None:
+        """Predict the drift of the tracker, a first-order Gauss-Markov process, to the time of a pose."""
         if self._pose_ns is None or not self.settings.wander_sd_mm:
             return
         keep = math.exp(-(measured_ns - self._pose_ns) / _NANO / self.settings.wander_s)
@@ -233,7 +256,7 @@ class TipFilter:
         self._covariance[rows, rows] += (1 - keep**2) * self.settings.wander_sd_mm**2
 
     def _depth_at(self, time_ns: int) -> float:
-        """Return the depth of the stage at a time, between its samples; not before the first one."""
+        """Return the stage depth (mm) at a time: interpolated, or briefly extrapolated after the last sample."""
         last_ns, last_mm, velocity = self._stage[-1]
         if time_ns >= last_ns:
             return last_mm + velocity * min((time_ns - last_ns) / _NANO, _AHEAD_S)
@@ -246,7 +269,7 @@ class TipFilter:
         return after_mm
 
     def _path_at(self, length_mm: float) -> tuple[float, Array, Array]:
-        """Return the path at a length: beyond the coil as it follows, behind it as it was when the coil was there."""
+        """Return length, state and covariance of the path: predicted beyond the coil, from stored states behind it."""
         at, state, covariance = self._at, self._state, self._covariance
         if length_mm < at:
             number = max(bisect_right(self._past, length_mm, key=lambda each: each[0]) - 1, 0)
@@ -254,9 +277,10 @@ class TipFilter:
         return self._onwards(at, state, covariance, length_mm)
 
     def _onwards(self, at: float, state: Array, covariance: Array, until_mm: float) -> tuple[float, Array, Array]:
+        """Return length, state and covariance after the prediction to `until_mm`."""
         assert self._channel is not None
         if until_mm < at:
-            # Before the first sample: straight back.
+            # Before the first stored state the path is extrapolated as a straight line.
             state = state.copy()
             state[:3] += (until_mm - at) * tangent(state)
             return until_mm, state, covariance
@@ -268,6 +292,7 @@ class TipFilter:
         return until_mm, state, covariance
 
     def _parts(self, piece: ChannelPiece) -> list[ChannelPiece]:
+        """Return a piece cut into parts that are short enough for one prediction step."""
         longest = _LOOKED_UP_MM if callable(self._planned) else _LONGEST_MM
         if piece.length_mm <= longest or not piece.fresh:
             return [piece]

@@ -1,4 +1,12 @@
-"""Which way the bevel looked along the channel that the tip has cut."""
+"""The path of the needle: the channel that the tip has cut, and the prediction of state and covariance along it.
+
+The state of a point of the path has the shape (10,): position (3), heading and elevation of the tangent, ratio of the
+curvature to the planned curvature, difference between the roll of the bevel and the roll of the base, drift of the
+tracker (3). With the roll phi of the bevel, the tangent turns by k cos(phi) to the left and by k sin(phi) upwards per
+length. Heading and elevation are angles to a fixed plane, whereas the roll of a needle without twist is measured from
+a direction that is transported along the path (Bishop's frame). The two differ by -sin(elevation) d(heading), which the
+roll of the state contains.
+"""
 
 from __future__ import annotations
 
@@ -26,22 +34,43 @@ __all__ = [
     "tangent",
 ]
 
+# Columns of the state; 0 to 2 hold the position.
+HEADING, ELEVATION, FACTOR, ROLL = 3, 4, 5, 6
+WANDER = slice(7, 10)
+SIZE = 10
+
+# Columns on which the next state depends nonlinearly, and the steps of their central differences.
+_VARIED = (  # Columns of the state; 0 to 2 hold the position.
+    HEADING,
+    ELEVATION,
+    FACTOR,
+    ROLL,
+)
+_STEP = np.array([1e-5, 1e-5, 1e-4, 1e-5])
+_SHIFTS = np.zeros((2 * len(_VARIED) + 1, SIZE))
+for _row, (_column, _size) in enumerate(zip(_VARIED, _STEP, strict=True)):
+    _SHIFTS[1 + _row, _column], _SHIFTS[1 + len(_VARIED) + _row, _column] = _size, -_size
+
+# Length of path (mm) below which a new roll replaces the previous one.
 _MERGED_MM = 0.02
-"""Rolls that are closer along the path are one."""
 
+# Length of path (mm) over which the direction of bending is averaged while the base turns during the insertion.
 _PIECE_MM = 0.5
-"""While the bevel turns during the insertion, the direction in which it bends is averaged over so much."""
 
+# Change of the roll (rad) below which the roll counts as constant.
 _SAME_RAD = 1e-3
+
+# Distance (mm) behind the end of the channel from which the tip follows the channel on the way in again ...
 _REJOIN_MM = 0.05
+
+# ... unless its roll differs from the roll of the channel by more than this angle (rad): then it cuts a new one.
 _REJOIN_RAD = 0.5
-"""A needle drawn back by more than the one follows its channel again, unless it is turned by more than the other."""
 
 
 class ChannelPiece(NamedTuple):
-    """A part of the path: its length, the mean of (cos, sin) of the roll, how far it was turned where it begins.
+    """A piece of the path: its length, the means of cos and sin of the roll, and the rotation of the base at its start.
 
-    On the straight line before the surface `fresh` is false, and nothing bends.
+    `fresh` is False on the straight line before the surface, where the path does not bend.
     """
 
     length_mm: float
@@ -52,7 +81,7 @@ class ChannelPiece(NamedTuple):
 
 
 class CutChannel:
-    """The rolls at which the tip has cut its way, by the length of the path from the surface on."""
+    """The channel that the tip has cut: the roll of the base as a function of the path length from the surface."""
 
     def __init__(self, length_mm: float, roll_rad: float) -> None:
         self.length_mm = length_mm
@@ -62,11 +91,14 @@ class CutChannel:
 
     @property
     def last_roll_rad(self) -> float:
-        """The roll at which the end of the channel was cut."""
+        """Roll at the end of the channel."""
         return self._rolls[-1]
 
     def move(self, length_mm: float, roll_rad: float) -> float | None:
-        """Move the tip to a length, its bevel at a roll; return where it left the channel for a new one, if it did."""
+        """Move the tip to a path length, with the base at a roll.
+
+        Return the length at which the tip left the old channel for a new one, or None.
+        """
         begin = self.length_mm
         left_at = None
         if length_mm > begin and 0 < begin < self.cut_mm - _REJOIN_MM:
@@ -84,7 +116,7 @@ class CutChannel:
         return left_at
 
     def pieces(self, begin_mm: float, end_mm: float) -> Iterator[ChannelPiece]:
-        """Yield the path from one length to another, in its order; beyond its end as if it went on."""
+        """Yield the pieces of the path between two lengths; the path is extrapolated beyond its end."""
         if begin_mm < 0:
             before = min(end_mm, 0.0) - begin_mm
             yield ChannelPiece(before, 0.0, 0.0, 0.0, fresh=False)
@@ -117,26 +149,15 @@ class CutChannel:
             self._rolls.append(roll_rad)
 
 
-HEADING, ELEVATION, FACTOR, ROLL = 3, 4, 5, 6
-WANDER = slice(7, 10)
-SIZE = 10
-
-_VARIED = (HEADING, ELEVATION, FACTOR, ROLL)
-_STEP = np.array([1e-5, 1e-5, 1e-4, 1e-5])
-_SHIFTS = np.zeros((2 * len(_VARIED) + 1, SIZE))
-for _row, (_column, _size) in enumerate(zip(_VARIED, _STEP, strict=True)):
-    _SHIFTS[1 + _row, _column], _SHIFTS[1 + len(_VARIED) + _row, _column] = _size, -_size
-
-
 def tangent(state: Array) -> Array:
-    """Return the direction of the path, shape (3,)."""
+    """Return the unit tangent of the path, shape (3,)."""
     heading, elevation = float(state[HEADING]), float(state[ELEVATION])
     level = math.cos(elevation)
     return np.array([level * math.cos(heading), level * math.sin(heading), math.sin(elevation)])
 
 
 def along(states: Array, piece: ChannelPiece, planned_per_mm: float) -> Array:
-    """Return states (n, 10) after a piece of the path; exact for a constant roll, of any length."""
+    """Return states (n, 10) after a piece of the path; exact for a constant roll and any length."""
     heading, elevation, factor, roll = (states[:, column] for column in _VARIED)
     bend = factor * planned_per_mm if piece.fresh else np.zeros(len(states))
     cos_r, sin_r = np.cos(roll), np.sin(roll)
@@ -164,7 +185,7 @@ def along(states: Array, piece: ChannelPiece, planned_per_mm: float) -> Array:
 def moved(
     state: Array, covariance: Array, piece: ChannelPiece, planned_per_mm: float, settings: TipSettings
 ) -> tuple[Array, Array]:
-    """Return state and covariance after a piece of the path."""
+    """Return state (10,) and covariance (10, 10) after a piece of the path."""
     if piece.turned_rad:
         covariance = covariance.copy()
         covariance[ROLL, ROLL] += settings.roll_sd_sqrt_rad**2 * piece.turned_rad
@@ -177,7 +198,7 @@ def moved(
 
 
 def _noise(before: Array, after: Array, piece: ChannelPiece, settings: TipSettings) -> Array:
-    """Return the covariance that a piece adds: the tangent's random walk, integrated over its length, and the slip."""
+    """Return the process noise of a piece: the random walk of the tangent, integrated over the length, and the slip."""
     length = piece.length_mm
     middle = (before + after) / 2
     cos_h, sin_h = math.cos(middle[HEADING]), math.sin(middle[HEADING])
@@ -195,7 +216,7 @@ def _noise(before: Array, after: Array, piece: ChannelPiece, settings: TipSettin
         noise[:3, :3] += variance * length**3 / 3 * np.outer(across, across)
         noise[:3, angle] = noise[angle, :3] = variance * length**2 / 2 * scale * across
         noise[angle, angle] = variance * length * scale**2
-    # An elevation that wanders takes the roll along where the heading turns.
+    # A random walk of the elevation is coupled to the roll while the heading turns.
     upwards = np.array([-sin_e * cos_h, -sin_e * sin_h, cos_e])
     turn = float(before[HEADING] - after[HEADING])
     noise[:3, ROLL] = noise[ROLL, :3] = variance * turn * length**2 / 3 * upwards
