@@ -106,7 +106,7 @@ def test_a_flip_gives_the_stiffness() -> None:
     stiffness = found.estimates["stiffness"]
     assert stiffness.identified
     assert stiffness.value == pytest.approx(TISSUE.stiffness_n_mm2, rel=0.3)
-    assert any("nobody has tested" in each for each in found.remarks)
+    assert any("without experimental test" in each for each in found.remarks)
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ def test_a_model_is_found_and_judged() -> None:
     assert found.model.values() == pytest.approx(TRUTH.values(), rel=0.15)
     assert all(each.low <= getattr(TRUTH, name) <= each.high for name, each in found.estimates.items())
     says = {each.name: each.says for each in found.findings}
-    assert says["residuals over the sensor's noise"] == "what is left is the sensor's noise"
+    assert says["residuals over the sensor's noise"] == "the residual is the noise of the sensor"
     assert any("beta = 0.02 is not measured" in each for each in found.remarks)
 
 
@@ -92,7 +92,7 @@ def test_the_figure_is_drawn() -> None:
 
     figure = Figure()
     force.identify([RECORD], starts=1, filtered=False).draw(figure)
-    assert [axes.get_ylabel() for axes in figure.axes] == ["force (N)", "left over (mN)"]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["force (N)", "residual (mN)"]
 
 
 @pytest.mark.slow

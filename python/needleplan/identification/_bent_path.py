@@ -1,4 +1,4 @@
-"""The curvature of one record, and of several together."""
+"""Fits for the deflection: curvature of one record and of several, and parameters from the axial force."""
 
 from __future__ import annotations
 
@@ -16,12 +16,15 @@ from needleplan.signals import Array, Motion, Record
 
 __all__ = ["PathFit", "axial_estimates", "beyond", "depth_factor", "mean_of", "path_fit"]
 
+# Shortest range of depth (mm) that determines a curvature.
 _SHORTEST_MM = 10.0
+
+# Cutting force (N) at which the depth factor is computed; the factor hardly depends on it.
 _FORCE_N = 0.05
 
 
 def beyond(record: Record, skip_mm: float) -> Array:
-    """Return which samples count, shape (samples,): on the way in, deeper than `skip_mm`, for the first time."""
+    """Return the samples that count, shape (samples,): moving in, at a new largest depth, deeper than `skip_mm`."""
     motion = record.motion()
     deepest = np.maximum.accumulate(motion.depth_mm)
     return np.asarray((motion.velocity_mm_s > 0) & (motion.depth_mm >= deepest) & (motion.depth_mm > skip_mm))
@@ -29,16 +32,16 @@ def beyond(record: Record, skip_mm: float) -> Array:
 
 @dataclass(frozen=True)
 class PathFit:
-    """A record with its fit; `curvature` is signed, positive where the path bends to +y at the base's angle 0."""
+    """A record with its fitted path; `curvature` is positive if the path bends to +y at angle 0 of the base."""
 
     record: Record
     fit: Fit
     curvature: Estimate
     turned: bool
-    """Whether the base was turned within the record, so that kf was fitted too."""
+    """Whether the base was turned within the record, so that the stiffness kf was fitted too."""
 
     counts: Array
-    """Which samples were fitted, shape (samples,)."""
+    """Mask of the fitted samples, shape (samples,)."""
 
     @property
     def model(self) -> TipPath:
@@ -48,15 +51,15 @@ class PathFit:
 
 
 def path_fit(record: Record, start: TipPath, skip_mm: float) -> PathFit:
-    """Fit curvature, slope and offset of one record, and kf where the base was turned.
+    """Return the fit of curvature, slope and offset to one record, and of kf if the base was turned.
 
-    Raises DataError where fewer than 10 mm or too few samples lie beyond `skip_mm`.
+    Raises DataError if fewer than 10 mm or 5 samples lie beyond `skip_mm`, or the lateral position is constant.
     """
     motion, measured = record.motion(), record["y_mm"]
     counts = np.logical_and(beyond(record, skip_mm), np.isfinite(measured))
     depth = motion.depth_mm[counts]
     if depth.size < 5 or float(np.ptp(depth)) < _SHORTEST_MM:
-        seen = f"{float(np.ptp(depth)) if depth.size else 0.0:.3g} mm, {depth.size} samples on the way in"
+        seen = f"{float(np.ptp(depth)) if depth.size else 0.0:.3g} mm, {depth.size} samples of the insertion"
         rule = f"too short beyond {skip_mm:g} mm: at least {_SHORTEST_MM:g} mm are needed (depth in mm?)"
         raise DataError(Mistake("depth_mm", seen, rule), record.trial)
     unit = replace(start, cutting_force=0.01, side=1.0, slope=0.0, offset=0.0)
@@ -65,7 +68,7 @@ def path_fit(record: Record, start: TipPath, skip_mm: float) -> PathFit:
         np.column_stack([shape, depth - start.tracked, np.ones_like(depth)]), measured[counts], rcond=None
     )[0]
     if not np.ptp(measured[counts]):
-        rule = "is constant to the last bit: no tracker measures that, and nothing can be identified from it"
+        rule = "is constant to the last bit: a working tracker does not measure that; check the tracker"
         raise DataError(Mistake("y_mm", f"{measured[counts][0]:g}", rule), record.trial)
     begin = _within(replace(unit, side=1.0 if size >= 0 else -1.0), 0.01 * abs(size), slope, offset)
     turned = bool(np.ptp(np.cos(motion.angle_rad[counts])) > 0.5)
@@ -75,10 +78,11 @@ def path_fit(record: Record, start: TipPath, skip_mm: float) -> PathFit:
 
 
 def depth_factor(path: PathFit, needle: NeedleShaft, tissue: ElasticTissue) -> tuple[float, float]:
-    """Return g of a record and its standard deviation: radius of the needle in its tissue over that of the path law.
+    """Return the depth factor g of a record and its standard deviation.
 
-    The needle, with its length and all axial terms, is marched through the record's depths, and the law is fitted to
-    the result as to a record. How the force came up at the entry is not known: four ways, and the deviation is theirs.
+    g is the ratio of the radius of a needle of finite length in its tissue to the radius by the path law. The needle,
+    with all axial terms, is simulated through the depths of the record, and the path law is fitted to the result. The
+    rise of the cutting force at the entry is unknown: mean and standard deviation are over four assumed rises.
     """
     counted = path.record["depth_mm"][path.counts]
     depth = np.linspace(0.0, min(float(counted.max()), 0.95 * needle.length_mm), 81)
@@ -104,9 +108,10 @@ def depth_factor(path: PathFit, needle: NeedleShaft, tissue: ElasticTissue) -> t
 
 
 def mean_of(estimates: Sequence[Estimate]) -> tuple[Estimate, float, float | None]:
-    """Return the weighted mean with its 95 % interval, the chi-square of the scatter and its p-value (None for one).
+    """Return the weighted mean with its 95 % interval, the chi-square of the scatter and its p-value.
 
-    Where the estimates scatter more than their deviations say, the interval is widened by Birge's ratio.
+    If the scatter exceeds what the standard deviations predict, the interval is widened by Birge's ratio. The p-value
+    of a single estimate is None.
     """
     if len(estimates) == 1:
         return estimates[0], 0.0, None
@@ -130,7 +135,7 @@ def _within(model: TipPath, cutting_force: float, slope: float, offset: float) -
 
 
 def _curvature(result: Fit) -> Estimate:
-    """Return the signed curvature Fc cos a/(EI lam), where lam goes with kf^(1/4), with its interval."""
+    """Return the signed curvature Fc cos a/(EI lam) with its interval; lam is proportional to kf^(1/4)."""
     model = result.model
     assert isinstance(model, TipPath)
     force, value = result.estimates["cutting_force"], model.curvature_1_mm
@@ -161,10 +166,12 @@ def axial_estimates(
     skip_mm: float,
     offset: AxialOffset | None,
 ) -> tuple[dict[str, Estimate], Fit]:
-    """Return friction and axial_offset, or with a given `offset` friction, cutting_force and stiffness; and the fit.
+    """Return the estimates from the axial force, and their fit.
 
-    `cutting_force` is that of the deflection with the kf that is assumed; `factor` gives g and its deviation for a kf.
-    Raises DataError.
+    Without an `offset`, the estimates are friction and axial_offset. With a measured `offset`, they are friction,
+    cutting_force and stiffness. `cutting_force` is the estimate from the deflection at the assumed stiffness kf, and
+    `factor` returns the depth factor g and its standard deviation for a kf. Raises DataError for records that cannot
+    be fitted.
     """
     start = InsertionForce(0.0 if offset is None else offset.value_n, 1e-5, abs(cutting_force.value), path.bevel)
     free = ["friction", "offset" if offset is None else "cutting_force"]
@@ -181,7 +188,7 @@ def axial_estimates(
 def _stiffness(
     path: TipPath, force: Estimate, curvature: Estimate, factor: Callable[[float], tuple[float, float]]
 ) -> Estimate:
-    """Return kf = 4 EI (Fc cos a/(EI g |curvature|))^4: four times the relative errors of force, curvature and g."""
+    """Return kf = 4 EI (Fc cos a/(EI g |curvature|))^4; its relative error is four times that of the fraction."""
     bend, limits = abs(curvature.value), path.parameters()["stiffness"]
     if force.value <= 0 or bend == 0:
         return Estimate(math.nan, math.inf, 0.0, math.inf, "N/mm2", identified=False)

@@ -1,4 +1,4 @@
-"""Where the axial force drops: membranes and capsules that give way."""
+"""Features of recorded axial forces: drops at punctures, retractions, and initial parameters of a fit."""
 
 from __future__ import annotations
 
@@ -13,10 +13,19 @@ from needleplan.signals import Record
 
 __all__ = ["Drop", "force_drops", "has_retraction", "starting_force"]
 
+# Initial value of beta, which fixes the scale of z.
+_BETA = 0.02
+
+# Initial value of sigma0 / g, 1/(mm s); the thesis identified 0.04 to 0.14, and g is smaller near the surface.
+_RATE = 0.15
+
+# Lower bound (N/mm) of the initial sigma2, which must be positive.
+_LEAST = 1e-6
+
 
 @dataclass(frozen=True)
 class Drop:
-    """A drop of the axial force during insertion, from a peak to the valley behind it."""
+    """A drop of the axial force during insertion, from a peak to the following minimum."""
 
     peak_mm: float
     valley_mm: float
@@ -25,17 +34,29 @@ class Drop:
 
     @property
     def drop_n(self) -> float:
-        """How much the force drops by."""
+        """Amplitude of the drop (N)."""
         return self.peak_n - self.valley_n
 
 
 def force_drops(record: Record, *, least_n: float, within_mm: float = 5.0) -> tuple[Drop, ...]:
-    """Return the drops of at least `least_n` within `within_mm` of depth during insertion, in the order of depth.
+    """Return the drops of the axial force during insertion, in the order of depth.
 
-    Columns: depth_mm and force_n. A drop goes from a peak whose prominence is `least_n` or more to the least force
-    before the next such peak. Take several standard deviations of the sensor's noise for `least_n`: below it, noise is
-    what is found. Samples while the needle does not go deeper than before do not count. Raises DataError for
-    thresholds that are not above 0.
+    A drop extends from a peak with a prominence of at least `least_n` to the minimum before the next such peak. Samples
+    at which the needle is not deeper than before are ignored.
+
+    Parameters
+    ----------
+    record
+        Record with depth_mm and force_n.
+    least_n
+        Least amplitude (N) of a drop. Use several standard deviations of the sensor noise.
+    within_mm
+        Largest depth (mm) between peak and minimum.
+
+    Raises
+    ------
+    DataError
+        A threshold is not above 0.
     """
     from scipy.signal import find_peaks
 
@@ -59,15 +80,8 @@ def force_drops(record: Record, *, least_n: float, within_mm: float = 5.0) -> tu
     return tuple(found)
 
 
-_BETA = 0.02
-_RATE = 0.15
-"""sigma0 / g in 1/(mm s): middle of what the thesis identified, 0.04 to 0.14 with g near the surface smaller."""
-
-_LEAST = 1e-6
-
-
 def has_retraction(records: Sequence[Record]) -> bool:
-    """Return whether the needle moves out somewhere, by more than a tenth of the way in."""
+    """Return whether a record has a retraction by more than a tenth of its insertion."""
     for record in records:
         motion = record.motion()
         change = np.diff(motion.depth_mm)
@@ -77,11 +91,11 @@ def has_retraction(records: Sequence[Record]) -> bool:
 
 
 def starting_force(records: Sequence[Record]) -> ForceModel1:
-    """Return parameters of the right size, from the closed forms for deep and for shallow insertion.
+    """Return initial parameters of Model I from the closed forms for deep and shallow insertion.
 
-    Deep, f / l is beta g + sigma2 on the way in and beta g - sigma2 on the way out; where there is no way out, the two
-    are taken for equal. Close to the surface f / l is sigma1 beta + sigma2. Raises DataError for records without force
-    or motion.
+    At large depth, f / l is beta g + sigma2 during insertion and beta g - sigma2 during retraction; without a
+    retraction, f / l during retraction is taken as 0. Near the surface, f / l is sigma1 beta + sigma2. Raises DataError
+    for records without force or motion.
     """
     ratio, depth, inward = [], [], []
     for record in records:

@@ -1,4 +1,4 @@
-"""The answer of `needleplan identify`: parameters with intervals, what the residuals say, and a figure."""
+"""Input and result of an identification: records by their role, and the result that `needleplan identify` prints."""
 
 from __future__ import annotations
 
@@ -18,11 +18,15 @@ __all__ = ["Finding", "Identification", "Trials", "averaged", "trials_by_role"]
 
 @dataclass(frozen=True)
 class Identification:
-    """What was identified from records.
+    """Result of the identification of a model from records.
 
-    `model` is what a model file will hold, None where nothing could be identified; `scores` are further numbers with
-    their unit, such as ("RMSE on held-out trials", 0.012, "N"); `remarks` are sentences about the data and about what
-    they cannot tell; `draw` draws the figure.
+    - `kind`: force, friction, tissue-motion, deflection or curvature.
+    - `model`: model for a model file; None if nothing could be identified.
+    - `estimates`: parameters with their intervals, by name.
+    - `scores`: further numbers as (name, value, unit), such as ("RMSE on held-out trials", 0.012, "N").
+    - `findings`: results of tests, for example on the residuals.
+    - `remarks`: sentences about the data, and about parameters that the data do not determine.
+    - `draw`: function that draws the figure.
     """
 
     kind: str
@@ -41,7 +45,7 @@ class Identification:
 
 @dataclass(frozen=True)
 class Trials:
-    """Records by their role, and as remarks what reading them had to say, and what is left out."""
+    """Records by their role, with remarks from reading them and about records that are left out."""
 
     train: tuple[Record, ...]
     holdout: tuple[Record, ...]
@@ -50,7 +54,7 @@ class Trials:
 
 
 def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False) -> Trials:
-    """Sort records by their role. Raises DataError where there is none to identify from."""
+    """Return records by their role. Raises DataError if none has the role train."""
     train, holdout, noise = (
         tuple(each for each in records if each.role is role) for role in (Role.TRAIN, Role.HOLDOUT, Role.NOISE)
     )
@@ -64,7 +68,7 @@ def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False) ->
 
 
 def averaged(samples: int) -> str:
-    """Return what was taken for granted about the force sensor: a wrong average shifts the parameters of bristles."""
+    """Return the remark about the assumed average of the force sensor; a wrong one biases the bristle parameters."""
     if samples == 1:
-        return "the force was taken as measured without an average"
-    return f"the force was taken as an average of {samples} samples: say so where the sensor has another one, or none"
+        return "assumed: the force sensor does not average"
+    return f"assumed: the force sensor averages {samples} samples; if not, give its number with --average"

@@ -1,9 +1,16 @@
-"""Several passes of a joint filter over records: from a start that may be far off to the noise floor.
+"""Identification by several passes of a joint filter over records, and the open-loop simulation of a model.
 
-What makes the filter reliable is, in this order: coordinates in which nothing can become unstable (logarithms; see
-`JointForce`), no use of samples around reversals, several passes with a shrinking uncertainty, a large R at first that
-acts as a trust region, one joint filter rather than a bank, and the exponential step of the state. The arithmetic is
-not among them: the form of Joseph, square roots and the plain form agree.
+The passes converge to the noise floor from initial values that are far off. Measured contributions to this
+reliability, in decreasing order:
+
+1. coordinates in which the model cannot become unstable (logarithms; see `JointForce`),
+2. masked samples around reversals,
+3. several passes with decreasing initial standard deviations,
+4. a large R in the first passes, which acts as a trust region,
+5. one joint filter instead of a bank of filters,
+6. the exponential step of the state.
+
+The form of the covariance update makes no difference: Joseph form, square root and plain form agree.
 """
 
 from __future__ import annotations
@@ -36,13 +43,17 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Recipe:
-    """How the passes differ.
+    """Settings of the passes; the defaults suit forces in N.
 
-    `variances` is R of each pass, in the square of the channel's unit. A start may be wrong by `factor`: the standard
-    deviation of a coordinate is ln(factor) at first, and `spreads` is the share of it that each pass begins with.
-    `walk` is the variance that a coordinate gains in a sample. `settle` is the number of samples that are masked after
-    a reversal, besides one before it; 0 masks none. No coordinate moves by more than `limit` in a sample, nor away from
-    its start by more than `reach` times ln(factor). The defaults are those for forces in N.
+    - `variances`: measurement variance R of each pass, in the squared unit of the channel.
+    - `spreads`: initial standard deviation of a coordinate in each pass, in units of ln(`factor`).
+    - `factor`: factor by which an initial parameter may be wrong.
+    - `walk`: variance that a coordinate gains per sample.
+    - `settle`: number of masked samples after a reversal; one sample before it is masked too. 0 masks none.
+    - `reach`: largest distance of a coordinate from its first initial value, in units of ln(`factor`).
+    - `limit`: largest change of a coordinate in one sample.
+
+    Raises DataError if `variances` is empty or `spreads` has another length.
     """
 
     variances: tuple[float, ...] = (1e-2, 1e-2, 1e-2, 1e-2, 1e-2, 1e-3, 1e-4)
@@ -55,26 +66,29 @@ class Recipe:
 
     def __post_init__(self) -> None:
         if len(self.variances) != len(self.spreads) or not self.variances:
-            rule = "must be one for each pass, as many as there are variances"
+            rule = "must be one number for each pass, as many as there are variances"
             raise DataError(Mistake("spreads", f"{len(self.spreads)} numbers", rule))
 
 
 class FilterStatus(StrEnum):
-    """How the passes ended."""
+    """Outcome of the passes."""
 
     DONE = "done"
     DIVERGED = "diverged"
-    """A state or a parameter stopped being a finite number."""
+    """A state or a parameter stopped being finite."""
 
 
 @dataclass(frozen=True)
 class FilterRun:
-    """What passes over records gave: the model, and how well it predicts.
+    """Result of the passes.
 
-    `tracks` are those of the last pass, one a record. `innovation_rmse` is over the innovations that were used,
-    `replay_mae` the mean absolute error of the open loop, the model at the end of a pass simulated along all records:
-    each has one entry per pass, in the channel's unit. A filter that follows the data can have small innovations with
-    parameters that mean nothing; only the replay tells.
+    - `model`: the identified model, or the initial one if the filter diverged.
+    - `tracks`: the tracks of the last pass, one per record.
+    - `innovation_rmse`: root mean square of the used innovations, one per pass, in the unit of the channel.
+    - `replay_mae`: mean absolute error of the open loop (the model after the pass, simulated along all records), one
+      per pass, in the unit of the channel. A filter that follows the data has small innovations even with wrong
+      parameters; the open loop reveals them.
+    - `counts`: number of samples by their use, over all passes.
     """
 
     model: Model
@@ -86,7 +100,7 @@ class FilterRun:
 
     @property
     def ok(self) -> bool:
-        """Whether the filter kept its estimate."""
+        """Whether the filter did not diverge."""
         return self.status is FilterStatus.DONE
 
 
@@ -98,10 +112,27 @@ def identify_by_passes(
     *,
     smooth: MovingAverage | None = None,
 ) -> FilterRun:
-    """Filter all `records`, from the parameters of `model`, as often as the recipe says.
+    """Filter all records in several passes, starting from the parameters of `model`.
 
-    Within a pass the covariance goes on from record to record, between passes it starts again. `smooth` is the average
-    of the sensor, for the replay only. Raises DataError for records without the channel or without motion.
+    The covariance continues from record to record within a pass, and is reset between passes.
+
+    Parameters
+    ----------
+    joint
+        Joint system of the model.
+    model
+        Model with the initial values of the parameters.
+    records
+        Records with the channel of the model and a motion.
+    recipe
+        Settings of the passes; the default is `Recipe()`.
+    smooth
+        Moving average of the sensor, applied to the open loop only.
+
+    Raises
+    ------
+    DataError
+        There is no record, or a record lacks the channel or the motion.
     """
     recipe = recipe or Recipe()
     if not records:
@@ -139,10 +170,11 @@ def identify_by_passes(
 
 @dataclass(frozen=True)
 class Track:
-    """What a filter said along one record; every array has the shape (samples,).
+    """Results of a filter along one record; every array has the shape (samples,).
 
-    `values` holds for every free parameter its lower limit, estimate and upper limit: the estimate -+ 3 standard
-    deviations in coordinates, carried back. `state` is the same for the first state, if there is one.
+    `values` has the lower limit, the estimate and the upper limit of every free parameter: the estimate -+ 3 standard
+    deviations in coordinates, transformed to the unit of the parameter. `state` is the same for the first state of the
+    model, or None if there is no state. `used` marks the samples that corrected the estimate.
     """
 
     time_s: Array
@@ -155,16 +187,16 @@ class Track:
     state: tuple[Array, Array, Array] | None
 
     def innovation_rmse(self, rows: NDArray[np.bool_] | None = None) -> float:
-        """Return the root mean square of the innovations that were used, of all rows or of some; NaN for none."""
+        """Return the root mean square of the used innovations, of all rows or of those selected; NaN for none."""
         chosen = self.innovation[self.used if rows is None else self.used & rows]
         return float(np.sqrt(np.mean(chosen**2))) if chosen.size else float("nan")
 
 
 def feed(filtered: JointFilter, record: Record, settle: int = 0) -> list[FilterStep]:
-    """Feed one record, sample by sample, and return what the filter said; ends where it diverges.
+    """Filter one record and return the result of each sample, up to the first divergence.
 
-    With `settle` the sample before each reversal is masked too, which a filter on line cannot know of. Raises DataError
-    for a record without motion, or without the channel of the model.
+    If `settle` is not 0, the sample before each reversal is masked too; an online filter cannot do that. Raises
+    DataError for a record without motion, or without the channel of the model.
     """
     motion = record.motion()
     measured = record[filtered.channel]
@@ -181,7 +213,7 @@ def feed(filtered: JointFilter, record: Record, settle: int = 0) -> list[FilterS
 
 
 def track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Track:
-    """Return the steps of a record as arrays; shorter than the record where the filter diverged."""
+    """Return the results of a record as arrays; they are shorter than the record if the filter diverged."""
     n = len(steps)
     x, sd = np.array([each.x for each in steps]), np.array([each.x_sd for each in steps])
     # [lower, estimate, upper] by [sample] by [parameter]
@@ -198,15 +230,18 @@ def track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Tra
 
 
 def replay(model: Model, record: Record, *, smooth: MovingAverage | None = None) -> Array:
-    """Return what the model predicts for a record, shape (samples,), averaged as the sensor does if told."""
+    """Return the output of the model in the open loop along a record, shape (samples,).
+
+    `smooth` is the moving average of the sensor, applied to the output.
+    """
     output = simulate(model, record.motion()).output
     return output if smooth is None else smooth.apply(output)
 
 
 def mean_absolute_error(model: Model, records: Sequence[Record], *, smooth: MovingAverage | None = None) -> float:
-    """Return the mean of |measured - replayed| over all samples that were measured, in the channel's unit.
+    """Return the mean absolute error of the open loop over all measured samples, in the unit of the channel.
 
-    Infinite where the simulation grows without bound, NaN where nothing was measured.
+    The result is infinite if the simulation grows without bound, and NaN if there is no measured sample.
     """
     measured = np.concatenate([np.isfinite(record[model.channel]) for record in records])
     if not measured.any():

@@ -194,7 +194,7 @@ def _require(values: Array, depths: Array, headings: int, radius_mm: float, meas
             Mistake("headings_rad", f"{len(values)} replicates", "too few: at least 2 are needed, better 10")
         )
     if not (np.isfinite(values).all() and np.isfinite(depths).all() and (np.diff(depths) > 0).all()):
-        mistakes.append(Mistake("headings_rad, depths_mm", "", "must be finite, and the depths must increase"))
+        mistakes.append(Mistake("headings_rad, depths_mm", "", "must be finite, and the depths increase"))
     if headings < 4 or not 0 < radius_mm < math.inf or not 0 <= measurement_sd_rad < math.inf:
         rule = "must be at least 4 headings, a radius above 0 and a standard deviation of at least 0"
         mistakes.append(

@@ -1,4 +1,4 @@
-"""Curvature of insertions from tracked tips: each trial, whether they agree, and whether it changes with depth."""
+"""`identify curvature`: curvature of each insertion from its tracked tip, agreement of trials, change with depth."""
 
 from __future__ import annotations
 
@@ -29,14 +29,16 @@ if TYPE_CHECKING:
 
 __all__ = ["CurvatureTrial", "identify", "insertion_of"]
 
+# Number of points per segment below which a trial is not divided into segments.
 _POINTS_A_SEGMENT = 10
+
+# Distance (mm) above the greatest depth from which later samples count as drawn back and are left out.
 _BACK = 1.0
-"""A trial is taken up to its greatest depth; it counts as drawn back from where it is this far (mm) above."""
 
 
 @dataclass(frozen=True)
 class CurvatureTrial:
-    """One trial: its points (n, 2) in mm on the way in, its curvature, that of each segment, and the changes."""
+    """One insertion: points (n, 2) in mm, curvature of the whole path and of each segment, changes between segments."""
 
     name: str
     points_mm: Array
@@ -44,7 +46,7 @@ class CurvatureTrial:
     segments: tuple[Curvature, ...]
     changes: tuple[CurvatureChange, ...]
     motion: Motion
-    """How the needle moved, a sample a point."""
+    """Motion of the needle, one sample per point."""
 
     remarks: tuple[str, ...]
 
@@ -58,12 +60,33 @@ def identify(
     noise: TrackerNoise = TrackerNoise.CORRELATED,
     correlation_mm: float | None = None,
 ) -> Identification:
-    """Fit circles to the tip positions of insertions without rotation.
+    """Identify the curvature of insertions without rotation from tip positions.
 
-    Columns: time_s, x_mm (along the insertion; depth_mm where it is missing) and y_mm, or z_mm with `plane` "xz". The
-    part from `skip_mm` to the greatest depth counts. Trials with the role holdout judge: whether their curvature is one
-    of those to expect; those of noise are left out. `segments` equal parts of the path have a curvature each, to see
-    whether it changes. Raises DataError for records that cannot be used.
+    Parameters
+    ----------
+    records
+        Insertions with time_s, x_mm (along the insertion; depth_mm if there is none) and y_mm, or z_mm for the plane
+        xz. Trials with the role holdout validate the estimate. Trials of noise are left out.
+    segments
+        Number of equal parts of each path with a curvature each, to test for a change with depth: 1 to 10.
+    plane
+        xy or xz.
+    skip_mm
+        Depth (mm) above which samples are left out.
+    noise
+        Assumption about the noise of the tracker.
+    correlation_mm
+        Correlation length of the noise along the path, if known.
+
+    Returns
+    -------
+    Identification
+        The model is a `Bicycle`. The estimate `curvature_per_mm` (1/mm) is the mean over the trials.
+
+    Raises
+    ------
+    DataError
+        No trial has the role train, a record lacks a column or has too few points, or an option is out of range.
     """
     if plane not in ("xy", "xz") or not 1 <= segments <= 10:
         raise DataError(Mistake("plane, segments", f"{plane}, {segments}", "must be xy or xz, and 1 to 10"))
@@ -80,7 +103,7 @@ def identify(
     left = findings_of([_distances(each) for each in found], [each.motion for each in found], "mm")
     return Identification(
         "curvature", Bicycle(estimate.value), {"curvature_per_mm": estimate}, tuple(_scores([*found, *held], together)),
-        (*_findings(found, together), *(_judged(each, estimate, together) for each in held), *left), tuple(remarks),
+        (*_findings(found, together), *(_validated(each, estimate, together) for each in held), *left), tuple(remarks),
         partial(_draw, found=[*found, *held], plane=plane),
     )  # fmt: skip
 
@@ -94,7 +117,7 @@ def insertion_of(
     noise: TrackerNoise = TrackerNoise.CORRELATED,
     correlation_mm: float | None = None,
 ) -> CurvatureTrial:
-    """Return the curvature of one trial. Raises DataError, with the name of the trial."""
+    """Return the curvature of one trial; parameters as for `identify`. Raises DataError with the name of the trial."""
     points, motion, remarks = _points(record, plane, skip_mm)
     options = {"noise": noise, "correlation_mm": correlation_mm}
     try:
@@ -113,16 +136,17 @@ def insertion_of(
 
 
 def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, Motion, list[str]]:
-    """Return the points on the way in that count, how the needle moved there, and what was left out."""
+    """Return the points (n, 2) of the insertion, their motion, and remarks about samples that are left out."""
     along = record["x_mm"] if "x_mm" in record.columns else record["depth_mm"]
     across = record["y_mm" if plane == "xy" else "z_mm"]
     depth = record.columns.get("depth_mm", along)
     remarks: list[str] = []
     known = np.isfinite(along) & np.isfinite(across) & np.isfinite(depth)
     if not known.any():
-        raise DataError(Mistake(f"{plane[1]}_mm", "", "has no number beside one of x_mm or depth_mm"), record.trial)
+        rule = "has no sample in which x_mm (or depth_mm) is a number too"
+        raise DataError(Mistake(f"{plane[1]}_mm", "", rule), record.trial)
     if not np.ptp(across[known]):
-        rule = "is constant to the last bit: no tracker measures that, and nothing can be identified from it"
+        rule = "is constant to the last bit: a working tracker does not measure that; check the tracker"
         raise DataError(Mistake(f"{plane[1]}_mm", f"{across[known][0]:g}", rule), record.trial)
     deepest = int(np.argmax(np.where(known, depth, -np.inf)))
     way_in = np.arange(len(record)) <= deepest
@@ -134,7 +158,7 @@ def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, Motion, 
         remarks.append(f"{int(shallow.sum())} samples above {skip_mm:g} mm do not count")
     kept = known & (way_in | (depth >= depth[deepest] - _BACK)) & ~shallow
     if kept.sum() < 2:
-        raise DataError(Mistake("skip_mm", f"{skip_mm:g}", "leaves no path on the way in"), record.trial)
+        raise DataError(Mistake("skip_mm", f"{skip_mm:g}", "leaves no path of the insertion: reduce it"), record.trial)
     motion = Motion.sampled(record["time_s"][kept], depth[kept])
     return np.column_stack([along[kept], across[kept]]), motion, remarks
 
@@ -192,14 +216,12 @@ def _distances(insertion: CurvatureTrial) -> Array:
     return fit_circle(insertion.points_mm).distances(insertion.points_mm)
 
 
-def _judged(held: CurvatureTrial, estimate: Estimate, together: Heterogeneity | None) -> Finding:
-    """Return whether the curvature of a trial held out is one to expect: scatter, and errors of both, as they are."""
+def _validated(held: CurvatureTrial, estimate: Estimate, together: Heterogeneity | None) -> Finding:
+    """Test the curvature of a held-out trial against the estimate, the errors of both and the scatter of trials."""
     variance = held.whole.sd_per_mm**2 + estimate.sd**2 + (together.between_sd_per_mm**2 if together else 0.0)
     score = (held.whole.curvature_per_mm - estimate.value) / float(np.sqrt(variance))
     p_value = float(2 * stats.norm.sf(abs(score)))
-    says = (
-        "its curvature is one to expect" if p_value >= 0.05 else "its curvature is not one to expect after the others"
-    )
+    says = "its curvature agrees with the estimate" if p_value >= 0.05 else "its curvature contradicts the estimate"
     return Finding(f"held out, {held.name}".rstrip(", "), score, p_value, says)
 
 
@@ -208,14 +230,14 @@ def _remarks(found: Sequence[CurvatureTrial], together: Heterogeneity | None, es
     if not estimate.identified:
         remarks.append("the interval of the curvature contains zero: a straight path is possible")
     if together is None:
-        remarks.append("one insertion says nothing about the scatter between insertions: repeat it")
+        remarks.append("one insertion does not determine the scatter between insertions: repeat it")
     elif not together.agree:
-        remarks.append("the interval is that of the mean of such insertions; the next one may lie outside of it")
+        remarks.append("the interval is for the mean curvature of insertions; a single insertion may lie outside of it")
     far = [each.name for each in found if each.whole.correlation_mm > 0.2 * (each.whole.high_mm - each.whole.low_mm)]
     if far:
         remarks.append(
-            f"errors correlated over more than a fifth of the path in {len(far)} trials ({', '.join(far)}): an arc may "
-            "not be its shape, or the tracker's field is distorted"
+            f"errors are correlated over more than a fifth of the path in {len(far)} trials ({', '.join(far)}): the "
+            "path may not be an arc, or the field of the tracker may be distorted"
         )
     return remarks
 
@@ -240,7 +262,7 @@ def _draw(figure: Figure, found: Sequence[CurvatureTrial], plane: str) -> None:
     paths.set_ylabel(f"{plane[1]} (mm)")
     if len(found) <= len(colours):
         paths.legend(fontsize=7, loc="best")
-    title(left, "What the circle leaves")
+    title(left, "Distance of the points from the circle")
     left.axhline(0, color=GREY, linewidth=0.8)
     left.set_xlabel("x (mm)")
     left.set_ylabel("distance (mm)")

@@ -1,15 +1,16 @@
-"""What records of lateral deflection (and axial force) say about needle and tissue.
+"""`identify deflection`: needle and tissue from records of lateral deflection, and axial force if measured.
 
-One record of an insertion without a flip says one number, the curvature, beside offset and slope of the track:
-stiffness of needle and tissue, cutting force, pre-bend and the rest all make a parabola. So this is identified:
+An insertion without a flip of the bevel determines one number, the curvature, besides the offset and the slope of the
+track: the stiffness of needle and tissue, the cutting force and the pre-bend all produce a parabola. The identification
+therefore has three steps:
 
-1. the curvature of every record by `TipPath`, with its entry left out; their mean over the records, whose interval is
-   widened where the records disagree;
-2. the cutting force that makes this curvature with the kf that is *given*, in a needle of its length; its interval has
-   room for how the force came up at the entry, which changes it by a tenth at 80 mm; kf itself only where the base was
-   turned within a record (a flip), or by the axial force with an offset that is *given*;
-3. from an axial force: vf by its growth with depth times velocity, and the offset F0 that is left when the cutting
-   force of 2 is subtracted. F0 is as good as kf: Fc goes with kf^(1/4).
+1. The curvature of every record is fitted by `TipPath`, without the entry. The result is the mean over the records; its
+   interval is widened if the records disagree.
+2. The cutting force Fc follows from the curvature and a *given* tissue stiffness kf, for a needle of finite length. Its
+   interval contains the unknown rise of the force at the entry, which changes Fc by a tenth at 80 mm. kf itself is
+   identified only if the base was turned within a record (a flip), or from the axial force with a *given* offset.
+3. From an axial force, the friction vf follows from the increase with depth times velocity, and the offset F0 is the
+   rest after the subtraction of Fc. F0 is as accurate as kf allows: Fc is proportional to kf^(1/4).
 """
 
 from __future__ import annotations
@@ -34,13 +35,15 @@ from needleplan.signals import Record
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["NEEDLE", "TISSUE", "draw", "identify"]
+__all__ = ["NEEDLE", "TISSUE", "identify"]
 
+_COLOURS = (BLUE, ORANGE, GREEN, VERMILLION, SKY, BLACK)
+
+# Default needle: the 22-gauge needle of chapter 5 of the thesis.
 NEEDLE = NeedleShaft(0.718, 0.413, 203.0, math.radians(24.8))
-"""The 22-gauge needle of chapter 5, where none is given."""
 
+# Default tissue: the soft gel of chapter 5 of the thesis.
 TISSUE = ElasticTissue(3.87e-3, 123.9e-6)
-"""The soft gel of chapter 5, where no tissue is given."""
 
 
 def identify(
@@ -52,11 +55,33 @@ def identify(
     tracked_mm: float = 0.0,
     skip_mm: float = 20.0,
 ) -> Identification:
-    """Identify curvature, cutting force, F0 and kf as far as the records go; see above.
+    """Identify curvature, cutting force, F0 and kf as far as the records determine them.
 
-    Records need depth_mm and y_mm, in the plane of bending, and may have force_n and angle_rad. `axial_offset` is F0
-    where it was measured, with the same needle without a bevel; `tracked_mm` the distance of the tracked point behind
-    the tip; the first `skip_mm` of depth do not count. Raises DataError where no record can be used.
+    Parameters
+    ----------
+    records
+        Trials with depth_mm and y_mm in the plane of bending, and force_n and angle_rad if measured. Trials with the
+        role holdout validate the model.
+    needle
+        Dimensions of the needle. The default is the needle of chapter 5.
+    tissue
+        Stiffness and density of friction of the tissue. The default is the soft gel of chapter 5.
+    axial_offset
+        F0, measured with the same needle without a bevel, if known.
+    tracked_mm
+        Distance (mm) of the tracked point behind the tip.
+    skip_mm
+        Depth (mm) above which samples are left out.
+
+    Returns
+    -------
+    Identification
+        The model is a `TipPath`.
+
+    Raises
+    ------
+    DataError
+        No trial has the role train, or no record can be used.
     """
     trials = trials_by_role(records)
     own, gel = needle or NEEDLE, tissue or TISSUE
@@ -66,7 +91,7 @@ def identify(
     estimates = {"curvature": curvature}
     findings = [_bends_evenly(paths)]
     if p_value is not None:
-        agree = "agree" if p_value > 0.05 else "disagree by more than their noise; the interval is widened"
+        agree = "agree" if p_value > 0.05 else "disagree by more than their noise: the interval is widened"
         findings.append(
             Finding("agreement of records", chi_square, p_value, f"curvatures of {len(paths)} records {agree}")
         )
@@ -100,7 +125,7 @@ def identify(
         *_held_out(trials.holdout, model, skip_mm),
     )
     left = findings_of([each.fit.residuals[0] for each in paths], [each.record.motion() for each in paths], "mm")
-    figure = partial(draw, paths=paths, axial=axial, records=with_force, skip_mm=skip_mm)
+    figure = partial(_draw, paths=paths, axial=axial, records=with_force, skip_mm=skip_mm)
     return Identification("deflection", model, estimates, scores, (*findings, *left), tuple(remarks), figure)
 
 
@@ -119,12 +144,14 @@ def _paths(records: Sequence[Record], start: TipPath, skip_mm: float) -> tuple[l
     remarks = [f"left out, {trial or 'a record'}: {error.mistakes[0]}" for trial, error in mistakes]
     masked = sum(each.fit.masked for each in paths)
     total = sum(len(each.record) for each in paths)
-    remarks.append(f"{masked} of {total} samples do not count: the first {skip_mm:g} mm, at rest, or not on the way in")
+    remarks.append(
+        f"{masked} of {total} samples are left out: in the first {skip_mm:g} mm, at rest, or not at a new depth"
+    )
     return paths, remarks
 
 
 def _model(paths: Sequence[PathFit], start: TipPath, curvature: Estimate) -> TipPath:
-    """Return the path with the curvature; slope and offset are those of one record, or their mean."""
+    """Return the path with the given curvature, and with the mean slope and offset of the records."""
     side = 1.0 if curvature.value >= 0 else -1.0
     limits = start.parameters()["cutting_force"]
     force = abs(curvature.value) * start.bending * start.decay_1_mm * start.depth_factor / math.cos(start.bevel)
@@ -135,7 +162,7 @@ def _model(paths: Sequence[PathFit], start: TipPath, curvature: Estimate) -> Tip
 
 
 def _force(model: TipPath, curvature: Estimate, factor_error: float) -> Estimate:
-    """Return Fc = EI lam g curvature/cos a, positive to the side to which the needle bends."""
+    """Return the cutting force Fc = EI lam g |curvature|/cos a, with the error of g in its interval."""
     scale = model.bending * model.decay_1_mm * model.depth_factor / math.cos(model.bevel)
     value, own = abs(curvature.value) * scale, (curvature.high - curvature.low) / 2 * scale
     reach = math.hypot(own, float(stats.norm.ppf(0.975)) * factor_error * value)
@@ -144,7 +171,7 @@ def _force(model: TipPath, curvature: Estimate, factor_error: float) -> Estimate
 
 
 def _bends_evenly(paths: Sequence[PathFit]) -> Finding:
-    """Test whether the curvature changes with depth: what is left, against the cube of the depth."""
+    """Test whether the curvature changes with depth, by the correlation of the residuals with the cube of the depth."""
     chi_square = 0.0
     for each in paths:
         left = each.fit.residuals[0]
@@ -160,9 +187,11 @@ def _bends_evenly(paths: Sequence[PathFit]) -> Finding:
         chi_square += float(score.sum() ** 2 / max(spread, 1e-300))
     p_value = float(stats.chi2.sf(chi_square, len(paths)))
     says = (
-        "no change of the curvature with depth is seen"
+        "no change of the curvature with depth was found"
         if p_value > 0.05
-        else ("the curvature changes with depth: a layer, a drift of the force, the base still felt, or partial memory")
+        else (
+            "the curvature changes with depth: a layer, a drift of the force, an effect of the base, or tissue memory"
+        )
     )
     return Finding("one curvature over the depth", chi_square, p_value, says)
 
@@ -189,35 +218,33 @@ def _what_it_rests_on(
     remarks = []
     if needle is None:
         remarks.append(
-            "no needle given: the 22-gauge needle of chapter 5 is assumed; only the curvature stands without it"
+            "no needle given: the 22-gauge needle of chapter 5 is assumed; only the curvature does not depend on it"
         )
     if turned:
         remarks.append(
-            "kf is from the jump and turn of the path at a flip, which the model predicts and nobody has tested"
+            "kf is from the jump and turn of the path at a flip, a prediction of the model without experimental test"
         )
     elif not (with_force and axial_offset):
         given = "given" if tissue else "of the soft gel of chapter 5, assumed"
         remarks.append(
-            f"kf is {given}, not identified: one record without a flip says one number, the curvature, beside slope "
-            "and offset; cutting force and F0 go with kf^(1/4)"
+            f"kf is {given}, not identified: a record without a flip determines only curvature, slope and offset; "
+            "cutting force and F0 are proportional to kf^(1/4)"
         )
     if not with_force:
         remarks.append("no axial force: F0 and vf are not identified")
     if not curvature.identified:
-        remarks.append("the curvature cannot be told from zero")
+        remarks.append("the curvature cannot be told from zero: a straight path is possible")
     remarks.append(
-        "intervals hold for noise that is correlated over few samples; for a distorted tracker see curvature"
+        "the intervals hold for noise that is correlated over few samples; for a distorted tracker use identify "
+        "curvature"
     )
     return remarks
 
 
-_COLOURS = (BLUE, ORANGE, GREEN, VERMILLION, SKY, BLACK)
-
-
-def draw(
+def _draw(
     figure: Figure, paths: Sequence[PathFit], axial: Fit | None, records: Sequence[Record], skip_mm: float
 ) -> None:
-    """Draw measured and fitted deflection, what is left, and measured and fitted axial force where there is one."""
+    """Draw measured and fitted deflection, the residual, and measured and fitted axial force if there is one."""
     panels = figure.subplots(3 if axial else 2, 1, sharex=True, squeeze=False)[:, 0]
     for path, colour in zip(paths, _COLOURS * len(paths), strict=False):
         motion, y = path.record.motion(), path.record["y_mm"]
@@ -231,7 +258,7 @@ def draw(
     panels[1].axhline(0, color=GREY, linewidth=0.8)
     panels[0].set_ylabel("lateral (mm)")
     panels[1].set_ylabel("measured - fitted (um)")
-    title(panels[0], "Deflection: points measured, lines fitted; the entry (grey) does not count")
+    title(panels[0], "Deflection: points measured, lines fitted; the entry (grey) is left out")
     if len(paths) <= len(_COLOURS):
         panels[0].legend(frameon=False, fontsize=8)
     if axial:

@@ -1,4 +1,4 @@
-"""Axial force by depth from recorded insertions: batch fit, joint filter beside it, and what the data cannot tell."""
+"""`identify force`: axial force by depth from insertions, by a least-squares fit and a joint filter for comparison."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from needleplan.signals import Array, MovingAverage, Record, Role
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["draw_force", "fit_force", "identify", "settled"]
+__all__ = ["fit_force", "identify", "settled"]
 
+# Largest depth (mm) of the records below which a force-depth model is refused.
 _LEAST_DEPTH_MM = 5.0
+
+# Least drop of the force, relative to its range, and largest depth (mm) of the drop, for a remark about a puncture.
+# The force peak of the model itself falls over 5 mm and more.
 _DROP, _DROP_MM = 0.15, 2.0
-"""Share of the range of the force by which it drops, and within which depth, to be called a puncture.
 
-The peak that the model has of its own falls over 5 mm and more.
-"""
-
+# Lower bound of f1 in units of -f2: g at the surface is at least 1 % of g at large depth.
 _EDGE = 1.01
-"""How far f1 stays from -f2: g at the surface is at least a hundredth of what it is deep down."""
 
 
 def identify(
@@ -42,13 +42,32 @@ def identify(
     starts: int = 4,
     filtered: bool = True,
 ) -> Identification:
-    """Fit a force-depth model to the trials for training, and judge it by those held out.
+    """Identify a force-depth model from insertions.
 
-    Columns: time_s, depth_mm, force_n, and velocity_mm_s where measured. `start` chooses the model and where to begin:
-    Model I from the data by default; a Model II keeps its f2 and alpha. `average` is the number of samples that the
-    sensor averages, 1 for none: the model is averaged in the same way before it is compared, and samples around
-    reversals do not count. `filtered` runs the joint filter from the same start beside the fit. Raises DataError for
-    records that cannot be used.
+    Parameters
+    ----------
+    records
+        Trials with time_s, depth_mm and force_n, and velocity_mm_s if measured. Trials with the role holdout validate
+        the fit; trials of noise give the noise of the sensor.
+    start
+        Initial model. The default is a Model I with parameters from the data. A Model II keeps its f2 and alpha.
+    average
+        Number of samples that the force sensor averages; 1 for none. The model is averaged in the same way, and samples
+        around reversals are masked.
+    starts
+        Number of starting points of the fit.
+    filtered
+        Whether the joint filter runs too, from the same initial model.
+
+    Returns
+    -------
+    Identification
+        The model is a `DepthForce`; None if the fit diverged.
+
+    Raises
+    ------
+    DataError
+        No trial has the role train, a column is missing, or the records are too shallow.
     """
     trials = trials_by_role(records, noise_is_used=True)
     train, holdout, noise = trials.train, trials.holdout, trials.noise
@@ -68,14 +87,14 @@ def identify(
         tuple(_scores(found, run, train, holdout, sensor)),
         (*_findings(found, run, train, noise, sensor), *residual_findings(found, train)), tuple(remarks),
         partial(
-            draw_force, model=model, records=[*train, *holdout], sensor=sensor,
+            _draw, model=model, records=[*train, *holdout], sensor=sensor,
             counts=partial(settled, samples=sensor.samples),
         ),
     )  # fmt: skip
 
 
 def _punctures(train: Sequence[Record], samples: int) -> list[str]:
-    """Return a sentence for every trial whose force drops faster than this model lets it."""
+    """Return a remark for every trial in which the force drops faster than the model allows."""
     remarks = []
     for record in train:
         inward = record.select(np.asarray(np.logical_and(settled(record, samples), record.motion().direction > 0)))
@@ -87,18 +106,18 @@ def _punctures(train: Sequence[Record], samples: int) -> list[str]:
             where = ", ".join(f"{each.drop_n:.2g} N at {each.peak_mm:.1f} mm" for each in drops[:5])
             more = f" and {len(drops) - 5} more" * (len(drops) > 5)
             remarks.append(
-                f"{record.trial}: the force drops at once, by {where}{more}, as where a membrane gives way: this model "
-                "has no punctures, and its parameters suffer; identify from the depths without"
+                f"{record.trial}: the force drops at once, by {where}{more}, as at the puncture of a membrane. The "
+                "model has no punctures, so its parameters are biased: identify from depths without a puncture"
             )
     return remarks
 
 
 def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage, starts: int = 4) -> Fit:
-    """Return the least-squares fit with the sensor's average, from `begin` and further starts around it.
+    """Return the least-squares fit from `begin` and further starting points; `sensor` averages the output.
 
-    Where Model I wants g to vanish at the surface, its fit has no edge to stop at that is a range of one parameter. It
-    is done again with f2 in the place of beta as the fixed scale of z: then f1 > -f2 is such a range, and the fit ends
-    on it and says so. The result is a Model II, with alpha among what was fitted.
+    If the fit of Model I converges to g = 0 at the surface, no bound of a single parameter stops it there. The fit is
+    then repeated with f2 instead of beta as the fixed scale of z, where f1 > -f2 is such a bound. The result is a
+    Model II in which alpha was fitted too.
     """
     mask = partial(settled, samples=sensor.samples)
 
@@ -116,7 +135,7 @@ def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage,
 
 
 def settled(record: Record, samples: int) -> Array:
-    """Return which samples are not next to a reversal, where the sensor's average mixes both directions."""
+    """Return the mask (samples,) of samples away from reversals, where the sensor's average mixes both directions."""
     direction = record.motion().direction
     keep = np.ones(direction.size, bool)
     if samples > 1:
@@ -140,7 +159,7 @@ def _scores(
             ("joint filter: RMSE of the innovations", last[0], "N"),
             ("joint filter: MAE of the open loop", last[1], "N"),
         ]
-    return [*rows, ("samples", found.samples, ""), ("samples that do not count", found.masked, "")]
+    return [*rows, ("samples", found.samples, ""), ("masked samples", found.masked, "")]
 
 
 def _findings(
@@ -151,25 +170,26 @@ def _findings(
         batch = mean_absolute_error(found.model, train, smooth=sensor)
         alone = run.replay_mae[-1] if run.ok else float("inf")
         agree = alone < 1.5 * batch + 1e-4
-        says = "the joint filter reaches what the fit reaches" if agree else (
-            f"the joint filter ends elsewhere, at {1e3 * alone:.1f} mN in the open loop instead of {1e3 * batch:.1f}: "
-            "prefer the fit"
+        says = "the joint filter is as accurate as the fit" if agree else (
+            f"the joint filter is less accurate, {1e3 * alone:.1f} mN in the open loop instead of {1e3 * batch:.1f} mN:"
+            " prefer the fit"
         )  # fmt: skip
         findings.append(Finding("joint filter beside the fit", alone / batch if batch else 1.0, None, says))
     if noise:
         sd = float(np.nanstd(np.concatenate([record["force_n"] - np.nanmean(record["force_n"]) for record in noise])))
         ratio = found.rmse / sd if sd else float("inf")
-        says = "what is left is the sensor's noise" if ratio < 1.2 else "more is left than the sensor's noise"
+        says = "the residual is the noise of the sensor" if ratio < 1.2 else "the residual exceeds the sensor's noise"
         findings.append(Finding("residuals over the sensor's noise", ratio, None, says))
     first, second = _halves(found, train)
-    says = "the model is as good deep as shallow" if max(first, second) < 2 * min(first, second) else (
-        f"RMSE {1e3 * first:.1f} mN in the shallower half of the way, {1e3 * second:.1f} mN in the deeper"
+    says = "the error does not depend on the depth" if max(first, second) < 2 * min(first, second) else (
+        f"RMSE {1e3 * first:.1f} mN in the shallower half of the samples, {1e3 * second:.1f} mN in the deeper half"
     )  # fmt: skip
     findings.append(Finding("RMSE deep over shallow", second / first if first else 1.0, None, says))
     return findings
 
 
 def _halves(found: Fit, train: Sequence[Record]) -> tuple[float, float]:
+    """Return the RMSE (N) of the fit in the shallower and in the deeper half of the samples."""
     left = np.concatenate(found.residuals)
     depth = np.concatenate([record["depth_mm"] for record in train])
     good = np.isfinite(left)
@@ -178,6 +198,7 @@ def _halves(found: Fit, train: Sequence[Record]) -> tuple[float, float]:
 
 
 def _limits(found: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]:
+    """Return remarks about parameters that the data do not determine."""
     remarks = [
         f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
         for name, each in found.estimates.items()
@@ -185,18 +206,17 @@ def _limits(found: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]
     ]
     if not has_retraction(train):
         remarks.append(
-            "there is no retraction: the data tell beta g + sigma2, but hardly how it is shared out; do not predict a "
-            "retraction from this model"
+            "there is no retraction: the data determine the sum beta g + sigma2, but hardly its two terms; do not "
+            "predict a retraction with this model"
         )
     if not found.ok:
         remarks.append(
-            f"the fit ended with: {found.status}; where it crawls along a valley, the force is well fitted "
-            "and the parameters are one set of many"
+            f"the fit ended with: {found.status}; the force may be fitted well, but the parameters are one set of many"
         )
     if model.f1 + model.f2 < 1.02 * (_EDGE - 1) * model.f1:
         remarks.append(
-            "g vanishes at the surface as far as it may: the record has no peak of the shape of this model; what is "
-            "fitted is the rise of the force alone"
+            "g at the surface is at its lower bound: the record has no force peak of the shape of this model, and only "
+            "the rise of the force is fitted"
         )
     fixed = "beta" if "beta" not in found.free else "f2"
     remarks.append(
@@ -206,16 +226,16 @@ def _limits(found: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]
     speeds = [float(np.percentile(np.abs(record.motion().velocity_mm_s), 90)) for record in train]
     if max(speeds) > 1.1 * min(speeds):
         remarks.append(
-            f"the trials differ in speed, {min(speeds):.1f} to {max(speeds):.1f} mm/s, and this model has no "
-            "speed in it: fit them one by one"
+            f"the trials differ in speed, {min(speeds):.1f} to {max(speeds):.1f} mm/s, but this model does not depend "
+            "on the speed: identify each speed separately"
         )
     return remarks
 
 
-def draw_force(figure: Figure, *, model: DepthForce, records: Sequence[Record], sensor: MovingAverage,
+def _draw(figure: Figure, *, model: DepthForce, records: Sequence[Record], sensor: MovingAverage,
     counts: Callable[[Record], Array],
 ) -> None:  # fmt: skip
-    """Draw the loop of every trial above its residuals, of the samples that count."""
+    """Draw force over depth for every trial, and the residuals of the samples that are not masked below."""
     figure.set_layout_engine("constrained")
     above, below = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.4, 1]})
     seen: set[str] = set()
@@ -235,4 +255,4 @@ def draw_force(figure: Figure, *, model: DepthForce, records: Sequence[Record], 
     above.legend(frameon=False, fontsize=8)
     below.axhline(0, color=GREY, linewidth=0.6)
     below.set_xlabel("depth (mm)")
-    below.set_ylabel("left over (mN)")
+    below.set_ylabel("residual (mN)")

@@ -1,4 +1,4 @@
-"""Friction from recorded motion: which model, with which parameters, and what the data cannot tell."""
+"""`identify friction`: choice of a friction model, and its parameters, from recorded motion."""
 
 from __future__ import annotations
 
@@ -20,13 +20,15 @@ from needleplan.signals import Array, Record, cycles
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["draw_friction", "identify", "traded"]
+__all__ = ["identify", "traded"]
 
+_COLOURS = (BLUE, VERMILLION, GREEN, ORANGE)
+
+# Share of the variance of sigma2 explained by mu_c and alpha above which a remark reports the trade-off.
 _TRADED = 0.95
-"""Share of the variance of sigma2 that mu_c and alpha explain, from which on they are said to trade off."""
 
+# Relative range of the RMSE over the values of lambda below which a remark reports lambda as poorly determined.
 _SAME_RMSE = 0.1
-"""Relative change of the RMSE over lambda below which lambda is said to rest on little."""
 
 
 def identify(
@@ -39,14 +41,36 @@ def identify(
     models: Sequence[str] = (),
     smooth: Callable[[Array], Array] | None = None,
 ) -> Identification:
-    """Fit the friction models to records of a needle that moves in tissue, and choose by Schwarz' criterion.
+    """Identify a friction model from records of a needle that moves in tissue; choose it by Schwarz' criterion (BIC).
 
-    Columns: time_s, depth_mm, force_n, and velocity_mm_s where measured. A needle that passes through tissue of
-    `thickness_mm` has a constant patch. The first `skip_cycles` cycles do not count. Trials with the role holdout
-    judge; without any, the last cycle does, and the chosen model is fitted once more to everything. `models` keeps
-    only those of "Karnopp", "I", "II", "II, Fn(L)", "III-A", "III-B". `smooth` is what the sensor did to the force,
-    such as `MovingAverage(5).centred`; without it reversals seem rounder than they are, and the bristles softer. Raises
-    DataError for records that cannot be used.
+    Parameters
+    ----------
+    records
+        Trials with time_s, depth_mm and force_n, and velocity_mm_s if measured. Trials with the role holdout validate
+        the models. Without any, the last cycle validates, and the chosen model is fitted again to all cycles.
+    thickness_mm
+        Thickness of the tissue; a needle that passes through it has a constant contact length.
+    skip_cycles
+        Number of cycles that are masked at the beginning of each trial.
+    phases
+        Phases of the trials that are used; all if empty.
+    exponents
+        Values of lambda for the models III-A and III-B.
+    models
+        Labels of the models to fit, of Karnopp, I, II, "II, Fn(L)", III-A, III-B; all if empty.
+    smooth
+        Filter of the force sensor, such as `MovingAverage(5).centred`. Without it, the fitted bristles are too soft,
+        because a filtered force has smoother reversals.
+
+    Returns
+    -------
+    Identification
+        The model is a `Friction`; None if its fit did not converge.
+
+    Raises
+    ------
+    DataError
+        No trial has the role train, a column is missing, or `models` names no model.
     """
     trials = trials_by_role(records)
     train, holdout, remarks = trials.train, trials.holdout, list(trials.remarks)
@@ -61,7 +85,7 @@ def identify(
     else:
         before, last = split(mask)
         if not all(before(record).any() for record in train):
-            remarks.append("one cycle alone: it is fitted and scored, and nothing is held out")
+            remarks.append("there is only one cycle: it is used for the fit and for the scores, nothing is held out")
             before = last = mask
         scores = fit_all(chosen, train, before, train, last, smooth)
         final = fit(scores[0].fit.model, train, free=scores[0].candidate.free, mask=mask, smooth=smooth)
@@ -69,12 +93,12 @@ def identify(
     return Identification(
         "friction", final.model if final.ok else None, dict(final.estimates),
         tuple(_scores(scores, final)), (*_findings(scores), *residual_findings(final, train)), tuple(remarks),
-        partial(_draw, train=train, scores=scores, mask=mask),
+        partial(_draw, records=train, scores=scores, mask=mask),
     )  # fmt: skip
 
 
 def _skipped(train: Sequence[Record], skip_cycles: int, remarks: list[str]) -> int:
-    """Return how many cycles to skip: fewer where the shortest trial does not have as many."""
+    """Return the number of cycles to skip: fewer than `skip_cycles` if the shortest trial has fewer."""
     fewest = min(int(cycles(record.motion()).max()) for record in train)
     if fewest >= skip_cycles:
         return skip_cycles
@@ -83,23 +107,23 @@ def _skipped(train: Sequence[Record], skip_cycles: int, remarks: list[str]) -> i
 
 
 def _patch(train: Sequence[Record], final: Fit, thickness_mm: float) -> str:
-    """Return what was taken for the patch: the numbers depend on it."""
+    """Return the remark about the assumed contact length, on which the parameters depend."""
     assert isinstance(final.model, Friction)
     lengths = np.concatenate([final.model.inserted_mm(record.motion()) for record in train])
     return (
-        f"the tissue was taken as {thickness_mm:g} mm thick, with a normal force of 1 N there; inserted were "
-        f"{lengths.min():.0f} to {lengths.max():.0f} mm"
+        f"assumed: the tissue is {thickness_mm:g} mm thick, with a normal force of 1 N at that length; the inserted "
+        f"length was {lengths.min():.0f} to {lengths.max():.0f} mm"
     )
 
 
 def _scores(scores: Sequence[Score], final: Fit) -> list[tuple[str, float, str]]:
     rows: list[tuple[str, float, str]] = [("RMSE of the model", final.rmse, "N"), ("samples", final.samples, "")]
-    rows.append(("samples that do not count", final.masked, ""))
+    rows.append(("masked samples", final.masked, ""))
     for each in scores:
         rows += [
             (f"{each.candidate.label}: RMSE", each.fit.rmse, "N"),
             (f"{each.candidate.label}: RMSE held out", each.held_out_rmse_n, "N"),
-            (f"{each.candidate.label}: criterion above the best", each.bic - scores[0].bic, ""),
+            (f"{each.candidate.label}: BIC above the best", each.bic - scores[0].bic, ""),
         ]
     return rows
 
@@ -108,8 +132,8 @@ def _findings(scores: Sequence[Score]) -> list[Finding]:
     best = scores[0]
     held = min(scores, key=lambda each: (math.isnan(each.held_out_rmse_n), each.held_out_rmse_n))
     same = held.candidate.label == best.candidate.label
-    says = f"Schwarz' criterion chooses {best.candidate.label}, the held-out error " + (
-        "as well" if same else f"{held.candidate.label}: {1e3 * held.held_out_rmse_n:.1f} mN"
+    says = f"Schwarz' criterion selects {best.candidate.label}; the held-out error selects " + (
+        "the same model" if same else f"{held.candidate.label} with {1e3 * held.held_out_rmse_n:.1f} mN"
     )
     findings = [Finding("choice of the model", best.held_out_rmse_n, None, says)]
     if len(scores) > 1:
@@ -121,7 +145,7 @@ def _findings(scores: Sequence[Score]) -> list[Finding]:
 
 
 def _limits(scores: Sequence[Score], final: Fit) -> list[str]:
-    """Return sentences about what the data cannot tell."""
+    """Return remarks about parameters that the data do not determine."""
     remarks = [
         f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
         for name, each in final.estimates.items()
@@ -132,8 +156,8 @@ def _limits(scores: Sequence[Score], final: Fit) -> list[str]:
     share = traded(final)
     if share > _TRADED:
         remarks.append(
-            f"sigma2 and (mu_c, alpha) trade off: the last two explain {100 * share:.0f} % of the variance of sigma2; "
-            "a higher top speed would separate them"
+            f"sigma2 and (mu_c, alpha) trade off: mu_c and alpha explain {100 * share:.0f} % of the variance of sigma2;"
+            " a higher top speed would separate them"
         )
     averaged = [each for each in scores if hasattr(each.candidate.model, "exponent")]
     if len(averaged) > 1:
@@ -141,14 +165,14 @@ def _limits(scores: Sequence[Score], final: Fit) -> list[str]:
         slopes = [each.fit.estimates["mu_c"].value for each in averaged]
         if max(errors) < (1 + _SAME_RMSE) * min(errors):
             remarks.append(
-                f"lambda rests on little: over the values tried the RMSE goes from {1e3 * min(errors):.1f} to "
-                f"{1e3 * max(errors):.1f} mN, and mu_c from {min(slopes):.2g} to {max(slopes):.2g}"
+                f"lambda is poorly determined: over the values tried, the RMSE is {1e3 * min(errors):.1f} to "
+                f"{1e3 * max(errors):.1f} mN, and mu_c {min(slopes):.2g} to {max(slopes):.2g}"
             )
     return remarks
 
 
 def traded(found: Fit) -> float:
-    """Return the share of the variance of sigma2 that mu_c and alpha explain; 0 where they were not fitted together."""
+    """Return the share of the variance of sigma2 that mu_c and alpha explain; 0 if they were not fitted together."""
     if not {"sigma2", "mu_c", "alpha"} <= set(found.free):
         return 0.0
     rows = [found.free.index(name) for name in ("sigma2", "mu_c", "alpha")]
@@ -161,17 +185,8 @@ def traded(found: Fit) -> float:
     return float(np.clip(cross @ np.linalg.pinv(correlation[1:, 1:]) @ cross, 0, 1))
 
 
-def _draw(figure: Figure, train: Sequence[Record], scores: Sequence[Score], mask: Mask) -> None:
-    draw_friction(figure, train, scores, mask)
-
-
-_COLOURS = (BLUE, VERMILLION, GREEN, ORANGE)
-
-
-def draw_friction(
-    figure: Figure, records: Sequence[Record], scores: Sequence[Score], mask: Callable[[Record], Array]
-) -> None:
-    """Draw the first record with the best model of each kind, and below what they leave of its force."""
+def _draw(figure: Figure, records: Sequence[Record], scores: Sequence[Score], mask: Callable[[Record], Array]) -> None:
+    """Draw the first record with the best model of each kind, and the residual of the best model below."""
     record, shown = records[0], _one_a_kind(scores)
     counts = mask(record)
     motion = record.motion()
@@ -191,7 +206,7 @@ def draw_friction(
     left.axhline(0, color=GREY, linewidth=0.8)
     left.set_xlabel("time (s)")
     left.set_ylabel("measured - simulated (mN)")
-    title(left, f"left by {best.candidate.label}")
+    title(left, f"Residual of {best.candidate.label}")
 
 
 def _one_a_kind(scores: Sequence[Score]) -> list[Score]:

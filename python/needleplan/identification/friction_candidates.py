@@ -1,4 +1,4 @@
-"""The friction models that a record is fitted with, and how they compare."""
+"""Candidates of the friction model: their fits, held-out errors and Schwarz' criterion (BIC)."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from needleplan.signals import Array, Record, cycles
 
 __all__ = ["EXPONENTS", "Candidate", "Mask", "Score", "candidates", "effective_samples", "fit_all", "rmse_n", "split"]
 
+# Values of lambda in the thesis.
 EXPONENTS = (0.5, 1.5, 2.5, 5.0)
-"""The values of lambda that the thesis tried."""
 
+# Range (mm) of the inserted length above which models that depend on it are fitted.
 _VARYING_MM = 1.0
-"""Change of the inserted length from which on models that follow it are worth a fit."""
 
 Mask = Callable[[Record], Any]
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model to begin with, and the parameters that are fitted."""
+    """An initial model and the names of its fitted parameters."""
 
     label: str
     model: Friction
@@ -36,9 +36,10 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Score:
-    """A fitted candidate: RMSE on what it was fitted to and on what was held out (N), and Schwarz' criterion.
+    """A fitted candidate with its held-out RMSE (N) and Schwarz' criterion.
 
-    `bic` counts effective samples (`effective_samples`); only its differences mean something.
+    `bic` uses the number of effective samples (`effective_samples`); only differences between candidates are
+    meaningful.
     """
 
     candidate: Candidate
@@ -54,10 +55,10 @@ def candidates(
     models: Sequence[str] = (),
     **patch: float,
 ) -> list[Candidate]:
-    """Return what is worth fitting: Karnopp, I, II, III-B for each lambda; II with Fn(L) and III-A where L varies.
+    """Return the candidates: Karnopp, I, II, and III-B for each lambda; "II, Fn(L)" and III-A if the length varies.
 
-    `patch` sets constants by name, such as thickness_mm; `models` keeps only those kinds ("II", "III-B"). sigma0 of
-    Model I stays where it is: a patch of many g/sigma0 says nothing about it. Raises DataError for records without
+    `patch` sets constants of the models by name, such as thickness_mm. `models` restricts the labels. sigma0 of Model I
+    is fixed, because a contact length of many g/sigma0 does not determine it. Raises DataError for records without
     motion or force.
     """
     guess: dict[str, Any] = dict(first_guess(records))
@@ -91,7 +92,7 @@ def fit_all(
     held_mask: Mask,
     smooth: Callable[[Array], Array] | None = None,
 ) -> list[Score]:
-    """Fit every candidate to `train`, score it on `held_out`, best criterion first; `smooth` is done to each output."""
+    """Return all candidates fitted to `train` and scored on `held_out`, by increasing BIC; `smooth` filters outputs."""
     fits = [fit(each.model, train, free=each.free, mask=mask, smooth=smooth) for each in chosen]
     best = min(fits, key=lambda each: each.rmse)
     count = effective_samples(best.residuals)
@@ -107,10 +108,10 @@ def _bic(found: Fit, count: float) -> float:
 
 
 def effective_samples(residuals: Sequence[Array]) -> float:
-    """Return how many independent samples the residuals are worth: n / (1 + 2 sum of their autocorrelations).
+    """Return the effective number of independent samples, n / (1 + 2 sum of the autocorrelations of the residuals).
 
-    The sum goes to the first one below zero (Geyer's initial positive sequence, one lag at a time). Masked samples are
-    NaN.
+    The sum ends before the first negative autocorrelation (Geyer's initial positive sequence, one lag at a time).
+    Masked samples are NaN.
     """
     worth = 0.0
     for residual in residuals:
@@ -129,7 +130,7 @@ def effective_samples(residuals: Sequence[Array]) -> float:
 
 
 def rmse_n(model: Any, records: Sequence[Record], mask: Mask, smooth: Callable[[Array], Array] | None = None) -> float:
-    """Return the RMSE (N) of a model over the masked samples of records; NaN without any."""
+    """Return the RMSE (N) of a model over the samples that `mask` selects; NaN if there are none."""
     errors = []
     for record in records:
         output = simulate(model, record.motion()).output
@@ -140,11 +141,11 @@ def rmse_n(model: Any, records: Sequence[Record], mask: Mask, smooth: Callable[[
 
 
 def _last_cycle(record: Record, last: bool, mask: Mask) -> Array:
-    """Return the masked samples of the last cycle, or those before it."""
+    """Return the selected samples of the last cycle, or of the cycles before it."""
     passed = cycles(record.motion())
     return np.asarray(mask(record) & ((passed == passed.max()) == last))
 
 
 def split(mask: Mask) -> tuple[Mask, Mask]:
-    """Return masks for all but the last cycle, and for the last one."""
+    """Return one mask for all cycles but the last, and one for the last cycle."""
     return partial(_last_cycle, last=False, mask=mask), partial(_last_cycle, last=True, mask=mask)

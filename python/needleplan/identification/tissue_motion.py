@@ -1,4 +1,8 @@
-"""Tissue motion from a record of force: the slow observer of chapter 4, and the spring and damper instead of it."""
+"""`identify tissue-motion`: lag of the tissue around a moving needle, by the slow observer and by a fitted tissue.
+
+The slow observer is that of chapter 4 of the thesis. The fitted tissue is a spring and a damper in series with the
+friction of the needle.
+"""
 
 from __future__ import annotations
 
@@ -30,31 +34,34 @@ from needleplan.signals import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Excitation", "draw_tissue_motion", "identify"]
+__all__ = ["Excitation", "identify"]
 
+# Delay (s) of the column velocity_mm_s above which a remark reports it.
 _LATE_S = 0.01
-"""Delay of a velocity column from which on it is said to be late."""
 
+# Least number of samples for a velocity without delay.
 _FEWEST = 15
-"""Samples that a velocity without delay needs."""
 
+# Ratio of amplitudes or of frequencies below which they count as equal.
 _SAME = 1.25
-"""Amplitudes or frequencies that differ by less than this factor count as one."""
 
+# Relative reduction of the RMSE by moving tissue below which the finding says that it is hardly needed.
 _NEEDED = 0.05
-"""Share of the RMSE that tissue has to explain to be worth its two parameters."""
+
+# Initial time (s) that the figure leaves out.
+_SKIPPED_S = 1.0
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """The sine of a record's motion."""
+    """Dominant sine of the motion of a record."""
 
     frequency_hz: float
     amplitude_mm: float
 
     @classmethod
     def of(cls, record: Record) -> Excitation:
-        """Return the dominant sine of the depth. Raises DataError where it does not change."""
+        """Return the dominant sine of the depth. Raises DataError if the depth is constant."""
         frequency = dominant_frequency_hz(record["time_s"], record["depth_mm"])
         return cls(frequency, sine_at(frequency, record["time_s"], record["depth_mm"]).amplitude)
 
@@ -62,13 +69,29 @@ class Excitation:
 def identify(
     records: Sequence[Record], *, average: int = 5, starts: int = 2, marker: str | None = None
 ) -> Identification:
-    """Identify lag, slow observer, stiffness and damping of tissue around a needle that swings in it.
+    """Identify lag, slow observer, stiffness and damping of the tissue around an oscillating needle.
 
-    Columns: time_s, depth_mm, force_n. The velocity is made from the depth, whose delay is none; a column velocity_mm_s
-    is only compared with it. `average` is the number of samples that the force sensor averages (the thesis: 5),
-    `starts` the number of starts of the fit, `marker` a column with the displacement of a sensor in the tissue along
-    the needle (mm), whose lag is then reported too. Trials with the role holdout judge. Raises DataError for records
-    that cannot be used.
+    Parameters
+    ----------
+    records
+        Trials with time_s, depth_mm and force_n. The velocity is computed from the depth, without a delay; a column
+        velocity_mm_s is only compared with it. Trials with the role holdout validate the model.
+    average
+        Number of samples that the force sensor averages (5 in the thesis); 1 for none.
+    starts
+        Number of starting points of the fit.
+    marker
+        Column with the displacement (mm) along the needle of a sensor in the tissue; its lag is reported too.
+
+    Returns
+    -------
+    Identification
+        The model is a `LumpedOnTissue`; None if the fit did not converge.
+
+    Raises
+    ------
+    DataError
+        No trial has the role train, a column is missing, or a record is too short or has no motion.
     """
     trials = trials_by_role(records)
     remarks = list(trials.remarks)
@@ -102,7 +125,7 @@ def identify(
     remarks += [*_limits(found, tuned, excitations), averaged(average)]
     return Identification(
         "tissue-motion", model if found.ok else None, dict(found.estimates), tuple(scores), tuple(findings),
-        tuple(remarks), partial(_draw, record=record, model=model, tuned=tuned, average=average),
+        tuple(remarks), partial(_draw, record=record, model=model, projection=tuned.projection, average=average),
     )  # fmt: skip
 
 
@@ -114,7 +137,7 @@ def _tuned(record: Record) -> SlowObserver:
 
 
 def _prepared(record: Record, remarks: list[str]) -> Record:
-    """Return the record with a velocity that is not late, and say what was found."""
+    """Return the record with a velocity without delay; append remarks about the given velocity and the depth."""
     time, depth, trial = record["time_s"], record["depth_mm"], record.trial or "the record"
     if not np.ptp(depth) > 0:
         raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest identifies nothing"), record.trial)
@@ -129,14 +152,16 @@ def _prepared(record: Record, remarks: list[str]) -> Record:
         frequency = dominant_frequency_hz(time, depth)
         late = lag_rad(frequency, time, given, made.velocity_mm_s) / (2 * np.pi * frequency)
         if abs(late) > _LATE_S:
-            remarks.append(f"{trial}: velocity_mm_s is {late:.3f} s later than the depth says; it is not used")
+            remarks.append(f"{trial}: velocity_mm_s is {late:.3f} s later than the depth says, and is not used")
     if made.method is VelocityMethod.SMOOTHER:
-        remarks.append(f"{trial}: the depth has {made.noise_mm:.2g} mm of noise, as of a tracker, or uneven times")
+        remarks.append(
+            f"{trial}: the depth has {made.noise_mm:.2g} mm of noise or uneven sampling times: a smoother was used"
+        )
     return record.with_column("velocity_mm_s", made.velocity_mm_s)
 
 
 def _rigid(train: Sequence[Record], model: LumpedOnTissue, average: int) -> Fit:
-    """Fit the same friction to tissue that does not move."""
+    """Return the fit of the same friction model on rigid tissue."""
     start = LumpedLuGre(
         sigma0=model.sigma0,
         sigma1=model.sigma1,
@@ -166,7 +191,7 @@ def _observed(tuned: SlowObserver, excitation: Excitation) -> list[tuple[str, fl
 
 
 def _marked(record: Record, excitation: Excitation, marker: str | None) -> list[tuple[str, float, str]]:
-    """Return the lag of needle minus marker, as the thesis has it from its sensors in the tissue."""
+    """Return the lag of the relative velocity of needle and marker, the reference of the thesis."""
     if marker is None:
         return []
     seen = np.isfinite(record[marker])
@@ -177,7 +202,7 @@ def _marked(record: Record, excitation: Excitation, marker: str | None) -> list[
 
 
 def _agreement(tuned: SlowObserver, excitation: Excitation, lag: float, lag_sd: float) -> Finding:
-    """Return whether observer and tissue tell the same lag."""
+    """Test whether the lags of the slow observer and of the fitted tissue agree."""
     name = "slow observer against fitted tissue"
     fitted = f"the fitted tissue lags by {np.degrees(lag):.2f} +- {1.96 * np.degrees(lag_sd):.2f} deg"
     if tuned.projection is None:
@@ -189,27 +214,27 @@ def _agreement(tuned: SlowObserver, excitation: Excitation, lag: float, lag_sd: 
     observed = float(tuned.projection.lag_rad(excitation.frequency_hz))
     sd = float(np.hypot(lag_sd, tuned.lag_sd_rad(excitation.frequency_hz)))
     if not np.isfinite(sd):
-        untested = "too few zeros of the force, or tissue that is not identified: whether they agree cannot be tested"
+        untested = "their agreement cannot be tested: too few zeros of the force, or the tissue is not identified"
         says = f"the observer lags by {np.degrees(observed):.2f} deg, {fitted}; {untested}"
         return Finding(name, float("nan"), None, says)
     score = (observed - lag) / sd if sd > 0 else float("inf")
     p_value = float(2 * stats.norm.sf(abs(score)))
-    apart = "they disagree: to the observer dry friction is a delay too, and damping of the bristles an advance"
+    apart = "they disagree: the observer also contains the delay of dry friction and the lead of the bristle damping"
     verdict = "they agree" if p_value > 0.05 else apart
     return Finding(name, score, p_value, f"the observer lags by {np.degrees(observed):.2f} deg, {fitted}; {verdict}")
 
 
 def _moves(found: Fit, rigid: Fit) -> Finding:
-    """Return whether tissue that moves explains more than tissue that does not."""
+    """Return how much the RMSE decreases if the tissue may move."""
     gain = 1 - found.rmse / rigid.rmse if rigid.rmse > 0 else 0.0
-    says = f"letting the tissue move takes the RMSE from {1e3 * rigid.rmse:.1f} to {1e3 * found.rmse:.1f} mN"
+    says = f"moving tissue reduces the RMSE from {1e3 * rigid.rmse:.1f} to {1e3 * found.rmse:.1f} mN"
     if gain < _NEEDED:
-        says += ": the data hardly need it, and stiffness is at best bounded from below"
+        says += ": hardly at all, so the data give at best a lower bound of the stiffness"
     return Finding("does the tissue move", gain, None, says)
 
 
 def _limits(found: Fit, tuned: SlowObserver, excitations: Sequence[Excitation]) -> list[str]:
-    """Return sentences about what these records cannot tell, and what would."""
+    """Return remarks about parameters that the records do not determine, and records that would."""
     remarks = [
         f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
         for name, each in found.estimates.items()
@@ -224,25 +249,16 @@ def _limits(found: Fit, tuned: SlowObserver, excitations: Sequence[Excitation]) 
         known = ", ".join(f"{name} to {100 * each.sd / each.value:.0f} %" for name, each in bristles.items())
         remarks.append(
             f"one amplitude and one frequency ({amplitudes[0]:.0f} mm, {frequencies[0]:.2g} Hz): compliance of the "
-            f"tissue, bending of the bristles ({known}) and delays of sensors open the same loop; a second amplitude "
-            "(10 mm), a second frequency, or a marker in the tissue separates them"
+            f"tissue, bending of the bristles ({known}) and delays of sensors have the same effect; record a second "
+            "amplitude (10 mm), a second frequency, or a marker in the tissue to separate them"
         )
     if tuned.status is TuningStatus.NO_COMPENSATION:
-        remarks.append("no slow observer: the tissue is too stiff for one, or the force is early")
+        remarks.append("there is no slow observer: the tissue is too stiff, or the force leads the motion")
     return remarks
 
 
-def _draw(figure: Figure, record: Record, model: LumpedOnTissue, tuned: SlowObserver, average: int) -> None:
-    draw_tissue_motion(figure, record, model, tuned.projection, average)
-
-
-_SKIPPED_S = 1.0
-
-
-def draw_tissue_motion(
-    figure: Figure, record: Record, model: LumpedOnTissue, projection: Projection | None, average: int
-) -> None:
-    """Draw a record with the fitted model; the last panel stays away where there is no slow observer."""
+def _draw(figure: Figure, record: Record, model: LumpedOnTissue, projection: Projection | None, average: int) -> None:
+    """Draw the force over the velocity of the needle, relative to the fitted tissue, and of the slow observer."""
     motion, force = record.motion(), record["force_n"]
     done = simulate(model, motion)
     simulated = MovingAverage(average).apply(done.output)
@@ -256,7 +272,7 @@ def draw_tissue_motion(
             simulated,
             force,
         ),
-        ("against tissue (mm/s)", "less the fitted tissue", relative, simulated, force),
+        ("relative to tissue (mm/s)", "minus the fitted tissue", relative, simulated, force),
     ]
     if projection is not None:
         slow = projection.slow.observe(motion.depth_mm)

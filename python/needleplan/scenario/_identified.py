@@ -36,7 +36,7 @@ _WITHIN = 0.02
 
 
 class HasCurvature(Protocol):
-    """The curvature of a piece of the path, such as `needleplan.estimation.Curvature`."""
+    """The curvature of a piece of the path, such as `needleplan.identification.Curvature`."""
 
     @property
     def curvature_per_mm(self) -> float:

@@ -280,7 +280,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         ----------
         curvature_per_mm : float or sequence
             A number (1/mm, of either sign) is the curvature of the whole path and replaces the layers. A sequence of
-            pieces, as from `needleplan.estimation.path_curvature`, becomes the layers.
+            pieces, as from `needleplan.identification.path_curvature`, becomes the layers.
         entry_mm : float, optional
             x of the entry in mm: a layer begins at `entry_mm` + `low_mm` of its piece.
         tissue : str, optional
