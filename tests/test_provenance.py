@@ -75,7 +75,9 @@ def test_impossible_names_are_told(name: str, tmp_path: Path, monkeypatch: pytes
 def test_an_output_does_not_replace_an_input_or_another_output(tmp_path: Path) -> None:
     (tmp_path / "data.csv").write_text("1")
     (tmp_path / "link.csv").symlink_to(tmp_path / "data.csv")
-    with pytest.raises(OutputError, match=r"link\.csv: cannot be written: it would replace .*data\.csv, which is read"):
+    with pytest.raises(
+        OutputError, match=r"link\.csv: cannot be written: it would replace .*data\.csv, which is an input"
+    ):
         provenance.require_different([tmp_path / "data.csv"], [tmp_path / "link.csv"])
     with pytest.raises(OutputError, match="be written twice"):
         provenance.require_different([], [tmp_path / "new", tmp_path / "." / "new"])

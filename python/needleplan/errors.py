@@ -3,25 +3,25 @@
 ::
 
     NeedleplanError
-    ├── DeviceFault             a device cannot be used: says which, and why
-    │   ├── LinkClosed          the way to it is gone
-    │   ├── MotionRefused       a command or an order was not carried out, with its causes
-    │   └── ProtocolError       it sent bytes that its protocol does not know
-    └── InputError              what was supplied is wrong: names the source, the key, the value and the rule
-        ├── AddressError        the address of a device
-        ├── ConfigurationError  what a device says of itself (units, ports) cannot be used
-        ├── ScenarioError       a scenario, or the file it came from
-        ├── ExperimentError     a simulated experiment, or the file it came from
-        ├── PoseError           a pose outside the table, or not a number
-        ├── SafetyError         limits of a run that are no limits
-        ├── MdpError            arrays that do not describe a Markov decision process
-        ├── ModelError          parameters that a model of the mechanics cannot have
-        ├── DataError           measurements that cannot be used as they are
-        ├── TableError          not a policy table of this version, or a truncated one
-        │   └── ChecksumError   a policy table whose bytes have changed since it was written
-        └── OutputError         a file that cannot be written
+    ├── DeviceFault             a device cannot be used; the message names the device and the reason
+    │   ├── LinkClosed          the connection to a device is closed
+    │   ├── MotionRefused       a motion command was not executed; carries the causes
+    │   └── ProtocolError       a device sent bytes that violate its protocol
+    └── InputError              an input is wrong; the message names the source, the key, the value and the rule
+        ├── AddressError        the address of a device is wrong
+        ├── ConfigurationError  the configuration of a device (units, tools, setup file) cannot be used
+        ├── ScenarioError       a scenario or its file is wrong
+        ├── ExperimentError     a simulated experiment or its file is wrong
+        ├── PoseError           a pose lies outside the policy table, or is not finite
+        ├── SafetyError         safety limits or their file are wrong
+        ├── MdpError            arrays do not describe a Markov decision process
+        ├── ModelError          a mechanical model does not permit its parameters, or its file is wrong
+        ├── DataError           measurements cannot be used
+        ├── TableError          a file is not a policy table of this version, or is truncated
+        │   └── ChecksumError   the bytes of a policy table have changed since the file was written
+        └── OutputError         a file cannot be written
 
-An `InputError` carries all the mistakes that were found, not the first one.
+An `InputError` carries all mistakes that were found, not only the first.
 """
 
 from __future__ import annotations
@@ -51,15 +51,17 @@ __all__ = [
     "TableError",
 ]
 
+# Number of characters of a wrong value that a message shows; the rest is cut off
 _LONGEST_VALUE = 60
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake: where it is, what stands there, and the rule that it breaks.
+    """One mistake in an input: the key, the wrong value, and the rule that the value violates.
 
-    `key` is the path of the key (`workspace.width_mm`) and may be empty; `value` is what stands there as text, empty
-    where nothing does; `rule` is a sentence without a full stop.
+    - `key` is the path of the key, such as `workspace.width_mm`; it may be empty.
+    - `value` is the wrong value as text; it is empty if the value is missing.
+    - `rule` is a sentence without a full stop.
     """
 
     key: str
@@ -84,15 +86,15 @@ class NeedleplanError(Exception):
 
 
 class DeviceFault(NeedleplanError):
-    """A device cannot be used; the message says which and why."""
+    """A device cannot be used; the message names the device and the reason."""
 
 
 class LinkClosed(DeviceFault):
-    """The way to a device is gone."""
+    """The connection to a device is closed."""
 
 
 class MotionRefused(DeviceFault):
-    """A command or an order was not carried out, and nothing went to the stage; `causes` says why, by name."""
+    """A motion command was not executed, and nothing was sent to the stage; `causes` holds the names of the causes."""
 
     def __init__(self, what: str, causes: Sequence[str]) -> None:
         self.what, self.causes = what, tuple(causes)
@@ -103,18 +105,18 @@ class MotionRefused(DeviceFault):
 
 
 class ProtocolError(DeviceFault):
-    """A device sent bytes that its protocol does not know: cut short, damaged, or another device's."""
+    """A device sent bytes that violate its protocol: truncated, damaged, or sent by another kind of device."""
 
 
 class InputError(NeedleplanError):
-    """Input is wrong; the exception carries all mistakes that were found.
+    """An input is wrong; the exception carries all mistakes that were found.
 
     Parameters
     ----------
     mistakes : Mistake, sequence of Mistake, or str
-        The mistakes, or one rule that was broken.
+        The mistakes, or the text of one violated rule.
     source : str, optional
-        Name of the file that holds them.
+        Name of the file that contains the mistakes.
 
     Examples
     --------
@@ -147,23 +149,23 @@ class AddressError(InputError):
 
 
 class ConfigurationError(InputError):
-    """What a device says of itself cannot be used: units that are not known, a tool that is not there."""
+    """The configuration of a device cannot be used, for example because of an unknown unit or a missing tool."""
 
 
 class ScenarioError(InputError):
-    """A scenario, or the file that it came from, is wrong."""
+    """A scenario or its file is wrong."""
 
 
 class ExperimentError(InputError):
-    """A simulated experiment, or the file that it came from, is wrong."""
+    """A simulated experiment or its file is wrong."""
 
 
 class PoseError(InputError):
-    """A pose lies outside the table or is not a number."""
+    """A pose lies outside the policy table, or is not finite."""
 
 
 class SafetyError(InputError):
-    """Limits of a run are not limits, or the file that they came from is wrong."""
+    """Safety limits or their file are wrong."""
 
 
 class MdpError(InputError):
@@ -171,19 +173,19 @@ class MdpError(InputError):
 
 
 class ModelError(InputError):
-    """A model of the mechanics cannot have these parameters, or the file that it came from is wrong."""
+    """A mechanical model does not permit its parameters, or its file is wrong."""
 
 
 class DataError(InputError):
-    """Measurements cannot be used as they are."""
+    """Measurements cannot be used."""
 
 
 class TableError(InputError):
-    """The file is not a policy table of this version, or not all of one."""
+    """A file is not a policy table of this version, or is truncated."""
 
 
 class ChecksumError(TableError):
-    """The bytes of a policy table have changed since it was written."""
+    """The bytes of a policy table have changed since the file was written."""
 
 
 class OutputError(InputError):

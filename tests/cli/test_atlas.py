@@ -77,7 +77,7 @@ def test_nothing_that_fits_is_the_answer_no() -> None:
         (["identify", "curvature", "x.csv", "--atlas", "a.toml", *NAMES], ["--atlas = curvature", "must be force"]),
         (["identify", "force", "x.csv", "--atlas", "a.toml"], ["--needle: is missing", "--tissue: is missing"]),
         (["identify", "force", "x.csv", *NAMES], ["--needle: is an option for --atlas", "--tissue: is an option"]),
-        (["identify", "force", "a.toml", "--atlas", "a.toml", *NAMES], ["a.toml", "which is read"]),
+        (["identify", "force", "a.toml", "--atlas", "a.toml", *NAMES], ["a.toml", "which is an input file"]),
         (["identify", "force", "x.csv", "--atlas", "no/a.toml", *NAMES], ["no such folder"]),
         (["info", "none.toml"], ["none.toml: no such file, and no shipped atlas of that name (published)"]),
         (["info", "published", "--velocity", "-1"], ["velocity_mm_s = -1.0: must be a positive number"]),

@@ -1,4 +1,4 @@
-"""Artefacts: digests, the version that made them, and writing a file whole or not at all."""
+"""Artefacts (files that needleplan writes): their digests, the program version, and atomic writing."""
 
 from needleplan.artifacts.files import (
     Parent,

@@ -1,4 +1,4 @@
-"""Which version made an artefact, the digest by which its children name it, and writing it whole or not at all."""
+"""Digest of an artefact, version of the program, checks of output paths, and atomic writing of files."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ __all__ = ["Parent", "digest", "require_different", "require_new", "require_writ
 
 @dataclass(frozen=True)
 class Parent:
-    """An artefact from which another one was made.
+    """An artefact from which another artefact was made.
 
     Parameters
     ----------
     name : str
-        Name for readers, such as a file or a trial.
+        Name that a report shows, such as the name of a file or trial.
     digest : str
-        Digest of the file, or an empty text.
+        Digest of the file; empty if unknown.
 
     Examples
     --------
@@ -38,24 +38,24 @@ class Parent:
 
 
 def digest(content: str | bytes | memoryview) -> str:
-    """SHA-256 of a text (as UTF-8) or of bytes, as `sha256:` and 64 hexadecimal digits."""
+    """Return the SHA-256 digest of a text (as UTF-8) or of bytes: `sha256:` and 64 hexadecimal digits."""
     data = content.encode() if isinstance(content, str) else content
     return f"sha256:{hashlib.sha256(data).hexdigest()}"
 
 
 def version() -> str:
-    """Version of the installed needleplan, for example `0.1.0`."""
+    """Return the version of the installed needleplan, for example `0.1.0`."""
     from importlib import metadata
 
     return metadata.version("needleplan")
 
 
 def require_different(inputs: Iterable[str | os.PathLike[str]], outputs: Sequence[str | os.PathLike[str]]) -> None:
-    """Raise OutputError where an output would replace an input, or another output: measurements cannot be had again.
+    """Raise OutputError if an output file would overwrite an input file or another output file.
 
-    Devices and pipes may stand for several.
+    Devices and pipes, such as `/dev/null`, may be named several times.
     """
-    taken = {_place(path): f"replace {os.fspath(path)}, which is read" for path in inputs}
+    taken = {_place(path): f"replace {os.fspath(path)}, which is an input file" for path in inputs}
     for path in outputs:
         place = _place(path)
         if place in taken and (place.is_file() or not place.exists()):
@@ -66,7 +66,7 @@ def require_different(inputs: Iterable[str | os.PathLike[str]], outputs: Sequenc
 def require_new(paths: Iterable[str | os.PathLike[str]], option: str = "--force") -> None:
     """Raise OutputError if one of the files exists; the message names the command-line option that overwrites it.
 
-    Devices and pipes exist always and may be written to.
+    An existing device or pipe does not raise.
     """
     there = [os.fspath(path) for path in paths if Path(path).is_file() or Path(path).is_dir()]
     rule = f"exists already; {option} overwrites it"
@@ -81,7 +81,10 @@ def _place(path: str | os.PathLike[str]) -> Path:
 
 
 def require_writable(path: str | os.PathLike[str]) -> None:
-    """Raise OutputError where it is clear already that `path` cannot be written, before hours are spent on it."""
+    """Raise OutputError if the folder of `path` is missing or write-protected, or `path` is a folder.
+
+    Called before a long computation, so that its result is not lost at the end.
+    """
     folder = Path(path).parent
     for wrong, reason in (
         (not folder.is_dir(), "no such folder"),
@@ -93,10 +96,10 @@ def require_writable(path: str | os.PathLike[str]) -> None:
 
 
 def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> None:
-    """Write `chunks` to `path` so that at any moment the old file or the new one is there, never half of one.
+    """Write `chunks` to `path` atomically: at any moment, `path` is the complete old file or the complete new file.
 
-    The bytes go to a file beside it, to the disk, and only then take the name. A device or pipe is written to directly.
-    Raises OutputError, and leaves nothing behind, where that fails.
+    The bytes are written to a temporary file in the same folder, flushed to the disk, and the file is then renamed. A
+    device or pipe is written directly. Raises OutputError if writing fails, and removes the temporary file.
     """
     try:
         target = Path(path).resolve()

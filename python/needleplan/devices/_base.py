@@ -1,8 +1,8 @@
 """The interfaces of stage, force sensor and tracker, and their samples.
 
 A device is opened by its address (`udp://192.168.1.10:5005`), used as a context manager, and read with a deadline. Each
-sample has a time and a sequence number, and is returned once. A problem that the device reports lowers the health of
-the sample. A device that cannot be used any more raises DeviceFault with the cause.
+sample has a time and a sequence number, and is returned once. If the device reports a problem, the sample is not GOOD.
+If the device cannot be used any more, its methods raise DeviceFault with the cause.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ class Health(StrEnum):
 
     GOOD = "good"
     SUSPECT = "suspect"
-    """The device reports a problem, such as saturation or a bad fit; not for control."""
+    """The device reports a problem, such as saturation or a bad fit; the sample must not be used for control."""
 
     MISSING = "missing"
-    """The device answered without a measurement; for example, the coil is not visible."""
+    """The device answered without a measurement, for example because the coil is not visible."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,10 @@ class PoseSample:
 
 @dataclass(frozen=True)
 class StageSample:
-    """State of the stage: depth (mm, positive into the tissue), velocity (mm/s), roll of the base (rad), and motion."""
+    """State of the stage: depth (mm, positive into the tissue), velocity (mm/s), roll of the needle base (rad).
+
+    `moving` is true if an axis has not completed its commanded motion.
+    """
 
     stamp: Stamp
     depth_mm: float
@@ -119,11 +122,11 @@ class Device(Closing):
 
 
 class Stage(Device):
-    """Abstract stage: moves the needle along its axis and rotates it. It has one controller at a time."""
+    """Abstract stage, which inserts and rotates the needle. Only one controller at a time may command it."""
 
     @abstractmethod
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin a motion to a depth (mm) at a positive speed (mm/s), inwards or outwards. Raises DeviceFault."""
+        """Begin a motion to a depth (mm), inwards or outwards, at a positive speed (mm/s). Raises DeviceFault."""
 
     @abstractmethod
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
@@ -131,13 +134,13 @@ class Stage(Device):
 
     @abstractmethod
     def stop(self) -> None:
-        """Stop both axes now; always permitted, also during a fault."""
+        """Stop both axes at once. It may be called at any time, also during a fault."""
 
     def heartbeat(self) -> None:
-        """Send a heartbeat: the controller is running. A stage with a watchdog stops if heartbeats cease.
+        """Tell the watchdog of the stage that the controller is running. The stage stops if heartbeats cease.
 
-        Only the guard of an insertion calls it (`control.safety.GuardedStage.tick`); a program without a guard calls it
-        in its control loop. A stage without a watchdog does nothing. Raises DeviceFault.
+        In an insertion only the guard calls it (`control.safety.GuardedStage.tick`); a program without a guard calls it
+        in its control loop. It does nothing if the stage has no watchdog. Raises DeviceFault.
         """
 
     @abstractmethod
@@ -150,7 +153,7 @@ class ForceSensor(Device):
 
     @abstractmethod
     def bias(self) -> None:
-        """Take the present wrench as zero. Raises DeviceFault."""
+        """Define the present wrench as zero for all later samples. Raises DeviceFault."""
 
     @abstractmethod
     def read(self, timeout_s: float) -> ForceSample | None:
@@ -162,4 +165,4 @@ class Tracker(Device):
 
     @abstractmethod
     def read(self, timeout_s: float) -> PoseSample | None:
-        """Return the next frame, or None after `timeout_s`. Raises DeviceFault."""
+        """Return the next pose sample, or None after `timeout_s`. Raises DeviceFault."""

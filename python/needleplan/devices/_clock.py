@@ -1,4 +1,4 @@
-"""Monotonic time in nanoseconds on a real or virtual clock, and settings of the process for real time."""
+"""Monotonic real and virtual clocks (nanoseconds), and settings of the Python process for real-time control."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Clock(Protocol):
         """Return the time in nanoseconds since a fixed, unknown moment."""
 
     def sleep(self, seconds: float) -> None:
-        """Wait; returns at once unless `seconds` is positive."""
+        """Wait for `seconds`; return at once if `seconds` is not positive."""
 
 
 class SystemClock:
@@ -33,7 +33,7 @@ class SystemClock:
         return time.monotonic_ns()
 
     def sleep(self, seconds: float) -> None:
-        """Sleep on the machine."""
+        """Let the calling thread sleep for `seconds`."""
         if seconds > 0:
             time.sleep(seconds)
 
@@ -46,7 +46,7 @@ class VirtualClock:
         self._lock = threading.Lock()
 
     def now_ns(self) -> int:
-        """Return the simulated time."""
+        """Return the simulated time in nanoseconds."""
         return self._now_ns
 
     def sleep(self, seconds: float) -> None:
@@ -54,7 +54,7 @@ class VirtualClock:
         self.advance(seconds)
 
     def advance(self, seconds: float) -> None:
-        """Move the clock forward; a negative duration does nothing."""
+        """Advance the clock by `seconds`; a negative value does nothing."""
         if seconds > 0:
             with self._lock:
                 self._now_ns += round(seconds * _NANO)
@@ -78,15 +78,15 @@ class Deadline:
         return self._clock.now_ns() >= self._end_ns
 
 
-_TURN_S = 0.0005  # switch interval between Python threads
+_TURN_S = 0.0005  # switch interval (s) between Python threads
 
 
 @contextmanager
 def short_turns() -> Iterator[None]:
-    """Let the threads of the process alternate every 0.5 ms while they compute.
+    """Within the `with` block, let Python switch between its threads at least every 0.5 ms.
 
-    Python's default of 5 ms is as long as the whole budget from a sample to its command, and the control loop shares
-    its process with the threads that read devices, write the recording and compute plans.
+    Python's default of 5 ms is the entire time allowed from a sample to its command. The control loop shares its
+    process with the threads that read devices, write the recording and compute plans.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(before, _TURN_S))
@@ -98,10 +98,10 @@ def short_turns() -> Iterator[None]:
 
 @contextmanager
 def no_long_collections() -> Iterator[None]:
-    """Exclude the objects that exist now from garbage collection, in the whole process.
+    """Within the `with` block, exclude all objects that already exist from garbage collection in this process.
 
-    A full collection over the libraries of an insertion takes 40 ms or more, and the watchdog of a robot expires after
-    30 ms. Objects created later are collected as usual.
+    A full garbage collection takes 40 ms or more with the libraries that an insertion imports, but the watchdog of a
+    robot expires after 30 ms. Objects created later are collected as usual.
     """
     gc.collect()
     gc.freeze()

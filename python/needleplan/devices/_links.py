@@ -1,7 +1,7 @@
-"""Links, which carry bytes: UDP, TCP, serial ports, and a pair of ends in one process.
+"""Links, which carry bytes to and from a device: UDP, TCP, serial ports, and links within one process.
 
 A link is used as a context manager, and read with a deadline. Datagram links (UDP) deliver whole datagrams, stream
-links (TCP, serial) deliver bytes as they arrive. Protocols are separate modules without input and output.
+links (TCP, serial) deliver bytes as they arrive. The protocols are in other modules, which do no input or output.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Link(Closing):
 
     @abstractmethod
     def receive(self, timeout_s: float) -> bytes:
-        """Return a datagram or the available bytes; empty after `timeout_s`. Raises LinkClosed."""
+        """Return one datagram or the available bytes; b"" after `timeout_s`. Raises LinkClosed."""
 
     @abstractmethod
     def close(self) -> None:
@@ -38,7 +38,7 @@ class Link(Closing):
 
 
 class MemoryLink(Link):
-    """One end of a link within this process; messages arrive whole and in order at the other end."""
+    """One end of a link within this process; its messages arrive complete and in order at the other end."""
 
     def __init__(self, incoming: queue.SimpleQueue[bytes | None], outgoing: queue.SimpleQueue[bytes | None]) -> None:
         self._incoming, self._outgoing = incoming, outgoing
@@ -51,7 +51,7 @@ class MemoryLink(Link):
         self._outgoing.put(bytes(data))
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next message from the other end; empty after `timeout_s`."""
+        """Return the next message from the other end; b"" after `timeout_s`. Raises LinkClosed."""
         if self._closed:
             raise LinkClosed("this end of the link is closed")
         try:
@@ -64,7 +64,7 @@ class MemoryLink(Link):
         return data
 
     def close(self) -> None:
-        """Close this end; the other end is closed once it has received all earlier messages."""
+        """Close this end. The other end first receives all earlier messages; then its `receive` raises LinkClosed."""
         if not self._closed:
             self._closed = True
             self._outgoing.put(None)
@@ -77,13 +77,13 @@ def memory_pair() -> tuple[MemoryLink, MemoryLink]:
     return MemoryLink(there, back), MemoryLink(back, there)
 
 
-_LONGEST = 65_536
+_LONGEST = 65_536  # bytes that one call of `receive` reads at most
 
 
 class UdpLink(Link):
-    """Datagrams to and from one peer; `unknown_senders` counts datagrams from others, which are dropped.
+    """Datagrams to and from one peer. Datagrams from other senders are dropped and counted in `unknown_senders`.
 
-    The socket is not connected by `connect`, because the operating system would then drop such datagrams uncounted.
+    `connect` is not called on the socket, because the operating system would then drop these datagrams uncounted.
     """
 
     def __init__(self, host: str, port: int, local_port: int = 0, local_host: str = "") -> None:
@@ -109,7 +109,7 @@ class UdpLink(Link):
             raise LinkClosed(f"{_named('udp', self.peer)}: {error.strerror or error}") from error
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next datagram from the peer; empty after `timeout_s`."""
+        """Return the next datagram from the peer; b"" after `timeout_s`. Raises LinkClosed."""
         end = time.monotonic() + timeout_s
         while True:
             data, sender = self._next(max(end - time.monotonic(), 0.0))
@@ -128,7 +128,7 @@ class UdpLink(Link):
         return data, sender
 
     def close(self) -> None:
-        """Release the port."""
+        """Close the socket, which frees its port."""
         self._socket.close()
 
 
@@ -152,7 +152,7 @@ class TcpLink(Link):
             raise self._gone(error) from error
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the available bytes; empty after `timeout_s`. Raises LinkClosed."""
+        """Return the available bytes; b"" after `timeout_s`. Raises LinkClosed."""
         try:
             self._socket.settimeout(max(timeout_s, 0.0))
             data = self._socket.recv(_LONGEST)
@@ -178,7 +178,7 @@ def _resolve(host: str, port: int, kind: socket.SocketKind) -> tuple[socket.Addr
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=kind)[0]
     except (OSError, UnicodeError) as error:
-        raise AddressError(Mistake("host", host, "is not a name or number that this machine can find")) from error
+        raise AddressError(Mistake("host", host, "is not a host that this machine can find")) from error
     return family, (str(address[0]), int(address[1]))
 
 
@@ -195,7 +195,7 @@ _GONE = (
 class SerialLink(Link):
     """A serial port with 8 data bits, no parity, 1 stop bit, and no handshake.
 
-    It never uses the modem lines, so it works on a pseudo-terminal, which has none and reports ENOTTY.
+    It also works on a pseudo-terminal, because it does not use the modem control lines, which a pseudo-terminal lacks.
     """
 
     def __init__(self, path: str, baud: int = 9600) -> None:
@@ -211,7 +211,7 @@ class SerialLink(Link):
 
     @property
     def baud(self) -> int:
-        """The speed, bit/s."""
+        """Speed of the line, bit/s."""
         return int(self._port.baudrate)
 
     @baud.setter
@@ -223,7 +223,7 @@ class SerialLink(Link):
             raise LinkClosed(f"serial://{self.path}: {baud} baud: {error}") from error
 
     def send_break(self, seconds: float = 0.25) -> None:
-        """Hold the line low for `seconds`, which resets some devices."""
+        """Send a serial break of `seconds`, which resets some devices."""
         try:
             self._port.send_break(seconds)
         except _GONE as error:
@@ -237,7 +237,7 @@ class SerialLink(Link):
             raise LinkClosed(f"serial://{self.path}: {error}") from error
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the available bytes; empty after `timeout_s`. Raises LinkClosed if the port is gone."""
+        """Return the available bytes; b"" after `timeout_s`. Raises LinkClosed if the port is closed or was removed."""
         try:
             self._port.timeout = max(timeout_s, 0.0)
             first = bytes(self._port.read(1))
@@ -247,6 +247,6 @@ class SerialLink(Link):
             raise LinkClosed(f"serial://{self.path}: {error}") from error
 
     def close(self) -> None:
-        """Release the port."""
+        """Close the serial port."""
         with contextlib.suppress(*_GONE):
             self._port.close()

@@ -1,4 +1,4 @@
-"""Addresses of devices, and the links that they name.
+"""Addresses of devices, and opening the link that an address names.
 
 An address is `udp://host:port`, `tcp://host:port` or `serial:///dev/ttyUSB0?baud=9600`. Options follow the question
 mark, as in `udp://192.168.1.1:49152?slot=2`; an unknown option is a mistake, and the message suggests a known one.
@@ -23,7 +23,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class Address:
-    """The parts of an address; a serial port has a `path`, a network device has `host` and `port`."""
+    """The parts of a device address: `host` and `port` of a network device, or `path` of a serial port."""
 
     scheme: str
     host: str = ""
@@ -33,7 +33,7 @@ class Address:
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """Return the parts of an address. Raises AddressError with the rule and an example."""
+        """Return the parts of the address `text`. Raises AddressError with the violated rule."""
         try:
             parts = urlsplit(text.strip())
             port = parts.port
@@ -51,7 +51,7 @@ class Address:
         return cls(parts.scheme, parts.hostname or "", port, parts.path, options)
 
     def network(self, default_port: int | None = None) -> tuple[str, int]:
-        """Return host and port. Raises AddressError if one is missing."""
+        """Return host and port. Raises AddressError if either is missing or a path follows the port."""
         port = default_port if self.port is None else self.port
         if not self.host:
             raise AddressError(Mistake("address", str(self), f"must name a host: {self.scheme}://host:port"))
@@ -60,26 +60,29 @@ class Address:
                 Mistake("address", str(self), f"must name a port from 1 to 65535: {self.scheme}://host:port")
             )
         if self.path not in ("", "/"):
-            raise AddressError(Mistake("address", str(self), "has no path after the port"))
+            raise AddressError(Mistake("address", str(self), "must not have a path after the port"))
         return self.host, port
 
     def option(self, name: str, read: Callable[[str], _T], default: _T) -> _T:
-        """Return an option converted by `read`, or the default. Raises AddressError."""
+        """Return the option `name` converted by `read`, or `default` if it is absent.
+
+        Raises AddressError if `read` raises ValueError or KeyError.
+        """
         if name not in self.options:
             return default
         try:
             return read(self.options[name])
         except (ValueError, KeyError) as error:
-            rule = f"is not a value of the option {name}"
+            rule = f"is not a permitted value of the option {name}"
             raise AddressError(Mistake(name, self.options[name], rule), str(self)) from error
 
     def only(self, known: Collection[str]) -> None:
-        """Raise AddressError, with a suggestion, for options that are not in `known`."""
+        """Raise AddressError, with a suggestion, if the address has an option that is not in `known`."""
         mistakes = []
         for name in self.options:
             if name not in known:
                 hint = suggestion(name, known)
-                rule = f"must be one of {', '.join(sorted(known))}{hint}" if known else "no option is known here"
+                rule = f"must be one of {', '.join(sorted(known))}{hint}" if known else "this address takes no options"
                 mistakes.append(Mistake("option", name, rule))
         if mistakes:
             raise AddressError(mistakes, str(self))
@@ -92,13 +95,14 @@ class Address:
 
 
 def require_called_heartbeat(address: Address) -> None:
-    """Raise AddressError for `alive=reading`, by which reading once counted as a heartbeat.
+    """Raise AddressError if the address has the option `alive` with another value than `calls`.
 
-    `alive=calls`, which addresses of older scripts may carry, is how every stage works now.
+    In earlier versions, `alive=reading` let every read of the stage count as a heartbeat; now only calls of `heartbeat`
+    count. `alive=calls` is still accepted for older scripts.
     """
     asked = address.options.get("alive", "calls")
     if asked != "calls":
-        rule = "must be calls: reading is no heartbeat; call heartbeat() in the control loop"
+        rule = "must be calls: reading does not send heartbeats; call heartbeat() in the control loop"
         raise AddressError(Mistake("alive", asked, rule), str(address))
 
 
@@ -106,8 +110,8 @@ def open_link(address: str | Address, default_port: int | None = None) -> Link:
     """Open the link of an address.
 
     The forms are `udp://host:port[?local_port=n]`, `tcp://host:port[?timeout_s=3]` and
-    `serial:///dev/ttyUSB0[?baud=9600]`. Options of the device itself must have been removed. Raises AddressError for
-    a wrong address, DeviceFault if the link cannot be opened.
+    `serial:///dev/ttyUSB0[?baud=9600]`. The caller must first remove the options that belong to the device. Raises
+    AddressError if the address is wrong, DeviceFault if the link cannot be opened.
     """
     parsed = Address.parse(address) if isinstance(address, str) else address
     if parsed.scheme not in _OPENERS:

@@ -1,4 +1,4 @@
-"""Validation of tracker poses that all protocols share."""
+"""Validation of tracker poses, common to all tracker protocols."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _Quaternion = tuple[float, float, float, float]
 
 
 class PoseValidator:
-    """Base class: turns the poses of one tool into samples and compares each with the one before.
+    """Base class that converts the poses of one tool to samples and compares each pose with the previous one.
 
-    A sample with notes is SUSPECT. A subclass for each protocol adds the checks of its own status fields and times.
+    A sample with notes is SUSPECT. The subclass of each protocol also checks the status fields and times of its poses.
     """
 
     def __init__(self) -> None:
@@ -28,12 +28,12 @@ class PoseValidator:
 
     @staticmethod
     def are_plausible(numbers: Iterable[float]) -> bool:
-        """Return whether all numbers of a pose are finite and at most 100 m."""
+        """Return whether all `numbers` of a pose are finite and at most 1e5 (100 m if they are lengths in mm)."""
         return all(math.isfinite(each) and abs(each) <= _FARTHEST_MM for each in numbers)
 
     @staticmethod
     def missing(stamp: Stamp, reason: str, notes: tuple[str, ...]) -> PoseSample:
-        """Return the sample of a tool without a pose: position and quaternion are NaN."""
+        """Return a MISSING sample, with `reason` as its first note; position, quaternion and error are NaN."""
         return PoseSample(stamp, (_NAN,) * 3, (_NAN,) * 4, _NAN, Health.MISSING, (reason, *notes))
 
     def sample(
@@ -45,9 +45,9 @@ class PoseValidator:
         notes: tuple[str, ...],
         most_step_mm: float,
     ) -> PoseSample:
-        """Return the sample of a pose; a step of more than `most_step_mm` since the last pose is noted.
+        """Return the sample of a pose. It gets a note if the position is more than `most_step_mm` from the last pose.
 
-        Of q and -q, which describe the same rotation, the one nearer to the last sample is returned.
+        The quaternions q and -q describe the same rotation; the sample gets the one closer to the last quaternion.
         """
         last = None if self.last is None or self.last.health is Health.MISSING else self.last
         if last is not None:

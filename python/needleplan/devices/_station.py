@@ -1,4 +1,4 @@
-"""The three devices of a run with their common clock, and their samples in the order of arrival."""
+"""The three devices of an insertion with their common clock, and the stream of their samples."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ __all__ = [
 Sample = StageSample | ForceSample | PoseSample
 SampledDevice = Stage | ForceSensor | Tracker
 
-# s that a reading thread waits for a sample before it checks whether it must end
+# Time (s) that a reading thread waits for a sample before it checks whether the feed was closed
 _READ_TIMEOUT_S = 0.1
 
 
@@ -47,11 +47,11 @@ class Source(StrEnum):
 
 
 ReadDevice = Callable[[Source, SampledDevice, float], Sample | None]
-"""Reads one sample of a device, with a timeout in s; the guard of an insertion validates each sample in passing."""
+"""Function that reads one sample of a device, with a timeout in s; that of the guard also validates the sample."""
 
 
 def read_directly(_: Source, device: SampledDevice, timeout_s: float) -> Sample | None:
-    """Return the next sample of a device without any validation."""
+    """Return the next sample of a device without validation, or None after `timeout_s`."""
     return device.read(timeout_s)
 
 
@@ -66,15 +66,18 @@ class Station(Closing):
 
     @property
     def devices(self) -> dict[Source, SampledDevice]:
-        """The three devices by their source; the stage first, because it is the fastest."""
+        """The three devices by source; the stage is first because it has the highest sample rate."""
         return {Source.STAGE: self.stage, Source.FORCE: self.force_sensor, Source.POSE: self.tracker}
 
     def feed(self, read: ReadDevice = read_directly) -> Feed:
-        """Return the samples of the devices, each read by `read`, in turn or in threads as the clock requires."""
+        """Return the stream of samples, which calls `read` for each sample.
+
+        It is a TurnFeed if the clock is a VirtualClock, else a ThreadedFeed.
+        """
         return TurnFeed(self, read) if isinstance(self.clock, VirtualClock) else ThreadedFeed(self, read)
 
     def close(self) -> None:
-        """Close all devices, the stage first; closing twice is harmless."""
+        """Close all devices, the stage first; closing again does nothing."""
         with ExitStack() as closing:
             for device in (self.tracker, self.force_sensor, self.stage):
                 closing.callback(device.close)
@@ -89,9 +92,9 @@ class Feed(Closing):
 
 
 class TurnFeed(Feed):
-    """Reads the devices in turn: for simulated time, where waiting for one device advances the time of all.
+    """Feed for simulated time: reads the devices in turn, because waiting for one device advances the common clock.
 
-    It waits for the stage, which is the fastest device, and then takes the available samples of the others.
+    It waits for the stage, which has the highest sample rate, and then reads all available samples of the others.
     """
 
     def __init__(self, station: Station, read: ReadDevice = read_directly) -> None:
@@ -116,12 +119,12 @@ class TurnFeed(Feed):
         return waiting.popleft() if waiting else None
 
     def close(self) -> None:
-        """Discard the samples that were not taken."""
+        """Discard the samples that `next` has not returned."""
         self._waiting.clear()
 
 
 class ThreadedFeed(Feed):
-    """Reads each device in its own thread: for real time, where a slow tracker must not delay the others."""
+    """Feed for real time: reads each device in its own thread, so that a slow tracker does not delay the others."""
 
     def __init__(self, station: Station, read: ReadDevice = read_directly) -> None:
         self._queue: queue.SimpleQueue[Sample | DeviceFault] = queue.SimpleQueue()
@@ -145,7 +148,7 @@ class ThreadedFeed(Feed):
         return found
 
     def close(self) -> None:
-        """End the threads."""
+        """Stop the threads and wait for their end."""
         self._closing.set()
         for thread in self._threads:
             thread.join()
@@ -172,14 +175,14 @@ _Opened = TypeVar("_Opened", bound=Device)
 
 
 def open_station(robot: str, force: str, tracker: str) -> Station:
-    """Open the real devices at three addresses.
+    """Open the real devices at three addresses and return them as a station.
 
-    Raises AddressError if an address is wrong, ConfigurationError or DeviceFault if a device is not as it should be.
-    Devices that were opened before the error are closed again.
+    Raises AddressError if an address is wrong, ConfigurationError if the configuration of a device cannot be used, and
+    DeviceFault if a device cannot be used; devices that were already opened are then closed.
     """
     require_schemes(robot, force, tracker)
     with ExitStack() as opened:
-        # The stage is opened last: nothing that can move is held while another device is waited for.
+        # The stage is opened last, so that no device that can move is enabled while another one is being opened.
         force_sensor = _opened(_FORCES, force, opened)
         opened_tracker = _opened(_TRACKERS, tracker, opened)
         stage = _opened(_ROBOTS, robot, opened)
@@ -188,10 +191,10 @@ def open_station(robot: str, force: str, tracker: str) -> Station:
 
 
 def require_schemes(robot: str, force: str, tracker: str, *, also: Collection[str] = ()) -> dict[str, str]:
-    """Return the schemes of three addresses by `--robot`, `--force`, `--tracker`.
+    """Return the schemes of three addresses in a dict with the keys `--robot`, `--force` and `--tracker`.
 
-    Raises AddressError, with all mistakes, if an address cannot be parsed or no driver has its scheme; the schemes in
-    `also` are allowed too.
+    Raises AddressError, with all mistakes, if an address cannot be parsed, or if its scheme belongs to no driver and is
+    not in `also`.
     """
     addresses = {"--robot": robot, "--force": force, "--tracker": tracker}
     known = {"--robot": [*_ROBOTS, *also], "--force": [*_FORCES, *also], "--tracker": [*_TRACKERS, *also]}

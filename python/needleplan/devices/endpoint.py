@@ -1,4 +1,4 @@
-"""Simulated devices behind TCP ports and pseudo-terminals, for clients that open them like real devices."""
+"""Servers that offer a simulated device at a TCP port or pseudo-terminal, where a client opens it like a real one."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from needleplan.devices._base import Closing
 
 __all__ = ["Answering", "Endpoint", "PtyEndpoint", "TcpEndpoint"]
 
-_LONGEST = 65_536
+_LONGEST = 65_536  # bytes that are read from a client at once, at most
 
 
 class Answering(Protocol):
-    """A device that answers bytes with bytes."""
+    """Protocol of a simulated device: it receives bytes and answers with bytes."""
 
     def answer(self, data: bytes) -> bytes:
-        """Take bytes and return the answer of the device."""
+        """Receive bytes and return the answer of the device; it may be b""."""
 
 
 class Endpoint(Closing):
-    """Abstract server of one device."""
+    """Abstract server that offers one simulated device; it serves in its own thread."""
 
     def __init__(self, device: Answering) -> None:
         self.device = device
@@ -44,19 +44,19 @@ class Endpoint(Closing):
 
     @abstractmethod
     def say(self, data: bytes) -> None:
-        """Send bytes without a request."""
+        """Send bytes to the client although it has not asked for them."""
 
     @abstractmethod
     def _serve(self) -> None:
-        """Answer until `_stopping` is set."""
+        """Answer the clients until `_ready` returns False."""
 
     def _ready(self, descriptor: int) -> bool:
-        """Wait for input; return False if the endpoint is stopping."""
+        """Wait for input at `descriptor` and return True; return False if the endpoint is stopping."""
         readable, _, _ = select.select([descriptor, self._woken], [], [])
         return self._woken not in readable
 
     def close(self) -> None:
-        """Stop serving; clients find their link closed. Closing again does nothing."""
+        """Stop serving and close the connection of the client. Closing again does nothing."""
         if self._stopping.is_set():
             return
         self._stopping.set()
@@ -72,7 +72,7 @@ class Endpoint(Closing):
 
 
 class TcpEndpoint(Endpoint):
-    """A device behind a TCP port, for one client after another."""
+    """Offers a simulated device at a TCP port to one client at a time."""
 
     def __init__(self, device: Answering, host: str = "127.0.0.1", port: int = 0) -> None:
         self._server = socket.create_server((host, port))
@@ -112,7 +112,10 @@ class TcpEndpoint(Endpoint):
 
 
 class PtyEndpoint(Endpoint):
-    """A device behind a pseudo-terminal; if the device has another `baud` than the line, it receives nothing."""
+    """Offers a simulated device at a pseudo-terminal.
+
+    If the device has an attribute `baud` and the client sets another speed, the device receives nothing (Linux only).
+    """
 
     def __init__(self, device: Answering) -> None:
         self._master, self._slave = os.openpty()
@@ -141,7 +144,7 @@ class PtyEndpoint(Endpoint):
         baud = getattr(self.device, "baud", None)
         if baud is None or not sys.platform.startswith("linux"):
             return True
-        # On Linux the master has the attributes of the line.
+        # On Linux the attributes of the line can be read from the master descriptor.
         return bool(termios.tcgetattr(self._master)[4] == getattr(termios, f"B{baud}", None))
 
     def _release(self) -> None:

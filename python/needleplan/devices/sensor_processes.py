@@ -1,8 +1,8 @@
-"""Force sensor and tracker of `needleplan lab` as processes of their own, which speak the bytes of real devices.
+"""Simulated force sensor and tracker of `needleplan lab`, each in its own process and with a real device's protocol.
 
-The process of the plant sends each measured value as a datagram on a pair of local sockets, and never waits: a value
-that a sensor's process does not fetch is dropped. A force sensor that receives nothing reports its last value as
-frozen. This file knows nothing of the physics; `simulation.lab_processes` starts these processes and has the plant.
+The plant (the simulated needle and tissue) runs in another process. It sends each measured value as a datagram over a
+local socket and never waits: a value that the sensor's process does not receive in time is dropped. A force sensor that
+receives no values repeats its last value. `simulation.lab_processes` starts these processes and contains the plant.
 """
 
 from __future__ import annotations
@@ -45,16 +45,16 @@ __all__ = [
 ]
 
 TOOL = "NP000001"
-"""Serial number of the coil in the needle."""
+"""Serial number of the simulated coil in the needle."""
 
 _WRENCH, _POSE = struct.Struct("<6d"), struct.Struct("<9d")
-# s without a datagram after which the measured value counts as frozen
+# Time (s) without a datagram from the plant after which `on_silence` is called
 _SILENT_S = 0.1
 _PlacedDevice = TypeVar("_PlacedDevice")
 
 
 class TrackerLine(StrEnum):
-    """Line on which the tracker is reached."""
+    """Kind of line at which the simulated tracker is offered: pseudo-terminal or TCP port."""
 
     PTY = "pty"
     TCP = "tcp"
@@ -62,7 +62,7 @@ class TrackerLine(StrEnum):
 
 @dataclass(frozen=True)
 class LabPlaces:
-    """Requested host and ports of the devices; port 0 means any free port."""
+    """Requested host and ports of the simulated devices; port 0 means any free port."""
 
     host: str = "127.0.0.1"
     robot_port: int = 0
@@ -76,7 +76,7 @@ class LabPlaces:
 
 @dataclass(frozen=True)
 class LabAddresses:
-    """Addresses of the devices, as the drivers open them."""
+    """Addresses of the simulated devices, in the form that the drivers open."""
 
     robot: str
     force: str
@@ -85,21 +85,24 @@ class LabAddresses:
 
 @dataclass(frozen=True)
 class Ready:
-    """Message of a process: its device is ready at `address`."""
+    """Message of a device process to its parent: the device is ready at `address`."""
 
     address: str
 
 
 @dataclass(frozen=True)
 class Failed:
-    """Message of a process: its device cannot be placed there; `why` is the reason."""
+    """Message of a device process to its parent: the device could not be opened, for the reason `why`."""
 
     why: str
 
 
 @dataclass(frozen=True)
 class Served:
-    """Last message of a process: its ticks, and how often and by how much they were late."""
+    """Last message of a device process to its parent.
+
+    It holds the number of ticks, the number of late ticks (`overruns`), and the largest delay of a tick (s).
+    """
 
     ticks: int = 0
     overruns: int = 0
@@ -107,7 +110,10 @@ class Served:
 
 
 def place_or_report(parent: Connection, place: Callable[[], _PlacedDevice]) -> _PlacedDevice | None:
-    """Return the device at its place; if it cannot be placed there, send Failed and return None."""
+    """Open a simulated device by calling `place`, and return the device.
+
+    If `place` raises OSError or OverflowError, send `Failed` to the parent process and return None.
+    """
     try:
         return place()
     except (OSError, OverflowError) as error:
@@ -116,8 +122,11 @@ def place_or_report(parent: Connection, place: Callable[[], _PlacedDevice]) -> _
 
 
 def call_at_end(parent: Connection, end: Callable[[], None]) -> None:
-    """Call `end` when the process must end: on a message, on SIGTERM, or when the parent process is gone."""
-    # Ctrl-C reaches all processes of a terminal; the parent process decides and sends a message.
+    """Arrange that `end` is called when the parent sends a message, when the parent has ended, or on SIGTERM.
+
+    Ctrl-C (SIGINT) is ignored from then on.
+    """
+    # Ctrl-C reaches all processes of a terminal; only the parent process decides whether the others end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: end())
 
@@ -130,25 +139,25 @@ def call_at_end(parent: Connection, end: Callable[[], None]) -> None:
 
 
 def report_end(parent: Connection, message: Served) -> None:
-    """Send the last message, if the parent process is still there."""
+    """Send the last message to the parent process; do nothing if the parent has already ended."""
     with contextlib.suppress(OSError):
         parent.send(message)
 
 
 def feed_pair() -> tuple[socket.socket, socket.socket]:
-    """Return two connected sockets: one for the plant, one for a sensor."""
+    """Return two connected sockets: the first for the plant, the second for a sensor."""
     return socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
 
 
 class FeedSender:
-    """The plant's end of a pair of sockets."""
+    """Sends measured values from the plant to a sensor process over the socket `end`."""
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
         end.setblocking(False)
 
     def send(self, sample: ForceSample | PoseSample) -> None:
-        """Send a sample; drop it if the other process does not fetch."""
+        """Send a sample without waiting; drop it if the socket is full or the other process has ended."""
         if isinstance(sample, ForceSample):
             data = _WRENCH.pack(*sample.force_n, *sample.torque_n_mm)
         else:
@@ -158,10 +167,11 @@ class FeedSender:
 
 
 class FeedReader(Closing):
-    """The sensor's end of a pair of sockets: calls `receive` for each sample, and `on_silence` after 0.1 s without one.
+    """Receives measured values from the plant over the socket `end`, in its own thread.
 
-    A ForceSample arrives as three forces (N) and three torques (N mm). A PoseSample arrives as the number of its frame,
-    quaternion (w, x, y, z), position (mm) and error (mm); these are NaN if the coil is not seen.
+    It calls `receive` with the numbers of each sample, and `on_silence` after 0.1 s without a sample. A ForceSample is
+    sent as three forces (N) and three torques (N mm). A PoseSample is sent as frame number, quaternion (w, x, y, z),
+    position (mm) and error (mm); quaternion, position and error are NaN if the coil is not visible.
     """
 
     def __init__(
@@ -192,14 +202,14 @@ class FeedReader(Closing):
                 self._receive(self._format.unpack(data))
 
     def close(self) -> None:
-        """End the thread, and close the socket."""
+        """Stop the thread and close the socket."""
         self._closing.set()
         self._thread.join()
         self._end.close()
 
 
 def serve_force(parent: Connection, places: LabPlaces, feed: socket.socket) -> None:
-    """Run the process of the force sensor."""
+    """Run the simulated force sensor in this process until the parent ends it; `feed` delivers the wrenches."""
     wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     box = NetFtBox(lambda _: wrench)
 
@@ -224,7 +234,7 @@ def serve_force(parent: Connection, places: LabPlaces, feed: socket.socket) -> N
 
 
 def serve_tracker(parent: Connection, places: LabPlaces, feed: socket.socket) -> None:
-    """Run the process of the tracker, with one coil."""
+    """Run the simulated tracker, with one coil, in this process until the parent ends it; `feed` delivers the poses."""
     nan = math.nan
     received = now = (0.0, nan, nan, nan, nan, nan, nan, nan, nan)
     tool = SimulatedTool(TOOL, lambda _: ((now[1], now[2], now[3], now[4]), (now[5], now[6], now[7])))
@@ -235,7 +245,7 @@ def serve_tracker(parent: Connection, places: LabPlaces, feed: socket.socket) ->
         received = (frame, w, qx, qy, qz, x, y, z, error_mm)
 
     def count() -> int:
-        """Return the number of the frame that was received last: a frame is available as soon as it is measured."""
+        """Make the last received pose the current pose of the tool, and return its frame number."""
         nonlocal now
         now = received
         tool.visibility, tool.error_mm = (

@@ -64,7 +64,7 @@ def test_31_an_emergency_stop_that_is_released_does_not_restart() -> None:
     stage = moving(bench)
     bench.drive.faults.reported = Fault.ESTOP
     fault_of(stage, "the emergency stop")
-    with pytest.raises(DeviceFault, match="reset: it is in a fault: the emergency stop was pressed"):
+    with pytest.raises(DeviceFault, match="reset: the robot is in a fault: the emergency stop was pressed"):
         stage.start()
     bench.drive.faults.reported = Fault(0)
     stands_still(bench)

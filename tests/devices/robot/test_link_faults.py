@@ -36,7 +36,7 @@ def test_32_the_robot_stops_itself_when_the_control_side_falls_silent(silence_s:
     assert not still_moving
     # From the last heartbeat; and one tick.
     assert 0.3 <= depth_mm <= 0.301 + 10 * (silence_s + MS)
-    fault_of(stage, "nothing was received from the controller while it moved")
+    fault_of(stage, "nothing was received from the controller while the robot moved")
 
 
 def test_32_a_robot_at_rest_bears_silence_until_it_takes_another_controller() -> None:
@@ -50,7 +50,7 @@ def test_32_a_robot_at_rest_bears_silence_until_it_takes_another_controller() ->
     bench.wait(5.1)
     assert bench.machine.controller is None
     assert bench.machine.state is RobotState.DISABLED
-    with pytest.raises(DeviceFault, match="does not know this session any more"):
+    with pytest.raises(DeviceFault, match="the robot has ended this session"):
         stage.insert(2.0, 10.0)
     bench.stage(name="other")
 
@@ -217,7 +217,7 @@ def test_32_an_old_session_is_refused() -> None:
     bench = Bench()
     with bench.stage(session=7):
         pass
-    with pytest.raises(DeviceFault, match="hello: it does not know this session"):
+    with pytest.raises(DeviceFault, match="hello: the robot has ended this session"):
         bench.stage(session=7)
     stage = bench.stage(session=8)
     stage.insert(5.0, 1.0)
@@ -255,14 +255,14 @@ def test_32_another_version_is_refused_and_named() -> None:
     assert bench.machine.receive(bytes(newer), ("new", 1), 1) == b""
 
     bench.machine.receive = lambda *_: bytes(newer)  # type: ignore[method-assign]
-    with pytest.raises(DeviceFault, match="speaks version 2 of the protocol, this one 1"):
+    with pytest.raises(DeviceFault, match="speaks version 2 of the protocol, this side 1"):
         bench.stage()
 
 
 def test_36_two_controllers_at_once() -> None:
     bench = Bench()
     first = moving(bench)
-    with pytest.raises(DeviceFault, match="hello: it has another controller"):
+    with pytest.raises(DeviceFault, match="hello: the robot has another controller"):
         bench.stage(RobotTiming(answer_s=0.01), name="second")
     session = bench.machine._session
     assert session is not None
@@ -277,7 +277,7 @@ def test_a_restarted_robot_no_longer_knows_us() -> None:
     bench = Bench()
     stage = moving(bench)
     bench.network.machine = RobotMachine(SteadyDrive())
-    fault_of(stage, "does not know this session any more")
+    fault_of(stage, "the robot has ended this session")
 
 
 ACTS: dict[str, Callable[[RobotNetwork], None]] = {

@@ -70,7 +70,7 @@ def test_a_control_side_that_is_gone_leaves_a_robot_that_stops(
     if by is signal.SIGSTOP:
         controller.send_signal(signal.SIGCONT)
         assert controller.stdout is not None
-        assert "nothing was received from the controller while it moved" in controller.stdout.read()
+        assert "nothing was received from the controller while the robot moved" in controller.stdout.read()
     ticks = server.ticks
     until(lambda: server.ticks > ticks + 100)
     assert depth_mm(server) == stopped_mm

@@ -95,7 +95,7 @@ def test_a_status_of_somebody_else_is_not_a_sample(server: RobotServer) -> None:
 
 def test_a_second_controller_is_refused_until_the_first_is_gone(server: RobotServer) -> None:
     with RobotStage.open(server.address, timing=PATIENT) as first:
-        with pytest.raises(DeviceFault, match="hello: it has another controller"):
+        with pytest.raises(DeviceFault, match="hello: the robot has another controller"):
             RobotStage.open(server.address, timing=PATIENT)
         first.insert(5.0, 10.0)
         assert next_of(first).moving
@@ -110,7 +110,7 @@ def test_wrong_addresses_are_refused_before_anything_is_sent(server: RobotServer
         "udp://127.0.0.1?watchdog_s=0": "from 0.001 to 60",
         "udp://127.0.0.1?valid_s=nan": "from 0.001 to 60",
         "udp://127.0.0.1?alive=always": "alive = always",
-        "udp://127.0.0.1?alive=reading": "reading is no heartbeat",
+        "udp://127.0.0.1?alive=reading": "reading does not send heartbeats",
     }.items():
         with pytest.raises(AddressError, match=message):
             RobotStage.open(address)

@@ -1,4 +1,4 @@
-"""The needleplan robot protocol over UDP: the stage of the controller, and the robot side with simulated drives."""
+"""The needleplan robot protocol over UDP: a stage for the controller, and the robot side with simulated drives."""
 
 from needleplan.devices.robot._machine import DriveLimits, RobotDrive, RobotDriveState, RobotLimits, RobotMachine
 from needleplan.devices.robot._simulator import RobotDriveFaults, RobotLink, RobotNetwork, RobotServer, SteadyDrive

@@ -1,8 +1,8 @@
-"""The robot side of the protocol, without socket and clock: the state machine, and the monitoring of its drives.
+"""The robot side of the protocol, without socket and clock: the state machine and the monitoring of the drives.
 
 The robot obeys one controller in one session. It stops if it receives nothing from the controller while it moves, if a
-drive or the emergency stop reports a fault, and if an axis is not at its commanded position. These faults latch: once
-the cause is gone, RESET and then ENABLE permit motion again, which needs a new command.
+drive or the emergency stop reports a fault, or if an axis is not at its commanded position. Faults latch: after the
+cause is gone, RESET and then ENABLE permit motion again. The robot then waits for a new motion command.
 """
 
 from __future__ import annotations
@@ -41,9 +41,10 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class RobotDriveState:
-    """State of the drives: measured and commanded positions, and reported faults.
+    """State of the drives: measured and commanded positions, measured velocities, and faults.
 
-    `faults` are those that the drives report: a drive fault, a limit switch, the emergency stop.
+    `wanted_depth_mm` and `wanted_roll_rad` are the commanded positions. `faults` holds only faults that the drives
+    report: a drive fault, a limit switch, the emergency stop.
     """
 
     depth_mm: float
@@ -57,16 +58,16 @@ class RobotDriveState:
 
 
 class RobotDrive(Protocol):
-    """Protocol of the two axes with their servo."""
+    """Interface of the two axes with their servo controllers."""
 
     def advance(self, time_s: float) -> RobotDriveState:
-        """Advance to a time, and return the state."""
+        """Advance to the time `time_s`, and return the state of the drives."""
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin a motion to a depth. Raises DeviceFault for an impossible one."""
+        """Begin a motion to a depth. Raises DeviceFault if the axis cannot execute it."""
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin a rotation to a roll. Raises DeviceFault for an impossible one."""
+        """Begin a rotation to a roll angle. Raises DeviceFault if the axis cannot execute it."""
 
     def stop(self) -> None:
         """Stop both axes as fast as possible."""
@@ -74,11 +75,11 @@ class RobotDrive(Protocol):
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """Limits of the monitoring of the axes.
+    """Limits at which the monitoring of the axes reports a fault.
 
-    - `following_mm` and `following_rad` are the largest differences between commanded and measured position.
-    - `fastest_mm_s` and `fastest_rad_s` are the speeds above which an encoder has jumped.
-    - `still` is the share of its commanded motion below which an axis does not move.
+    - `following_mm`, `following_rad`: largest permitted difference between commanded and measured position.
+    - `fastest_mm_s`, `fastest_rad_s`: measured speed above which the encoder is assumed to have jumped.
+    - `still`: an axis counts as not moving if its measured motion is less than this share of the commanded motion.
     """
 
     following_mm: float = 0.2
@@ -89,7 +90,7 @@ class DriveLimits:
 
 
 class DriveWatch:
-    """Compares the measured positions with the commanded ones, and with the previous ones."""
+    """Compares the measured positions of both axes with the commanded positions and with the previous ones."""
 
     def __init__(self, limits: DriveLimits | None = None) -> None:
         limits = DriveLimits() if limits is None else limits
@@ -97,11 +98,11 @@ class DriveWatch:
         self._roll = _AxisWatch(limits.following_rad, limits.fastest_rad_s, limits.still)
 
     def forget(self) -> None:
-        """Permit any position next, as after a repair."""
+        """Forget the previous positions, so that the next state may have any position."""
         self._insertion.begin = self._insertion.last = self._roll.begin = self._roll.last = None
 
     def see(self, state: RobotDriveState, time_s: float) -> Fault:
-        """Return the faults of a state."""
+        """Record a state and return its faults: those reported by the drives and those found by the comparison."""
         return (
             state.faults
             | self._insertion.see(state.wanted_depth_mm, state.depth_mm, time_s)
@@ -114,7 +115,7 @@ class _AxisWatch:
         self._following, self._fastest, self._still = following, fastest, still
         self.last: tuple[float, float] | None = None
         self.begin: tuple[float, float] | None = None
-        """Commanded and measured position when the axis last followed well."""
+        """Commanded and measured position when their difference was last less than a quarter of the limit."""
 
     def see(self, wanted: float, measured: float, time_s: float) -> Fault:
         last, self.last = self.last, (measured, time_s)
@@ -135,18 +136,18 @@ Peer = tuple[str, int]
 
 _NANO = 1_000_000_000
 _WRAP = 1 << 32
-_MOST_OVERRUNS = 65_535
-_REMEMBERED_SESSIONS = 64
-_OF_CAPTURE_SIDE = 0x80
-_TIMELESS = (RobotKind.HELLO, RobotKind.STOP, RobotKind.GOODBYE)
+_MOST_OVERRUNS = 65_535  # largest number of late ticks that fits into a status
+_REMEMBERED_SESSIONS = 64  # number of ended sessions whose commands and new HELLO are refused
+_SENT_BY_ROBOT = 0x80  # bit that is set in the kind of every datagram that a robot sends
+_TIMELESS = (RobotKind.HELLO, RobotKind.STOP, RobotKind.GOODBYE)  # commands without a deadline
 
 
 @dataclass(frozen=True)
 class RobotLimits:
-    """Limits on the silence of the controller.
+    """Times without a datagram from the controller after which the robot reacts.
 
-    The robot stops after `silence_s` without a datagram while it moves, unless the controller requests another time
-    between the shortest and the longest. It accepts another controller after `release_s`.
+    While the robot moves, it stops after `silence_s`. The controller may request another time, which is limited to
+    `shortest_silence_s` to `longest_silence_s`. After `release_s` the robot ends the session and accepts another one.
     """
 
     silence_s: float = 0.03
@@ -157,18 +158,18 @@ class RobotLimits:
 
 @dataclass
 class RobotCounts:
-    """Numbers of datagrams that were not executed, by reason."""
+    """Numbers of datagrams that the robot did not execute, by reason."""
 
     malformed: int = 0
     other_versions: int = 0
     refused: int = 0
     late: int = 0
     repeated: int = 0
-    """Repeated, or older than one received before."""
+    """Datagrams whose sequence number is not higher than that of an earlier datagram."""
 
 
 class _Session:
-    """One controller and its last datagram."""
+    """The session of one controller, with the numbers and times of its last datagram."""
 
     def __init__(self, hello: RobotCommand, peer: Peer, now_ns: int) -> None:
         self.id, self.peer = hello.head.session, peer
@@ -182,7 +183,7 @@ class _Session:
 
 
 class RobotMachine:
-    """A robot that moves `drive`; the caller of `tick` counts its late ticks in `overruns`."""
+    """A robot that moves `drive`. The caller of `tick` increments `overruns` when it calls too late."""
 
     def __init__(self, drive: RobotDrive, limits: RobotLimits | None = None, axes: DriveLimits | None = None) -> None:
         self.drive = drive
@@ -198,21 +199,21 @@ class RobotMachine:
         self._now_ns = 0
         self._last: RobotDriveState | None = None
         self._limited = 0.0
-        """Direction in which the limit switch was reached."""
+        """Direction in which the limit switch was reached: 1 inwards, -1 outwards, 0 if never reached."""
 
     @property
     def controller(self) -> Peer | None:
-        """The controller of the session, or None."""
+        """Host and port of the controller in the present session, or None without a session."""
         return None if self._session is None else self._session.peer
 
     def receive(self, datagram: bytes, sender: Peer, now_ns: int) -> bytes:
-        """Execute a datagram, and return the answer to its sender, or no bytes."""
+        """Execute a received datagram and return the answer to its sender; b"" if it gets no answer."""
         self._now_ns = now_ns
         try:
             command = decode(datagram)
         except OtherVersion as other:
             self.counts.other_versions += 1
-            if other.kind & _OF_CAPTURE_SIDE:
+            if other.kind & _SENT_BY_ROBOT:
                 return b""  # otherwise two robots would answer each other without end
             return self._encode(Head(0, self._count(), now_ns), other.kind, Result.WRONG_VERSION)
         except ProtocolError:
@@ -231,7 +232,10 @@ class RobotMachine:
         return self._encode(head, command.kind, result)
 
     def tick(self, now_ns: int) -> tuple[bytes, Peer] | None:
-        """Advance to `now_ns`, monitor drives and heartbeat, and return the status and its recipient, if any."""
+        """Advance the drives to `now_ns`, and stop them on a fault or a missing heartbeat.
+
+        Return the status datagram and its recipient, or None without a session.
+        """
         self._now_ns = now_ns
         before, state = self._last, self.drive.advance(now_ns / _NANO)
         self._last = state
@@ -279,7 +283,7 @@ class RobotMachine:
     def _validate(self, command: RobotCommand, sender: Peer) -> Result | None:
         session, head = self._session, command.head
         if command.kind is RobotKind.STOP and head.session == 0:
-            # Anyone may stop the robot without having control.
+            # Any sender may stop the robot, also without a session.
             self.drive.stop()
             return Result.ACCEPTED
         if session is None or head.session != session.id:
@@ -358,7 +362,7 @@ class RobotMachine:
         return Result.ACCEPTED
 
     def _end(self) -> None:
-        """Stop, disable, and become free for another controller."""
+        """Stop the drives, disable the robot if it is enabled, and end the session."""
         self.drive.stop()
         if self.state is RobotState.ENABLED:
             self.state = RobotState.DISABLED

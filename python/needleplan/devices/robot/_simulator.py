@@ -1,4 +1,4 @@
-"""Simulated robots: drives without physics, a robot on a UDP socket, and a network within a process."""
+"""Simulated robot: drives without physics, a server at a UDP socket, and a simulated network within one process."""
 
 from __future__ import annotations
 
@@ -22,17 +22,19 @@ from needleplan.errors import DeviceFault, LinkClosed
 
 __all__ = ["RobotDriveFaults", "RobotLink", "RobotNetwork", "RobotServer", "SteadyDrive", "Way"]
 
-_MOST_OVERTIME = 256  # datagrams received after a tick is due, at most
+_MOST_OVERTIME = 256  # largest number of datagrams that are received after a tick is due; then the tick is executed
 
 
 @dataclass
 class RobotDriveFaults:
-    """Faults to simulate from now on."""
+    """Faults that the simulated drives show from now on."""
 
     reported: Fault = Fault(0)
-    """Faults that the drives report: DRIVE, LIMIT, ESTOP. ESTOP removes the power as long as it is set."""
+    """Faults that the drives report: DRIVE, LIMIT or ESTOP. The axes do not move while ESTOP is set."""
 
     stuck: bool = False
+    """Whether the measured positions stay constant during a motion."""
+
     slow: float = 1.0
     """Share of the commanded motion that the axes execute."""
 
@@ -40,11 +42,11 @@ class RobotDriveFaults:
     """Whether the encoders count in the wrong direction."""
 
     jump_mm: float = 0.0
-    """Jump of the encoder of the insertion, applied once."""
+    """Jump of the measured depth at the next `advance`, which sets this field back to 0."""
 
 
 class SteadyDrive(RobotDrive):
-    """Two axes that move at the commanded speed without acceleration."""
+    """Two simulated axes that reach the commanded speed at once."""
 
     def __init__(self, deepest_mm: float = 180.0, fastest_mm_s: float = 50.0, fastest_rad_s: float = 12.0) -> None:
         self.faults = RobotDriveFaults()
@@ -55,7 +57,7 @@ class SteadyDrive(RobotDrive):
         self._time_s: float | None = None
 
     def advance(self, time_s: float) -> RobotDriveState:
-        """Advance to a time, and return the state."""
+        """Advance to the time `time_s`, and return the state of the drives."""
         passed_s = 0.0 if self._time_s is None else max(time_s - self._time_s, 0.0)
         self._time_s = time_s
         faults = self.faults
@@ -77,27 +79,27 @@ class SteadyDrive(RobotDrive):
         )  # fmt: skip
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin a motion to a depth. Raises DeviceFault beyond the travel or the highest speed."""
+        """Begin a motion to a depth. Raises DeviceFault if the depth or the speed exceeds its limit."""
         if not (abs(depth_mm) <= self._deepest_mm and velocity_mm_s <= self._fastest[0]):
             raise DeviceFault(f"simulated drive: {depth_mm:g} mm at {velocity_mm_s:g} mm/s is beyond its limits")
         self._goals[0], self._speeds[0] = depth_mm, velocity_mm_s
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin a rotation to a roll. Raises DeviceFault above the highest speed."""
+        """Begin a rotation to a roll angle. Raises DeviceFault if the speed exceeds its limit."""
         if not velocity_rad_s <= self._fastest[1]:
             raise DeviceFault(f"simulated drive: {velocity_rad_s:g} rad/s is beyond its limits")
         self._goals[1], self._speeds[1] = roll_rad, velocity_rad_s
 
     def stop(self) -> None:
-        """Stop at the present position."""
+        """Stop both axes at their measured positions."""
         self._wanted = [self._measured[0], self._measured[1]]
         self._goals = list(self._wanted)
 
 
 class RobotServer:
-    """A robot on a UDP socket of this machine, in real time.
+    """Serves a robot at a UDP socket of this machine, in real time.
 
-    `run` serves in the calling thread until `close`; the context manager serves in its own thread.
+    `run` serves in the calling thread until `stop` or `close`. As a context manager, the server uses its own thread.
     """
 
     def __init__(
@@ -124,7 +126,10 @@ class RobotServer:
         return f"udp://{self.host}:{self.port}"
 
     def run(self) -> None:
-        """Tick and answer until `close`; a tick that begins more than one interval late is an overrun."""
+        """Call `tick` at every interval and answer datagrams, until `stop` or `close`.
+
+        A tick that begins more than one interval late is counted as an overrun.
+        """
         due_s = time.monotonic()
         while not self._stopping.is_set():
             due_s += self.interval_s
@@ -133,15 +138,15 @@ class RobotServer:
             if late_s > self.interval_s:
                 self.machine.overruns += 1
                 self.worst_overrun_s = max(self.worst_overrun_s, late_s)
-                due_s += late_s  # lost time is not made up
+                due_s += late_s  # missed ticks are not executed later
             self.ticks += 1
             sent = self.machine.tick(time.monotonic_ns())
             if sent is not None:
                 self._send(*sent)
 
     def _listen_until(self, due_s: float) -> None:
-        # Waiting datagrams are received before the tick tests the watchdog, also after a pause of this process; the
-        # number is limited, so that a flood of datagrams cannot delay the test.
+        # Datagrams that have arrived are received before the tick checks the watchdog, also after a pause of this
+        # process. Their number is limited, so that a flood of datagrams cannot delay the check.
         overtime = _MOST_OVERTIME
         while overtime:
             left_s = max(due_s - time.monotonic(), 0.0)
@@ -162,11 +167,11 @@ class RobotServer:
             self._socket.sendto(datagram, peer)
 
     def stop(self) -> None:
-        """Let `run` return after its present tick."""
+        """Make `run` return after its present tick."""
         self._stopping.set()
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop serving, wait for the server's thread, and close the socket."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join()
@@ -189,19 +194,25 @@ _TICK_NS = 1_000_000
 
 @dataclass
 class Way:
-    """Faults to simulate on the datagrams of one direction."""
+    """Simulated faults of the datagrams in one direction."""
 
     cut: bool = False
+    """Whether all datagrams are lost."""
+
     lose: int = 0
-    """Number of next datagrams to lose."""
+    """Number of the next datagrams that are lost."""
 
     double: int = 0
+    """Number of the next datagrams that arrive twice."""
+
     delay_s: float = 0.0
+    """Time from sending to arrival (s)."""
+
     seen: list[bytes] = field(default_factory=list)
     """All sent datagrams, including lost ones."""
 
     def copies(self, datagram: bytes) -> int:
-        """Return how often a datagram arrives."""
+        """Record a sent datagram and return how many copies arrive (0, 1 or 2); decrement `lose` or `double`."""
         self.seen.append(datagram)
         if self.cut or self.lose:
             self.lose -= bool(self.lose)
@@ -211,7 +222,7 @@ class Way:
 
 
 class RobotNetwork:
-    """Connects a robot and its controllers within a process; the clock of the robot is `ahead_ns` ahead of `clock`."""
+    """Simulated network between a robot and its controllers; the robot's clock is `ahead_ns` ahead of `clock`."""
 
     def __init__(self, machine: RobotMachine, clock: VirtualClock, ahead_ns: int = 77_000_000_000) -> None:
         self.machine, self.clock, self.ahead_ns = machine, clock, ahead_ns
@@ -223,17 +234,17 @@ class RobotNetwork:
         self._inboxes: dict[Peer, deque[bytes]] = {}
 
     def link(self, name: str = "controller") -> RobotLink:
-        """Return the link of a controller; `name` is its host."""
+        """Return a new link for a controller; `name` serves as the controller's host name."""
         peer = (name, 1)
         self._inboxes[peer] = deque()
         return RobotLink(self, peer, self._inboxes[peer])
 
     def send(self, datagram: bytes, peer: Peer) -> None:
-        """Send a datagram to the robot."""
+        """Send a datagram from the controller `peer` to the robot."""
         self._put(self._coming, self.to_robot, datagram, peer)
 
     def pass_until(self, end_ns: int, inbox: deque[bytes] | None = None) -> None:
-        """Advance the clock to `end_ns`, or until `inbox` has a datagram."""
+        """Advance the clock to `end_ns`, or until `inbox` has a datagram; deliver the datagrams due by then."""
         while not inbox:
             now_ns = self.clock.now_ns()
             waiting = [queue[0][0] for queue in (self._coming, self._going) if queue]
@@ -268,7 +279,7 @@ class RobotNetwork:
 
 
 class RobotLink(Link):
-    """The link of one controller."""
+    """Link of one controller to the robot in a RobotNetwork."""
 
     def __init__(self, network: RobotNetwork, peer: Peer, inbox: deque[bytes]) -> None:
         self._network, self._peer, self._inbox = network, peer, inbox
@@ -280,7 +291,7 @@ class RobotLink(Link):
         self._network.send(data, self._peer)
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next datagram; empty after `timeout_s`. Advances the clock."""
+        """Return the next datagram; b"" after `timeout_s`. Advances the clock of the network."""
         self._require_open()
         self._network.pass_until(self._network.clock.now_ns() + round(timeout_s * _NANO), self._inbox)
         return self._inbox.popleft() if self._inbox else b""

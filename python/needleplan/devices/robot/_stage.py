@@ -1,4 +1,4 @@
-"""A robot that speaks the needleplan robot protocol, as a stage."""
+"""Stage for a robot that speaks the needleplan robot protocol."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ __all__ = ["RobotStage", "RobotTiming"]
 
 _WRAP = 1 << 32
 _REASONS = {
-    Result.BUSY: "it has another controller",
-    Result.OLD_SESSION: "it does not know this session any more: it was restarted, or received nothing for too long",
-    Result.WRONG_VERSION: "it speaks another version of the protocol",
+    Result.BUSY: "the robot has another controller",
+    Result.OLD_SESSION: "the robot has ended this session: it was restarted, or received nothing for too long",
+    Result.WRONG_VERSION: "the robot speaks another version of the protocol",
     Result.LATE: "the command arrived after its deadline",
     Result.SUPERSEDED: "a later command such as a stop arrived before it",
-    Result.NOT_ENABLED: "it is not enabled",
+    Result.NOT_ENABLED: "the robot is not enabled",
     Result.OUT_OF_RANGE: "the drive does not accept this target or speed",
-    Result.IN_FAULT: "it is in a fault",
+    Result.IN_FAULT: "the robot is in a fault",
 }
 
 
 @dataclass(frozen=True)
 class RobotTiming:
-    """Timing of the session.
+    """Times of a session with the robot, in s.
 
-    - `silence_s`: the robot stops by itself if it receives nothing for this time while it moves.
-    - `valid_s`: the robot does not begin a motion that arrives later than this.
-    - `again_s`: time without an answer after which a command is repeated.
-    - `answer_s`: time for which hello, reset, enable and stop are repeated.
+    - `silence_s`: while it moves, the robot stops by itself after this time without a datagram from the controller.
+    - `valid_s`: time after sending within which a motion command must arrive; the robot refuses it if it is later.
+    - `again_s`: time without an answer after which a command is sent again.
+    - `answer_s`: longest time for which HELLO, RESET, ENABLE and STOP are sent again.
     - `lost_s`: time without a status after which the stage raises DeviceFault.
     """
 
@@ -57,10 +57,10 @@ class RobotTiming:
 
 
 class RobotStage(Stage):
-    """The robot over `link`.
+    """Stage that commands a robot over `link`.
 
-    Commands and `heartbeat` satisfy the watchdog of the robot. Reading sends nothing: a thread that still reads must
-    not conceal that the control loop has failed.
+    Only commands and `heartbeat` reset the watchdog of the robot. `read` sends nothing, so that the robot also stops if
+    the control loop fails while another thread continues to read.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class RobotStage(Stage):
         self._fault: DeviceFault | None = None
         self._closed = self._greeted = False
         self.last_status: RobotStatus | None = None
-        """The last status, also during a fault."""
+        """The status that was read last, or None; also updated by the status that reports a fault."""
 
         try:
             self.start()
@@ -89,7 +89,7 @@ class RobotStage(Stage):
     def open(cls, address: str, *, timing: RobotTiming | None = None) -> RobotStage:
         """Open `udp://host[:5005][?watchdog_s=0.03&valid_s=0.03&local_port=n]` and take control.
 
-        Raises AddressError for a wrong address, DeviceFault without an answer or if another controller has the robot.
+        Raises AddressError if the address is wrong, DeviceFault if the robot does not answer or has another controller.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "udp":
@@ -110,23 +110,23 @@ class RobotStage(Stage):
 
     @property
     def counts(self) -> StatusCounts:
-        """Numbers of received, lost, repeated and unread statuses and of other datagrams since the start."""
+        """Numbers of received, lost, repeated and discarded statuses and of other datagrams since `start`."""
         return self._conversation.watch.counts
 
     @property
     def robot_clock(self) -> RobotClock:
-        """The clock of the robot, with the last and the longest round-trip time."""
+        """Estimate of the robot's clock, with the last and the longest round-trip time."""
         return self._conversation.robot_clock
 
     @property
     def unknown_senders(self) -> int:
-        """Number of datagrams from other senders, which were dropped."""
+        """Number of datagrams that were dropped because another sender sent them; 0 if the link is not UDP."""
         return self._link.unknown_senders if isinstance(self._link, UdpLink) else 0
 
     def start(self) -> None:
-        """Take control in a new session, reset a fault if its cause is gone, and enable; nothing moves.
+        """Take control in a new session, reset a fault if its cause is gone, and enable the robot; nothing moves.
 
-        Only a person may restart after a fault, so no code of this package calls it then. Raises DeviceFault.
+        The constructor calls it. After a fault only a person may decide to call it again. Raises DeviceFault.
         """
         timing = self.timing
         if self._greeted:
@@ -138,7 +138,7 @@ class RobotStage(Stage):
             result, _ = self._conversation.command(kind, timing.answer_s, timely=kind is not RobotKind.HELLO)
             if result is not Result.ACCEPTED:
                 raise self._give_up(f"{kind.name.lower()}: {self._why(result, timing.answer_s)}")
-        # Statuses received before the start describe the time before it.
+        # Statuses received so far describe the robot before it was enabled.
         self._conversation.statuses.clear()
         self._since = self._begun = self._conversation.last_number
         self._conversation.received_ns = self._clock.now_ns()
@@ -148,13 +148,13 @@ class RobotStage(Stage):
         self._move(RobotKind.INSERT, depth_mm, velocity_mm_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin a rotation of the base to a roll. Raises DeviceFault if the robot refuses or does not answer."""
+        """Begin a rotation of the needle base to a roll angle. Raises DeviceFault if the robot refuses or is silent."""
         self._move(RobotKind.ROTATE, roll_rad, velocity_rad_s)
 
     def stop(self) -> None:
-        """Stop both axes; the command is repeated until the robot answers.
+        """Stop both axes; the command is sent again until the robot answers or `timing.answer_s` has passed.
 
-        Raises DeviceFault without an answer; the watchdog of the robot then stops it.
+        Raises DeviceFault without an answer; the watchdog of the robot then stops the axes.
         """
         if self._closed:
             raise LinkClosed("the robot is closed")
@@ -169,7 +169,10 @@ class RobotStage(Stage):
         self._conversation.heartbeat(self.timing.silence_s)
 
     def read(self, timeout_s: float) -> StageSample | None:
-        """Return the next status, or None after `timeout_s`. Raises DeviceFault, then at every call until `start`."""
+        """Return the next sample, or None after `timeout_s`.
+
+        Raises DeviceFault if the robot reports a fault or is silent, and then at every call until `start`.
+        """
         if self._closed:
             raise LinkClosed("the robot is closed")
         self._require_no_fault()
@@ -199,13 +202,15 @@ class RobotStage(Stage):
             raise LinkClosed("the robot is closed")
         self._require_no_fault()
         if not (math.isfinite(target) and math.isfinite(speed) and speed > 0):
-            raise DeviceFault(f"robot: {kind.name.lower()}: {target:g} at a speed of {speed:g} is not a motion")
+            raise DeviceFault(
+                f"robot: {kind.name.lower()}: target {target:g} and speed {speed:g} must be finite, the speed positive"
+            )
         result, number = self._conversation.command(kind, self.timing.valid_s, target, speed)
         if result is Result.ACCEPTED:
             self._begun = number
             return
         if result is None:
-            # The command may have arrived without its answer: an axis in an unknown state must not move.
+            # The command may have arrived although no answer came back, so the axis may move: stop it.
             self.stop()
         message = f"{kind.name.lower()}: {self._why(result, self.timing.valid_s)}"
         if result in (Result.LATE, Result.SUPERSEDED, Result.OUT_OF_RANGE, Result.NOT_ENABLED, None):
@@ -223,7 +228,7 @@ class RobotStage(Stage):
             stamp = Stamp(now_ns, status.head.sequence, lost, status.head.sent_ns / 1e9)
             sound = all(map(math.isfinite, (status.depth_mm, status.velocity_mm_s, status.roll_rad)))
             notes = () if sound else ("not finite",)
-            # A status from before the motion was accepted must not look as if the motion were complete.
+            # A status sent before the robot accepted the motion must not report the motion as complete.
             moving = status.moving or (status.head.number - self._begun) % _WRAP >= _WRAP // 2
             return StageSample(
                 stamp, status.depth_mm, status.velocity_mm_s, status.roll_rad, moving,
@@ -242,7 +247,7 @@ class RobotStage(Stage):
             raise self._give_up(_REASONS[self._conversation.lost_control])
         silent_s = (self._clock.now_ns() - self._conversation.received_ns) / 1e9
         if silent_s >= self.timing.lost_s:
-            raise self._give_up(f"silent for {silent_s:.3g} s; cable, power, or its process")
+            raise self._give_up(f"silent for {silent_s:.3g} s; check its cable, power and control program")
 
     def _why(self, result: Result | None, waited_s: float) -> str:
         if result is None:

@@ -25,35 +25,35 @@ __all__ = ["RobotClock", "RobotConversation", "StatusCounts", "StatusWatch"]
 
 _WRAP = 1 << 32
 _HALF = _WRAP // 2
-_WINDOW_NS = 5_000_000_000
+_WINDOW_NS = 5_000_000_000  # length of a window of RobotClock, which uses the present and the previous window
 
 
 @dataclass
 class StatusCounts:
-    """Numbers of statuses in this session, by their fate."""
+    """Numbers of received and lost statuses and of unusable datagrams in this session."""
 
     received: int = 0
     lost: int = 0
     repeated: int = 0
-    """Repeated, or older than one received before."""
+    """Statuses that are not newer than the last one; they are discarded."""
 
     unread: int = 0
-    """Discarded because they were not read in time."""
+    """Statuses discarded because the queue was full: nobody read them in time."""
 
     malformed: int = 0
     foreign: int = 0
-    """Datagrams of another session."""
+    """Datagrams of another session, or of another controller."""
 
 
 class StatusWatch:
-    """Validates the sequence numbers of the statuses."""
+    """Checks the sequence numbers of the statuses, and counts received, lost and repeated statuses."""
 
     def __init__(self) -> None:
         self.counts = StatusCounts()
         self._last: int | None = None
 
     def see(self, sequence: int) -> int | None:
-        """Return the number of statuses lost before this one; None if it is not newer than the last."""
+        """Count a status, and return the number of statuses lost before it; None if it is not newer than the last."""
         ahead = 1 if self._last is None else (sequence - self._last) % _WRAP
         if not 0 < ahead < _HALF:
             self.counts.repeated += 1
@@ -65,10 +65,11 @@ class StatusWatch:
 
 
 class RobotClock:
-    """Lower bound of the time on the clock of the robot, and the round-trip time of a datagram.
+    """Lower bound of the present time on the robot's clock, and the round-trip time of a datagram.
 
-    The bound takes the time of sending as the time of arrival, so it is late by the transmission time. Of the last 5 to
-    10 s the datagram with the shortest transmission is used; older ones are not, because the clocks drift apart.
+    A datagram carries the robot's time when it was sent; its transmission time is unknown and is taken as zero, so the
+    bound is too low by the transmission time. The datagram with the shortest transmission in the last 5 to 10 s is
+    used. Older datagrams are not used, because the two clocks drift apart.
     """
 
     def __init__(self) -> None:
@@ -81,7 +82,7 @@ class RobotClock:
         self._echo_ns = 0
 
     def see(self, head: Head, now_ns: int) -> None:
-        """Use the times of a datagram received at `now_ns`."""
+        """Update the bound and the round-trip time with the head of a datagram received at `now_ns`."""
         ahead_ns = head.sent_ns - now_ns
         if not self._ahead_ns or now_ns - self._since_ns > _WINDOW_NS:
             self._ahead_ns = [*self._ahead_ns[-1:], ahead_ns]
@@ -93,19 +94,19 @@ class RobotClock:
             self.worst_round_trip_s = max(self.worst_round_trip_s, self.round_trip_s)
 
     def at(self, now_ns: int) -> int:
-        """Return a lower bound of the robot's time at the local time `now_ns`; 0 before the first datagram."""
+        """Return a lower bound of the robot's time (ns) at the local time `now_ns`; 0 before the first datagram."""
         return max(now_ns + max(self._ahead_ns), 1) if self._ahead_ns else 0
 
 
-_KEPT = 2000
-_GONE = (Result.OLD_SESSION, Result.BUSY)
+_KEPT = 2000  # largest number of unread statuses; if more arrive, the oldest is discarded
+_GONE = (Result.OLD_SESSION, Result.BUSY)  # results that mean that the robot no longer obeys this session
 
 
 class RobotConversation:
     """One session with a robot over `link`.
 
-    Any waiting thread dispatches received datagrams for all threads: a status goes to `statuses` with the number of
-    lost statuses before it and its time of arrival, an answer to the command that waits for it.
+    Any thread that waits dispatches the received datagrams for all threads. It appends each status to `statuses`, with
+    the number of statuses lost before it and its time of arrival, and passes each answer to the waiting command.
     """
 
     def __init__(self, link: Link, clock: Clock, session: int, again_s: float, silence_s: float) -> None:
@@ -125,15 +126,16 @@ class RobotConversation:
 
     @property
     def last_number(self) -> int:
-        """Number of the last command."""
+        """Number of the last command that was sent."""
         return self._number
 
     def command(
         self, kind: RobotKind, within_s: float, target: float = 0.0, speed: float = 0.0, *, timely: bool = True
     ) -> tuple[Result | None, int]:
-        """Repeat a command until it is answered; return its result, None without an answer, and its number.
+        """Send a command repeatedly until it is answered or `within_s` has passed; return its result and its number.
 
-        A `timely` command must not be executed after `within_s`. Raises OtherVersion, LinkClosed.
+        The result is None without an answer. The robot refuses a `timely` command that arrives after `within_s`. Raises
+        OtherVersion, DeviceFault and LinkClosed.
         """
         with self._counting:
             self._number = number = self._number % (_WRAP - 1) + 1
@@ -165,11 +167,11 @@ class RobotConversation:
                 return None
 
     def heartbeat(self, within_s: float) -> None:
-        """Send a heartbeat that is valid for `within_s`."""
+        """Send a heartbeat, which the robot ignores if it arrives after `within_s`."""
         self._send(RobotKind.ALIVE, 0, self.robot_clock.at(self._clock.now_ns()) + round(within_s * 1e9))
 
     def pump(self, timeout_s: float) -> bool:
-        """Receive and dispatch one datagram; return whether one arrived."""
+        """Wait for one datagram and dispatch it; return whether a datagram arrived."""
         with self._receiving:
             data = self.link.receive(min(timeout_s, self._again_s))
             if data:
@@ -201,7 +203,7 @@ class RobotConversation:
             self.watch.counts.malformed += 1
             return
         if isinstance(message, Answer) and message.result is Result.WRONG_VERSION:
-            raise DeviceFault("robot: it does not speak version 1 of the protocol")
+            raise DeviceFault("robot: the robot does not speak version 1 of the protocol")
         if isinstance(message, RobotCommand) or message.head.session != self.session:
             self.watch.counts.foreign += 1
             return

@@ -1,11 +1,12 @@
 """The needleplan robot protocol, version 1: the messages and their bytes.
 
-The tables are in docs/reference/robot-protocol.md. Both sides have a monotonic clock, and neither knows the clock of
-the other: a time is only echoed back to its sender. So the round trip is measured on one clock, and the deadline of a
-command is a time on the clock of the robot.
+docs/reference/robot-protocol.md describes all fields. Each side has its own monotonic clock, and the clocks are not
+synchronised. Each side sends received times back to their sender, which can so measure the round-trip time on its own
+clock. The deadline of a command is a time on the clock of the robot.
 
 A datagram is a little-endian structure of fixed size. In every version the first six bytes have the same meaning, and
-the last four bytes are the CRC-32 of all bytes before them (that of zlib, Ethernet and MATLAB's java.util.zip.CRC32).
+the last four bytes are the CRC-32 of all bytes before them (the same CRC-32 as in zlib, Ethernet and MATLAB's
+java.util.zip.CRC32).
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class RobotKind(IntEnum):
     """Kind of a datagram; kinds sent by the robot have the highest bit set."""
 
     HELLO = 0x01
-    """Requests control in the session that the controller has drawn."""
+    """Requests control of the robot in a new session, whose number the controller has chosen at random."""
 
     ENABLE = 0x02
     INSERT = 0x03
@@ -52,13 +53,13 @@ class RobotKind(IntEnum):
 
     STOP = 0x05
     ALIVE = 0x06
-    """Heartbeat; it has no answer, but the next status echoes it."""
+    """Heartbeat. The robot does not answer it, but the next status contains its time of sending."""
 
     RESET = 0x07
     """Changes from FAULT to DISABLED if the cause is gone."""
 
     GOODBYE = 0x08
-    """Stops, disables, and releases control."""
+    """Stops and disables the robot, and releases control."""
 
     STATUS = 0x80
     ANSWER = 0x81
@@ -74,10 +75,10 @@ class Result(IntEnum):
     OLD_SESSION = 2
     WRONG_VERSION = 3
     LATE = 4
-    """It arrived after its deadline, or had none."""
+    """The command arrived after its deadline, or it has no deadline although its kind needs one."""
 
     SUPERSEDED = 5
-    """A command with a higher number arrived before it."""
+    """A later command (with a higher number) arrived before this command."""
 
     NOT_ENABLED = 6
     OUT_OF_RANGE = 7
@@ -95,7 +96,7 @@ class RobotState(IntEnum):
 
 
 class Fault(IntFlag):
-    """Causes of a stop; a set bit stays until RESET."""
+    """Causes of a stop; a set bit stays set until RESET."""
 
     WATCHDOG = 0x01
     ESTOP = 0x02
@@ -107,7 +108,7 @@ class Fault(IntFlag):
 
 
 NAMES_OF_FAULTS = {
-    Fault.WATCHDOG: "nothing was received from the controller while it moved",
+    Fault.WATCHDOG: "nothing was received from the controller while the robot moved",
     Fault.ESTOP: "the emergency stop was pressed",
     Fault.DRIVE: "a drive reports a fault",
     Fault.FOLLOWING: "an axis does not follow",
@@ -121,12 +122,12 @@ NAMES_OF_FAULTS = {
 class Head:
     """Fields at the start of every datagram.
 
-    - `sequence` counts the datagrams of the controller, and separately the statuses and the answers of the robot.
+    - `sequence` numbers the datagrams; commands, statuses and answers are numbered separately.
     - `sent_ns` is the time of sending on the clock of the sender.
-    - `echo_ns` is `sent_ns` of the last datagram received from the other side, or 0.
-    - `held_us` is the time since that datagram was received.
-    - `number` is the number of a command, which stays the same when the command is repeated; in an answer the number of
-      its command; in a status the number of the last accepted command.
+    - `echo_ns` is `sent_ns` of the last datagram received from the other side, or 0 before the first one.
+    - `held_us` is the time (us) from the arrival of that datagram to the sending of this datagram.
+    - `number` is, in a command, the number of the command, which stays the same when the command is sent again; in an
+      answer, the number of its command; in a status, the number of the last accepted command.
     """
 
     session: int
@@ -141,8 +142,8 @@ class Head:
 class RobotCommand:
     """A datagram of the controller.
 
-    `deadline_ns` is the latest time of execution on the clock of the robot; HELLO, STOP and GOODBYE need none. The
-    robot stops if it receives nothing for `silence_us` while it moves; 0 selects its own value.
+    `deadline_ns` is the latest time of execution on the clock of the robot; HELLO, STOP and GOODBYE need no deadline.
+    While it moves, the robot stops if it receives nothing for `silence_us`; 0 selects the default of the robot.
     """
 
     head: Head
@@ -155,7 +156,7 @@ class RobotCommand:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Result of a command of the kind `asked`; a repeated command has the same answer."""
+    """Answer of the robot to a command of the kind `asked`; a command that is sent again gets the same result."""
 
     head: Head
     asked: int
@@ -167,8 +168,8 @@ class Answer:
 class RobotStatus:
     """State of the robot, sent 1000 times per second.
 
-    `overruns` counts late ticks of the servo up to 65535, `missed` the missing datagrams of the controller in this
-    session.
+    `overruns` is the number of late ticks of the servo, at most 65535. `missed` is the number of datagrams of the
+    controller that did not arrive in this session.
     """
 
     head: Head
@@ -204,12 +205,12 @@ class OtherVersion(ProtocolError):
     """An undamaged datagram of another protocol version."""
 
     def __init__(self, version: int, kind: int) -> None:
-        super().__init__(f"robot: the other side speaks version {version} of the protocol, this one {VERSION}")
+        super().__init__(f"robot: the other side speaks version {version} of the protocol, this side {VERSION}")
         self.version, self.kind = version, kind
 
 
 def encode(message: RobotMessage) -> bytes:
-    """Return the datagram of a message. Raises ProtocolError if a number does not fit its field."""
+    """Return the bytes of the datagram of a message. Raises ProtocolError if a number does not fit into its field."""
     kind, fields = _fields(message)
     head = message.head
     try:
@@ -224,11 +225,14 @@ def encode(message: RobotMessage) -> bytes:
 
 
 def decode(datagram: bytes) -> RobotMessage:
-    """Return the message in a datagram. Raises OtherVersion, or ProtocolError for damaged and foreign datagrams."""
+    """Return the message in a datagram.
+
+    Raises OtherVersion for another protocol version, ProtocolError for a damaged datagram or another protocol.
+    """
     if len(datagram) < _FIRST.size + _CRC.size or not datagram.startswith(MAGIC):
         raise ProtocolError(f"robot: a datagram of {len(datagram)} bytes does not belong to this protocol")
     if zlib.crc32(datagram[: -_CRC.size]) != _CRC.unpack(datagram[-_CRC.size :])[0]:
-        raise ProtocolError("robot: a datagram with a wrong checksum")
+        raise ProtocolError("robot: a datagram has a wrong checksum")
     _, version, code = _FIRST.unpack_from(datagram)
     if version != VERSION:
         raise OtherVersion(version, code)
@@ -239,7 +243,7 @@ def decode(datagram: bytes) -> RobotMessage:
     body = _BODIES[kind]
     size = _HEAD.size + body.size + _CRC.size
     if len(datagram) != size or _HEAD.unpack_from(datagram)[3] != size:
-        raise ProtocolError(f"robot: {kind.name} has {size} bytes, this one {len(datagram)}")
+        raise ProtocolError(f"robot: a {kind.name} datagram must have {size} bytes, not {len(datagram)}")
     head = Head(*_HEAD.unpack_from(datagram)[4:])
     values = body.unpack_from(datagram, _HEAD.size)
     try:
@@ -256,7 +260,7 @@ def decode(datagram: bytes) -> RobotMessage:
 def _status(head: Head, values: tuple[float, ...]) -> RobotStatus:
     depth_mm, velocity_mm_s, roll_rad, velocity_rad_s, faults, state, moving, overruns, missed = values
     if moving not in (0, 1):
-        raise ValueError(f"{moving} does not say whether it moves")
+        raise ValueError(f"`moving` is {moving}, must be 0 or 1")
     return RobotStatus(
         head, depth_mm, velocity_mm_s, roll_rad, velocity_rad_s, Fault(int(faults)), RobotState(int(state)),
         moving == 1, int(overruns), int(missed),
