@@ -114,8 +114,8 @@ class JointFilter:
     state_sd
         Standard deviation of the initial state.
     settle
-        Number of samples after a reversal that are masked, because the average of the sensor still contains samples
-        from before. Samples at rest after a motion are masked too. With 0, all samples are used.
+        Number of masked samples after a reversal, where the average of the sensor contains samples from before the
+        reversal. Samples at rest after a motion are masked too. With 0, no sample is masked.
     reach
         Largest distance of a coordinate from its first initial value.
     limit

@@ -232,7 +232,7 @@ def _remarks(found: Sequence[CurvatureTrial], together: Heterogeneity | None, es
     if together is None:
         remarks.append("one insertion does not determine the scatter between insertions: repeat it")
     elif not together.agree:
-        remarks.append("the interval is for the mean curvature of insertions; a single insertion may lie outside of it")
+        remarks.append("the interval is for the mean curvature of the insertions; the next one may lie outside of it")
     far = [each.name for each in found if each.whole.correlation_mm > 0.2 * (each.whole.high_mm - each.whole.low_mm)]
     if far:
         remarks.append(

@@ -100,7 +100,7 @@ def _pieces(paths: Sequence[Array], edges_mm: Array) -> tuple[PathPiece, ...]:
 
 
 def _mean(trials: Sequence[Curvature], low_mm: float) -> PathPiece:
-    """Return the mean of a piece over trials. Raises DataError where it may be straight."""
+    """Return the mean of a piece over trials. Raises DataError if its interval contains a straight path."""
     if len(trials) == 1:
         only = trials[0]
         piece = PathPiece(only.curvature_per_mm, only.low_per_mm, only.high_per_mm, low_mm)
@@ -115,7 +115,7 @@ def _mean(trials: Sequence[Curvature], low_mm: float) -> PathPiece:
 
 
 def _along(path: Array, x_mm: Array) -> list[float]:
-    """Return how far along its circle from its first point a path has come at places x."""
+    """Return the distances (mm) along the fitted circle from the first point of a path to the places x."""
     circle = fit_circle(path)
     reach = np.hypot(*np.ptp(path, axis=0))
     distance = np.linspace(-2 * reach, 2 * reach, 4001)
@@ -145,7 +145,7 @@ def _noise(
 
 
 def _windows(paths: Sequence[Array], ends_mm: tuple[float, float]) -> int:
-    """Return in how many windows all paths have enough points for a heading, at least two."""
+    """Return the number of windows (2 or more) in which every path has enough points for a heading."""
     for windows in range(_MOST_WINDOWS, 2, -1):
         counts = [np.histogram(path[:, 0], windows, ends_mm)[0].min() for path in paths]
         if min(counts) > _POINTS_A_WINDOW:

@@ -1,4 +1,4 @@
-"""The registration of a needle: coil to tip, and the tracker's frame to the frame of the plan. A value and a file."""
+"""The registration of a needle: distance from coil to tip, motion from tracker frame to plan frame, and its file."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ class Registration:
             object.__setattr__(self, name, value)
 
     def place(self, position_mm: Vector, quaternion: tuple[float, float, float, float]) -> CoilPose:
-        """Return a coil as the plan has it, from its position and quaternion (w, x, y, z) in the tracker's frame."""
+        """Return the coil in the plan frame, from its position and quaternion (w, x, y, z) in the tracker frame."""
         at = _turned(self._matrix, position_mm)
         shift = self.translation_mm
         direction = _turned(self._matrix, _axis(quaternion))
@@ -147,7 +147,7 @@ class Registration:
 
     @cached_property
     def motion(self) -> RigidMotion | None:
-        """The fit of the points again, with its errors; None where there are no points."""
+        """Rigid motion fitted to the points, with its errors; None if there are no points."""
         if not self.points:
             return None
         first, second = (np.array([pair[side] for pair in self.points]) for side in (0, 1))
@@ -159,7 +159,7 @@ class Registration:
         return self.motion.fre_mm if self.motion else math.nan
 
     def tre_mm(self, target_mm: Vector) -> float:
-        """Return the expected root mean square error at a target of the plan; NaN without points."""
+        """Return the expected root mean square error (mm) at a target in the frame of the plan; NaN without points."""
         if self.motion is None:
             return math.nan
         back = np.array(self._matrix).T @ (np.array(target_mm) - np.array(self.translation_mm))
@@ -186,7 +186,7 @@ class Registration:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the text, by which what is made with the registration names it."""
+        """SHA-256 of the text of the file; artefacts made with the registration name it as their parent."""
         return digest(self.to_toml())
 
     @cached_property
@@ -245,7 +245,7 @@ def _turned(matrix: tuple[Vector, Vector, Vector], vector: Vector) -> Vector:
 
 
 def _axis(quaternion: tuple[float, float, float, float]) -> Vector:
-    """Return where a rotation takes the z axis; quaternions of other lengths than 1 are normalised."""
+    """Return the z axis rotated by a quaternion (w, x, y, z), which is normalised here."""
     w, x, y, z = quaternion
     size = w * w + x * x + y * y + z * z
     return (2 * (x * z + w * y) / size, 2 * (y * z - w * x) / size, (w * w - x * x - y * y + z * z) / size)
