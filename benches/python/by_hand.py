@@ -1,4 +1,4 @@
-"""What a good user would write: value iteration in numba, on the same compressed sparse rows."""
+"""Baseline that an experienced user would write: value iteration in numba, on the same compressed sparse rows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from problem import Problem
 
 @numba.njit
 def alternating(offsets, successors, probabilities, costs, discount, threshold, limit):  # type: ignore[no-untyped-def]
-    """Gauss-Seidel, forwards and backwards in turn, until no value changes by `threshold`."""
+    """Gauss-Seidel sweeps, alternately forwards and backwards, until all changes are below `threshold`."""
     values, sweeps, change = np.zeros(len(costs) // 2), 0, np.inf
     while change >= threshold and sweeps < limit:
         change = 0.0
@@ -30,7 +30,7 @@ def alternating(offsets, successors, probabilities, costs, discount, threshold, 
 
 @numba.njit(parallel=True)
 def jacobi(offsets, successors, probabilities, costs, discount, threshold, limit):  # type: ignore[no-untyped-def]
-    """Plain value iteration on all cores."""
+    """Plain (Jacobi) value iteration on all cores, with the stop rule of `alternating`."""
     values, sweeps, change = np.zeros(len(costs) // 2), 0, np.inf
     new = np.zeros_like(values)
     while change >= threshold and sweeps < limit:
@@ -50,7 +50,7 @@ def jacobi(offsets, successors, probabilities, costs, discount, threshold, limit
 
 
 def prepare(kernel_name: str) -> Prepare:
-    """Return the contestant of a kernel; its time to build is the time to compile."""
+    """Return the function that prepares a solver with the kernel of this name; preparing it compiles the kernel."""
 
     def compiled(problem: Problem) -> Solve:
         kernel = {"alternating": alternating, "jacobi": jacobi}[kernel_name]

@@ -1,10 +1,11 @@
-"""Measure what feedback and planning again are worth: seeded insertions in the lab twin, on three scenarios.
+"""Measure how feedback and replanning improve success and error: seeded insertions in the lab twin, three scenarios.
 
 python benches/python/closed_loop.py --json benches/results/closed_loop.json > benches/results/closed_loop.md
-python benches/python/closed_loop.py --seeds 2       # to see that it runs
+python benches/python/closed_loop.py --seeds 2       # short test run
 
-The labs are those of the shipped experiment `steering`: a needle that bends as planned but for a scatter of 5 %, a
-heading that wanders, a shaft that twists, and sensors with noise. The same seed is the same lab for every guidance.
+The labs are those of the shipped experiment `steering`: the curvature of the needle scatters by 5 % around the planned
+one, the heading has a random walk, the shaft twists, and the sensors have noise. With the same seed, all kinds of
+guidance get the same lab.
 """
 
 from __future__ import annotations
@@ -35,17 +36,20 @@ from needleplan_thesis.steering import (
 SCENARIOS = ("phantom", "four_obstacles", "layered")
 OFF = (-0.2, 0.2)
 KIND = (
-    "scenario", "curvature", "guidance", "runs", "promised", "success", "error mean", "median", "95 %", "turns",
+    "scenario", "curvature", "guidance", "runs", "predicted", "success", "error mean", "median", "95 %", "turns",
     "replans", "failures",
 )  # fmt: skip
 GAP = (
-    "scenario", "curvature", "promised", "one table", "planned again", "gap closed", "error, one table",
-    "error, planned again",
+    "scenario", "curvature", "predicted", "one table", "replanned", "gap closed", "error, one table",
+    "error, replanned",
 )  # fmt: skip
 
 
 def kinds(courses: list[SteeringCase], errors: list[float]) -> Iterator[tuple[SteeringCase, Guidance, float]]:
-    """Yield what is tried: everything as planned first, then the loops and none where the curvature is off."""
+    """Yield (case, guidance, relative curvature error) in the order of the page.
+
+    Without a curvature error: all guidance except ONE_TABLE. With a curvature error: both closed loops and OPEN.
+    """
     for course in courses:
         yield from ((course, guidance, 0.0) for guidance in Guidance if guidance is not Guidance.ONE_TABLE)
     for course in courses:
@@ -56,12 +60,12 @@ def kinds(courses: list[SteeringCase], errors: list[float]) -> Iterator[tuple[St
 
 
 def main() -> int:
-    """Run, and print the tables."""
+    """Run all insertions and print the page; with --json, write the results after every kind of insertion."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=200, help="insertions of each kind (200)")
-    parser.add_argument("--off-seeds", type=int, help="where the curvature is off (as many)")
+    parser.add_argument("--off-seeds", type=int, help="insertions of each kind with a curvature error (as --seeds)")
     parser.add_argument("--scenarios", nargs="+", default=SCENARIOS)
-    parser.add_argument("--off", nargs="*", type=float, default=OFF, help="shares by which the curvature is off")
+    parser.add_argument("--off", nargs="*", type=float, default=OFF, help="relative errors of the curvature")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
@@ -83,7 +87,7 @@ def main() -> int:
 
 
 def row(name: str, guidance: Guidance, error: float, trials: list[SteeringTrial]) -> dict[str, Any]:
-    """Return what is kept of insertions of one kind: the summary, and of each that failed its cause."""
+    """Return the record of one kind of insertions: the statistics, all errors, and the causes of failed insertions."""
     failed = [
         {"seed": each.task.seed, "ending": each.outcome, "cause": each.cause, "touched": each.touched,
          "error_mm": each.error_mm, "seen_error_mm": each.seen_error_mm, "out_of_plane_mm": each.out_of_plane_mm}
@@ -96,7 +100,7 @@ def row(name: str, guidance: Guidance, error: float, trials: list[SteeringTrial]
 
 
 def lines(results: list[dict[str, Any]], of: dict[str, object], seconds: float) -> Iterator[str]:
-    """Yield the page."""
+    """Yield the lines of the Markdown page."""
     yield "# Insertions in the lab twin: with feedback, without, and not steered"
     yield ""
     yield f"{of['processor']}, commit {of['commit']}, {of['date']}; {seconds:.0f} s. The experiment is `steering`, its"
@@ -105,7 +109,10 @@ def lines(results: list[dict[str, Any]], of: dict[str, object], seconds: float) 
     yield "the plane, over all insertions; intervals of 95 %."
     for title, chosen in (
         ("As planned", [0.0]),
-        ("True curvature off the plan", [e for e in sorted({each["curvature_error"] for each in results}) if e]),
+        (
+            "True curvature different from the plan",
+            [e for e in sorted({each["curvature_error"] for each in results}) if e],
+        ),
     ):
         yield from ("", f"## {title}", "")
         yield _row(KIND)
@@ -115,7 +122,7 @@ def lines(results: list[dict[str, Any]], of: dict[str, object], seconds: float) 
                 yield _line(each)
     gaps = list(_gaps(results))
     if gaps:
-        yield from ("", "## What planning again closes", "")
+        yield from ("", "## Gap of success that replanning closes", "")
         yield _row(GAP)
         yield "|---|--:|--:|--:|--:|--:|--:|--:|"
         yield from gaps

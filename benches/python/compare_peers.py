@@ -1,11 +1,11 @@
-"""Run our solvers beside those of other people, on the same MDP, in one run.
+"""Compare the solvers of needleplan with those of other projects, on the same MDP, in one run.
 
 The problem is the four-obstacle workspace with the costs of the thesis (1,176,120 states). Every solver runs in a
-process of its own, one after another, and is checked against values that are right within a proven bound.
+process of its own, one after another. Its values are compared with reference values that have a proven error bound.
 
     python benches/python/compare_peers.py --json peers.json     # everything, a few minutes on a quiet machine
-    python benches/python/compare_peers.py --markdown peers.json # the report of an earlier run once more
-    python benches/python/compare_peers.py --spacing 4           # a small problem, to see that everything runs
+    python benches/python/compare_peers.py --markdown peers.json # print the report of an earlier run
+    python benches/python/compare_peers.py --spacing 4           # a small problem, as a short test run
     python benches/python/compare_peers.py --only lattice-1 quantecon-mpi
 """
 
@@ -29,7 +29,10 @@ from problem import problem_of, reference_of, scenario_at
 
 
 def main() -> int:
-    """Run the contest, or show an earlier one; the exit code is 1 where a claim does not hold on the full problem."""
+    """Run all contestants, or read an earlier record, and print the report.
+
+    Returns the exit code: 1 if a claim does not hold on the full problem, else 0.
+    """
     options = _options()
     earlier = options.markdown
     record = json.loads(earlier.read_text(encoding="utf-8")) if earlier else _record(options)
@@ -41,11 +44,11 @@ def main() -> int:
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--spacing", type=float, default=1.0, metavar="MM", help="grid spacing, 1 for the real problem")
+    parser.add_argument("--spacing", type=float, default=1.0, metavar="MM", help="grid spacing; the full problem has 1")
     parser.add_argument("--only", nargs="+", choices=list(CONTESTANTS), metavar="NAME", help=", ".join(CONTESTANTS))
     parser.add_argument("--time-limit", type=float, default=300.0, metavar="S", help="for each solver (default 300)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures")
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="print the report of figures written before")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all measured values")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="print the report of a file that --json wrote")
     return parser.parse_args()
 
 
@@ -80,7 +83,7 @@ def _run(chosen: Iterable[Contestant], folder: Path, time_limit: float) -> list[
         print(result.failure or f"{result.median:.4g} s", file=sys.stderr)
         results.append(result)
     if any(result.name == LATTICE.name for result in results):
-        # The first figure once more, at the end: did the machine keep its speed?
+        # Measured again at the end, to show whether the machine kept its speed.
         results.append(measure(LATTICE, folder, time_limit).renamed(report.AGAIN))
     return results
 

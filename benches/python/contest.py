@@ -29,7 +29,7 @@ _MARK = "RESULT "
 
 @dataclass(frozen=True)
 class Answer:
-    """What a solver found. `values` returns them in the order of the states (the end may be missing), off the clock."""
+    """Result of a solver. `values()` returns the values by state (the last may be missing) and is not timed."""
 
     values: Callable[[], NDArray[np.floating[Any]]]
     facts: dict[str, float] = field(default_factory=dict)
@@ -41,10 +41,10 @@ Prepare = Callable[[Problem], Solve]
 
 @dataclass(frozen=True)
 class Contestant:
-    """A solver that takes part.
+    """A solver in the comparison.
 
-    `prepare` returns the solver, ready to run; its time is the time to build, with `module` imported already.
-    `warm_up` runs are not counted (compilation, first touch of memory).
+    `prepare` returns the solver, ready to run. The duration of `prepare` is the build time; `module` is imported before
+    it. `warm_up` is the number of runs before the timed ones (compilation, first access to memory).
     """
 
     name: str
@@ -58,7 +58,7 @@ class Contestant:
 
 @dataclass(frozen=True)
 class Result:
-    """Times in seconds, the error in units of cost, the peak memory of the process; `failure` where there are none."""
+    """Build and solve times (s), largest error (units of cost) and peak memory (GB), or the text of a `failure`."""
 
     name: str
     label: str
@@ -72,21 +72,21 @@ class Result:
 
     @property
     def median(self) -> float:
-        """The median of the times of a solve."""
+        """Median solve time (s); NaN if the solver failed."""
         return median(self.solves) if self.solves else float("nan")
 
     @property
     def least(self) -> float:
-        """The shortest time of a solve."""
+        """Shortest solve time (s); NaN if the solver failed."""
         return min(self.solves, default=float("nan"))
 
     def renamed(self, name: str) -> Result:
-        """Return the same figures under another name."""
+        """Return this result under another name."""
         return replace(self, name=name)
 
 
 def compete(contestant: Contestant, folder: Path) -> Result:
-    """Measure a contestant in this process."""
+    """Run a contestant in this process and return its times, error and memory."""
     problem = Problem.read(folder)
     import_module(contestant.module)
     began = perf_counter()
@@ -107,7 +107,7 @@ def compete(contestant: Contestant, folder: Path) -> Result:
 
 
 def measure(contestant: Contestant, folder: Path, time_limit_s: float) -> Result:
-    """Measure a contestant in a process of its own; a failure of any kind is a result as well."""
+    """Measure a contestant in a process of its own. If it fails or exceeds the limit, the result has a `failure`."""
     command = [sys.executable, str(Path(__file__).with_name("contestants.py").resolve()), contestant.name, str(folder)]
     named = _named(contestant)
     with tempfile.TemporaryFile("w+") as output, tempfile.TemporaryFile("w+") as errors:
@@ -129,7 +129,7 @@ def _named(contestant: Contestant) -> Result:
 
 
 def serve(contestants: Mapping[str, Contestant]) -> None:
-    """Measure the contestant that the command line names, and print its result."""
+    """Measure the contestant that the command line names, and print its result as one line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("name", choices=sorted(contestants))
     parser.add_argument("folder", type=Path)

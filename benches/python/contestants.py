@@ -1,4 +1,4 @@
-"""Everybody who takes part in `compare_peers.py`, in the order of the table."""
+"""All contestants of `compare_peers.py`, in the order of its table."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PRIORITIES = ("H1", "H2")
 
 
 def _by_hand(kernel: str) -> Prepare:
-    """Import numba in the process of its contestant only."""
+    """Return the `prepare` of a numba kernel; numba is imported only in the process that runs it."""
 
     def prepare(problem: Problem) -> Solve:
         import by_hand

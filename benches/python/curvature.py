@@ -1,10 +1,10 @@
-"""Measure what an interval of curvature is worth: how often it holds the truth, and what the fit's bias is.
+"""Measure the coverage of the intervals of a fitted curvature, and the bias of the fit.
 
 python benches/python/curvature.py --json benches/results/curvature.json > benches/results/curvature.md
-python benches/python/curvature.py --trials 20          # to see that it runs
+python benches/python/curvature.py --trials 20          # short test run
 
 80 mm of an arc of 1200 mm in 320 points (10 mm/s at 40 Hz), errors of 0.1 mm in x and y: white; correlated as
-exp(-distance / length); and smooth, as exp(-(distance / length)^2 / 2). Every row has trials of its own seed.
+exp(-distance / length); and smooth, as exp(-(distance / length)^2 / 2). Every row of the table has its own seed.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Noise = Callable[[np.random.Generator], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Row:
-    """One study: share of intervals that hold the truth, mean estimate over it, mean half width and scatter of R."""
+    """One study: coverage of the interval, mean estimated / true curvature, median half width and scatter of R."""
 
     noise: str
     assumed: str
@@ -45,7 +45,7 @@ class Row:
 
 
 def main() -> int:
-    """Run all studies, print a table, write JSON."""
+    """Run all studies and print a table; with --json, write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=1000)
     parser.add_argument("--json", type=Path, metavar="FILE")
@@ -112,7 +112,7 @@ def _mixed(noise: Noise) -> Noise:
 
 
 def _kasa(trials: int) -> float:
-    """Mean of R / true R by plain algebraic least squares, the biased one, for white noise."""
+    """Return the mean of R / true R for white noise, by plain algebraic least squares (Kasa), which is biased."""
     random = np.random.default_rng(0)
     found = []
     for _ in range(trials):

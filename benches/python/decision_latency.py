@@ -1,11 +1,11 @@
-"""Measure how long the loop takes from a sample to its command, and whether minutes of traffic pass without loss.
+"""Measure the time from a sample to the resulting command, and whether samples are lost in minutes of traffic.
 
 python benches/python/decision_latency.py --json benches/results/latency.json > benches/results/latency.md
-python benches/python/decision_latency.py --insertions 1 --traffic 5       # to see that it runs
+python benches/python/decision_latency.py --insertions 1 --traffic 5       # short test run
 
-The lab twin runs in real time, in processes of its own, and speaks the bytes of robot, force sensor and tracker on the
-loopback. The loop is that of `needleplan insert`, with its guard, its threads that read, and a recording. The traffic
-is 1,000 Hz status of the robot, 200 Hz force and 40 Hz poses through the clients of the devices, in real time.
+The lab twin runs in real time, in processes of its own, and sends the protocols of robot, force sensor and tracker over
+the loopback. The control loop is that of `needleplan insert`, with guard, reading threads and recording. The traffic is
+robot status at 1,000 Hz, forces at 200 Hz and poses at 40 Hz, in real time, read by the clients of the devices.
 """
 
 from __future__ import annotations
@@ -57,38 +57,38 @@ PATIENT = SafetyLimits(
     insertion_velocity_mm_s=25.0, force_age_s=0.5, pose_age_s=0.5, stage_age_s=0.5, loop_age_s=0.5, motion_s=2.0,
     following_mm=2.0, recording_age_s=5.0, out_of_plane_mm=20.0,
 )  # fmt: skip
-"""Ages that a machine with other work does not exceed: a fault would end the measurement, not change it."""
+"""Limits that a busy machine does not exceed: a stop by the guard would end the measurement."""
 
 
 class Timed(Listener):
-    """Notes when samples arrived, and how long after that the command was out that they led to."""
+    """Records the time from the arrival of a sample to the tip estimate and to the resulting command."""
 
     def __init__(self) -> None:
         self.last: Sample | None = None
         self.tips_ms: list[float] = []
         self.commands: list[tuple[float, bool, bool]] = []
-        """Time from the last sample (ms), whether that was one of the tracker, whether a plan was being made."""
+        """By command: time since the last sample (ms), whether that sample is a pose, whether a plan was being made."""
 
         self.planning = False
         self.planned: list[str] = []
 
     def sample(self, sample: Sample) -> None:
-        """Note a sample that is about to be used."""
+        """Keep the sample that the loop is about to use."""
         self.last = sample
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Note how long the tip took from the arrival of its frame."""
+        """Record the time from the arrival of the tracker frame to the tip estimate."""
         self.tips_ms.append((time.monotonic_ns() - time_ns) * 1e-6)
 
     def command(self, command: RunCommand) -> None:
-        """Note a command, which is out."""
+        """Record the time from the last sample to a command that was just sent; stops are not counted."""
         if command.kind is CommandKind.STOP or self.last is None:
             return
         since_ms = (time.monotonic_ns() - self.last.stamp.received_ns) * 1e-6
         self.commands.append((since_ms, isinstance(self.last, PoseSample), self.planning))
 
     def event(self, event: RunEvent) -> None:
-        """Note when a plan is being made; the decision that takes the table is one of those that wait for nothing."""
+        """Track whether a plan is being made, from the request until the loop takes or refuses the new table."""
         if event.name is RunEventName.REPLAN_ASKED:
             self.planning = True
         elif event.name in (RunEventName.TABLE_SWAPPED, RunEventName.REPLAN_REFUSED):
@@ -97,7 +97,7 @@ class Timed(Listener):
 
 
 def insertion(table: PolicyTable, experiment: Experiment, seed: int, folder: Path, *, replanning: bool) -> Timed | str:
-    """Insert in real time, and return what was timed, or why it did not end in the target."""
+    """Insert in real time. Return the measured times, or the reason if the tip did not reach the target."""
     options = Options(velocity_mm_s=20.0, velocity_rad_s=10.0, replan=replanning)
     if replanning:  # at every decision at which no plan is being made
         options = replace(options, replan_deviations=1e-6, replan_share=1e-6)
@@ -119,7 +119,7 @@ def insertion(table: PolicyTable, experiment: Experiment, seed: int, folder: Pat
 
 
 def latencies(insertions: int, scenario: str) -> dict[str, Any]:
-    """Return the times of many insertions, without planning again and with it at every decision."""
+    """Return percentiles of the times of many insertions, without replanning and with replanning at every decision."""
     table, experiment = plan(Scenario.read(scenario)), Experiment.read("steering")
     found: dict[str, Any] = {"scenario": scenario, "failed": []}
     with tempfile.TemporaryDirectory() as folder:
@@ -146,7 +146,7 @@ def latencies(insertions: int, scenario: str) -> dict[str, Any]:
 
 
 def percentiles(values_ms: list[float]) -> dict[str, float]:
-    """Return median, 99th percentile and worst of times in ms."""
+    """Return number, median, 99th percentile and maximum of times (ms); only the number if there are none."""
     if not values_ms:
         return {"number": 0}
     middle, high = np.percentile(values_ms, [50, 99]).tolist()
@@ -154,7 +154,7 @@ def percentiles(values_ms: list[float]) -> dict[str, float]:
 
 
 def traffic(seconds: float) -> dict[str, Any]:
-    """Take all samples for a while, and return how many came and were lost, and how the memory went."""
+    """Read all samples for `seconds`. Return their numbers and rates, losses, gaps, memory (MB) and interruptions."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     child = context.Process(target=serve, args=(there,))
@@ -200,15 +200,15 @@ def traffic(seconds: float) -> dict[str, Any]:
 
 
 def resident_mb() -> float:
-    """Return the memory of this process."""
+    """Return the resident memory of this process (MB)."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * resource.getpagesize() / 2**20
 
 
 def main() -> int:
-    """Run, and print the tables."""
+    """Run both measurements and print the page; with --json, write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--insertions", type=int, default=5, help="in real time, without and with planning again (5)")
+    parser.add_argument("--insertions", type=int, default=5, help="insertions without and as many with replanning (5)")
     parser.add_argument("--scenario", default="four_obstacles")
     parser.add_argument("--traffic", type=float, default=600.0, metavar="S", help="seconds of traffic (600)")
     parser.add_argument("--json", metavar="FILE")
@@ -226,7 +226,7 @@ def main() -> int:
 
 
 def lines(results: dict[str, Any]) -> Iterator[str]:
-    """Yield the page."""
+    """Yield the lines of the Markdown page."""
     of = results["machine"]
     yield "# From a sample to the command, and minutes of traffic"
     yield ""
@@ -240,11 +240,11 @@ def lines(results: dict[str, Any]) -> Iterator[str]:
 
 def _latency(found: dict[str, Any]) -> Iterator[str]:
     yield from ("", "## Latency", "")
-    yield f"Scenario {found['scenario']}. From the arrival of a sample to the tip, or to the command that it led to"
-    yield "being out. With planning again: a new table is asked for at every decision at which none is being made."
-    yield f"Goals: 99 % below {GOAL_MS:g} ms without planning again, below {GOAL_REPLANNING_MS:g} ms with it."
+    yield f"Scenario {found['scenario']}. Time from the arrival of a sample to the tip estimate, or until the resulting"
+    yield "command is sent. With replanning: a new table is requested at every decision at which none is being made."
+    yield f"Goals: 99 % below {GOAL_MS:g} ms without replanning, below {GOAL_REPLANNING_MS:g} ms with replanning."
     yield ""
-    yield "| planning again | what | number | median ms | 99 % ms | worst ms |"
+    yield "| replanning | what | number | median ms | 99 % ms | worst ms |"
     yield "|---|---|--:|--:|--:|--:|"
     for name in ("without", "with"):
         for what, each in found[name].items():

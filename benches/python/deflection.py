@@ -1,7 +1,7 @@
-"""Measure how long the deflection of a needle takes: one shape, many at once, an insertion, a step of the path law.
+"""Measure the computing time of needle deflection: one shape, many at once, an insertion, a step of the path law.
 
 python benches/python/deflection.py --json deflection.json
-python benches/python/deflection.py --insertions 200            # to see that it runs
+python benches/python/deflection.py --insertions 200            # short test run
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ GOAL_US = 5.0
 
 
 def main() -> int:
-    """Measure, print a table, write JSON."""
+    """Run all measurements and print two tables; with --json, write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--insertions", type=int, default=4000, metavar="N")
     parser.add_argument("--json", type=Path, metavar="FILE")
@@ -64,7 +64,10 @@ def main() -> int:
 
 
 def shapes(count: int) -> dict[str, tuple[float, float]]:
-    """Microseconds of a shape among many, and the error of its tip against the exact or a very fine solution."""
+    """Return, by method, microseconds per shape of `count` shapes at once and the largest relative error at the tip.
+
+    The reference is the exact solution, or a very fine mesh if no exact solution exists.
+    """
     force, depth = np.linspace(0.01, 0.2, count), np.full(count, 80.0)
     results = {}
     for terms in (AxialTerms.PLAIN, AxialTerms.PRINTED, AxialTerms.CONSISTENT):
@@ -85,12 +88,12 @@ def shapes(count: int) -> dict[str, tuple[float, float]]:
 
 
 def both(shape: object) -> object:
-    """Evaluate a shape at tip and coil."""
+    """Return the deflections of a shape at the tip and at the coil, 9.3 mm behind it."""
     return shape.at(0.0), shape.at(9.3)  # type: ignore[attr-defined]
 
 
 def alone() -> dict[str, float]:
-    """Microseconds of one call for one insertion."""
+    """Return the microseconds of single calls, by name."""
     beam = Beam.of(NEEDLE, TISSUE, 80.0, 0.15, 15.0)
     plain = Beam.of(NEEDLE, TISSUE, 80.0, 0.15, 15.0, terms=AxialTerms.PLAIN)
     tip = FreePath(NEEDLE, TISSUE).advanced(10.0, 0.05)
@@ -102,7 +105,7 @@ def alone() -> dict[str, float]:
 
 
 def insertions() -> dict[str, float]:
-    """Milliseconds of whole insertions to 80 mm."""
+    """Return the milliseconds of insertions to 80 mm, of a simulation and of a fit, by name."""
     depth = np.arange(161) / 2
     force = 0.05 * np.minimum(depth / 20, 1) ** 2
     many = np.linspace(0.5, 1.5, 500)[:, None] * force
@@ -124,7 +127,7 @@ def insertions() -> dict[str, float]:
 
 
 def each_us(work: Callable[[], object], share: int = 1) -> float:
-    """Return the least microseconds that `work` takes, over `share`; at least half a second of trying."""
+    """Call `work` repeatedly for at least half a second; return the shortest time (us), divided by `share`."""
     work()
     best, end = math.inf, perf_counter() + 0.5
     while perf_counter() < end:

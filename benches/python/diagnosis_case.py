@@ -1,4 +1,4 @@
-"""One data set of the blind campaign, diagnosed: what was hidden, what was said about it, and what it cost."""
+"""Diagnoses of single data sets of the blind campaign: hidden effects, verdict, estimates and computing time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.blind.recording import DataSet
 
 
 class Bench:
-    """Diagnoses data sets one after the other; what the library computes for motions is kept."""
+    """Diagnoses data sets one after the other; all share a library, which caches its computations for the motions."""
 
     def __init__(self, name: SubjectName = SubjectName.FORCE, *, peers: bool = False) -> None:
         self.subject = SUBJECTS[name]
@@ -29,7 +29,7 @@ class Bench:
         self.prepared_s = self._prepare()
 
     def _prepare(self) -> float:
-        """Diagnose one data set without an effect for each kind of motions; return seconds, generation left out."""
+        """Fill the cache: diagnose a data set without an effect for each set of motions. Return processor time (s)."""
         spent = 0.0
         seen = set()
         for case in self.subject.cases(Purpose.TUNING, True):
@@ -43,7 +43,7 @@ class Bench:
         return spent
 
     def outcome(self, case: AnyCase) -> dict[str, Any]:
-        """Return one line of results."""
+        """Generate and diagnose a data set; return its record. An exception becomes the record's `failure`."""
         data, truth = self.subject.generate(case.spec)
         names = [self.subject.called.get(each.name, str(each.name)) for each in truth.effects]
         line: dict[str, Any] = {
@@ -70,7 +70,7 @@ class Bench:
         begin, wall = process_time(), perf_counter()
         try:
             found = diagnose(self.base, records(data), library=self.library, seed=case.spec.seed)
-        except Exception as error:  # a crash is a finding, and no reason to lose the others
+        except Exception as error:  # a crash is a result; the other data sets still run
             return line | {"failure": repr(error), "cpu_s": process_time() - begin, "wall_s": perf_counter() - wall}
         line |= {"cpu_s": process_time() - begin, "wall_s": perf_counter() - wall} | said(found)
         if self.peers and case.stratum in (Stratum.NULL, Stratum.SINGLE, Stratum.PAIR):
@@ -79,7 +79,7 @@ class Bench:
 
 
 def records(data: DataSet) -> list[Record]:
-    """Return a data set as the diagnosis takes it."""
+    """Return the trials of a data set as records."""
     return [
         Record(
             {name: values for name, values in each.columns.items() if values.dtype.kind == "f"},
@@ -91,7 +91,7 @@ def records(data: DataSet) -> list[Record]:
 
 
 def said(found: Diagnosis) -> dict[str, Any]:
-    """Return what a diagnosis said, as plain values."""
+    """Return verdict, names, estimates and statistics of a diagnosis as plain values."""
     first = found.selection.rounds[0]
     after = found.validation
     return {
@@ -129,20 +129,20 @@ _bench: Bench | None = None
 
 
 def begin(name: SubjectName, peers: bool) -> None:
-    """Prepare a process."""
+    """Lower the priority of this worker process and create its `Bench`."""
     global _bench
     os.nice(5)
     _bench = Bench(name, peers=peers)
 
 
 def run(case: AnyCase) -> dict[str, Any]:
-    """Diagnose one data set in a process that was prepared."""
+    """Return the record of one case; `begin` must have run in this process."""
     assert _bench is not None
     return _bench.outcome(case)
 
 
 def read(path: Path, engine: str) -> dict[int, dict[str, Any]]:
-    """Return the results of this engine that a file has, by seed; a last line that was cut off is left out."""
+    """Return the records of this engine in a file, by seed. A truncated last line is skipped."""
     kept: dict[int, dict[str, Any]] = {}
     for text in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
         try:

@@ -1,4 +1,4 @@
-"""The goals of the diagnosis beside what was measured."""
+"""The goals of the diagnosis compared with the measured values."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 
 LEVELS = ("0", "0.03", "0.1")
 ENOUGH = 20
-"""Data sets below which a share says little."""
+"""Number of data sets below which a share is marked as uncertain."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """A goal, what was measured, of how many, and whether it is reached; None where there is no figure."""
+    """A goal and the measured value from `of` data sets. `reached` is None if there is no measured value."""
 
     what: str
     goal: str
@@ -23,12 +23,12 @@ class Goal:
 
 
 def goals(found: dict[str, Any], seconds_of_preparation: float | None) -> list[Goal]:
-    """Judge a summary."""
+    """Compare a summary of the axial force with all its goals."""
     return [*_named(found), *_others(found), *_costs(found, seconds_of_preparation), *_against_peers(found)]
 
 
 def tip_goals(found: dict[str, Any], seconds_of_preparation: float | None) -> list[Goal]:
-    """Judge a summary of the tip's path: the same, as far as it has goals."""
+    """Compare a summary of the path of the tip with its goals, which are fewer than those of the axial force."""
     listed = []
     for level in LEVELS:
         null, single = found["null"][f"rich {level}"], found["single"][f"rich {level}"]

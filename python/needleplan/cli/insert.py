@@ -289,7 +289,7 @@ def _answer(
             "error": f"{report.error_mm:.2f} mm from the centre of the target, {report.beyond_rim_mm:.2f} mm beyond "
             "its rim" + ("" if true_error is None else f"; in truth {true_error:.2f} mm from the centre"),
             "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
-            "plan": f"success {percent(report.predicted_success)} promised; planned again {report.replans} times"
+            "plan": f"success {percent(report.predicted_success)} predicted; replanned {report.replans} times"
             if report.steps else "nothing was decided",
         }  # fmt: skip
         more = {
