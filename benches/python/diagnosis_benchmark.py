@@ -1,14 +1,13 @@
-"""Score the diagnosis on the blind campaign: confusion, power, calibration, false names, time; peers on the same data.
+"""Score the diagnosis on the blind campaign: confusion, power, calibration, false names, time; compare with peers.
 
 PYTHONPATH=. python benches/python/diagnosis_benchmark.py --peers              # the report, with the reporting seeds
 PYTHONPATH=. python benches/python/diagnosis_benchmark.py --channel tip        # the path of the tip
-PYTHONPATH=. python benches/python/diagnosis_benchmark.py --tuning --small     # while developing: 165 data sets
-PYTHONPATH=. python benches/python/diagnosis_benchmark.py --peers --minutes 30 # as far as it gets; again, to go on
+PYTHONPATH=. python benches/python/diagnosis_benchmark.py --tuning --small     # for development: 165 data sets
+PYTHONPATH=. python benches/python/diagnosis_benchmark.py --peers --minutes 30 # repeat the command to continue
 
-Every outcome is appended to a file as soon as it is known. A run that is started again goes on where it was; outcomes
-of another state of the engine (a digest of its sources) are not used. Data sets come in an order that mixes all
-strata, so that a part of a run says something about everything, with wider bounds. Writes PREFIX.json, PREFIX.md,
-PREFIX_power.png and PREFIX_confusion.png.
+Every outcome is appended to a file at once, and a repeated command continues from that file. The file also stores a
+digest of the engine's sources; outcomes with another digest are ignored. Data sets are ordered so that an incomplete
+run covers all strata, with wider bounds. Writes PREFIX.json, PREFIX.md, PREFIX_power.png and PREFIX_confusion.png.
 """
 
 from __future__ import annotations
@@ -40,22 +39,22 @@ RESULTS = machine.ROOT / "benches" / "results"
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tuning", action="store_true", help="seeds for tuning; without it, those for the report")
-    parser.add_argument("--small", action="store_true", help="the small campaign, a part of the whole")
-    parser.add_argument("--peers", action="store_true", help="also what PySINDy and LASSO name on the same data")
+    parser.add_argument("--tuning", action="store_true", help="use the seeds for tuning, not those for the report")
+    parser.add_argument("--small", action="store_true", help="run the small campaign, a subset")
+    parser.add_argument("--peers", action="store_true", help="also apply PySINDy and LASSO to the same data")
     parser.add_argument("--processes", type=int, default=2, choices=(1, 2))
-    parser.add_argument("--minutes", type=float, help="stop after so long; the summary is of what was done")
-    parser.add_argument("--stratum", action="append", help="only this one (null, single, pair, outside, absorbed)")
+    parser.add_argument("--minutes", type=float, help="stop after this time and summarise the outcomes so far")
+    parser.add_argument("--stratum", action="append", help="only this stratum (null, single, pair, outside, absorbed)")
     parser.add_argument("--outcomes", type=Path, help="file for outcomes (build/diagnosis_PURPOSE.jsonl)")
     parser.add_argument(
-        "--prefix", type=Path, help="of what is written (benches/results/diagnosis; with --tuning, build/)"
+        "--prefix", type=Path, help="prefix of the written files (benches/results/diagnosis; with --tuning, in build/)"
     )
     parser.add_argument("--channel", type=SubjectName, choices=list(SubjectName), default=SubjectName.FORCE)
     options = parser.parse_args()
     subject, kind = SUBJECTS[options.channel], "" if options.channel is SubjectName.FORCE else f"_{options.channel}"
-    peers = options.peers and not kind  # their candidates are those of one axis
+    peers = options.peers and not kind  # the peers have candidates for the axial force only
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"  # for the processes to come: they share the cores, and must not each take all of them
+        os.environ[name] = "1"  # inherited by the worker processes, which share the cores: one thread each
     purpose = Purpose.TUNING if options.tuning else Purpose.REPORTING
     build = machine.ROOT / "build"
     outcomes = options.outcomes or build / f"diagnosis{kind}_{purpose}.jsonl"
@@ -115,7 +114,7 @@ def main() -> None:
 
 
 def mixed(cases: Iterable[AnyCase]) -> list[AnyCase]:
-    """Return cases in an order in which every row of the campaign is done evenly."""
+    """Return the cases in an order in which all rows of the campaign progress at the same relative rate."""
     rows: dict[tuple[object, ...], list[AnyCase]] = defaultdict(list)
     for case in cases:
         names = tuple(each.name for each in case.spec.effects) if len(case.spec.effects) == 1 else ()
@@ -128,7 +127,7 @@ def mixed(cases: Iterable[AnyCase]) -> list[AnyCase]:
 
 
 def engine_digest() -> str:
-    """Return a digest of all sources that decide an outcome."""
+    """Return a digest of all sources that affect an outcome."""
     package = Path(needleplan.__file__).parent
     files = sorted(file for part in ("diagnosis", "models", "signals") for file in (package / part).rglob("*.py"))
     files += sorted((machine.ROOT / "tests" / "blind").glob("*.py"))

@@ -1,4 +1,4 @@
-"""A summary of the diagnosis benchmark as Markdown and as figures."""
+"""The report of the diagnosis benchmark: Markdown page and figures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ COLOURS = ("#0b5394", "#38761d", "#b45f06")
 
 
 def page(report: Mapping[str, Any], goals: list[Goal], figures: str) -> str:
-    """Return the report as Markdown; `figures` is what the names of the figures begin with."""
+    """Return the report as Markdown; `figures` is the common beginning of the file names of the figures."""
     return "\n".join(
         [*_head(report), *_goals(goals), *_tables(report["summary"], report["run"]["large"]), *_pictures(figures), ""]
     )
@@ -151,7 +151,7 @@ def _number(value: float | None) -> str:
 
 
 def draw(found: Mapping[str, Any], prefix: Path) -> None:
-    """Write the figures beside each other: power curves, and the matrix of confusion."""
+    """Write PREFIX_power.png (power curves) and PREFIX_confusion.png (confusion matrix)."""
     mpl.use("Agg")
     _draw_power(found, prefix.with_name(f"{prefix.name}_power.png"))
     _draw_confusion(found["confusion"], prefix.with_name(f"{prefix.name}_confusion.png"))
@@ -166,7 +166,7 @@ def _draw_power(found: Mapping[str, Any], path: Path) -> None:
                 bins = [each for each in found["power"][by][f"{variety} {level}"] if each["right"]["of"]]
                 if not bins:
                     continue
-                # A bin that is open on a side, or nearly, is drawn at a factor of two from its other end.
+                # A bin with an open (or very distant) end is drawn at a factor of two from its other end.
                 at = [np.sqrt((each["from"] or each["to"] / 4) * min(each["to"], 4 * (each["from"] or each["to"])))
                       for each in bins]  # fmt: skip
                 rates = np.array([each["right"]["rate"] for each in bins])

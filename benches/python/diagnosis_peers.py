@@ -1,8 +1,8 @@
-"""What regression by itself would name: PySINDy's STLSQ, the same bagged, and LASSO with Schwarz' criterion.
+"""Peers of the diagnosis by regression alone: PySINDy's STLSQ, bagged STLSQ, and LASSO with Schwarz' criterion.
 
-They get more than they ask for: the residual after every parameter of the base was calibrated, whitened by the noise
-of the sensor, with the base's sensitivities projected out, and of each effect the one column of its grid that explains
-most. What they name is every effect whose coefficient is not zero.
+The peers get favourable input: the residual of the calibrated base, whitened by the sensor noise, with the
+sensitivities of the base projected out, and for each effect the column of its grid that explains most of the residual.
+A peer names every effect with a nonzero coefficient.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from needleplan.signals import Array
 BAGS = 50
 INCLUDED = 0.6
 THRESHOLDS = np.geomspace(0.5, 30.0, 14)
-"""Of a coefficient, in standard deviations of the noise: the columns have length 1."""
+"""Candidate thresholds of a coefficient, in standard deviations of the noise (the columns have length 1)."""
 
 
 def named(found: Diagnosis, library: Library, seed: int) -> dict[str, list[str]]:
-    """Return what each peer names on the training data of a diagnosis."""
+    """Return by peer the names of the effects that it finds in the training data of a diagnosis."""
     from sklearn.linear_model import LassoLarsIC
 
     names, columns, target = _problem(found, library)
@@ -57,7 +57,7 @@ def _problem(found: Diagnosis, library: Library) -> tuple[list[str], Array, Arra
 
 
 def _threshold(columns: Array, target: Array) -> float:
-    """Return the threshold of STLSQ with the best Schwarz criterion, the noise being 1."""
+    """Return the threshold with which STLSQ has the best Schwarz criterion, for noise of standard deviation 1."""
     scores = []
     for each in THRESHOLDS:
         sizes = _stlsq(columns, target, float(each))
@@ -74,7 +74,7 @@ def _stlsq(columns: Array, target: Array, threshold: float) -> Array:
 
 
 def _bagged(columns: Array, target: Array, threshold: float, seed: int) -> Array:
-    """Return how often each coefficient is not zero, where that is often enough, over samples drawn with return."""
+    """Return for each coefficient the share of bootstrap samples in which it is nonzero; 0 if at most `INCLUDED`."""
     from pysindy.optimizers import STLSQ, EnsembleOptimizer
 
     np.random.seed(seed % 2**32)  # noqa: NPY002  PySINDy draws from the global generator

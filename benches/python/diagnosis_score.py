@@ -1,4 +1,4 @@
-"""What the outcomes of a campaign say: rates with their bounds, power curves, calibration, confusion."""
+"""Statistics of the outcomes of a campaign: rates with bounds, power curves, calibration, confusion."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NAMING = ("named", "incomplete")
 
 
 def rate(hits: int, of: int) -> dict[str, float | int | None]:
-    """Return a share with the bounds of Clopper and Pearson, 95 %, None where there is nothing to divide by."""
+    """Return hits / of with its 95 % Clopper-Pearson bounds; rate and bounds are None if `of` is 0."""
     if not of:
         return {"hits": 0, "of": 0, "rate": None, "low": None, "high": None}
     low = float(beta.ppf(0.025, hits, of - hits + 1)) if hits else 0.0
@@ -32,43 +32,43 @@ def rate(hits: int, of: int) -> dict[str, float | int | None]:
 
 
 def share(lines: Iterable[Line], true: Callable[[Line], bool]) -> dict[str, float | int | None]:
-    """Return in how many of some outcomes something holds."""
+    """Return the rate of the outcomes for which `true` holds."""
     each = [true(line) for line in lines]
     return rate(sum(each), len(each))
 
 
 def given(line: Line) -> list[str]:
-    """Return the names that were given."""
+    """Return the effects that the diagnosis names; empty if its verdict gives no name."""
     return list(line["names"]) if line["verdict"] in NAMING else []
 
 
 def hidden(line: Line) -> list[str]:
-    """Return the names that are right."""
+    """Return the names of the hidden effects."""
     return [each["name"] for each in line["truth"]]
 
 
 def right(line: Line) -> bool:
-    """Whether the verdict is NAMED with just what was hidden; one hidden effect may be several bumps."""
+    """Whether the verdict is NAMED and its names are the hidden effects. Several bumps count as one name."""
     return line["verdict"] == "named" and set(line["names"]) == set(hidden(line))
 
 
 def wrong(line: Line) -> bool:
-    """Whether a name was given that was not hidden."""
+    """Whether the diagnosis names an effect that was not hidden."""
     return bool(set(given(line)) - set(hidden(line)))
 
 
 def size(line: Line) -> float:
-    """Return the size of the smallest hidden effect, in noise RMS."""
+    """Return the size of the smallest hidden effect as a multiple of the noise RMS; 0 without an effect."""
     return min((each["size"] for each in line["truth"]), default=0.0)
 
 
 def noncentrality(line: Line) -> float:
-    """Return what the base leaves of the smallest hidden effect."""
+    """Return the smallest noncentrality of the hidden effects after the fit of the base; 0 without an effect."""
     return min((each["noncentrality"] for each in line["truth"]), default=0.0)
 
 
 def pick(lines: Lines, stratum: str, **equal: Any) -> list[Line]:
-    """Return the outcomes of a stratum with some values."""
+    """Return the outcomes of a stratum whose fields have the values `equal`; a value of None matches all."""
     return [
         line for line in lines
         if line["stratum"] == stratum and all(line[key] == value for key, value in equal.items() if value is not None)
@@ -76,7 +76,7 @@ def pick(lines: Lines, stratum: str, **equal: Any) -> list[Line]:
 
 
 def summary(lines: Lines, large: float = 1.0) -> dict[str, Any]:
-    """Return all figures of a run, whole or not; effects are expected to be named from the size `large` on."""
+    """Return all statistics of a complete or partial run; effects of at least the size `large` should be named."""
     failures = [line for line in lines if line["failure"]]
     lines = [line for line in lines if not line["failure"]]
     return {
@@ -114,7 +114,7 @@ def summary(lines: Lines, large: float = 1.0) -> dict[str, Any]:
 
 
 def nulls(lines: Lines) -> dict[str, Any]:
-    """Score data sets without an effect."""
+    """Return the statistics of data sets without a hidden effect."""
     return {
         "falsely_named": share(lines, lambda line: bool(given(line))),
         "flagged": share(lines, lambda line: line["verdict"] not in QUIET),
@@ -124,7 +124,7 @@ def nulls(lines: Lines) -> dict[str, Any]:
 
 
 def singles(lines: Lines, large: float) -> dict[str, Any]:
-    """Score data sets with one effect; from the size `large` on, where nothing else is said."""
+    """Return the statistics of data sets with one effect of at least the size `large`; `precision` is of all sizes."""
     kept = [line for line in lines if size(line) >= large]
     good = [line["shrink"] for line in kept if right(line) and line["shrink"] is not None]
     return {
@@ -139,7 +139,7 @@ def singles(lines: Lines, large: float) -> dict[str, Any]:
 
 
 def pairs(lines: Lines) -> dict[str, Any]:
-    """Score data sets with two effects, each of at least 0.2 noise RMS and with a ratio below 4."""
+    """Return the statistics of data sets with two effects of at least 0.2 noise RMS and a ratio of sizes below 4."""
     kept = []
     for line in lines:
         sizes = sorted(each["size"] for each in line["truth"])
@@ -159,7 +159,7 @@ def pairs(lines: Lines) -> dict[str, Any]:
 
 
 def outside(lines: Lines) -> dict[str, Any]:
-    """Score effects that no library has, from 0.3 noise RMS on."""
+    """Return the statistics of data sets with an effect outside the library, of at least 0.3 noise RMS."""
     kept = [line for line in lines if size(line) >= 0.3]
     unknown = [line for line in kept if line["verdict"] == "unknown"]
     return {
@@ -172,7 +172,7 @@ def outside(lines: Lines) -> dict[str, Any]:
 
 
 def curve(lines: Lines, by: Callable[[Line], float], edges: Sequence[float]) -> list[dict[str, Any]]:
-    """Return how many are named rightly, from bin to bin."""
+    """Return for each bin of `by` the rates of right and of wrong names."""
     found = []
     for low, high in pairwise(edges):
         part = [line for line in lines if low <= by(line) < high]
@@ -181,14 +181,17 @@ def curve(lines: Lines, by: Callable[[Line], float], edges: Sequence[float]) -> 
 
 
 def chances(lines: Lines) -> dict[str, Any]:
-    """Return how often the p-value of the best effect is below a level where there is none: it should be the level."""
-    # Where the best effect is far from the threshold, no p-value is worked out: such data sets count as above.
+    """Return by level the share of data sets without an effect whose smallest p-value is at most the level.
+
+    With correct p-values the share equals the level.
+    """
+    # No p-value is computed if the best effect is far below the threshold; it counts as 1.
     values = np.array([1.0 if line["p_value"] is None else line["p_value"] for line in lines])
     return {f"{level:g}": rate(int((values <= level).sum()), len(values)) for level in (0.001, 0.01, 0.05)}
 
 
 def coverage(lines: Lines) -> dict[str, Any]:
-    """Return how often 95 % intervals of effects that were named rightly hold the truth."""
+    """Return the coverage of the 95 % intervals of correctly named effects."""
     parameters: list[bool] = []
     rms: list[bool] = []
     by_name: dict[str, list[bool]] = {}
@@ -211,7 +214,7 @@ def coverage(lines: Lines) -> dict[str, Any]:
 
 
 def depths(lines: Lines) -> dict[str, Any]:
-    """Return errors of depth of punctures and layers that were named rightly."""
+    """Return the quantiles of the depth errors (mm) of correctly named punctures and layers: all, and by effect."""
     errors: dict[str, list[float]] = {}
     for line in filter(right, lines):
         where = line["truth"][0]["parameters"].get("depth_mm")
@@ -223,7 +226,7 @@ def depths(lines: Lines) -> dict[str, Any]:
 
 
 def spread(values: Sequence[float | None]) -> dict[str, float | int | None]:
-    """Return count, tenth, half and nine tenths of some values, and the greatest."""
+    """Return count, 10 % quantile, median, 90 % quantile and maximum of the finite values."""
     known = np.array([value for value in values if value is not None], float)
     known = known[np.isfinite(known)]
     if not known.size:
@@ -233,7 +236,7 @@ def spread(values: Sequence[float | None]) -> dict[str, float | int | None]:
 
 
 def confusion(lines: Lines, large: float) -> dict[str, dict[str, int]]:
-    """Return what was said about what: one effect or one outside of the library from a size on, and none."""
+    """Return by hidden effect the counts of the answers; effects smaller than `large` and pairs are left out."""
     counts: dict[str, Counter[str]] = {}
     for line in lines:
         if line["stratum"] == "pair" or (line["stratum"] in ("single", "outside") and size(line) < large):
@@ -245,7 +248,7 @@ def confusion(lines: Lines, large: float) -> dict[str, dict[str, int]]:
 
 
 def by_effect(lines: Lines, large: float) -> dict[str, Any]:
-    """Return for each effect how many from a size on are named rightly and wrongly, rich and poor."""
+    """Return by effect the rates of right and wrong names for rich and poor motion, from the size `large` on."""
     found: dict[str, Any] = {}
     for name in sorted({hidden(line)[0] for line in lines}):
         own = [line for line in lines if hidden(line)[0] == name and size(line) >= large]
@@ -258,7 +261,7 @@ def by_effect(lines: Lines, large: float) -> dict[str, Any]:
 
 
 def peers(lines: Lines, large: float) -> dict[str, Any]:
-    """Return how the peers and we did on the same data sets."""
+    """Return the results of needleplan and of each peer on the same data sets; empty if no peer was run."""
     known = [line for line in lines if line.get("peers")]
     if not known:
         return {}

@@ -1,4 +1,4 @@
-"""What is diagnosed: a channel, the base that an analyst is told, its campaign, and the names on both sides."""
+"""Subjects of the benchmark: channel, base model, blind campaign, and names in the library and in the blind data."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ class SubjectName(StrEnum):
 
 @dataclass(frozen=True)
 class Subject:
-    """A channel and its blind data."""
+    """A channel with its base model and blind data."""
 
     base: Model
     generate: Callable[[Any], tuple[DataSet, Truth]]
     cases: Callable[[Purpose, bool], Iterable[AnyCase]]
     axes: Mapping[Any, str]
-    """Axis of every effect outside of the library."""
+    """Axis of every effect outside the library, by its name."""
 
     large: float
-    """From which size on an effect is expected to be named, in units of the noise."""
+    """Size from which an effect is expected to be named, as a multiple of the noise."""
 
     called: Mapping[str, str] = field(default_factory=dict)
-    """What the library calls effects that the blind data call otherwise."""
+    """Name in the library of effects with another name in the blind data."""
 
     comparable: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    """Parameters that mean the same on both sides, by effect: ours, and the truth's."""
+    """By effect: name of a parameter in the library to its name in the blind data, if both mean the same."""
 
     def empty(self, case: AnyCase) -> Any:
-        """Return a data set of no campaign, without an effect, with the motions of one."""
+        """Return the specification of a data set without an effect, with the motions of `case`."""
         return type(case.spec)(seed=7, training=case.spec.training, held_out=case.spec.held_out)
 
 

@@ -1,4 +1,4 @@
-"""The devices of `fault_to_stop.py` in a process of their own, on real sockets, and what goes wrong with them."""
+"""The simulated devices of `fault_to_stop.py`, in a process of their own on real sockets, and their faults."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PAUSE_S = 0.2
 
 
 class FaultLab:
-    """Servers of the three devices; notes when the first stop came and when the robot no longer moved."""
+    """Servers of the three devices. Records the times of the first stop after a fault and of the robot's rest."""
 
     def __init__(self) -> None:
         noise = random.Random(1)
@@ -48,11 +48,11 @@ class FaultLab:
 
     @property
     def addresses(self) -> tuple[str, str, str]:
-        """Of force sensor, tracker and robot."""
+        """Addresses of force sensor, tracker and robot."""
         return self.force.address, f"{self.coils.address}?tool={TOOL}", self.robot.address
 
     def received(self, datagram: bytes, sender: tuple[str, int], now_ns: int) -> bytes:
-        """Note the first stop after the fault."""
+        """Answer a datagram; record the time of the first stop after the fault."""
         answer = self._receive(datagram, sender, now_ns)
         if self.fault_ns and not self.stop_ns:
             with contextlib.suppress(ProtocolError):
@@ -61,7 +61,7 @@ class FaultLab:
         return answer
 
     def ticked(self, now_ns: int) -> object:
-        """Note when the robot stands."""
+        """Run the tick of the robot; record the first time after the fault at which it does not move."""
         sent = self._tick(now_ns)
         if self.fault_ns and not self.stood_ns and not self.moving:
             self.stood_ns = time.monotonic_ns()
@@ -69,18 +69,18 @@ class FaultLab:
 
     @property
     def moving(self) -> bool:
-        """Whether the robot moves."""
+        """Whether the robot is enabled and moves."""
         return self.machine.state is RobotState.ENABLED and self.machine.drive.advance(time.monotonic()).moving
 
     def inject(self, name: str) -> None:
-        """Let something go wrong."""
-        # The moment is taken before: what the fault itself takes counts.
+        """Inject the fault and record its time."""
+        # The time is taken before the fault, so that the duration of the injection counts.
         self.fault_ns = time.monotonic_ns()
         self.robot.worst_overrun_s = 0.0
         FAULTS[name](self)
 
     def close(self) -> None:
-        """Switch everything off."""
+        """Close all servers."""
         for each in (self.force, self.coils):
             with contextlib.suppress(OSError):
                 each.close()
@@ -116,7 +116,7 @@ def elsewhere(lab: FaultLab) -> None:
 
 
 def stopped(_: FaultLab) -> None:
-    """Stop the process of the loop for a while, as a debugger or a swapping machine does."""
+    """Suspend the process of the loop for a short time, as a debugger or a swapping machine does."""
     os.kill(os.getppid(), signal.SIGSTOP)
     threading.Timer(PAUSE_S, os.kill, (os.getppid(), signal.SIGCONT)).start()
 
@@ -168,11 +168,11 @@ FAULTS: dict[str, Callable[[FaultLab], None]] = {
 }
 OF_THE_LOOP = ("33 loop: hangs", "34 clock: a sample from the future", "35 recorder: its thread dies",
                "36 operator: a person's stop")  # fmt: skip
-"""These happen in the process of the loop."""
+"""Faults that are injected in the process of the loop."""
 
 
 def serve(pipe: Connection) -> None:
-    """Answer what comes through the pipe until it is closed."""
+    """Execute the commands (open, inject, moving, close) from the pipe until it is closed."""
     lab: FaultLab | None = None
     while True:
         try:

@@ -1,11 +1,11 @@
-"""Measure the time from a fault to the stop command on the wire, for every fault, on real sockets.
+"""Measure the time from a fault to the arrival of the stop command at the robot, for every fault, on real sockets.
 
 python benches/python/fault_to_stop.py --json benches/results/fault_to_stop.json > benches/results/fault_to_stop.md
-python benches/python/fault_to_stop.py --runs 1       # to see that it runs
+python benches/python/fault_to_stop.py --runs 1       # short test run
 
-The devices are in a process of their own and speak their bytes over UDP, TCP and HTTP on the loopback. The loop reads
-them in threads and goes through the guard, as `needleplan insert` does. A stop counts when its datagram has come to the
-robot; where the robot stops by itself before, that is what is counted.
+The devices run in a process of their own and send their protocols over UDP, TCP and HTTP on the loopback. The loop
+reads the devices in threads and commands the robot through the guard, as `needleplan insert` does. The measured time
+ends when the stop datagram arrives at the robot, or when the robot stops by itself if that is earlier.
 """
 
 from __future__ import annotations
@@ -47,61 +47,61 @@ AGES = {
     Cause.POSE_UNSEEN: ("PoseSample", LIMITS.pose_age_s), Cause.STAGE_STALE: ("StageSample", LIMITS.stage_age_s),
     Cause.LOOP_LATE: ("tick", LIMITS.loop_age_s),
 }  # fmt: skip
-"""Which input is waited for, and how long, until a cause is there."""
+"""By cause: the input whose age limit must pass before the guard detects the cause, and this limit (s)."""
 
 VELOCITY_MM_S = 5.0
 NEEDS_MS = {
-    "18 tracker: damage without end": 1e3 * LIMITS.pose_age_s,  # or ten damaged replies, which come before
-    "30 robot: axis stuck": 1e3 * 0.2 / VELOCITY_MM_S,  # the robot's own limit of following, 0.2 mm
+    "18 tracker: damage without end": 1e3 * LIMITS.pose_age_s,  # or ten damaged replies, if they arrive earlier
+    "30 robot: axis stuck": 1e3 * 0.2 / VELOCITY_MM_S,  # the robot's own following-error limit of 0.2 mm
     "33 loop: hangs": 30.0,  # the robot's own watchdog
     "33 loop: process stopped for 200 ms": 30.0,
 }
-"""What has to be waited for where that is not the age of an input."""
+"""Unavoidable waiting time (ms) of faults that are not detected by the age of an input."""
 
 PAUSED_MS = 10.0
-"""Where the process of the robot, which has nothing else to do, was late by so much, the machine stood still."""
+"""Delay of the otherwise idle robot process above which the whole machine is taken to have paused."""
 
 
 EXPLAINED = (
-    "Stop: until the stop is at the robot, or the robot has stopped by itself, whichever is first. Waited for: of",
-    "that, until the age limit of an input was over, counted from its last usable sample; where it is 0 the fault",
-    "shows by itself, at the latest with the next sample. Reaction: the rest. Calm: without the runs in which the",
-    f"process of the robot was late itself by more than {PAUSED_MS:g} ms, because the machine stood still.",
+    "Stop: time until the stop arrives at the robot, or until the robot stops by itself if that is earlier. Waited",
+    "for: the part of it until the age limit of an input has passed, from its last usable sample; 0 if the fault is",
+    "detected without an age limit, at the latest with the next sample. Reaction: the rest. Calm: without the runs in",
+    f"which the process of the robot itself was late by more than {PAUSED_MS:g} ms, because the machine paused.",
 )
 
 
 @dataclass
 class Run:
-    """One run, in ms from the fault; NaN for what did not happen."""
+    """Times of one run in ms from the fault; NaN for an event that did not happen."""
 
     fault: str
     state: str
     cause: str
     stop_ms: float
-    """Until our stop came to the robot."""
+    """Time until the stop of the guard arrived at the robot."""
 
     stood_ms: float
-    """Until the robot no longer moved, by our stop or by its own watch."""
+    """Time until the robot was at rest, because of the guard's stop or of its own watchdog."""
 
     waited_ms: float
-    """Of that, until the age limit of the input was over; zero where there is none to wait for."""
+    """Unavoidable part of that time, until the age limit of an input had passed; 0 if no limit applies."""
 
     paused_ms: float
-    """How long the machine stood still meanwhile, at most."""
+    """Longest pause of the machine during the run."""
 
     @property
     def end_ms(self) -> float:
-        """Until the stop, whoever made it."""
+        """Time until the guard's stop arrived or the robot was at rest, whichever is earlier."""
         return min(self.stop_ms, self.stood_ms) if math.isfinite(self.stop_ms) else self.stood_ms
 
     @property
     def reaction_ms(self) -> float:
-        """What is left once there was nothing to wait for any more."""
+        """Time to the stop without the unavoidable waiting time."""
         return self.end_ms - min(self.waited_ms, self.end_ms)
 
 
 class Loop:
-    """The least loop that there can be, with everything that a run has around it."""
+    """A minimal control loop with the recorder, guard, reading threads and watchdog of a real run."""
 
     def __init__(self, addresses: tuple[str, str, str], folder: Path) -> None:
         force, tracker, robot = addresses
@@ -124,12 +124,12 @@ class Loop:
         self.ticked_ns = 0
 
     def heard(self, event: SafetyEvent) -> None:
-        """Keep an event, and record it."""
+        """Append an event of the guard to `events` and write it to the recording."""
         self.events.append(event)
         self.channel.put(event.time_ns, event.entry())
 
     def turns(self, seconds: float) -> None:
-        """Go on for a while, or until a stop was sent."""
+        """Run the loop for `seconds`, or until a stop was sent."""
         end = time.monotonic() + seconds
         while time.monotonic() < end and not self.stop:
             try:
@@ -149,7 +149,7 @@ class Loop:
                     self.turn()
 
     def turn(self) -> None:
-        """Do what a loop does every 5 ms."""
+        """Do the periodic work of the loop (every 5 ms), with the faults of the loop that were injected."""
         if self.hang.is_set():
             time.sleep(0.3)
         if self.future:
@@ -161,11 +161,11 @@ class Loop:
 
     @property
     def stop(self) -> SafetyEvent | None:
-        """The first stop for a cause."""
+        """The first stop that has a cause; None before it."""
         return next((each for each in self.events if each.name is SafetyEventName.STOP and each.causes), None)
 
     def begin(self) -> bool:
-        """Enable as a person does, and insert; whether that lasted."""
+        """Home, enable and start an insertion. Return False if that fails or a stop occurs within the first moments."""
         end = time.monotonic() + 3.0
         while self.guard.state.present or not self.ticked_ns:
             if time.monotonic() > end:
@@ -181,7 +181,7 @@ class Loop:
         return self.stop is None
 
     def go_wrong(self, name: str) -> int:
-        """Let something happen here, and return when."""
+        """Inject a fault of the loop's process and return its time (ns)."""
         now_ns = time.monotonic_ns()
         if name == "33 loop: hangs":
             self.hang.set()
@@ -207,7 +207,7 @@ class Loop:
 
 
 def measured(name: str, pipe: Any, folder: Path) -> Run | None:
-    """Return one run; None where the machine disturbed it before anything went wrong."""
+    """Inject one fault and return the run; None if the insertion did not start or a device raised DeviceFault."""
     pipe.send(("open", ""))
     loop = Loop(pipe.recv(), folder)
     try:
@@ -260,10 +260,10 @@ def judged(name: str, loop: Loop, fault_ns: int, stop_ns: float, stood_ns: float
 
 
 def main() -> int:
-    """Run everything, print a report, write JSON."""
+    """Run all faults and print a report; with --json, write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=20, help="of each fault")
-    parser.add_argument("--only", default="", help="faults whose name begins so")
+    parser.add_argument("--runs", type=int, default=20, help="runs of each fault")
+    parser.add_argument("--only", default="", help="only faults whose names begin with this text")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     about = machine.description()
@@ -296,7 +296,7 @@ def main() -> int:
 
 
 def report(runs: list[Run], disturbed: int, about: dict[str, object]) -> str:
-    """Return the tables in Markdown."""
+    """Return the report in Markdown."""
     lines = [
         "# From a fault to the stop",
         "",

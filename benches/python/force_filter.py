@@ -1,7 +1,7 @@
-"""Run the joint filter of the axial force from starts that are far off, and time a sample.
+"""Run the joint filter of the axial force from wrong starting values, and measure its time per sample.
 
 python benches/python/force_filter.py --factors 6 3 --json force_filter.json > force_filter.md
-python benches/python/force_filter.py --sets 1 --every 8       # to see that it runs
+python benches/python/force_filter.py --sets 1 --every 8       # short test run
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES, PublishedForce
 
 AVERAGE = MovingAverage(5)
 WHITE_SD_N = 1.9e-3 * 5**0.5
-"""Before the average of five samples, which makes it 1.9 mN."""
+"""Standard deviation of the white noise before the average over five samples, which reduces it to 1.9 mN."""
 
 LIMIT_N = 10e-3
 GOALS = {1.5: 1.0, 3.0: 0.99, 6.0: 0.95}
 
 
 def main() -> int:
-    """Run all starts, print a report, write JSON."""
+    """Run all starts and print a report; with --json, write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--sets", type=int, default=len(PUBLISHED_FORCES), help="of the published parameters, the first"
+        "--sets", type=int, default=len(PUBLISHED_FORCES), help="use the first SETS published parameter sets"
     )
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="only every Nth of the 32 corners")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="use every Nth of the 32 starts")
     parser.add_argument("--factors", type=float, nargs="+", default=list(GOALS))
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
@@ -67,7 +67,10 @@ def main() -> int:
 
 
 def of_starts(chosen: PublishedForce, factor: float, every: int) -> dict[str, object]:
-    """Filter from all corners of one parameter set."""
+    """Identify one parameter set from starts whose parameters are each multiplied or divided by `factor`.
+
+    Returns by start the open-loop error (N), the RMS innovation (N) and the signs. Errors of failed runs are infinite.
+    """
     motion = insertion_cycles(chosen.depth_mm, chosen.velocity_mm_s)
     clean = AVERAGE.apply(simulate(chosen.model, motion).output)
     columns = {"time_s": motion.time_s, "depth_mm": motion.depth_mm, "velocity_mm_s": motion.velocity_mm_s}
@@ -106,7 +109,7 @@ def report(factor: float, rows: list[dict[str, object]]) -> None:
 
 
 def time_per_sample() -> float:
-    """Return the median of the time of an update over one record (s)."""
+    """Return the median time (s) of an update of the filter, over one record."""
     chosen = PUBLISHED_FORCES[0]
     motion = insertion_cycles(chosen.depth_mm, chosen.velocity_mm_s)
     force = simulate(chosen.model, motion).output

@@ -1,4 +1,4 @@
-"""Measure how long friction takes to simulate: 60 s at 200 Hz, by model; the goal is 50 ms for Model III-B.
+"""Measure the time to simulate 60 s of friction at 200 Hz, by model; the goal is 50 ms for Model III-B.
 
 python benches/python/friction.py --json friction.json
 """
@@ -24,7 +24,7 @@ CASE = 1
 
 
 def main() -> int:
-    """Measure, print a table, write JSON; 1 where the goal is missed."""
+    """Run all measurements and print a table. Returns exit code 1 if the goal is missed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
@@ -47,7 +47,7 @@ def main() -> int:
 
 
 def models() -> dict[str, Model]:
-    """Return the family with the parameters of case 1."""
+    """Return the models of the friction family by name, with the parameters of case 1."""
     return {
         "Karnopp": Karnopp(mu_c=0.3, sigma2=0.02),
         "Model I": model_i(CASE),
@@ -59,7 +59,7 @@ def models() -> dict[str, Model]:
 
 
 def timed(model: Model, motion: Motion) -> float:
-    """Return the median of the seconds of one simulation, after one run that does not count."""
+    """Return the median time (s) of a simulation, after one run that is not timed."""
     simulate(model, motion)
     seconds = []
     for _ in range(RUNS):
@@ -70,14 +70,14 @@ def timed(model: Model, motion: Motion) -> float:
 
 
 def once(motion: Motion) -> float:
-    """Return the seconds of the distributed model, run once."""
+    """Return the time (s) of a single simulation by the distributed model."""
     began = perf_counter()
     distributed(model_ii(CASE), motion, Profile.ISOSCELES)
     return perf_counter() - began
 
 
 def fitted(model: Model, motion: Motion) -> float:
-    """Return the median of the seconds of three fits of six parameters from starts off by a factor of 1.5."""
+    """Return the median time (s) of three fits of six parameters, from starting values wrong by a factor of 1.5."""
     record = Record({
         "time_s": motion.time_s, "depth_mm": motion.depth_mm, "velocity_mm_s": motion.velocity_mm_s,
         "force_n": simulate(model, motion).output,

@@ -1,7 +1,7 @@
-"""Fuzzes what reads bytes from devices, guided by coverage: any bytes give a value or a ProtocolError, nothing else.
+"""Coverage-guided fuzzing of the parsers of device data: any bytes must give a value or a documented error.
 
-`python benches/python/fuzz_parsers.py TARGET [-max_total_time=600] [CORPUS]`, with the targets below; the rest is for
-libFuzzer. It ends with a crash and the input in a file, or with the number of inputs tried.
+`python benches/python/fuzz_parsers.py TARGET [-max_total_time=600] [CORPUS]`, with the targets below; libFuzzer gets
+the other arguments. It ends with a crash and a file with the input, or with the number of inputs.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ with atheris.instrument_imports(include=["needleplan.devices", "needleplan.recor
 
 
 def sealed(data: bytes) -> bytes:
-    """Return a datagram of the robot protocol with a right checksum: fuzzing does not guess those."""
+    """Return a datagram of the robot protocol with a correct checksum, which fuzzing would not find."""
     begin = b"NPLR" + data
     return begin + struct.pack("<I", zlib.crc32(begin))
 
 
 def robot(data: bytes) -> None:
-    """A datagram is a message that encodes to the same bytes, or a ProtocolError."""
+    """Check that decoding a datagram gives a message that encodes to the same bytes, or a ProtocolError."""
     try:
         message = decode(sealed(data))
     except ProtocolError:
@@ -46,7 +46,7 @@ def robot(data: bytes) -> None:
 
 
 def machine(data: bytes) -> None:
-    """Whatever comes, the machine answers with sound datagrams, and moves only where it is enabled."""
+    """Check that the robot answers any bytes with valid datagrams, and moves only while it is enabled."""
     told, now_ns = RobotMachine(SteadyDrive()), 0
     while data:
         length, passed_ms = data[0] % 100, data[0] // 100 * 20
@@ -61,7 +61,10 @@ def machine(data: bytes) -> None:
 
 
 def ati(data: bytes) -> None:
-    """A datagram is records that encode to the same bytes, or a ProtocolError; a page a configuration or its error."""
+    """Check that a datagram gives records that encode to the same bytes, or a ProtocolError.
+
+    Also parse the bytes as a configuration page, which may raise ConfigurationError only.
+    """
     with contextlib.suppress(ProtocolError):
         assert encode_records(decode_records(data)) == data
     with contextlib.suppress(ConfigurationError):
@@ -69,7 +72,7 @@ def ati(data: bytes) -> None:
 
 
 def ndi(data: bytes) -> None:
-    """A stream of bytes is replies and damage; a reply is frames that encode again, or a ProtocolError."""
+    """Check that any stream can be split into replies, and that each reply is parsed or raises ProtocolError."""
     reader = ReplyReader()
     reader.feed(data)
     while (reply := reader.next()) is not None:
@@ -96,7 +99,7 @@ _CONTENTS: dict[bytes, Callable[[bytes], object]] = {
 
 
 def igtl(data: bytes) -> None:
-    """A message with a right checksum comes out of the stream, whole and behind damage; its content is one or not."""
+    """Check a stream of noise and a message with a correct checksum: its content is decoded or raises ProtocolError."""
     kind = list(_CONTENTS)[data[0] % len(_CONTENTS)] if data else b"STRING"
     body, noise = data[2:], data[:2]
     version = 1 + (data[1] & 1 if len(data) > 1 else 0)
@@ -110,7 +113,7 @@ def igtl(data: bytes) -> None:
 
 
 def recording(data: bytes) -> None:
-    """A recording with bytes changed, and cut, is recovered, or said to be none; messages are fields, or damage."""
+    """Check that a damaged, truncated recording is recovered or raises DataError; the same for single messages."""
     for kind in (FORCE, POSE, STAGE, EVENT):
         with contextlib.suppress(DataError):
             kind.decode(data)

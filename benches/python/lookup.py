@@ -1,7 +1,7 @@
-"""Measure what a user of a table waits for: a look-up, many look-ups, reading the table, the whole way of `plan`.
+"""Measure the waiting times of a user: one look-up, many look-ups, reading a table, and the command `plan`.
 
 python benches/python/lookup.py --json lookup.json
-python benches/python/lookup.py --spacing 4            # to see that it runs
+python benches/python/lookup.py --spacing 4            # short test run
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ POSES = 4_000_000
 
 
 def main() -> int:
-    """Measure, print a table, write JSON."""
+    """Run all measurements and print a table; with --json, write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--spacing", type=float, default=1.0, metavar="MM")
     parser.add_argument("--scenario", default="four_obstacles", metavar="NAME")
@@ -53,7 +53,7 @@ def main() -> int:
 
 
 def lookups(table: npl.PolicyTable) -> dict[str, float]:
-    """One look-up, and millions of them, from Python."""
+    """Return the time of one look-up from Python (us), and the rate of many (million poses per second)."""
     workspace = table.scenario.workspace
     random = np.random.default_rng(0)
     poses = random.uniform((0, 0, -np.pi, 0), (workspace.width_mm, workspace.height_mm, np.pi, 1), (POSES, 4))
@@ -68,7 +68,7 @@ def lookups(table: npl.PolicyTable) -> dict[str, float]:
 
 
 def files(table: npl.PolicyTable, folder: Path) -> dict[str, float]:
-    """Write and read the table; the file is in the cache of the system."""
+    """Write and read the table; return both times (ms). The file is in the cache of the operating system."""
     file = folder / "table.h5"
     written = timed(lambda: table.write(file), 5)
     return {
@@ -79,7 +79,7 @@ def files(table: npl.PolicyTable, folder: Path) -> dict[str, float]:
 
 
 def stages(scenario: npl.Scenario) -> dict[str, float]:
-    """The stages of a plan within a running Python."""
+    """Return the times (ms) of the stages of a plan, in a running Python process."""
     solver = scenario.solver
     lattice = lattice_of(scenario)
 
@@ -98,7 +98,7 @@ def stages(scenario: npl.Scenario) -> dict[str, float]:
 
 
 def shell(folder: Path) -> dict[str, float]:
-    """The command as a user types it, and what it pays before it begins."""
+    """Return the times (ms) of the command `plan` from the shell, and of the start of Python and its imports."""
 
     def process(*arguments: str) -> Callable[[], object]:
         return lambda: subprocess.run([sys.executable, *arguments], cwd=folder, capture_output=True, check=True)
@@ -114,7 +114,7 @@ def shell(folder: Path) -> dict[str, float]:
 
 
 def timed(work: Callable[[], object], repeats: int) -> float:
-    """Return the median of the seconds that `work` takes, after one run that does not count."""
+    """Return the median time (s) of `work`, after one run that is not timed."""
     work()
     seconds = []
     for _ in range(repeats):

@@ -1,4 +1,4 @@
-"""Which machine, which versions, which commit: what a figure needs beside it."""
+"""Machine, software versions and commit of a measurement."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PACKAGES = (
 
 
 def description() -> dict[str, object]:
-    """Describe the machine and the software of this run."""
+    """Return the machine, the software versions, the commit and the date of this run."""
     return {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": commit(),
@@ -40,13 +40,13 @@ def description() -> dict[str, object]:
 
 
 def commit() -> str:
-    """Return the commit, with a plus where the tree differs from it."""
+    """Return the abbreviated commit, followed by a plus if tracked files differ from it."""
     dirty = "+" if said("git", "status", "--porcelain", "--untracked-files=no") else ""
     return (said("git", "rev-parse", "--short=10", "HEAD") or "unknown") + dirty
 
 
 def priority() -> str:
-    """Return how this process is scheduled, and the processes that it starts."""
+    """Return the scheduling policy and priority of this process, which its child processes inherit."""
     policies = {os.SCHED_FIFO: "real-time, SCHED_FIFO", os.SCHED_RR: "real-time, SCHED_RR"}
     policy = policies.get(os.sched_getscheduler(0))
     return f"{policy} {os.sched_getparam(0).sched_priority}" if policy else f"normal, nice {os.nice(0)}"
@@ -63,7 +63,7 @@ def processor() -> str:
 
 
 def said(*command: str) -> str:
-    """Return what a command of the repository prints, or nothing."""
+    """Run a command in the repository; return its output, or an empty text if it fails."""
     try:
         return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):

@@ -1,15 +1,15 @@
-"""Whether the motion that a diagnosis proposes decides between the effects that were left, against the last one again.
+"""Measure how often the proposed next motion resolves an ambiguous diagnosis, compared with other motions.
 
-PYTHONPATH=. python benches/python/next_motion.py --minutes 10                  # again, to go on
+PYTHONPATH=. python benches/python/next_motion.py --minutes 10                  # repeat to continue
 PYTHONPATH=. python benches/python/next_motion.py --channel tip --minutes 10
 PYTHONPATH=. python benches/python/next_motion.py --reporting --ambiguous 60    # the report, with the reporting seeds
 
-Blind data: one hidden effect that poor motions leave to be mistaken for another, a few trials of one motion, and a
-held-out one (`next_motion_case`). Where the diagnosis is AMBIGUOUS between two effects or more, one more trial from
-the same tissue is added to the training data, and it is diagnosed again: of the motion that was proposed, of the last
-motion again, and of a fixed one. Resolved: NAMED, and the hidden effect. Wrong: a name that was not hidden. Outcomes
-are appended to build/next_motion_PURPOSE.jsonl; those of another state of the engine are not used. Writes
-benches/results/next_motion.json and .md, of both channels; with seeds for tuning, build/next_motion.json and .md.
+Blind data: one hidden effect that looks like another effect in poor motions, a few trials of one motion, and a held-out
+trial (`next_motion_case`). If the diagnosis is AMBIGUOUS between two or more effects, one more trial in the same tissue
+is added to the training data, and all are diagnosed again. The added trial has the proposed motion, the last motion
+(repeated), or a fixed motion. Resolved: the verdict is NAMED with the hidden effect. Wrong: an effect is named that was
+not hidden. Outcomes are appended to build/next_motion_PURPOSE.jsonl; those of other engine sources are ignored. Writes
+benches/results/next_motion.json and .md for both channels; with seeds for tuning, build/next_motion.json and .md.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ WAYS = ("proposed", "repeated", "fixed")
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--reporting", action="store_true", help="seeds for the report; without it, those for tuning")
+    parser.add_argument("--reporting", action="store_true", help="use the seeds for the report, not those for tuning")
     parser.add_argument("--channel", type=SubjectName, choices=list(SubjectName), action="append", help="both")
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="of each channel, as far as it gets")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="time limit of each channel")
     parser.add_argument("--ambiguous", type=int, default=60, help="end a channel after so many ambiguous data sets")
-    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("K", "N"), help="every Nth from the Kth")
+    parser.add_argument("--part", type=int, nargs=2, default=(0, 1), metavar=("K", "N"), help="every Nth, from the Kth")
     options = parser.parse_args()
     purpose = Purpose.REPORTING if options.reporting else Purpose.TUNING
     outcomes = machine.ROOT / "build" / f"next_motion_{purpose}.jsonl"
@@ -69,7 +69,7 @@ def main() -> None:
 
 
 class Bench:
-    """Diagnoses data sets of a channel; what the library computes for motions is kept."""
+    """Diagnoses data sets of a channel; all share a library, which caches its computations for the motions."""
 
     def __init__(self, channel: SubjectName) -> None:
         self.source: Source = SOURCES[channel]
@@ -78,7 +78,7 @@ class Bench:
         self.fixed = FIXED[channel]
 
     def outcome(self, spec: Spec) -> dict[str, Any]:
-        """Diagnose a data set and, where the answer is ambiguous, what each of the ways makes of it."""
+        """Diagnose a data set; if the verdict is ambiguous, repeat the diagnosis with each kind of added trial."""
         trials = self.source.generate(spec)
         first = diagnose(self.base, trials, library=self.library, seed=spec.seed)
         name, size = self.source.hidden(spec)
@@ -105,7 +105,7 @@ class Bench:
 
 
 def promised(proposed: Separating) -> dict[str, Any]:
-    """Return what was proposed, and what was expected of it."""
+    """Return the proposed motion and its predicted power to resolve the ambiguity."""
     return {
         "motion": proposed.program.name, "resolves": proposed.resolves, "least": proposed.least,
         "repeated_resolves": proposed.repeated_resolves, "duration_s": float(proposed.motion.time_s[-1]),
@@ -114,7 +114,7 @@ def promised(proposed: Separating) -> dict[str, Any]:
 
 
 def said(found: Diagnosis) -> dict[str, Any]:
-    """Return what was said."""
+    """Return verdict, names, tied effects and reason of a diagnosis."""
     what = found.decision
     return {
         "verdict": str(found.verdict), "names": list(found.names), "tied": list(what.tied), "because": what.because
@@ -122,7 +122,7 @@ def said(found: Diagnosis) -> dict[str, Any]:
 
 
 def read(outcomes: Path, engine: str) -> Iterator[dict[str, Any]]:
-    """Yield the outcomes of this engine so far."""
+    """Yield the outcomes in the file that belong to this digest of the engine."""
     for text in outcomes.read_text(encoding="utf-8").splitlines() if outcomes.exists() else ():
         line = json.loads(text)
         if line["engine"] == engine:
@@ -130,24 +130,24 @@ def read(outcomes: Path, engine: str) -> Iterator[dict[str, Any]]:
 
 
 def resolved(line: dict[str, Any], way: str) -> bool:
-    """Whether it is named, and rightly."""
+    """Whether the diagnosis with this kind of added trial names the hidden effect and nothing else."""
     return bool(line[way]["verdict"] == "named" and line[way]["names"] == [line["hidden"]])
 
 
 def wrong(line: dict[str, Any], way: str) -> bool:
-    """Whether a name was given that was not hidden."""
+    """Whether the diagnosis with this kind of added trial names an effect that was not hidden."""
     return line[way]["verdict"] in ("named", "incomplete") and set(line[way]["names"]) != {line["hidden"]}
 
 
 def write(lines: Sequence[dict[str, Any]], purpose: Purpose, engine: str, prefix: Path) -> None:
-    """Write the summary, for each channel that was run and for both, for all levels and each."""
+    """Write PREFIX.json and PREFIX.md, print the page: one row per channel, heterogeneity and kind of added trial."""
     open_ = [line for line in lines if "proposed" in line]
     table: dict[str, Any] = {}
     present = [channel for channel in SubjectName if any(line["channel"] == channel for line in open_)]
     for channel in present if len(present) == 1 else (None, *present):
         for level in (None, *HETEROGENEITY):
             part = [line for line in open_ if channel in (None, line["channel"]) and level in (None, line["level"])]
-            # Where the hidden effect is not among those left, no motion that tells them apart can name it.
+            # If the hidden effect is not among the tied effects, no motion that separates them can name it.
             inside = [line for line in part if line["hidden"] in line["tied"]]
             row = f"{channel or 'both'}, {'all' if level is None else f'{level:.0%}'}"
             table[row] = {
@@ -179,7 +179,7 @@ def write(lines: Sequence[dict[str, Any]], purpose: Purpose, engine: str, prefix
 
 
 def shown(each: dict[str, float | int | None]) -> str:
-    """Return a share with its bounds."""
+    """Format a rate with its bounds; a dash if it has no data."""
     if not each["of"]:
         return "-"
     return f"{each['hits']}/{each['of']}, {each['rate']:.0%} ({each['low']:.0%} to {each['high']:.0%})"

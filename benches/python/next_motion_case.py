@@ -1,4 +1,4 @@
-"""Blind data that leave effects to be mistaken for each other, of either channel, and more trials of their tissue."""
+"""Blind data in which effects look alike, for both channels, and further trials in the same tissue."""
 
 from __future__ import annotations
 
@@ -24,56 +24,59 @@ from tests.blind.steering import STEP_S, SteeringKind, from_rates, steering
 __all__ = ["SOURCES", "Source", "Spec"]
 
 Spec = Any
-"""That of a data set: ForceSpec or PathSpec."""
+"""Specification of a data set: ForceSpec or PathSpec."""
 
 _BEHIND = 9_000_000
-"""Behind the seeds of the campaigns of the same purpose."""
+"""Offset of the seeds, beyond those of the campaign with the same purpose."""
 
 _CLEAR = (
     ForceName.PUNCTURE, ForceName.BUMPS, ForceName.LATENCY, ForceName.INERTIA, ForceName.RELAXATION,
     ForceName.FRICTION_LAYER, ForceName.CUTTING_LAYER, ForceName.PATH_DAMAGE,
 )  # fmt: skip
-"""Effects that look like no other, or that poor motions do not show."""
+"""Excluded effects: those that look like no other effect, or that poor motions do not show."""
 
 
 _SIZES, _SIGMAS = (0.5, 3.0), (2.0, 12.0)
-"""From where effects are seen at all to where most are told apart at once: between, they are mistaken."""
+"""Ranges of effect sizes (force: multiple of the noise; tip: standard deviations) in which effects look alike.
+
+Smaller effects are not detected, and most larger ones are identified without a further motion.
+"""
 
 
 @dataclass(frozen=True)
 class Source(ABC):
-    """A channel of which there are data sets without end, effects, levels and lengths one after the other."""
+    """An endless supply of data sets of one channel, which cycles through effects, heterogeneities and lengths."""
 
     subject: Subject
 
     @abstractmethod
     def specs(self, purpose: Purpose) -> Iterator[Spec]:
-        """Yield data sets of poor motions with one hidden effect."""
+        """Yield specifications of data sets with poor motions and one hidden effect."""
 
     @abstractmethod
     def hidden(self, spec: Spec) -> tuple[str, float]:
-        """Return what the library calls the hidden effect, and its size in units of the noise."""
+        """Return the name in the library and the size (multiple of the noise) of the hidden effect."""
 
     @abstractmethod
     def extra(self, spec: Spec, motion: Motion) -> Record:
-        """Return one more training trial of the same tissue, of a motion that somebody designed."""
+        """Return one more training trial in the same tissue, with the given motion."""
 
     @abstractmethod
     def again(self, spec: Spec) -> Record:
-        """Return one more training trial of the same tissue, of the last motion."""
+        """Return one more training trial in the same tissue, with the last motion repeated."""
 
     def generate(self, spec: Spec) -> list[Record]:
-        """Return the recordings."""
+        """Return the recordings of a data set."""
         data, _ = self.subject.generate(spec)
         return records(data)
 
     def called(self, name: Any) -> str:
-        """Return what the library calls an effect."""
+        """Return the name in the library of an effect of the blind data."""
         return self.subject.called.get(name, str(name))
 
 
 class _Force(Source):
-    """Two or three trials at 5 mm/s, and a held-out one, slower or faster; of one trial, hardly anything is said."""
+    """Axial force: two or three trials at 5 mm/s (one is rarely enough), and a slower or faster held-out trial."""
 
     def specs(self, purpose: Purpose) -> Iterator[force.ForceSpec]:
         names = [each for each in NAMEABLE if each not in UNSEEN[Variety.POOR] and each not in _CLEAR]
@@ -98,7 +101,7 @@ class _Force(Source):
 
 
 class _Tip(Source):
-    """One to three insertions at one speed without a turn, and a held-out one that turns once."""
+    """Path of the tip: one to three insertions at one speed without a turn, and a held-out insertion with one turn."""
 
     def specs(self, purpose: Purpose) -> Iterator[path.PathSpec]:
         names = [each for each in path.INSIDE_PATH if each not in UNSEEN_PATH[Variety.POOR]]
@@ -131,7 +134,7 @@ def _record(trial: Trial) -> Record:
 
 
 def _mixed(number: int, names: list[Any]) -> tuple[Any, float, int]:
-    """Return name and level, one after the other, and how often all of them were there before."""
+    """Return effect name and heterogeneity of data set `number`, and a counter that selects its trials."""
     levels, turn = divmod(number, len(names))
     name = names[turn]
     turn, level = divmod(levels, len(HETEROGENEITY))

@@ -27,7 +27,7 @@ def _facts(read: Callable[[str], Any]) -> dict[str, float]:
 def lattice(
     threads: int, method: str = "sweep", partitions: tuple[int, int] = (12, 8), priority: str = "H2"
 ) -> Prepare:
-    """The lattice solvers; building is geometry."""
+    """Return the `prepare` of a lattice solver; its build time is the time to compute the geometry."""
 
     def prepare(problem: Problem) -> Solve:
         scenario = npl.Scenario.read(problem.folder / "scenario.toml")
@@ -46,7 +46,7 @@ def lattice(
 
 
 def whole_way(problem: Problem) -> Solve:
-    """From the scenario file to the table in memory: geometry, solve, policy, success."""
+    """Prepare a solver that goes from the scenario file to the table in memory: geometry, solve, policy, success."""
 
     def solve() -> Answer:
         table: PolicyTable = npl.plan(npl.Scenario.read(problem.folder / "scenario.toml"))
@@ -56,7 +56,7 @@ def whole_way(problem: Problem) -> Solve:
 
 
 def tabular(threads: int | None, method: str = "sweep") -> Prepare:
-    """The general solver; building is copying and validating the arrays."""
+    """Return the `prepare` of the tabular solver; its build time is the time to copy and validate the arrays."""
 
     def prepare(problem: Problem) -> Solve:
         mdp = _tabular(problem)
@@ -71,7 +71,7 @@ def tabular(threads: int | None, method: str = "sweep") -> Prepare:
 
 
 def tabular_from_arrays(problem: Problem) -> Solve:
-    """The general solver from the arrays on: copy, validate, solve."""
+    """Prepare the tabular solver so that each timed solve also copies and validates the arrays."""
 
     def solve() -> Answer:
         solved = solve_tabular(_tabular(problem), tolerance=problem.tolerance)

@@ -1,7 +1,7 @@
-"""Solvers of other people, as contestants.
+"""Solvers of other projects, as contestants.
 
-Each gets the format it asks for, good options, and its own words for the stop rule of the thesis (Bellman residual
-below (1 - discount) * tolerance). Most of them maximise rewards: costs are negated.
+Each gets its preferred input format, good options, and the equivalent of the thesis' stop rule (Bellman residual below
+(1 - discount) * tolerance). Most of them maximise rewards, so their costs are negated.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from problem import Problem
 
 
 def quantecon(method: str) -> Prepare:
-    """QuantEcon.py: pairs of state and action, one scipy matrix; `epsilon` is scaled to the residual by its rules."""
+    """QuantEcon.py: state-action pairs, one scipy matrix; `epsilon` is set so that its stop rule gives the residual."""
 
     def prepare(problem: Problem) -> Solve:
         from quantecon.markov import DiscreteDP
@@ -37,7 +37,7 @@ def quantecon(method: str) -> Prepare:
 
 
 def mdpsolver(algorithm: str, update: str = "standard", parallel: bool = False) -> Prepare:
-    """`mdpsolver`: nested lists. A second solve would start from the values of the first: one run a process."""
+    """`mdpsolver`: nested lists. One run per process, as a second solve would start from the values of the first."""
 
     def prepare(problem: Problem) -> Solve:
         from mdpsolver import model as new_model
@@ -73,10 +73,10 @@ def _nested(problem: Problem) -> tuple[list[list[list[float]]], list[list[list[i
 def mdptoolbox(problem: Problem) -> Solve:
     """`pymdptoolbox` (a pre-release): one scipy matrix per action; three of its functions must be replaced.
 
-    At this size, that is: `isStochastic` subtracts a row of ones from a column of sums, which makes states x states
-    numbers; `isNonNegative` compares a sparse matrix with zero, which makes it full; the bound on the number of
-    iterations slices every column of every matrix. The replacements test the same on the stored numbers, and set a
-    limit. It stops by the span of the change, so that its values may lack a constant.
+    They need too much memory or time at this size: `isStochastic` makes a states x states array, `isNonNegative` makes
+    a sparse matrix dense, and the bound on the number of iterations slices every column of every matrix. The
+    replacements make the same tests on the stored numbers, and set a fixed limit of iterations. The solver stops by the
+    span of the change, so its values may differ from the true ones by a constant.
     """
     from mdptoolbox import mdp, util
 

@@ -1,8 +1,9 @@
-"""The four-obstacle problem of the thesis as arrays, in the formats that solvers of sparse MDPs take.
+"""The four-obstacle problem of the thesis as arrays, in the formats that solvers of sparse MDPs accept.
 
 Every solver of `compare_peers.py` gets these arrays: two rows for every state (insert; rotate, then insert), row
-2 s + a for action a of state s. The end of an execution is one more state, the last; it, obstacle points and target
-points are absorbing: both rows lead back to the state and cost nothing. All that a step may cost is its stage cost.
+2 s + a for action a of state s. The last state is the end of an execution. This state, obstacle points and target
+points are absorbing: both rows lead back to the state without cost. The stage cost contains all expected costs of a
+step.
 """
 
 from __future__ import annotations
@@ -36,12 +37,12 @@ class Problem:
 
     @property
     def states(self) -> int:
-        """Number of states, the end included."""
+        """Number of states, including the end state."""
         return len(self.costs) // 2
 
     @property
     def threshold(self) -> float:
-        """The Bellman residual below which the thesis stops."""
+        """Bellman residual below which the solvers of the thesis stop."""
         return (1 - self.discount) * self.tolerance
 
     @cached_property
@@ -56,7 +57,7 @@ class Problem:
         return self.matrix[0::2].tocsr(), self.matrix[1::2].tocsr()
 
     def backup(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply the Bellman operator."""
+        """Return the values after one application of the Bellman operator."""
         q: NDArray[np.float64] = self.costs + self.discount * (self.matrix @ values)
         better: NDArray[np.float64] = q.reshape(-1, 2).min(axis=1)
         return better
@@ -69,7 +70,7 @@ class Problem:
 
     @classmethod
     def read(cls, folder: Path) -> Problem:
-        """Read the arrays from a folder, which is remembered: the scenario lies there too."""
+        """Read the arrays from a folder and keep the folder's path, because it also contains the scenario file."""
         names = ("row_offsets", "successors", "probabilities", "costs")
         arrays = {name: np.load(folder / f"{name}.npy") for name in names}
         discount, tolerance = np.load(folder / "numbers.npy").tolist()
@@ -83,7 +84,7 @@ def scenario_at(spacing_mm: float, name: str = SCENARIO) -> Scenario:
 
 
 def problem_of(scenario: Scenario) -> Problem:
-    """Expand a scenario into arrays."""
+    """Return a scenario with two actions per free state as arrays. Raises ValueError for other numbers of actions."""
     sparse = lattice_of(scenario).tabular()
     rows_of_state = np.diff(sparse["action_offsets"])
     alive = rows_of_state > 0
@@ -105,7 +106,7 @@ def problem_of(scenario: Scenario) -> Problem:
 
 @dataclass(frozen=True)
 class Reference:
-    """Values that are right within `error_bound`, and how long they took."""
+    """Reference values, the bound of their error, and the time to compute them (s)."""
 
     values: NDArray[np.float64]
     error_bound: float
@@ -113,9 +114,9 @@ class Reference:
 
 
 def reference_of(problem: Problem, scenario: Scenario, error: float = 2e-4) -> Reference:
-    """Solve `problem` within `error`: the lattice solver at a tight tolerance, then plain sweeps in double precision.
+    """Return values of `problem` with an error below `error`: lattice solver, then plain sweeps in double precision.
 
-    The bound comes from the Bellman residual on the arrays themselves, so it holds whatever the lattice solver did.
+    The bound follows from the Bellman residual on the arrays, so it does not rely on the lattice solver.
     """
     began = perf_counter()
     solved = lattice_of(scenario).solve(method="sweep", partitions=(1, 1), priority="H2", tolerance=error)

@@ -1,7 +1,7 @@
-"""Measure what recording costs the loop, what a kill costs the recording, and whether memory grows.
+"""Measure the cost of recording for the loop, the loss if the process is killed, and the growth of memory.
 
 python benches/python/recording.py --json benches/results/recording.json > benches/results/recording.md
-python benches/python/recording.py --seconds 20 --kills 3       # to see that it runs
+python benches/python/recording.py --seconds 20 --kills 3       # short test run
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ with Recorder(sys.argv[1]) as recorder:
 
 
 def main() -> int:
-    """Run everything, print a report, write JSON."""
+    """Run both measurements and print a report; with --json, write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=600.0, help="of traffic")
-    parser.add_argument("--speed", type=float, default=5.0, help="times real time")
+    parser.add_argument("--speed", type=float, default=5.0, help="speed of the traffic relative to real time")
     parser.add_argument("--kills", type=int, default=40)
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
@@ -75,7 +75,7 @@ def main() -> int:
 
 
 def traffic(folder: Path, seconds: float, speed: float) -> dict[str, dict[str, str] | list[float] | float]:
-    """Record traffic, and measure puts, memory, how far the writer is behind, and closing."""
+    """Record simulated traffic; return the lines of the report, the memory (MB) and the longest put (us)."""
     path = folder / "traffic.mcap"
     recorder = Recorder(path, Session("bench"))
     stage, force, tracker = (
@@ -102,7 +102,7 @@ def traffic(folder: Path, seconds: float, speed: float) -> dict[str, dict[str, s
         wait = (due_ns + 1_000_000 * tick / speed - time.monotonic_ns()) * 1e-9
         if wait > 0.002:
             time.sleep(wait)
-        elif wait < -0.1:  # the machine stood still; a robot does not send afterwards what it did not send then
+        elif wait < -0.1:  # the machine paused; a real robot would not send the missed samples later
             due_ns -= round(wait * 1e9)
             pauses.append(-wait)
     took_s, cpu_s = (time.monotonic_ns() - began_ns) * 1e-9, time.process_time() - began_cpu
@@ -136,7 +136,7 @@ def traffic(folder: Path, seconds: float, speed: float) -> dict[str, dict[str, s
 
 
 def killed(path: Path, seed: int) -> dict[str, float]:
-    """Kill a process that records at 1,000 Hz, at some moment, and return what is not there any more."""
+    """Kill a process that records at 1,000 Hz at a random moment; return the lost time (ms) and messages."""
     with subprocess.Popen([sys.executable, "-c", KILLED, str(path)], stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         lines = [process.stdout.readline() for _ in range(int(np.random.default_rng(seed).integers(200, 600)))]

@@ -10,13 +10,13 @@ from contestants import LATTICE
 from verdicts import does_prioritization_pay, fastest_library, verdicts
 
 AGAIN = "again"
-"""The name of the first contestant when it is measured once more at the end."""
+"""Name of the second result of the first contestant, which is measured again at the end."""
 
 Record = Mapping[str, Any]
 
 
 def text(record: Record) -> str:
-    """Return the whole report."""
+    """Return the report as Markdown."""
     results = _results(record)
     words = {True: "yes", False: "**no**", None: "?"}
     claims = [f"| {each.claim} | {each.measured} | {words[each.holds]} |" for each in verdicts(results)]
@@ -33,12 +33,12 @@ def text(record: Record) -> str:
 
 
 def is_full(record: Record) -> bool:
-    """Whether this is the problem that the claims are about."""
+    """Whether the record is of the full problem (grid spacing 1 mm), to which the claims apply."""
     return float(record["spacing_mm"]) == 1.0
 
 
 def fails(record: Record) -> bool:
-    """Whether a claim was found not to hold."""
+    """Whether a measured claim does not hold; claims without a measurement do not count."""
     return any(each.holds is False for each in verdicts(_results(record)))
 
 

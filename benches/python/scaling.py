@@ -1,10 +1,10 @@
-"""Show how time and memory grow with the number of states.
+"""Measure how time and memory grow with the number of states.
 
-The four-obstacle workspace with the costs of the thesis, on ever finer grids, for both kinds of transitions; each grid
-in a process of its own, so that its peak memory is its own.
+The problem is the four-obstacle workspace with the costs of the thesis, on finer and finer grids, with both kinds of
+transitions. Each grid runs in its own process, so that its peak memory is measured separately.
 
     python benches/python/scaling.py --json scaling.json --figure scaling.png          # down to 0.25 mm, 18.6 M states
-    python benches/python/scaling.py --spacings 4 2                                    # to see that it runs
+    python benches/python/scaling.py --spacings 4 2                                    # short test run
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _COLORS = {"nearest": "#0b5fa5", "interpolated": "#c8501e"}
 
 @dataclass(frozen=True)
 class Point:
-    """One grid: seconds of geometry, of the solve and of the success probabilities (medians); peak memory in MB."""
+    """Results of one grid: median times (s) of geometry, solve and success probabilities; peak memory (MB)."""
 
     spacing_mm: float
     transition: str
@@ -45,12 +45,12 @@ class Point:
 
     @property
     def total(self) -> float:
-        """Seconds from the scenario to the table."""
+        """Time from the scenario to the table (s)."""
         return self.geometry + self.solve + self.success
 
 
 def main() -> int:
-    """Measure all grids, print a table, write the figures."""
+    """Measure all grids and print a table; write the JSON file and the figure if requested."""
     options = _options()
     if options.child:
         print(json.dumps(asdict(_measure_here(float(options.child[0]), options.child[1], options.threads))))
@@ -87,7 +87,7 @@ def _options() -> argparse.Namespace:
 
 
 def _measure(spacing: float, transition: str, options: argparse.Namespace) -> Point | str:
-    """Measure a grid in a process of its own; return the reason if that fails."""
+    """Measure a grid in its own process. Return its results, or the reason if that fails."""
     command = [sys.executable, __file__, "--child", str(spacing), transition]
     command += ["--threads", str(options.threads)] if options.threads else []
     try:
@@ -146,7 +146,7 @@ def _table(points: list[Point]) -> list[str]:
 
 
 def draw(points: list[Point], file: Path) -> None:
-    """Draw seconds and memory over the number of states, both logarithmic."""
+    """Draw time and memory against the number of states, with logarithmic axes."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -167,7 +167,7 @@ def draw(points: list[Point], file: Path) -> None:
 
 
 def _finish(axes: Any, label: str, points: list[Point], values: list[float]) -> None:
-    """Add what a plot needs besides its curves, and a line of slope one through the lowest point."""
+    """Add axes, grid, legend, and a line of slope one below the point with the fewest states."""
     least = int(np.argmin([each.states for each in points]))
     ends = np.array([points[least].states, max(each.states for each in points)], dtype=float)
     axes.plot(ends, 0.5 * values[least] * ends / ends[0], color="0.6", linewidth=1, label="proportional to the states")

@@ -1,11 +1,11 @@
-"""Measure the tip filter in the lab twin: the error of the tip, how soon a curvature off the plan is seen, the time.
+"""Measure the tip filter in the lab twin: tip error, depth at which a wrong curvature is detected, computing time.
 
 python benches/python/tip_filter.py --json benches/results/tip_filter.json > benches/results/tip_filter.md
-python benches/python/tip_filter.py --seeds 2          # to see that it runs
+python benches/python/tip_filter.py --seeds 2          # short test run
 
-55 mm at 5 mm/s, planned with R = 40 mm while the needle bends 20 % more; turned round at 15 and 35 mm. The coil is
-9.3 mm behind the tip; the tracker has 0.2 mm and 10 mrad of white noise, the heading wanders by 2 mrad in 1 mm. The
-line is what most people do: from the coil straight on along its axis.
+Insertions of 55 mm at 5 mm/s, planned with R = 40 mm, with a needle that bends 20 % more and half turns at 15 and 35
+mm. The coil is 9.3 mm behind the tip. The tracker has 0.2 mm and 10 mrad of white noise; the heading has a random walk
+of 2 mrad per root mm. "Line" is the usual estimate: the tip on the axis of the coil, 9.3 mm ahead.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ LAYERS = (SimulatedLayer(25.0, 1 / 60), SimulatedLayer(45.0, 1 / 30))
 
 @dataclass(frozen=True)
 class Case:
-    """What is wrong with the lab, and what the filter is told."""
+    """The imperfections of a lab, and the settings of the filter."""
 
     name: str
     effects: dict[str, float]
@@ -63,7 +63,11 @@ CASES = (
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame: errors, squared errors over their covariances, curvature over the plan, time of an update."""
+    """Results at one tracker frame.
+
+    Errors of the filter and of the line (mm), normalised squared errors, ratio of estimated to planned curvature with
+    its standard deviation, and time of an update (s).
+    """
 
     depth_mm: float
     off_mm: float
@@ -78,7 +82,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Row:
-    """A case over all its frames."""
+    """Statistics of a case, from all its frames."""
 
     name: str
     mean_mm: float
@@ -91,7 +95,7 @@ class Row:
 
 
 def main() -> int:
-    """Run all cases, print tables, write JSON."""
+    """Run all cases and print tables; with --json, write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--json", type=Path, metavar="FILE")
@@ -112,7 +116,7 @@ def main() -> int:
 
 
 def insertion(case: Case, seed: int, radius_mm: float = PLANNED_MM, legs: Any = LEGS) -> Iterator[Frame]:
-    """Yield the frames of one insertion, from 5 mm on."""
+    """Yield the results at the tracker frames of one insertion, from a depth of 5 mm on."""
     effects = Effects(**(USUAL | case.effects))
     lab = Lab(Setup(1 / radius_mm, entry=SimulatedEntry(depth_mm=-2.0), layers=case.layers, effects=effects), seed)
     tip = TipFilter(Registration(coil_offset_mm=COIL_MM), (0.0, 0.0, 0.0), 1 / radius_mm, case.settings)
@@ -152,7 +156,7 @@ def _frames(lab: Lab, tip: TipFilter) -> Iterator[Frame]:
 
 
 def detection(radius_mm: float, seeds: int) -> list[float | None]:
-    """Return depths (mm) from which on the 95 % interval of the curvature holds the plan no more; one a seed."""
+    """Return by seed the depth (mm) from which the 95 % interval of the curvature excludes the plan, or None."""
     found: list[float | None] = []
     for seed in range(seeds):
         case = Case("", {"curvature_error": 0.2 if seed % 2 else -0.2})

@@ -1,10 +1,10 @@
-"""Measure the figures that are tracked, append them to benches/history.jsonl and draw benches/history.png.
+"""Measure the tracked times and instruction counts, append them to benches/history.jsonl, draw benches/history.png.
 
-    python benches/python/track.py            # a few minutes; on a quiet machine
-    python benches/python/track.py --draw     # draw what is there
+    python benches/python/track.py            # a few minutes, on an idle machine
+    python benches/python/track.py --draw     # draw the existing history
 
-Times are medians in seconds. Only runs on the same processor are compared, each with the first one there. Instruction
-counts (`benches/guard`) do not depend on how busy the machine is, but on compiler and processor.
+Times are medians in seconds. Each run is compared with the first run on the same processor. Instruction counts
+(`benches/guard`) do not depend on the load of the machine, but on compiler and processor.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ Record = dict[str, Any]
 
 
 def main() -> int:
-    """Measure, append, draw."""
+    """Measure, append the record to the history, and draw it; --draw and --quick skip parts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draw", action="store_true", help="measure nothing, draw only")
     parser.add_argument("--quick", action="store_true", help="measure roughly and print, append nothing")
@@ -64,7 +64,7 @@ def main() -> int:
 
 
 def measure(quick: bool) -> Record:
-    """Return a record of this tree."""
+    """Return the record of this working tree: machine, times and instruction counts."""
     about = machine.description()
     figures = {**criterion(quick), **from_python()}
     counted = json.loads(output("benches/guard", "--json"))
@@ -72,7 +72,7 @@ def measure(quick: bool) -> Record:
 
 
 def criterion(quick: bool) -> dict[str, float]:
-    """Run the Rust benches; return the medians, seconds."""
+    """Run the Rust benches; return their median times (s) by name."""
     began = time()
     chosen = [word for name in BENCHES for word in ("--bench", name)]
     pace = ("--quick",) if quick else ("--warm-up-time", "1", "--measurement-time", "3")
@@ -91,7 +91,7 @@ def criterion(quick: bool) -> dict[str, float]:
 
 
 def from_python() -> dict[str, float]:
-    """Run the Python bench of look-ups; return some of its figures, seconds."""
+    """Run `lookup.py`; return the tracked times (s) by name."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "lookup.json"
         output(sys.executable, str(Path(__file__).with_name("lookup.py")), "--json", str(file))
@@ -100,7 +100,7 @@ def from_python() -> dict[str, float]:
 
 
 def output(*command: str) -> str:
-    """Return what a command prints; its messages go to stderr."""
+    """Run a command and return its standard output; its error output is not captured."""
     print(" ".join(command), file=sys.stderr)
     return subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True).stdout
 
@@ -122,7 +122,7 @@ def draw(records: list[Record], file: Path) -> None:
 
 
 def _draw_relative(axes: Any, records: list[Record], part: str, names: dict[str, str], label: str) -> None:
-    """Draw one curve for each figure and processor; the last value stands in the legend."""
+    """Draw one curve for each name and processor; the legend shows the last value."""
     for number, (name, title) in enumerate(names.items()):
         for processor in sorted({_conditions(each) for each in records}):
             runs = [(at, each[part][name]) for at, each in _runs_on(records, processor) if name in each[part]]

@@ -1,4 +1,4 @@
-"""What the figures of `compare_peers.py` say about its questions."""
+"""The claims of `compare_peers.py`, checked with its measured values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LIBRARIES = ("mdpsolver", "quantecon", "mdptoolbox")
 
 @dataclass(frozen=True)
 class Verdict:
-    """A claim, what was measured, and whether it holds; `None` where a figure is missing."""
+    """A claim, the measured value, and whether it holds (None if a measurement is missing)."""
 
     claim: str
     measured: str
@@ -21,13 +21,13 @@ class Verdict:
 
 
 def fastest_library(results: Mapping[str, Result]) -> Result | None:
-    """Return the library with the shortest solve: its best run, of all its methods."""
+    """Return the result with the shortest solve time of all methods of the libraries; None if all failed."""
     done = [each for name, each in results.items() if name.startswith(LIBRARIES) and not each.failure]
     return min(done, key=lambda each: each.least, default=None)
 
 
 def ratio(results: Mapping[str, Result], name: str, yardstick: Result | None) -> float | None:
-    """Return how often our median fits into the best run of `yardstick`."""
+    """Return the shortest time of `yardstick` divided by the median time of `name`; None if one of them is missing."""
     ours = results.get(name)
     if ours is None or ours.failure or yardstick is None or yardstick.failure:
         return None
@@ -35,7 +35,7 @@ def ratio(results: Mapping[str, Result], name: str, yardstick: Result | None) ->
 
 
 def verdicts(results: Mapping[str, Result]) -> list[Verdict]:
-    """Judge the claims."""
+    """Check all claims that the results allow."""
     peer, user = fastest_library(results), results.get("numba-gs")
     one, two = results.get("lattice-1"), results.get("lattice-2")
     listed = [
@@ -68,7 +68,7 @@ def _at_least(claim: str, wanted: float, measured: float | None) -> Verdict:
 
 
 def does_prioritization_pay(results: Mapping[str, Result]) -> str:
-    """Answer in a few sentences made of the figures."""
+    """Return a few sentences on the benefit of priorities, with the measured values."""
     plain = results.get("plain")
     names = [f"ppvi-{px}x{py}-{priority}" for px, py in PARTITIONS for priority in PRIORITIES]
     runs = [results[name] for name in names if name in results and not results[name].failure]
