@@ -178,11 +178,11 @@ def test_with_its_draft_a_gap_has_a_name(draft: tuple[Effect, GapDescription]) -
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("import nothing_like_it", "cannot be made, ModuleNotFoundError"),
-        ("EFFECT = 3", "must be there, an Effect"),
+        ("import nothing_like_it", "cannot be created: ModuleNotFoundError"),
+        ("EFFECT = 3", "must be defined as an Effect"),
         ("from needleplan.models.effects import FORCE_EFFECTS\nfrom dataclasses import replace\n"
          "EFFECT = replace(FORCE_EFFECTS[0])", "is the name of another effect"),
-        ("raise SystemExit(3)", "cannot be made, SystemExit"),
+        ("raise SystemExit(3)", "cannot be created: SystemExit"),
     ],
 )  # fmt: skip
 def test_a_file_that_holds_no_effect_is_refused(text: str, says: str, tmp_path: Path) -> None:

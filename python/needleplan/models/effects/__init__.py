@@ -1,10 +1,10 @@
-"""Effects that a model may lack, each with its physics: what an effect adds to any model of its channel.
+"""Effects: physical phenomena that can be added to a model that lacks them.
 
 | name | meaning |
 |---|---|
 | `Effect` | abstract: an effect that the diagnosis can search for and add; the interface of plug-ins |
-| `Term`, `WithTerm` | an additional force with its own state, and a model with such a force |
-| `Memoryless` | a term without state |
+| `Term`, `WithTerm` | an additional force with its own internal state, and a model with such a force |
+| `Memoryless` | a term without an internal state |
 | `FORCE_EFFECTS`, `TIP_EFFECTS` | the shipped effects of the axial force, and of the path of the tip |
 | `known_effects`, `effect_named` | all effects by name, including plug-ins |
 | `with_effect`, `AugmentedModel` | a model with effects, for model files, planner, lab twin and estimators |

@@ -1,4 +1,4 @@
-"""A model with added effects and the origin of each effect, as a model file holds them."""
+"""A model with added effects and the origin of each effect, as stored in a model file."""
 
 from __future__ import annotations
 
@@ -53,7 +53,10 @@ class AddedEffect:
 
 @dataclass(frozen=True)
 class AugmentedModel(SelfIntegratingModel):
-    """A model with effects. Effects of the sensor (`Enters.SENSOR`) belong to the measurement only (`plant`)."""
+    """A model with effects.
+
+    `plant` is the same model without the effects of the sensor (`Enters.SENSOR`), which change the measurement only.
+    """
 
     base: Model
     effects: tuple[AddedEffect, ...] = ()
@@ -78,7 +81,7 @@ class AugmentedModel(SelfIntegratingModel):
 
     @cached_property
     def plant(self) -> Model:
-        """The model without the effects of the sensor: the true quantity instead of the measured one."""
+        """The model without the effects of the sensor; its output is the true quantity, not the measured one."""
         own = tuple(each for each in self.effects if effect_named(each.name).enters is not Enters.SENSOR)
         return AugmentedModel(self.base, own) if own else self.base
 
@@ -87,7 +90,7 @@ class AugmentedModel(SelfIntegratingModel):
         return self.whole.initial_state(motion)
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates, shape (n, ...)."""
+        """Return the rates of change of the state, shape (n, ...)."""
         return self.whole.derivative(state, motion)
 
     def output(self, state: Array, motion: Motion) -> Array:
@@ -120,8 +123,8 @@ def with_effect(model: Model, added: AddedEffect | Sequence[AddedEffect]) -> Aug
 
 
 def without_effect(model: Model, name: str) -> Model:
-    """Return the model without the effects of a name. Raises ModelError if the model has no such effect."""
+    """Return the model without its effects of the given name. Raises ModelError if the model has no such effect."""
     if not isinstance(model, AugmentedModel) or name not in {each.name for each in model.effects}:
-        raise ModelError(Mistake("effect", name, "is not there"), model.name)
+        raise ModelError(Mistake("effect", name, "is not an effect of the model"), model.name)
     left = tuple(each for each in model.effects if each.name != name)
     return AugmentedModel(model.base, left) if left else model.base

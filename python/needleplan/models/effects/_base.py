@@ -1,10 +1,10 @@
-"""Definition of an effect: a property of tissue, needle or sensor that a model lacks, and how it is added.
+"""Definition of an effect: a property of tissue, needle or sensor that can be added to a model.
 
-An effect has an amplitude (the parameter `size`), which is 0 if the effect is absent, and parameters for its place,
-time or rate. An effect that is applied to a model gives another model, which can be simulated, fitted and written like
-any other. With amplitude 0 this model gives the output of the original model, bit by bit.
+An effect has an amplitude (the parameter `size`), which is 0 if the effect is absent, and parameters for its position,
+time or rate. Applying an effect to a model gives another model, which can be simulated, fitted and written to a file
+like any other. With amplitude 0 this model gives the output of the original model, bit by bit.
 
-Most effects are a *term*: an additional force with its own state::
+Most effects are a *term*: an additional force with its own internal state::
 
     x' = rate(x, u)          F = F_model + size * shape(x, u)
 """
@@ -61,7 +61,11 @@ class Reach:
 
     @classmethod
     def of(cls, motions: Sequence[Motion]) -> Reach:
-        """Return the ranges of several motions; the lower speed is the 5 % quantile of the moving samples."""
+        """Return the ranges that several motions cover together.
+
+        The lower limit of the speed is the 5 % quantile of the samples that move. The duration is that of the longest
+        motion.
+        """
         speeds = np.concatenate([np.abs(each.velocity_mm_s) for each in motions])
         moving = speeds[speeds > 0.02 * speeds.max()] if speeds.max() > 0 else np.ones(1)
         return cls(
@@ -72,13 +76,14 @@ class Reach:
 
 
 class Effect(ABC):
-    """Abstract base class of effects; a plug-in is an object of a subclass.
+    """Abstract base class of effects; a plug-in is an instance of a subclass.
 
-    `parameters` declares unit and range of every parameter by name, including `size`. Only `apply` must be implemented.
+    `parameters` declares unit and range of every parameter by name, including the amplitude `size`. A subclass must
+    implement `apply`; the other methods have defaults.
     """
 
     name: str
-    """Name in files and on the command line."""
+    """Name of the effect in files and on the command line."""
 
     title: str
     family: Family
@@ -90,12 +95,12 @@ class Effect(ABC):
     """Explanation for the user of the robot."""
 
     source: str
-    """Publication."""
+    """Publication that describes the effect."""
 
     version: str = "1"
 
     repeats: bool = False
-    """Whether a model may have the effect several times."""
+    """Whether the effect may be added to one model several times."""
 
     is_lag: bool = False
     """Whether the effect delays the measurement, as the calibrated sensor lag does."""
@@ -109,7 +114,10 @@ class Effect(ABC):
         """Return `model` with the effect; `model` itself if the amplitude is 0."""
 
     def grid(self, reach: Reach) -> list[dict[str, float]]:  # noqa: ARG002
-        """Return the search grid of the parameters except the amplitude. Default: one empty entry."""
+        """Return the points of the search grid, each with parameter values by name. Default: one point without values.
+
+        The points usually leave out the amplitude.
+        """
         return [{}]
 
     def nearby(
@@ -118,9 +126,12 @@ class Effect(ABC):
         reach: Reach,  # noqa: ARG002
         scale: float,  # noqa: ARG002
     ) -> list[dict[str, float]]:
-        """Return further starts of a fit around `values`, from far (scale 1) to near. Default: none.
+        """Return further start values of a fit around `values`; a smaller `scale` (at most 1) gives closer ones.
 
-        Implement it for strongly nonlinear effects, which may have several local optima between two points of the grid.
+        Default: none.
+
+        Override this method for strongly nonlinear effects, which may have several local optima between two grid
+        points.
         """
         return []
 
@@ -128,8 +139,8 @@ class Effect(ABC):
         """Return the sensitivity of the output to the amplitude at every point of the grid, shape (samples, len(grid)).
 
         For an output of the shape (axes, samples) the rows of the axes follow one another: (axes * samples, len(grid)).
-        Default: the difference quotient of two simulations, with the amplitude of the grid, or a thousandth of its
-        typical magnitude.
+        Default: the difference quotient of two simulations, with and without the effect. Its amplitude is that of the
+        grid point or, if the point has none, a thousandth of the typical amplitude.
         """
         plain = simulate(model, motion).output
         small = 1e-3 * self.parameters[SIZE].typical
@@ -145,26 +156,26 @@ class Effect(ABC):
 class Term(ABC):
     """Abstract base class of a force that is added to the output of a model; its fields are its parameters.
 
-    The term has its own state, here called memory, of k numbers. The shapes are those of a model.
+    The term has its own internal state of k numbers. The shapes are as in `Model`.
     """
 
     name: ClassVar[str]
     order: ClassVar[int]
-    """k, the number of states of the term."""
+    """k, the number of internal states of the term."""
 
     size: float
 
     @abstractmethod
     def initial(self, motion: Motion) -> Array:
-        """Return the memory before the first sample, shape (k,)."""
+        """Return the internal state before the first sample, shape (k,)."""
 
     @abstractmethod
     def rate(self, state: Array, motion: Motion) -> Array:
-        """Return the rate of change of the memory per second, shape (k, ...)."""
+        """Return the rate of change of the internal state per second, shape (k, ...)."""
 
     @abstractmethod
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return the memory at the samples, shape (k, samples), from `start` at the first sample."""
+        """Return the internal state at every sample, shape (k, samples); `start` is the state at the first sample."""
 
     @abstractmethod
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:
@@ -183,12 +194,12 @@ class Term(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Memoryless(Term):
-    """Abstract base class of a term without memory. Only `shape` must be implemented."""
+    """Abstract base class of a term without an internal state. A subclass must implement `shape` only."""
 
     order: ClassVar[int] = 0
 
     def initial(self, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the empty memory, shape (0,)."""
+        """Return the empty state, shape (0,)."""
         return np.zeros(0)
 
     def rate(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
@@ -196,13 +207,13 @@ class Memoryless(Term):
         return state
 
     def states(self, motion: Motion, start: Array) -> Array:  # noqa: ARG002
-        """Return the empty memory, shape (0, samples)."""
+        """Return the empty states, shape (0, samples)."""
         return np.zeros((0, len(motion)))
 
 
 @dataclass(frozen=True)
 class WithTerm(SelfIntegratingModel):
-    """A model with an additional term. The state is that of the model, followed by the memory of the term."""
+    """A model with an additional term. The state is that of the model, followed by the internal state of the term."""
 
     base: Model
     term: Term
@@ -217,7 +228,7 @@ class WithTerm(SelfIntegratingModel):
         return np.concatenate([self.base.initial_state(motion), self.term.initial(motion)])
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of model and term, shape (n + k, ...)."""
+        """Return the rates of change of both states, shape (n + k, ...)."""
         own, memory = self._split(state)
         return np.concatenate([self.base.derivative(own, motion), self.term.rate(memory, motion)])
 

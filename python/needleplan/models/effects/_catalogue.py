@@ -1,4 +1,4 @@
-"""The effects of the axial force: equation, explanation, source, and the grid on which the diagnosis searches."""
+"""Catalogue of the effects of the axial force: equation, explanation, source and search grid of each effect."""
 
 from __future__ import annotations
 
@@ -29,7 +29,11 @@ def _speeds(reach: Reach) -> np.ndarray:
 
 
 def _breaths(reach: Reach) -> list[dict[str, float]]:
-    """Return breaths that are visible at rest, and breaths that reverse the movement even while the needle advances."""
+    """Return the search grid of breathing motions.
+
+    Some of the motions are small enough to show only at rest. Others are large enough to reverse the motion of the
+    needle relative to the tissue while the needle advances.
+    """
     slowest = max(reach.speed_mm_s[0], 1e-2)
     found = []
     for frequency_hz in np.arange(0.12, 0.5, 0.03):
@@ -42,12 +46,16 @@ def _breaths(reach: Reach) -> list[dict[str, float]]:
     return found
 
 
-# Largest velocity of a breath, as a share of amplitude times angular frequency.
+# Largest velocity of a breathing motion, as a share of amplitude times angular frequency.
 _STEEPEST = 0.65
 
 
 def _other_breaths(values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:
-    """Return breaths with another frequency, phase and amplitude; the phase is kept in the middle of a trial."""
+    """Return variants of a breathing motion with other amplitudes, frequencies and phases.
+
+    At scale 1 there are also variants with other dwells. A change of frequency alone does not change the phase at the
+    middle of a trial. If the amplitude is 0, there are no variants.
+    """
     if not values[SIZE]:
         return []
     begin, apart = values["phase_rad"], 0.3 / reach.duration_s

@@ -1,4 +1,4 @@
-"""Effects that a table row describes: equation, explanation, search grid, and the class that implements them."""
+"""Effects that a catalogue entry defines: equation, explanation, search grid, and the class that implements them."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ from needleplan.signals import Array, Motion
 __all__ = ["TermEffect", "WrapEffect", "presliding_of"]
 
 Grid = Callable[[Reach], Mapping[str, Sequence[float] | Array] | Sequence[Mapping[str, float]]]
-"""Function from the available ranges to the axes of a search grid, or to all of its points."""
+"""Function that takes the available ranges and returns the axes of a search grid, or a list of all grid points."""
 
 Nearby = Callable[[Mapping[str, float], Reach, float], list[dict[str, float]]]
+"""Function that takes values, available ranges and scale, and returns the start values of `Effect.nearby`."""
 
 
 @dataclass(frozen=True)
 class _Described(Effect):
-    """An effect whose texts are fields, and whose grid is a function of the available ranges."""
+    """An effect whose texts and search functions are fields."""
 
     name: str
     title: str
@@ -41,15 +42,19 @@ class _Described(Effect):
     meaning: str
     source: str
     looked_for: Grid = lambda reach: {}  # noqa: ARG005
+    """Implementation of `grid`."""
+
     tried: Nearby = lambda values, reach, scale: []  # noqa: ARG005
+    """Implementation of `nearby`."""
+
     channel: Channel = Channel.FORCE
     repeats: bool = False
     is_lag: bool = False
     beside: tuple[type[Model], ...] = ()
-    """Models that the effect can be added to; empty for any model."""
+    """Classes of models that the effect can be added to; if empty, any model."""
 
     def suits(self, model: Model) -> bool:
-        """Whether the effect can be added to a model."""
+        """Whether the effect can be added to a model, or to the model that it wraps."""
         inner = model
         while not isinstance(inner, self.beside) and hasattr(inner, "base"):
             inner = inner.base
@@ -63,7 +68,7 @@ class _Described(Effect):
         return [dict(zip(axes, map(float, each), strict=True)) for each in product(*axes.values())]
 
     def nearby(self, values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:
-        """Return further starts of a fit, clipped to the ranges of the parameters."""
+        """Return further start values of a fit, clipped to the ranges of the parameters."""
         bounds = self.parameters
         return [
             {name: min(max(value, bounds[name].lower), bounds[name].upper) for name, value in each.items()}
@@ -87,16 +92,19 @@ class TermEffect(_Described):
         return WithTerm(model, self._term(model, values)) if values.get(SIZE, 0.0) else model
 
     def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
-        """Return the sensitivity to the amplitude; points with the same memory share its integration."""
+        """Return the sensitivity to the amplitude, shape (samples, len(grid)).
+
+        The internal state is integrated only once for grid points that have the same parameters of the state.
+        """
         plain = simulate(model, motion).output
-        memories: dict[tuple[float, ...], Array] = {}
+        states: dict[tuple[float, ...], Array] = {}
         found = np.empty((len(motion), len(grid)))
         for index, values in enumerate(grid):
             term = self._term(model, {**values, SIZE: 1.0})
-            key = tuple(values[name] for name in _REMEMBERED.get(self.name, ()))
-            if key not in memories:
-                memories[key] = term.states(motion, term.initial(motion))
-            found[:, index] = term.shape(memories[key], motion, plain)
+            key = tuple(values[name] for name in _STATE_PARAMETERS.get(self.name, ()))
+            if key not in states:
+                states[key] = term.states(motion, term.initial(motion))
+            found[:, index] = term.shape(states[key], motion, plain)
         return found
 
     def _term(self, model: Model, values: Mapping[str, float]) -> Term:
@@ -105,15 +113,15 @@ class TermEffect(_Described):
         return self.term(**{name: value for name, value in known.items() if value is not None}, **values)
 
 
-_REMEMBERED = {
+_STATE_PARAMETERS = {
     "relaxation": ("time_s", "recovery_mm"),
 }
-"""Parameters that a term's memory depends on, by the name of the effect."""
+"""Parameters on which the internal state of a term depends, by the name of the effect."""
 
 
 @dataclass(frozen=True)
 class WrapEffect(_Described):
-    """An effect that is implemented by a model around the model: `wrapper(base=model, size=..., ...)`."""
+    """An effect that is implemented by a model that wraps another one: `wrapper(base=model, size=..., ...)`."""
 
     wrapper: type[Model] = Lagging
 
@@ -132,7 +140,10 @@ class WrapEffect(_Described):
         return made
 
     def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
-        """Return the sensitivity to the amplitude; breaths around a `ShaftAndTip` are computed together."""
+        """Return the sensitivity to the amplitude, shape (samples, len(grid)).
+
+        Breathing motions around a `ShaftAndTip` are computed together, which is faster.
+        """
         names = set(self.parameters)
         if not (
             self.wrapper is BreathingTissue
@@ -144,7 +155,10 @@ class WrapEffect(_Described):
         return np.asarray((gained / np.array([[each[SIZE]] for each in grid])).T)
 
     def _inside(self, model: Model, values: Mapping[str, float]) -> Model:
-        """Return a model with effects in which the effect is wrapped around the innermost base."""
+        """Return a copy of `model`, which wraps another model, with this effect wrapped around the innermost model.
+
+        Raises ModelError if the effect cannot be added to `model`.
+        """
         if not self.suits(model):
             wanted = " or ".join(each.name for each in self.beside)
             raise ModelError(Mistake("effect", self.name, f"can be added to {wanted} only"), type(model).__name__)
@@ -159,7 +173,7 @@ def presliding_of(model: Model) -> float:
 
 
 def _of_base(model: Model, name: str) -> float | None:
-    """Return a parameter of a model or of the models that it wraps; None if none has it."""
+    """Return the value of a parameter of a model or of the models that it wraps; None if all of them lack it."""
     while not hasattr(model, name) and hasattr(model, "base"):
         model = model.base
     value = getattr(model, name, None)

@@ -1,9 +1,9 @@
-"""Effects of the force sensor and of the mass on it; they change the measurement and not the needle.
+"""Effects of the force sensor and of the mass attached to it; they change the measured force but not the needle.
 
-**Delay.** A pure delay has no finite state. `Lagging` approximates it by 256 first-order lags in series, each with a
-256th of the delay. A step at the input reaches the output within a sixteenth of the delay (an Erlang distribution;
-MacDonald, Time Lags in Biological Models, 1978). With fewer lags, the spread would be mistaken for the sensor's own
-filter.
+**Delay.** A pure delay has no finite-dimensional state. `Lagging` approximates it by 256 first-order lags in series,
+each with a 256th of the delay. A step at the input reaches the output after the delay, spread over a standard deviation
+of a sixteenth of the delay (Erlang distribution; MacDonald, Time Lags in Biological Models, 1978). With fewer lags,
+the fit would mistake this spread for the sensor's own filter.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["Bias", "Drift", "GainError", "Inertia", "Lagging", "ThermalDrift"]
 
-# Force in N of a mass of 1 kg at 1 mm/s^2.
+# Force that accelerates 1 kg by 1 mm/s^2, N.
 _N_PER_KG_MM_S2 = 1e-3
 # Time constant of the acceleration filter, s; shorter than the lag of a force sensor.
 _DIFFERENCE_S = 0.005
@@ -37,25 +37,25 @@ class Bias(Memoryless):
     size: float = parameter("N", -20, 20, "reading at zero force", typical=0.01)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return one."""
+        """Return ones, of the shape of the depth."""
         return np.ones_like(np.asarray(motion.depth_mm, float))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drift(Memoryless):
-    """A linear drift of the sensor's zero from the begin of each trial."""
+    """A linear drift of the sensor's zero from the beginning of each trial."""
 
     name: ClassVar[str] = "drift"
     size: float = parameter("N/s", -1, 1, "rate of the zero", typical=1e-3)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return the time."""
+        """Return the time (s), shape (...)."""
         return np.asarray(motion.time_s, float)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalDrift(Memoryless):
-    """An exponential drift of the sensor's zero while it warms up, from the begin of each trial."""
+    """An exponential drift of the sensor's zero while the sensor warms up, from the beginning of each trial."""
 
     name: ClassVar[str] = "thermal_drift"
     size: float = parameter("N", -20, 20, "final shift of the zero", typical=0.01)
@@ -70,36 +70,39 @@ class ThermalDrift(Memoryless):
 class GainError(Memoryless):
     """A wrong gain of the sensor.
 
-    Free friction and cutting parameters absorb this effect. It is visible only if the parameters of the base model are
-    known.
+    If friction and cutting are fitted too, their parameters absorb this effect. The effect is visible only if the
+    parameters of the base model are known.
     """
 
     name: ClassVar[str] = "gain_error"
     size: float = parameter("", -0.9, 5, "relative error of the gain", typical=0.01)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return the force."""
+        """Return the force without the effect (N), shape (...)."""
         return plain
 
 
 @dataclass(frozen=True, kw_only=True)
 class Inertia(Term):
-    """Inertia of the mass on the sensor beyond the needle."""
+    """Inertia of the mass attached to the sensor, such as the needle holder."""
 
     name: ClassVar[str] = "inertia"
     order: ClassVar[int] = 1
     size: float = parameter("kg", 0, 100, "mass that the sensor accelerates", typical=0.1)
 
     def initial(self, motion: Motion) -> Array:  # noqa: ARG002
-        """Return a velocity of zero."""
+        """Return the smoothed velocity before the first sample, 0, shape (1,)."""
         return np.zeros(1)
 
     def rate(self, state: Array, motion: Motion) -> Array:
-        """Return the rate of the smoothed velocity."""
+        """Return the rate of change of the smoothed velocity (mm/s^2), shape (1, ...)."""
         return np.asarray((np.asarray(motion.velocity_mm_s, float) - state) / _DIFFERENCE_S)
 
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return the velocity, smoothed over 5 ms; exact for a velocity that is linear in time."""
+        """Return the velocity (mm/s), smoothed with a time constant of 5 ms, shape (1, samples).
+
+        The solution is exact if the velocity is linear between samples.
+        """
         step, slope = motion.interval_s, np.diff(motion.velocity_mm_s) / motion.interval_s
         decay = np.exp(-step / _DIFFERENCE_S)
         velocity = motion.velocity_mm_s
@@ -107,7 +110,7 @@ class Inertia(Term):
         return np.asarray(velocity + behind)[None]
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return the acceleration, in N/kg."""
+        """Return the smoothed acceleration (N/kg), shape (...)."""
         return np.asarray(_N_PER_KG_MM_S2 * (motion.velocity_mm_s - state[0]) / _DIFFERENCE_S)
 
 
@@ -115,11 +118,11 @@ class Inertia(Term):
 _STAGES = 256
 # Smallest lag of a stage, s; avoids a division by zero.
 _SHORTEST_S = 1e-9
-# Share of the step response after which the impulse response is truncated.
+# Remainder of the step response below which the impulse response is truncated.
 _FORGOTTEN = 1e-13
 # Relative deviation of a sampling interval above which the samples count as uneven.
 _EVEN = 1e-3
-# Steps of the even grid per median interval of unevenly sampled records.
+# Steps of the even grid per median sampling interval, for unevenly sampled records.
 _FINER = 4
 
 
@@ -140,13 +143,13 @@ class Lagging(SelfIntegratingModel):
         return self.base.channel
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return the state of the base, and its output at every stage."""
+        """Return the state of the base at rest, followed by 256 copies of its output, shape (n + 256,)."""
         own = self.base.initial_state(motion)
         first = motion[0] if np.ndim(motion.depth_mm) else motion
         return np.append(own, np.full(_STAGES, float(self.base.output(own, first))))
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of the base and of the stages."""
+        """Return the rates of change of the state of the base and of the stages, shape (n + 256, ...)."""
         own, stages = state[:-_STAGES], state[-_STAGES:]
         before = np.concatenate([self.base.output(own, motion)[None], stages[:-1]])
         return np.concatenate([self.base.derivative(own, motion), (before - stages) / self._lag_s])
@@ -156,7 +159,10 @@ class Lagging(SelfIntegratingModel):
         return np.asarray(state[-1]) if self.size else self.base.output(state[:-_STAGES], motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states; the stages are exact for a force that is linear between evenly spaced samples."""
+        """Return the states, shape (n + 256, samples).
+
+        The stages are exact for a force that is linear between evenly spaced samples.
+        """
         states = simulate(self.base, motion, start[:-_STAGES]).states
         force = np.asarray(self.base.output(states, motion), float)
         found = np.empty((len(start), len(motion)))
@@ -170,7 +176,10 @@ class Lagging(SelfIntegratingModel):
 
 
 def _pass(force: Array, time_s: Array, start: Array, lag_s: float, found: Array) -> None:
-    """Write the response of every stage to a force into `found`, shape (stages, samples), from the stages `start`."""
+    """Compute the outputs of all stages for the input `force` and write them into `found`, shape (stages, samples).
+
+    `start`, shape (stages,), holds the outputs at the first sample.
+    """
     step = np.diff(time_s)
     h = float(np.median(step)) if len(step) else 1.0
     if len(step) and float(np.abs(step - h).max()) > _EVEN * h:
@@ -191,7 +200,7 @@ def _pass(force: Array, time_s: Array, start: Array, lag_s: float, found: Array)
     rows = np.array([before[count - 2 - past : len(before) - past] for past in range(count - 1)])
     np.matmul(np.ascontiguousarray(weights.T), rows, out=found)
     other = start - force[0]
-    if other.any():  # the stages do not start at the first force
+    if other.any():  # the stages do not start in the steady state of the first force
         passed = np.arange(_STAGES)
         for index in range(min(count, len(force))):
             its = index * h / lag_s

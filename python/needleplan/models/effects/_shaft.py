@@ -1,6 +1,7 @@
 """Effects of friction along the shaft and of cutting at the tip.
 
-The terms share a memory of the path: Dahl's bristle of the shaft, and the largest depth so far.
+The internal state of every term contains two properties of the past path: the deflection of Dahl's bristle along the
+shaft, and the largest depth so far.
 """
 
 from __future__ import annotations
@@ -37,17 +38,17 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class PathTerm(Term):
-    """Abstract base class of a term whose memory is Dahl's bristle z of the shaft and the largest depth so far (mm)."""
+    """Abstract base class of a term whose state is Dahl's bristle z of the shaft and the largest depth so far (mm)."""
 
     order: ClassVar[int] = 2
     presliding_mm: float = constant("mm", 1e-4, 50, "travel over which the bristle reverses", default=0.05)
 
     def initial(self, motion: Motion) -> Array:
-        """Return a straight bristle, and the first depth as the largest."""
+        """Return z = 0 and the first depth, shape (2,)."""
         return np.array([0.0, float(np.ravel(motion.depth_mm)[0])])
 
     def rate(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of bristle and largest depth."""
+        """Return the rates of change of bristle and largest depth, shape (2, ...)."""
         velocity = np.asarray(motion.velocity_mm_s, float)
         fresh = np.asarray(motion.depth_mm) >= state[1]
         return np.array(
@@ -55,21 +56,21 @@ class PathTerm(Term):
         )
 
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return bristle and largest depth along a motion."""
+        """Return bristle and largest depth along a motion, shape (2, samples)."""
         return np.array([slid(motion, self.presliding_mm, float(start[0])), reached(motion, float(start[1]))])
 
 
 def reached(motion: Motion, start: float) -> Array:
-    """Return the largest depth so far, shape (samples,)."""
+    """Return the largest depth (mm) up to each sample, shape (samples,); `start` is the largest depth before."""
     return np.maximum(np.maximum.accumulate(motion.depth_mm), start)
 
 
 def decaying(decay: Array, target: Array, start: float) -> Array:
-    """Return y, shape (n + 1,), with y[k+1] = target[k] + (y[k] - target[k]) decay[k]."""
+    """Return y, shape (n + 1,), with y[0] = start and y[k+1] = target[k] + (y[k] - target[k]) decay[k]."""
     return recurrence(decay, target * (1 - decay), start)
 
 
-# Length of a cell of the path, mm, and number of cells: the memory covers 150 mm.
+# Length of a cell of the path, mm, and number of cells: `PathDamage` ignores depths beyond 150 mm.
 _CELL_MM = 2.0
 _CELLS = 75
 
@@ -87,13 +88,16 @@ class FrictionLayer(PathTerm):
     depth_mm: float = parameter("mm", 0, 500, "begin of the layer", typical=1.0)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return the length of the shaft in the layer, with the sign of the friction."""
+        """Return the length of the shaft in the layer (mm) times the bristle, which gives the sign."""
         return np.asarray(np.maximum(_inserted(motion) - self.depth_mm, 0.0) * state[0])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stribeck(PathTerm):
-    """Friction that is higher at low speed, by a share of the model's friction, which differs from trial to trial."""
+    """Friction that is higher at low speed.
+
+    The amplitude is a share of the model's friction, because that friction differs from trial to trial.
+    """
 
     name: ClassVar[str] = "stribeck"
     size: float = parameter("", 0, 20, "additional friction at rest, as a share of the friction", typical=0.1)
@@ -101,7 +105,7 @@ class Stribeck(PathTerm):
     friction: float = constant("N/mm", 0, 10, "friction per inserted length of the model", default=1.0)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return the friction of the shaft times exp(-|v|/speed)."""
+        """Return the friction of the shaft (N) times exp(-|v|/speed)."""
         shaft = self.friction * _inserted(motion) * state[0]
         return np.asarray(shaft * np.exp(-np.abs(motion.velocity_mm_s) / self.speed_mm_s))
 
@@ -114,7 +118,7 @@ class Viscous(PathTerm):
     size: float = parameter("N s/mm2", -1e-2, 1e-2, "friction per length and speed", typical=1e-4)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return inserted length times velocity."""
+        """Return the inserted length times the velocity (mm2/s)."""
         return np.asarray(_inserted(motion) * np.asarray(motion.velocity_mm_s))
 
 
@@ -129,29 +133,35 @@ class Relaxation(PathTerm):
     recovery_mm: float = parameter("mm", 1e-3, 20, "travel over which the force recovers")
 
     def initial(self, motion: Motion) -> Array:
-        """Return the initial memory, with nothing relaxed."""
+        """Return the state of the path and a relaxed share of 0, shape (3,)."""
         return np.asarray(np.append(super().initial(motion), 0.0))
 
     def rate(self, state: Array, motion: Motion) -> Array:
-        """Return the rates; the relaxed share grows with time and decays with travel."""
+        """Return the rates of change, shape (3, ...); the relaxed share grows with time and decays with travel."""
         speed = np.abs(np.asarray(motion.velocity_mm_s, float))
         relaxed = (1 - state[2]) / self.time_s - state[2] * speed / self.recovery_mm
         return np.asarray(np.concatenate([super().rate(state[:2], motion), relaxed[None]]))
 
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return the memory along a motion; exact for the mean speed between two samples."""
+        """Return the internal state along a motion, shape (3, samples).
+
+        The solution is exact if the speed is constant between samples.
+        """
         rows = (np.asarray(row, float).tobytes() for row in (motion.depth_mm, motion.time_s))
         share = _relaxed(*rows, self.time_s, self.recovery_mm, float(start[2]))
         return np.asarray(np.vstack([super().states(motion, start[:2]), share]))
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return minus the relaxed share of the force."""
+        """Return the force (N) times the relaxed share, with negative sign."""
         return np.asarray(-state[2] * plain)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PathDamage(PathTerm):
-    """Friction that decreases where the shaft has slid; the memory is the sliding distance in every cell."""
+    """Friction that decreases where the shaft has slid.
+
+    The internal state also contains the sliding distance (mm) in every cell of the path.
+    """
 
     name: ClassVar[str] = "path_damage"
     order: ClassVar[int] = 2 + _CELLS
@@ -160,11 +170,11 @@ class PathDamage(PathTerm):
     friction: float = constant("N/mm", 0, 10, "friction per inserted length of the model", default=1.0)
 
     def initial(self, motion: Motion) -> Array:
-        """Return the initial memory, with no sliding."""
+        """Return the state of the path and sliding distances of 0, shape (2 + cells,)."""
         return np.asarray(np.concatenate([super().initial(motion), np.zeros(_CELLS)]))
 
     def rate(self, state: Array, motion: Motion) -> Array:
-        """Return the rates; the sliding distance grows in every cell behind the tip."""
+        """Return the rates of change, shape (2 + cells, ...); sliding distances grow in the cells behind the tip."""
         depth, speed = np.asarray(motion.depth_mm, float), np.abs(np.asarray(motion.velocity_mm_s, float))
         slid = np.zeros((_CELLS, *speed.shape))
         filled = _filled(depth)
@@ -172,7 +182,7 @@ class PathDamage(PathTerm):
         return np.asarray(np.concatenate([super().rate(state[:2], motion), slid]))
 
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return the memory along a motion."""
+        """Return the internal state along a motion, shape (2 + cells, samples)."""
         states = np.empty((self.order, len(motion)))
         states[:2] = super().states(motion, start[:2])
         states[2:] = start[2:, None]
@@ -181,7 +191,7 @@ class PathDamage(PathTerm):
         return states
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return minus the friction of the shaft in worn tissue."""
+        """Return the friction (N) of the shaft, weighted with the wear of each cell, with negative sign."""
         filled = _filled(_inserted(motion))
         worn = -np.expm1(-np.maximum(state[2 : 2 + len(filled)], 0.0) / self.sliding_mm)
         return np.asarray(-self.friction * (worn * filled * _CELL_MM).sum(axis=0) * state[0])
@@ -189,28 +199,34 @@ class PathDamage(PathTerm):
 
 @lru_cache(maxsize=8)
 def _slid_past(depth_mm: bytes) -> Array:
-    """Return the sliding distance in each cell after each step, for the bytes of the depths; shape (cells, steps)."""
+    """Return the sliding distance (mm) in each cell after each step, shape (cells, steps).
+
+    `depth_mm` is the byte string of the depths, so that the result can be cached: a fit repeats the same motion.
+    """
     depth = np.frombuffer(depth_mm)
     filled = _filled(depth)
-    return _kept(np.cumsum(np.abs(np.diff(depth)) * (filled[:, 1:] + filled[:, :-1]) / 2, axis=1))
+    return _read_only(np.cumsum(np.abs(np.diff(depth)) * (filled[:, 1:] + filled[:, :-1]) / 2, axis=1))
 
 
 @lru_cache(maxsize=16)
 def _relaxed(depth_mm: bytes, time_s: bytes, relaxing_s: float, recovery_mm: float, start: float) -> Array:
-    """Return the relaxed share, shape (samples,), for the bytes of a motion; cached for fits."""
+    """Return the relaxed share, shape (samples,).
+
+    Depths and times are byte strings, so that the result can be cached: a fit repeats the same motion.
+    """
     step = np.diff(np.frombuffer(time_s))
     rate = 1 / relaxing_s + np.abs(np.diff(np.frombuffer(depth_mm))) / step / recovery_mm
-    return _kept(decaying(np.exp(-rate * step), 1 / (relaxing_s * rate), start))
+    return _read_only(decaying(np.exp(-rate * step), 1 / (relaxing_s * rate), start))
 
 
-def _kept(values: Array) -> Array:
-    """Return the array read-only, because several callers share it."""
+def _read_only(values: Array) -> Array:
+    """Make an array read-only, because several callers share it, and return it."""
     values.flags.writeable = False
     return values
 
 
 def _filled(depth_mm: Array) -> Array:
-    """Return the share of every cell that the shaft fills, down to the deepest cell it reaches, shape (cells, ...)."""
+    """Return the share of each cell that the shaft fills, shape (cells, ...), without cells that it never reaches."""
     count = math.ceil(min(max(1.0, float(np.max(depth_mm)) / _CELL_MM), _CELLS))
     edges = (np.arange(count) * _CELL_MM).reshape((-1,) + (1,) * np.ndim(depth_mm))
     return np.asarray(np.clip((depth_mm - edges) / _CELL_MM, 0.0, 1.0))
@@ -218,7 +234,7 @@ def _filled(depth_mm: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Bump(PathTerm):
-    """Resistance at one place each time the tip passes it, such as an air bubble, a fibre or a lesion."""
+    """Resistance at one depth each time the tip passes this depth, caused by an air bubble, a fibre or a lesion."""
 
     name: ClassVar[str] = "bump"
     size: float = parameter("N", -20, 20, "force at the place", typical=0.1)
@@ -226,18 +242,21 @@ class Bump(PathTerm):
     width_mm: float = parameter("mm", 0.1, 30, "half width at 1/e")
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return a Gaussian around the place, against the movement."""
+        """Return a Gaussian in depth times the bristle, which directs the force against the movement."""
         return np.asarray(np.exp(-(((np.asarray(motion.depth_mm) - self.depth_mm) / self.width_mm) ** 2)) * state[0])
 
 
 def _pushed(state: Array) -> Array:
-    """Return the share of the cutting force that acts on the tip, which resists only while it is pushed in."""
+    """Return the share of the cutting force that acts: 1 while the tip is pushed in, 0 after some retraction."""
     return np.asarray((1 + state[0]) / 2)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Puncture(PathTerm):
-    """A membrane that deforms until it breaks: exp((L - depth)/bulge), then a fast decay; on the first pass only."""
+    """A membrane that deforms until it breaks.
+
+    The force grows as exp((L - depth)/bulge) and decays fast after the break. It acts on the first pass only.
+    """
 
     name: ClassVar[str] = "puncture"
     size: float = parameter("N", 0, 20, "force at which the membrane breaks", typical=0.1)
@@ -246,7 +265,7 @@ class Puncture(PathTerm):
     release_mm: float = constant("mm", 1e-3, 10, "travel over which the force decays after the break", default=0.3)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return exp((L - depth)/bulge) until the membrane breaks, and the decay after it."""
+        """Return exp((L - depth)/bulge) until the membrane breaks, and the decay after the break."""
         before = np.exp(np.minimum((np.asarray(motion.depth_mm) - self.depth_mm) / self.bulge_mm, 0.0))
         broken = np.exp(-np.maximum(state[1] - self.depth_mm, 0.0) / self.release_mm)
         return np.asarray(before * broken * _pushed(state))
@@ -262,16 +281,17 @@ class CuttingLayer(PathTerm):
     width_mm: float = parameter("mm", 0.05, 20, "half width of the transition between the layers")
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return a smooth step in depth."""
+        """Return a smooth step from 0 to 1 in depth, while the tip is pushed in."""
         step = 0.5 * (1 + np.tanh((np.asarray(motion.depth_mm) - self.depth_mm) / self.width_mm))
         return np.asarray(step * _pushed(state))
 
 
 @dataclass(frozen=True, kw_only=True)
 class FreshCutting(PathTerm):
-    """Lower cutting force where the tip has been before, because the tissue is already cut.
+    """Lower cutting force along the old path of the tip, because the tissue is already cut there.
 
-    The amplitude is a share of the model's cutting force, which differs from trial to trial and rises with the depth.
+    The amplitude is a share of the model's cutting force, because that force differs from trial to trial and rises with
+    the depth.
     """
 
     name: ClassVar[str] = "fresh_cutting"
@@ -283,7 +303,7 @@ class FreshCutting(PathTerm):
     onset_mm: float = constant("mm", 1e-2, 50, "depth over which the cutting force of the model rises", default=1e-2)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return minus the cutting force of a tip within its old path."""
+        """Return the model's cutting force (N) along the old path of the tip, with negative sign; 0 in fresh tissue."""
         depth = np.asarray(motion.depth_mm)
         full = -self.cutting * np.expm1(-np.maximum(depth, 0.0) / self.onset_mm)
         behind = np.maximum(state[1] - depth, 0.0)
@@ -298,5 +318,5 @@ class CuttingWithDepth(PathTerm):
     size: float = parameter("N/mm", -1, 1, "growth of the cutting force with depth", typical=1e-3)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return the depth while the tip is pushed in."""
+        """Return the depth (mm) while the tip is pushed in, 0 after some retraction."""
         return np.asarray(np.maximum(motion.depth_mm, 0.0) * _pushed(state))

@@ -1,7 +1,7 @@
-"""Effects of the path of a tip, as models around a model: each changes one property of the model.
+"""Effects of the path of a tip. Each is a model that wraps another model and changes one property of it.
 
-`Altered` effects change the curvature, the entry or the roll. `Shifted` effects change the position: effects of the
-tracker, and of tissue that moves with the whole path.
+`Altered` effects change the curvature, the entry or the roll. `Shifted` effects change the position; they are effects
+of the tracker, and of tissue that moves together with the whole path.
 """
 
 from __future__ import annotations
@@ -38,29 +38,32 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class Altered(SteeredModel):
-    """Abstract base class of a model around another one, whose unchanged properties it takes over."""
+    """Abstract base class of a model that wraps another model.
+
+    Each property is that of the wrapped model unless a subclass overrides it.
+    """
 
     base: SteeredModel
     size: float = parameter("", -1e9, 1e9, "amplitude", typical=1.0)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature of the base model."""
+        """Return the curvature (1/mm) of the base model, shape (2, ...)."""
         return self.base.bend_per_mm(motion, roll_rad)
 
     def entry(self, motion: Motion) -> tuple[Array, Array]:
-        """Return the entry of the base model."""
+        """Return the entry point (mm) and the slopes at the entry (rad) of the base model."""
         return self.base.entry(motion)
 
     def following(self, roll_rad: Array, motion: Motion) -> Array:
-        """Return the roll that the base of the needle imposes."""
+        """Return the roll (rad) that the base of the needle imposes on the tip in the base model."""
         return self.base.following(roll_rad, motion)
 
     def rolls(self, motion: Motion, start_rad: float) -> Array:
-        """Return the roll of the base model."""
+        """Return the roll (rad) of the tip in the base model at every sample."""
         return self.base.rolls(motion, start_rad)
 
     def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:
-        """Return the position of the base model."""
+        """Return the position (mm) of the tip in the base model, shape (3, ...)."""
         return self.base.shown(state, motion, whole)
 
 
@@ -73,19 +76,19 @@ class Shifted(Altered):
         """Return the shift for amplitude 1, shape (3, ...)."""
 
     def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:
-        """Return the position of the base model plus the shift."""
+        """Return the position of the tip in the base model plus the shift, mm."""
         return np.asarray(self.base.shown(state, motion, whole) + self.size * self.shift(state, motion))
 
 
 def direction_yz(angle_rad: float, like: Array) -> Array:
-    """Return a unit vector across the x axis, shape (3, ...) with the shape of `like`."""
+    """Return the unit vector perpendicular to the x axis at `angle_rad` from y toward z, shape (3, ...) as `like`."""
     one = np.ones_like(np.asarray(like, float))
     return np.array([0 * one, np.cos(angle_rad) * one, np.sin(angle_rad) * one])
 
 
 # Speed at which `SpeedCurvature` does not change the curvature, mm/s.
 _USUAL_MM_S = 5.0
-# Length over which a layer begins, mm; makes the output a smooth function of the depth of the layer.
+# Length of the transition into a layer, mm; it makes the output a smooth function of the depth of the layer.
 _EDGE_MM = 1.0
 
 
@@ -116,7 +119,7 @@ class SpeedCurvature(Altered):
 
 @dataclass(frozen=True, kw_only=True)
 class EntryRupture(Altered):
-    """A different curvature just behind the entry, where the skin guides the needle or its rupture bends it."""
+    """A different curvature just behind the entry, because the skin guides the needle or ruptures."""
 
     size: float = parameter("", -20, 50, "relative change of the curvature at the entry", typical=0.2)
     length_mm: float = parameter("mm", 0.2, 30, "length over which the change decays")
@@ -129,12 +132,12 @@ class EntryRupture(Altered):
 
 @dataclass(frozen=True, kw_only=True)
 class TwistedNeedle(Altered):
-    """A backlash between base and tip in rotation that grows with the inserted length (see `Torsion`)."""
+    """A rotational backlash between base and tip that grows with the inserted length (see `Torsion`)."""
 
     size: float = parameter("rad/mm", 0, 0.1, "lag of the tip per inserted length", typical=1e-3)
 
     def following(self, roll_rad: Array, motion: Motion) -> Array:
-        """Return the roll of the tip within the backlash of the base."""
+        """Return `roll_rad`, clipped to the backlash around the roll that the base imposes."""
         lag = self.size * np.maximum(motion.depth_mm, 0.0)
         base = self.base.following(roll_rad, motion)
         return np.asarray(np.clip(roll_rad, base - lag, base + lag))
@@ -155,7 +158,7 @@ class PreBend(Altered):
     direction_rad: float = parameter("rad", -20, 20, "direction of the bend, from the bevel", typical=0.3)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature of the base model plus that of the needle."""
+        """Return the curvature of the base model plus the curvature of the bent needle."""
         angle = np.asarray(motion.angle_rad) + self.direction_rad
         return np.asarray(
             self.base.bend_per_mm(motion, roll_rad) + self.size * np.array([np.cos(angle), np.sin(angle)])
@@ -164,10 +167,10 @@ class PreBend(Altered):
 
 @dataclass(frozen=True, kw_only=True)
 class Sagging(Altered):
-    """A downward curvature from the weight of the needle, which decreases with the length of the needle outside.
+    """A downward curvature caused by the weight of the needle; it decreases as the needle is inserted.
 
-    The weight acts along -z, as in the lab twin. With a free direction, the effect would resemble a distorted tracker
-    field, except for its decay.
+    The weight acts along -z, as in the lab twin. If the direction were a parameter, the effect would resemble a
+    distorted tracker field, except for the decay with depth.
     """
 
     size: float = parameter(
@@ -176,7 +179,7 @@ class Sagging(Altered):
     fading_mm: float = parameter("mm", 5, 1e4, "inserted length over which the curvature decays")
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature of the base model plus that of the weight."""
+        """Return the curvature of the base model plus the curvature caused by the weight."""
         down = np.exp(-np.maximum(motion.depth_mm, 0.0) / self.fading_mm) + 0 * np.asarray(roll_rad, float)
         aside = np.array([0 * down, -down])
         return np.asarray(self.base.bend_per_mm(motion, roll_rad) + self.size * aside)
@@ -190,13 +193,13 @@ class Misalignment(Altered):
     direction_rad: float = parameter("rad", -20, 20, "direction of the tilt, from y toward z", typical=0.3)
 
     def entry(self, motion: Motion) -> tuple[Array, Array]:
-        """Return the entry of the base model, tilted."""
+        """Return the entry point of the base model, and its slopes plus the tilt."""
         place, slopes = self.base.entry(motion)
         tilt = self.size * np.array([np.cos(self.direction_rad), np.sin(self.direction_rad)])
         return place, np.asarray(slopes + tilt)
 
 
-# Distance at which `TrackerDistortion` has its amplitude, mm.
+# Distance along x at which the error of `TrackerDistortion` equals its amplitude, mm.
 _FIELD_MM = 100.0
 
 
@@ -208,19 +211,19 @@ class CoilOffset(Shifted):
     direction_rad: float = parameter("rad", -20, 20, "direction, from the bevel", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the direction of the coil in the frame of the tip."""
+        """Return the unit vector from the axis toward the coil, shape (3, ...)."""
         tangent, normal, angle = state[3:6], state[6:9], state[9] + self.direction_rad
         return np.asarray(np.cos(angle) * normal + np.sin(angle) * np.cross(tangent, normal, axis=0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class CoilBehind(Shifted):
-    """A tracker coil behind the tip on the path; the position was zeroed with the tip at the entry."""
+    """A tracker coil behind the tip on the path; the position was set to zero while the tip was at the entry."""
 
     size: float = parameter("mm", -30, 30, "distance of the coil behind the tip", typical=1.0)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the unit vector along x minus the tangent."""
+        """Return the unit vector along x minus the tangent of the path, shape (3, ...)."""
         tangent = state[3:6]
         lead = np.zeros_like(tangent)
         lead[0] = 1.0
@@ -235,7 +238,7 @@ class TrackerBias(Shifted):
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the direction of the offset."""
+        """Return the unit vector of the offset, shape (3, ...)."""
         return direction_yz(self.direction_rad, motion.depth_mm)
 
 
@@ -247,25 +250,25 @@ class TrackerDistortion(Shifted):
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:
-        """Return (x / 100 mm)^2 in the direction of the distortion."""
+        """Return (x / 100 mm)^2 times the unit vector of the distortion, shape (3, ...)."""
         return np.asarray((state[0] / _FIELD_MM) ** 2 * direction_yz(self.direction_rad, motion.depth_mm))
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriftingTissue(Shifted):
-    """Tissue that drifts sideways with the needle, from the begin of each trial."""
+    """Tissue that drifts sideways together with the needle, from the beginning of each trial."""
 
     size: float = parameter("mm/s", -2, 2, "speed of the drift", typical=0.01)
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the time, in the direction of the drift."""
+        """Return the time (s) times the unit vector of the drift, shape (3, ...)."""
         return np.asarray(np.asarray(motion.time_s) * direction_yz(self.direction_rad, motion.depth_mm))
 
 
 @dataclass(frozen=True, kw_only=True)
 class BreathingTarget(Shifted):
-    """Tissue that moves sideways with the needle and with the breath, and dwells between breaths."""
+    """Breathing tissue that moves sideways together with the needle, and dwells between breaths."""
 
     size: float = parameter("mm", -40, 40, "displacement from one end to the other", typical=0.3)
     frequency_hz: float = parameter("Hz", 0.05, 2, "frequency of the breathing")
@@ -273,6 +276,9 @@ class BreathingTarget(Shifted):
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return cos(pi f t + phase / 2)^4 in that direction (Lujan et al., Med. Phys. 26 (1999) 715)."""
+        """Return cos(pi f t + phase / 2)^4 times the unit vector of the motion (Lujan et al., Med.
+
+        Phys. 26 (1999) 715).
+        """
         wave = np.cos(np.pi * self.frequency_hz * np.asarray(motion.time_s) + self.phase_rad / 2) ** 4
         return np.asarray(wave * direction_yz(self.direction_rad, motion.depth_mm))

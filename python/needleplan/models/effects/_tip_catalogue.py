@@ -1,7 +1,8 @@
-"""The effects of the path of the tip, and the registry of all effects by name.
+"""Catalogue of the effects of the path of the tip, and the registry of all effects by name.
 
-The registry holds the effects of this package, and plug-ins of other packages by the entry point `needleplan.effects`.
-An entry point names an object of a subclass of `Effect`, or such a class with a constructor without arguments.
+The registry holds the effects of this package, and the plug-ins that other packages declare under the entry point
+`needleplan.effects`. An entry point names an instance of a subclass of `Effect`, or a subclass whose constructor takes
+no arguments.
 """
 
 from __future__ import annotations
@@ -116,11 +117,15 @@ TIP_EFFECTS: tuple[Effect, ...] = (
 
 
 GROUP = "needleplan.effects"
+"""Group of the entry points that declare plug-ins."""
 
 
 @lru_cache(maxsize=1)
 def known_effects() -> dict[str, Effect]:
-    """Return all effects by name. Raises ModelError if a plug-in is not an effect, or its name is already used."""
+    """Return all effects by name, including plug-ins and registered files.
+
+    Raises ModelError if a plug-in is not an effect, or if another effect has its name.
+    """
     found = {each.name: each for each in (*FORCE_EFFECTS, *TIP_EFFECTS)}
     for point in metadata.entry_points(group=GROUP):
         made = point.load()
@@ -134,21 +139,22 @@ def known_effects() -> dict[str, Effect]:
 
 
 def register_file(path: str) -> Effect:
-    """Register the effect of a Python file in this process, and return it: the object or class `EFFECT`.
+    """Execute a Python file, register the effect that the file defines as `EFFECT`, and return the effect.
 
-    The file is executed. Raises ModelError if it cannot be executed, defines no effect, or uses the name of another
-    effect.
+    `EFFECT` is an object or a class. The effect is registered in this process only. Raises ModelError if the file
+    cannot be executed, defines no effect, uses the name of another effect, or does not allow the amplitude 0.
     """
     found: list[Mistake] = []
     try:
         made = runpy.run_path(path).get("EFFECT")
         effect = made() if isinstance(made, type) else made
         if not isinstance(effect, Effect) or SIZE not in effect.parameters:
-            found.append(Mistake("EFFECT", "", f"must be there, an Effect with a parameter {SIZE}"))
+            found.append(Mistake("EFFECT", "", f"must be defined as an Effect with a parameter {SIZE}"))
         elif effect.name in known_effects() and known_effects()[effect.name] is not effect:
             found.append(Mistake("EFFECT", effect.name, "is the name of another effect"))
         elif effect.parameters[SIZE].scale is not Scale.LINEAR:
-            found.append(Mistake("EFFECT", effect.name, f"{SIZE} must be able to be 0: give it a typical value"))
+            rule = f"its {SIZE} must allow 0: declare {SIZE} with a typical value"
+            found.append(Mistake("EFFECT", effect.name, rule))
         else:
             known_effects()[effect.name] = effect
             return effect
@@ -156,12 +162,12 @@ def register_file(path: str) -> Effect:
         found.append(Mistake("", "", f"cannot be read: {error.strerror}"))
     except (Exception, SystemExit) as error:  # the file may raise anything
         line = f"{type(error).__name__}: {error}"
-        raise ModelError(Mistake("EFFECT", "", f"cannot be made, {line}"), path) from error
+        raise ModelError(Mistake("EFFECT", "", f"cannot be created: {line}"), path) from error
     raise ModelError(found, path)
 
 
 def effects_of(channel: Channel) -> tuple[Effect, ...]:
-    """Return all effects of a channel."""
+    """Return all effects on models of a channel."""
     return tuple(each for each in known_effects().values() if each.channel is channel)
 
 

@@ -1,4 +1,4 @@
-"""Effects of tissue motion: with the needle, because the tissue is compliant, or by breathing."""
+"""Effects of tissue motion: compliant tissue moves with the needle, and breathing moves the tissue."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["BreathingTissue", "GivingTissue", "SlowTurning", "breathing_forces"]
 
-# Number of breaths that are simulated at once; their arrays fit into the cache.
+# Number of breathing motions that are simulated at once, chosen so that their arrays fit into the processor's cache.
 _AT_ONCE = 16
 
 
@@ -36,7 +36,7 @@ class SlowTurning(SelfIntegratingModel):
 
     @cached_property
     def slow(self) -> ShaftAndTip:
-        """The base with the longer travel; the base itself if the amplitude is 0."""
+        """The base with the longer travel, at most the largest allowed one; the base itself if the amplitude is 0."""
         longest = self.base.parameters()["presliding_mm"].upper
         travel = min(self.base.presliding_mm + self.size, longest)
         return self.base.with_values(presliding_mm=travel) if self.size else self.base
@@ -54,11 +54,11 @@ class SlowTurning(SelfIntegratingModel):
         return self.slow.output(state, motion)
 
     def shaft_n(self, state: Array, motion: Motion) -> Array:
-        """Return the friction along the shaft."""
+        """Return the friction along the shaft (N), shape (...)."""
         return self.slow.shaft_n(state, motion)
 
     def tip_n(self, state: Array, motion: Motion) -> Array:
-        """Return the force on the tip."""
+        """Return the force on the tip (N), shape (...)."""
         return self.slow.tip_n(state, motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
@@ -85,11 +85,11 @@ class GivingTissue(SelfIntegratingModel):
         return self.base.channel
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return the state of the base, and undisplaced tissue."""
+        """Return the state of the base at rest and a tissue displacement of 0, shape (2,)."""
         return np.append(self.base.initial_state(motion), 0.0)
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of the base relative to the tissue, and of the tissue."""
+        """Return the rates of change of the bristle and of the tissue displacement, shape (2, ...)."""
         tissue = (self.size * state[0] - state[1]) / self.lag_s
         sliding = replace(motion, velocity_mm_s=np.asarray(motion.velocity_mm_s - tissue))
         return np.concatenate([self.base.derivative(state[:1], sliding), np.asarray(tissue)[None]])
@@ -99,7 +99,7 @@ class GivingTissue(SelfIntegratingModel):
         return self.base.output(state[:1], motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states; those of the base with tissue at rest if the amplitude is 0."""
+        """Return the states, shape (2, samples). If the amplitude is 0, the tissue does not move."""
         if not self.size:
             return np.vstack([self.base.integrate(motion, start[:1]), np.full(len(motion), float(start[1]))])
         inner = self.base.slow if isinstance(self.base, SlowTurning) else self.base
@@ -112,11 +112,13 @@ class GivingTissue(SelfIntegratingModel):
 def _dragged(
     velocity_mm_s: bytes, time_s: bytes, size: float, lag_s: float, presliding_mm: float, bristle: float, moved: float
 ) -> Array:
-    """Return bristle and tissue at the samples, shape (2, samples), read-only and cached.
+    """Return bristle and tissue displacement (mm) at every sample, shape (2, samples), as a read-only array.
 
-    Each step uses the trapezoidal rule for the tissue. The bristle z decays exponentially with the distance s that
-    slides in a step, so that s solves one scalar equation. Its left side decreases and is convex: Newton's method
-    converges from below.
+    Velocities and times are byte strings, so that the result can be cached. `bristle` and `moved` are the first state.
+
+    Each step uses the trapezoidal rule for the tissue. The bristle z depends exponentially on the sliding distance s of
+    the step, so that s is the root of a scalar function. The function decreases and is convex: Newton's method
+    converges to the root from below.
     """
     velocity, h = np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s))
     ways = (velocity[1:] + velocity[:-1]) / 2 * h
@@ -150,12 +152,12 @@ _MOST_STEPS = 50
 
 @dataclass(frozen=True, kw_only=True)
 class BreathingTissue(SelfIntegratingModel):
-    """A model whose tissue moves along the needle with the breath; the state is that of the model.
+    """A model whose tissue moves along the needle by breathing; the state is that of the model.
 
-    u = size/2 (sin a - rest/2 cos^2 a + rest), a = 2 pi f t + phase, is the displacement from one end to the other and
-    back. For rest 0 it is a sine. For rest 1 it is size ((1 + sin a)/2)^2, which dwells at exhalation (u = 0), the
-    usual form for organs (Lujan et al., Med. Phys. 26 (1999) 715, n = 2). For rest -1 it dwells at the other end: the
-    needle comes from the opposite side.
+    The displacement of the tissue is u = size/2 (sin a - rest/2 cos^2 a + rest) with a = 2 pi f t + phase. For rest 0,
+    u is a sine. For rest 1, u is size ((1 + sin a)/2)^2, which dwells at exhalation (u = 0), the usual form for organs
+    (Lujan et al., Med. Phys. 26 (1999) 715, n = 2). For rest -1, u dwells at the other end, as for a needle that comes
+    from the opposite side.
     """
 
     base: Model
@@ -185,7 +187,7 @@ class BreathingTissue(SelfIntegratingModel):
         return self.base.initial_state(motion)
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of the base in the relative motion."""
+        """Return the rates of change of the state of the base in the relative motion."""
         return self.base.derivative(state, self.relative(motion))
 
     def output(self, state: Array, motion: Motion) -> Array:
@@ -199,14 +201,18 @@ class BreathingTissue(SelfIntegratingModel):
 
 @lru_cache(maxsize=16)
 def _breath(time_s: bytes, frequency_hz: float, phase_rad: float, rest: float) -> tuple[Array, Array]:
-    """Return displacement and velocity of the tissue for the bytes of the times; cached, because a fit repeats them."""
+    """Return displacement (mm) and velocity (mm/s) of breathing tissue for amplitude 1, as read-only arrays.
+
+    `time_s` is the byte string of the times, so that the result can be cached: a fit asks for the same times
+    repeatedly.
+    """
     place, velocity = _breathing(np.frombuffer(time_s), frequency_hz, phase_rad, rest)
     place.flags.writeable = velocity.flags.writeable = False
     return place, velocity
 
 
 def _breathing(time_s: Array, frequency_hz: Any, phase_rad: Any, rest: Any) -> tuple[Array, Array]:
-    """Return displacement and velocity of the tissue for amplitude 1; all arguments broadcast."""
+    """Return displacement (mm) and velocity (mm/s) of breathing tissue for amplitude 1; all arguments broadcast."""
     rate = 2 * np.pi * frequency_hz
     angle = rate * time_s + phase_rad
     sine, cosine = np.sin(angle), np.cos(angle)
@@ -214,14 +220,15 @@ def _breathing(time_s: Array, frequency_hz: Any, phase_rad: Any, rest: Any) -> t
 
 
 def breathing_forces(base: ShaftAndTip, motion: Motion, breaths: Sequence[Mapping[str, float]]) -> Array:
-    """Return the force in breathing tissue, shape (breaths, samples), for breaths with all of their parameters.
+    """Return the force (N) for each of several breathing motions of the tissue, shape (breaths, samples).
 
-    The result is that of `BreathingTissue`, for as many breaths at once as fit into the cache.
+    Each entry of `breaths` holds all parameters of `BreathingTissue` by name. The forces equal those of
+    `BreathingTissue`; several motions are computed at once, which is faster.
     """
     found = np.empty((len(breaths), len(motion)))
     sizes = np.array([[each["size"]] for each in breaths])
     rows = np.array([[each[name] for name in ("frequency_hz", "phase_rad", "rest")] for each in breaths])
-    kinds, which = np.unique(rows, axis=0, return_inverse=True)  # many breaths differ in their amplitude only
+    kinds, which = np.unique(rows, axis=0, return_inverse=True)  # many entries differ in their amplitude only
     moved, speed = _breathing(motion.time_s, *kinds.T[..., None])
     for first in range(0, len(breaths), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
