@@ -69,7 +69,7 @@ def test_a_lag_goes_to_the_torsion_and_a_tilt_to_the_robot() -> None:
 def test_a_needle_that_is_bent_goes_to_the_roll_of_the_stage() -> None:
     needle = model("pre_bend", size=0.002, direction_rad=1.0)
     bent = corrected_plan(needle, SCENARIO)
-    assert bent.options() == {"--roll-left-deg": f"{math.degrees(bent.bends.roll_rad(1, 20.0)):.2f}"}
+    assert bent.options() == {"--roll-left-deg": f"{math.degrees(bent.bends.roll_rad(1, 20.0)):.3f}"}
     assert bent.bends.roll_rad(-1, 20.0) == pytest.approx(math.pi + bent.turned_rad)
     assert straight_after(needle, bent.turned_rad)[1] == pytest.approx(0, abs=1e-3)
     sagging = corrected_plan(model("gravity", size=0.002, fading_mm=1e4), SCENARIO)

@@ -51,7 +51,7 @@ class CorrectedPlan:
         if self.torsion:
             found["--torsion"] = f"{self.torsion.stiffness_n_mm2:.6g},{self.torsion.torque_per_length_n:.6g}"
         if abs(self.turned_rad) > _TURNED_RAD:
-            found["--roll-left-deg"] = f"{math.degrees(self.turned_rad):.2f}"
+            found["--roll-left-deg"] = f"{math.degrees(self.turned_rad):.3f}"
         return found
 
 
