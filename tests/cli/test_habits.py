@@ -105,6 +105,29 @@ def test_old_spellings_are_never_suggested() -> None:
 
 
 @pytest.mark.parametrize(
+    ("arguments", "name", "value", "new"),
+    [
+        (("identify", "curvature", "x.csv", "--for", "brain"), "scenario", "brain", "--scenario"),
+        (("lab", "--for", "0.2"), "duration_s", 0.2, "--duration"),
+        (("lab", "--registration", "x.toml"), "output", "x.toml", "--output"),
+        (("insert", "x.h5", "--rotation-speed", "10"), "rotation_speed_deg", 572.957795, "--rotation-speed-deg"),
+        (("insert", "x.h5", "--roll-left=-0.02"), "roll_left_deg", -1.14591559, "--roll-left-deg"),
+        (("reproduce", "ch5", "--figures", "x"), "output", "x", "--output"),
+        (("reproduce", "diagnosis", "--seeds", "1e1"), "runs", 10, "--runs"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
+)  # fmt: skip
+def test_old_spellings_still_work(
+    arguments: tuple[str, ...], name: str, value: object, new: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = make_parser().parse_args(list(arguments))
+    assert getattr(options, name) == (pytest.approx(value) if isinstance(value, float) else value)
+    old = next(each for each in arguments if each.startswith("--")).partition("=")[0]
+    said = capsys.readouterr()
+    assert (said.out, said.err) == ("", f"needleplan: {old} is now {new}; the old spelling will be removed\n")
+
+
+@pytest.mark.parametrize(
     ("text", "number"),
     [("7", 7), ("1e4", 10_000), ("-3", -3), ("2.50e1", 25), ("0", 0), ("1_000", 1000), ("9e17", 9 * 10**17)],
 )

@@ -47,8 +47,8 @@ def test_it_reaches_the_target_and_the_recording_replays(file: Path, quick: Path
         10,
         "--rotation-speed-deg",
         573,
-        "--roll-left",
-        0.02,
+        "--roll-left-deg",
+        1.5,
         "-o",
         run,
         "--figure",
@@ -62,13 +62,18 @@ def test_it_reaches_the_target_and_the_recording_replays(file: Path, quick: Path
     assert answer["error_mm"] <= small_table().scenario.target.radius_mm
     assert answer["true_error_mm"] == pytest.approx(answer["error_mm"], abs=0.3)
     assert answer["table"] == small_table().digest
-    assert "--roll-left is now --roll-left-deg" in done.stderr
     assert done.stderr.count("\nstep ") + done.stderr.startswith("step ") == answer["steps"]
     assert "<svg" in figure.read_text()
-    session = Recording.read(run).session
+    recording = Recording.read(run)
+    session = recording.session
     assert session.force_axis == (0.0, 0.0, 1.0)
     used = json.loads(session.texts["options.json"])
-    assert (used["torsion"]["torque_per_length_n"], used["roll_left_rad"]) == (0.02, 0.02)
+    assert used["torsion"]["torque_per_length_n"] == 0.02
+    assert used["roll_left_rad"] == pytest.approx(math.radians(1.5))
+    assert used["velocity_rad_s"] == pytest.approx(math.radians(573))
+    commands = [each.values for each in recording.messages(["/command"])]
+    speeds = {each["speed"] for each in commands if each["kind"] == "rotate"}
+    assert [*speeds] == [pytest.approx(math.radians(573))]
     again = needleplan("recording", "replay", run, "--table", file, "--json")
     assert again.returncode == 0, again.stderr
     assert json.loads(again.stdout) == {

@@ -208,7 +208,9 @@ def test_a_port_that_is_taken_is_one_clear_error(option: str, kind: socket.Socke
      (("--host", "name.invalid"), ("name.invalid",))],
 )  # fmt: skip
 def test_what_cannot_be_is_refused(arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
-    refused(needleplan("lab", *arguments), *words)
+    # If it is not refused, it ends.
+    ending = () if "--duration" in arguments else ("--duration", "1")
+    refused(needleplan("lab", *arguments, *ending), *words)
 
 
 @pytest.mark.slow

@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tomllib
 from importlib import metadata
 from pathlib import Path
 
 import pytest
 
+from needleplan.reports.chapters import GROUP
 from tests.cli.commands import needleplan
 from tests.control.scenes import small_table
+from tests.pages import ROOT
 
 
 def test_help_names_every_command() -> None:
@@ -24,6 +27,16 @@ def test_help_names_every_command() -> None:
 
 def test_version() -> None:
     assert needleplan("--version").stdout == f"needleplan {metadata.version('needleplan')}\n"
+
+
+def test_the_installed_chapters_are_those_of_the_project() -> None:
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"][GROUP]
+    installed = metadata.entry_points(group=GROUP)
+    assert sorted((each.name, each.value) for each in installed) == sorted(listed.items())
+    for each in installed:
+        chapter = each.load()
+        assert callable(chapter.run), each
+        assert callable(chapter.files), each
 
 
 def test_nothing_heavy_is_imported_before_it_is_needed() -> None:

@@ -10,7 +10,7 @@ import pytest
 from mcap.reader import make_reader
 
 from needleplan.recording import read_records
-from tests.cli.commands import needleplan, refused
+from tests.cli.commands import needleplan, program, refused
 from tests.recording.samples import write_run
 
 
@@ -35,7 +35,7 @@ def test_a_cut_recording_is_refused_and_recovered(run: Path, tmp_path: Path) -> 
     cut, again = tmp_path / "cut.mcap", tmp_path / "again.mcap"
     cut.write_bytes(run.read_bytes()[:-500])
     refused(needleplan("recording", "info", cut), "was not finished, or is cut", "needleplan recording recover")
-    done = needleplan("recording", "recover", cut, "-o", again, "--json")
+    done = program("recording", "recover", cut, "-o", again, "--json")
     found = json.loads(done.stdout)
     assert found["by_topic"]["/stage"] == 2000
     assert done.returncode == int(found["damaged_bytes"] > 0)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from needleplan.errors import DataError, InputError
 from needleplan.estimation import Registration
 from needleplan.estimation.registration import read_points, read_poses, register_needle
-from tests.cli.commands import needleplan, refused
+from tests.cli.commands import needleplan, program, refused
 from tests.estimation.registrations import (
     OFFSET_MM,
     PLAN,
@@ -29,7 +29,7 @@ from tests.estimation.registrations import (
 def test_a_needle_is_registered(tmp_path: Path) -> None:
     poses, points = write_poses(tmp_path / "poses.csv"), write_points(tmp_path / "points.csv")
     out = tmp_path / "needle.toml"
-    done = needleplan("register", "--pivot", poses, "--points", points, "-o", out, "--target", "100,50", "--json")
+    done = program("register", "--pivot", poses, "--points", points, "-o", out, "--target", "100,50", "--json")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     found = Registration.read(out)
