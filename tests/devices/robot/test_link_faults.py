@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from needleplan.devices.robot import Fault, RobotMachine, RobotNetwork, RobotState, RobotTiming, SteadyDrive
 from needleplan.devices.robot.messages import Answer, Head, Result, RobotCommand, RobotKind, decode, encode
 from needleplan.errors import DeviceFault
-from tests.devices.contract import heard_and_read
 from tests.devices.robot.bench import Bench, at_rest, fault_of, moving, next_of, raw, result_of, stands_still
 
 MS = 1e-3
@@ -292,7 +291,7 @@ ACTS: dict[str, Callable[[RobotNetwork], None]] = {
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.sampled_from(["insert", "stop", "read", "idle", *ACTS]), max_size=30))
+@given(st.lists(st.sampled_from(["insert", "stop", "read", "alive", "idle", *ACTS]), max_size=30))
 def test_whatever_happens_it_stands_still_a_moment_after_the_last_word(story: list[str]) -> None:
     """Loss, doubles, delays and reordering in any order; what is on its way then is too late to begin anything."""
     bench = Bench()
@@ -304,7 +303,9 @@ def test_whatever_happens_it_stands_still_a_moment_after_the_last_word(story: li
             elif act == "stop":
                 stage.stop()
             elif act == "read":
-                heard_and_read(stage, 0.01)
+                stage.read(0.01)
+            elif act == "alive":
+                stage.heartbeat()
             elif act == "idle":
                 bench.wait(0.02)
             else:
