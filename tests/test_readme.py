@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -57,12 +58,22 @@ def test_make_plan(tmp_path: Path) -> None:
     assert (tmp_path / "four_obstacles.png").stat().st_size < PICTURE_BYTES
 
 
-def test_make_test_runs_everything() -> None:
-    done = make("--dry-run", "rust", "python", "guard")
+@pytest.mark.parametrize(
+    ("target", "tools", "marker"),
+    [
+        ("test", ("cargo fmt", "cargo clippy", "cargo test", "ruff check", "ruff format", "mypy", "lint-imports",
+                  "stubtest"), "not slow"),
+        ("test-slow", ("scripts/processors", "benches/guard"), "slow"),
+    ],
+)  # fmt: skip
+def test_the_two_test_commands_run_everything(target: str, tools: tuple[str, ...], marker: str) -> None:
+    done = make("--dry-run", target)
     assert done.returncode == 0, done.stderr
-    for tool in ("cargo fmt", "cargo clippy", "cargo test", "ruff check", "ruff format", "mypy", "lint-imports",
-                 "stubtest", "pytest", "benches/guard"):  # fmt: skip
+    for tool in tools:
         assert tool in done.stdout
+    # All tests with or without the mark: no path and no other option selects fewer.
+    (line,) = [each for each in done.stdout.splitlines() if "pytest" in each]
+    assert shlex.split(line)[1:] == ["-m", "pytest", "-m", marker, "-n", "2", "--dist", "worksteal"]
 
 
 def test_continuous_integration_runs_the_test_command() -> None:

@@ -130,6 +130,12 @@ def test_search_and_nearest() -> None:
     assert not atlas.search(needle="18 GA", tissue="6 %")
     assert [each.velocity_ratio for each in atlas.matches(needle="22 ga", velocity_mm_s=12.0)] == [10 / 12] * 2
     assert len(atlas.matches(needle="22 ga")) == 3
+    found = atlas.matches(tissue="4.5 %", velocity_mm_s=10.0)
+    assert [(each.combination.needle, each.combination.tissue, each.combination.velocity_mm_s) for each in found] == [
+        ("18 GA, 1.270/0.838 mm", "gellan gum 4.5 %", 10.0),
+        ("22 GA, 0.718/0.413 mm", "gellan gum 4.5 %", 10.0),
+    ]
+    assert [each.velocity_ratio for each in found] == [1.0, 1.0]
     match = atlas.nearest("18 GA, 1.270/0.838 mm", "gellan gum 4.5 %", 7.0)
     assert match is not None
     assert match.combination.velocity_mm_s == 6.0

@@ -27,6 +27,14 @@ def test_lookup_reads_the_nearest_state(table: npl.PolicyTable) -> None:
         assert decision.action is Action(table.policy[index])
 
 
+@pytest.mark.parametrize("turns", [-10, 10])
+def test_a_heading_of_many_turns_is_looked_up_as_the_same_heading(table: npl.PolicyTable, turns: int) -> None:
+    heading = 3 * 2 * math.pi / 36
+    wound = Pose.wound((10.0, 20.0, heading + turns * 2 * math.pi, 1))
+    assert table.lookup(wound) == table.lookup(10.0, 20.0, heading, 1)
+    assert table.lookup(wound).value == table.values[10, 20, 3, 1]
+
+
 def test_lookup_many_is_lookup_many_times(table: npl.PolicyTable) -> None:
     random = np.random.default_rng(0)
     poses = np.stack(

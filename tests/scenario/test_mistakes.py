@@ -88,7 +88,11 @@ CASES = [
         "from_mm = 30",
         "needle.layer 2.from_mm = 30: must increase from layer to layer; 30 comes after 30",
     ),
-    ("from_mm = 60", "from_mm = 20", "must increase from layer to layer; 20 comes after 30"),
+    (
+        "from_mm = 60",
+        "from_mm = 20",
+        "needle.layer 2.from_mm = 20: must increase from layer to layer; 20 comes after 30",
+    ),
     ("from_mm = 60", "from_mm = 121", "needle.layer 2.from_mm = 121.0: must lie in the workspace, from 0 to 120"),
     ("from_mm = 60", "from_mm = -1", "needle.layer 2.from_mm = -1: must be a finite number in mm at least 0"),
     ("from_mm = 60", "", "needle.layer 2.from_mm: is missing"),
