@@ -39,7 +39,7 @@ def test_an_effect_that_achieves_its_prediction_stays_named(
     selection = found.selection
     assert selection.validation is not None
     seen = replace(selection.validation, predicted=100.0, achieved=achieved, shrink=shrink, gap_sds=20.0)
-    decision = decide(replace(selection, validation=seen), found.gates, seen=0.0)
+    decision = decide(replace(selection, validation=seen), found.gates, detection_limit=0.0)
     assert decision.verdict is verdict
     assert decision.named == (("viscous",) if verdict in (Verdict.NAMED, Verdict.INCOMPLETE) else ())
 

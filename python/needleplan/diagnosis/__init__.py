@@ -1,6 +1,6 @@
-"""Diagnosis: where simulation and measurement disagree, which effect is missing, its amplitude, and how sure that is.
+"""Diagnosis: where simulation and measurement disagree, which effect is missing, its amplitude, and the uncertainty.
 
-Data pass the stages in this order:
+The stages of a diagnosis, in the order of the data:
 
 | stage | module |
 |---|---|
@@ -14,7 +14,7 @@ Data pass the stages in this order:
 | locate the gap, describe a gap that no effect explains | `gap`, `formula` |
 | collect the result, write it as a document | `_diagnosis` |
 
-`next_motion` proposes the motion to measure next. `isolability` shows which effects these motions can separate.
+`next_motion` proposes the motion to measure next. `isolability` shows which effects the recorded motions can separate.
 """
 
 from needleplan.diagnosis._diagnosis import SCHEMA, Diagnosis, diagnose, document_of

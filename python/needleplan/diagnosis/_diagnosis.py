@@ -44,7 +44,7 @@ __all__ = ["SCHEMA", "Diagnosis", "diagnose", "document_of"]
 
 SCHEMA = "needleplan.diagnosis/1"
 
-# Attributes whose key in `diagnosis.json` differs from their name: schema 1 keeps its first keys.
+# Keys of `diagnosis.json` by attribute, for attributes that were renamed after schema 1 was published.
 _KEYS = {
     "achieved": "kept", "amplitude": "size", "bic_gain": "balance", "bic_gain_heterogeneous": "balance_varied",
     "degrees_of_freedom": "freedom", "factor": "size", "held_out_difference": "elsewhere",
@@ -60,11 +60,11 @@ class Diagnosis:
     Attributes
     ----------
     decision
-        Verdict, reason (`because`), tied effects, and axis of an unexplained gap.
+        The verdict, its reason (`because`), the tied effects, and the axis of an unexplained gap.
     given, calibration
-        The base model as given, and as calibrated to each trial, with the sensor noise.
+        The base model as given; the base model calibrated to each trial, and the sensor noise.
     checked
-        The recordings by role, and missing data (`lacks`).
+        The recordings by role, and the data that are missing (`lacks`).
     selection
         All rounds with scores, fits and alternatives.
     effects
@@ -72,13 +72,13 @@ class Diagnosis:
     detection_limits
         For each effect, the smallest amplitude that would have been named.
     localisation, described
-        Where the gap is, and the shape of an unexplained gap (None without one).
+        Where the gap is; the shape of an unexplained gap, None if no gap is unexplained.
     digest
         SHA-256 of model, recordings and result.
 
     Examples
     --------
-    With `found` from the example of `diagnose`, the corrected model simulates and fits like any other model:
+    With `found` from the example of `diagnose`, `found.model` is the corrected model:
 
     >>> found.model.effects[0].name  # doctest: +SKIP
     'viscous'
@@ -107,40 +107,40 @@ class Diagnosis:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the named effects; an effect at several places has one name."""
+        """Names of the effects, each name once even if the effect occurs at several depths or times."""
         return tuple(dict.fromkeys(each.name for each in self.effects))
 
     @property
     def lacks_data(self) -> bool:
-        """Whether an effect fits, but missing data prevent its name."""
+        """Whether an effect fits, but the verdict is AMBIGUOUS because data are missing (`checked.lacks`)."""
         return self.verdict is Verdict.AMBIGUOUS and self.selection.joint is not None and bool(self.checked.lacks)
 
     @property
     def joint(self) -> JointFit | None:
-        """The joint fit of base model and accepted effects; None if no effect was accepted."""
+        """The joint fit of the base model and the accepted effects; None if no effect was accepted."""
         return self.selection.joint
 
     @property
     def validation(self) -> HeldOutValidation | None:
-        """Validation of the accepted effects on the held-out trials; None without effects or held-out trials."""
+        """Validation of the accepted effects on the held-out trials; None if effects or held-out trials are missing."""
         return self.selection.validation
 
     @property
     def base(self) -> Model:
-        """The base model with the mean calibrated parameters, beside the named effects if there are any."""
+        """The base model with the mean of its calibrated parameters, fitted jointly with `effects` if there are any."""
         if not self.effects:
             return self.calibration.model
         return mean_model([trial.model for trial in self._trials], self.calibration.free)
 
     @property
     def _trials(self) -> tuple[CalibratedTrial, ...]:
-        """The training trials, with the base model calibrated beside the named effects if there are any."""
+        """The training trials with the calibrated base model, fitted jointly with `effects` if there are any."""
         joint = self.selection.joint
         return joint.trials if joint and self.effects else self.calibration.training
 
     @property
     def model(self) -> Model:
-        """The calibrated base model, with the effects if the verdict is NAMED."""
+        """The calibrated base model, with `effects` added if the verdict is NAMED."""
         return self.merged() if self.verdict is Verdict.NAMED else self.calibration.model
 
     def merged(self, *, anyway: bool = False) -> Model:
@@ -169,7 +169,7 @@ class Diagnosis:
         return with_effect(self.base, [replace(each.added, found_by=self.digest) for each in self.effects])
 
     def estimates(self) -> dict[str, Estimate]:
-        """Return the parameters of the base model with 95 % intervals of their mean over the training trials.
+        """Return the free parameters of the base model: mean over the training trials, with its 95 % interval.
 
         Returns
         -------
@@ -207,15 +207,15 @@ def diagnose(
     model
         The base model, without effects.
     recordings
-        Trials with the roles train, holdout (another motion) and noise (the sensor at rest). Without a noise record, a
-        held-out trial of another motion or a second training trial, no effect is named.
+        Trials with the roles train, holdout (another motion) and noise (the sensor at rest). An effect is named only
+        with a noise record, a held-out trial of another motion, and at least two training trials.
     library
-        Effects to look for; by default all effects of the model's channel. A library caches sensitivities, so data sets
-        of one needle should share it.
+        Effects to look for; by default all effects of the model's channel. A library caches sensitivities: pass the
+        same library for all data sets of one needle.
     gates
         Thresholds of the verdict; by default those of the channel.
     seed
-        Seed of the simulated data behind the p-values.
+        Seed of the simulated data from which p-values are computed.
 
     Returns
     -------
@@ -225,13 +225,13 @@ def diagnose(
     Raises
     ------
     DataError
-        If the recordings do not permit a diagnosis; the message lists all mistakes.
+        If the recordings are not usable; the message lists all mistakes.
     ModelError
-        If the channel of the model has no effects, or the model has effects already.
+        If no effect is known for the channel of the model, or the model already has effects.
 
     Examples
     --------
-    The data lack viscous friction in the model:
+    The data contain viscous friction, which the model lacks:
 
     >>> import numpy as np
     >>> import needleplan as npl
@@ -265,7 +265,7 @@ def diagnose(
     gates = gates or channel_description(model.channel).gates
     if isinstance(model, AugmentedModel):
         names = ", ".join(each.name for each in model.effects)
-        rule = f"has effects already ({names}); diagnose its base model, or remove the effects first"
+        rule = f"already has effects ({names}); diagnose its base model, or remove the effects first"
         raise ModelError(Mistake("effect", names, rule), model.name)
     library = library or Library(effects_of(model.channel), model)
     if not library.effects:
@@ -273,8 +273,8 @@ def diagnose(
     checked = check_needle(check_data(recordings, model.channel), model)
     calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
     selection = select_effects(calibration, library, gates, seed=seed)
-    hidden = [each.noise_multiple for each in selection.detection_limits if each.visible]
-    decision = decide(selection, gates, seen=float(np.quantile(hidden, 0.75)) if hidden else float("inf"))
+    limits = [each.noise_multiple for each in selection.detection_limits if each.visible]
+    decision = decide(selection, gates, detection_limit=float(np.quantile(limits, 0.75)) if limits else float("inf"))
     decision = limit_to_data(reject_if_worse(decision, selection, calibration), checked)
     found = estimate_effects(selection) if decision.named else ()
     remarks = (*checked.remarks, *calibration_remarks(model, calibration))
@@ -283,7 +283,7 @@ def diagnose(
             f"the heterogeneity has its largest value, {HETEROGENEITY_SDS[-1]:.0%}: the model is far from the "
             "measurement, or the noise is underestimated",
         )
-    # If the base model imitates the missing effect, the gap is visible beside the base model at its prior only.
+    # A calibrated base model may imitate the missing effect; the gap then shows only with the base model at its prior.
     held = () if decision.verdict in (Verdict.NONE, Verdict.UNDERPOWERED) else selection.at_prior
     base = JointLikelihood([trial.whitened for trial in held]) if held else selection.base
     place = localise(base, held or calibration.training, seed=seed)
@@ -296,7 +296,7 @@ def diagnose(
 
 
 def document_of(found: Diagnosis) -> dict[str, Any]:
-    """Return a diagnosis as JSON values; NaN and infinity become None."""
+    """Return the content of `diagnosis.json` as a dictionary of JSON values; NaN and infinity become None."""
     decision, noise = found.decision, found.calibration.noise
     document = {
         "schema": SCHEMA,
@@ -384,12 +384,12 @@ def _validation(each: HeldOutValidation) -> dict[str, Any]:
 
 
 def _entry(value: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass by their keys in the document."""
+    """Return the fields of a dataclass instance as a dictionary with the keys of the document."""
     return {_KEYS.get(name, name): each for name, each in asdict(value).items()}
 
 
 def _plain(value: Any) -> Any:
-    """Return a value with its containers and numbers as JSON permits them."""
+    """Return a copy with JSON types only: tuples become lists, NaN and infinity become None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

@@ -1,11 +1,12 @@
 """Isolability: which effects the given motions can separate.
 
-Sensitivities are compared with the base model projected out, weighted for noise and heterogeneity. With a the
-sensitivity of one effect and b those of another one at all of its grid points,
+Sensitivities are weighted for noise and heterogeneity and compared with the base model projected out. Let a be the
+sensitivity of one effect and b the sensitivities of another effect at all of its grid points. Then
 
     imitated = max over b of (a'b)^2 / (a'a b'b)
 
-at the grid point of the first effect with the median energy. At 1, no number of such trials separates the two.
+with a at the grid point that has the median energy. If the result is 1, no number of such trials separates the two
+effects.
 """
 
 from __future__ import annotations
@@ -21,21 +22,24 @@ from needleplan.signals import Array
 
 __all__ = ["Isolability", "isolability"]
 
-# Squared correlation from which two effects count as hard to separate.
+# Squared correlation above which two effects count as hard to separate.
 _ALIKE_SHARE = 0.8
-# Share of a sensitivity's energy below which the base model has absorbed it.
+# Share of a sensitivity's energy left by the base model, below which the effect counts as invisible.
 _INVISIBLE = 1e-6
 
 
 @dataclass(frozen=True)
 class Isolability:
-    """`imitated[i, j]`: share, 0 to 1, of effect i that effect j imitates; NaN if effect i is invisible."""
+    """Shares in which effects imitate each other.
+
+    `imitated[i, j]` is the share (0 to 1) of effect i that effect j imitates; NaN if effect i is invisible.
+    """
 
     effects: tuple[str, ...]
     imitated: Array
 
     def alike(self, share: float = _ALIKE_SHARE) -> tuple[tuple[str, str, float], ...]:
-        """Return pairs (effect, imitator, share) with at least this share, the largest first."""
+        """Return the pairs (effect, imitator, imitated share) with at least the given share, the largest first."""
         found = [
             (self.effects[i], self.effects[j], float(self.imitated[i, j]))
             for i in range(len(self.effects))
@@ -74,7 +78,7 @@ def _best(likeness: Array, first: int, last: int) -> float:
 
 
 def _projected(trial: CalibratedTrial, sensitivities: Array, heterogeneity_sd: float) -> Array:
-    """Return whitened sensitivities, weighted for heterogeneity, with the base model projected out."""
+    """Return whitened sensitivities, weighted for heterogeneity, with the base model projected out, shape (n, m)."""
     weighed = _weighed(trial, (trial.whitened.base_sensitivities, sensitivities), heterogeneity_sd)
     basis = np.linalg.qr(weighed[0])[0]
     return np.asarray(weighed[1] - basis @ (basis.T @ weighed[1]), float)

@@ -1,8 +1,8 @@
 """The verdict of a diagnosis, and the estimates of the named effects.
 
-The output is almost linear in the amplitude, so its interval is that of the linearised fit. Intervals of places, times
-and speeds are those of the profile likelihood: the parameter is moved and all others are fitted, until twice the
-log-likelihood has dropped by 3.84.
+The output is almost linear in an effect's amplitude, so the interval of the amplitude is that of the linearised fit.
+Intervals of depths, times and speeds are those of the profile likelihood: the parameter is moved and all others are
+refitted, until twice the log-likelihood has dropped by 3.84.
 """
 
 from __future__ import annotations
@@ -46,35 +46,35 @@ __all__ = [
     "reject_if_worse",
 ]
 
-# Multiple of the required BIC gain from which an effect that fails validation still proves a gap.
+# Multiple of the required BIC gain above which an effect that fails validation still proves that a gap exists.
 _STRONG_FACTOR = 3.0
-# Likelihood gain below which the explained share is not computed.
+# Sum of explained and unexplained likelihood gain below which the explained share is not computed.
 _LEAST_GAP = 40.0
-# Least share of the held-out gap that a named effect must close.
+# Share of the held-out gap that the effects must close; with less, the verdict is UNKNOWN.
 _LEAST_CLOSED = 0.1
-# Relative difference of achieved and predicted held-out gain up to which they agree.
+# Largest relative difference between achieved and predicted held-out gain that counts as agreement.
 _PREDICTION_TOLERANCE = 0.3
-# Standard deviations from which a gap in the held-out trials is certain.
+# Residual energy above the noise, in standard deviations, above which a gap in the held-out trials is certain.
 _CERTAIN_SDS = 5.0
-# Largest residual RMS with the effects over that of the base model alone.
+# Largest permitted ratio of the residual RMS with the effects to the RMS with the base model alone.
 _WORSE_RMS_RATIO = 1.1
-# 95 % quantile of chi-square with one degree of freedom: drop of twice the log-likelihood at an interval's end.
+# Drop of twice the log-likelihood at the ends of a 95 % interval (chi-square, one degree of freedom).
 _CHI2_95 = 3.84
 # Two-sided 95 % quantile of the standard normal distribution.
 _NORMAL_95 = 1.96
-# Most evaluations of the profile likelihood for one end of an interval.
+# Largest number of evaluations of the profile likelihood for one end of an interval.
 _PROFILE_STEPS = 5
 # Relative tolerance of the likelihood drop at an interval's end.
 _PROFILE_TOLERANCE = 0.15
-# Model error of an amplitude, as a share of it: effects are lumped formulas, motions are sampled.
+# Standard deviation of an amplitude, relative to the amplitude, because effects are simplified formulas.
 _FORMULA_SD = 0.04
-# Parameter that is a place along the path.
+# Name of the parameter that is a depth along the path; its interval is widened by half a sampling step.
 _DEPTH_PARAMETER = "depth_mm"
-# Distance (mm) within which samples determine the sampling step at a depth.
+# Distance (mm) from a depth within which samples determine the sampling step there.
 _NEARBY_MM = 1.0
-# Half width of a coordinate's interval beyond which the parameter counts as unknown.
+# Largest half width of an interval, in the fit coordinate of any parameter; wider ones are cut to it.
 _WIDEST_STEP = 50.0
-# Longest half interval, in units of the linearised half interval.
+# Largest half width of a profile interval, as a multiple of the linearised half width.
 _FURTHEST_PROFILE = 6.0
 
 
@@ -94,10 +94,10 @@ class Verdict(StrEnum):
     """At least one missing effect is known, and part of the gap remains."""
 
     AMBIGUOUS = "ambiguous"
-    """A gap that several effects explain alike, or data that do not support a name."""
+    """Several effects explain the gap equally well, or data are missing that a name requires."""
 
     UNKNOWN = "unknown"
-    """A gap that no known effect explains."""
+    """There is a gap, and no known effect explains it."""
 
     IMPLAUSIBLE = "implausible"
     """The amplitude of the best effect is at its bound."""
@@ -110,21 +110,21 @@ class DiagnosisDecision:
     verdict: Verdict
     named: tuple[str, ...]
     tied: tuple[str, ...]
-    """Names of effects that explain the data alike."""
+    """Names of effects that explain the data equally well."""
 
     axis: GapAxis | None
-    """Variable on which the unexplained gap depends; None without such a gap."""
+    """Variable on which the unexplained gap depends; None if no gap is unexplained."""
 
     explained: float | None
-    """Share of the gap that the effects explain; None if the gap is too small."""
+    """Share (0 to 1) of the gap that the effects explain; None if it was not computed, as for a small gap."""
 
-    because: str
+    because: str  # reason for the verdict, in words
 
 
-def decide(selection: Selection, gates: Gates, *, seen: float) -> DiagnosisDecision:
-    """Return the verdict.
+def decide(selection: Selection, gates: Gates, *, detection_limit: float) -> DiagnosisDecision:
+    """Return the verdict with its reason.
 
-    `seen` is the detection limit, in noise RMS, that a quarter of the effects exceed.
+    A quarter of the effects have a detection limit above `detection_limit`, which is in units of the noise RMS.
     """
     last, first = selection.rounds[-1], selection.rounds[0]
     alternative = first.alternatives[0]
@@ -144,7 +144,7 @@ def decide(selection: Selection, gates: Gates, *, seen: float) -> DiagnosisDecis
                     alternative.axis, f"{last.ranked[0].newest.name} fits best, but the held-out trials refute it"
                 )
             return _unknown(alternative.axis, "a nonparametric alternative explains the gap, but no known effect does")
-        if seen > gates.relevant:
+        if detection_limit > gates.relevant:
             return DiagnosisDecision(
                 Verdict.UNDERPOWERED, (), (), None, None, "no gap, but a relevant effect may be hidden"
             )
@@ -196,7 +196,7 @@ def _unknown(axis: GapAxis, text: str, share: float | None = None) -> DiagnosisD
 
 
 def _further_held_out_gain(selection: Selection) -> float:
-    """Return the held-out gain of all effects over that of the first one, to which alternatives were compared."""
+    """Return the held-out gain of all effects minus that of the first effect; 0 if either was not validated."""
     best, whole = selection.rounds[0].ranked[0].validation, selection.validation
     return whole.likelihood_gain - best.likelihood_gain if whole and best else 0.0
 
@@ -204,7 +204,7 @@ def _further_held_out_gain(selection: Selection) -> float:
 def _winning(
     joint: JointFit, bic_gain: float, held_out_difference: float, alternatives: Sequence[AlternativeModel], gates: Gates
 ) -> AlternativeModel | None:
-    """Return the alternative that wins over the effects of a fit, or None."""
+    """Return the nonparametric alternative that wins against the effects of a fit; None if no alternative wins."""
     return winning_alternative(
         alternatives,
         gates,
@@ -217,9 +217,10 @@ def _winning(
 
 
 def _explained(selection: Selection) -> float | None:
-    """Return the share of the gap that the effects explain; None if the gap is too small.
+    """Return the share (0 to 1) of the gap that the effects explain; None if the gap is too small.
 
-    The gap is the effects' gain plus that of smooth functions beside them; smooth functions alone miss a puncture.
+    The gap is the gain of the effects plus the gain of smooth functions added to them. Smooth functions alone would
+    miss sudden changes such as a puncture.
     """
     assert selection.joint is not None
     joint = selection.joint
@@ -231,7 +232,7 @@ def _explained(selection: Selection) -> float | None:
 
 
 def reject_if_worse(decision: DiagnosisDecision, selection: Selection, calibration: Calibration) -> DiagnosisDecision:
-    """Return UNKNOWN if the effects leave a larger residual than the base model alone, as a wrong effect may."""
+    """Return UNKNOWN if the effects leave a larger residual than the base model alone, else the given decision."""
     if not decision.named or selection.joint is None:
         return decision
     alone, both = _residual_rms(calibration.training), _residual_rms(selection.joint.trials)
@@ -251,7 +252,7 @@ def _residual_rms(trials: Sequence[CalibratedTrial]) -> float:
 
 
 def limit_to_data(decision: DiagnosisDecision, checked: CheckedData) -> DiagnosisDecision:
-    """Return AMBIGUOUS instead of a name if data are missing that a name needs, else the given decision."""
+    """Return AMBIGUOUS if effects are named although data are missing (`checked.lacks`), else the given decision."""
     if decision.verdict not in (Verdict.NAMED, Verdict.INCOMPLETE) or not checked.lacks:
         return decision
     fits = "fits" if len(decision.named) == 1 else "fit"
@@ -261,7 +262,7 @@ def limit_to_data(decision: DiagnosisDecision, checked: CheckedData) -> Diagnosi
 
 
 def estimate_effects(selection: Selection) -> tuple[FittedEffect, ...]:
-    """Return the unambiguous effects with 95 % intervals, RMS and share of the gap."""
+    """Return the unambiguous effects, completed by 95 % intervals, RMS and share of the gain."""
     joint = selection.joint
     if joint is None:
         return ()
@@ -279,7 +280,7 @@ def estimate_effects(selection: Selection) -> tuple[FittedEffect, ...]:
 
 
 def _parameter_estimate(joint: JointFit, index: int, name: str) -> Estimate:
-    """Return the estimate of one parameter."""
+    """Return a parameter of effect number `index` with its standard deviation and 95 % interval."""
     what, value = joint.effects[index].effect.parameters[name], joint.effects[index].values[name]
     sd = joint.sd(index, name) if what.free else 0.0
     if not what.free or name in (SIZE, DIRECTION):
@@ -287,7 +288,7 @@ def _parameter_estimate(joint: JointFit, index: int, name: str) -> Estimate:
         if name == SIZE:
             low, high = _with_formula_error(value, (low, high), what)
         if name == SIZE and joint.effects[index].effect.is_lag:
-            # The usual lag of a sensor's filter cannot be separated from a delay line.
+            # Part of a lag effect may be the usual lag of the sensor's filter.
             low = max(
                 low - UNUSUAL_LAG_FACTOR * channel_description(joint.trials[0].model.channel).usual_lag_s, what.lower
             )
@@ -300,9 +301,9 @@ def _parameter_estimate(joint: JointFit, index: int, name: str) -> Estimate:
 
 
 def parameter_interval(joint: JointFit, which: int, name: str) -> tuple[float, float]:
-    """Return the 95 % interval of a parameter of one effect, within its bounds.
+    """Return the linearised 95 % interval of a parameter of effect number `which`, clipped to its bounds.
 
-    It is computed for the logarithm of a nonzero amplitude if the linear interval contains zero.
+    If the interval of a nonzero amplitude contains zero, the interval of the logarithm is returned instead.
     """
     each = joint.effects[which]
     what, value = each.effect.parameters[name], each.values[name]
@@ -324,13 +325,13 @@ def _with_formula_error(value: float, ends: tuple[float, float], what: Parameter
     """Return the interval of an amplitude, widened by the model error of the effect's formula."""
     more = _NORMAL_95 * _FORMULA_SD * abs(value)
     low, high = value - math.hypot(value - ends[0], more), value + math.hypot(ends[1] - value, more)
-    if ends[0] * ends[1] > 0 >= low * high:  # the formula error does not question the sign
+    if ends[0] * ends[1] > 0 >= low * high:  # a formula error does not change the sign
         low, high = (ends[0], high) if value > 0 else (low, ends[1])
     return max(low, what.lower), min(high, what.upper)
 
 
 def _half_sample_step_mm(joint: JointFit, depth_mm: float) -> float:
-    """Return half the distance (mm) between samples where the tip is near a depth."""
+    """Return half of the median depth change (mm) between samples near a depth; 0 if no sample moves there."""
     ways = []
     for trial in joint.trials:
         depth = trial.motion.depth_mm
@@ -342,7 +343,7 @@ def _half_sample_step_mm(joint: JointFit, depth_mm: float) -> float:
 
 
 def _profile_end(joint: JointFit, index: int, name: str, sign: int) -> float:
-    """Return the end of the 95 % interval of the profile likelihood, by secant steps on the root of the drop."""
+    """Return the lower (`sign` -1) or upper (`sign` +1) end of the 95 % interval of the profile likelihood."""
     fitted = joint.effects[index]
     what, value = fitted.effect.parameters[name], fitted.values[name]
     centre = what.coordinate(value)
@@ -370,7 +371,7 @@ def _profile_end(joint: JointFit, index: int, name: str, sign: int) -> float:
 
 
 def _profile_drop(joint: JointFit, index: int, name: str, value: float) -> float:
-    """Return the drop of twice the log-likelihood with one parameter at `value` and all others fitted."""
+    """Return the drop of twice the log-likelihood with one parameter held at `value` and all others refitted."""
     heterogeneity_sd = np.array([joint.likelihood.heterogeneity_sd])
     values = {**joint.effects[index].values, name: value}
     moved: Sequence[FittedEffect] = [
@@ -387,7 +388,7 @@ def _profile_drop(joint: JointFit, index: int, name: str, value: float) -> float
 
 
 def _clipped_value(what: Parameter, coordinate: float) -> float:
-    """Return the value of a coordinate, clipped to the parameter's bounds."""
+    """Return the parameter value that belongs to a fit coordinate, clipped to the parameter's bounds."""
     ends = [_bound_coordinate(what, each) for each in (what.lower, what.upper)]
     return float(np.clip(what.value(min(max(coordinate, ends[0]), ends[1])), what.lower, what.upper))
 

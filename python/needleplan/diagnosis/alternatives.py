@@ -3,10 +3,10 @@
 A known effect is named only if it explains the data better than every nonparametric alternative, each with the BIC
 penalty of its degrees of freedom. If an alternative wins, the gap and its axis are known, but not its cause.
 
-Alternatives are scored beside the base model as calibrated alone. With heterogeneous tissue that favours effects, which
-are fitted with a base model of their own. Two alternatives that resemble common effects are therefore fitted like
-effects: the square of the pushing force, which resembles a bent sensor scale or a buckling shaft, and a step at one
-time of all trials, which resembles a drift.
+Alternatives are scored with the base model as calibrated without effects. In heterogeneous tissue this favours the
+effects, because the base model is recalibrated for each of them. Two alternatives that resemble common effects are
+therefore fitted like effects: the square of the pushing force, which resembles a nonlinear sensor or a buckling shaft,
+and a step at the same time in all trials, which resembles a drift.
 """
 
 from __future__ import annotations
@@ -45,24 +45,24 @@ __all__ = [
     "winning_alternative",
 ]
 
-# Relative standard deviation of the noise variance, as estimated from one minute of noise.
+# Relative standard deviation of a noise variance that was estimated from one minute of noise.
 _NOISE_VARIANCE_SD = 0.03
-# Time (s) after the start of a trial before which no step in time is considered.
+# Time (s) after the start of a trial within which no step in time is considered.
 EARLIEST_STEP_S = 0.5
-# The same limit as a share of the trial's duration.
+# The same limit as a share of the trial's duration; the larger of both applies.
 _EARLIEST_STEP_SHARE = 0.05
-# Squared correlation from which an effect and an alternative count as similar.
+# Least ratio of gains, or squared correlation, of an alternative and an effect for which it is refitted.
 _LIKENESS = 0.5
 # Half width (s) of the window in which the time of a step is refined to one sample.
 _STEP_WINDOW_S = 0.2
-# Heterogeneity standard deviations of homogeneous tissue.
+# Heterogeneity standard deviations to try for homogeneous tissue: only 0.
 _HOMOGENEOUS = np.zeros(1)
 
 
 def validate(joint: JointFit, calibration: Calibration, before: JointFit | None = None) -> HeldOutValidation | None:
-    """Validate a fit on the held-out trials, beside the effects of `before` or the base model alone.
+    """Compare a fit with the earlier fit `before` (default: the base model alone) on the held-out trials.
 
-    Returns None without held-out trials.
+    Returns None if there are no held-out trials.
     """
     if not calibration.held_out:
         return None
@@ -112,12 +112,12 @@ def _with_heterogeneity_of(trial: CalibratedTrial, like: CalibratedTrial) -> Whi
 
 
 def _where_measured(trial: CalibratedTrial, values: Array) -> Array:
-    """Return values where the trial has a measurement, NaN elsewhere."""
+    """Return the values with NaN at samples without a measurement."""
     return np.where(np.isfinite(trial.measured), values, np.nan)
 
 
 def _prior_energy(trials: Sequence[CalibratedTrial]) -> float:
-    """Return the energy of the deviation of the parameters from their priors."""
+    """Return the summed squares of the deviations of calibrated parameters from their priors, in prior sds."""
     return float(sum((trial.whitened.residual[int(trial.rows.sum()) :] ** 2).sum() for trial in trials))
 
 
@@ -143,11 +143,11 @@ class AlternativeModel:
     """Time (s) of a step that is the same in all trials; None for other alternatives."""
 
     held_out_difference: float = 0.0
-    """Likelihood gain on the held-out trials over the best effect; 0 if not validated."""
+    """Held-out likelihood gain of the alternative minus that of the best effect; 0 if not validated."""
 
     @property
     def combined_gain(self) -> float:
-        """BIC gain in training plus the difference on the held-out trials."""
+        """BIC gain in training plus `held_out_difference`."""
         return self.bic_gain + self.held_out_difference
 
 
@@ -155,11 +155,11 @@ def winning_alternative(
     alternatives: Sequence[AlternativeModel], gates: Gates, *, likelihood_gain: float, bic_gain: float,
     degrees_of_freedom: int, lead: float, held_out_difference: float = 0.0,
 ) -> AlternativeModel | None:  # fmt: skip
-    """Return the first alternative that wins over effects with the given gains, or None.
+    """Return the first alternative that wins against effects with the given gains; None if no alternative wins.
 
-    The effects must lead by `lead` over an alternative with about as many degrees of freedom. An alternative with more
-    degrees of freedom wins only if it leads itself by the full margin and explains clearly more. `held_out_difference`
-    is the held-out gain of the effects over the best single one; it counts against validated alternatives.
+    An alternative with at most one more degree of freedom wins unless the effects lead by `lead`. An alternative with
+    more degrees of freedom wins only if it leads by `gates.lead` and explains clearly more. `held_out_difference` is
+    the held-out gain of all effects minus that of the best one; it counts against validated alternatives.
     """
     for alternative in alternatives:
         simple = alternative.degrees_of_freedom <= degrees_of_freedom + 1
@@ -178,19 +178,19 @@ def winning_alternative(
 
 
 def smooth_sensitivities(trials: Sequence[CalibratedTrial]) -> list[Array]:
-    """Return all bases that are alternatives beside effects, side by side and whitened, shape (n, df) per trial."""
+    """Return all bases with `beside_effects`, joined column by column and whitened, shape (n, df) per trial."""
     found = [basis for basis in smooth_bases(trials).values() if basis.beside_effects]
     raw = [np.column_stack(each) for each in zip(*(basis.functions for basis in found), strict=True)]
     return [trial.whiten(each) for trial, each in zip(trials, raw, strict=True)]
 
 
 def smooth_bases(trials: Sequence[CalibratedTrial]) -> Mapping[str, SmoothBasis]:
-    """Return the smooth bases of the channel by name."""
+    """Return the smooth bases of the trials' channel by name."""
     return channel_description(trials[0].model.channel).smooth_bases(trials)
 
 
 def score_alternatives(likelihood: JointLikelihood, trials: Sequence[CalibratedTrial]) -> tuple[AlternativeModel, ...]:
-    """Return all alternatives, the largest BIC gain first."""
+    """Return all alternatives with their gains over the model of `likelihood`, the largest BIC gain first."""
     bic_penalty = float(np.log(likelihood.samples))
     found = []
     with_effects = likelihood.blocks[0].shared.shape[1] > 0
@@ -207,7 +207,7 @@ def score_alternatives(likelihood: JointLikelihood, trials: Sequence[CalibratedT
 
 
 def _best_step(likelihood: JointLikelihood, trials: Sequence[CalibratedTrial], bic_penalty: float) -> AlternativeModel:
-    """Return the best step: at one time of all trials, or at one time of one trial."""
+    """Return the best step in time: one that is common to all trials, or one in a single trial."""
     begins = [
         float(trial.motion.time_s[0] + max(EARLIEST_STEP_S, _EARLIEST_STEP_SHARE * np.ptp(trial.motion.time_s)))
         for trial in trials
@@ -236,7 +236,7 @@ def _best_step(likelihood: JointLikelihood, trials: Sequence[CalibratedTrial], b
 def _best_period(
     likelihood: JointLikelihood, trials: Sequence[CalibratedTrial], bic_penalty: float
 ) -> AlternativeModel:
-    """Return the best sine wave of the position, such as a screw or a gear causes."""
+    """Return the best sine wave along the position; a screw or a gear may cause one."""
     lengths = np.geomspace(0.6, 25.0, 60)
     parts = []
     for trial in trials:
@@ -256,7 +256,7 @@ class _PushSquared(Memoryless):
     """A term in proportion to the square of the pushing force."""
 
     name: ClassVar[str] = "pushing_force_squared"
-    size: float = parameter("1/N", -10, 10, "what is added for the square of the pushing force", typical=0.01)
+    size: float = parameter("1/N", -10, 10, "factor of the squared pushing force", typical=0.01)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         return np.asarray(np.maximum(plain, 0.0) ** 2)
@@ -264,24 +264,24 @@ class _PushSquared(Memoryless):
 
 _SQUARED = TermEffect(
     "pushing_force_squared", "square of the pushing force", Family.SENSOR, Enters.SENSOR, "F += size max(F, 0)^2",
-    "What is pushed reads too large, or too small, the more the larger the force is.", "", term=_PushSquared,
+    "The error of the force reading grows with the square of the pushing force.", "", term=_PushSquared,
 )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class _StepInTime(Memoryless):
-    """A constant force from some time on."""
+    """A constant force that begins at one time."""
 
     name: ClassVar[str] = "step_in_time"
-    size: float = parameter("N", -20, 20, "what is added from some time on", typical=0.01)
-    time_s: float = constant("s", 0, 1e6, "from when on, in each trial")
+    size: float = parameter("N", -20, 20, "force added after the step", typical=0.01)
+    time_s: float = constant("s", 0, 1e6, "time of the step in each trial")
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         return np.asarray(motion.time_s >= self.time_s, float)
 
 
 _STEPPED = TermEffect(
-    "step_in_time", "step in time", Family.SENSOR, Enters.SENSOR, "F += size from time on",
+    "step_in_time", "step in time", Family.SENSOR, Enters.SENSOR, "F += size (t >= time_s)",
     "Something slipped, in every trial at the same time.", "", term=_StepInTime,
 )  # fmt: skip
 
@@ -293,9 +293,9 @@ def refit_alternatives(
     calibration: Calibration,
     base: JointLikelihood,
 ) -> tuple[AlternativeModel, ...]:
-    """Return the alternatives with those refitted that resemble the one effect of `best`, the best first.
+    """Return all alternatives, the largest combined gain first; those that resemble the effect of `best` are refitted.
 
-    `seen` is the validation of that effect.
+    `seen` is the validation of that effect. Channels other than the force are returned unchanged.
     """
     if calibration.given.channel is not Channel.FORCE:
         return tuple(alternatives)
@@ -311,13 +311,14 @@ def _refit_step(
     calibration: Calibration,
     base: JointLikelihood,
 ) -> AlternativeModel:
-    """Return a step in time fitted and validated like an effect; any other alternative unchanged."""
+    """Return the alternative refitted and validated like an effect if it is a common step in time, else unchanged."""
     if alternative.time_s is None or alternative.likelihood_gain < _LIKENESS * best.likelihood_gain:
         return alternative
     joint = fit_jointly([_step_at(alternative.time_s)], calibration, base, best.trials)
     first = best.trials[0].motion.time_s
     begins = max(float(each.motion.time_s[0]) for each in best.trials) + EARLIEST_STEP_S
     coarse = np.arange(begins, first[-1] - _STEP_WINDOW_S, _STEP_WINDOW_S / 2)
+    # Free heterogeneity absorbs a step at a wrong time, so the coarse search assumes homogeneous tissue.
     for heterogeneity_sds, times_s in ((_HOMOGENEOUS, coarse), (joint.likelihood.heterogeneity_sds, None)):
         here = joint.effects[0].values["time_s"]
         near = first[(np.abs(first - here) < _STEP_WINDOW_S) & (first > begins)] if times_s is None else times_s
@@ -336,7 +337,7 @@ def _refit_step(
 
 
 def _held_out_difference(joint: JointFit, seen: HeldOutValidation | None, calibration: Calibration) -> float:
-    """Return the held-out gain of an alternative over the effect; 0 without held-out trials."""
+    """Return the held-out gain of an alternative minus that of the effect; 0 without held-out trials."""
     there = validate(joint, calibration) if seen else None
     return there.likelihood_gain - seen.likelihood_gain if there and seen else 0.0
 
@@ -346,10 +347,9 @@ def _step_at(time_s: float) -> FittedEffect:
 
 
 def _best_step_time_s(joint: JointFit, times_s: Array, heterogeneity_sds: Array) -> float:
-    """Return the time at which a fitted step fits best, beside the base model fitted with the step.
+    """Return that one of `times_s` (s) at which the step of a joint fit fits best.
 
-    The base model alone imitates a large step, and free heterogeneity absorbs a step at a wrong time: its score falls
-    steeply within a few samples.
+    The base model is kept as fitted with the step, because calibrated alone it would imitate a large step.
     """
     step = joint.effects[0]
     sensitivities = [trial.whiten(np.asarray(trial.motion.time_s[:, None] >= times_s, float)) for trial in joint.trials]
@@ -367,7 +367,7 @@ def _best_step_time_s(joint: JointFit, times_s: Array, heterogeneity_sds: Array)
 def _refit_square(
     best: JointFit, seen: HeldOutValidation | None, calibration: Calibration, base: JointLikelihood
 ) -> AlternativeModel | None:
-    """Return the square of the pushing force fitted like an effect; None unless it resembles the effect of `best`."""
+    """Return the squared pushing force as a fitted alternative; None unless it resembles the effect of `best`."""
     named = np.concatenate([effects_output(best.effects, trial.model, trial.motion) for trial in best.trials])
     plain = np.concatenate([simulate(trial.model, trial.motion).output for trial in best.trials])
     square = np.maximum(plain, 0.0) ** 2

@@ -1,7 +1,7 @@
-"""Calibration: before an effect is called missing, all parameters of the base model are fitted to each trial.
+"""Calibration: before effects are considered, all parameters of the base model are fitted to each trial.
 
-Each trial is linearised at its own best parameters. The sensor lag is calibrated too: low-pass filters of some
-milliseconds are usual, so a lag is a nuisance with a prior, and only a far longer one is an effect.
+Each trial is linearised at its own best parameters. The sensor lag is calibrated too: many sensors have a low-pass
+filter of some milliseconds, so the lag is a nuisance parameter with a prior. Only a far longer lag counts as an effect.
 """
 
 from __future__ import annotations
@@ -34,34 +34,34 @@ __all__ = [
     "unusual_lag_s",
 ]
 
-# Multiple of the usual sensor lag up to which a lag is no effect.
+# Multiple of the usual sensor lag up to which a lag does not count as an effect.
 UNUSUAL_LAG_FACTOR = 2.0
-# Name of the sensor lag among the parameters to hold.
+# Name of the sensor lag in the argument `hold` of `calibrate_trial`.
 LAG = "lag_s"
-# Largest ratio of measured to predicted RMS, either way, for recordings of the model's needle.
+# Ratio of measured to predicted RMS, or its inverse, above which the recordings count as another needle's.
 _OTHER_NEEDLE_RATIO = 5.0
-# Most Levenberg-Marquardt steps of a calibration.
+# Largest number of Levenberg-Marquardt steps of a calibration.
 _MAX_STEPS = 10
-# Most damping values tried in one step.
+# Largest number of damping values tried in one step.
 _DAMPING_TRIES = 5
-# Longest step of a parameter's coordinate.
+# Largest change of a fit coordinate in one step.
 _LONGEST_STEP = 0.7
-# Step of a coordinate for numerical sensitivities.
+# Change of a fit coordinate for numerical sensitivities.
 _COORDINATE_STEP = 1e-3
-# Drop of the cost below which the calibration ends.
+# Drop of the cost (squared whitened residuals plus priors) below which the calibration ends.
 _LEAST_DROP = 0.02
-# Range (s) of the sensor lag.
+# Lower and upper bound (s) of the sensor lag.
 _EARLIEST_S, _LONGEST_LAG_S = -0.001, 0.2
-# Decay of the lag filter over one sample below which two taps of history suffice.
+# Decay of the lag filter over one sample below which two past samples suffice.
 _FORGOTTEN = 0.05
 # Logarithm of the tap weight at which the lag filter is truncated.
 _ROUNDING = math.log(1e-14)
-# Prior standard deviation of a coordinate about its value in the given model: about a factor of two.
+# Default prior standard deviation of a fit coordinate: about a factor of two for logarithmic parameters.
 _PRIOR_SD = 0.7
 
 
 def unusual_lag_s(calibration: Calibration) -> float:
-    """Return the median calibrated lag (s) if it exceeds the usual lag of sensors, else 0."""
+    """Return the median calibrated lag (s) of the training trials if it far exceeds the usual sensor lag, else 0."""
     usual_lag_s = channel_description(calibration.given.channel).usual_lag_s
     found = float(np.median([trial.lag_s for trial in calibration.training]))
     return found if usual_lag_s > 0 and found > UNUSUAL_LAG_FACTOR * usual_lag_s else 0.0
@@ -69,7 +69,7 @@ def unusual_lag_s(calibration: Calibration) -> float:
 
 @dataclass(frozen=True)
 class CalibratedTrial:
-    """A trial with the base model calibrated to it, measured and predicted output, and both whitened."""
+    """A trial with the base model calibrated to it: measured and predicted output, and the whitened residual."""
 
     record: Record
     motion: Motion
@@ -77,21 +77,21 @@ class CalibratedTrial:
     model: Model
     lag_s: float
     output: Array
-    """Output of the calibrated base model with fixed effects."""
+    """Output of the calibrated base model with the fixed effects, before the sensor lag, shape (axes * samples,)."""
 
     predicted: Array
-    """The output as the sensor shows it, with its lag."""
+    """`output` as the sensor with its lag shows it, shape (axes * samples,)."""
 
     whitened: WhitenedTrial
     rows: Array
-    """Whether each whitened sample is valid, shape (axes * (samples - order),)."""
+    """Whether each whitened sample is valid (not NaN), shape (axes * (samples - order),)."""
 
     noise: SensorNoise
     lag_sensitivity: Array
-    """Whitened change of the reading by one second of lag; zero in the rows of priors."""
+    """Derivative of the whitened reading with respect to the lag (1/s), shape (n,); zero in the rows of priors."""
 
     def whiten(self, values: Array) -> Array:
-        """Return whitened changes of the output as the sensor shows them, shape (n, ...); zero for the priors."""
+        """Apply the sensor lag to changes of the output and whiten them, shape (n, ...); zero in the rows of priors."""
         taps = lag_taps(self.motion, self.lag_s)
         read = values if taps is not None else lagged(values, self.motion, self.lag_s)
         count = int(self.rows.sum())
@@ -109,7 +109,7 @@ class CalibratedTrial:
         return np.asarray(np.flatnonzero(self.rows) % each + self.noise.order)
 
     def on_each_axis(self, values: Array) -> Array:
-        """Return functions (samples, m) separately on each axis, shape (axes * samples, axes * m)."""
+        """Repeat functions of shape (samples, m) for each axis: block diagonal, shape (axes * samples, axes * m)."""
         return np.asarray(np.kron(np.eye(len(self.measured) // len(self.motion)), values), float)
 
 
@@ -128,9 +128,9 @@ class Calibration:
 
 
 def check_needle(checked: CheckedData, model: Model) -> CheckedData:
-    """Add a lack if the readings are far larger or smaller than the model predicts.
+    """Return the data with `Lack.NEEDLE` added if the readings are far larger or smaller than the model predicts.
 
-    Calibration would compensate the difference, and the diagnosis would compare two needles.
+    Calibration would hide that the recordings are of another needle than the model.
     """
     given = np.concatenate([simulate(model, each.motion()).output.ravel() for each in checked.training])
     measured = np.concatenate([measured_output(each, model.channel) for each in checked.training])
@@ -138,8 +138,8 @@ def check_needle(checked: CheckedData, model: Model) -> CheckedData:
     if 1 / _OTHER_NEEDLE_RATIO < ratio < _OTHER_NEEDLE_RATIO:
         return checked
     why = (
-        f"the readings are {ratio:.2g} times as large as the model predicts (RMS): another needle or tissue, or a "
-        "wrong unit? Identify the base from recordings of this needle first"
+        f"the RMS of the readings is {ratio:.2g} times the prediction of the model: another needle or tissue, or a "
+        "wrong unit? First identify the base model from recordings of this needle"
     )
     return replace(checked, lacks={**checked.lacks, Lack.NEEDLE: why})
 
@@ -147,7 +147,10 @@ def check_needle(checked: CheckedData, model: Model) -> CheckedData:
 def calibrate(
     model: Model, training: Sequence[Record], held_out: Sequence[Record], noise: SensorNoise, *, modes: bool = True
 ) -> Calibration:
-    """Calibrate all free parameters of `model` to each trial separately."""
+    """Calibrate all free parameters of `model` to each trial separately.
+
+    With `modes` false, the heterogeneity of the tissue is ignored.
+    """
     free = tuple(name for name, what in model.parameters().items() if what.free)
     trials = [calibrate_trial(model, record, noise, free, modes=modes) for record in training]
     base = mean_model([trial.model for trial in trials], free)
@@ -156,7 +159,7 @@ def calibrate(
 
 
 def mean_model(models: Sequence[Model], free: Sequence[str]) -> Model:
-    """Return the model with the mean coordinate of each free parameter."""
+    """Return a model whose free parameters have the mean fit coordinate of all `models`."""
     first = models[0]
     what = first.parameters()
     return first.with_values(**{
@@ -177,11 +180,11 @@ def calibrate_trial(
     about: Model | None = None,
     hold: Collection[str] = (),
 ) -> CalibratedTrial:
-    """Calibrate `model` to one trial (Levenberg-Marquardt on whitened residuals) and linearise it there.
+    """Calibrate `model` to one trial (Levenberg-Marquardt on whitened residuals) and linearise it at the result.
 
     `whole` adds fixed effects to the base model. The prior of the parameters is centred at `about`, by default `model`.
-    Parameters in `hold` keep their value in `model`; `LAG` keeps its start. If the last step is too short to matter,
-    the sensitivities are those before it.
+    Parameters in `hold` keep their value in `model`; the lag keeps `start_lag_s` if `hold` contains `LAG`. After a last
+    step of negligible length, the sensitivities are not computed again.
     """
     description = channel_description(model.channel)
     usual_lag_s = max(description.usual_lag_s, 1e-9)
@@ -290,14 +293,14 @@ def calibrate_trial(
 
 
 def lagged(force: Array, motion: Motion, lag_s: float) -> Array:
-    """Return an output as a sensor with a first-order lag shows it, shape (samples, ...) or (axes * samples, ...)."""
+    """Return an output after a first-order sensor lag; the shape is (samples, ...) or (axes * samples, ...)."""
     if len(force) > len(motion):
         axes = np.moveaxis(force.reshape(-1, len(motion), *force.shape[1:]), 0, -1)
         return np.moveaxis(lagged(axes, motion, lag_s), -1, 0).reshape(force.shape)
     h = motion.interval_s.reshape((-1,) + (1,) * (force.ndim - 1))
     rise = np.diff(force, axis=0) / h
     found: Array = np.array(force, float)
-    if lag_s <= 0:  # a lead, the continuous extension of a small lag
+    if lag_s <= 0:  # a negative lag is a lead: linear extrapolation
         found[1:] -= lag_s * rise
         return found
     decay = np.exp(-h / lag_s)
@@ -310,7 +313,7 @@ def lagged(force: Array, motion: Motion, lag_s: float) -> Array:
 
 
 def lag_taps(motion: Motion, lag_s: float) -> Array | None:
-    """Return the lag as a filter on present and past samples; None if the sampling is uneven."""
+    """Return the lag as weights of the present and past samples, shape (taps,); None if the sampling is uneven."""
     h = motion.interval_s
     step = float(np.median(h))
     if lag_s == 0:
@@ -329,7 +332,10 @@ def _sensitivities(
     output: Callable[[Array], Array], coordinates: Array, plain: Array, motion: Motion, lag: float, noise: SensorNoise,
     rows: Array, wanted: NDArray[np.bool_],
 ) -> Array:  # fmt: skip
-    """Return the whitened derivative of the reading by each coordinate and by the lag; zero if not wanted."""
+    """Return the whitened derivatives of the reading with respect to the coordinates and the lag, shape (n, q).
+
+    Columns that are not `wanted` are zero.
+    """
     chosen = np.flatnonzero(wanted)
     raw = np.empty((len(plain), chosen.size))
     count = int((chosen < coordinates.size).sum())
@@ -349,7 +355,7 @@ def _sensitivities(
 
 
 def _whitened_modes(raw: Array, motion: Motion, lag: float, noise: SensorNoise, rows: Array) -> tuple[Array, Array]:
-    """Return the whitened modes of the heterogeneity, orthonormalised, and their variances."""
+    """Return the orthonormalised whitened modes of the heterogeneity, shape (n, k), and their variances, shape (k,)."""
     whitened = noise.whiten(lagged(raw, motion, lag))
     if not rows.all():
         whitened = whitened[rows]

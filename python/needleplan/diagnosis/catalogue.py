@@ -1,4 +1,4 @@
-"""The catalogue: every effect on a grid of places, times and speeds, scored by the likelihood of the data."""
+"""The catalogue: every effect on a grid of depths, times and speeds, scored by the likelihood of the data."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ __all__ = [
     "whitened_sensitivities",
 ]
 
-# Sensitivities are recomputed if a base parameter has changed by this factor.
+# Grid of base parameters for cached sensitivities: powers of this factor times the nominal value.
 _PARAMETER_FACTOR = 2.0
 # Factor by which the search range of a parameter exceeds its grid.
 _GRID_MARGIN = 1.3
-# Range of amplitude over reference amplitude in which a nonlinear effect's sensitivity is valid.
+# Least and largest ratio of amplitude to reference amplitude at which a nonlinear effect's sensitivity is valid.
 _AMPLITUDE_RATIOS = (0.4, 2.5)
-# Squared amplitude over its variance from which an effect is named.
+# Ratio of squared amplitude to its variance above which an effect would be named: defines the detection limit.
 DETECTION_NONCENTRALITY = 45.0
-# Number of simulated data sets without an effect.
+# Number of simulated data sets without an effect from which a p-value is computed.
 _NULL_RUNS = 200
 
 
@@ -58,7 +58,7 @@ class CatalogueEntry:
 
     @property
     def last(self) -> int:
-        """Index behind the entry's last column."""
+        """Index after the entry's last column in the sensitivities of all entries (exclusive end)."""
         return self.first + len(self.grid)
 
     @property
@@ -68,7 +68,7 @@ class CatalogueEntry:
 
     @property
     def sign(self) -> int:
-        """Sign of the amplitude: +1, -1, or 0 for either."""
+        """Permitted sign of the amplitude: +1, -1, or 0 if both signs are permitted."""
         what = self.effect.parameters[SIZE]
         return 1 if what.lower >= 0 else -1 if what.upper <= 0 else 0
 
@@ -78,7 +78,7 @@ class CatalogueEntry:
         return self.count > 2 and any(SIZE in each for each in self.grid)
 
     def bounds(self) -> dict[str, tuple[float, float]]:
-        """Return the range of the grid by parameter, slightly enlarged; an angle is periodic and has no range."""
+        """Return the slightly enlarged range of the grid by parameter, without angles, because they are periodic."""
         names = [
             name for name, what in self.effect.parameters.items()
             if name != SIZE and what.unit != "rad" and any(name in each for each in self.grid)
@@ -94,20 +94,20 @@ class CatalogueEntry:
         return {name: ends for name, ends in found.items() if ends[0] < ends[1]}
 
     def reference_amplitudes(self) -> Array:
-        """Return the amplitude at which each sensitivity was computed, shape (m,); NaN for linear effects."""
+        """Return the amplitude at which each grid point's sensitivity holds, shape (m,); NaN for linear effects."""
         return np.array([values.get(SIZE, np.nan) for values in self.grid])
 
 
 @dataclass
 class Library:
-    """Effects to look for, with their sensitivities along motions; recordings of the same motions share them."""
+    """Effects to look for, with a cache of their sensitivities; recordings of the same motion share the cache."""
 
     effects: Sequence[Effect]
     nominal: Model
     _kept: dict[tuple[str, str], Array] = field(default_factory=dict, repr=False)
 
     def entries(self, motions: Sequence[Motion]) -> tuple[CatalogueEntry, ...]:
-        """Return the catalogue entries for the range that the motions cover."""
+        """Return the entries of all effects that suit the model; their grids span the ranges that the motions cover."""
         reach = Reach.of(motions)
         found: list[CatalogueEntry] = []
         first = 0
@@ -121,8 +121,8 @@ class Library:
     def sensitivities(self, model: Model, motion: Motion, entries: Sequence[CatalogueEntry]) -> Array:
         """Return the sensitivity of the output to the amplitude of each candidate, shape (axes * samples, m).
 
-        They are computed for the nominal model unless `model` is far from it, so that data sets of one needle share
-        them.
+        They are computed for the nominal model unless `model` is far from it, so that data sets of one needle use the
+        same cached values. The returned array is read-only.
         """
         near = _rounded_model(model, self.nominal)
         rows = motion.time_s, motion.depth_mm, motion.velocity_mm_s, motion.angle_rad
@@ -141,7 +141,7 @@ class Library:
 
 
 def _rounded_model(model: Model, nominal: Model) -> Model:
-    """Return the nominal model with parameters changed by whole factors of two towards `model`."""
+    """Return the nominal model with free parameters multiplied by powers of two, to be near their values in `model`."""
     values = {}
     for name, what in model.parameters().items():
         given, nominal_value = getattr(model, name), getattr(nominal, name)
@@ -155,10 +155,9 @@ def _rounded_model(model: Model, nominal: Model) -> Model:
 
 @dataclass(frozen=True)
 class FittedEffect:
-    """An effect with values of its parameters, and what the data say for it.
+    """An effect with parameter values and statistics.
 
-    Each stage fills in its own part: screening the gains, the selection the p-value and the alternatives, the verdict
-    the intervals.
+    Screening sets the gains, the selection sets the p-value and the alternatives, and the verdict sets the intervals.
     """
 
     effect: Effect
@@ -166,7 +165,7 @@ class FittedEffect:
     """Value of each parameter, the amplitude (`SIZE`) included."""
 
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Search range of parameters; a fit does not leave it, because another effect may act alike beyond."""
+    """Search range of parameters, which a fit does not leave: outside, the effect may act like another effect."""
 
     likelihood_gain: float = 0.0
     """Twice the log-likelihood gain over the fit without this effect."""
@@ -175,13 +174,13 @@ class FittedEffect:
     """`likelihood_gain` minus the BIC penalty of the effect's parameters."""
 
     amplitude_sd: float = math.inf
-    """Standard deviation of the amplitude, first order, in its unit."""
+    """Linearised standard deviation of the amplitude, in its unit."""
 
     heterogeneity_sd: float = 0.0
     """Heterogeneity standard deviation that maximises the likelihood beside this effect."""
 
     p_value: float | None = None
-    """Probability of so large a BIC gain by chance, in the round that accepted the effect."""
+    """Probability that data without this effect reach its BIC gain, in the round that accepted it."""
 
     alternatives: tuple[FittedEffect, ...] = ()
     """Effects that explain the data as well in place of this one."""
@@ -202,16 +201,16 @@ class FittedEffect:
 
     @property
     def added(self) -> AddedEffect:
-        """The effect as a model file holds it."""
+        """The effect in the form that model files store."""
         return AddedEffect(self.effect.name, self.values, self.estimates, "", self.effect.version)
 
 
 def screen(
     likelihood: JointLikelihood, sensitivities: Sequence[Array], entries: Sequence[CatalogueEntry]
 ) -> tuple[FittedEffect, ...]:
-    """Return all effects at their best grid point, the largest BIC gain first.
+    """Return each effect at its best grid point, the largest BIC gain first.
 
-    `sensitivities` are whitened, one array per trial.
+    `sensitivities` holds one array of whitened sensitivities per trial, shape (n, m).
     """
     scored = _ScoredEntries.of(likelihood, sensitivities, entries)
     found = [scored.at(each, each.first + int(scored.gains[each.first : each.last].argmax())) for each in entries]
@@ -225,7 +224,7 @@ def local_optima(
     effect: Effect,
     name: str,
 ) -> tuple[FittedEffect, ...]:
-    """Return one effect at its best grid point for each value of parameter `name`, the largest BIC gain first."""
+    """Return the best grid point of one effect for each grid value of parameter `name`, the largest BIC gain first."""
     scored = _ScoredEntries.of(likelihood, sensitivities, entries)
     each = next(each for each in entries if each.effect is effect)
     best: dict[float, int] = {}
@@ -238,7 +237,7 @@ def local_optima(
 
 @dataclass(frozen=True)
 class _ScoredEntries:
-    """Scores of all candidates, each with an allowed amplitude; `rows` is the index of the heterogeneity."""
+    """Scores of all candidates at allowed amplitudes; `rows` is the best heterogeneity index of each candidate."""
 
     likelihood: JointLikelihood
     curvature: Array
@@ -267,9 +266,9 @@ class _ScoredEntries:
 
 
 def allowed_amplitudes(amplitudes: Array, entries: Sequence[CatalogueEntry]) -> Array:
-    """Return amplitudes, shape (t, m), clipped to the bounds of each effect.
+    """Return the amplitudes, shape (t, m), clipped to the bounds of each effect.
 
-    The amplitude of a nonlinear effect is 0 if it is far from the one for which the sensitivity was computed.
+    The amplitude of a nonlinear effect is set to 0 if it is far from the amplitude at which its sensitivity holds.
     """
     found = np.array(amplitudes, float)
     for each in entries:
@@ -296,12 +295,12 @@ class DetectionLimit:
     rms: float
     """RMS of the effect's output in the training data at this amplitude, in the channel's unit."""
 
-    noise_multiple: float
+    noise_multiple: float  # `rms` in units of the noise RMS
     visible: bool
-    """Whether the base model leaves a visible part of the effect."""
+    """Whether the effect is visible; False if the base model absorbs it."""
 
     at: Mapping[str, float]
-    """Grid point of the limit."""
+    """Grid point for which the limit holds."""
 
 
 def find_detection_limits(
@@ -311,7 +310,7 @@ def find_detection_limits(
     entries: Sequence[CatalogueEntry],
     noise_rms: float,
 ) -> tuple[DetectionLimit, ...]:
-    """Return the detection limits of all effects; `raw` are the sensitivities before whitening."""
+    """Return the detection limit of each effect; `raw` holds the sensitivities before whitening by trial."""
     scores = likelihood.scores(sensitivities)
     curvature = scores.curvature[likelihood.best]
     samples = sum(map(len, raw))
@@ -340,11 +339,11 @@ def whitened_sensitivities(
     entries: Sequence[CatalogueEntry],
     about: Model | None = None,
 ) -> list[Array]:
-    """Return the whitened sensitivities of all candidates, one array per trial, for the calibrated model or `about`."""
+    """Return the whitened sensitivities of all candidates for the calibrated model or `about`, one array per trial."""
     model = about or calibration.model
     sensitivities = [trial.whiten(library.sensitivities(model, trial.motion, entries)) for trial in trials]
     for each in entries:
-        if each.effect.is_lag:  # a calibrated lag and a second lag differ from one longer lag
+        if each.effect.is_lag:  # the effect lengthens the calibrated lag; a second lag in series would differ
             for trial, whitened in zip(trials, sensitivities, strict=True):
                 whitened[:, each.first] = trial.lag_sensitivity
     return sensitivities
@@ -357,7 +356,10 @@ def chance_probability(
     bic_gain: float,
     seed: int,
 ) -> float:
-    """Return the probability that data without an effect reach a BIC gain: Gumbel's law, fitted to simulated data."""
+    """Return the probability that data without an effect reach a BIC gain, from a Gumbel distribution.
+
+    The distribution is fitted to simulated data sets.
+    """
     bic_penalty = likelihood.bic_penalty
     penalty, signs = np.full(sensitivities[0].shape[1], np.inf), np.zeros(sensitivities[0].shape[1])
     for each in entries:

@@ -1,8 +1,8 @@
 """Channels that can be diagnosed: the axial force and the position of the tip.
 
-A description tells the diagnosis how heterogeneous tissue shows in the channel, which errors of timing are usual, what
-is known beforehand about parameters, and which smooth functions compete with effects. Another channel is another
-`ChannelDescription` in `CHANNELS`.
+A `ChannelDescription` states how heterogeneous tissue changes the channel's output, which timing errors are usual, the
+priors of parameters, and the smooth functions that compete with effects. To support another channel, add its
+description to `CHANNELS`.
 """
 
 from __future__ import annotations
@@ -44,27 +44,27 @@ __all__ = [
 
 # Standard deviation (s) of a force sensor's usual lag.
 _FORCE_LAG_SD_S = 0.004
-# Prior standard deviation of coordinates: presliding depends on the surfaces and varies by a fifth.
+# Prior standard deviation of fit coordinates: presliding depends on the surfaces and varies by a fifth.
 _FORCE_PRIORS = {"presliding_mm": 0.2}
-# Standard deviation (s) of the time of a reversal.
+# Standard deviation (s) of the error in the time of a reversal.
 _TURN_TIME_SD_S = 0.002
-# Samples on either side of a reversal that count as near it.
+# Number of samples before and after a reversal that count as near it.
 _TURN_SAMPLES = 2
-# Share of the maximum speed below which the direction of motion is undefined.
+# Share of the maximum speed below which the velocity counts as zero when reversals are sought.
 _TURN_SPEED_SHARE = 0.002
-# Share of the maximum speed below which the needle rests.
+# Share of the maximum speed below which the needle counts as at rest.
 _REST_SPEED_SHARE = 0.02
 # Standard deviation (s) of a tracker's usual lag.
 _TIP_LAG_SD_S = 0.005
-# Most rounds of a joint fit: effects on the path are far from linear.
+# Usual number of rounds of a joint fit; large because effects on the path are far from linear.
 _TIP_MAX_ROUNDS = 10
-# Parameters of the entry, in which the path is linear.
+# Parameters of the entry pose; the path is linear in them.
 _ENTRY_PARAMETERS = ("heading_y_rad", "heading_z_rad", "entry_x_mm", "entry_y_mm", "entry_z_mm")
-# Prior standard deviation of coordinates: repeated insertions agree in curvature within a fifth.
+# Prior standard deviation of fit coordinates: repeated insertions agree in curvature within a fifth.
 _TIP_PRIORS = {"curvature_per_mm": 0.2}
 # Prior standard deviation of the relative variation of curvature along a path.
 _USUAL_CURVATURE_SD = 0.06
-# Curvature variation across the bevel plane over the variation within it.
+# Ratio of the curvature variation across the bevel plane to that within it.
 _ACROSS_RATIO = 0.5
 
 
@@ -79,9 +79,14 @@ class GapAxis(StrEnum):
     PERIOD = "position_periodic"
     ANGLE = "angle"
 
+    @property
+    def label(self) -> str:
+        """Name of the variable in reports."""
+        return {"hold": "dwell time", "position_periodic": "position"}.get(self.value, self.value)
+
 
 class SimulatedTrial(Protocol):
-    """A trial with the output that a model predicts for it."""
+    """A trial with the output that a model predicts."""
 
     @property
     def model(self) -> Model:
@@ -93,29 +98,29 @@ class SimulatedTrial(Protocol):
 
     @property
     def output(self) -> Array:
-        """Output of the model, the axes one after the other, shape (axes * samples,)."""
+        """Output of the model, one axis after the other, shape (axes * samples,)."""
 
 
 @dataclass(frozen=True)
 class SmoothBasis:
-    """Smooth functions along an axis: one array (axes * samples, df) per trial, with common coefficients."""
+    """Smooth functions along an axis, one array of shape (axes * samples, df) per trial; trials share coefficients."""
 
     axis: GapAxis
     functions: tuple[Array, ...]
     beside_effects: bool = True
-    """Whether the functions are also an alternative beside effects, or to the first effect only."""
+    """True if the functions compete with every effect, False if they compete with the first effect only."""
 
 
 @dataclass(frozen=True)
 class ChannelDescription:
-    """A measured quantity, as the diagnosis needs to know it."""
+    """Properties of a measured quantity that the diagnosis uses."""
 
     channel: Channel
     usual_lag_s: float
-    """Standard deviation (s) of the usual sensor lag, which is no effect; 0 for a sensor without lag."""
+    """Prior standard deviation (s) of the sensor lag; 0 for a sensor without lag."""
 
     priors: Mapping[str, float]
-    """Prior standard deviation of parameters' coordinates; a factor of two for all others."""
+    """Prior standard deviation of fit coordinates by parameter; other parameters have a default of about a factor 2."""
 
     modes: Callable[[Model, Motion], Array]
     """Change of the output by each mode of the heterogeneity at standard deviation 1, shape (axes * samples, modes)."""
@@ -130,13 +135,13 @@ class ChannelDescription:
     """Nonparametric alternatives by name."""
 
     independent_samples: Callable[[Motion], int] = lambda motion: 0  # noqa: ARG005
-    """Number of independent samples of a trial; 0 for all."""
+    """Returns the number of independent samples of a trial; 0 if all samples are independent."""
 
     gates: Gates = Gates()
     """Default thresholds."""
 
     linear_parameters: tuple[str, ...] = ()
-    """Parameters that are known closely and enter linearly: calibrated through their sensitivities alone."""
+    """Well known parameters that enter linearly: they keep their values in a calibration and are only linearised."""
 
     max_rounds: int = 4
     """Usual number of rounds of a joint fit; larger for effects that are far from linear."""
@@ -146,17 +151,17 @@ class ChannelDescription:
 
 
 def splines(values: Array, low: float, high: float, count: int) -> Array:
-    """Return cubic B-splines on equal intervals, shape (samples, count)."""
+    """Return `count` cubic B-splines with equal knot intervals from `low` to `high`, shape (samples, count)."""
     inner = np.linspace(low, high, count - 2)
     knots = np.concatenate([[low] * 3, inner, [high] * 3])
     return np.asarray(BSpline.design_matrix(np.clip(values, low, high * (1 - 1e-12)), knots, 3).toarray())
 
 
 def tissue_modes(model: Model, motion: Motion) -> Array:
-    """Return the change of the axial force by each mode of the tissue at heterogeneity 1, shape (samples, modes).
+    """Return the change of the axial force by each heterogeneity mode at standard deviation 1, shape (samples, modes).
 
-    Shaft friction and tip force vary separately if the model computes them (`shaft_n`, `tip_n`). For any other model
-    the whole force varies as either.
+    Shaft friction and tip force vary separately if the model has the methods `shaft_n` and `tip_n`; a missing one is
+    replaced by the whole force.
     """
     run = simulate(model, motion)
     mean, at_tip = _along_path(np.asarray(motion.depth_mm, float).tobytes())
@@ -171,7 +176,10 @@ def tissue_modes(model: Model, motion: Motion) -> Array:
 
 @lru_cache(maxsize=8)
 def _along_path(depth_mm: bytes) -> tuple[Array, Array]:
-    """Return each function of depth, averaged along the inserted shaft and at the tip, shape (samples, modes) each."""
+    """Return the depth functions averaged along the inserted shaft, and at the tip, both of shape (samples, modes).
+
+    `depth_mm` is the byte string of the depth array, so that the result can be cached.
+    """
     depth = np.clip(np.frombuffer(depth_mm), 0.0, None)
     modes, places = functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
     sums = np.concatenate([np.zeros((1, modes.shape[1])), np.cumsum((modes[1:] + modes[:-1]) / 2, axis=0)]) * GRID_MM
@@ -205,8 +213,8 @@ def force_bases(trials: Sequence[SimulatedTrial]) -> dict[str, SmoothBasis]:
     powers = [_force_powers(trial, force) for trial in trials]
     add("force", GapAxis.FORCE, powers)
     add("force squared", GapAxis.FORCE, [each[:, 1:2] - each[:, 3:4] for each in powers])
-    # Setting samples near reversals to zero costs a power most of its gain. These single powers of the pushing force
-    # keep them, so they are alternatives to the first effect only: beside an effect they compensate errors of its fit.
+    # Without the samples near reversals a power loses most of its gain. These single powers of the pushing force keep
+    # the samples, so they compete with the first effect only: beside an effect they would compensate errors of its fit.
     push = [np.maximum(trial.output / force, 0.0)[:, None] for trial in trials]
     for name, power in (("pushing force squared", 2), ("pushing force cubed", 3)):
         found[name] = SmoothBasis(GapAxis.FORCE, tuple(each**power for each in push), beside_effects=False)
@@ -214,11 +222,11 @@ def force_bases(trials: Sequence[SimulatedTrial]) -> dict[str, SmoothBasis]:
 
 
 def turn_time_errors(predicted: Array, motion: Motion) -> Array:
-    """Return the change of the force by timing errors of each reversal, at one standard deviation.
+    """Return the change of the force by timing errors of one standard deviation, shape (samples, 2 * reversals).
 
-    Each reversal has an error of its time and one of its duration, because motion between two samples is assumed
-    uniform. The force changes at a reversal by the whole friction within one or two samples, so an error of a
-    millisecond exceeds the noise many times.
+    Each reversal has one error of its time and one of its duration, because velocity is assumed constant between
+    samples. At a reversal the force changes by the whole friction within one or two samples, so a timing error of a
+    millisecond changes it by many times the noise.
     """
     slope = np.gradient(predicted, motion.time_s)
     curve = np.gradient(slope, motion.time_s)
@@ -232,7 +240,7 @@ def turn_time_errors(predicted: Array, motion: Motion) -> Array:
 
 
 def _near_turns(motion: Motion) -> Array:
-    """Return whether each sample is near a change of direction or the start or end of a dwell, shape (samples,)."""
+    """Return a mask of the samples near a change of direction or the start or end of a dwell, shape (samples,)."""
     fastest = float(np.abs(motion.velocity_mm_s).max())
     sign = np.sign(np.where(np.abs(motion.velocity_mm_s) < _TURN_SPEED_SHARE * fastest, 0.0, motion.velocity_mm_s))
     turned = np.concatenate([[False], np.diff(np.where(sign == 0, motion.direction, sign)) != 0])
@@ -240,14 +248,17 @@ def _near_turns(motion: Motion) -> Array:
 
 
 def _force_powers(trial: SimulatedTrial, scale: float) -> Array:
-    """Return powers of the force, set to zero near reversals, where they would compensate timing errors."""
+    """Return powers of the pushing and pulling force divided by `scale`, shape (samples, 4).
+
+    They are zero near reversals, because there they would compensate timing errors.
+    """
     force = np.where(_near_turns(trial.motion), 0.0, trial.output / scale)
     push, pull = np.maximum(force, 0), np.maximum(-force, 0)
     return np.column_stack([push, push**2, push**3, pull**2])
 
 
 def _rest_relaxation(trial: SimulatedTrial) -> Array:
-    """Return exponential relaxations of the force in each dwell for four time constants; zero during motion."""
+    """Return exponential relaxations of the force during dwells for four time constants, shape (samples, 4)."""
     motion: Motion = trial.motion
     fastest = float(np.abs(motion.velocity_mm_s).max())
     still = np.abs(motion.velocity_mm_s) < _REST_SPEED_SHARE * fastest
@@ -260,11 +271,11 @@ def _rest_relaxation(trial: SimulatedTrial) -> Array:
 AXIAL_FORCE = ChannelDescription(
     Channel.FORCE, _FORCE_LAG_SD_S, _FORCE_PRIORS, tissue_modes, turn_time_errors, force_bases
 )
-"""The axial force."""
+"""Description of the axial force."""
 
 
 def curvature_modes(model: Model, motion: Motion) -> Array:
-    """Return the change of the position by each mode of the curvature at heterogeneity 1, shape (3 samples, modes)."""
+    """Return the change of the position by each curvature mode at standard deviation 1, shape (3 * samples, modes)."""
     depth = np.clip(np.asarray(motion.depth_mm, float), 0.0, None)
     modes, places = functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
     at = at_depth(depth, places, modes)
@@ -331,17 +342,17 @@ def _curvature(model: Model) -> float:
 
 
 def _felt_mm(model: Model) -> float:
-    """Return the length over which an elastic needle averages its load; 0 for a path without elasticity."""
+    """Return the length (mm) over which an elastic needle averages its load; 0 for a model without elasticity."""
     return float(getattr(model, "felt_mm", 0.0))
 
 
 def _no_turn_errors(predicted: Array, motion: Motion) -> Array:  # noqa: ARG001
-    """Return no timing errors: a position has no sudden changes."""
+    """Return an array without columns, shape (3 * samples, 0): a position has no sudden changes."""
     return np.zeros((len(predicted), 0))
 
 
 def _independent_places(motion: Motion) -> int:
-    """Return the number of independent positions along the path, on three axes."""
+    """Return the number of independent samples: three for each correlation length along the path, at least 3."""
     return max(round(3 * float(np.ptp(motion.depth_mm)) / CORRELATION_MM), 3)
 
 
@@ -349,7 +360,7 @@ TIP_POSITION = ChannelDescription(
     Channel.TIP, _TIP_LAG_SD_S, _TIP_PRIORS, curvature_modes, _no_turn_errors, tip_bases, _independent_places,
     Gates(bic_gain=10.0, bic_gain_heterogeneous=10.0), _ENTRY_PARAMETERS, _TIP_MAX_ROUNDS, _USUAL_CURVATURE_SD,
 )  # fmt: skip
-"""The position of the tip."""
+"""Description of the position of the tip."""
 
 
 # All channels that can be diagnosed.
@@ -357,7 +368,7 @@ CHANNELS: dict[Channel, ChannelDescription] = {each.channel: each for each in (A
 
 
 def channel_description(channel: Channel) -> ChannelDescription:
-    """Return the description of a channel. Raises ModelError for a channel that cannot be diagnosed."""
+    """Return the description of a channel. Raises ModelError if the channel cannot be diagnosed."""
     if channel not in CHANNELS:
         rule = f"cannot be diagnosed; must be one of {', '.join(CHANNELS)}"
         raise ModelError(Mistake("channel", channel, rule))

@@ -2,8 +2,8 @@
 
     y[k] = sum_j weights[j] y[k - 1 - j] + sd e[k],        e white with variance 1
 
-The order minimises the BIC of the noise record. A sensor's filter and quantisation are no autoregression, but an
-autoregression of some order approximates them.
+The order minimises the BIC for the noise record. An autoregression of that order also approximates the filter and the
+quantisation of a sensor.
 """
 
 from __future__ import annotations
@@ -35,36 +35,36 @@ __all__ = [
     "with_measured",
 ]
 
-# Least number of values in a trial, all axes together.
+# Least number of values in a trial, summed over all axes.
 _FEWEST_VALUES = 200
 # Least total duration (s) of noise records.
 _NOISE_RECORD_S = 5.0
-# Largest relative difference between the sampling intervals of recordings.
+# Largest permitted relative difference between the sampling intervals of two recordings.
 _RATE_TOLERANCE = 0.03
 # RMS depth difference (mm) below which two trials have the same motion.
 _SAME_MOTION_MM = 0.5
-# Longest sampling interval, in units of the median.
+# Largest permitted sampling interval, as a multiple of the median interval.
 _GAP_FACTOR = 5.0
-# Least maximum depth (mm) of a trial.
+# Depth (mm) that a trial must reach at least.
 _SHALLOWEST_MM = 3.0
-# Largest movement (mm) in a noise record.
+# Largest permitted movement (mm) of the needle in a noise record.
 _REST_TOLERANCE_MM = 1.0
-# Largest ratio between the scatter of noise record and trials, either way.
+# Ratio between the scatter of trials and noise record, or its inverse, from which the record is not used.
 _NOISE_RATIO = 5.0
-# Relative deviation from the median from which a sampling interval is uneven.
+# Relative deviation from the median interval above which a sampling interval counts as uneven.
 _INTERVAL_TOLERANCE = 0.5
-# Largest share of uneven sampling intervals.
+# Largest permitted share of uneven sampling intervals.
 _UNEVEN_SHARE = 0.1
 # Highest order of an autoregression of one axis.
 _HIGHEST_ORDER = 12
 # Highest order of an autoregression that several axes share.
 _HIGHEST_SHARED_ORDER = 24
-# Samples filtered at once: a larger block multiplies more zeros, a smaller one has smaller products.
+# Number of samples filtered at once: larger blocks multiply more zeros, smaller blocks need more products.
 _FILTER_BLOCK = 16
 
 
 class Lack(StrEnum):
-    """Data whose absence prevents a name."""
+    """Data without which no effect is named."""
 
     NOISE = "noise record"
     HELD_OUT = "held-out trial"
@@ -75,7 +75,7 @@ class Lack(StrEnum):
 
 @dataclass(frozen=True)
 class CheckedData:
-    """Recordings by role, missing data with their consequence, and remarks."""
+    """Recordings by role, missing data (`lacks`: why each matters), and remarks on the recordings."""
 
     training: tuple[Record, ...]
     held_out: tuple[Record, ...]
@@ -85,7 +85,7 @@ class CheckedData:
 
 
 def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
-    """Sort recordings by role and list missing data.
+    """Return the recordings by role, with the missing data.
 
     Raises DataError with all mistakes if a diagnosis is impossible: no training trial, a missing column, too few
     samples, uneven sampling, different sampling rates, or a constant channel.
@@ -105,7 +105,9 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
     first = rates[training[0].trial]
     mistakes += [
         Mistake(
-            f"time_s of {name}", f"every {rate:.4g} s", f"must be sampled as {training[0].trial}, every {first:.4g} s"
+            f"time_s of {name}",
+            f"every {rate:.4g} s",
+            f"must be sampled as in {training[0].trial}, every {first:.4g} s",
         )
         for name, rate in rates.items()
         if abs(rate / first - 1) > _RATE_TOLERANCE
@@ -165,7 +167,7 @@ def _trial_mistakes(record: Record, channel: Channel) -> list[Mistake]:
         usual = f"from {np.median(steps):.3g} s"
         rule = (
             f"is sampled unevenly: {uneven:.0%} of the intervals differ by more than {_INTERVAL_TOLERANCE:.0%} "
-            f"{usual}, and noise from sample to sample says nothing then. Record, or interpolate, at one rate"
+            f"{usual}, so the noise cannot be estimated. Record, or interpolate, at one rate"
         )
         mistakes.append(Mistake(f"time_s ({record.trial})", "", rule))
     return mistakes
@@ -182,26 +184,26 @@ def _noise_mistakes(record: Record, channel: Channel) -> list[Mistake]:
             mistakes.append(Mistake(f"{name} ({record.trial})", "", rule))
     moved = float(np.ptp(record["depth_mm"])) if "depth_mm" in record.columns else 0.0
     if moved > _REST_TOLERANCE_MM:
-        rule = f"moves by {moved:.3g} mm, and a noise record is of a needle at rest in the air"
+        rule = f"moves by {moved:.3g} mm, but a noise record is of a needle at rest in the air"
         mistakes.append(Mistake(f"depth_mm ({record.trial})", "", rule))
     return mistakes
 
 
 def _foreign_noise(training: Sequence[Record], noise: Sequence[Record], channel: Channel) -> str:
-    """Return why a noise record is from another sensor than the trials; empty if it is not."""
+    """Return the reason if the noise records do not match the trials' sensor, else an empty text."""
     for name in channel.columns:
         quiet, busy = (float(np.median([scatter(each[name]) for each in part])) for part in (noise, training))
         if quiet > 0 and busy > 0 and not 1 / _NOISE_RATIO < busy / quiet < _NOISE_RATIO:
             unit = UNITS[name]
             return (
-                f"the noise record is not of this sensor as it was in the trials: from sample to sample {name} "
-                f"scatters by {quiet:.2g} {unit} in it, by {busy:.2g} {unit} in them; the noise is that of the trials"
+                f"the noise record does not match the trials: from sample to sample {name} scatters by {quiet:.2g} "
+                f"{unit} in the record and by {busy:.2g} {unit} in the trials, from which the noise is now estimated"
             )
     return ""
 
 
 def scatter(values: Array) -> float:
-    """Return the standard deviation from sample to sample; second differences remove the motion."""
+    """Return the standard deviation of white noise in a signal, estimated from its second differences."""
     return float(np.nanmedian(np.abs(np.diff(values, n=2))) / 0.6745 / np.sqrt(6))
 
 
@@ -220,7 +222,7 @@ def _is_other_motion(record: Record, training: Sequence[Record]) -> bool:
 
 
 def sensor_noise(model: Model, checked: CheckedData) -> SensorNoise:
-    """Return the sensor noise from the noise record, or else from the scatter of the training trials."""
+    """Return the sensor noise from the noise records; without any, from the scatter of the training trials."""
     if checked.noise:
         return fit_axes([[each[name] for each in checked.noise] for name in model.channel.columns])
     # Without a noise record, the noise is the scatter from sample to sample; second differences remove the motion.
@@ -232,19 +234,19 @@ def sensor_noise(model: Model, checked: CheckedData) -> SensorNoise:
 
 
 def measured_output(record: Record, channel: Channel) -> Array:
-    """Return the measured values of a channel, the axes one after the other, shape (axes * samples,)."""
+    """Return the measured values of a channel, one axis after the other, shape (axes * samples,)."""
     return np.concatenate([record[name] for name in channel.columns])
 
 
 def with_measured(record: Record, channel: Channel, values: Array) -> Record:
-    """Return a recording with other values of a channel, the axes one after the other."""
+    """Return a copy of a recording with other values of a channel, shape (axes * samples,), axis after axis."""
     axes = zip(channel.columns, np.split(values, len(channel.columns)), strict=True)
     return replace(record, columns={**record.columns, **dict(axes)})
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Noise of one axis: weights of past samples, standard deviation of the innovation, RMS (the channel's unit)."""
+    """Noise of one axis: weights of past samples, standard deviation of the innovations, and RMS (channel's unit)."""
 
     weights: Array
     sd: float
@@ -252,21 +254,21 @@ class SensorNoise:
 
     @property
     def order(self) -> int:
-        """Number of past samples."""
+        """Order of the autoregression: number of past samples."""
         return int(self.weights.size)
 
     def whiten(self, values: Array, taps: Array | None = None) -> Array:
-        """Return the innovations of values in units of their standard deviation, shape (n - order, ...).
+        """Return the innovations of `values` in units of their standard deviation, shape (n - order, ...).
 
-        `taps` is a filter applied to the values first, such as a sensor lag. Values before the first sample equal the
-        first one.
+        `taps` are weights of a filter that is applied first, such as a sensor lag. Before its first sample a signal is
+        taken to be constant.
         """
         found = np.empty((max(len(values) - self.order, 0), *values.shape[1:]))
         self.whiten_into(found, values, taps)
         return found
 
     def whiten_into(self, found: Array, values: Array, taps: Array | None = None) -> None:
-        """Write the result of `whiten` into an existing array."""
+        """Write the result of `whiten` into `found`, shape (n - order, ...)."""
         whole = np.concatenate([[1.0], -self.weights]) / self.sd
         if taps is not None:
             whole = np.convolve(whole, taps)
@@ -280,22 +282,22 @@ class SensorNoise:
 
 @dataclass(frozen=True)
 class MultiAxisNoise(SensorNoise):
-    """Noise of several independent axes, whose values follow one another, shape (axes * samples, ...).
+    """Noise of several independent axes; values hold one axis after the other, shape (axes * samples, ...).
 
-    Every axis is whitened with the highest order of all axes, so that all results have one length.
+    As many values are dropped at the start of each axis as the highest order of all axes, so that lengths are equal.
     """
 
     axes: tuple[SensorNoise, ...]
 
     def whiten(self, values: Array, taps: Array | None = None) -> Array:
-        """Return the innovations of each axis, one after the other, shape (axes * (samples - order), ...)."""
+        """Return the innovations, one axis after the other, shape (axes * (samples - order), ...)."""
         each = max(len(values) // len(self.axes) - self.order, 0)
         found = np.empty((each * len(self.axes), *values.shape[1:]))
         self.whiten_into(found, values, taps)
         return found
 
     def whiten_into(self, found: Array, values: Array, taps: Array | None = None) -> None:
-        """Write the result of `whiten` into an existing array."""
+        """Write the result of `whiten` into `found`, shape (axes * (samples - order), ...)."""
         count = len(self.axes)
         for axis, rows, part in zip(self.axes, np.split(found, count), np.split(values, count), strict=True):
             if axis.order == self.order:
@@ -307,8 +309,8 @@ class MultiAxisNoise(SensorNoise):
 def _filter(found: Array, weights: Array, values: Array) -> None:
     """Write sum_j weights[j] values[k - j] for each k with a full history into `found`, shape (n - order, ...).
 
-    Values with several columns are filtered in blocks, each one product with a band matrix. That computes more terms
-    than a loop over the weights, but much faster.
+    Values with several columns are filtered in blocks by a band matrix: more operations than a loop over the weights,
+    but much faster.
     """
     if values.ndim == 1:
         found[:] = np.convolve(values, weights, "valid")
@@ -340,7 +342,7 @@ def _band(weights: bytes) -> Array:
 
 
 def combine_axes(axes: Sequence[SensorNoise]) -> SensorNoise:
-    """Return the noise of several axes; the noise itself if there is one axis."""
+    """Return the joint noise of several axes; for one axis, the noise of that axis."""
     if len(axes) == 1:
         return axes[0]
     longest = max(axes, key=lambda each: each.order)
@@ -349,10 +351,10 @@ def combine_axes(axes: Sequence[SensorNoise]) -> SensorNoise:
 
 
 def fit_axes(rows: Sequence[Sequence[Array]]) -> SensorNoise:
-    """Fit the noise of several axes, each with its recordings: common weights, separate standard deviations.
+    """Fit noise with common weights and separate standard deviations to axes; `rows` holds the recordings by axis.
 
-    Smooth functions depend on the slowest part of the noise, which a short autoregression underestimates. The common
-    order therefore minimises the AIC.
+    The order minimises the AIC, not the BIC, because a low order underestimates slow noise, which smooth functions
+    would then fit.
     """
     if len(rows) == 1:
         return fit_noise(rows[0])
@@ -363,7 +365,7 @@ def fit_axes(rows: Sequence[Sequence[Array]]) -> SensorNoise:
 
 
 def fit_noise(rows: Sequence[Array], *, highest: int = _HIGHEST_ORDER, penalty: float | None = None) -> SensorNoise:
-    """Fit an autoregression to noise recordings, shape (samples,) each, about their means.
+    """Fit an autoregression to noise recordings minus their means; each recording has shape (samples,).
 
     `penalty` is the cost of one weight in twice the log-likelihood; by default log(n), as in the BIC.
     """

@@ -1,12 +1,12 @@
 """Where the gap is: bins of its energy, change points, and curves along an axis.
 
-Smooth functions are fitted to the residual with the base model projected out, and their energy is divided into bins.
-Without a gap the coefficients are independent and normal; random draws give the distribution of the largest bin of an
-axis.
+Smooth functions are fitted to the residual with the base model projected out, and the energy of the fit is divided into
+bins. Without a gap the coefficients are independent and normal; random draws give the distribution of the largest bin
+of an axis.
 
-A curve is a Gaussian process with a squared-exponential correlation. Its amplitude and length maximise the likelihood,
-with the base model projected out. Where the base model absorbs the gap, and outside the visited range, the band is that
-of the prior.
+A curve is a Gaussian process with a squared-exponential correlation. Its amplitude and correlation length maximise the
+likelihood, with the base model projected out. Outside the visited range, and in ranges in which the base model absorbs
+the gap, the uncertainty band of the curve is that of the prior.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ __all__ = [
     "motion_phases",
 ]
 
-# Number of simulated data sets behind the p-values of bins.
+# Number of simulated data sets from which the p-values of bins are computed.
 _CHANCE_RUNS = 400
-# Share of the maximum speed below which the needle rests.
+# Share of the maximum speed below which the needle counts as at rest.
 _REST_SPEED_SHARE = 0.02
-# Travel (mm) after a reversal that counts as reversal.
+# Travel (mm) after a change of direction, or a rotation, that is assigned to that phase.
 _REVERSAL_MM = 2.0
 # Drop of twice the log-likelihood at the ends of a change point's 95 % interval.
 _CHI2_95 = 3.84
-# Nodes of a curve.
+# Number of nodes of a curve.
 _NODES = 25
-# Part of the visited range by which a curve extends beyond it.
+# Extension of a curve beyond each end of the visited range, as a share of that range.
 _BEYOND = 0.2
 # Correlation lengths tried, as shares of the visited range.
 _LENGTHS = (0.08, 0.15, 0.3, 0.6)
@@ -88,7 +88,10 @@ class MotionPhase(StrEnum):
 
 @dataclass(frozen=True)
 class Bin:
-    """A part of an axis: its share of the gap's energy, and the p-value of that share as the largest of its axis."""
+    """A part of an axis, with its share of the gap's energy.
+
+    The p-value is the probability that, without a gap, the largest bin of the axis has at least this share.
+    """
 
     axis: str
     label: str
@@ -98,7 +101,7 @@ class Bin:
 
 @dataclass(frozen=True)
 class ChangePoint:
-    """Place or time of the best step, with a 95 % interval and its likelihood gain."""
+    """Depth or time (`place`) at which a step in the output fits best, with its 95 % interval and likelihood gain."""
 
     axis: GapAxis
     place: float
@@ -110,7 +113,10 @@ class ChangePoint:
 
 @dataclass(frozen=True)
 class Localisation:
-    """All bins, significant change points, and the energy and degrees of freedom of the smooth functions."""
+    """Where the gap is: all bins, and the significant change points.
+
+    `energy` and `degrees_of_freedom` belong to the fitted smooth functions.
+    """
 
     bins: tuple[Bin, ...]
     changes: tuple[ChangePoint, ...]
@@ -118,7 +124,7 @@ class Localisation:
     degrees_of_freedom: int
 
     def where(self, p_value: float = 0.01) -> tuple[Bin, ...]:
-        """Return the significant bins, the largest share first."""
+        """Return the bins with at most the given p-value, the largest share first."""
         return tuple(sorted((each for each in self.bins if each.p_value <= p_value), key=lambda each: -each.share))
 
 
@@ -133,14 +139,14 @@ def localise(likelihood: JointLikelihood, trials: Sequence[CalibratedTrial], *, 
     total = float(coefficients @ coefficients)
     for axis, labels in _labels(trials).items():
         whole = np.concatenate([np.asarray(each)[row] for each, row in zip(labels, rows, strict=True)])
-        if len(set(whole.tolist())) < 2:  # one bin holds the whole gap and says nothing
+        if len(set(whole.tolist())) < 2:  # a single bin holds the whole gap: no information
             continue
         bins += _binned(axis, whole, kept, coefficients, drawn, total)
     return Localisation(tuple(bins), tuple(_changes(likelihood, trials)), total, kept.shape[1])
 
 
 def motion_phases(motion: Motion) -> Array:
-    """Return the phase of each sample as text, shape (samples,)."""
+    """Return the value of `MotionPhase` at each sample, as an array of str, shape (samples,)."""
     speed = np.abs(motion.velocity_mm_s)
     still = speed <= _REST_SPEED_SHARE * max(float(speed.max()), 1e-12)
     found = np.where(motion.direction > 0, MotionPhase.ADVANCE.value, MotionPhase.RETRACTION.value).astype(object)
@@ -158,7 +164,7 @@ def motion_phases(motion: Motion) -> Array:
 def _projected(
     likelihood: JointLikelihood, trials: Sequence[CalibratedTrial]
 ) -> tuple[Array, Array, list[NDArray[np.intp]]]:
-    """Return smooth functions and residual with the base model projected out, and the sample index of their rows."""
+    """Return smooth functions and residual with the base model projected out, and the sample of each row by trial."""
     smooth: list[Array] = []
     residual: list[Array] = []
     rows: list[NDArray[np.intp]] = []
@@ -181,7 +187,7 @@ def _projected(
 def _reliable(trial: CalibratedTrial) -> Array:
     """Return 0 for whitened samples near a sudden change whose time is uncertain, 1 for all others.
 
-    Their residuals are large, but caused by timing errors; they would make the largest bin too significant.
+    Timing errors cause large residuals at these samples, which would make the largest bin too significant.
     """
     moved = channel_description(trial.model.channel).turn_errors(trial.predicted, trial.motion)
     raw = np.any(moved != 0, axis=1) if moved.shape[1] else np.zeros(len(trial.predicted), bool)
@@ -191,7 +197,7 @@ def _reliable(trial: CalibratedTrial) -> Array:
 
 
 def _labels(trials: Sequence[CalibratedTrial]) -> dict[str, list[Array]]:
-    """Return the bin of each sample by axis."""
+    """Return for each axis the label of the bin of each sample, one array per trial."""
     motions = [trial.motion for trial in trials]
     return {
         "depth_mm": _cut([each.depth_mm for each in motions], 10, "mm"),
@@ -210,17 +216,17 @@ def _cut(values: Sequence[Array], count: int, unit: str) -> list[Array]:
 
 
 def _binned(axis: str, labels: Array, basis: Array, coefficients: Array, drawn: Array, total: float) -> list[Bin]:
-    """Return the bins of one axis with their p-values."""
+    """Return the bins of one axis with their shares and p-values."""
     names = list(dict.fromkeys(labels.tolist()))
     found, chance = [], []
     for name in names:
         part = basis[labels == name]
         gram = part.T @ part
         by_chance = (drawn * (gram @ drawn)).sum(axis=0)
-        mean, on_each_axis = float(np.trace(gram)), float(np.sqrt(2 * np.sum(gram**2))) + 1e-12
+        mean, sd = float(np.trace(gram)), float(np.sqrt(2 * np.sum(gram**2))) + 1e-12
         energy = float(coefficients @ gram @ coefficients)
-        found.append((name, energy, (energy - mean) / on_each_axis))
-        chance.append((by_chance - mean) / on_each_axis)
+        found.append((name, energy, (energy - mean) / sd))
+        chance.append((by_chance - mean) / sd)
     greatest = np.max(chance, axis=0)
     return [
         Bin(axis, str(name), energy / max(total, 1e-12), float((1 + np.sum(greatest >= score)) / (1 + greatest.size)))
@@ -229,7 +235,7 @@ def _binned(axis: str, labels: Array, basis: Array, coefficients: Array, drawn: 
 
 
 def _changes(likelihood: JointLikelihood, trials: Sequence[CalibratedTrial]) -> list[ChangePoint]:
-    """Return the best change points in depth and time that exceed their BIC penalty."""
+    """Return the best change point in depth and the best in time, each only if its gain exceeds the BIC penalty."""
     deepest = max(float(trial.motion.depth_mm.max()) for trial in trials)
     longest = max(float(trial.motion.time_s[-1] - trial.motion.time_s[0]) for trial in trials)
     bic_penalty = 2 * float(np.log(likelihood.samples))
@@ -260,19 +266,19 @@ def _changes(likelihood: JointLikelihood, trials: Sequence[CalibratedTrial]) -> 
 
 @dataclass(frozen=True)
 class Curve:
-    """The missing output along an axis during one phase of motion; rows of shape (nodes,)."""
+    """The missing output along an axis for one way of moving; all arrays have shape (nodes,)."""
 
     way: str
     places: Array
     mean: Array
     sd: Array
     inside: NDArray[np.bool_]
-    """Whether the motions visited each node; elsewhere the band is that of the prior."""
+    """Whether the motions visited each node; at other nodes `sd` is that of the prior."""
 
 
 @dataclass(frozen=True)
 class Curves:
-    """All curves of an axis, the prior standard deviation, and the likelihood gain."""
+    """All curves along an axis, the standard deviation of their prior, and their likelihood gain."""
 
     axis: GapAxis
     unit: str
@@ -282,7 +288,7 @@ class Curves:
 
 
 def curves_along(axis: GapAxis, likelihood: JointLikelihood, trials: Sequence[CalibratedTrial]) -> Curves:
-    """Return the missing output along an axis, with the base model projected out."""
+    """Return curves of the missing output along an axis, fitted with the base model projected out."""
     values = [axis_values(axis, trial.motion, trial.output) for trial in trials]
     ways = _WAYS.get(axis, (_ANY,))
     masks = [[_movement_mask(way, trial.motion) for trial in trials] for way in ways]
@@ -311,7 +317,7 @@ def curves_along(axis: GapAxis, likelihood: JointLikelihood, trials: Sequence[Ca
 
 
 def axis_values(axis: GapAxis, motion: Motion, force: Array) -> Array:
-    """Return the value of an axis at each sample, shape (samples,); `force` is the output of the base model."""
+    """Return the value of an axis variable at each sample, shape (samples,); `force` is the base model's output."""
     if axis is GapAxis.TIME:
         return np.asarray(motion.time_s - motion.time_s[0], float)
     if axis is GapAxis.SPEED:
@@ -326,7 +332,7 @@ def axis_values(axis: GapAxis, motion: Motion, force: Array) -> Array:
 
 
 def _movement_mask(way: str, motion: Motion) -> Array:
-    """Return 1 for the samples of a way of moving, else 0, shape (samples,)."""
+    """Return a mask, shape (samples,): 1 at samples of the given way of moving (such as advance), else 0."""
     speed = np.abs(motion.velocity_mm_s)
     rest = speed <= _REST_SPEED_SHARE * max(float(speed.max()), 1e-12)
     if way == _ANY:
@@ -337,14 +343,14 @@ def _movement_mask(way: str, motion: Motion) -> Array:
 
 
 def _hats(values: Array, places: Array) -> Array:
-    """Return weights of linear interpolation between nodes, shape (samples, nodes)."""
+    """Return the weights that interpolate node values linearly at `values`, shape (samples, nodes)."""
     return np.column_stack([np.interp(values, places, row) for row in np.eye(len(places))])
 
 
 def _posterior(
     matrix: Array, target: Array, places: Array, ways: int, span: float, noise_sd: float
 ) -> tuple[float, Array, Array, float]:
-    """Return the gain, mean and covariance at the nodes, and the prior amplitude, for the most probable prior."""
+    """Return likelihood gain, mean and covariance at the nodes, and prior amplitude, for the most probable prior."""
     best: tuple[float, Array, Array, float] | None = None
     distance = (places[:, None] - places) / span
     one = np.eye(len(target))

@@ -1,7 +1,7 @@
 """Joint fits of the base model and effects, by simulation.
 
-The fit alternates: the base model is recalibrated to each trial beside the effects as they are; then the effects'
-parameters, shared by all trials, take a Gauss-Newton step with the base model projected out.
+The fit alternates two steps. First the base model is recalibrated to each trial with the effects held. Then the
+parameters of the effects, which all trials share, take a Gauss-Newton step with the base model projected out.
 """
 
 from __future__ import annotations
@@ -36,39 +36,40 @@ __all__ = [
     "transfers",
 ]
 
-# Relative step of a logarithmic parameter for numerical sensitivities.
+# Relative change of a logarithmic parameter for numerical sensitivities.
 _LOG_STEP = 1e-3
-# Step of a linear parameter for numerical sensitivities, in units of its typical value.
+# Change of a linear parameter for numerical sensitivities, in units of its typical value.
 _LINEAR_STEP = 0.05
-# Expected likelihood gain below which a full step ends the fit.
+# Expected likelihood gain of a full step below which the fit ends.
 _LEAST_GAIN = 0.05
-# Likelihood gain per round above which a fit continues beyond its usual rounds.
+# Likelihood gain of a round above which a fit continues beyond its usual number of rounds.
 _CLIMBING_GAIN = 3.0
-# Most rounds of a fit that still gains, as a multiple of the usual rounds.
+# Largest number of rounds of a fit, as a multiple of the usual number.
 _LONG_FACTOR = 4
-# Expected likelihood gain below which a shortened step is not tried.
+# Expected likelihood gain of a shortened step below which it is not tried.
 _RETRY_GAIN = 0.5
 # Scales of the neighbourhood that a nonlinear effect searches before a fit, coarse to fine.
 _SCALES = (1.0, 0.5, 0.25)
-# Longest step of a logarithmic parameter.
+# Largest change of the logarithm of a parameter in one step.
 _LONGEST = 0.4
 # Predicted held-out gain below which the transfer test is waived.
 _LEAST_PREDICTED = 2.0
-# Largest loss of held-out likelihood if the transfer test is waived.
+# Largest drop of the held-out gain below zero that is accepted if the transfer test is waived.
 _MOST_HARM = 4.0
 # Name of the parameter that gives an amplitude its direction.
 DIRECTION = "direction_rad"
 # Two-sided 95 % quantile of the standard normal distribution.
 TWO_SIDED_95 = 1.959964
-# Points on the confidence ellipse of an amplitude with a direction.
+# Number of points on the confidence ellipse of an amplitude with a direction.
 _ELLIPSE_POINTS = 720
 
 
 @dataclass(frozen=True)
 class HeldOutValidation:
-    """How effects predict the held-out trials: base model recalibrated to each trial, effects held at their values.
+    """How well effects predict the held-out trials.
 
-    "Before" is the base model alone, or with the effects of earlier rounds.
+    The base model is recalibrated to each trial, the effects are held at their fitted values. "Before" means the base
+    model alone, or with the effects of earlier rounds.
     """
 
     predicted: float
@@ -78,22 +79,22 @@ class HeldOutValidation:
     """Drop of the weighted residual energy that the effects achieve."""
 
     likelihood_gain: float
-    """Twice the log-likelihood gain over before; each side uses its own best heterogeneity."""
+    """Twice the log-likelihood gain over "before"; each of the two likelihoods uses its own best heterogeneity."""
 
     before_rms: float
     after_rms: float
     floor_rms: float
-    """Residual RMS before and with the effects, and RMS of the sensor noise, in the channel's unit."""
+    """RMS of the sensor noise; like the residual RMS before and with the effects, in the channel's unit."""
 
     shrink: float
-    """Share of the residual energy above the noise that the effects remove; NaN without any."""
+    """Share of the residual energy above the noise that the effects remove; NaN if there is no such energy."""
 
     gap_sds: float
-    """Residual energy above the noise before, in standard deviations of the noise energy."""
+    """Residual energy above the noise without the effects, in standard deviations of the noise energy."""
 
     whiteness_before: float
     whiteness_after: float
-    """p-values of the Ljung-Box test on the whitened residuals, before and with the effects."""
+    """p-value of the Ljung-Box test on the whitened residuals with the effects, as `whiteness_before` without."""
 
     @property
     def transfer(self) -> float:
@@ -116,10 +117,10 @@ class JointFit:
     """Twice the log-likelihood gain of all effects over the base model alone."""
 
     covariance: Array
-    """Covariance of the coordinates, with the base model projected out."""
+    """Covariance of the fit coordinates, with the base model projected out, shape (coordinates, coordinates)."""
 
     coordinates: tuple[tuple[int, str], ...]
-    """Index of the effect and name of the parameter of each coordinate."""
+    """For each fit coordinate: index of the effect and name of the parameter."""
 
     validation: HeldOutValidation | None = None
     """Validation of the newest effect beside the earlier ones; None if it was not validated."""
@@ -129,7 +130,7 @@ class JointFit:
 
     @property
     def newest(self) -> FittedEffect:
-        """The effect that was added last; its gains are those over the earlier effects."""
+        """The effect that was added last; its gains are relative to the fit of the earlier effects."""
         return self.effects[-1]
 
     @property
@@ -138,12 +139,12 @@ class JointFit:
         return self.newest.bic_gain + (self.validation.likelihood_gain if self.validation else 0.0)
 
     def with_newest(self, likelihood_gain: float, bic_gain: float) -> JointFit:
-        """Return the fit with the gains of the newest effect over the earlier ones."""
+        """Return a copy with the given gains of the newest effect over the fit of the earlier effects."""
         newest = replace(self.newest, likelihood_gain=likelihood_gain, bic_gain=bic_gain)
         return replace(self, effects=(*self.effects[:-1], newest))
 
     def sd(self, which: int, name: str) -> float:
-        """Return the standard deviation of a parameter in its unit, first order."""
+        """Return the linearised standard deviation of a parameter of effect number `which`, in its unit."""
         index = self.coordinates.index((which, name))
         each = self.effects[which]
         what = each.effect.parameters[name]
@@ -151,13 +152,13 @@ class JointFit:
 
 
 def effects_output(effects: Sequence[FittedEffect], model: Model, motion: Motion) -> Array:
-    """Return the change of a model's output by effects along a motion, flat, shape (axes * samples,)."""
+    """Return the change of a model's output that the effects cause along a motion, shape (axes * samples,)."""
     plain = simulate(model, motion).output
     return np.asarray((simulate(model_with_effects(effects, model), motion).output - plain).ravel())
 
 
 def model_with_effects(effects: Sequence[FittedEffect], model: Model) -> Model:
-    """Return the model with effects applied."""
+    """Return the model with the effects added at their fitted values."""
     for each in effects:
         model = each.effect.apply(model, each.values)
     return model
@@ -166,7 +167,7 @@ def model_with_effects(effects: Sequence[FittedEffect], model: Model) -> Model:
 def recalibrated_trials(
     effects: Sequence[FittedEffect], calibration: Calibration, trials: Sequence[CalibratedTrial]
 ) -> tuple[CalibratedTrial, ...]:
-    """Return trials with the base model recalibrated beside fixed effects."""
+    """Return the trials with the base model recalibrated to each trial, the effects held at their values."""
     return tuple(
         calibrate_trial(
             trial.model, trial.record, calibration.noise, calibration.free,
@@ -185,12 +186,12 @@ def fit_jointly(
 ) -> JointFit:
     """Fit effects and base model together.
 
-    `start` holds the effects with starting values. `base` is the likelihood of the base model alone. The base model
-    starts as in `trials`, by default as calibrated alone.
+    `start` holds the effects with starting values. `base` is the likelihood of the base model alone. `trials` hold the
+    starting values of the base model, by default its calibration without effects.
     """
     effects = tuple(start)
     coordinates = tuple((index, name) for index, each in enumerate(effects) for name in _free(each))
-    effects = _moved(effects, coordinates, np.zeros(len(coordinates)))  # screening ignores some bounds
+    effects = _moved(effects, coordinates, np.zeros(len(coordinates)))  # clips to the bounds: screening ignores some
     trials = tuple(trials or calibration.training)
     max_rounds = channel_description(calibration.model.channel).max_rounds
     tried = _tried(effects, trials)
@@ -209,7 +210,7 @@ def fit_jointly(
         matrix, target = shared.shared_normal(shared.best)
         ridge = 1e-6 * np.diag(np.diag(matrix) + 1e-12)
         covariance = np.asarray(np.linalg.inv(matrix + ridge), float)
-        # The likelihood of the present effects, not of a linearised step.
+        # Gain of the present effects, without the linearised step that the evidence would include.
         likelihood_gain = 2 * float(shared.evidence_alone.max() - base.evidence.max())
         rise = likelihood_gain - best.likelihood_gain if best else np.inf
         if best is None or rise > 0:
@@ -229,9 +230,9 @@ def fit_jointly(
 
 
 def _tried(effects: tuple[FittedEffect, ...], trials: Sequence[CalibratedTrial]) -> tuple[FittedEffect, ...]:
-    """Return effects with the last one moved to the best point of its neighbourhood, the base model linearised.
+    """Return the effects with the last effect moved to the best point of a grid around its present values.
 
-    Effects that are nonlinear in their amplitude are evaluated at the amplitudes of the grid, without rescaling.
+    The base model is linearised; the last effect is evaluated at the amplitudes of the grid, without rescaling.
     """
     *before, last = effects
     reach = Reach.of([trial.motion for trial in trials])
@@ -253,21 +254,21 @@ def _tried(effects: tuple[FittedEffect, ...], trials: Sequence[CalibratedTrial])
 
 
 def _beside(effects: Sequence[FittedEffect], trial: CalibratedTrial) -> Array:
-    """Return the whitened residual of a trial beside effects, shape (n,)."""
+    """Return the whitened residual of a trial minus the whitened output of the effects, shape (n,)."""
     if not effects:
         return trial.whitened.residual
     return np.asarray(trial.whitened.residual - trial.whiten(effects_output(effects, trial.model, trial.motion)))
 
 
-def _free(effects: FittedEffect) -> tuple[str, ...]:
-    """Return the names of the free parameters."""
-    return tuple(name for name, what in effects.effect.parameters.items() if what.free)
+def _free(effect: FittedEffect) -> tuple[str, ...]:
+    """Return the names of the free parameters of an effect."""
+    return tuple(name for name, what in effect.effect.parameters.items() if what.free)
 
 
 def effect_sensitivities(
     effects: Sequence[FittedEffect], coordinates: Sequence[tuple[int, str]], model: Model, motion: Motion
 ) -> Array:
-    """Return the derivative of the output by each coordinate, shape (axes * samples, coordinates)."""
+    """Return the derivatives of the output with respect to the coordinates, shape (axes * samples, coordinates)."""
     plain = effects_output(effects, model, motion)
     found = []
     for index, name in coordinates:
@@ -278,7 +279,7 @@ def effect_sensitivities(
             step = _LOG_STEP * max(abs(effects[index].values[SIZE]), 1e-3 * what.typical) / what.typical
             step = step if what.scale is Scale.LINEAR else _LOG_STEP
         moved = _moved(effects, ((index, name),), np.array([step]))
-        if moved[index].values[name] == effects[index].values[name]:  # at its upper bound
+        if moved[index].values[name] == effects[index].values[name]:  # the parameter is at its upper bound
             step = -step
             moved = _moved(effects, ((index, name),), np.array([step]))
         found.append((effects_output(moved, model, motion) - plain) / step)
@@ -288,9 +289,10 @@ def effect_sensitivities(
 def _allowed(
     effects: Sequence[FittedEffect], coordinates: Sequence[tuple[int, str]], matrix: Array, target: Array
 ) -> Array:
-    """Return the Gauss-Newton step with parameters held that would leave their bounds, shortened as a whole.
+    """Return the Gauss-Newton step, shape (coordinates,); parameters that would leave their bounds are held.
 
-    Parameters are correlated, so shortening the step of one parameter alone would worsen the fit.
+    A step that is too long is shortened as a whole: parameters are correlated, so shortening one alone would worsen
+    the fit.
     """
     free = np.ones(len(coordinates), bool)
     while True:
@@ -314,7 +316,7 @@ def _allowed(
 def _moved(
     effects: Sequence[FittedEffect], coordinates: Sequence[tuple[int, str]], move: Array
 ) -> tuple[FittedEffect, ...]:
-    """Return effects with their coordinates moved, within bounds and step limits."""
+    """Return the effects with each coordinate moved by `move`, clipped to bounds and largest step."""
     changed = [dict(each.values) for each in effects]
     for (index, name), step in zip(coordinates, move, strict=True):
         what = effects[index].effect.parameters[name]
@@ -330,7 +332,7 @@ def _moved(
 
 
 def transfers(validation: HeldOutValidation, gates: Gates) -> bool:
-    """Return whether effects hold on the held-out trials.
+    """Return whether the held-out trials confirm the effects: whether the achieved gain exceeds a threshold.
 
     The achieved gain of a true effect is normal with mean `predicted` and variance 4 `predicted`. The threshold is the
     smaller of a fixed share of the predicted gain and the 1 % quantile of that distribution, but not negative.
@@ -342,9 +344,9 @@ def transfers(validation: HeldOutValidation, gates: Gates) -> bool:
 
 
 def is_nonzero(joint: JointFit, which: int) -> bool:
-    """Return whether the amplitude of an effect differs from zero, with its other parameters held.
+    """Return whether the 95 % interval of an effect's amplitude excludes zero, with its other parameters held.
 
-    They are held because an effect of amplitude zero has no place or time.
+    They are held because the depth or time of an effect with amplitude zero is undefined.
     """
     kept = [row for row, (index, name) in enumerate(joint.coordinates) if index != which or name in (SIZE, DIRECTION)]
     # Scaled by the standard deviations, so that an undetermined parameter does not hide a well determined one.
@@ -358,7 +360,7 @@ def is_nonzero(joint: JointFit, which: int) -> bool:
 
 
 def is_within_bounds(joint: JointFit, which: int) -> bool:
-    """Return whether the amplitude of an effect is inside its bounds."""
+    """Return whether the amplitude of an effect is inside its bounds; False if it equals a bound."""
     each = joint.effects[which]
     what, amplitude = each.effect.parameters[SIZE], each.values[SIZE]
     sd = joint.sd(which, SIZE)
@@ -369,8 +371,8 @@ def is_within_bounds(joint: JointFit, which: int) -> bool:
 def amplitude_interval(covariance: Array, joint: JointFit, which: int) -> tuple[float, float]:
     """Return the linearised 95 % interval of an amplitude.
 
-    An amplitude with a direction is a vector. Its two components are normal even if the direction is undetermined, so
-    the interval holds the lengths of all vectors in their confidence ellipse.
+    An amplitude with a direction is a vector with two normally distributed components, even if the direction is
+    undetermined. Its interval holds the lengths of all vectors inside the confidence ellipse of the components.
     """
     each = joint.effects[which]
     amplitude, unit = each.values[SIZE], each.effect.parameters[SIZE].typical

@@ -1,8 +1,8 @@
-"""Selection of a set of effects: each is needed beside the others, and no other effect explains the data as well.
+"""Selection of a set of effects: each effect is needed beside the others, and no other effect would do as well.
 
-Effects are added one at a time. While an effect is missing, another one may mislead: it seems to fail on the held-out
-trials, or it imitates itself and the missing one together. A first effect that fails validation is therefore tried
-again beside a second one, and at the end each effect is compared again with the others fixed.
+Effects are added one at a time. While a second effect is still missing, the first one may fail on the held-out trials,
+or a wrong effect may imitate both. A first effect that fails validation is therefore tried again together with a second
+one, and at the end each effect is compared again with its alternatives beside the other effects.
 """
 
 from __future__ import annotations
@@ -33,30 +33,33 @@ from needleplan.diagnosis.selection_round import RoundOutcome, Search, Selection
 
 __all__ = ["Selection", "select_effects", "total_bic_gain"]
 
-# Shift of a coordinate by calibration from which the parameter is also held at its prior.
+# Shift of a fit coordinate by calibration above which the parameter is also tried at its prior.
 _FAR_FROM_PRIOR = 0.3
 # Least BIC gain of a replacement, as a share of the BIC gain of the effect that it replaces.
 _REPLACEMENT_SHARE = 0.5
-# Most replacements that are fitted.
+# Largest number of replacements that are fitted for one effect.
 _MOST_REPLACEMENTS = 3
 
 
 @dataclass(frozen=True)
 class Selection:
-    """All rounds, and the joint fit of the accepted effects; None if none was accepted."""
+    """All rounds, and the joint fit of the accepted effects (`joint`; None if no effect was accepted)."""
 
     base: JointLikelihood
     rounds: tuple[SelectionRound, ...]
     joint: JointFit | None
     effects: tuple[FittedEffect, ...]
-    """The accepted effects with their gains over the fit without them, one for each effect of `joint`."""
+    """The effects of `joint`; the gains of each effect are those over the fit without this effect."""
 
     validation: HeldOutValidation | None
-    """Validation of all accepted effects over the base model alone."""
+    """Validation of all accepted effects together, compared with the base model alone."""
 
     detection_limits: tuple[DetectionLimit, ...]
     at_prior: tuple[CalibratedTrial, ...] = ()
-    """Training trials with parameters held at their priors that calibration moved far; else empty."""
+    """Training trials recalibrated with some parameters held at their priors: those that calibration moved far.
+
+    Empty if calibration moved no parameter far.
+    """
 
     @property
     def unambiguous(self) -> tuple[FittedEffect, ...]:
@@ -65,12 +68,12 @@ class Selection:
 
     @property
     def bic_gain(self) -> float:
-        """BIC gain of all accepted effects."""
+        """BIC gain of all accepted effects over the base model; 0 without effects."""
         return total_bic_gain(self.joint, self.base) if self.joint else 0.0
 
 
 def select_effects(calibration: Calibration, library: Library, gates: Gates, *, seed: int = 0) -> Selection:
-    """Accept effects while one passes all gates, then compare each with its alternatives beside the others."""
+    """Add effects one at a time until no further effect passes all gates; then compare each with its alternatives."""
     base = JointLikelihood([trial.whitened for trial in calibration.training])
     entries = library.entries([trial.motion for trial in calibration.training])
     sensitivities = whitened_sensitivities(calibration, library, calibration.training, entries)
@@ -97,7 +100,7 @@ def select_effects(calibration: Calibration, library: Library, gates: Gates, *, 
 
 @dataclass(frozen=True)
 class _EffectSet:
-    """Effects that were accepted together, and the rounds that led to them."""
+    """Effects that were accepted together, with the rounds that accepted them."""
 
     rounds: tuple[SelectionRound, ...]
     last: SelectionRound
@@ -113,9 +116,10 @@ class _EffectSet:
 
 
 def _grow(search: Search, begin: SelectionRound | None = None) -> tuple[list[SelectionRound], SelectionRound]:
-    """Return the rounds that accepted an effect, and the last one; `begin` replaces the first round.
+    """Return the rounds that accepted an effect, and the final round, which accepted none.
 
-    A first effect that the held-out trials refute is accepted together with a second one beside which it holds.
+    `begin` replaces the first round. A first effect that the held-out trials refute is accepted if a second effect
+    passes all gates beside it.
     """
     accepted: list[SelectionRound] = []
     on_trial: SelectionRound | None = None
@@ -134,9 +138,10 @@ def _grow(search: Search, begin: SelectionRound | None = None) -> tuple[list[Sel
 
 
 def _other_starts(search: Search, first: SelectionRound, found: _EffectSet | None) -> Iterator[SelectionRound]:
-    """Yield the first round with another effect taken, if that one and a second have a larger gain than the found set.
+    """Yield variants of the first round that take another effect first.
 
-    One effect can imitate two others: a warming sensor resembles a bias and a drift.
+    Yields an effect only if its gain together with a second effect is at least that of the set found so far. One effect
+    can imitate two others: a warming sensor resembles a bias and a drift.
     """
     if not found and first.outcome is not RoundOutcome.TIE:
         return
@@ -154,7 +159,7 @@ def _other_starts(search: Search, first: SelectionRound, found: _EffectSet | Non
 
 
 def _settle(search: Search, rounds: Sequence[SelectionRound], last: SelectionRound) -> _EffectSet | None:
-    """Return the set after pruning and replacing effects; None if the held-out trials refute it."""
+    """Return the set of effects after pruning and replacement; None if `rounds` is empty or the set is refuted."""
     if not rounds:
         return None
     joint, effects, beaten = _prune(search, rounds)
@@ -174,7 +179,11 @@ def _settle(search: Search, rounds: Sequence[SelectionRound], last: SelectionRou
 
 
 def _prune(search: Search, rounds: Sequence[SelectionRound]) -> tuple[JointFit, tuple[FittedEffect, ...], bool]:
-    """Return the fit of the needed effects, their gains, and whether an alternative replaced a dropped effect."""
+    """Drop the effects that are not needed.
+
+    Returns the fit of the remaining effects, these effects with their gains, and whether an effect was dropped because
+    a nonparametric alternative did better.
+    """
     joint = rounds[-1].ranked[0]
     chances = [round_.p_value for round_ in rounds]
     if len(rounds) == 1:
@@ -215,7 +224,7 @@ def _prune(search: Search, rounds: Sequence[SelectionRound]) -> tuple[JointFit, 
 
 
 def _is_beaten(search: Search, joint: JointFit, member: FittedEffect, index: int) -> bool:
-    """Return whether a nonparametric alternative does better in place of one effect, beside the others."""
+    """Return whether a nonparametric alternative does better than effect number `index`, beside the other effects."""
     rest = search.without(joint, index)
     degrees_of_freedom = len(joint.effects[index].effect.parameters)
     alternatives = score_alternatives(rest.likelihood, rest.trials)
@@ -233,7 +242,7 @@ def _is_beaten(search: Search, joint: JointFit, member: FittedEffect, index: int
 
 
 def _best_replacement(search: Search, joint: JointFit, index: int) -> tuple[JointFit, tuple[FittedEffect, ...]]:
-    """Return the set with the best effect in one place, and the effects that do as well there."""
+    """Return the joint fit with the best effect in position `index`, and the effects that do as well in its place."""
     rest = search.without(joint, index)
     names = {each.effect.name for each in joint.effects}
     least = _REPLACEMENT_SHARE * (total_bic_gain(joint, search.base) - total_bic_gain(rest, search.base))
@@ -263,7 +272,7 @@ def _best_replacement(search: Search, joint: JointFit, index: int) -> tuple[Join
 def _contested_round(
     search: Search, joint: JointFit, effects: Sequence[FittedEffect], last: SelectionRound
 ) -> SelectionRound:
-    """Return a tied round: one effect of the set, and its equivalent alternatives."""
+    """Return a round with outcome TIE between the first effect that has alternatives and these alternatives."""
     index = next(place for place, each in enumerate(effects) if each.alternatives)
     rest = search.without(joint, index) if len(joint.effects) > 1 else None
     others, likelihood_gain, before = (
@@ -282,15 +291,15 @@ def _contested_round(
 
 
 def total_bic_gain(joint: JointFit, base: JointLikelihood) -> float:
-    """Return the BIC gain of all effects of a fit over the base model alone."""
+    """Return the BIC gain of all effects of a joint fit over the base model alone."""
     return joint.likelihood_gain - base.bic_penalty * sum(len(each.effect.parameters) for each in joint.effects)
 
 
 def _trials_at_prior(calibration: Calibration) -> tuple[CalibratedTrial, ...]:
-    """Return the training trials with those parameters held at their priors that calibration moved far.
+    """Return the training trials, recalibrated with those parameters held at their priors that calibration moved far.
 
-    The calibrated base model imitates an effect that acts like such a parameter and hides its score. Beside the base
-    model at the prior the effect is visible. Empty if no parameter moved far.
+    Such a parameter may imitate an effect and hide its score; with the parameter at its prior, the effect is visible.
+    Returns an empty tuple if calibration moved no parameter far.
     """
     given, now = calibration.given, calibration.model
     far = {

@@ -28,27 +28,27 @@ from needleplan.signals import Array
 
 __all__ = ["RoundOutcome", "Search", "SelectionRound", "explains_as_well", "run_round"]
 
-# Most screened effects that are fitted in a round.
+# Largest number of screened effects that are fitted in a round.
 _MOST_FITTED = 4
-# Distance in BIC gain behind the best effect up to which an effect is fitted.
+# Deficit in BIC gain behind the best effect up to which an effect is still fitted.
 _FIT_MARGIN = 40.0
-# The same distance as a share of the best BIC gain, if larger.
+# The same deficit as a share of the best BIC gain; the larger of both limits applies.
 _FIT_MARGIN_SHARE = 0.1
-# The same share for an effect with local optima, whose screened gain is less reliable.
+# The same share for an effect with local optima, because its screened gain is less reliable.
 _FIT_MARGIN_SHARE_NONCONVEX = 0.5
-# Most further local optima that are fitted.
+# Largest number of further local optima of the best effect that are fitted.
 _MOST_OPTIMA = 5
-# BIC gain that an effect may lack at the prior, because the base model imitates it.
+# Shortfall below the required BIC gain up to which an effect, screened at the prior, is still fitted.
 _IMITATION_MARGIN = 30.0
 # Screened BIC gain below which no effect is fitted.
 _LEAST_SCREENED_GAIN = 5.0
-# Most further effects that are fitted to break a tie.
+# Largest number of further effects that are fitted to break a tie.
 _MOST_OTHERS = 2
-# Share of its BIC gain that an effect must keep beside another one to be independent of it.
+# Share of its BIC gain that an effect must keep beside a second effect to count as independent of it.
 _INDEPENDENT_SHARE = 0.5
-# Multiple of the required BIC gain that held-out trials must predict to confirm an effect.
+# Least predicted held-out gain, as a multiple of the required BIC gain, for which validation confirms an effect.
 _CONFIRMING_FACTOR = 3.0
-# Number of effects beyond the number of names: one name may stand for several places.
+# Number of effects permitted beyond the largest number of names, because one name may occur at several depths.
 _MOST_REPEATS = 2
 # Start of a joint fit: a screened effect, and the trials whose base model it starts from.
 _Start = tuple[FittedEffect, Sequence[CalibratedTrial]]
@@ -59,22 +59,22 @@ class RoundOutcome(StrEnum):
 
     ACCEPTED = "accepted"
     WEAK = "weak"
-    """The best effect misses the required BIC gain, or its amplitude may be zero."""
+    """The best effect does not reach the required BIC gain, or its amplitude may be zero."""
 
     CHANCE = "chance"
-    """Data without an effect reach the same BIC gain too often."""
+    """Simulated data without an effect reach the same BIC gain too often."""
 
     TIE = "tie"
-    """Another effect explains the data as well."""
+    """At least two effects explain the data equally well."""
 
     NO_TRANSFER = "no_transfer"
     """The held-out trials refute the best effect."""
 
     SMALL = "small"
-    """The gain is too small a share of the first effect's gain."""
+    """The gain of the further effect is too small, compared with that of the first effect."""
 
     NAMELESS = "nameless"
-    """A nonparametric alternative does better in place of an effect."""
+    """A nonparametric alternative does better than one of the effects."""
 
     ENOUGH = "enough"
     """The largest number of names is reached."""
@@ -90,18 +90,18 @@ class SelectionRound:
     p_value: float | None
     outcome: RoundOutcome
     tied: tuple[str, ...] = ()
-    """Names of effects that explain the data alike, the best first; empty without a tie."""
+    """Names of the effects that explain the data equally well, the best first; empty without a tie."""
 
 
 def explains_as_well(best: JointFit, other: JointFit, lead: float) -> bool:
-    """Return whether the data do not separate two fits, or the training data favour the other one."""
+    """Return whether `other` explains the data as well as `best`: within `lead`, or better in the training data."""
     fits_better = not other.refuted and other.newest.bic_gain > best.newest.bic_gain + lead
     return bool(other.combined_gain > best.combined_gain - lead or fits_better)
 
 
 @dataclass(frozen=True)
 class Search:
-    """What all rounds share: data, catalogue and gates, with a cache of sensitivities and fits."""
+    """Data, catalogue and gates that all rounds share, with a cache of sensitivities and fits."""
 
     calibration: Calibration
     library: Library
@@ -111,7 +111,7 @@ class Search:
     """Whitened sensitivities of all candidates beside the base model alone, one array per trial."""
 
     at_prior: tuple[CalibratedTrial, ...]
-    """Training trials with parameters held at their priors that calibration moved far; else empty."""
+    """As `Selection.at_prior`: trials with those parameters at their priors that calibration moved far."""
 
     gates: Gates
     seed: int
@@ -124,7 +124,7 @@ class Search:
         return self.base.bic_penalty
 
     def sensitivities_beside(self, joint: JointFit | None) -> Sequence[Array]:
-        """Return the whitened sensitivities of all candidates beside the effects of a fit."""
+        """Return the whitened sensitivities of all candidates for the trials of a joint fit; cached for each fit."""
         if joint is None:
             return self.sensitivities
         if id(joint) not in self._sensitivities:
@@ -133,7 +133,7 @@ class Search:
         return self._sensitivities[id(joint)][1]
 
     def without(self, joint: JointFit, index: int) -> JointFit:
-        """Return the fit without one of its effects."""
+        """Return a joint fit of all effects of `joint` except number `index`; cached."""
         key = id(joint), index
         if key not in self._rests:
             rest = [each for place, each in enumerate(joint.effects) if place != index]
@@ -145,19 +145,22 @@ class Search:
         return next(each.has_local_optima for each in self.entries if each.effect is effect)
 
     def start(self, screened: FittedEffect) -> FittedEffect:
-        """Return a screened effect as the start of a joint fit, bounded to its search range."""
+        """Return the starting values of a joint fit: a screened effect, with the search range of its parameters."""
         bounds = next(each.bounds() for each in self.entries if each.effect is screened.effect)
         return FittedEffect(screened.effect, screened.values, bounds)
 
     def sensitivities_at_prior(self) -> Sequence[Array]:
-        """Return the whitened sensitivities of all candidates beside the base model at the prior."""
+        """Return the whitened sensitivities of all candidates for the base model as given, in the trials `at_prior`."""
         return whitened_sensitivities(
             self.calibration, self.library, self.at_prior, self.entries, self.calibration.given
         )
 
 
 def run_round(search: Search, taken: JointFit | None, first_gain: float) -> SelectionRound:
-    """Look for one more effect beside those of `taken`; `first_gain` is the likelihood gain of the first effect."""
+    """Look for one more effect beside the effects of `taken` and return the round.
+
+    `first_gain` is the likelihood gain of the first effect.
+    """
     gates = search.gates
     likelihood = taken.likelihood if taken else search.base
     trials = taken.trials if taken else search.calibration.training
@@ -185,7 +188,7 @@ def run_round(search: Search, taken: JointFit | None, first_gain: float) -> Sele
         ranked, tied = _least_contested(search, ranked, screened, before, needed)
         tried = {each.newest.name for each in ranked}
         others = [(each, trials) for each in screened if each.effect.name not in tried and each.bic_gain >= needed]
-        if tied and others:  # a weaker effect may be present and break the tie
+        if tied and others:  # beside a weaker true effect, the tied effects may differ
             more = _validated(search, taken, _fit_candidates(search, taken, others[:_MOST_OTHERS], ()), needed)
             ranked, tied = _least_contested(search, _ordered([*ranked, *more]), screened, before, needed)
     best = ranked[0]
@@ -215,7 +218,7 @@ def run_round(search: Search, taken: JointFit | None, first_gain: float) -> Sele
 
 
 def _is_confirmed(best: JointFit, needed: float) -> bool:
-    """Return whether the held-out trials confirm an effect of another family than the first one."""
+    """Return whether the newest effect is of another family than the first and the held-out trials confirm it."""
     first, seen = best.effects[0].effect, best.validation
     return (
         seen is not None and not best.refuted
@@ -226,9 +229,10 @@ def _is_confirmed(best: JointFit, needed: float) -> bool:
 def _least_contested(
     search: Search, ranked: Sequence[JointFit], screened: Sequence[FittedEffect], first_gain: float, needed: float
 ) -> tuple[list[JointFit], tuple[str, ...]]:
-    """Return the fits with one first that has no tie, and no names; or unchanged, and the names that tie with the best.
+    """Return the fits in the order of the round, and the names of the tied effects.
 
-    If two effects tie, a third one that is independent of both comes first: beside it the two may differ.
+    If the best effects tie, a third effect that ties with none is moved to the front, because the tied effects may
+    differ beside it; the names are then empty. Without such an effect, the order does not change.
     """
     tied = _tied(search, ranked, screened)
     least = search.gates.further * max(first_gain, ranked[0].newest.likelihood_gain)
@@ -242,10 +246,10 @@ def _least_contested(
 
 
 def _tied(search: Search, ranked: Sequence[JointFit], screened: Sequence[FittedEffect]) -> tuple[str, ...]:
-    """Return the names of the effects that explain the data as well as the best one, the best first; empty if it leads.
+    """Return the names of the best effect and of all effects that explain the data as well; empty without a tie.
 
-    Two true effects may have equal gains, but each keeps its gain beside the other. An effect that keeps most of its
-    gain beside the best one is therefore no tie.
+    Two effects that are both present may have equal gains, but each keeps its gain beside the other. An effect that
+    keeps most of its gain beside the best effect therefore does not tie with it.
     """
     best, lead = ranked[0], search.gates.lead
     tried = {each.newest.name for each in ranked}
@@ -265,10 +269,10 @@ def _tied(search: Search, ranked: Sequence[JointFit], screened: Sequence[FittedE
 
 
 def _at_other_optima(search: Search, taken: JointFit | None, ranked: list[JointFit], needed: float) -> list[JointFit]:
-    """Return the fits with the best one moved to a local optimum that the held-out trials do not refute, if one exists.
+    """Return the fits; if the first is refuted, it is replaced by another local optimum that is not.
 
-    For example, breathing that is visible only during a few seconds of dwell fits at several frequencies; the held-out
-    trials choose among them.
+    For example, a breathing motion that shows only in a short dwell fits at several frequencies; the held-out trials
+    choose among them. Without a better optimum, the fits do not change.
     """
     best = ranked[0]
     each = next(each for each in search.entries if each.effect is best.newest.effect)
@@ -290,7 +294,7 @@ def _at_other_optima(search: Search, taken: JointFit | None, ranked: list[JointF
 
 
 def _ordered(ranked: Sequence[JointFit]) -> list[JointFit]:
-    """Return fits by combined gain; refuted fits and fits without validation come after validated ones."""
+    """Return fits sorted by combined gain; refuted and unvalidated fits come last if any fit passed validation."""
     ordered = sorted(ranked, key=lambda each: -each.combined_gain)
     if any(each.validation and not each.refuted for each in ordered):
         ordered.sort(key=lambda each: each.validation is None or each.refuted)
@@ -298,7 +302,7 @@ def _ordered(ranked: Sequence[JointFit]) -> list[JointFit]:
 
 
 def _validated(search: Search, taken: JointFit | None, ranked: Sequence[JointFit], needed: float) -> list[JointFit]:
-    """Return fits with their validation, if they could be named or are near the best."""
+    """Return all fits; those that reach the required BIC gain and are near the best are validated."""
     top = max((each.newest.bic_gain for each in ranked), default=0.0)
     least = max(needed, top - max(_FIT_MARGIN, _FIT_MARGIN_SHARE * top))
     found = []
@@ -310,7 +314,7 @@ def _validated(search: Search, taken: JointFit | None, ranked: Sequence[JointFit
 
 
 def _starts_at_prior(search: Search, needed: float) -> list[_Start]:
-    """Return starts for effects that the calibrated base model imitates, screened with the base model at its prior."""
+    """Return starts of joint fits for effects that the calibrated base model may hide, screened at the prior."""
     trials, sensitivities = search.at_prior, search.sensitivities_at_prior()
     at_prior = JointLikelihood([trial.whitened for trial in trials])
     behind = 2 * float(search.base.evidence.max() - at_prior.evidence.max())
@@ -324,10 +328,10 @@ def _starts_at_prior(search: Search, needed: float) -> list[_Start]:
 def _fit_candidates(
     search: Search, taken: JointFit | None, certain: Sequence[_Start], screened: Sequence[_Start]
 ) -> list[JointFit]:
-    """Return joint fits from screened starts, the largest BIC gain first and one per effect.
+    """Return one joint fit per effect, the largest BIC gain first.
 
-    All `certain` starts are fitted. Of the screened ones the best are fitted, until the next is far behind the best
-    fit.
+    All `certain` starts are fitted. Starts in `screened`, which are sorted by gain, are skipped if they are far behind
+    the best fit so far.
     """
     usual_lag_s = channel_description(search.calibration.given.channel).usual_lag_s
     before = taken.likelihood_gain if taken else 0.0
@@ -354,5 +358,5 @@ def _fit_candidates(
 
 
 def _total_lag_s(joint: JointFit) -> float:
-    """Return the lag of the readings (s): the newest effect's plus the calibrated lag of the sensor."""
+    """Return the total lag of the readings (s): lag of the newest effect plus calibrated lag of the sensor."""
     return joint.newest.values[SIZE] + float(np.median([trial.lag_s for trial in joint.trials]))
