@@ -49,7 +49,7 @@ def test_unusable_data_are_refused(data: list[Record], says: str) -> None:
 def test_a_noise_record_of_another_sensor_is_not_used(factor: float) -> None:
     checked = check_data(changed("force_n", lambda force: factor * force, (Role.NOISE,)), Channel.FORCE)
     assert checked.noise == ()
-    assert "not of this sensor" in checked.lacks[Lack.NOISE]
+    assert "does not match the trials" in checked.lacks[Lack.NOISE]
 
 
 @pytest.mark.parametrize("factor", [0.05, 20.0])

@@ -1,7 +1,7 @@
 """Description of a gap that no effect explains: its curves, and a sparse formula found by greedy selection.
 
-The formula is a sum of products of elementary terms. It describes the gap and states no cause; equivalent formulas are
-listed beside it.
+The formula is a sum of products of elementary terms. It describes the gap, but states no cause. Products that fit
+nearly as well are listed too.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ __all__ = [
     "grammar",
 ]
 
-# Most products in a formula.
+# Largest number of products in a formula.
 _MOST = 3
-# Shortest wavelength (mm).
+# Shortest wavelength (mm) of a wave along the depth.
 _SHORTEST_MM = 0.6
-# Number of wavelengths, and number per resolvable wavelength.
+# Number of wavelengths on the coarse grid; on the fine grid, number of wavelengths per resolvable one.
 _COARSE, _FINE = 28, 4
 
 
 @dataclass(frozen=True)
 class _Along:
-    """Variables of a formula along a motion, rows of one shape."""
+    """Variables of a formula along a motion, each of shape (samples,)."""
 
     depth_mm: Array
     velocity_mm_s: Array
@@ -57,26 +57,27 @@ class _Along:
         return cls(*(np.asarray(row, float) for row in rows))
 
 
+# A term: Python expression, function, and number of parameters that were searched.
 _Term = tuple[str, Callable[[_Along], Array], int]
 
 
 @dataclass(frozen=True)
 class Product:
-    """A product of terms, as a Python expression in the names of `_Along` and as a function."""
+    """A product of terms, as a function and as a Python expression (`text`) in the attributes of `_Along`."""
 
     text: str
     function: Callable[[_Along], Array]
     places: int
-    """Number of parameters that were searched within the product."""
+    """Number of parameters within the product that were searched, such as a wavelength."""
 
     def values(self, motion: Motion, force: Array) -> Array:
-        """Return the product along a motion, shape (samples,); `force` is the output of the model."""
+        """Return the value of the product at each sample, shape (samples,); `force` is the output of the model."""
         return self.function(_Along.of(motion, force))
 
 
 @dataclass(frozen=True)
 class FormulaTerm:
-    """One product of a formula with its factor (N over the product's unit) and its BIC gain."""
+    """One product of a formula, with its factor (N per unit of the product) and its BIC gain."""
 
     text: str
     factor: float
@@ -85,26 +86,26 @@ class FormulaTerm:
 
 @dataclass(frozen=True)
 class Formula:
-    """A sum of products with its likelihood gain and its transfer to the held-out trials."""
+    """A sum of products, with its likelihood gain and its success on the held-out trials."""
 
     products: tuple[Product, ...]
     factors: tuple[float, ...]
     bic_gains: tuple[float, ...]
-    """BIC gain of each product over those before it."""
+    """BIC gain of each product over the products before it."""
 
     likelihood_gain: float
     share: float
-    """Likelihood gain over that of the best smooth alternative, at most 1."""
+    """Ratio of `likelihood_gain` to the gain of the best smooth alternative, at most 1."""
 
     transfer: float | None
-    """Achieved over predicted gain on the held-out trials; None without any."""
+    """Ratio of achieved to predicted gain on the held-out trials; None without held-out trials."""
 
     alike: tuple[str, ...]
-    """Expressions of first products that fit nearly as well."""
+    """Expressions of other products that fit nearly as well as the first product."""
 
     @property
     def terms(self) -> tuple[FormulaTerm, ...]:
-        """The products with their factors."""
+        """The products with their factors and BIC gains."""
         rows = zip(self.products, self.factors, self.bic_gains, strict=True)
         return tuple(FormulaTerm(each.text, factor, bic_gain) for each, factor, bic_gain in rows)
 
@@ -115,7 +116,7 @@ class Formula:
         return " + ".join(f"{factor:.6g} * {each.text}" for factor, each in pairs)
 
     def values(self, motion: Motion, force: Array) -> Array:
-        """Return the formula along a motion, shape (samples,); `force` is the output of the model."""
+        """Return the value of the formula (N) at each sample, shape (samples,); `force` is the output of the model."""
         parts = [factor * each.values(motion, force) for factor, each in zip(self.factors, self.products, strict=True)]
         return np.asarray(sum(parts), float)
 
@@ -128,10 +129,11 @@ def grammar(
     steps_mm: Sequence[float] = (),
     steps_s: Sequence[float] = (),
 ) -> tuple[Product, ...]:
-    """Return all products of a power of depth or time or the force with a function of speed or a wave, or a step.
+    """Return all candidate products of a formula.
 
-    Each product exists with and without the sign of the motion. With `fine_waves` the wavelengths are as close as the
-    depth range resolves. `steps_mm` and `steps_s` are places and times of steps.
+    A product is a power of depth or time, or the force, times a function of speed; or a wave along the depth, alone or
+    times depth; or a step. Each product exists with and without the sign of the velocity. With `fine_waves` the
+    wavelengths are as close as the depth range resolves. `steps_mm` and `steps_s` are depths and times of steps.
     """
     one: _Term = ("1", lambda u: np.ones_like(u.depth_mm), 0)
     amounts: list[_Term] = [
@@ -162,7 +164,10 @@ def find_formula(
     smooth_gain: float,
     products: Sequence[Product],
 ) -> Formula | None:
-    """Return the formula of the most significant products; None if no product passes the gate of an effect."""
+    """Return a formula of the most significant products; None if no product has the BIC gain that an effect needs.
+
+    `smooth_gain` is the likelihood gain of the best smooth alternative.
+    """
     sensitivities = [trial.whiten(_product_values(products, trial)) for trial in trials]
     bic_penalties = np.array([1 + each.places for each in products]) * float(np.log(likelihood.samples))
     needed = gates.bic_gain_heterogeneous if likelihood.heterogeneity_sd > gates.heterogeneous_above else gates.bic_gain
@@ -199,7 +204,7 @@ def find_formula(
 
 
 def _transfer(found: Formula, held_out: Sequence[CalibratedTrial]) -> float | None:
-    """Return achieved over predicted gain on the held-out trials."""
+    """Return the ratio of achieved to predicted gain on the held-out trials; None without held-out trials or gain."""
     if not held_out:
         return None
     likelihood = JointLikelihood([trial.whitened for trial in held_out])
@@ -239,13 +244,13 @@ def _product(parts: Sequence[_Term]) -> Product:
 
 @dataclass(frozen=True)
 class GapDescription:
-    """A gap along its axis, as curves and as a formula if one passes the gates."""
+    """A gap along its axis, as curves and, if a formula passes the gates, as a formula (`sparse`)."""
 
     axis: GapAxis
     curves: Curves
     sparse: Formula | None
     rms: float
-    """RMS of the formula, or else of the curves, in the training data (N)."""
+    """RMS (N) of the formula in the training data; without a formula, RMS of the curves at visited nodes."""
 
     @property
     def unit(self) -> str:
@@ -259,17 +264,17 @@ class GapDescription:
 
     @property
     def places(self) -> tuple[float, ...]:
-        """Visited nodes of the main curve."""
+        """Values of the axis variable at the visited nodes of the main curve."""
         return tuple(map(float, self.main.places[self.main.inside]))
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Mean of the main curve at these nodes (N)."""
+        """Mean (N) of the main curve at `places`."""
         return tuple(map(float, self.main.mean[self.main.inside]))
 
     @property
     def sds(self) -> tuple[float, ...]:
-        """Standard deviation of the main curve at these nodes (N)."""
+        """Standard deviation (N) of the main curve at `places`."""
         return tuple(map(float, self.main.sd[self.main.inside]))
 
     @property
@@ -286,9 +291,9 @@ def describe_gap(
     place: Localisation,
     gates: Gates,
 ) -> GapDescription:
-    """Describe the gap that the base model of `likelihood` leaves along the axis of the best alternative.
+    """Describe the gap that the model of `likelihood` leaves, along the axis of `alternative`.
 
-    `held_out` are trials that validate the formula, with the same base model; empty if it was not calibrated there.
+    `held_out` holds the trials that validate the formula, calibrated with the same model; empty to skip validation.
     """
     products = grammar(
         max(5.0, *(float(trial.motion.depth_mm.max()) for trial in trials)),
@@ -309,7 +314,10 @@ def describe_gap(
 def describe_unexplained(
     decision: DiagnosisDecision, selection: Selection, calibration: Calibration, place: Localisation, gates: Gates
 ) -> GapDescription | None:
-    """Return the description of a gap that no effect explains; None if the verdict states no such gap."""
+    """Return the description of a gap that no effect explains.
+
+    Returns None if the verdict is neither UNKNOWN nor INCOMPLETE, or the channel is not the force.
+    """
     if calibration.given.channel is not Channel.FORCE:  # formulas describe forces only
         return None
     if decision.verdict is Verdict.UNKNOWN:

@@ -1,13 +1,13 @@
 """Likelihood of all trials: scores of candidate effects with the base model projected out.
 
-For each trial, whitened by the sensor noise, with the sensitivity s(p) of the output to the amplitude a of a candidate
-at p:
+Each trial is whitened by the sensor noise. The sensitivity of its output to the amplitude a of a candidate at grid
+point p is s(p). The residual r of the trial is
 
     r = J d + G b + s(p) a + h U S g + e,        e, g white;  d free; b free and shared by all trials
 
-J holds the sensitivities of the base model, G those of effects that were accepted before. U S are the modes of the
-tissue's heterogeneity and h is its standard deviation. d and b are projected out, g is integrated out, and h maximises
-the restricted likelihood, separately for each candidate.
+J holds the sensitivities of the base model, G the sensitivities of the effects that were accepted before. U S are the
+modes of the tissue's heterogeneity and h is its standard deviation. d and b are projected out and g is integrated
+out. h maximises the restricted likelihood, separately for each candidate.
 
 Heterogeneous properties of tissue are random functions of depth with an exponential correlation (Ornstein-Uhlenbeck),
 expanded in their eigenfunctions.
@@ -41,19 +41,22 @@ __all__ = [
 CORRELATION_MM = 6.0
 # Spacing (mm) of the depth grid of heterogeneity modes.
 GRID_MM = 0.5
-# Least share of the variance that the retained modes hold.
+# Share of the variance that the retained heterogeneity modes hold at least.
 _VARIANCE_SHARE = 0.995
 # Heterogeneity standard deviations tried, relative to the mean of the tissue's property.
 HETEROGENEITY_SDS = np.array([0.0, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])
-# Least eigenvalue of a scaled basis that counts.
+# Eigenvalue of a scaled basis below which a direction counts as undetermined.
 _SEEN = 1e-7
-# Share of a sensitivity's energy below which the remainder beside the base model is rounding error.
+# Share of a sensitivity's energy that the base model leaves, below which the remainder is rounding error.
 _ABSORBED = 1e-8
 
 
 @dataclass(frozen=True)
 class Gates:
-    """Thresholds of the verdict. All gains are twice a log-likelihood; BIC gains subtract k log N for k parameters."""
+    """Thresholds of the verdict. A gain is twice a difference of log-likelihoods; a BIC gain is a gain minus k log N.
+
+    k is the number of parameters, N the number of independent samples.
+    """
 
     bic_gain: float = 10.0
     """BIC gain that an effect needs in nearly homogeneous tissue."""
@@ -62,54 +65,54 @@ class Gates:
     """BIC gain that an effect needs if the heterogeneity exceeds `heterogeneous_above`."""
 
     heterogeneous_above: float = 0.05
-    """Heterogeneity standard deviation from which `bic_gain_heterogeneous` applies."""
+    """Heterogeneity standard deviation above which `bic_gain_heterogeneous` applies."""
 
     p_value: float = 0.01
-    """Largest probability that data without an effect reach the same BIC gain."""
+    """Largest permitted probability that data without an effect reach the BIC gain of the effect."""
 
     lead: float = 10.0
-    """Lead in BIC gain over every other effect, and over alternatives that are as simple."""
+    """Lead in BIC gain that an effect needs over all other effects and over alternatives of equal simplicity."""
 
     share_of_alternative: float = 0.93
-    """A more flexible alternative wins only if the effects reach less than this share of its gain."""
+    """Share of the gain of a more flexible alternative; if the effects gain more, this alternative cannot win."""
 
     explained: float = 0.5
-    """Least share of the gap that named effects must explain."""
+    """Share of the gap that named effects must explain at least."""
 
     complete: float = 0.7
-    """Share of the gap below which the verdict is incomplete."""
+    """Explained share of the gap below which the verdict is incomplete."""
 
     transfer: float = 0.4
     """Share of the predicted held-out gain that an effect must achieve."""
 
     transfer_sds: float = 2.33
-    """Standard deviations by which the achieved gain may fall short: one true effect in a hundred does."""
+    """Shortfall of the achieved gain, in standard deviations, that is accepted; 1 % of true effects exceed it."""
 
     closed: float = 0.5
-    """Share of a certain held-out gap that named effects must close."""
+    """Share of the held-out gap that named effects must close, if that gap is certain."""
 
     further: float = 0.03
-    """Least gain of a further effect, as a share of the first effect's gain."""
+    """Gain that a further effect needs, as a share of the gain of the first effect."""
 
     further_elsewhere: float = 0.005
-    """The same for an effect of another family that the held-out trials confirm.
+    """As `further`, for an effect of another family than the first that the held-out trials confirm.
 
-    The threshold is higher within a family because errors in the first effect's formula resemble that family.
+    `further` is larger because errors in the formula of the first effect resemble effects of its family.
     """
 
     most: int = 3
-    """Largest number of names."""
+    """Largest number of effects that are named."""
 
     relevant: float = 1.0
-    """RMS of an effect, in units of the noise RMS, from which it matters."""
+    """RMS of an effect, in units of the noise RMS, above which the effect is relevant."""
 
     def needed(self, heterogeneity_sd: float) -> float:
-        """Return the BIC gain that an effect needs at a heterogeneity standard deviation."""
+        """Return the BIC gain that an effect needs in tissue with the given heterogeneity standard deviation."""
         return self.bic_gain_heterogeneous if heterogeneity_sd > self.heterogeneous_above else self.bic_gain
 
 
 def at_depth(depth_mm: Array, places: Array, rows: Array) -> Array:
-    """Interpolate functions on a uniform grid, (places, m), linearly at depths, (samples, m)."""
+    """Interpolate `rows`, functions on the uniform grid `places`, linearly at depths; return shape (samples, m)."""
     at = (depth_mm - places[0]) / (places[1] - places[0])
     left = np.clip(at.astype(int), 0, len(places) - 2)
     share = np.clip(at - left, 0.0, 1.0)[:, None]
@@ -118,7 +121,7 @@ def at_depth(depth_mm: Array, places: Array, rows: Array) -> Array:
 
 @lru_cache(maxsize=8)
 def functions_of_depth(deepest_mm: float) -> tuple[Array, Array]:
-    """Return scaled eigenfunctions of the heterogeneity, shape (places, modes), and the grid of depths (mm)."""
+    """Return scaled eigenfunctions of the heterogeneity, shape (places, modes), and their depths `places` (mm)."""
     places = np.arange(0.0, deepest_mm + GRID_MM, GRID_MM)
     covariance = np.exp(-np.abs(places[:, None] - places) / CORRELATION_MM)
     values, vectors = np.linalg.eigh(covariance)
@@ -129,7 +132,7 @@ def functions_of_depth(deepest_mm: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class WhitenedTrial:
-    """One whitened trial: residual (n,), sensitivities of the base model (n, q) and of shared effects (n, g)."""
+    """One whitened trial: residual (n,), sensitivities of the base model (n, q) and of the shared effects (n, g)."""
 
     residual: Array
     base_sensitivities: Array
@@ -138,23 +141,26 @@ class WhitenedTrial:
     """Orthonormal modes of the heterogeneity, shape (n, k)."""
 
     variances: Array
-    """Variance of each mode at heterogeneity 1, shape (k,)."""
+    """Variance of each mode at heterogeneity standard deviation 1, shape (k,)."""
 
     usual_heterogeneity_sd: float = math.inf
     """Prior standard deviation of the heterogeneity; infinite for a flat prior."""
 
     independent_samples: int = 0
-    """Number of samples that are independent for smooth functions; 0 for all."""
+    """Number of independent samples for the BIC penalty; 0 if all samples are independent."""
 
     @property
     def samples(self) -> int:
-        """Number of whitened samples."""
+        """Number of rows n: whitened samples and priors."""
         return len(self.residual)
 
 
 @dataclass(frozen=True)
 class SensitivityScores:
-    """Slope and curvature of the log-likelihood by amplitude, for each heterogeneity (t) and candidate (m), (t, m)."""
+    """Slope and (negative) curvature of the log-likelihood with respect to the amplitude of each candidate.
+
+    Both have shape (t, m) for t heterogeneities and m candidates.
+    """
 
     slope: Array
     curvature: Array
@@ -162,9 +168,9 @@ class SensitivityScores:
     """Log-likelihood of the base model at each heterogeneity, shape (t,)."""
 
     def gains(self, amplitudes: Array | None = None) -> tuple[Array, Array]:
-        """Return twice the log-likelihood gain of each candidate and its heterogeneity index, shape (m,) each.
+        """Return twice the log-likelihood gain of each candidate, and its best heterogeneity index, both of shape (m,).
 
-        The amplitudes are the best ones, or `amplitudes`, shape (t, m), if given.
+        The gain is that of the best amplitude, or of `amplitudes`, shape (t, m), if given.
         """
         if amplitudes is not None:
             each = (2 * self.slope - self.curvature * amplitudes) * amplitudes
@@ -183,7 +189,10 @@ class SensitivityScores:
 
 @dataclass(frozen=True)
 class _Trial:
-    """Precomputed products of one trial at all heterogeneities (t); W is the inverse covariance of noise and tissue."""
+    """Precomputed products of one trial at t heterogeneities.
+
+    W is the inverse covariance of whitened noise and heterogeneity.
+    """
 
     known: Array
     """Base sensitivities J, shared sensitivities G and residual r side by side, shape (n, q + g + 1)."""
@@ -192,7 +201,7 @@ class _Trial:
     """Product of the modes with `known`, shape (k, q + g + 1)."""
 
     weights: Array
-    """Share of each mode that W removes, shape (t, k)."""
+    """Share of each mode's energy that W removes, shape (t, k)."""
 
     root: Array
     """Inverse of the lower triangular Cholesky factor of J'WJ, shape (t, q, q)."""
@@ -208,7 +217,7 @@ class _Trial:
 
     @classmethod
     def of(cls, whitened: WhitenedTrial, heterogeneity_sds: Array) -> _Trial:
-        """Return the products of a trial."""
+        """Return the products of a whitened trial."""
         q = whitened.base_sensitivities.shape[1]
         known = np.column_stack([whitened.base_sensitivities, whitened.shared, whitened.residual])
         moved = whitened.modes.T @ known
@@ -225,12 +234,13 @@ class _Trial:
         return cls(known, moved, weights, root, root.swapaxes(1, 2) @ half, rest, logs)
 
     def against(self, plain: Array, moved: Array, rows: slice = slice(None)) -> tuple[Array, Array]:
-        """Return root J'W s, (t, q, m), and [G r]'W s with J projected out, (t, g + 1, m), for sensitivities s.
+        """Return two products of sensitivities s: root J'W s, and [G r]'W s with J projected out.
 
-        `plain` is the product of `known` with s, `moved` the product of the modes with s. `rows` is a range of t.
+        The shapes are (t, q, m) and (t, g + 1, m). `plain` is `known`'s, `moved` the modes' product with s. `rows`
+        selects heterogeneities.
         """
         q = self.root.shape[1]
-        # One product for all heterogeneities: the modes' products are small.
+        # All heterogeneities in one matrix product, which is faster than one product each.
         weighed = self.moved.T * self.weights[rows, None, :]
         products = plain - (weighed.reshape(-1, len(moved)) @ moved).reshape(*weighed.shape[:2], -1)
         rest = products[:, q:] - self.solved[rows].swapaxes(1, 2) @ products[:, :q]
@@ -259,12 +269,12 @@ class JointLikelihood:
 
     @property
     def samples(self) -> int:
-        """Number of whitened samples of all trials."""
+        """Number of rows of all trials: whitened samples and priors."""
         return sum(whitened.samples for whitened in self.blocks)
 
     @property
     def bic_penalty(self) -> float:
-        """BIC penalty of one parameter: the logarithm of the number of independent samples."""
+        """BIC penalty of one parameter: logarithm of the number of independent samples."""
         return float(np.log(sum(whitened.independent_samples or whitened.samples for whitened in self.blocks)))
 
     @property
@@ -278,13 +288,13 @@ class JointLikelihood:
         return float(self.heterogeneity_sds[self.best])
 
     def energy(self, index: int | None = None) -> float:
-        """Return the weighted residual energy at a heterogeneity index, by default the best one."""
+        """Return the weighted residual energy at a heterogeneity index, by default at the best heterogeneity."""
         return float(self._energy[self.best if index is None else index])
 
     def scores(self, sensitivities: Sequence[Array]) -> SensitivityScores:
-        """Score candidate sensitivities, one array (n, m) per trial; an amplitude is common to all trials.
+        """Return the scores of candidates from their sensitivities, one array (n, m) per trial.
 
-        The last result is cached by the identity of the arrays.
+        The amplitude of a candidate is the same in all trials. The last result is cached by the identity of the arrays.
         """
         kept = self._scored
         if (
@@ -316,7 +326,7 @@ class JointLikelihood:
         return SensitivityScores(slope, np.where(curvature > _ABSORBED * energy, curvature, 0.0), self.evidence)
 
     def basis_gains(self, basis: Sequence[Array], *, ridge: float = 1e-9) -> float:
-        """Return twice the log-likelihood gain of a whole basis, shape (n, df) per trial, with common coefficients."""
+        """Return twice the log-likelihood gain of a basis, (n, df) per trial, with coefficients common to the trials."""
         matrix, target = self._normals(basis, slice(None))
         scale = np.sqrt(np.maximum(np.einsum("tdd->td", matrix), 1e-12))
         scaled = matrix / (scale[:, :, None] * scale[:, None]) + ridge * np.eye(scale.shape[1])
@@ -327,34 +337,35 @@ class JointLikelihood:
         return float((2 * self.evidence + gains).max() - 2 * self.evidence.max())
 
     def shared_normal(self, index: int) -> tuple[Array, Array]:
-        """Return matrix (g, g) and right side (g,) of the normal equations of the shared effects at an index."""
+        """Return matrix (g, g) and right side (g,) of the shared effects' normal equations at a heterogeneity index."""
         return self._rest[index, :-1, :-1], self._rest[index, :-1, -1]
 
     def normal(self, basis: Sequence[Array], index: int) -> tuple[Array, Array]:
-        """Return matrix (df, df) and right side (df,) of the normal equations of a basis at an index."""
+        """Return matrix (df, df) and right side (df,) of a basis' normal equations at a heterogeneity index."""
         matrix, target = self._normals(basis, slice(index, index + 1))
         return matrix[0], target[0]
 
-    def _normals(self, basis: Sequence[Array], heterogeneity_sds: slice) -> tuple[Array, Array]:
-        (t, g), df = self._target[heterogeneity_sds].shape, basis[0].shape[1]
+    def _normals(self, basis: Sequence[Array], rows: slice) -> tuple[Array, Array]:
+        (t, g), df = self._target[rows].shape, basis[0].shape[1]
         matrix, target, cross = np.zeros((t, df, df)), np.zeros((t, df)), np.zeros((t, g, df))
         for whitened, trial, each in zip(self.blocks, self._trials, basis, strict=True):
             moved = whitened.modes.T @ each
-            half, rest = trial.against(trial.known.T @ each, moved, heterogeneity_sds)
-            weighed = trial.weights[heterogeneity_sds, :, None] * moved
+            half, rest = trial.against(trial.known.T @ each, moved, rows)
+            weighed = trial.weights[rows, :, None] * moved
             matrix += each.T @ each - moved.T @ weighed - half.swapaxes(1, 2) @ half
             target += rest[:, -1]
             cross += rest[:, :-1]
         if g:
-            inner = np.linalg.solve(self._shared[heterogeneity_sds], cross)
+            inner = np.linalg.solve(self._shared[rows], cross)
             matrix -= cross.swapaxes(1, 2) @ inner
-            target -= np.einsum("tgd,tg->td", inner, self._target[heterogeneity_sds])
+            target -= np.einsum("tgd,tg->td", inner, self._target[rows])
         return matrix, target
 
     def null_maxima(self, sensitivities: Sequence[Array], penalty: Array, signs: Array, runs: int, seed: int) -> Array:
-        """Return the largest penalised gain of all candidates in each of `runs` simulated data sets without an effect.
+        """Simulate `runs` data sets without an effect; return the largest BIC gain of all candidates in each, (runs,).
 
-        The heterogeneity is held at its best value. `signs` is +1 or -1 for amplitudes of one sign, else 0.
+        The heterogeneity is held at its best value. `penalty` and `signs` have shape (m,); a sign is +1 or -1 if the
+        amplitude must have this sign, else 0.
         """
         generator = np.random.default_rng(seed)
         index = self.best
@@ -371,7 +382,7 @@ class JointLikelihood:
             noise -= whitened.modes @ (weights * (whitened.modes.T @ noise))
             moved = whitened.modes.T @ each
             half = root @ (whitened.base_sensitivities.T @ each - trial.moved[:, :q].T @ (weights * moved))
-            # The base model is projected out of the noise first: one large product with all candidates is enough.
+            # The base model is projected out of the noise, so that the large sensitivities are multiplied only once.
             taken = whitened.base_sensitivities - whitened.modes @ (weights * trial.moved[:, :q])
             noise -= taken @ (root.T @ (root @ (whitened.base_sensitivities.T @ noise)))
             # Single precision is enough for random draws.

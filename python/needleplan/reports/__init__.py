@@ -1,1 +1,1 @@
-"""Reports: the pages and figures of results, and tables of published numbers beside computed ones."""
+"""Reports: pages and figures of results, and comparisons of published with computed results."""

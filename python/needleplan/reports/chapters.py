@@ -1,7 +1,8 @@
 """Chapters that `needleplan reproduce` can compute, found in the installed packages.
 
-A chapter is an entry point of the group `needleplan.reproduce`: its name is the name of the chapter, its value a module
-with the two functions of `Chapter`. needleplan itself has no chapter; the package `needleplan_thesis` has them.
+A chapter is an entry point of the group `needleplan.reproduce`. The name of the entry point is the name of the chapter;
+its value is a module with the two functions of `Chapter`. needleplan itself has no chapters; they are in the package
+`needleplan_thesis`.
 """
 
 from __future__ import annotations
@@ -21,20 +22,21 @@ __all__ = ["GROUP", "Chapter", "Effort", "Request", "chapters", "reproduce"]
 GROUP = "needleplan.reproduce"
 """Entry point group of the chapters."""
 
-_MOST_RUNS = 10_000  # insertions for each hidden effect; more would take days
+# Largest number of insertions for each hidden effect of the diagnosis study; more would take days.
+_MOST_RUNS = 10_000
 
 
 class Effort(StrEnum):
-    """How much is computed."""
+    """How much a chapter computes."""
 
     QUICK = "quick"
-    """Coarse grids and few executions, half a minute: shows that everything runs."""
+    """Coarse grids and few executions (about half a minute), to show that everything runs."""
 
     DEFAULT = "default"
-    """The published sizes; minutes."""
+    """Grids and numbers of executions as published (minutes)."""
 
     FULL = "full"
-    """Finer grids too; hours."""
+    """Also finer grids than published (hours)."""
 
 
 @dataclass(frozen=True)
@@ -42,31 +44,31 @@ class Request:
     """What a chapter computes and where it writes."""
 
     folder: Path | None
-    """Folder for figures and results; None writes nothing."""
+    """Folder for figures and results; if None, nothing is written."""
 
     effort: Effort
     note: Callable[[str], None]
-    """Receives one line about the current step."""
+    """Called with one line of text about each step, to show progress."""
 
     experiments: bool = False
-    """Repeats the experiments of section 6.5 in the lab twin instead of computing chapter 6."""
+    """Whether to repeat the experiments of section 6.5 in the lab twin instead of computing chapter 6."""
 
     runs: int | None = None
-    """Insertions for each hidden effect of the diagnosis study; None takes the number of the effort."""
+    """Insertions for each hidden effect of the diagnosis study; if None, `effort` determines the number."""
 
 
 class Chapter(Protocol):
-    """Functions of a chapter's module."""
+    """The functions that a chapter's module must have."""
 
     def run(self, request: Request) -> list[Comparison]:
-        """Compute the chapter and compare with the published results."""
+        """Compute the chapter, write its files, and return the comparisons with the published results."""
 
     def files(self, request: Request) -> Sequence[str]:
         """Return the names of the files that `run` writes into the folder."""
 
 
 def chapters() -> Mapping[str, metadata.EntryPoint]:
-    """Return the installed chapters by name, sorted by name."""
+    """Return the entry points of the installed chapters by name, sorted by name."""
     return {each.name: each for each in sorted(metadata.entry_points(group=GROUP), key=lambda each: each.name)}
 
 
@@ -76,23 +78,23 @@ def reproduce(
     *,
     require_new: Callable[[Sequence[Path]], None] | None = None,
 ) -> list[Comparison]:
-    """Compute chapters and return their comparisons.
+    """Compute chapters, write their files, and return their comparisons.
 
     Parameters
     ----------
     names
-        Names of the chapters; none means all installed chapters.
+        Names of the chapters; if empty, all installed chapters are computed.
     request
-        What to compute. Its folder is created if necessary.
+        What to compute and where to write. The folder is created if it does not exist.
     require_new
-        Receives all files that will be written, before anything is computed.
+        Called with the paths of all files that will be written, before the computation starts.
 
     Raises
     ------
     InputError
-        If no chapter is installed, a name is unknown or an option does not belong to the chapters.
+        If no chapter is installed, a name is unknown, or an option does not apply to the chapters.
     OutputError
-        If the folder cannot be created or a file of it cannot be written.
+        If the folder cannot be created or a file in it cannot be written.
 
     """
     found = chapters()
@@ -109,7 +111,7 @@ def reproduce(
 
 
 def _require(names: Sequence[str], request: Request, found: Mapping[str, object]) -> None:
-    """Raise InputError for unknown chapters and for options of other chapters."""
+    """Raise InputError if a chapter is unknown or an option does not apply to the chapters."""
     if not found:
         rule = "no chapter is installed: install the package needleplan_thesis, which is part of needleplan's wheel"
         raise InputError(Mistake("CHAPTER", "", rule))
@@ -117,9 +119,9 @@ def _require(names: Sequence[str], request: Request, found: Mapping[str, object]
         Mistake("CHAPTER", f'"{name}"', f"must be one of {', '.join(found)}") for name in names if name not in found
     ]
     if request.experiments and list(names) != ["ch6"]:
-        mistakes.append(Mistake("--experiments", " ".join(names), "goes with the chapter ch6 and with no other"))
+        mistakes.append(Mistake("--experiments", " ".join(names), "applies to the chapter ch6 only"))
     if request.runs is not None and "diagnosis" not in names:
-        mistakes.append(Mistake("--runs", " ".join(names), "goes with the chapter diagnosis and with no other"))
+        mistakes.append(Mistake("--runs", " ".join(names), "applies to the chapter diagnosis only"))
     if request.runs is not None and not 1 <= request.runs <= _MOST_RUNS:
         mistakes.append(Mistake("--runs", f"{request.runs}", f"must be a whole number from 1 to {_MOST_RUNS}"))
     if mistakes:

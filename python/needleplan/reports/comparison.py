@@ -7,7 +7,7 @@ from enum import StrEnum
 
 __all__ = ["Agreement", "Comparison", "measured"]
 
-# Largest ratio of computed to published value (either way) that counts as the same order.
+# Largest ratio of computed to published value, or its inverse, that counts as the same order of magnitude.
 _SAME_ORDER = 3.0
 
 
@@ -18,19 +18,19 @@ class Agreement(StrEnum):
     """The computed number equals the published one, or the published statement holds."""
 
     SAME_ORDER = "same order"
-    """The computed number is within a factor of three; used if machine or geometry differ from the published ones."""
+    """The numbers agree within a factor of three; used if computer or geometry differ from the published ones."""
 
     DIFFERS = "differs"
-    """The computed number differs by more than a factor of three; the reason explains why."""
+    """The numbers differ by more than a factor of three; `Comparison.reason` explains why."""
 
     NOT_REPRODUCED = "not reproduced"
     """The published statement does not hold for the computed result."""
 
     IMPOSSIBLE = "cannot be reproduced"
-    """An input that the computation needs was not published; the reason names it."""
+    """The computation needs an input that was not published; `Comparison.reason` names it."""
 
     OURS = "ours"
-    """No published counterpart; listed as context for the other results."""
+    """A computed result without a published counterpart, listed as context for other results."""
 
     MET = "met"
     """The result reaches a goal of this project."""
@@ -41,10 +41,10 @@ class Agreement(StrEnum):
 
 @dataclass(frozen=True)
 class Comparison:
-    """One published number or statement beside the computed one.
+    """A published number or statement, and the computed one (`ours`).
 
     `id` has the form chapter/section/quantity and is unique in a chapter. `unit` applies to both numbers. `reason`
-    explains a difference: a sentence without a full stop, or empty.
+    explains a difference in a sentence without a full stop; it may be empty.
     """
 
     id: str
@@ -56,16 +56,16 @@ class Comparison:
 
     @property
     def ratio(self) -> float | None:
-        """Computed over published value; None unless both are numbers and the published one is not zero."""
+        """Ratio of computed to published value; None unless both are numbers and the published number is not zero."""
         if isinstance(self.published, str) or isinstance(self.ours, str) or not self.published or self.ours is None:
             return None
         return self.ours / self.published
 
 
 def measured(identity: str, published: float, ours: float, unit: str, reason: str) -> Comparison:
-    """Compare two numbers: reproduced if equal, same order within a factor of three, else different.
+    """Return the comparison of two numbers: reproduced if equal, same order within a factor of three, else differs.
 
-    `reason` explains the difference. It is dropped if the numbers are equal.
+    `reason` explains the difference; it is ignored if the numbers are equal.
     """
     if ours == published:
         return Comparison(identity, published, ours, unit, Agreement.REPRODUCED)

@@ -15,15 +15,17 @@ if TYPE_CHECKING:
 
 __all__ = ["insertion_figure"]
 
+# Ratio of width to height of the workspace above which the scene is drawn across the whole figure.
 _FLAT = 2.2
 
 
 def insertion_figure(
     table: PolicyTable, report: InsertionReport, true_tip_mm: tuple[float, float, float] | None = None
 ) -> Figure:
-    """Return the figure of an insertion.
+    """Return a matplotlib figure of an insertion.
 
-    `table` is the policy table at the start of the run; `true_tip_mm` is the true final position of the tip, if known.
+    `table` is the policy table at the start of the insertion. `true_tip_mm` is the true final position of the tip; if
+    None, it is not drawn.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure

@@ -1,9 +1,9 @@
-"""The motion to measure next: one more trial, chosen for the question that the diagnosis left open.
+"""The motion to measure next: one more trial, chosen to answer the question that the diagnosis left open.
 
 | verdict | the motion |
 |---|---|
-| ambiguous | separates the effects that explain the data alike (`Separating`) |
-| unknown, incomplete | shows most of the gap along its axis (`Exploring`) |
+| ambiguous | separates the effects that explain the data equally well (`Separating`) |
+| unknown, incomplete | gives most information on the gap along its axis (`Exploring`) |
 | underpowered | lowers the detection limits most (`Revealing`) |
 """
 

@@ -1,4 +1,4 @@
-"""Choice of the next motion by the question that the diagnosis left open."""
+"""Choice of the next motion, depending on the question that the diagnosis left open."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from needleplan.signals import Motion, Role
 
 __all__ = ["limits_of", "next_motion", "separations"]
 
-# Smallest depth (mm) at which a motion starts.
+# Least depth (mm) at which a motion may start; negative depths are in the air.
 _FLOOR_MM = -10.0
 
 
 def limits_of(found: Diagnosis, *, fastest_mm_s: float = 0.0) -> Limits | None:
-    """Return limits from the recordings: their depths, and their largest speed or 15 mm/s, whichever is larger.
+    """Return limits that span the recorded depths; None if these leave no room for a motion.
 
-    Returns None if the recorded depths leave no room for a motion.
+    The largest speed is `fastest_mm_s`; if that is 0, the largest recorded speed, but at least 15 mm/s.
     """
     motions = [trial.motion for trial in (*found.calibration.training, *found.calibration.held_out)]
     top = min(float(each.depth_mm.min()) for each in motions)
@@ -34,11 +34,11 @@ def limits_of(found: Diagnosis, *, fastest_mm_s: float = 0.0) -> Limits | None:
 
 
 def next_motion(found: Diagnosis, limits: Limits | None = None) -> NextMotion | None:
-    """Return the motion to measure next; None if no question is open or the recordings hardly moved.
+    """Return the motion to measure next; None if no question is open, the depth range is too small, or none helps.
 
-    Between tied effects, the motion separates them. For an unexplained gap, it shows most of the gap along its axis. If
-    effects may be hidden, it lowers the detection limits. Candidates are `programs` within `limits`, by default those
-    of the recordings. Raises DataError for limits that leave no room to move.
+    For tied effects, the motion separates them. If effects may be hidden, it lowers the detection limits. For an
+    unexplained gap, it gives most information on the gap along its axis. Candidates are `programs` within `limits`, by
+    default those of `limits_of`.
     """
     alternatives = alternatives_of(found)
     axis = found.decision.axis
@@ -64,7 +64,7 @@ def next_motion(found: Diagnosis, limits: Limits | None = None) -> NextMotion | 
 
 
 def separations(found: Diagnosis, motion: Motion) -> tuple[Separation, ...]:
-    """Return how well one more trial of a motion would separate the effects in question, each pair both ways."""
+    """Return how well one more trial of a motion would separate the possible effects, for each ordered pair."""
     return separations_by(found, alternatives_of(found), motion)
 
 

@@ -1,13 +1,13 @@
-"""The motion that shows most of an unexplained gap along its axis.
+"""The motion that gives most information on an unexplained gap along its axis.
 
 The gap is modelled as a smooth function along the axis: a sum of basis functions b with independent normal
-coefficients. Their standard deviation s maximises the likelihood of the data. With M = b'W b of the recordings so far
-and M' of one more trial, both with the base model projected out, that trial contributes
+coefficients. Their standard deviation s maximises the likelihood of the data. Let M = b'W b be the normal matrix of the
+recordings so far and M' that of one more trial, both with the base model projected out. That trial contributes
 
     log2 det(1 + s^2 (M + M')) / det(1 + s^2 M) / 2        bits
 
-of information on the gap (Lindley, Ann. Math. Stat. 27 (1956) 986). The basis covers the range of all motions
-considered, so that unvisited places count.
+of information on the gap (Lindley, Ann. Math. Stat. 27 (1956) 986). The basis covers the range of all considered
+motions, so that ranges without recordings count.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ __all__ = ["Exploring", "exploring", "information_bits"]
 
 # Prior amplitudes tried, in units of the noise RMS.
 _AMPLITUDES = np.geomspace(0.03, 100.0, 15)
-# Longest duration (s) of a motion, unless the recordings are longer.
+# Longest permitted duration (s) of a motion; a longer recording raises this limit.
 _LONGEST_S = 45.0
-# Correlation of time and depth from which recordings cannot separate them.
+# Correlation of time and depth above which recordings cannot separate these axes.
 _ALIKE = 0.99
-# Axis explored in place of another one.
+# Axis that is explored in place of the axis of the gap.
 _INSTEAD = {GapAxis.PERIOD: GapAxis.DEPTH}
 
 # Units of the axes.
@@ -46,11 +46,11 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class Exploring(NextMotion):
-    """The motion with the most information on a gap along its axis."""
+    """The motion that gives the most information about a gap, along the axis on which the gap depends."""
 
     axis: GapAxis
     also: GapAxis | None
-    """Another axis that the recordings cannot separate from the first: at one speed, time and depth are equivalent."""
+    """Axis that the recordings cannot separate from `axis`, as time and depth at constant speed; None if separable."""
 
     unit: str
     visited: tuple[float, float]
@@ -60,24 +60,24 @@ class Exploring(NextMotion):
     """Range of the axis that this motion covers."""
 
     bits: float
-    """Information of this motion on the gap."""
+    """Information (bits) of this motion on the gap."""
 
     repeated_bits: float
-    """Information of the last training motion, repeated."""
+    """Information (bits) if the last training motion were repeated instead."""
 
     considered: tuple[tuple[str, float], ...]
-    """Name and information of each program."""
+    """Name and information (bits) of each program."""
 
     @property
     def why(self) -> str:
         """Reason for the motion, in words."""
-        name = self.axis.replace("_", " ")
+        name = self.axis.label
         one = f" or {self.also}, which these recordings cannot separate" if self.also else ""
         saw = _ends_words(self.visited, self.unit)
         return (
             f"The gap depends on {name}{one}. The recordings cover {saw} of {name}; this motion covers "
-            f"{_ends_words(self.reach, self.unit)} and adds {self.bits:.1f} bits of information on the gap, the last "
-            f"motion repeated {self.repeated_bits:.1f}."
+            f"{_ends_words(self.reach, self.unit)} and adds {self.bits:.1f} bits of information on the gap. The last "
+            f"motion, repeated, would add {self.repeated_bits:.1f} bits."
         )
 
 
@@ -88,7 +88,7 @@ def exploring(found: Diagnosis, axis: GapAxis, tried: Sequence[Tried], role: Rol
     tried = [each for each in tried if float(np.ptp(each[1].time_s)) <= longest] or tried
     heterogeneity_sd = np.array([found.selection.base.heterogeneity_sd])
     trials = [predicted_trial(found.base, found.calibration, motion) for _, motion in tried]
-    also = _one_with(axis, known)
+    also = _inseparable_axis(axis, known)
     functions = _columns(found, axis, [*known, *trials])
     if functions is None:
         return None
@@ -113,7 +113,10 @@ def exploring(found: Diagnosis, axis: GapAxis, tried: Sequence[Tried], role: Rol
 
 
 def information_bits(now: Array, more: Array, size: float) -> float:
-    """Return the information of further normal equations on coefficients with prior standard deviation `size`."""
+    """Return the information (bits) that the normal matrix `more` adds to `now`.
+
+    `size` is the prior standard deviation of the coefficients.
+    """
     one = np.eye(len(now))
     after, before = (float(np.linalg.slogdet(one + size**2 * each)[1]) for each in (now + more, now))
     return max(after - before, 0.0) / (2 * float(np.log(2)))
@@ -125,7 +128,7 @@ def _more_bits(now: Array, trial: CalibratedTrial, functions: Array, heterogenei
 
 
 def _columns(found: Diagnosis, axis: GapAxis, trials: Sequence[CalibratedTrial]) -> tuple[Array, ...] | None:
-    """Return the basis along an axis that gains most, one array per trial; None if the channel has none."""
+    """Return the basis along an axis with the largest gain, one array per trial; None if the channel has no basis."""
     made = smooth_bases(trials)
     alternatives = found.selection.rounds[-1 if found.effects else 0].alternatives
     wanted = _INSTEAD.get(axis, axis)
@@ -134,8 +137,8 @@ def _columns(found: Diagnosis, axis: GapAxis, trials: Sequence[CalibratedTrial])
     return made[names[0]].functions if names else None
 
 
-def _one_with(axis: GapAxis, trials: Sequence[CalibratedTrial]) -> GapAxis | None:
-    """Return depth for time, and time for depth, if all trials correlate the two; else None."""
+def _inseparable_axis(axis: GapAxis, trials: Sequence[CalibratedTrial]) -> GapAxis | None:
+    """Return the other one of the axes time and depth if all trials correlate them closely, else None."""
     other = {GapAxis.TIME: GapAxis.DEPTH, GapAxis.DEPTH: GapAxis.TIME}.get(axis)
     both = [np.corrcoef(trial.motion.time_s, trial.motion.depth_mm)[0, 1] for trial in trials]
     return other if other and min(both) > _ALIKE else None

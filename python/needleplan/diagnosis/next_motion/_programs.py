@@ -1,4 +1,4 @@
-"""Motions to choose from, and a trial of a motion as it would be calibrated."""
+"""Candidate motions, and simulated trials of them."""
 
 from __future__ import annotations
 
@@ -27,22 +27,25 @@ __all__ = [
     "programs",
 ]
 
-# Least distance (mm) between the shallowest and the deepest position.
+# Least permitted distance (mm) between the shallowest and the deepest position.
 LEAST_ROOM_MM = 5.0
-# Most moves of a pecking motion.
+# Largest number of insertions and retractions of a pecking motion.
 _MOST_PECKS = 40
-# Depth as a share of the deepest, speed as a share of the fastest, dwell in seconds.
+# A leg: depth as a share of the deepest, speed as a share of the fastest, and the dwell (s) after it.
 _Stop = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the machine and the tissue. Raises DataError for limits that leave no room to move."""
+    """Limits of the machine and the tissue.
+
+    Raises DataError if a speed or an acceleration is not positive, or if the depths leave no room to move.
+    """
 
     deepest_mm: float
     fastest_mm_s: float = 15.0
     shallowest_mm: float = -2.0
-    """Depth at which a motion starts and ends: in the air, to record the zero of the sensor."""
+    """Depth (mm) at which a motion starts; negative depths are in the air, where the zero of the sensor is recorded."""
 
     acceleration_mm_s2: float = 100.0
     velocity_rad_s: float = 6.0
@@ -64,7 +67,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Insert:
-    """Move to a depth, in or out."""
+    """Insert or retract the needle to a depth."""
 
     to_mm: float
     velocity_mm_s: float
@@ -80,14 +83,14 @@ class Rotate:
 
 @dataclass(frozen=True)
 class Dwell:
-    """Rest."""
+    """Keep the needle at rest for some seconds."""
 
     seconds: float
 
 
 @dataclass(frozen=True)
 class Program:
-    """Moves from the shallowest position on, each from rest to rest."""
+    """A sequence of moves that starts at the shallowest position; each move starts and ends at rest."""
 
     name: str
     about: str
@@ -123,7 +126,7 @@ _Moves = Sequence[Insert | Rotate | Dwell]
 
 
 def programs(channel: Channel, limits: Limits) -> tuple[Program, ...]:
-    """Return the candidate motions of a channel."""
+    """Return the candidate motions for a channel: insertions with rotations for the tip, without for the force."""
     made = _steered(limits) if channel is Channel.TIP else _axial(limits)
     return tuple(Program(name, about, tuple(moves), limits) for name, about, moves in made)
 
@@ -132,42 +135,42 @@ def _axial(limits: Limits) -> Iterator[tuple[str, str, _Moves]]:
     yield "constant_slow", "in and out at one low speed", _legs(limits, (0.5, 0.2, 0.5), (0, 0.35, 1))
     yield "constant_fast", "in and out at one high speed", _legs(limits, (1, 0.7, 0.5), (0, 0.7, 1))
     yield (
-        "speeds", "several speeds, both ways",
+        "speeds", "in and out at several speeds",
         _legs(limits, (0.2, 0.17, 0), (0.5, 0.7, 0), (0.7, 0.25, 0), (0.97, 0.85, 0), (0.65, 0.4, 0), (0.3, 0.8, 0),
               (0, 0.33, 1)),
     )  # fmt: skip
     yield (
-        "holds", "rests at several depths, and one in the air at the end",
+        "holds", "dwells at several depths, and one in the air at the end",
         _legs(limits, (0.2, 0.35, 3), (0.5, 0.55, 3), (0.85, 0.55, 4), (0, 0.7, 5)),
     )  # fmt: skip
     yield (
-        "reversals", "back by long ways",
+        "reversals", "an insertion with long retractions",
         _legs(limits, (0.28, 0.55, 0), (0.1, 0.4, 0), (0.57, 0.55, 0), (0.35, 0.55, 0), (0.93, 0.7, 0), (0.6, 0.55, 0),
               (0, 0.8, 1)),
     )  # fmt: skip
     yield (
-        "pecking", "back by short ways",
+        "pecking", "an insertion with many short retractions",
         [*_pecks(limits, 5.0, 2.0, 0.35, 0.4), *_legs(limits, (0.8, 0.6, 1), (0, 0.6, 1))],
     )  # fmt: skip
     yield (
-        "dither", "back by very short ways",
+        "dither", "an insertion with many very short retractions",
         [*_pecks(limits, 1.6, 0.8, 0.35, 0.3), *_legs(limits, (0.7, 0.55, 1), (0, 0.6, 1))],
     )  # fmt: skip
     yield (
-        "twice", "the first way a second time",
+        "twice", "two insertions along the same path",
         _legs(limits, (0.6, 0.5, 0), (0, 0.8, 1), (0.9, 0.5, 0.5), (0, 0.8, 1)),
     )  # fmt: skip
     yield (
-        "patient", "half a minute of rest in the air before and behind: what is slow is seen to begin and to end",
+        "patient", "half a minute of rest in the air before and after the insertion, to show slow changes",
         [Dwell(30), *_legs(limits, (0.9, 0.55, 1), (0, 0.7, 30))],
     )  # fmt: skip
     yield (
-        "rich", "several speeds, rests and ways back",
+        "rich", "several speeds, dwells and retractions",
         _legs(limits, (0.28, 0.55, 2), (0.2, 0.33, 0), (0.63, 0.27, 1.5), (0.85, 0.65, 0), (0.7, 0.33, 0),
               (0.95, 0.4, 1), (0, 0.9, 1)),
     )  # fmt: skip
     yield (
-        "rich_back", "several speeds, a rest and a long way back",
+        "rich_back", "several speeds, dwells and a long retraction",
         _legs(limits, (0.4, 0.8, 1), (0.25, 0.4, 0), (0.75, 0.4, 2), (0.1, 0.9, 0), (0.57, 0.8, 1), (0.92, 0.5, 0),
               (0, 0.9, 1)),
     )  # fmt: skip
@@ -180,31 +183,31 @@ def _steered(limits: Limits) -> Iterator[tuple[str, str, _Moves]]:
     yield "fast", "in at one high speed", _legs(limits, (1, 0.8, 1))
     yield "speeds", "in at several speeds", _legs(limits, (0.3, 0.2, 0), (0.6, 0.8, 0), (0.8, 0.2, 0), (1, 0.8, 1))
     yield (
-        "half_turn", "half a turn on the way, another speed behind it",
+        "half_turn", "half a turn during the insertion, and another speed after it",
         [*_legs(limits, (0.4, 0.3, 0)), half, *_legs(limits, (1, 0.7, 1))],
     )  # fmt: skip
     yield (
-        "turned_first", "the bevel to the other side from the entry on",
+        "turned_first", "half a turn before the entry",
         [half, *_legs(limits, (0.5, 0.7, 0), (1, 0.3, 1))],
     )  # fmt: skip
     yield (
-        "turned_and_back", "the bevel to the other side from the entry on, and back on the way, with several speeds",
+        "turned_and_back", "half a turn before the entry, and back during the insertion, with several speeds",
         [half, *_legs(limits, (0.25, 0.7, 0), (0.5, 0.25, 1)), back, *_legs(limits, (0.75, 0.7, 0), (1, 0.3, 1))],
     )  # fmt: skip
     yield (
-        "turned_early", "half a turn just behind the entry: what is only there is to one side, the rest to the other",
+        "turned_early", "half a turn just after the entry, to separate effects of the entry from those along the path",
         [*_legs(limits, (0.06, 0.2, 0)), half, *_legs(limits, (0.5, 0.7, 0), (1, 0.3, 1))],
     )  # fmt: skip
     yield (
-        "patient", "half a turn on the way, and half a minute of rest at the end: what moves by itself is seen to",
+        "patient", "half a turn during the insertion, and half a minute of rest at the end, to show motion at rest",
         [*_legs(limits, (0.5, 0.5, 0)), half, *_legs(limits, (1, 0.5, 30))],
     )  # fmt: skip
     yield (
-        "half_turns", "half a turn, and back, with several speeds and a rest",
+        "half_turns", "half a turn and back, with several speeds and a dwell",
         [*_legs(limits, (0.3, 0.7, 0)), half, *_legs(limits, (0.65, 0.25, 2)), back, *_legs(limits, (1, 0.7, 1))],
     )  # fmt: skip
     yield (
-        "quarter_turn", "a quarter of a turn, and a half",
+        "quarter_turn", "a quarter turn, then on to half a turn",
         [*_legs(limits, (0.35, 0.5, 1)), quarter, *_legs(limits, (0.7, 0.25, 0)), half, *_legs(limits, (1, 0.7, 1))],
     )  # fmt: skip
 
@@ -220,7 +223,7 @@ def _legs(limits: Limits, *stops: _Stop) -> list[Insert | Rotate | Dwell]:
 
 
 def _pecks(limits: Limits, in_mm: float, out_mm: float, speed: float, part: float) -> list[Insert | Rotate | Dwell]:
-    """Return moves in by `in_mm` and out by `out_mm`, repeated until a share of the depth is reached."""
+    """Return insertions by `in_mm` and retractions by `out_mm` in turn, up to a share `part` of the depth."""
     depth = max(limits.shallowest_mm, 0.0)
     found: list[Insert | Rotate | Dwell] = []
     velocity = round(speed * limits.fastest_mm_s, 3)
@@ -256,7 +259,7 @@ class NextMotion(ABC):
 
 
 def predicted_trial(base: Model, calibration: Calibration, motion: Motion) -> CalibratedTrial:
-    """Return a simulated trial of a motion, calibrated like a recorded one."""
+    """Return a trial of a motion that is simulated without noise and calibrated like a recorded trial."""
     lag_s = float(np.mean([trial.lag_s for trial in calibration.training]))
     output = lagged(simulate(base, motion).output.ravel(), motion, lag_s)
     columns = dict(zip(base.channel.columns, np.split(output, len(base.channel.columns)), strict=True))

@@ -1,7 +1,7 @@
 """The motion that lowers the detection limits, if no gap was found but a relevant effect may be hidden.
 
-A detection limit is inversely proportional to the root of the information on the amplitude, 1 / limit^2, which is a sum
-over all trials.
+The information of the recordings on an amplitude is proportional to 1 / limit^2, where limit is the detection limit.
+The information of several trials adds up.
 """
 
 from __future__ import annotations
@@ -21,52 +21,52 @@ from needleplan.signals import Array, Role
 
 __all__ = ["Revealed", "Revealing", "revealing"]
 
-# Share of the present detection limit below which further improvement does not count.
+# Ratio of new to present detection limit below which a further improvement does not count.
 _LEAST = 0.01
 
 
 @dataclass(frozen=True)
 class Revealed:
-    """Detection limit of one effect: with the recordings so far, and with one more trial."""
+    """Detection limit of one effect: at present (`now`), and with one more trial of the motion (`after`)."""
 
     effect: str
     unit: str
     now: float | None
-    """Present limit; None if it exceeds the effect's bound or the base model absorbs the effect."""
+    """Present limit; None if the limit exceeds the effect's bound or the base model absorbs the effect."""
 
     after: float
     repeated: float | None
-    """Limit with the last training motion repeated."""
+    """Limit if the last training motion were repeated instead; None if the effect would stay invisible."""
 
 
 @dataclass(frozen=True)
 class Revealing(NextMotion):
-    """The motion that lowers the detection limits most: in the mean logarithm over effects that may be hidden."""
+    """The motion that lowers the detection limits most, in the geometric mean of the effects that may be hidden."""
 
     effects: tuple[Revealed, ...]
     """Effects that may be hidden, the most improved first."""
 
     shrinks_to: float
-    """Geometric mean of new over present detection limits."""
+    """Geometric mean of the ratios of new to present detection limits."""
 
     repeated_shrinks_to: float
     considered: tuple[tuple[str, float], ...]
-    """Name and geometric mean of each program."""
+    """Name and geometric mean ratio of each program, as `shrinks_to`."""
 
     @property
     def why(self) -> str:
         """Reason for the motion, in words."""
         best = self.effects[0]
-        now = "no limit" if best.now is None else f"{best.now:.3g} {best.unit}"
+        now = "undetectable" if best.now is None else f"{best.now:.3g} {best.unit}"
         return (
-            f"The detection limits shrink to {self.shrinks_to:.0%} of their present values in the mean; with the last "
-            f"motion repeated, to {self.repeated_shrinks_to:.0%}. The largest improvement is {best.effect}: from {now} "
-            f"to {best.after:.3g} {best.unit}."
+            f"On average, this motion lowers the detection limits to {self.shrinks_to:.0%} of their present "
+            f"values; the last motion, repeated, would lower them to {self.repeated_shrinks_to:.0%}. The largest improvement is "
+            f"{best.effect}: from {now} to {best.after:.3g} {best.unit}."
         )
 
 
 def revealing(found: Diagnosis, tried: Sequence[Tried], role: Role) -> Revealing | None:
-    """Return the motion that lowers the detection limits most; None if no motion makes an effect visible."""
+    """Return the motion that lowers the detection limits most; None if no motion lowers any of them."""
     hidden = [each for each in found.detection_limits if not each.visible or each.noise_multiple > found.gates.relevant]
     hidden = hidden or list(found.detection_limits)
     effects = {each.effect.name: each.effect for each in found.selection.rounds[0].screened}
@@ -79,9 +79,10 @@ def revealing(found: Diagnosis, tried: Sequence[Tried], role: Role) -> Revealing
     trials = [predicted_trial(found.calibration.model, found.calibration, motion) for _, motion in tried]
     last = found.calibration.training[-1]
     more = [
-        np.array([_seen(effects[each.effect], each, trial, heterogeneity_sd) for each in hidden]) for trial in trials
+        np.array([_information(effects[each.effect], each, trial, heterogeneity_sd) for each in hidden])
+        for trial in trials
     ]
-    again = np.array([_seen(effects[each.effect], each, last, heterogeneity_sd) for each in hidden])
+    again = np.array([_information(effects[each.effect], each, last, heterogeneity_sd) for each in hidden])
     shares = [_shares(now, each) for each in more]
     if not hidden or not any((each < 1).any() for each in shares):
         return None
@@ -104,9 +105,9 @@ def revealing(found: Diagnosis, tried: Sequence[Tried], role: Role) -> Revealing
     )  # fmt: skip
 
 
-def _seen(effect: Effect, detection_limits: DetectionLimit, trial: CalibratedTrial, heterogeneity_sd: Array) -> float:
+def _information(effect: Effect, limit: DetectionLimit, trial: CalibratedTrial, heterogeneity_sd: Array) -> float:
     """Return the information of one trial on the amplitude of an effect at the grid point of its detection limit."""
-    raw = effect.columns(trial.model, trial.motion, [dict(detection_limits.at)])
+    raw = effect.columns(trial.model, trial.motion, [dict(limit.at)])
     column = trial.lag_sensitivity[:, None] if effect.is_lag else trial.whiten(raw)
     curvature = float(JointLikelihood([trial.whitened], heterogeneity_sd).scores([column]).curvature[0, 0])
     # The remainder of a sensitivity that the base model absorbs is rounding error.
@@ -119,7 +120,10 @@ def _largest(effect: Effect) -> float:
 
 
 def _shares(now: Array, more: Array) -> Array:
-    """Return new over present detection limits; 1 if an effect is invisible before and after."""
+    """Return the ratios of new to present detection limits, shape (effects,).
+
+    `now` and `more` are the present information and that of the new trial. The ratio is 1 if both are zero.
+    """
     total = now + more
     with np.errstate(divide="ignore", invalid="ignore"):
         found = np.where(total > 0, np.sqrt(now / total), 1.0)

@@ -1,8 +1,9 @@
-"""The motion that separates effects that explain the data alike (T-optimal design, Hunter and Reiner).
+"""The motion that separates effects that explain the data equally well (T-optimal design, Hunter and Reiner).
 
-If the first of two effects is true, its model predicts one more trial of a motion. The second effect explains part of
-that prediction, with the base model recalibrated and its own parameters moved within their uncertainty. The whitened
-energy of the rest is the expected change D of the difference in BIC gain. Its variance is 4 D.
+Suppose that the first of two effects is true. Its model then predicts one more trial of a motion. The second effect can
+explain part of that prediction, after recalibration of the base model and a change of the second effect's parameters
+within their uncertainty. The whitened energy D of the unexplained part is the expected growth of the first effect's
+lead in BIC gain; the variance of the growth is 4 D.
 """
 
 from __future__ import annotations
@@ -36,15 +37,15 @@ __all__ = [
     "separations_by",
 ]
 
-# Name of the alternative of an effect that has no other.
+# Stands for "no effect": the alternative if only one effect is possible.
 NOTHING = "nothing"
-# Most alternatives that are compared.
+# Largest number of possible effects that are compared.
 _MOST = 4
-# Distance behind the best effect, in leads, within which an effect is an alternative.
+# Deficit in gain behind the best effect, in units of `Gates.lead`, up to which an effect counts as possible.
 _NEAR = 2.0
-# Number of further trials from which a pair counts as inseparable.
+# Number of further trials of the best motion above which a pair counts as inseparable.
 _MOST_TRIALS = 5
-# Step of a coordinate for numerical sensitivities.
+# Change of a fit coordinate for numerical sensitivities.
 _STEP = 0.02
 
 
@@ -55,71 +56,71 @@ class Separation:
     true: str
     alternative: str
     lead: float
-    """Present lead of the first effect in combined gain."""
+    """Present lead in combined gain of the effect `true` over `alternative`."""
 
     expected: float
-    """Expected growth of the lead."""
+    """Expected growth of the lead if `true` is the true effect."""
 
     thresholds: float
-    """Expected growth over the lead that a name needs."""
+    """Ratio of `expected` to the lead that a name needs."""
 
     resolves: float
-    """Probability that the lead is then sufficient."""
+    """Probability that the lead is sufficient after the trial."""
 
 
 @dataclass(frozen=True)
 class Synonyms:
-    """Two effects that no considered motion separates."""
+    """Two effects that none of the considered motions separates within a few trials."""
 
     first: str
     second: str
     trials: int | None
-    """Number of trials of the best motion that would separate them; None if no number does."""
+    """Number of trials of the best motion that would separate the effects; None if more than 1000 would be needed."""
 
 
 @dataclass(frozen=True)
 class Separating(NextMotion):
-    """The motion that most probably decides between effects."""
+    """The motion with the largest probability of a decision between the possible effects."""
 
     separations: tuple[Separation, ...]
     resolves: float
-    """Probability of a decision, with each effect weighted by its present probability."""
+    """Mean probability of a decision, weighted by the present probability of each effect."""
 
     repeated: tuple[Separation, ...]
-    """Separations by the last training motion, repeated."""
+    """Separations if the last training motion were repeated instead."""
 
     repeated_resolves: float
     considered: tuple[tuple[str, float, float], ...]
-    """Name, probability and least separation (in thresholds) of each program."""
+    """Name, probability of a decision, and smallest `Separation.thresholds` of each program."""
 
     synonyms: tuple[Synonyms, ...]
-    """Pairs that no program separates."""
+    """Pairs of effects that no program separates."""
 
     @property
     def least(self) -> float:
-        """Separation of the worst pair, in units of the lead that a name needs."""
+        """Smallest separation of all pairs, in units of the lead that a name needs."""
         return min(each.thresholds for each in self.separations)
 
     @property
     def why(self) -> str:
-        """Reason for the motion, in words, with the pairs that nothing separates."""
+        """Reason for the motion, in words, with a remark on pairs that no motion separates."""
         pair = min(self.separations, key=lambda each: each.thresholds)
         if pair.alternative == NOTHING or pair.true == NOTHING:
             name = pair.true if pair.alternative == NOTHING else pair.alternative
             return (
-                f"One effect is in question, but data are missing. If {name} is the missing effect, this motion shows "
-                f"it with {pair.thresholds:.0f} times the lead that a name needs."
+                f"Only one effect is possible, but data are missing. If {name} is the missing effect, this motion "
+                f"should give it {pair.thresholds:.0f} times the lead that a name needs."
             )
         again = min(each.thresholds for each in self.repeated)
         text = (
-            f"It should change the lead between {pair.true} and {pair.alternative} by {pair.thresholds:.1f} times the "
-            f"lead that a name needs; the last motion repeated, by {again:.1f} times."
+            f"This motion should change the lead between {pair.true} and {pair.alternative} by {pair.thresholds:.1f} "
+            f"times the lead that a name needs; the last motion, repeated, would change it by {again:.1f} times."
         )
         return " ".join([text, *(f"{_said(each)}." for each in self.synonyms)])
 
 
 def _said(each: Synonyms) -> str:
-    """Return the statement on a pair that no motion separates."""
+    """Return a statement, without a full stop, on a pair of effects that no motion separates."""
     count = "no number of trials of any motion" if each.trials is None else f"no fewer than {each.trials} more trials"
     return (
         f"{each.first} and {each.second} act alike in all considered motions ({count} would separate them "
@@ -129,14 +130,14 @@ def _said(each: Synonyms) -> str:
 
 @dataclass(frozen=True)
 class AlternativeEffect:
-    """A fitted effect that may be the missing one."""
+    """A fitted effect that may be the missing effect."""
 
     name: str
     combined_gain: float
     """BIC gain in training plus likelihood gain on the held-out trials."""
 
     heterogeneity_sd: float
-    """Heterogeneity standard deviation beside the effect."""
+    """Estimated heterogeneity standard deviation in the fit with this effect."""
 
     base: Model
     effects: tuple[FittedEffect, ...]
@@ -147,15 +148,15 @@ class AlternativeEffect:
 def separating(
     found: Diagnosis, alternatives: Sequence[AlternativeEffect], tried: Sequence[Tried], role: Role
 ) -> Separating:
-    """Return the motion that most probably decides between at least two effects."""
+    """Return the motion with the largest probability of a decision between at least two effects."""
     all_ = [*alternatives, *_close_behind(found, alternatives)]
     every = [separations_by(found, all_, motion) for _, motion in tried]
     made = [(*each, _among(alternatives, pairs)) for each, pairs in zip(tried, every, strict=True)]
     again = separations_by(found, alternatives, found.calibration.training[-1].motion)
     synonyms, all_synonyms = (_synonyms(each, found.gates.lead) for each in ([pairs for *_, pairs in made], every))
     judged = [(*each, _resolves(alternatives, each[2], synonyms)) for each in made]
-    # Among almost equal probabilities the larger separation wins. It includes effects close behind, which may remain
-    # when one of the effects in question is excluded.
+    # Among almost equal probabilities the larger separation wins. It includes effects close behind, because these may
+    # remain possible after one of the best effects is excluded.
     order = [
         (round(each[3], 2), _least(_separable(pairs, all_synonyms))) for each, pairs in zip(judged, every, strict=True)
     ]
@@ -168,7 +169,7 @@ def separating(
 
 
 def alternatives_of(found: Diagnosis) -> tuple[AlternativeEffect, ...]:
-    """Return the effects near the best one in the decisive round."""
+    """Return the possible effects, the best first: those tied in the decisive round, else those near its best."""
     round_ = _deciding(found)
     if round_ is None:
         return ()
@@ -191,7 +192,7 @@ def alternatives_of(found: Diagnosis) -> tuple[AlternativeEffect, ...]:
 
 
 def _close_behind(found: Diagnosis, alternatives: Sequence[AlternativeEffect]) -> list[AlternativeEffect]:
-    """Return further effects that fit nearly as well in training, whatever their validation."""
+    """Return further effects that fit the training data nearly as well, validated or not."""
     round_ = _deciding(found)
     assert round_ is not None, "alternatives come from this round"
     names = {each.name for each in alternatives}
@@ -202,7 +203,7 @@ def _close_behind(found: Diagnosis, alternatives: Sequence[AlternativeEffect]) -
 
 
 def _among(alternatives: Sequence[AlternativeEffect], pairs: Sequence[Separation]) -> tuple[Separation, ...]:
-    """Return the pairs of which both effects are given."""
+    """Return the pairs whose effects are both in `alternatives`."""
     names = {each.name for each in alternatives}
     return tuple(each for each in pairs if each.true in names and each.alternative in names)
 
@@ -210,12 +211,12 @@ def _among(alternatives: Sequence[AlternativeEffect], pairs: Sequence[Separation
 def separations_by(
     found: Diagnosis, alternatives: Sequence[AlternativeEffect], motion: Motion
 ) -> tuple[Separation, ...]:
-    """Return how well one more trial of a motion would separate effects, each pair both ways."""
+    """Return how well one more trial of a motion would separate the effects, for each ordered pair."""
     lead = found.gates.lead
     shown = {each.name: effects_output(each.effects, each.base, motion).ravel() for each in alternatives}
     pairs = []
     trial = predicted_trial(found.calibration.model, found.calibration, motion)
-    # Heterogeneity as beside the true effect; beside the base model alone it absorbs the gap too.
+    # Heterogeneity as estimated with the true effect: estimated without effects it would absorb the gap too.
     spaces = {true.name: JointLikelihood([trial.whitened], np.array([true.heterogeneity_sd])) for true in alternatives}
     for alternative in alternatives:
         moved = (
@@ -228,7 +229,7 @@ def separations_by(
                 continue
             gap = trial.whiten((shown[true.name] - shown[alternative.name])[:, None])
             matrix, _ = spaces[true.name].normal([np.column_stack([gap, moved])], 0)
-            expected = _left(matrix, alternative.covariance)
+            expected = _unexplained_energy(matrix, alternative.covariance)
             now = true.combined_gain - alternative.combined_gain
             enough = ndtr((now + expected - lead) / (2 * sqrt(expected) + 1e-9))
             pairs.append(Separation(true.name, alternative.name, now, expected, expected / lead, float(enough)))
@@ -236,7 +237,7 @@ def separations_by(
 
 
 def _deciding(found: Diagnosis) -> SelectionRound | None:
-    """Return the round that decided between effects; None if there is none."""
+    """Return the round that the verdict depends on: the last tied or accepting round; None without such a round."""
     accepted = [round_ for round_ in found.selection.rounds if round_.outcome is RoundOutcome.ACCEPTED]
     last = found.selection.rounds[-1]
     if found.verdict in (Verdict.AMBIGUOUS, Verdict.INCOMPLETE):
@@ -263,7 +264,7 @@ def _unfitted(name: str, bic_gain: float, effects: tuple[FittedEffect, ...], fou
 
 
 def _synonyms(made: Sequence[Sequence[Separation]], lead: float) -> tuple[Synonyms, ...]:
-    """Return the pairs that no motion separates, in one direction at least."""
+    """Return the pairs that no motion separates within `_MOST_TRIALS` trials, as either effect may be true."""
     needed: dict[tuple[str, str], float] = {}
     for pairs in made:
         for pair in pairs:
@@ -280,7 +281,7 @@ def _synonyms(made: Sequence[Sequence[Separation]], lead: float) -> tuple[Synony
 
 
 def _separable(pairs: Sequence[Separation], synonyms: Sequence[Synonyms]) -> list[Separation]:
-    """Return the pairs that can be separated; all pairs if none can."""
+    """Return the pairs that are not synonyms; all pairs if all are synonyms."""
     alike = [{each.first, each.second} for each in synonyms]
     return [each for each in pairs if {each.true, each.alternative} not in alike] or list(pairs)
 
@@ -292,7 +293,7 @@ def _least(pairs: Sequence[Separation]) -> float:
 def _resolves(
     alternatives: Sequence[AlternativeEffect], pairs: Sequence[Separation], synonyms: Sequence[Synonyms]
 ) -> float:
-    """Return the probability of a decision, with each effect weighted by its present probability."""
+    """Return the mean probability of a decision, weighted by the present probability of each effect."""
     best = max(each.combined_gain for each in alternatives)
     weights = np.array([np.exp((each.combined_gain - best) / 2) for each in alternatives])
     left = _separable(pairs, synonyms)
@@ -302,8 +303,11 @@ def _resolves(
     return float(weights @ each / weights.sum())
 
 
-def _left(matrix: Array, covariance: Array) -> float:
-    """Return the energy of the first column that the others cannot explain within their uncertainty."""
+def _unexplained_energy(matrix: Array, covariance: Array) -> float:
+    """Return the energy of the first column that the other columns cannot explain.
+
+    `matrix` is the normal matrix of all columns; `covariance` is the prior of the other columns' coefficients.
+    """
     if not covariance.size:
         return max(float(matrix[0, 0]), 0.0)
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -314,7 +318,10 @@ def _left(matrix: Array, covariance: Array) -> float:
 
 
 def _derivatives(alternative: AlternativeEffect, motion: Motion) -> Array:
-    """Return the derivative of the output by each coordinate of an effect, shape (axes * samples, coordinates)."""
+    """Return the derivatives of the output with respect to the coordinates of an alternative.
+
+    The shape is (axes * samples, coordinates).
+    """
     here = effects_output(alternative.effects, alternative.base, motion).ravel()
     columns = []
     for index, name in alternative.coordinates:

@@ -1,4 +1,4 @@
-"""A diagnosis as files: model and data in, a folder with the diagnosis out."""
+"""Files of a diagnosis: reads a model file and data files, writes the diagnosis into a folder."""
 
 from needleplan.reports.diagnosis.corrected_plan import CorrectedPlan, along_mm, corrected_plan
 from needleplan.reports.diagnosis.effect_file import effect_file_text

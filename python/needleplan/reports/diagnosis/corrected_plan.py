@@ -1,4 +1,4 @@
-"""The corrected plan: what follows from a diagnosed model for the planner and for the robot."""
+"""The corrected plan: a scenario for the planner and options for the robot, computed from a diagnosed model."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ from needleplan.signals import Record
 
 __all__ = ["CorrectedPlan", "along_mm", "corrected_plan", "corrected_plan_lines", "require_path", "write_scenario"]
 
-# Torque per length (N) below which the needle has no torsional lag.
+# Torque per length (N) below which the torsional lag of the needle is ignored.
 _NOTHING_N = 1e-12
-# Smallest rotation (rad) that a robot resolves.
+# Rotation (rad) up to which an angle is not reported, because robots do not resolve it.
 _TURNED_RAD = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class CorrectedPlan:
-    """A scenario for the diagnosed tissue, and what the robot needs to know besides.
+    """A scenario for the diagnosed tissue, and the corrections that the robot needs.
 
-    `bends` gives the roll at which the needle bends to a side; `torsion` compensates the lag of the tip's roll.
+    `bends` gives the roll angle at which the needle bends to the left or right. `torsion` compensates the lag of the
+    tip's roll behind the base; None if there is no lag.
     """
 
     scenario: Scenario
@@ -37,16 +38,16 @@ class CorrectedPlan:
 
     @property
     def heading_rad(self) -> float:
-        """Heading of the path relative to the commanded direction, in the plane, positive to the left."""
+        """Initial heading (rad) of the path relative to the commanded direction, in the plane, positive to the left."""
         return self.bends.heading_rad
 
     @property
     def turned_rad(self) -> float:
-        """Mean rotation of the left and the right bevel direction at the entry."""
+        """Rotation (rad) of the bevel directions at the entry from their nominal angles, mean of left and right."""
         return (self.bends.roll_rad(1, 0.0) + self.bends.roll_rad(-1, 0.0) - math.pi) / 2
 
     def options(self) -> dict[str, str]:
-        """Return the options that `needleplan insert` needs, by name."""
+        """Return the values of the options that `needleplan insert` needs, by option."""
         found = {}
         if self.torsion:
             found["--torsion"] = f"{self.torsion.stiffness_n_mm2:.6g},{self.torsion.torque_per_length_n:.6g}"
@@ -77,7 +78,8 @@ def corrected_plan(
     stiffness_n_mm2, shaft_mm
         Torsional stiffness and length of the needle; they convert a lag of the tip into a torque per length.
     places
-        Depths and positions along x, as from `along_mm`; by default those of a needle that is rotated half of the time.
+        Depths and positions along x (mm), as returned by `along_mm`; by default those of a needle that is rotated half
+        of the time.
 
     Returns
     -------
@@ -87,7 +89,7 @@ def corrected_plan(
     Raises
     ------
     ModelError
-        If the model is not of a tip's path.
+        If the model does not describe the path of the tip.
     ScenarioError
         If the scenario does not permit the curvature.
     """
@@ -107,7 +109,10 @@ def corrected_plan(
 
 
 def along_mm(records: tuple[Record, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Return depths and mean positions of the tip along x (mm) over recordings, shape (n,) each."""
+    """Return depths (mm) and, at each depth, the mean position of the tip along x (mm) in the recordings.
+
+    Both arrays have shape (n,). Raises ModelError if a recording does not reach into the tissue.
+    """
     deepest = min(float(np.nanmax(each["depth_mm"])) for each in records)
     if not deepest > 0:
         raise ModelError(Mistake("depth_mm", f"{deepest:g}", "must reach into the tissue"), "recordings")
@@ -121,7 +126,7 @@ def along_mm(records: tuple[Record, ...]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _torsion(bends: InPlane, stiffness_n_mm2: float, shaft_mm: float) -> Torsion | None:
-    """Return the torque per length whose lag approximates the model's over the first half of the depth."""
+    """Return the torsion whose lag fits the model's lag in the first half of the depth; None if it is negligible."""
     depth = bends.depth_mm
     shape = depth * (shaft_mm - depth / 2) / stiffness_n_mm2
     near = depth <= depth[-1] / 2
@@ -130,7 +135,7 @@ def _torsion(bends: InPlane, stiffness_n_mm2: float, shaft_mm: float) -> Torsion
 
 
 def require_path(channel: Channel) -> None:
-    """Raise ModelError unless the channel is the position of the tip, which a corrected plan needs."""
+    """Raise ModelError unless the channel is the position of the tip."""
     if channel is not Channel.TIP:
         rule = "needs a model of the tip's path in space (spatial_bicycle or spatial_beam)"
         raise ModelError(Mistake("--scenario", "", rule))
@@ -141,8 +146,8 @@ def write_scenario(
 ) -> tuple[str, CorrectedPlan]:
     """Write `scenario.toml` into a folder; return its path and the corrected plan.
 
-    The scenario follows from `Diagnosis.model`: the base model with the named effects, or the calibrated base model
-    alone. The first line of the file says which. Raises ModelError, ScenarioError and OutputError.
+    The scenario is computed from `Diagnosis.model`: the base model with the named effects, or the calibrated base model
+    alone. The first line of the file states which of them. Raises ModelError, ScenarioError and OutputError.
     """
     require_path(found.given.channel)
     what = corrected_plan(found.model, scenario, velocity_mm_s=velocity_mm_s, places=along_mm(found.checked.training))
@@ -152,14 +157,14 @@ def write_scenario(
 
 
 def _said(found: Diagnosis) -> str:
-    """Return a sentence on what the scenario contains."""
+    """Return a sentence that states whether the scenario includes the named effects."""
     if found.verdict is Verdict.NAMED:
         return f"Curvature with the named effects: {', '.join(found.names)}."
     return f"Curvature calibrated to these recordings, without effects (verdict: {found.verdict})."
 
 
 def corrected_plan_lines(found: Diagnosis, what: CorrectedPlan) -> Iterator[str]:
-    """Yield lines on the scenario, and on what the robot needs to know."""
+    """Yield lines of text on the scenario and on the corrections that the robot needs."""
     yield f"  plan: {_said(found)}"
     layers = len(what.scenario.needle.layers)
     yield f"  plan: radius {what.scenario.needle.curvature_radius_mm:.4g} mm" + f", layers behind it: {layers}" * bool(
@@ -170,6 +175,6 @@ def corrected_plan_lines(found: Diagnosis, what: CorrectedPlan) -> Iterator[str]
     for option, value in what.options().items():
         yield f"  robot: insert {option} {value}"
     left, right = what.bends.roll_rad(1, 0.0), what.bends.roll_rad(-1, 0.0) - math.pi
-    # A common rotation of both sides is an option of the command; different rotations are not.
+    # An option of the command rotates both sides; different rotations of the two sides are only reported.
     if max(abs(left - what.turned_rad), abs(right - what.turned_rad)) > _TURNED_RAD:
         yield f"  robot: at the entry, bevel left is a roll of {left:.4f} rad, right {right + math.pi:.4f} rad"

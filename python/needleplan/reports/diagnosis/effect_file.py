@@ -1,4 +1,4 @@
-"""An effect file: Python source of an effect with the shape of an unexplained gap, for a person to complete."""
+"""An effect file: Python source of an effect with the shape of an unexplained gap, to be completed by the user."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ _WAYS = {"advance": "(sign > 0)", "retraction": "(sign < 0)", "any": "1.0"}
 
 
 _TEMPLATE = '''\
-"""A draft of an effect for an unexplained gap. It describes the recordings and explains no cause.
+"""A draft of an effect for an unexplained gap. It describes the recordings, but does not explain the cause.
 
 {description}
 
-Find the physical cause, replace `drawn` by its law, and set the name, the family, the place where it enters (TIP,
-SHAFT, TISSUE or SENSOR) and the source. Then look for it beside all other effects:
+Find the physical cause, replace the body of `drawn` by its law, and set name, family, source and `enters`
+(TIP, SHAFT, TISSUE or SENSOR: where the effect acts). Then diagnose with this effect and all others:
 
     needleplan diagnose MODEL.toml DATA... -o DIR --effects effect_to_name.py
 
-To make the effect known to every command, let a package name EFFECT in its entry point `needleplan.effects`.
+To add the effect to every command, install a package with an entry point of the group `needleplan.effects` that names
+EFFECT.
 """
 
 from dataclasses import dataclass
@@ -44,34 +45,34 @@ from needleplan.models import parameter
 def drawn(depth_mm, velocity_mm_s, sign, time_s, force_n):
     """Missing force (N), scaled to an RMS of 1 N in the training data.
 
-    depth_mm is 0 in the air. sign is +1 inwards and -1 outwards, and keeps its value in a dwell. force_n is the force
-    of the model without the effect.
+    depth_mm is 0 in the air. sign is +1 during insertion and -1 during retraction, and keeps its value during a dwell.
+    force_n is the force of the model without the effect.
     """
     return {expression}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Draft(Term):
-    """The draft, without memory."""
+    """The draft: an effect without internal state."""
 
     name: ClassVar[str] = {name}
     order: ClassVar[int] = 0
     size: float = parameter("N", -20, 20, "RMS of the missing force", typical={typical!r})
 
     def initial(self, motion):
-        """Return no memory."""
+        """Return the initial internal state: empty."""
         return np.zeros(0)
 
     def rate(self, state, motion):
-        """Return no memory."""
+        """Return the rate of the internal state: empty."""
         return state
 
     def states(self, motion, start):
-        """Return no memory."""
+        """Return the internal states along the motion: shape (0, samples)."""
         return np.zeros((0, len(motion)))
 
     def shape(self, state, motion, plain):
-        """Return what is added for size 1."""
+        """Return the added force (N) at size 1, shape (samples,)."""
         depth = np.maximum(np.asarray(motion.depth_mm, float), 0.0)
         rows = motion.velocity_mm_s, motion.direction, motion.time_s, plain
         return np.asarray(drawn(depth, *(np.asarray(row, float) for row in rows)) + np.zeros_like(depth))
@@ -91,14 +92,14 @@ EFFECT = TermEffect(
 
 
 def effect_file_text(described: GapDescription, name: str = "my_effect") -> str:
-    """Return the source of an effect with the shape of a gap: its formula, or else its curves as a table."""
+    """Return Python source of an effect with the shape of a gap: its formula or, without one, a table of its curves."""
     axis, curves, formula, rms = described.axis, described.curves, described.sparse, described.rms
     if formula is not None:
         expression = " + ".join(f"{each.factor / rms!r} * {each.text}" for each in formula.terms)
         equation = formula.text
     else:
         expression = _table(axis, curves, rms)
-        equation = f"a table over {_AXES[axis]}, see drawn"
+        equation = f"a table along {_AXES[axis]}, see drawn"
     return _TEMPLATE.format(
         description=_description(axis, formula),
         expression=expression,
@@ -134,5 +135,5 @@ def _description(axis: GapAxis, formula: Formula | None) -> str:
     lines.append(f"As a formula, in N: {formula.text}")
     lines.append(f"It has {formula.share:.0%} of the gain of the best smooth function{kept}.")
     if formula.alike:
-        lines.append("Equivalent first products: " + "; ".join(formula.alike[:6]))
+        lines.append("Other products that fit nearly as well as the first: " + "; ".join(formula.alike[:6]))
     return "\n".join(lines)

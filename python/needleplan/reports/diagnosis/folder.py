@@ -27,7 +27,7 @@ FILES = ("diagnosis.json", "report.html", "model.toml", "next_motion.toml", "eff
 def diagnose_files(
     model: str, data: Sequence[str], *, accept_units: bool = False, seed: int = 0
 ) -> tuple[Diagnosis, ModelFile, Library]:
-    """Diagnose a model file with data files. Returns the diagnosis, the model file and the library.
+    """Read a model file and data files, and return the diagnosis, the model file and the library of effects.
 
     Raises ModelError and DataError.
     """
@@ -40,11 +40,11 @@ def diagnose_files(
 def write_folder(
     found: Diagnosis, file: ModelFile, library: Library, folder: str, *, merge_anyway: bool = False
 ) -> tuple[str, ...]:
-    """Write a diagnosis into a folder and return the paths of all files.
+    """Write a diagnosis into a folder, which is created if needed, and return the paths of all written files.
 
-    Always writes `diagnosis.json` and `report.html`. Writes `model.toml` if effects were named or `merge_anyway` is
-    set, `next_motion.toml` if a further motion is proposed, and `effect_to_name.py` for an unexplained gap. Raises
-    OutputError.
+    Always writes `diagnosis.json` and `report.html`. Writes `model.toml` if the verdict is NAMED, or if effects were
+    found and `merge_anyway` is set; `next_motion.toml` if a further motion is proposed; and `effect_to_name.py` for an
+    unexplained gap. Raises OutputError.
     """
     place = Path(folder)
     try:

@@ -1,4 +1,4 @@
-"""Elements of a self-contained HTML page: no script, no request, one heading of first order."""
+"""HTML text of a self-contained page and its elements: no script, no request, one heading of first order."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ a { color: #00527f; }
 
 
 def page(title: str, body: Iterable[str]) -> str:
-    """Return a page; `title` is also its first heading."""
+    """Return the HTML text of a page; `title` is also its first heading."""
     return "\n".join([
         "<!DOCTYPE html>",
         '<html lang="en">',
         "<head>",
         '<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        # Forbids requests, whatever text a data file contains.
+        # Forbids requests, even if a data file contains HTML.
         "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; "
         "style-src 'unsafe-inline'\">",
         f"<title>{escape(title)}</title>",
@@ -55,23 +55,26 @@ def page(title: str, body: Iterable[str]) -> str:
     ])  # fmt: skip
 
 
-def heading(text: str, heterogeneity_sd: int = 2) -> str:
-    """Return a heading of second or lower order."""
-    return f"<h{heterogeneity_sd}>{escape(text)}</h{heterogeneity_sd}>"
+def heading(text: str, order: int = 2) -> str:
+    """Return the HTML text of a heading: `order` 2 for a section, 3 for a part of a section."""
+    return f"<h{order}>{escape(text)}</h{order}>"
 
 
 def paragraph(text: str, kind: str = "") -> str:
-    """Return a paragraph; `kind` is its CSS class."""
+    """Return the HTML text of a paragraph; `kind` is its CSS class."""
     return f'<p class="{escape(kind)}">{escape(text)}</p>' if kind else f"<p>{escape(text)}</p>"
 
 
 def items(texts: Iterable[str]) -> str:
-    """Return a list."""
+    """Return the HTML text of a bulleted list."""
     return "<ul>\n" + "\n".join(f"<li>{escape(each)}</li>" for each in texts) + "\n</ul>"
 
 
 def table(caption: str, columns: Sequence[str], rows: Iterable[Sequence[str | float | int | None]]) -> str:
-    """Return a table. The first cell of a row is its heading, numbers are aligned right, None is a dash."""
+    """Return the HTML text of a table.
+
+    The first cell of a row is the heading of the row. Numbers are aligned right; None and NaN are shown as a dash.
+    """
     lines = ['<div class="scroll"><table>', f"<caption>{escape(caption)}</caption>", "<thead><tr>"]
     lines += [f'<th scope="col">{escape(each)}</th>' for each in columns]
     lines.append("</tr></thead><tbody>")
@@ -81,7 +84,7 @@ def table(caption: str, columns: Sequence[str], rows: Iterable[Sequence[str | fl
 
 
 def picture(svg: str, alternative: str, caption: str = "") -> str:
-    """Return a figure; `alternative` describes it in words."""
+    """Return the HTML text of an SVG figure; `alternative` describes it for readers who cannot see it."""
     data = base64.b64encode(svg.encode()).decode("ascii")
     below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
     return f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{escape(alternative)}">{below}</figure>'

@@ -1,4 +1,4 @@
-"""The next motion as an experiment file, which `needleplan simulate` runs, and as an entry of `diagnosis.json`."""
+"""The next motion as an experiment file for `needleplan simulate`, and as an entry of `diagnosis.json`."""
 
 from __future__ import annotations
 
@@ -25,15 +25,16 @@ The next motion to measure: {about}.
 {why}
 
 In the lab twin:   needleplan simulate next_motion.toml -o next.csv
-On the robot:      each [[move]] is one call of Stage.insert or Stage.rotate; start the next one when the stage rests
-                   (docs/reference/diagnosis.md). Start with the tip at entry.depth_mm below the surface.
+On the robot:      each [[move]] is one call of Stage.insert or Stage.rotate; start the next call when the stage is at
+                   rest (docs/reference/diagnosis.md). Start with the tip at entry.depth_mm below the surface.
 Give the trial the role {role}, and diagnose again with all recordings.
 """
+# Longest line of the comment at the head of the file, in characters.
 _WIDTH = 117
 
 
 def motion_text(next_: NextMotion, model: Model) -> str:
-    """Return the experiment file of a motion, in the tissue as `model` describes it."""
+    """Return the text of an experiment file with the motion, in tissue with the properties of `model`."""
     program, limits = next_.program, next_.program.limits
     document = {
         "schema": "needleplan.experiment/1",
@@ -57,7 +58,7 @@ def motion_text(next_: NextMotion, model: Model) -> str:
 
 
 def next_motion_document(next_: NextMotion) -> dict[str, object]:
-    """Return the entry of a motion in `diagnosis.json`."""
+    """Return the entry of a motion in `diagnosis.json` as a dictionary of JSON values."""
     found: dict[str, object] = {
         "name": next_.program.name,
         "about": next_.program.about,
@@ -111,7 +112,7 @@ def _pair(each: Separation) -> dict[str, object]:
 
 
 def _move(move: Dwell | Insert | Rotate) -> dict[str, float]:
-    """Return the table of a move."""
+    """Return the entries of a move's TOML table."""
     if isinstance(move, Dwell):
         return {"dwell_s": float(move.seconds)}
     if isinstance(move, Insert):

@@ -1,4 +1,4 @@
-"""Figures of a diagnosis report as SVG without external fonts or files."""
+"""Figures of a diagnosis report as SVG text without external fonts or files."""
 
 from __future__ import annotations
 
@@ -30,12 +30,14 @@ __all__ = [
 ]
 
 _STYLE: Any = {"font.size": 9, "axes.linewidth": 0.8, "svg.fonttype": "path", "svg.hashsalt": "needleplan"}
+# Number of lags (samples) of the autocorrelation.
 _LAGS = 40
+# Half of the largest number of bars in the figure of candidates.
 _MOST = 12
 
 
 def trial_figure(trace: TrialTrace, unit: str, axes_names: Sequence[str]) -> str:
-    """Return one trial: measured and modelled output, residual, and depth."""
+    """Return an SVG figure of one trial: measured and modelled output, residual, and depth, over time."""
     rows = len(trace.measured)
     figure, panels = _sheet(2 * rows + 1, 1, (7.4, 1.4 + 2.8 * rows), _Margins(top=0.3, between=0.12), sharex=True)
     time = trace.motion.time_s
@@ -67,7 +69,7 @@ def trial_figure(trace: TrialTrace, unit: str, axes_names: Sequence[str]) -> str
 
 
 def gap_figure(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> str:
-    """Return bars of the residual RMS before and after, with the noise."""
+    """Return an SVG figure of the residual RMS without and with the effects, as bars, and of the noise RMS."""
     groups = [(name, [each for each in traces if each.held_out is out]) for name, out in
               (("training", False), ("held out", True))]  # fmt: skip
     groups = [(name, part) for name, part in groups if part]
@@ -91,7 +93,10 @@ def gap_figure(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> str
 
 
 def map_figure(traces: Sequence[TrialTrace]) -> str:
-    """Return the whitened residual over depth, and its energy by depth and phase, before and after."""
+    """Return an SVG figure of the whitened residual by depth, and of its energy by depth and phase of motion.
+
+    Both are drawn without the effects and, if there are any, with them.
+    """
     from matplotlib.colors import LogNorm
 
     both = traces[0].left_after is not None
@@ -119,7 +124,7 @@ def map_figure(traces: Sequence[TrialTrace]) -> str:
     panels[-1].set_xlabel("depth (mm)")
     _aligned(panels)
     scale = figure.add_axes((1 - 0.85 / size[0], 0.15, 0.14 / size[0], 0.7))
-    figure.colorbar(image, cax=scale, label="energy, 1: noise", format=_plain)
+    figure.colorbar(image, cax=scale, label="energy (noise alone: 1)", format=_plain)
     return _svg(figure)
 
 
@@ -136,7 +141,7 @@ def _residual_panel(ax: Axes, traces: Sequence[TrialTrace], *, after: bool) -> N
 
 
 def candidates_figure(found: Diagnosis) -> str:
-    """Return the BIC gains of all effects and nonparametric alternatives in the first round."""
+    """Return an SVG figure of the largest BIC gains of effects and alternatives in the first round, as bars."""
     step = found.selection.rounds[0]
     fitted = {each.newest.name: each.newest.bic_gain for each in step.ranked}
     rows = [(each.effect.name, fitted.get(each.effect.name, each.bic_gain), True) for each in step.screened]
@@ -160,7 +165,7 @@ def candidates_figure(found: Diagnosis) -> str:
 
 
 def correlation_figure(traces: Sequence[TrialTrace]) -> str:
-    """Return the autocorrelation of the whitened residual with the 99 % band of white noise."""
+    """Return an SVG figure of the autocorrelation of the whitened residual, with the 99 % band of white noise."""
     both = traces[0].left_after is not None
     figure, panels = _sheet(1, 1 + both, (7.4 if both else 4.2, 2.2), _Margins(top=0.25, between=0.2), sharey=True)
     for ax, after in zip(panels, (False, True), strict=False):
@@ -175,7 +180,7 @@ def correlation_figure(traces: Sequence[TrialTrace]) -> str:
 
 
 def isolability_figure(matrix: Isolability) -> str:
-    """Return the matrix of effects that imitate each other."""
+    """Return an SVG figure of the matrix of shares in which effects imitate each other."""
     names, count = matrix.effects, len(matrix.effects)
     words = 0.058 * max(map(len, names))
     margins = _Margins(left=0.4 + words, bottom=0.45 + 0.87 * words)
@@ -195,7 +200,7 @@ def isolability_figure(matrix: Isolability) -> str:
 
 
 def motion_figure(motion: Motion) -> str:
-    """Return depth over time."""
+    """Return an SVG figure of the depth over time."""
     figure, (ax,) = _sheet(1, 1, (7.4, 1.9))
     ax.plot(motion.time_s, motion.depth_mm, color=BLUE, lw=1.2)
     ax.set(xlabel="time (s)", ylabel="depth (mm)")
@@ -204,17 +209,19 @@ def motion_figure(motion: Motion) -> str:
 
 
 def course_figure(described: GapDescription, unit: str) -> str:
-    """Return the curves of an unexplained gap with two standard deviations."""
+    """Return an SVG figure of the unexplained gap along its axis.
+
+    Each curve has a band of +-2 standard deviations and is drawn within the visited range.
+    """
     figure, (ax,) = _sheet(1, 1, (7.4, 2.4))
     for curve, colour in zip(described.curves.curves, (BLUE, ORANGE, VERMILLION, GREY), strict=False):
-        # Curves are drawn within the visited range only.
         mean, sd = (np.where(curve.inside, each, np.nan) for each in (curve.mean, curve.sd))
         ax.fill_between(curve.places, mean - 2 * sd, mean + 2 * sd, color=colour, alpha=0.25, lw=0)
         ax.plot(curve.places, mean, color=colour, label=str(curve.way))
     if len(described.curves.curves) > 1:
         ax.legend(fontsize=8)
     ax.axhline(0, color=BLACK, lw=0.6)
-    ax.set(xlabel=f"{described.axis} ({described.unit})", ylabel=f"missing ({unit})")
+    ax.set(xlabel=f"{described.axis.label} ({described.unit})", ylabel=f"missing ({unit})")
     ax.grid(alpha=0.25)
     return _svg(figure)
 
@@ -225,7 +232,7 @@ def _rms(rows: Sequence[Any]) -> float:
 
 @dataclass(frozen=True)
 class _Margins:
-    """Margins around and between panels in inches; automatic layout would take as long as the drawing."""
+    """Margins (inches) around and between panels; fixed, because automatic layout would double the drawing time."""
 
     left: float = 0.75
     right: float = 0.1
@@ -272,7 +279,7 @@ def _aligned(panels: Sequence[Axes]) -> None:
 
 
 def _plain(value: float, _: float | None = None) -> str:
-    """Return a tick label without mathtext, which is slow."""
+    """Return a tick label as plain text, because matplotlib's mathtext is slow."""
     return f"{value:g}".replace("-", "\N{MINUS SIGN}")
 
 

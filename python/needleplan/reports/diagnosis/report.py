@@ -17,13 +17,16 @@ from needleplan.signals import UNITS
 
 __all__ = ["report_of"]
 
+# Largest p-value of a part of an axis that is listed.
 _SMALL = 0.05
+# Largest number of listed parts.
 _MOST = 12
+# p-value below which only this bound is shown, because simulated data do not resolve it.
 _SMALLEST_P = 1e-6
 
 
 def report_of(found: Diagnosis, file: ModelFile, library: Library, next_: NextMotion | None) -> str:
-    """Return the page."""
+    """Return the HTML text of `report.html`."""
     channel = found.given.channel
     unit = UNITS[channel.columns[0]]
     traces = traces_of(found)
@@ -100,8 +103,8 @@ def _where(found: Diagnosis, traces: Sequence[TrialTrace]) -> Iterator[str]:
     yield html.picture(pictures.map_figure(traces), text, caption)
     parts = found.localisation.where(_SMALL)
     if not parts:
-        yield html.paragraph("No part of depth, speed, time, phase or trial has a significant share of the gap "
-                             "(p > 0.05 for the largest part of its axis).")  # fmt: skip
+        yield html.paragraph("No part of the depth, speed or time range, no phase and no trial has a significant "
+                             "share of the gap (p > 0.05).")  # fmt: skip
     else:
         yield html.table(
             "Parts with a significant share of the gap of the base model",
@@ -123,7 +126,7 @@ def _described(found: Diagnosis, unit: str) -> Iterator[str]:
     yield html.heading("Shape of the unexplained gap")
     if each.places:
         low, high = min(each.values), max(each.values)
-        text = f"Missing output along {each.axis}: {low:.3g} to {high:.3g} {unit}, with two standard deviations"
+        text = f"Missing output along {each.axis.label}: {low:.3g} to {high:.3g} {unit}, with two standard deviations"
         caption = "Mean within the visited range, with two standard deviations."
         yield html.picture(pictures.course_figure(each, unit), text, caption)
     if each.formula:
@@ -132,7 +135,8 @@ def _described(found: Diagnosis, unit: str) -> Iterator[str]:
     if each.sparse and each.sparse.transfer is not None:
         yield html.paragraph(f"On the held-out trials it achieves {each.sparse.transfer:.0%} of the predicted gain.")
     yield html.paragraph(
-        "effect_to_name.py beside this page is an effect with this shape; complete it if you know the cause."
+        "The file effect_to_name.py, in the folder of this page, defines an effect with this shape; complete it if you "
+        "know the cause."
     )
 
 
@@ -176,7 +180,7 @@ def _candidates(found: Diagnosis) -> Iterator[str]:
 
 
 def _chance(p_value: float | None) -> float | str | None:
-    """Return a p-value as text; far below the simulated range it is a bound only."""
+    """Return a p-value as it is, but as a bound in words if it is below `_SMALLEST_P`."""
     return f"below {_SMALLEST_P:g}" if p_value is not None and p_value < _SMALLEST_P else p_value
 
 
@@ -231,21 +235,20 @@ def _provenance(found: Diagnosis, file: ModelFile) -> Iterator[str]:
     facts: list[tuple[str, str | float]] = [
         ("kind of the model", found.given.name), ("digest of the model file", file.digest),
         ("digest of this diagnosis", found.digest),
-        ("made by", f"needleplan {version()}"), ("order of the noise", float(found.calibration.noise.order)),
+        ("made by", f"needleplan {version()}"), ("order of the noise model", float(found.calibration.noise.order)),
     ]  # fmt: skip
     yield html.table("Model and program", ("fact", "value"), facts)
     yield html.table("Thresholds", ("gate", "value"), gates)
 
 
 def _added(found: Diagnosis) -> str:
-    """Return what "after" means in figures and tables."""
+    """Return the explanation of "after" in figures and tables."""
     if found.effects:
         return "with the named effects"
     if not found.lacks_data or found.joint is None:
         return "no effect was added"
-    return (
-        f"with the best effect, {', '.join(each.effect.name for each in found.joint.effects)}, which is not yet a name"
-    )
+    names = ", ".join(each.effect.name for each in found.joint.effects)
+    return f"with the best effect, {names}, which is not named because data are missing"
 
 
 def _words(column: str) -> str:
@@ -257,14 +260,14 @@ def _rms(values: np.typing.NDArray[np.float64]) -> float:
 
 
 def _next_motion(each: NextMotion | None) -> Iterator[str]:
-    """Yield the section on the next motion; nothing without one."""
+    """Yield the HTML of the section on the next motion; nothing if no motion is proposed."""
     if each is None:
         return
     program = each.program
     yield html.heading("What to measure next")
     yield html.paragraph(f"One more trial, role {each.role}: {program.about}. {_expectation(each)}")
-    yield html.paragraph("The motion is next_motion.toml beside this page; its head explains how to simulate it and "
-                         "how to run it on a robot.")  # fmt: skip
+    yield html.paragraph("The motion is in next_motion.toml, in the folder of this page. The comment at its beginning "
+                         "explains how to simulate the motion and how to run it on a robot.")  # fmt: skip
     text = f"Depth over time of the proposed motion, {program.name}: {program.about}"
     yield html.picture(pictures.motion_figure(each.motion), text,
                        f"The motion, {each.motion.time_s[-1]:.0f} s.")  # fmt: skip
@@ -291,7 +294,7 @@ def _expectation(each: NextMotion) -> str:
     if not isinstance(each, Separating) or NOTHING in {pair.alternative for pair in each.separations}:
         return each.why
     odds = (
-        f"It decides between the effects with a probability of {each.resolves:.0%}; the last training "
-        f"motion repeated, with {each.repeated_resolves:.0%}."
+        f"This motion decides between the effects with a probability of {each.resolves:.0%}; the last training "
+        f"motion, repeated, would decide with a probability of {each.repeated_resolves:.0%}."
     )
     return f"{odds} {each.why}"

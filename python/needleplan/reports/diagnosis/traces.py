@@ -13,13 +13,18 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["TrialTrace", "correlation", "gap_map", "traces_of"]
 
+# Number of depth bins of the map.
 _DEPTHS = 10
+# Least number of samples of a bin; bins with fewer are NaN.
 _FEWEST = 5
 
 
 @dataclass(frozen=True)
 class TrialTrace:
-    """One trial: outputs of shape (axes, samples), and whitened residuals with their sample indices."""
+    """One trial, without and with the effects (before, after).
+
+    Outputs have shape (axes, samples). `sample` is the sample index of each value of the whitened residuals (`left_`).
+    """
 
     trial: str
     held_out: bool
@@ -27,7 +32,7 @@ class TrialTrace:
     measured: Array
     before: Array
     after: Array | None
-    """Output with the named effects; None without any."""
+    """Output with the named effects, or the best effect if data for a name are missing; None without effects."""
 
     left_before: Array
     left_after: Array | None
@@ -35,7 +40,7 @@ class TrialTrace:
 
 
 def traces_of(found: Diagnosis) -> tuple[TrialTrace, ...]:
-    """Return the training trials, then the held-out ones."""
+    """Return the traces of the training trials, followed by those of the held-out trials."""
     calibration = found.calibration
     joint = found.joint if found.effects or found.lacks_data else None  # rejected effects are not shown
     training = joint.trials if joint else None
@@ -47,9 +52,10 @@ def traces_of(found: Diagnosis) -> tuple[TrialTrace, ...]:
 
 
 def gap_map(traces: Sequence[TrialTrace], *, after: bool) -> tuple[tuple[MotionPhase, ...], Array, Array]:
-    """Return phases, depth edges, and the mean square of the whitened residual, shape (phases, depths).
+    """Return phases of motion, edges of depth bins (mm), and the mean square of the whitened residual in each bin.
 
-    1 is noise alone; NaN marks bins with few samples. Phases that do not occur are omitted.
+    The mean square has shape (phases, depths); it is 1 for noise alone and NaN in bins with few samples. Phases that do
+    not occur are omitted.
     """
     deepest = max(float(each.motion.depth_mm.max()) for each in traces)
     edges = np.linspace(min(0.0, *(float(each.motion.depth_mm.min()) for each in traces)), deepest, _DEPTHS + 1)

@@ -1,4 +1,4 @@
-"""The verdict in words for the report."""
+"""Sentences of the report: title, answer and advice."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from needleplan.diagnosis import Diagnosis, GapAxis, RoundOutcome, Verdict
 __all__ = ["STOPS", "advice", "answer", "title_of"]
 
 _ALONG = {
-    GapAxis.TIME: "time: a change at some moment, or a slow change",
+    GapAxis.TIME: "time: it changes at some moment, or slowly",
     GapAxis.DEPTH: "depth, the position of the tip",
     GapAxis.SPEED: "the speed of the needle",
-    GapAxis.FORCE: "force: the sensor is nonlinear, or the needle yields",
-    GapAxis.DWELL: "the time of a dwell: the reading changes while the needle rests",
-    GapAxis.PERIOD: "position, periodically: a screw, a gear, a guide",
+    GapAxis.FORCE: "the force: perhaps the sensor is nonlinear, or the needle yields",
+    GapAxis.DWELL: "the time since the start of a dwell: the reading changes while the needle is at rest",
+    GapAxis.PERIOD: "position, periodically: perhaps a screw, a gear or a guide causes it",
 }
 
 STOPS = {
@@ -24,15 +24,15 @@ STOPS = {
     RoundOutcome.TIE: "tied with another effect",
     RoundOutcome.NO_TRANSFER: "refuted by the held-out trials",
     RoundOutcome.SMALL: "too small beside the first effect",
-    RoundOutcome.NAMELESS: "an alternative does better beside the other effects",
+    RoundOutcome.NAMELESS: "a nonparametric alternative does better than one of the effects",
     RoundOutcome.ENOUGH: "the largest number of names is reached",
 }
-"""Outcome of a round in words."""
+"""Text in the report for each outcome of a round."""
 
 _TITLES = {
     Verdict.NONE: "no effect is missing that these data could show",
     Verdict.UNDERPOWERED: "no gap, but these data could hide a relevant effect",
-    Verdict.INCOMPLETE: "{names}, and another effect",
+    Verdict.INCOMPLETE: "missing effects: {names}, and at least one other",
     Verdict.AMBIGUOUS: "an effect is missing, and these data do not decide which",
     Verdict.UNKNOWN: "an effect is missing, and no known effect explains the gap",
     Verdict.IMPLAUSIBLE: "{names} fits best, but its amplitude is at its bound",
@@ -47,7 +47,7 @@ def title_of(found: Diagnosis) -> str:
 
 
 def answer(found: Diagnosis, unit: str) -> Iterator[str]:
-    """Yield the result in sentences."""
+    """Yield paragraphs that state the result; `unit` is the unit of the channel."""
     decision, noise = found.decision, found.calibration.noise.rms
     yield f"Verdict: {decision.verdict}. {_begun(decision.because)}."
     for each in found.effects:
@@ -67,10 +67,10 @@ def answer(found: Diagnosis, unit: str) -> Iterator[str]:
     if decision.axis:
         along = _ALONG.get(decision.axis, str(decision.axis))
         yield f"The unexplained gap depends on {along}."
-    level = (found.joint.likelihood if found.joint else found.selection.base).heterogeneity_sd
+    heterogeneity_sd = (found.joint.likelihood if found.joint else found.selection.base).heterogeneity_sd
     yield (
         f"All parameters of the model were first fitted to each trial, so that a wrong parameter is not called a "
-        f"missing effect. The estimated heterogeneity of the tissue is {level:.0%}."
+        f"missing effect. The estimated heterogeneity of the tissue is {heterogeneity_sd:.0%}."
     )
 
 
@@ -79,12 +79,12 @@ def _begun(text: str) -> str:
 
 
 def advice(found: Diagnosis) -> Iterator[str]:
-    """Yield what to do next."""
+    """Yield sentences on what to do next, followed by the remarks on the data."""
     for why in found.checked.lacks.values():
         yield f"Missing data: {why}."
     match found.verdict:
         case Verdict.NAMED:
-            yield "Use model.toml beside this page from now on: it contains the named effects."
+            yield "From now on, use model.toml in the folder of this page: it contains the named effects."
         case Verdict.INCOMPLETE:
             yield "Diagnose again with more trials of other motions: no effect explains the remaining gap."
         case Verdict.AMBIGUOUS if found.lacks_data:
@@ -93,7 +93,7 @@ def advice(found: Diagnosis) -> Iterator[str]:
             yield f"Record the motion below, which separates these effects: {', '.join(found.decision.tied)}."
         case Verdict.UNKNOWN:
             yield "Look at the map and at the trials below; add a known cause as an effect file."
-            yield "Record the motion below, which shows most of the gap, and diagnose again."
+            yield "Record the motion below, which gives most information on the gap, and diagnose again."
         case Verdict.UNDERPOWERED:
             yield "The table of detection limits lists what may be hidden; the motion below lowers the limits."
         case Verdict.IMPLAUSIBLE:
