@@ -48,9 +48,9 @@ def test_what_was_diagnosed_is_planned_estimated_and_simulated(
     assert main(["diagnose", "base.toml", "data.csv", "-o", "found", "--scenario", "prostate"]) == 0
     shown = capsys.readouterr().out
     assert "layers behind it: 1" in shown
-    assert "with what was named: curvature_layer" in shown
+    assert "Curvature with the named effects: curvature_layer" in shown
     assert (
-        Path("found/scenario.toml").read_text().startswith("# The curvature with what was named: curvature_layer. Diag")
+        Path("found/scenario.toml").read_text().startswith("# Curvature with the named effects: curvature_layer. Diag")
     )
     scenario = Scenario.read("found/scenario.toml")
     (layer,) = scenario.needle.layers
@@ -81,7 +81,7 @@ def test_without_a_name_the_scenario_has_the_calibrated_curvature(
     hidden = {"curvature_layer": {"size": 0.6, "depth_mm": 30.0}}
     write_records([each for each in recordings(hidden, seed=3) if each.role is not Role.HOLDOUT], "few.csv")
     assert main(["diagnose", "base.toml", "few.csv", "-o", "open", "--scenario", "prostate"]) == 1
-    assert "plan: Calibrated only" in capsys.readouterr().out
+    assert "plan: Curvature calibrated to these recordings, without effects" in capsys.readouterr().out
     text = Path("open/scenario.toml").read_text()
     assert text.startswith(
         "# Calibrated only: the curvature of these recordings, without any effect (verdict: ambiguous)"

@@ -326,7 +326,7 @@ class JointLikelihood:
         return SensitivityScores(slope, np.where(curvature > _ABSORBED * energy, curvature, 0.0), self.evidence)
 
     def basis_gains(self, basis: Sequence[Array], *, ridge: float = 1e-9) -> float:
-        """Return twice the log-likelihood gain of a basis, (n, df) per trial, with coefficients common to the trials."""
+        """Return twice the log-likelihood gain of a basis, (n, df) per trial; all trials share its coefficients."""
         matrix, target = self._normals(basis, slice(None))
         scale = np.sqrt(np.maximum(np.einsum("tdd->td", matrix), 1e-12))
         scaled = matrix / (scale[:, :, None] * scale[:, None]) + ridge * np.eye(scale.shape[1])

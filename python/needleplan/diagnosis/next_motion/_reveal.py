@@ -60,8 +60,8 @@ class Revealing(NextMotion):
         now = "undetectable" if best.now is None else f"{best.now:.3g} {best.unit}"
         return (
             f"On average, this motion lowers the detection limits to {self.shrinks_to:.0%} of their present "
-            f"values; the last motion, repeated, would lower them to {self.repeated_shrinks_to:.0%}. The largest improvement is "
-            f"{best.effect}: from {now} to {best.after:.3g} {best.unit}."
+            f"values; the last motion, repeated, would lower them to {self.repeated_shrinks_to:.0%}. The largest "
+            f"improvement is {best.effect}: from {now} to {best.after:.3g} {best.unit}."
         )
 
 
