@@ -105,7 +105,7 @@ def test_the_mask_leaves_out_first_cycles_and_other_phases() -> None:
     np.testing.assert_array_equal(steady(named, 0, ["in"]), THROUGH["velocity_mm_s"] > 0)
     with pytest.raises(DataError, match="must be one of in, out"):
         steady(named, 0, ["dwell"])
-    with pytest.raises(DataError, match="leaves nothing"):
+    with pytest.raises(DataError, match="leaves no sample"):
         steady(THROUGH, 3)
 
 

@@ -91,7 +91,7 @@ digst = "x"
         '  parameters.ofset_mm: unknown key; did you mean "offset_mm"?',
         '  parameters.curvature_per_mm.unit = "1/m": must be "1/mm"',
         '  parameters.curvature_per_mm.value = "high": must be a number in 1/mm',
-        "  parameters.heading_rad.low, high = 0.2, 0.3: must hold the value between them, and sd be 0 or more",
+        "  parameters.heading_rad.low, high = 0.2, 0.3: must enclose the value, and sd must be 0 or more",
     ]
 
 

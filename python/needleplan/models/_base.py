@@ -1,7 +1,7 @@
 """Base classes of all mechanical models.
 
-A model is a frozen dataclass whose fields are its parameters. Driven by a motion u(t), it has a state x and an output
-y::
+A model is a frozen dataclass whose fields are its parameters. A motion u(t) drives the model, which has a state x and
+an output y::
 
     x' = derivative(x, u)          y = output(x, u)
 
@@ -46,7 +46,7 @@ class Channel(StrEnum):
     """
 
     FORCE = "force_n"
-    """Axial force on the base of the needle, N; positive where it resists insertion."""
+    """Axial force on the base of the needle, N; positive if it resists insertion."""
 
     LATERAL = "y_mm"
     """Lateral position of the tip, or of the tracked point, in the plane of bending, mm."""
@@ -85,7 +85,7 @@ class Model(ABC):
     """Quantity that the model predicts."""
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Add the section of the parameters to the docstring of a member, before its examples."""
+        """Insert the list of parameters into the docstring of a subclass, before its examples."""
         super().__init_subclass__(**options)
         section = parameter_section(cls)
         if cls.__doc__ and section and "Parameters\n" not in cls.__doc__:
@@ -98,7 +98,7 @@ class Model(ABC):
             value = getattr(self, name)
             if not isinstance(value, (int, float, np.number)) or isinstance(value, bool):
                 mistakes.append(Mistake(name, str(value), f"must be a number in {what.unit or '1'}"))
-            elif not what.lower <= value <= what.upper:  # also where it is NaN
+            elif not what.lower <= value <= what.upper:  # also catches NaN
                 rule = f"must be from {what.lower:g} to {what.upper:g} {what.unit}".rstrip()
                 mistakes.append(Mistake(name, f"{value:g}", rule))
             else:
@@ -155,9 +155,9 @@ class Model(ABC):
 
 @dataclass(frozen=True)
 class LinearStateModel(Model):
-    """Abstract base class of models with one state z and z' = forcing - rate z.
+    """Abstract base class of models with one state z that obeys z' = forcing - rate z.
 
-    `simulate` integrates these models exactly where the two coefficients are constant.
+    `simulate` integrates these models exactly if forcing and rate are constant during each step.
 
     Examples
     --------

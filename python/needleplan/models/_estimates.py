@@ -83,7 +83,7 @@ class Fit:
     rmse : float
         Root-mean-square residual, in the unit of the channel.
     samples, masked : int
-        Number of samples that were used, and that were left out.
+        Number of samples that were used, and number of samples that were left out.
     condition : float
         Ratio of the largest to the smallest singular value of the scaled Jacobian.
     undetermined : tuple of dict
@@ -122,5 +122,5 @@ class Fit:
 
     @property
     def ok(self) -> bool:
-        """Whether the fit reached an optimum."""
+        """Whether the fit reached an optimum (status CONVERGED or AT_BOUND)."""
         return self.status in (FitStatus.CONVERGED, FitStatus.AT_BOUND)

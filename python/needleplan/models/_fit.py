@@ -27,7 +27,8 @@ from needleplan.signals import Array, Record
 
 __all__ = ["fit"]
 
-# Residual in the unit of the channel; it replaces larger ones and NaN, where the simulation grew without bound.
+# Largest residual, in the unit of the channel; it replaces larger residuals and NaN of a simulation that grew without
+# bound.
 _DIVERGED = 1e6
 # Standard deviation of a coordinate above which its parameter counts as not identified; 1 is a factor of e.
 _UNKNOWN_SD = 1.0
@@ -73,7 +74,7 @@ def fit(
     seed : int
         Seed of the further starts.
     lags : int, optional
-        m of the covariance. The default, 3 n^(1/3), covers the moving averages of force sensors.
+        m, the number of lags in the covariance. The default, 3 n^(1/3), covers the moving averages of force sensors.
     max_evaluations : int
         Limit of the evaluations of the residuals for each start.
 
@@ -170,7 +171,7 @@ class _Problem:
             rule = f"too short: {len(self.free)} parameters need at least {5 * len(self.free)} samples"
             raise DataError(Mistake(self.model.channel, f"{self.samples} samples", rule))
         if all(np.ptp(motion.depth_mm) == 0 and not motion.velocity_mm_s.any() for motion in self.motions):
-            raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest identifies nothing"))
+            raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest does not determine any parameter"))
         counted = [measured[mask] for measured, mask in zip(self.measured, self.masks, strict=True) if mask.any()]
         if all(np.ptp(each) == 0 for each in counted):
             rule = "is constant to the last bit: no sensor measures that, and nothing can be identified from it"
@@ -196,7 +197,7 @@ class _Problem:
     def simulated(self, coordinates: Array) -> list[Array]:
         model = self.model_at(coordinates)
         outputs = [simulate(model, motion).output for motion in self.motions]
-        with np.errstate(over="ignore", invalid="ignore"):  # `residual` replaces what grew without bound
+        with np.errstate(over="ignore", invalid="ignore"):  # `residual` replaces infinity and NaN
             return outputs if self.smooth is None else [self.smooth(output) for output in outputs]
 
     def residual(self, coordinates: Array) -> Array:
@@ -258,7 +259,7 @@ class _Problem:
         return covariance, condition, undetermined
 
     def _score_covariance(self, jacobian: Array, residual: Array, lags: int | None) -> Array:
-        """Return S of Newey and West, summed over the records, with the correction for the estimated parameters."""
+        """Return S of Newey and West, the sum for all records, with the correction for the number of parameters."""
         total: Array = np.zeros((len(self.free), len(self.free)))
         end = 0
         for mask in self.masks:

@@ -1,8 +1,8 @@
-"""What a planner in the plane can use of the path of a tip in space: curvature by depth, and roll angles of the bevel.
+"""Curvature and roll angles by depth for a planner in the plane, from a model of the path of the tip in space.
 
-The planner knows arcs to the left and to the right. A `SteeredModel` gives the curvature of the path for any roll
+The planner uses arcs to the left and to the right. A `SteeredModel` gives the curvature of the path for any roll
 angle. For each side this module finds the roll angle at which the path does not leave the plane, and the curvature at
-that angle. The planner uses the mean of the two curvatures. The module does not refer to single effects of a model.
+that angle. The planner uses the mean of the two curvatures. The module needs no knowledge of the model's effects.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["InPlane", "in_plane"]
 
-# Newton steps for the roll angle.
+# Number of Newton steps for the roll angle.
 _ROUNDS = 12
 # Step of the difference quotient, and largest Newton step, rad.
 _STEP_RAD, _FARTHEST_RAD = 1e-4, 0.5
-# Slope of the curvature over the roll angle below which no Newton step is taken, 1/(mm rad).
+# Derivative of the curvature with respect to the roll angle below which no Newton step is taken, 1/(mm rad).
 _FLAT_PER_MM = 1e-9
-# Rotation of the base after which the tip lags in full, rad.
+# Rotation of the base that surely produces the full lag of the tip, rad.
 _FAR_RAD = 100.0
-# Smallest curvature for the planner, 1/mm; the path of a beam begins straight.
+# Smallest curvature that the planner gets, 1/mm; needed because the path of a beam begins with curvature 0.
 _LEAST_PER_MM = 1e-5
 # Spacing of the inserted lengths, mm.
 _SPACING_MM = 0.5
@@ -48,7 +48,7 @@ class InPlane:
     lag_rad : Array
         Angle by which the tip lags behind the base while the base rotates.
     along_mm : Array
-        Distance along x of a path of this length that is flipped at half of its length.
+        Distance covered in x for each path length if the bevel is flipped halfway.
     heading_rad, elevation_rad : float
         Direction of the path at the entry relative to the assumed direction.
 
@@ -82,7 +82,7 @@ class InPlane:
 
 
 def in_plane(model: Model, deepest_mm: float, velocity_mm_s: float = 5.0) -> InPlane:
-    """Return what a planner in the plane can use of a model of the tip's path.
+    """Return curvature and roll angles for a planner in the plane, from a model of the tip's path in space.
 
     Effects of the sensor are left out.
 
@@ -103,7 +103,7 @@ def in_plane(model: Model, deepest_mm: float, velocity_mm_s: float = 5.0) -> InP
     Raises
     ------
     ModelError
-        If the model is of another kind, or its path does not bend to both sides.
+        If the model is not a `SteeredModel`, or its path cannot bend to both sides.
 
     Examples
     --------
@@ -115,7 +115,9 @@ def in_plane(model: Model, deepest_mm: float, velocity_mm_s: float = 5.0) -> InP
     plant = model.plant if isinstance(model, AugmentedModel) else model
     whole = plant.whole if isinstance(plant, AugmentedModel) else plant
     if not isinstance(whole, SteeredModel):
-        raise ModelError(Mistake("kind", model.name, "must be of the path of a tip in space (spatial_bicycle)"))
+        raise ModelError(
+            Mistake("kind", model.name, "must be a model of the path of a tip in space, such as spatial_bicycle")
+        )
     count = max(round(deepest_mm / _SPACING_MM), 2) + 1
     depth = np.linspace(0.0, deepest_mm, count)
     (left, roll_left), (right, roll_right) = (_rolled(whole, depth, velocity_mm_s, wanted) for wanted in (0.0, np.pi))
@@ -134,7 +136,10 @@ def in_plane(model: Model, deepest_mm: float, velocity_mm_s: float = 5.0) -> InP
 
 
 def _rolled(model: SteeredModel, depth: Array, velocity_mm_s: float, wanted_rad: float) -> tuple[Array, Array]:
-    """Return the curvature toward a side, and the roll angle at which the path stays in the plane."""
+    """Return curvature (1/mm) and roll angle (rad) at which the path bends to one side in the plane, for each depth.
+
+    `wanted_rad` is the roll angle of an ideal needle for this side: 0 (left) or pi (right).
+    """
     roll = np.full(depth.size, wanted_rad)
 
     def bend(roll: Array) -> Array:
@@ -153,7 +158,7 @@ def _motion(depth: Array, velocity_mm_s: float, roll: Array) -> Motion:
 
 
 def _along(left: Array, right: Array, depth: Array) -> Array:
-    """Return the distance along x of paths of each length that are flipped at half of their length."""
+    """For each path length in `depth`, return the distance covered in x if the bevel is flipped halfway."""
     bend = (left + right) / 2
     turned = np.concatenate([[0.0], np.cumsum((bend[1:] + bend[:-1]) / 2 * np.diff(depth))])
     found = []

@@ -28,12 +28,13 @@ from needleplan.signals import Array, Record
 
 __all__ = ["FitOptions", "Intervals", "bootstrap_intervals", "profile_intervals"]
 
-# The search for the end of an interval doubles its reach up to 2^20 times this number of standard deviations.
+# The search for the end of an interval doubles its distance from the estimate up to 2^20 times this number, in the
+# coordinates of the fit.
 _FURTHEST = 12
 
 
 class FitOptions(TypedDict, total=False):
-    """Options of the original fit, which every refit uses too."""
+    """Options of the original fit; every refit uses the same options."""
 
     bounds: Mapping[str, tuple[float, float]] | None
     smooth: Callable[[Array], Array] | None
@@ -211,7 +212,7 @@ def bootstrap_intervals(
 
 
 def _resampled(left: Array, block: int | None, generator: np.random.Generator) -> Array:
-    """Return residuals that were resampled in blocks and centred; NaN at masked samples."""
+    """Return the centred residuals, resampled in blocks, shape (samples,); NaN at masked samples."""
     good = np.flatnonzero(np.isfinite(left))
     values = left[good] - left[good].mean()
     n = values.size
@@ -272,7 +273,7 @@ class _Profile:
         return _with_ends(found, name, values[0], values[1], found.estimates[name].sd)
 
     def _end(self, excess: Callable[[float], float], centre: float, step: float, limit: float) -> float:
-        """Return the coordinate at which the profile exceeds the allowed sum of squares, or the bound of the range."""
+        """Return the coordinate beyond which the sum of squares exceeds the allowed one, or the bound of the range."""
         from scipy.optimize import brentq
 
         before, reach = centre, abs(step)
@@ -287,7 +288,7 @@ class _Profile:
         return limit
 
     def _white_sd(self, name: str, centre: float, dof: int) -> float:
-        """Return the standard deviation for white noise, from the curvature of the profile."""
+        """Return the standard deviation for white noise, from the curvature of the profile; 0 if unknown."""
         what = self.found.model.parameters()[name]
         index = self.found.free.index(name)
         step = math.sqrt(self.found.covariance[index, index])

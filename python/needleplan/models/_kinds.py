@@ -34,6 +34,7 @@ MEMBERS: tuple[type[Model], ...] = (
 )
 
 KINDS: dict[str, type[Model]] = {member.name: member for member in MEMBERS}
+"""Model classes by the name of their kind."""
 
 
 def kind_of(name: str) -> type[Model]:

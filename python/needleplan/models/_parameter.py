@@ -162,7 +162,7 @@ def _parameters_of(kind: type) -> dict[str, Parameter]:
 
 
 def parameter_section(kind: type) -> str:
-    """Return the numpydoc section of the parameters of a class that is about to become a dataclass."""
+    """Return the numpydoc section `Parameters` of a class to which `dataclass` has not been applied yet."""
     declared: dict[str, Any] = {}
     for base in reversed(kind.__mro__[1:]):
         if dataclasses.is_dataclass(base):

@@ -28,7 +28,7 @@ _NAMES = (
     "normality",
 )
 
-# p-value below which a finding says that the model lacks something.
+# p-value below which the text of a finding reports a deviation.
 _SIGNIFICANT = 0.05
 # Highest order of the autoregression, in samples.
 _HIGHEST_ORDER = 20
@@ -106,7 +106,7 @@ def residual_findings(found: Fit, records: Sequence[Record]) -> tuple[Finding, .
     if len(records) != len(found.residuals) or any(
         len(record) != left.size for record, left in zip(records, found.residuals, strict=True)
     ):
-        raise DataError(Mistake("records", f"{len(records)}", "must be those that the fit was made from"))
+        raise DataError(Mistake("records", f"{len(records)}", "must be the records of the fit, in the same order"))
     unit = UNITS.get(found.model.channel, "")
     return findings_of(found.residuals, [record.motion() for record in records], unit)
 
@@ -245,13 +245,17 @@ def _normality(left: Sequence[Array], filters: Sequence[Array]) -> Finding:
         if spread > 0:
             innovations.append((each - each.mean()) / spread)
     if not innovations:
-        return Finding("normality", float("nan"), None, "not tested: nothing is left")
+        return Finding("normality", float("nan"), None, "not tested: the residuals do not vary")
     pooled = np.concatenate(innovations)
     statistic, p_value = (float(each) for each in stats.normaltest(pooled))
     tails = float(stats.kurtosis(pooled))
     says = (
         f"the noise is not Gaussian (excess kurtosis {tails:.2g}): "
-        + ("outliers, or steps of the sensor" if tails > 0 else "it is bounded, as that of a coarse sensor")
+        + (
+            "outliers, or steps of the sensor"
+            if tails > 0
+            else "its range is bounded, as for a sensor with coarse resolution"
+        )
         if p_value < _SIGNIFICANT
         else "the noise may be Gaussian"
     )
@@ -279,7 +283,7 @@ def _autoregression(values: Array) -> Array:
 
 
 def _filtered(values: Array, weights: Array) -> Array:
-    """Return the innovations of an autoregression, from its order on."""
+    """Return the innovations for the coefficients `weights`, without the first `weights.size` samples."""
     order = weights.size
     if not order:
         return values
@@ -290,7 +294,7 @@ def _filtered(values: Array, weights: Array) -> Array:
 def _slope(
     left: Sequence[Array], others: Sequence[Array], values: Sequence[Array], filters: Sequence[Array]
 ) -> tuple[float, float, float]:
-    """Return slope, t and p of a regression of the residuals on `values` and `others`, all of them filtered."""
+    """Regress the residuals on `values` and `others`, all of them filtered; return slope, t and p for `values`."""
     from scipy import stats
 
     bring: Callable[[Sequence[Array]], Array] = lambda rows: np.concatenate(  # noqa: E731

@@ -7,7 +7,7 @@
 | no state | none: the output is evaluated at all samples at once |
 | `LinearStateModel` | fourth-order Magnus integrator, below |
 | `SelfIntegratingModel` | the model's own method |
-| any other | Kutta's third-order method with `substeps` steps a sample, as in chapter 2 of the thesis |
+| any other | Kutta's third-order method with `substeps` steps per sample, as in chapter 2 of the thesis |
 
 The Magnus integrator solves z' = a(t) - b(t) z. Let a1, b1 and a2, b2 be the coefficients at the two Gauss points of a
 step h::
@@ -40,8 +40,8 @@ _GAUSS = math.sqrt(3) / 6
 def recurrence(factor: Array, offset: Array, start: Array | float) -> Array:
     """Solve the linear recurrence y[k + 1] = factor[k] y[k] + offset[k].
 
-    The recurrence is a bidiagonal system of equations, which LAPACK solves by forward substitution. The sums are those
-    of a loop, in the same order.
+    The recurrence is a bidiagonal system of equations, which LAPACK solves by forward substitution. The operations and
+    their order are those of a loop.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@
     [parameters.curvature_per_mm]
     value = 0.00083
     unit = "1/mm"
-    sd = 2e-5                 # these four only if it was identified
+    sd = 2e-5                 # sd, low, high, identified: only if the parameter was identified
     low = 0.00079
     high = 0.00087
     identified = true
@@ -18,19 +18,19 @@
     [options]                 # choices of the model that are not parameters
     profile = "constant"
 
-    [[parent]]                # data from which it was identified
+    [[parent]]                # data from which the model was identified
     name = "trial 3"
     digest = "sha256:..."
 
     [[effect]]                # an effect that was added to the model
     name = "puncture"
     version = "1"
-    found_by = "sha256:..."   # digest of the diagnosis that named it; empty if a person added it
-    [effect.parameters.size]  # as the parameters of the model
+    found_by = "sha256:..."   # digest of the diagnosis that found the effect; empty if a person added it
+    [effect.parameters.size]  # same keys as the parameters of the model
     value = 0.31
     unit = "N"
 
-Parameters that the file does not name have the default of the model; `unit` must be the unit of the model.
+A parameter that is missing in the file has the model's default value. `unit` must be the unit that the model declares.
 """
 
 from __future__ import annotations
@@ -72,6 +72,7 @@ from needleplan.models.effects import AddedEffect, AugmentedModel, Effect, effec
 
 __all__ = ["ModelFile"]
 
+# Rule for all texts, and the rules for options by type.
 _TEXT = Text(100_000)
 _OPTIONS: dict[type, Rule] = {bool: Flag(), int: Integer(-(2**63), 2**63 - 1), float: Number(), str: _TEXT}
 
@@ -80,16 +81,16 @@ _Entry = tuple[float, Estimate | None]
 
 @dataclass(frozen=True)
 class _ParameterRule:
-    """The table of a parameter: value and unit, and where it was identified its estimate.
+    """Rule for the table of one parameter: value, unit and, if the parameter was identified, its estimate.
 
-    `ordered` refuses an interval that does not contain the value. Files of effects may hold such intervals.
+    If `ordered`, an interval that does not contain the value is refused; effect tables may contain such intervals.
     """
 
     what: Parameter
     ordered: bool = True
 
     def read(self, value: object) -> _Entry:
-        """Return the value, and the estimate or None. Raises Violation."""
+        """Return the value and its estimate, which is None if the parameter was not identified. Raises Violation."""
         if not isinstance(value, Mapping):
             raise Violation("must be a table with value and unit", value)
         unit, number = self.what.unit, Number(self.what.unit or "1", finite=False)
@@ -107,19 +108,19 @@ class _ParameterRule:
             return read["value"], None
         low, high = read["low"], read["high"]
         if self.ordered and not (low <= read["value"] <= high and read["sd"] >= 0):
-            rule = "must hold the value between them, and sd be 0 or more"
+            rule = "must enclose the value, and sd must be 0 or more"
             raise Violation([Mistake("low, high", f"{low:g}, {high:g}", rule)])
         return read["value"], Estimate(read["value"], read["sd"], low, high, unit, read.get("identified", True))
 
 
 @dataclass(frozen=True)
 class _NameRule:
-    """A name that a registry knows."""
+    """Rule for the name of a registered object; `find` returns the object or raises ModelError."""
 
     find: Callable[[str], Any]
 
     def read(self, value: object) -> Any:
-        """Return what has the name. Raises Violation."""
+        """Return the object with the name `value`. Raises Violation if there is none."""
         try:
             return self.find(_TEXT.read(value))
         except ModelError as error:
@@ -127,7 +128,7 @@ class _NameRule:
 
 
 def _parameters_of(what: type[Model] | Effect) -> Rule:
-    """Return the rule of all parameters of a model or an effect."""
+    """Return the rule for the table of all parameters of a model or an effect."""
     if isinstance(what, Effect):
         return Keyed({name: _ParameterRule(each, ordered=False) for name, each in what.parameters.items()})
     known = what.parameters()
@@ -135,7 +136,7 @@ def _parameters_of(what: type[Model] | Effect) -> Rule:
 
 
 def _options_of(kind: type[Model]) -> Rule:
-    """Return the rule of the fields of a model that are not parameters."""
+    """Return the rule for the table of a model's options: its fields that are not parameters."""
     hints = get_type_hints(kind)
     rules: dict[str, Rule] = {}
     for name in _options(kind):
@@ -170,7 +171,7 @@ class _EffectTable(ConfigTable, key="effect", between=(_effect_holds,)):
 
     @property
     def made(self) -> AddedEffect:
-        """The effect."""
+        """The effect that the table describes."""
         values, estimates = _split(self.parameters)
         return AddedEffect(self.name.name, values, estimates, self.found_by, self.version)
 
@@ -228,7 +229,7 @@ class ModelFile:
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> ModelFile:
-        """Return the model file of a text. Raises ModelError with every mistake of the text."""
+        """Parse the text of a model file. Raises ModelError with every mistake of the text."""
         read = parse_toml(text, _ModelTable, source)
         values, estimates = _split(read.parameters)
         model: Model = read.kind(**values, **read.options)
@@ -237,7 +238,7 @@ class ModelFile:
         return cls(model, estimates, read.parent, read.remarks, read.title, read.made_by)
 
     def to_toml(self) -> str:
-        """Return the text of a model file that reads back as exactly this."""
+        """Return the model file as TOML text. `from_toml` of this text gives an equal `ModelFile`."""
         effects = self.model.effects if isinstance(self.model, AugmentedModel) else ()
         model = self.model.base if isinstance(self.model, AugmentedModel) else self.model
         kind = type(model)
@@ -255,17 +256,17 @@ class ModelFile:
         return toml_text({key: value for key, value in document.items() if value or key not in _MAY_LACK})
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write a model file. Raises OutputError."""
+        """Write the model file to `path`. Raises OutputError if that fails."""
         write_whole(path, self.to_toml().encode())
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the text; artefacts that are made from the model refer to it."""
+        """SHA-256 of the text; files that are made with the model refer to the model by this digest."""
         return digest(self.to_toml())
 
 
 _MAY_LACK = ("parameters", "options", "parent", "effect")
-"""Keys that a written file leaves out if they hold nothing."""
+"""Keys that a written file leaves out if their values are empty."""
 
 
 def _raw_effect(added: AddedEffect) -> dict[str, Any]:
@@ -288,7 +289,7 @@ def _raw_parameters(
 
 
 def _split(parameters: Mapping[str, _Entry]) -> tuple[dict[str, float], dict[str, Estimate]]:
-    """Return values and estimates."""
+    """Return the values and the estimates by parameter name; parameters without an estimate are only in the values."""
     values = {name: value for name, (value, _) in parameters.items()}
     return values, {name: each for name, (_, each) in parameters.items() if each}
 
@@ -298,6 +299,6 @@ def _options(kind: type[Model]) -> list[str]:
 
 
 def _required(kind: type[Model], names: Mapping[str, object]) -> dict[str, str]:
-    """Return the names without a default, as `Keyed` takes them."""
+    """Return those of the names that are fields without a default, as the argument `required` of `Keyed`."""
     needed = (each for each in fields(kind) if each.default is MISSING and each.default_factory is MISSING)
     return {each.name: "" for each in needed if each.name in names}

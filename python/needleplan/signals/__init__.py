@@ -1,4 +1,4 @@
-"""Signals: motions, records and filters. This package knows neither needles nor tissue."""
+"""Signals: motions, records and filters. This package contains no needle or tissue models."""
 
 from needleplan.signals._filters import (
     AverageStream,

@@ -46,7 +46,9 @@ class DiscreteFilter:
         if not self.numerator or len(self.numerator) != len(self.denominator):
             mistakes.append(Mistake("numerator", str(self.numerator), "must be as long as the denominator"))
         if not np.isfinite([*self.numerator, *self.denominator]).all():
-            mistakes.append(Mistake("denominator", str(self.denominator), "must be finite numbers, as the numerator"))
+            mistakes.append(
+                Mistake("denominator", str(self.denominator), "must be finite numbers, and so must the numerator")
+            )
         elif not self.denominator or self.denominator[0] == 0:
             mistakes.append(Mistake("denominator", str(self.denominator), "must not begin with zero: not causal"))
         if not 0 < self.interval_s < np.inf:
@@ -87,7 +89,7 @@ class DiscreteFilter:
         return DiscreteFilter(self.denominator, self.numerator, self.interval_s)
 
     def apply(self, values: Array) -> Array:
-        """Filter a signal, shape (samples,), from the steady state of its first value.
+        """Return the filtered signal, shape (samples,), starting in the steady state of the first value.
 
         Raises DataError for another shape.
         """
@@ -100,7 +102,7 @@ class DiscreteFilter:
         return np.asarray(filtered)
 
     def stream(self) -> FilterStream:
-        """Return the filter for single samples."""
+        """Return a running filter that processes one sample at a time."""
         return FilterStream(self)
 
     def _settled(self, value: float) -> Array:
@@ -135,7 +137,7 @@ class FilterStream:
 
 @dataclass(frozen=True)
 class MovingAverage:
-    """Mean of the last `samples` samples, of fewer at the begin of a record.
+    """Mean of each sample and the `samples` - 1 samples before it, or as many of them as exist.
 
     The force sensor of the thesis averages five samples at 200 Hz (appendix A).
 
@@ -151,7 +153,7 @@ class MovingAverage:
             raise ModelError(Mistake("samples", str(self.samples), "must be a whole number from 1"), "moving average")
 
     def delay_s(self, interval_s: float) -> float:
-        """Return the delay for samples at intervals of `interval_s`."""
+        """Return the delay (s) for samples at intervals of `interval_s`."""
         return (self.samples - 1) / 2 * interval_s
 
     def response(self, frequency_hz: Array | float, interval_s: float) -> ComplexArray:
@@ -160,9 +162,9 @@ class MovingAverage:
         return np.asarray(np.exp(turn * np.arange(self.samples)).mean(axis=-1))
 
     def apply(self, values: Array) -> Array:
-        """Average a signal, shape (samples,); equals `stream` to 1e-12. Raises DataError for another shape.
+        """Return the averages of a signal, shape (samples,), which equal those of `stream` to 1e-12.
 
-        A NaN affects only the averages that contain it.
+        A NaN affects only the averages that contain it. Raises DataError if the shape is not (samples,).
         """
         values = np.asarray(values, float)
         if values.ndim != 1:
@@ -188,7 +190,7 @@ class MovingAverage:
         return np.asarray(averages)
 
     def stream(self) -> AverageStream:
-        """Return the average for single samples."""
+        """Return a running average that processes one sample at a time."""
         return AverageStream(self.samples)
 
 
@@ -204,7 +206,7 @@ class AverageStream:
         return sum(self._last) / len(self._last)
 
 
-# Noise of the position above which the sensor counts as a tracker and not as an encoder, mm.
+# Standard deviation of the position noise above which the sensor counts as a tracker and not as an encoder, mm.
 _NOISY_MM = 0.02
 # Window of the polynomial filter, s.
 _WINDOW_S = 0.1
@@ -228,7 +230,7 @@ class VelocityMethod(StrEnum):
 
 @dataclass(frozen=True)
 class VelocityRecord:
-    """Velocity at every sample, shape (samples,), the estimated noise of the position, and the method."""
+    """Velocity at every sample, shape (samples,), estimated standard deviation of the position noise, and method."""
 
     velocity_mm_s: Array
     noise_mm: float

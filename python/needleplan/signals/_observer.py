@@ -1,4 +1,4 @@
-"""The high-gain observer of the velocity (thesis, chapter 4), and the projection between a fast and a slow one.
+"""The high-gain observer of the velocity (thesis, chapter 4), and the projection from a fast to a slow observer.
 
 In continuous time, with the measured position theta, the estimated position h and the estimated velocity w::
 
@@ -96,7 +96,7 @@ class HighGainObserver:
         return DiscreteFilter((psi.numerator[0] * self.interval_s, 0.0, 0.0), psi.denominator, self.interval_s)
 
     def observe(self, position: Array) -> Array:
-        """Return the velocity at every sample of `position`, shape (samples,), from rest.
+        """Return the estimated velocity at every sample of `position`, shape (samples,), starting from rest.
 
         The result equals that of `stream`, bit by bit. Raises DataError unless `position` is a row of finite numbers.
         """
@@ -107,12 +107,12 @@ class HighGainObserver:
         return np.array([stream.push(each) for each in position.tolist()], float)
 
     def stream(self) -> ObserverStream:
-        """Return the observer for single positions."""
+        """Return a running observer that processes one position at a time."""
         return ObserverStream(self)
 
 
 class ObserverStream:
-    """A running observer; `position` is its estimate, and `velocity` is in its unit per second."""
+    """A running observer. `position` and `velocity` are its estimates; `position` is None before the first sample."""
 
     def __init__(self, observer: HighGainObserver) -> None:
         self._eps, self._t = observer.epsilon, observer.interval_s
@@ -122,7 +122,7 @@ class ObserverStream:
         self.velocity = 0.0
 
     def push(self, position: float) -> float:
-        """Process one measured position and return the velocity."""
+        """Process one measured position and return the estimated velocity, in the unit of the position per second."""
         last = position if self.position is None else self.position
         eps = self._eps
         self.position = (eps * last + eps * self._t * self.velocity + self._pull * position) / (eps + self._pull)
@@ -166,9 +166,9 @@ class Projection:
         return self.transfer.inverse()
 
     def attenuation(self, frequency_hz: Array | float) -> Array:
-        """Return 1 - |H|, shape as given."""
+        """Return 1 - |H| at each frequency, of the shape of `frequency_hz`."""
         return np.asarray(1 - np.abs(self.transfer.response(frequency_hz)))
 
     def lag_rad(self, frequency_hz: Array | float) -> Array:
-        """Return the phase lag of H, shape as given; positive for a delay."""
+        """Return the phase lag of H (rad), of the shape of `frequency_hz`; positive for a delay."""
         return np.asarray(-np.angle(self.transfer.response(frequency_hz)))

@@ -26,7 +26,10 @@ _MOVING = 0.05
 
 
 class Start(StrEnum):
-    """The begin of a sine. Both begin at rest, because a start at full speed would bend the bristles by 3 to 4 N."""
+    """Where a sinusoidal motion begins.
+
+    The motion begins at rest, because a start at full speed would bend the bristles by 3 to 4 N.
+    """
 
     END = "end"
     """At one end of the stroke, where the velocity is zero: offset -+ amplitude cos."""
@@ -46,11 +49,11 @@ def sinusoid(
     outward: bool = False,
     ramp_cycles: float = 0.25,
 ) -> Motion:
-    """Return a sine around the depth `offset_mm`; `amplitude_mm` is from zero to peak. It first moves in, or `outward`.
+    """Return a sinusoidal motion around the depth `offset_mm` with the zero-to-peak amplitude `amplitude_mm`.
 
-    From the middle, the phase accelerates uniformly during the first `ramp_cycles` periods, so that the velocity begins
-    at zero and never exceeds 2 pi frequency amplitude. The velocity is the exact derivative. Raises DataError for
-    numbers that are not positive.
+    The needle first moves in, or out if `outward`. If the motion starts in the middle, the phase accelerates uniformly
+    during the first `ramp_cycles` periods, so that the velocity begins at zero and never exceeds 2 pi frequency
+    amplitude. The velocity is the exact derivative of the depth. Raises DataError for numbers that are not positive.
     """
     numbers = {
         "amplitude_mm": amplitude_mm, "frequency_hz": frequency_hz, "cycles": cycles, "rate_hz": rate_hz,
@@ -155,7 +158,10 @@ def insertion_cycles(
 def _pieces(
     depths: Sequence[float], speeds: Sequence[float], dwells: Sequence[float], blend_s: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Return start time, depth, velocity and acceleration of every piece, with rest at the end."""
+    """Return start time (s), depth (mm), velocity (mm/s) and acceleration (mm/s^2) at the start of every piece.
+
+    The acceleration is constant in each piece. The last piece is rest at the last depth.
+    """
     times, starts, velocities, accelerations = [0.0], [], [], []
     for begin, end, speed, dwell in zip(depths[:-1], depths[1:], speeds, dwells, strict=True):
         sign, distance = math.copysign(1.0, end - begin), abs(end - begin)
@@ -184,7 +190,7 @@ def _require(
 ) -> None:
     mistakes = []
     if len(depths) < 2 or len(speeds) != len(depths) - 1:
-        rule = f"must be one fewer than the depths, of which there are {len(depths)}, at least two"
+        rule = f"must be one fewer than the {len(depths)} depths, of which at least two are needed"
         mistakes.append(Mistake("velocities_mm_s", f"{len(speeds)} numbers", rule))
     if len(dwells) != len(speeds):
         mistakes.append(Mistake("dwells_s", f"{len(dwells)} numbers", "must be one for each velocity"))

@@ -55,7 +55,7 @@ class Motion:
     def sampled(
         cls, time_s: Array, depth_mm: Array, velocity_mm_s: Array | None = None, angle_rad: Array | None = None
     ) -> Motion:
-        """Return a motion of samples, shape (samples,) each.
+        """Return the motion that the given samples describe; all arrays have the shape (samples,).
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ class Motion:
         return int(np.size(self.time_s))
 
     def __getitem__(self, index: object) -> Motion:
-        """Return some samples, or one instant."""
+        """Return the motion at selected samples (slice, mask or indices), or at one instant (integer)."""
         return Motion(*(getattr(self, each.name)[index] for each in fields(self)))
 
     def between(self, fraction: float) -> Motion:
@@ -136,7 +136,7 @@ def _central_difference(time: Array, depth: Array) -> Array:
 
 
 def last_direction(velocity: Array) -> Array:
-    """Return the sign of each velocity, or the last non-zero sign where the velocity is zero; shape as given."""
+    """Return the sign of each velocity, or the last non-zero sign before it if the velocity is zero; shape as given."""
     sign = np.sign(velocity)
     moving = np.flatnonzero(sign)
     if not moving.size:

@@ -23,7 +23,7 @@ class Sine:
 
 
 def sine_at(frequency_hz: float, time_s: Array, values: Array) -> Sine:
-    """Fit the sine of a known frequency by linear least squares; shapes (samples,)."""
+    """Fit a sine of known frequency to `values`, shape (samples,), by linear least squares, and return it."""
     angle = 2 * np.pi * frequency_hz * np.asarray(time_s, float)
     columns = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle)])
     (a, b, offset), *_ = np.linalg.lstsq(columns, np.asarray(values, float), rcond=None)
@@ -31,16 +31,19 @@ def sine_at(frequency_hz: float, time_s: Array, values: Array) -> Sine:
 
 
 def dominant_frequency_hz(time_s: Array, values: Array) -> float:
-    """Return the frequency of the sine that explains most of a signal, shape (samples,), at nearly even times.
+    """Return the frequency (Hz) of the sine that explains most of the variance of a signal.
 
-    The largest line of the spectrum is refined by least squares within one line on each side. Raises DataError for
-    fewer than eight samples, or a constant signal.
+    Times and values have the shape (samples,); the times must be nearly even. The frequency of the largest spectral
+    line is refined by least squares within one line on each side. Raises DataError for fewer than eight samples, or a
+    constant signal.
     """
     from scipy.optimize import minimize_scalar
 
     time, values = np.asarray(time_s, float), np.asarray(values, float)
     if time.size < 8 or np.ptp(values) == 0:
-        raise DataError(Mistake("values", f"{time.size} samples", "must be at least eight, and change"))
+        raise DataError(
+            Mistake("values", f"{time.size} samples", "must be at least eight samples that are not all equal")
+        )
     duration = float(time[-1] - time[0]) * time.size / (time.size - 1)
     grid = np.linspace(time[0], time[-1], time.size)
     spectrum = np.abs(np.fft.rfft(np.interp(grid, time, values - values.mean())))
@@ -56,6 +59,6 @@ def dominant_frequency_hz(time_s: Array, values: Array) -> float:
 
 
 def lag_rad(frequency_hz: float, time_s: Array, values: Array, reference: Array) -> float:
-    """Return the phase lag of the sine in `values` behind the sine in `reference`, in [-pi, pi)."""
+    """Return the phase lag (rad) of the sine in `values` behind the sine in `reference`, in [-pi, pi)."""
     late = sine_at(frequency_hz, time_s, reference).phase_rad - sine_at(frequency_hz, time_s, values).phase_rad
     return float((late + np.pi) % (2 * np.pi) - np.pi)

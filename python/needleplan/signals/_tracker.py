@@ -1,7 +1,8 @@
 """Velocity from an electromagnetic tracker by a Kalman filter (thesis, appendix A and section 4.3).
 
-The thesis mentions a Kalman filter without its model or noise; both are arguments here. The position is a chain of
-integrators that white noise drives: at the acceleration (constant velocity) or at the jerk (constant acceleration).
+The thesis mentions a Kalman filter but not its model or noise; both are arguments here. The position is the output of a
+chain of integrators. White noise enters as the acceleration (model of constant velocity) or as the jerk (model of
+constant acceleration).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _UNKNOWN_ACCELERATION_MM_S2 = 1000.0
 
 
 class TrackerModel(IntEnum):
-    """The motion model. The value is the number of integrators minus one."""
+    """Motion model of the Kalman filter. The value is the number of integrators minus one."""
 
     CONSTANT_VELOCITY = 1
     CONSTANT_ACCELERATION = 2
@@ -65,9 +66,10 @@ class TrackerFilter:
             raise ModelError(mistakes, "tracker filter")
 
     def apply(self, time_s: Array, position_mm: Array) -> TrackerEstimate:
-        """Filter a record causally; equals `stream`, bit by bit. NaN is a sample without a measurement.
+        """Filter a record causally and return the estimates, which equal those of `stream` bit by bit.
 
-        Raises DataError if the shapes differ, the times do not increase, or all samples are NaN.
+        NaN marks a sample without a measurement. Raises DataError if the shapes differ, the times do not increase, or
+        all samples are NaN.
         """
         time, position = self._checked(time_s, position_mm)
         stream = self.stream()
@@ -100,7 +102,7 @@ class TrackerFilter:
         return TrackerEstimate(rows[0], rows[1], rows[2], int(np.isnan(position).sum()))
 
     def stream(self) -> TrackerStream:
-        """Return the filter for single positions."""
+        """Return a running filter that processes one position at a time."""
         return TrackerStream(self)
 
     def step(self, interval_s: float) -> tuple[Array, Array]:
@@ -121,14 +123,14 @@ class TrackerFilter:
                 Mistake("position_mm", f"shape {position.shape}", f"must be as long as time_s {time.shape}")
             )
         if not np.isfinite(position).any():
-            raise DataError(Mistake("position_mm", "", "has no number: the tracker saw nothing"))
+            raise DataError(Mistake("position_mm", "", "contains only NaN: the tracker measured nothing"))
         if not np.isfinite(time).all() or not (np.diff(time) > 0).all():
             raise DataError(Mistake("time_s", "", "must increase from sample to sample"))
         return time, position
 
 
 class TrackerStream:
-    """A running filter; before the first measured position all estimates are NaN."""
+    """A running Kalman filter; before the first measured position all estimates are NaN."""
 
     def __init__(self, what: TrackerFilter) -> None:
         from filterpy.kalman import KalmanFilter
@@ -155,9 +157,9 @@ class TrackerStream:
         return np.array(self.kalman.P, float)
 
     def push(self, time_s: float, position_mm: float) -> tuple[float, float, float]:
-        """Process a position (NaN: not measured) and return position, velocity and standard deviation of the velocity.
+        """Process one position and return estimates of position, velocity and standard deviation of the velocity.
 
-        Raises DataError if the time does not increase.
+        NaN marks a position that was not measured. Raises DataError if the time does not increase.
         """
         last, self._time = self._time, time_s
         if last is not None and not time_s > last:

@@ -3,8 +3,8 @@
 | name | meaning |
 |---|---|
 | `NeedleShaft`, `ElasticTissue` | geometry and material of the needle; stiffness and friction of the tissue |
-| `Beam` | the beam equation at one instant, or at many |
-| `solve_elements`, `solve_exact` | its solution by finite elements, or in exponentials where that is possible |
+| `Beam` | coefficients of the beam equation for one or many insertions |
+| `solve_elements`, `solve_exact` | solution of the beam equation by finite elements, or exactly without axial load |
 | `march` | an insertion step by step, in tissue that remembers the path of the tip |
 | `tip_path_mm` | the path of the tip in closed form |
 | `radius_from_axial_mm` | the radius of curvature from the axial force at the base |

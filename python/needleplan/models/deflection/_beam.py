@@ -11,7 +11,7 @@ the entry point (l1 = L - depth) to the tip (L)::
     EI u''(L) = M,   EI u'''(L) = -(P + s u'(L)),   u and u' given at the base, u to u''' continuous at l1
     N(x) = N_tip + c (L - max(x, l1))
 
-Source: sections 5.2 and 5.3 of the thesis, whose w is -u where its Fc is positive.
+Source: sections 5.2 and 5.3 of the thesis. Its deflection w is -u for positive Fc.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ class ElasticTissue:
 
     def __post_init__(self) -> None:
         mistakes = []
-        if not 1e-6 <= self.stiffness_n_mm2 <= 100:  # also where it is NaN
+        if not 1e-6 <= self.stiffness_n_mm2 <= 100:  # also catches NaN
             rule = "must be from 1e-6 to 100 N/mm2 (1 kN/m2 is 0.001 N/mm2)"
             mistakes.append(Mistake("stiffness_n_mm2", f"{self.stiffness_n_mm2:g}", rule))
         if not 0 <= self.friction_n_s_mm2 <= 0.1:
@@ -276,11 +276,11 @@ class Beam:
         return np.broadcast_shapes(*(np.shape(each) for each in vars(self).values()))
 
     def flat(self) -> Beam:
-        """Return all coefficients broadcast to one row."""
+        """Return the beam with all coefficients broadcast to the shape (insertions,)."""
         return Beam(*(np.broadcast_to(each, self.shape).reshape(-1) for each in vars(self).values()))
 
     def rows(self, chosen: NDArray[np.intp]) -> Beam:
-        """Return selected entries of flat coefficients."""
+        """Return the insertions of a flat beam with the indices `chosen`."""
         return Beam(*(each[chosen] for each in vars(self).values()))
 
 

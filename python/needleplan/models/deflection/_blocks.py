@@ -16,7 +16,7 @@ from needleplan.signals import Array
 __all__ = ["Blocks", "solve_blocks"]
 
 Blocks = Sequence[Sequence[Array]]
-"""Four entries [row][column], each of shape (blocks, systems)."""
+"""The entries of 2 x 2 blocks, indexed [row][column]; each entry has the shape (blocks, systems)."""
 
 # Number of systems below which LAPACK is faster.
 _FEW = 48

@@ -50,7 +50,10 @@ def end_stiffness(bending_n_mm2: Array, axial_n: Array, length_mm: Array) -> tup
 def outer_shape(
     place_mm: Array, bending_n_mm2: Array, axial_n: Array, length_mm: Array, end_mm: Array, end_slope_rad: Array
 ) -> tuple[Array, Array]:
-    """Return deflection and slope at `place_mm` from the clamped end, given both at the free end."""
+    """Return deflection (mm) and slope (rad) of a beam at `place_mm` from its clamped end.
+
+    `end_mm` and `end_slope_rad` are deflection and slope of the free end.
+    """
     z = axial_n * length_mm**2 / bending_n_mm2
     c1, c2, c3 = (_stumpff(order, z) for order in (1, 2, 3))
     determinant = length_mm**4 * (c2**2 - c1 * c3)
@@ -69,7 +72,7 @@ def _stumpff(order: int, z: Array) -> Array:
     return total
 
 
-# Number of insertions that are solved together; limits the memory.
+# Number of insertions that are solved together; limits the use of memory.
 _AT_ONCE = 4096
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(5)
@@ -77,7 +80,7 @@ _POINTS, _WEIGHTS = (_POINTS + 1) / 2, _WEIGHTS / 2
 
 
 def hermite(at: Array, order: int = 0) -> Array:
-    """Return the four Hermite functions, or their derivative of an order up to 2, at `at` in [0, 1]; shape (4, ...)."""
+    """Return the four Hermite functions at `at` in [0, 1], or their first or second derivatives, shape (4, ...)."""
     x = np.asarray(at, float)
     if order == 0:
         rows = (1 - 3 * x**2 + 2 * x**3, x - 2 * x**2 + x**3, 3 * x**2 - 2 * x**3, x**3 - x**2)
@@ -149,12 +152,11 @@ class ElementShape:
 
 
 def solve_elements(beam: Beam, behind_tip_mm: ArrayLike = 0.0, *, element_mm: float | None = None) -> Array:
-    """Return the deflection (mm) at a distance behind the tip, without memory of the path.
+    """Return the deflection (mm) at a distance behind the tip, for springs anchored to the straight line.
 
-    The result has the shape of the coefficients.
-
-    The depths may differ. `element_mm` is the largest length of an element; the default, a fifth of 1/lam, gives a
-    relative error below 1e-5. Raises ModelError if `element_mm` is not positive.
+    The result has the shape of the coefficients. The depths may differ. `element_mm` is the largest length of an
+    element; the default, a fifth of 1/lam, gives a relative error below 1e-5. Raises ModelError if `element_mm` is not
+    positive.
     """
     if element_mm is not None and not element_mm > 0:
         raise ModelError(Mistake("element_mm", f"{element_mm:g}", "must be positive"), "deflection")
@@ -180,7 +182,7 @@ def solve_uniform(
     base_mm: float = 0.0,
     base_slope_rad: float = 0.0,
 ) -> ElementShape:
-    """Return the shapes of flat `beam` with `count` elements each.
+    """Return the shapes of all insertions in the flat `beam`, with `count` elements each.
 
     `path_mm`, shape (insertions, count + 1), is the path that was cut, at the nodes and linear between them; None is
     the straight line. With `anchoring` mu > 0, the last value of the path is unknown and is mu times the deflection of

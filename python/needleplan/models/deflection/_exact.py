@@ -7,7 +7,7 @@ the positive root of::
 
 u is a sum of exp(-p x) {cos, sin}(q1 x), with x from the entry point, and exp(-p y) {cos, sin}(q2 y), with y from the
 tip. These functions never exceed one. Outside, u is a cubic, clamped at the base. Its two coefficients are eliminated
-by hand, which reduces the 6 x 6 system of the two sub-beams to 4 x 4.
+analytically, which reduces the 6 x 6 system of the two sub-beams to 4 x 4.
 
 The result has ten correct digits for depths above a quarter of 1/lam. At a fortieth of 1/lam it has eight, because the
 four functions are then nearly dependent. Axial load (`AxialTerms.CONSISTENT`) has no such solution; use
@@ -33,7 +33,11 @@ _NEWTON_STEPS = 12
 
 @dataclass(frozen=True)
 class ExactShape:
-    """Shape of a bent needle; `weights` are the coefficients of the four functions, shape (4, insertions)."""
+    """Shapes of bent needles.
+
+    `decay_1_mm` is p, and `wave_1_mm` are (q1, q2) of the module docstring, shape (insertions,) each. `weights` are the
+    coefficients of the four functions, shape (4, insertions).
+    """
 
     beam: Beam
     decay_1_mm: Array
@@ -42,7 +46,7 @@ class ExactShape:
 
     @property
     def tip_mm(self) -> Array:
-        """Deflection of the tip, of the shape of the beam's coefficients."""
+        """Deflection of the tip, mm, of the shape of the beam's coefficients."""
         return self.at(0.0)
 
     def at(self, behind_tip_mm: ArrayLike) -> Array:
@@ -74,9 +78,9 @@ class ExactShape:
 
 
 def solve_exact(beam: Beam) -> ExactShape:
-    """Return the exact shape of the needle for every entry of `beam`, with a clamped base and no memory of the path.
+    """Return the exact shape of the needle for every insertion in `beam`, with a clamped base and a straight path.
 
-    Raises ModelError for axial load, and for friction so strong that the roots above are real.
+    Raises ModelError for axial load, and for friction so strong that the shape contains no decaying waves.
     """
     if np.any(beam.tip_axial_n) or np.any(beam.axial_rate_n_mm):
         rule = "axial load has no solution in exponentials; use solve_elements"

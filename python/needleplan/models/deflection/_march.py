@@ -116,9 +116,10 @@ def cutting_force_n(
     velocity_mm_s: ArrayLike,
     offset: AxialOffset,
 ) -> tuple[Array, Array]:
-    """Return Fc = (F - F0 - vf v l)/sin a and its standard deviation from that of F0, N; the arguments broadcast.
+    """Return Fc = (F - F0 - vf v l)/sin a (N) and its standard deviation (N); the arguments broadcast.
 
-    Fc is not clipped: it is negative if the record and F0 disagree.
+    The standard deviation contains the uncertainty of F0 only. Fc is not clipped; a negative value means that the
+    record contradicts F0.
     """
     friction = tissue.friction_n_s_mm2 * np.asarray(velocity_mm_s, float) * np.asarray(depth_mm, float)
     sine = math.sin(needle.bevel_angle_rad)
@@ -157,10 +158,11 @@ def finite_depth_factor(
     straight_start_mm: float = 20.0,
     step_mm: float = 1.0,
 ) -> Array:
-    """Return g: the local radius over the steady one, for a constant force that begins at `straight_start_mm`.
+    """Return g, the ratio of the local radius to the steady radius, of the shape of `depth_mm`.
 
-    `depth_mm` may have any shape. It must be at least two steps beyond the straight start, and two steps short of the
-    length of the needle. One march without axial terms serves all depths. Raises ModelError for other depths.
+    The force is zero up to the depth `straight_start_mm` and then constant. `depth_mm` may have any shape. Its values
+    must be at least two steps beyond the straight start, and two steps short of the length of the needle. All depths
+    are computed by one march without axial terms. Raises ModelError for other depths.
     """
     depth = np.asarray(depth_mm, float)
     lowest, highest = straight_start_mm + 2 * step_mm, needle.length_mm - 2 * step_mm

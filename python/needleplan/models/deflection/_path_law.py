@@ -55,7 +55,7 @@ class FreePath:
     def advanced(self, depth_mm: float, push_n: float) -> FreePath:
         """Return the state at a greater depth, with P linear in between.
 
-        At the same depth P jumps (a flip of the bevel).
+        If `depth_mm` is the present depth, P jumps to `push_n`, as at a flip of the bevel.
 
         Raises ModelError for a smaller depth: the law holds for fresh tissue only.
         """
@@ -75,7 +75,7 @@ class FreePath:
 
     @property
     def heading_rad(self) -> float:
-        """Slope of the path, for constant P."""
+        """Slope of the path for constant P, rad."""
         lam = self.tissue.decay_1_mm(self.needle)
         return self._unit * (2 * lam * self.push_n + 2 * lam**2 * self.once_n_mm)
 
@@ -90,9 +90,9 @@ class FreePath:
 
 
 def tip_path_mm(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLike, push_n: ArrayLike) -> Array:
-    """Return y at the depths for P linear between samples, shape (..., samples).
+    """Return the lateral position of the tip (mm) at every depth, shape (..., samples), for P linear between samples.
 
-    `depth_mm`, shape (samples,), must not decrease; two samples at the same depth are a jump of P. `push_n` has the
+    `depth_mm`, shape (samples,), must not decrease; at two samples with the same depth, P jumps. `push_n` is P (N),
     shape (..., samples). Raises ModelError for other shapes or depths.
     """
     depth, push = np.asarray(depth_mm, float), np.asarray(push_n, float)
@@ -121,7 +121,7 @@ def steady_radius_mm(needle: NeedleShaft, tissue: ElasticTissue, push_n: float, 
         return bending * tissue.decay_1_mm(needle) / push_n
     most = 2 * math.sqrt(bending * spring)
     if not axial_n < most:
-        raise ModelError(Mistake("axial_n", f"{axial_n:g}", f"must be less than {most:g} N, where it buckles"))
+        raise ModelError(Mistake("axial_n", f"{axial_n:g}", f"must be less than the buckling load, {most:g} N"))
     square = tissue.decay_1_mm(needle) ** 2
     a, b = math.sqrt(square - axial_n / (4 * bending)), math.sqrt(square + axial_n / (4 * bending))
     spread = axial_n / spring * (3 * a * b**2 - a**3)
@@ -139,9 +139,9 @@ def circle_push_n(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLik
 def side_slip(
     needle: NeedleShaft, tissue: ElasticTissue, radius_mm: float, behind_tip_mm: ArrayLike = 0.0
 ) -> tuple[Array, float]:
-    """Return the distance (mm) of the needle from its circular path behind the tip, and the slope of the tip (rad).
+    """Return the distance (mm) between needle and path at a point behind the tip, and the slope of the tip (rad).
 
-    The slope is relative to the path and negative: the tip points outward.
+    The path is a circle. The slope is relative to the path and negative: the tip points outward.
     """
     lam = tissue.decay_1_mm(needle)
     angle = lam * np.asarray(behind_tip_mm, float)
@@ -149,6 +149,9 @@ def side_slip(
 
 
 def flip_jump(needle: NeedleShaft, tissue: ElasticTissue, push_n: float) -> tuple[float, float]:
-    """Return the jump (mm) and turn (rad) of the path where P becomes -P, toward the new side; not validated."""
+    """Return the jump (mm) and the turn (rad) of the path toward the new side when P changes to -P.
+
+    No experiment has tested this prediction.
+    """
     lam, spring = tissue.decay_1_mm(needle), tissue.stiffness_n_mm2
     return 4 * lam * push_n / spring, 8 * lam**2 * push_n / spring

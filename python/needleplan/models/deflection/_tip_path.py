@@ -1,4 +1,4 @@
-"""Members of the family of models that are based on the beam: tip path in the plane and in space, and insertion force.
+"""Models that are based on the beam: path of the tip in the plane and in space, and insertion force.
 
 `SpatialBeam` extends the law of `tip_path_mm` from the plane to a bevel in any direction. With the steady curvature k =
 P/(EI lam), the length f = 1/lam over which a local load bends the needle, and Y'' = k, the law in the plane is::
@@ -112,7 +112,7 @@ class TipPath(SelfIntegratingModel):
         return self.side * self.cutting_force * math.cos(self.bevel) / bend
 
     def push_n(self, motion: Motion) -> Array:
-        """Return P (N), of the shape of the motion's fields.
+        """Return the lateral force P on the tip (N), of the shape of the motion's fields.
 
         Parameters
         ----------

@@ -3,8 +3,8 @@
 | name | meaning |
 |---|---|
 | `ForceModel1`, `ForceModel2` | the two models of the thesis; they differ in which parameters are fixed |
-| `insertion_asymptote`, `retraction_asymptote` | closed forms of the force far behind its peak |
-| `regauged`, `with_gauge` | the exact symmetry of the parameters |
+| `insertion_asymptote`, `retraction_asymptote` | closed forms of the force at depths far beyond its peak |
+| `regauged`, `with_gauge` | models with equal forces and another scale of the state |
 | `sensitivity` | one integration step with its derivatives, for Kalman filters |
 """
 

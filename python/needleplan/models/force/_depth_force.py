@@ -57,7 +57,7 @@ class DepthForce(LinearStateModel):
     """Abstract base class of the force-depth models, which differ only in the free parameters.
 
     If g(l) is not positive at some depth, z is unstable there. The constructor accepts such parameters, because a fit
-    may try them; `proper` tells.
+    may try them. `proper` is False for such parameters.
     """
 
     channel: ClassVar[Channel] = Channel.FORCE
@@ -78,25 +78,27 @@ class DepthForce(LinearStateModel):
         return self.f1 > 0 and self.f1 + self.f2 > 0
 
     def g(self, depth_mm: Array) -> Array:
-        """Return the level g (N s) of eq. 2.2, of the shape of `depth_mm`; NaN where it is not positive.
+        """Return g (N s) of eq.
 
-        z would grow without bound there. The NaN propagates to the simulated force, so that no fit accepts the
-        parameters.
+        2.2 at each depth, of the shape of `depth_mm`; NaN at depths at which g is not positive.
+
+        At these depths z would grow without bound. The NaN propagates to the simulated force, so that no fit accepts
+        the parameters.
         """
         g = np.asarray(self.f1 + self.f2 * np.exp(-self.alpha * depth_mm))
         return np.where(g > 0, g, np.nan)
 
     def coefficients(self, motion: Motion) -> tuple[Array, Array]:
-        """Return the forcing l beta and the rate l sigma0 / g(l)."""
+        """Return the forcing l beta and the rate l sigma0 / g(l), 1/s each, of the shape of the depth."""
         depth = motion.depth_mm
         return np.asarray(depth * self.beta), np.asarray(depth * self.sigma0 / self.g(depth))
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the axial force (N), positive where it resists insertion."""
+        """Return the axial force (N), positive if it resists insertion."""
         return self._force(state, motion.depth_mm, motion.direction)
 
     def output_as_printed(self, state: Array, motion: Motion) -> Array:
-        """Return the force (N) of eq. 2.1 as printed, with sign(l): a deep retraction would push."""
+        """Return the force (N) of eq. 2.1 as printed, with sign(l); it does not become negative on retraction."""
         return self._force(state, motion.depth_mm, np.sign(motion.depth_mm))
 
     def _force(self, state: Array, depth: Array, sign: Array) -> Array:
@@ -171,7 +173,7 @@ _Force = TypeVar("_Force", bound=DepthForce)
 
 
 def regauged(model: _Force, c: float) -> _Force:
-    """Return the model with the scale of z changed by 1/c; its forces are those of `model`.
+    """Return a model whose state z is that of `model` divided by c; the forces of both models are equal.
 
     Raises ModelError if c is not positive, or a parameter would leave its range.
     """

@@ -19,7 +19,10 @@ Row = tuple[float, float, Values]
 
 
 def slope(z: float, values: Values, depth_mm: float) -> Row:
-    """Return z' (1/s). Raises ZeroDivisionError if g is zero, and OverflowError if exp(-alpha l) overflows."""
+    """Return z' (1/s) and its derivatives.
+
+    Raises ZeroDivisionError if g is zero, and OverflowError if exp(-alpha l) overflows.
+    """
     sigma0, _, _, f1, f2, alpha, beta = values
     fading = exp(-alpha * depth_mm)
     g = f1 + f2 * fading
@@ -32,7 +35,7 @@ def slope(z: float, values: Values, depth_mm: float) -> Row:
 
 
 def force(z: float, values: Values, depth_mm: float, direction: float) -> Row:
-    """Return the axial force (N). Raises the errors of `slope`."""
+    """Return the axial force (N) and its derivatives. Raises the errors of `slope`."""
     sigma0, sigma1, sigma2, f1, f2, alpha, beta = values
     fading = exp(-alpha * depth_mm)
     g = f1 + f2 * fading
@@ -56,7 +59,10 @@ def force(z: float, values: Values, depth_mm: float, direction: float) -> Row:
 
 
 def exponential_step(z: float, values: Values, depth_mm: float, step_s: float) -> Row:
-    """Return z after `step_s` at the constant depth `depth_mm`: exact, and bounded for any length of the step."""
+    """Return z after the time `step_s` at the constant depth `depth_mm`, and its derivatives.
+
+    The step is exact, and bounded for any length.
+    """
     sigma0, _, _, f1, f2, alpha, beta = values
     fading = exp(-alpha * depth_mm)
     g = f1 + f2 * fading
@@ -83,9 +89,9 @@ def exponential_step(z: float, values: Values, depth_mm: float, step_s: float) -
 
 
 def kutta_step(z: float, values: Values, depths_mm: tuple[float, float, float], step_s: float) -> Row:
-    """Return z after one step of Kutta's third-order method, as in the thesis.
+    """Return z after one step of Kutta's third-order method, as in the thesis, and its derivatives.
 
-    `depths_mm` are the depths at the begin, the middle and the end of the step. Raises the errors of `slope`.
+    `depths_mm` are the depths at the beginning, the middle and the end of the step. Raises the errors of `slope`.
     """
     h = step_s
     k1, k1z, k1p = slope(z, values, depths_mm[0])

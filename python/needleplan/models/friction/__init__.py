@@ -7,7 +7,7 @@
 | `LumpedLuGre` | Model II; with a `profile`, its normal force follows the inserted length |
 | `AveragedLuGre(profile=Profile.RIGHT)`, `AveragedLuGre()` | Models III-A and III-B |
 | `distributed` | the partial differential equation (3.1) to (3.4) |
-| `ShaftAndTip` | none: Dahl friction along the shaft and cutting at the tip |
+| `ShaftAndTip` | not in the thesis: Dahl friction along the shaft and cutting at the tip |
 
 Units are mm, N and s. With Fn = 1 N the friction forces are some tenths of a newton.
 """

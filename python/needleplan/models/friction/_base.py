@@ -1,9 +1,9 @@
 """Base classes of the friction models: the contact patch, its normal force, and the velocity dependence.
 
 The patch is the part of the shaft within tissue of the thickness `thickness_mm`. While the tip is in the tissue, the
-inserted length is the depth. After the needle has passed through, it is the thickness. The normal force follows the
-`profile`. It is `normal_force_n` at the inserted length `reference_mm`: 1 N at 76 mm in the thesis, which fixes the
-scale of mu_c, mu_s and sigma2.
+inserted length is the depth. After the tip has passed through the tissue, the inserted length is the thickness. The
+normal force is distributed along the patch by the `profile`. The total normal force is `normal_force_n` at the inserted
+length `reference_mm`. In the thesis this is 1 N at 76 mm, which fixes the scale of mu_c, mu_s and sigma2.
 
 fn(zeta) is the normal force per length at the distance zeta from the entry, for an inserted length L (thesis, (3.15)).
 With a plateau f and ramps of the length w::
@@ -87,7 +87,7 @@ _Choice = TypeVar("_Choice", bound=StrEnum)
 
 
 def choice(kind: type[_Choice], value: object, key: str, model: str) -> _Choice:
-    """Return the member of an enumeration for a value or its text. Raises ModelError that lists the members."""
+    """Return the member of the enumeration `kind` that `value` names. Raises ModelError, listing the members."""
     try:
         return kind(str(value))
     except ValueError:

@@ -24,7 +24,7 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["distributed"]
 
-# Number of samples whose bristles are in memory at once.
+# Number of samples that are computed at once; limits the use of memory.
 _BLOCK = 200
 
 
@@ -41,7 +41,7 @@ def distributed(model: LuGre, motion: Motion, profile: Profile, spacing_mm: floa
         Distribution of the normal force: UNIFORM, RIGHT or ISOSCELES. If the model's own profile is CONSTANT, its total
         force is distributed in this way at every length.
     spacing_mm : float
-        Distance between bristles. The first bristle is half of it behind the tip.
+        Distance between bristles. The first bristle is half of this distance behind the tip.
 
     Returns
     -------

@@ -107,7 +107,7 @@ def _isosceles(term: Beta, short: Array, long: Array, w: float, lam: float) -> t
     return triangle, (lam + 2) * ((long - w) ** (lam + 1) + w ** (lam + 1) - long ** (lam + 1)) / weight
 
 
-# Decay rate of the bending outside of the tissue, 1/s: within about one sample.
+# Decay rate of the bending outside of the tissue, 1/s; the bristles become straight within about one sample.
 _FORGETTING_PER_S = 1e3
 
 
@@ -220,7 +220,7 @@ class AveragedLuGre(LuGre):
             raise ModelError(Mistake("beta", self.beta, rule), source)
 
     def transport_per_s(self, motion: Motion) -> Array:
-        """Return beta v, or beta |v| (1/s), shape (...)."""
+        """Return beta v (1/s), shape (...); beta |v| for `Beta.ABSOLUTE`."""
         velocity = np.asarray(motion.velocity_mm_s, float)
         term = Beta.TRANSPORT if self.beta is Beta.ABSOLUTE else self.beta
         beta = beta_per_mm(self.profile, term, self.inserted_mm(motion), self.ramp_mm, self.exponent)

@@ -88,7 +88,7 @@ class QuasiStatic(StribeckFriction):
         return np.asarray(self.total_normal_force_n(motion) * ratio)
 
 
-# Force in N of a mass of 1 kg at 1 mm/s^2.
+# Force that accelerates 1 kg by 1 mm/s^2, N.
 _N_PER_KG_MM_S2 = 1e-3
 
 
@@ -168,7 +168,7 @@ def cutting_force(record: Record, friction: Friction, mass_kg: float) -> ForcePa
 
 
 def into_fresh_tissue(motion: Motion, margin_mm: float = 0.0) -> NDArray[np.bool_]:
-    """Return where the tip cuts: where it moves in, deeper than ever before.
+    """Return a mask of the samples at which the tip cuts: it moves in and is deeper than ever before.
 
     Parameters
     ----------

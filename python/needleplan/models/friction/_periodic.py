@@ -12,7 +12,7 @@ from needleplan.signals import Record, cycles
 
 __all__ = ["first_guess", "steady"]
 
-# Shares of the largest speed above and below which samples count as fast and slow.
+# Shares of the largest speed above which a sample counts as fast, and below which it counts as slow.
 _FAST, _SLOW = 0.9, 0.3
 # Assumed friction at the largest speed, as a share of mu_c.
 _FAST_SHARE = 0.6
@@ -21,7 +21,7 @@ _PRESLIDING = 0.01
 
 
 def steady(record: Record, skip_cycles: int = 1, phases: Sequence[str] = ()) -> NDArray[np.bool_]:
-    """Return which samples to use, bool of shape (samples,).
+    """Return a mask of the samples to use in a friction fit, bool of shape (samples,).
 
     These are the samples after the first `skip_cycles` cycles, and in one of the `phases` if any are given.
 
@@ -30,13 +30,14 @@ def steady(record: Record, skip_cycles: int = 1, phases: Sequence[str] = ()) -> 
     """
     unknown = [each for each in phases if each not in record.phase]
     if unknown:
-        rule = f"must be one of {', '.join(sorted(set(record.phase))) or 'none: the trial has no phases'}"
+        known = ", ".join(sorted(set(record.phase)))
+        rule = f"must be one of {known}" if known else "must not be given, because the trial has no phases"
         raise DataError([Mistake("phase", each, rule) for each in unknown], record.trial)
     chosen = np.asarray(cycles(record.motion()) >= skip_cycles)
     if phases:
         chosen = chosen & np.isin(np.asarray(record.phase), list(phases))
     if not chosen.any():
-        rule = f"leaves nothing: the trial has {cycles(record.motion()).max():.0f} full cycles"
+        rule = f"leaves no sample: the trial has {cycles(record.motion()).max():.0f} full cycles"
         raise DataError(Mistake("skip_cycles", str(skip_cycles), rule), record.trial)
     return np.asarray(chosen)
 
@@ -52,7 +53,7 @@ def first_guess(records: Sequence[Record]) -> dict[str, float]:
     stroke = max(float(np.ptp(record["depth_mm"])) for record in records)
     top = float(speed.max())
     if not top or not stroke:
-        raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest identifies nothing"))
+        raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest does not determine any parameter"))
     known = np.isfinite(force)
     high = float(np.median(force[known & (speed >= _FAST * top)])) if known.any() else 0.0
     low = float(np.median(force[known & (speed <= _SLOW * top)])) if known.any() else 0.0

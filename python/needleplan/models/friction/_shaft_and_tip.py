@@ -44,8 +44,8 @@ def slid(motion: Motion, length_mm: float, start: float = 0.0) -> Array:
 def slid_along(velocity_mm_s: Array, time_s: Array, length_mm: float) -> Array:
     """Return Dahl's bristle for many motions at the same times, shape (motions, samples), each from z = 0.
 
-    `velocity_mm_s` has the shape (motions, samples). One recurrence serves all motions; a factor of zero separates
-    them.
+    `velocity_mm_s` has the shape (motions, samples). All motions are solved as one recurrence, in which a factor of
+    zero separates each motion from the next.
     """
     factor, offset = np.zeros(velocity_mm_s.shape), np.zeros(velocity_mm_s.shape)
     factor[:, :-1], offset[:, :-1] = _steps(*_ways_of(velocity_mm_s, np.diff(time_s)), length_mm)
@@ -54,17 +54,21 @@ def slid_along(velocity_mm_s: Array, time_s: Array, length_mm: float) -> Array:
 
 @lru_cache(maxsize=32)
 def _slid(velocity_mm_s: bytes, time_s: bytes, length_mm: float, start: float) -> Array:
-    """Return the bristle for the bytes of a motion; cached, because a fit repeats motion and length."""
+    """Return the bristle, shape (samples,), read-only.
+
+    Velocities and times are byte strings, so that the result can be cached: a fit repeats the same motion and length.
+    """
     found = recurrence(*_steps(*_ways(velocity_mm_s, time_s), length_mm), start)
     found.flags.writeable = False
     return found
 
 
+# Indices of the steps in which the velocity changes its sign, one array per axis.
 _Turns = tuple[NDArray[np.intp], ...]
 
 
 def _steps(way: Array, back: Array, turns: _Turns, length_mm: float) -> tuple[Array, Array]:
-    """Return factor and summand of the bristle for every step."""
+    """Return factor and summand of the recurrence of the bristle for every step."""
     e1 = np.exp(-np.abs(way) / length_mm)
     offset = np.sign(way) * (1 - e1)
     if back.size:
@@ -76,12 +80,12 @@ def _steps(way: Array, back: Array, turns: _Turns, length_mm: float) -> tuple[Ar
 
 @lru_cache(maxsize=16)
 def _ways(velocity_mm_s: bytes, time_s: bytes) -> tuple[Array, Array, _Turns]:
-    """Return the travel of every step for the bytes of a motion; cached, because it does not depend on the length."""
+    """Return the values of `_ways_of` for velocities and times given as byte strings, so that they can be cached."""
     return _ways_of(np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s)))
 
 
 def _ways_of(velocity: Array, h: Array) -> tuple[Array, Array, _Turns]:
-    """Return the travel of every step up to a reversal, the travel after each reversal, and the steps with a reversal.
+    """Return the travel of every step up to its reversal, the travel after each reversal, and the reversing steps.
 
     The last axis of `velocity` holds the samples, one more than `h`.
     """
@@ -89,14 +93,14 @@ def _ways_of(velocity: Array, h: Array) -> tuple[Array, Array, _Turns]:
     way = (first + last) / 2 * h
     turns = np.nonzero(first * last < 0)
     before, after, seconds = first[turns], last[turns], h[turns[-1]]
-    share = before / (before - after)  # of the step, before the reversal
+    share = before / (before - after)  # share of the step before the reversal
     way[turns] = before * share / 2 * seconds
     return way, after * (1 - share) / 2 * seconds, turns
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShaftAndTip(SelfIntegratingModel):
-    """Axial force of friction and cutting (N), positive where it resists insertion.
+    """Axial force of friction and cutting (N), positive if it resists insertion.
 
     The state is the bristle, from -1 to 1.
 
@@ -152,5 +156,8 @@ def _growing(depth_mm: Array, onset_mm: float) -> Array:
 
 @lru_cache(maxsize=32)
 def _grown(depth_mm: bytes, onset_mm: float) -> Array:
-    """Return the growth of the cutting force for the bytes of the depths; cached for fits."""
+    """Return the cutting force as a share of its value deep in the tissue, shape (samples,).
+
+    `depth_mm` is the byte string of the depths, so that the result can be cached.
+    """
     return _growing(np.frombuffer(depth_mm), onset_mm)

@@ -79,7 +79,7 @@ class Bicycle(SelfIntegratingModel):
     offset_mm: float = parameter("mm", -1e4, 1e4, "lateral position at entry", default=0.0, typical=1.0)
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return lateral position and heading at the first sample, reached without rotation; shape (2,)."""
+        """Return lateral position and heading at the first sample, shape (2,), after an insertion without rotation."""
         depth, angle = (float(np.ravel(each)[0]) for each in (motion.depth_mm, motion.angle_rad))
         bend = self.curvature_per_mm * np.cos(angle)
         _, y, heading = arc_step(0.0, self.offset_mm, self.heading_rad, bend, max(depth, 0.0))

@@ -1,8 +1,8 @@
 """First-order displacement of a path in space by a small additional curvature.
 
-A path that bends by dk(s) more towards the unit direction d(s), perpendicular to its tangent t, rotates from s on by
-t x d dk. Every later position p moves by the cross product of that rotation with p - p(s). The sum over s is exact to
-first order, so it also gives the displacement by a random curvature.
+An additional curvature dk at the length s, toward the unit vector d perpendicular to the tangent t, rotates the path
+beyond s by t x d dk. Every position p beyond s moves by the cross product of this rotation with p - p(s). The sum of
+the displacements over all s is exact to first order, so it also gives the displacement by a random curvature.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ __all__ = ["bevel_direction", "fixed_direction", "path_displacement"]
 def path_displacement(
     states: Array, motion: Motion, added_per_mm: Array, direction: Array, felt_mm: float = 0.0
 ) -> Array:
-    """Return the displacement (mm) of each position by additional curvatures, shape (3 samples, m).
+    """Return the displacement (mm) of every position caused by each additional curvature, shape (3 * samples, m).
+
+    The rows are all x, then all y, then all z.
 
     Parameters
     ----------
@@ -47,12 +49,12 @@ def path_displacement(
 
 
 def bevel_direction(states: Array, offset_rad: float) -> Array:
-    """Return the unit direction at an angle from the bevel at each sample, shape (3, samples)."""
+    """Return the unit vector across the path at `offset_rad` from the bevel, for each sample, shape (3, samples)."""
     return _across(states, states[9] + offset_rad)
 
 
 def fixed_direction(states: Array, angle_rad: float) -> Array:
-    """Return the unit direction at a fixed angle about the tangent at each sample, shape (3, samples)."""
+    """Return the unit vector across the path at `angle_rad` from the normal n, for each sample, shape (3, samples)."""
     return _across(states, np.full(states.shape[1], angle_rad))
 
 
@@ -62,5 +64,5 @@ def _across(states: Array, angle_rad: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the cross product along the first axis, several times as fast as `numpy.cross`."""
+    """Return the cross product of vectors along the first axis; several times as fast as `numpy.cross`."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -23,7 +23,7 @@ __all__ = ["TipFrame", "Vector", "axes_of", "quaternion_of", "quaternions_along"
 
 Vector = tuple[float, float, float]
 
-# Curvature below which an arc counts as straight, 1/mm; smaller numbers have no accurate quotient.
+# Curvature below which an arc counts as straight, 1/mm; division by smaller numbers is inaccurate.
 _STRAIGHT_PER_MM = 1e-18
 
 
@@ -147,7 +147,7 @@ def quaternions_along(turns_rad: Array, start: Array) -> Array:
 
 
 def axes_of(quaternions: Array) -> tuple[Array, Array, Array]:
-    """Return the three axes of rotated frames, shape (3, ...) each."""
+    """Return tangent, normal and binormal, shape (3, ...) each, for quaternions of the shape (4, ...)."""
     w, x, y, z = quaternions
     return (
         np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]),
@@ -157,7 +157,7 @@ def axes_of(quaternions: Array) -> tuple[Array, Array, Array]:
 
 
 def quaternion_of(tangent: Array, normal: Array) -> Array:
-    """Return the quaternion of a frame with the given orthonormal tangent and normal, shape (3,) each; shape (4,)."""
+    """Return the quaternion, shape (4,), of the frame with an orthonormal tangent and normal, shape (3,) each."""
     (a, b, c), (d, e, f) = tangent.tolist(), normal.tolist()
     m = np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
     trace = m[0, 0] + m[1, 1] + m[2, 2]

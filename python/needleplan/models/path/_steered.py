@@ -61,7 +61,7 @@ class SteeredModel(SelfIntegratingModel):
         return motion.angle_rad
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return the state at the first sample, as after an insertion with constant angle and velocity; shape (10,)."""
+        """Return the state at the first sample, shape (10,), after an insertion with its angle and velocity."""
         first = motion[:1]
         place, slopes = self.entry(first)
         tangent = np.array([1.0, *slopes]) / np.sqrt(1 + slopes @ slopes)
@@ -73,7 +73,7 @@ class SteeredModel(SelfIntegratingModel):
         return self._arcs(start, self.bend_per_mm(first, first.angle_rad), np.array([depth]), start[9:])[:, -1]
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of the state, shape (10, ...)."""
+        """Return the rates of change of the state, shape (10, ...)."""
         tangent, normal, roll = state[3:6], state[6:9], state[9]
         speed = np.where(np.asarray(motion.depth_mm) > 0, motion.velocity_mm_s, 0.0)
         kn, kb = self.bend_per_mm(motion, roll)
@@ -84,7 +84,7 @@ class SteeredModel(SelfIntegratingModel):
         )
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states at every sample, shape (10, samples), by an exact arc between samples."""
+        """Return the state at every sample, shape (10, samples); the path between two samples is an exact arc."""
         roll = self.rolls(motion, float(start[9]))
         bend = self.bend_per_mm(motion.between(0.5), (roll[1:] + roll[:-1]) / 2)
         return self._arcs(start, bend, np.diff(np.maximum(motion.depth_mm, 0.0)), roll)

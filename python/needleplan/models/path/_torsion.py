@@ -9,7 +9,7 @@ base by::
 After a reversal the tip stands still until the base has rotated back by twice the lag: a backlash of half-width `lag`.
 To bring tip and base to the same angle, rotate the base beyond it by the lag and then back by the lag. The largest lag
 of the thesis, 4.22 degrees for an 18 gauge needle, would need about a hundred times the torque that its axial friction
-suggests. It is an upper bound and not a prediction.
+suggests. The value of the thesis is an upper bound and not a prediction.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ __all__ = ["Torsion", "dragged"]
 
 
 def dragged(tip_rad: float, base_rad: float, lag_rad: float) -> float:
-    """Return the new angle of a tip at `tip_rad` when the base is at `base_rad`: a backlash of half-width `lag_rad`."""
+    """Return the angle of the tip (rad) after the base has moved to `base_rad`.
+
+    The tip stays at `tip_rad` unless it would lag by more than `lag_rad`; then it follows the base at this lag.
+    """
     return min(max(tip_rad, base_rad - lag_rad), base_rad + lag_rad)
 
 

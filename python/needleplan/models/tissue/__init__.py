@@ -1,12 +1,12 @@
-"""Tissue that moves with the needle under friction (thesis, chapter 4), as a model and by the slow observer.
+"""Tissue that friction moves with the needle (thesis, chapter 4): models, and the slow observer.
 
 | name | meaning |
 |---|---|
-| `MovingTissue` | abstract: Kelvin-Voigt tissue under any friction with one linear state |
-| `LumpedOnTissue` | with Model II of chapter 3 |
-| `AveragedOnTissue` | with Models III-A and III-B |
+| `MovingTissue` | abstract: a friction model with one linear state on Kelvin-Voigt tissue |
+| `LumpedOnTissue` | Model II of chapter 3 on Kelvin-Voigt tissue |
+| `AveragedOnTissue` | Models III-A and III-B of chapter 3 on Kelvin-Voigt tissue |
 | `fit_on_tissue` | joint identification of tissue and friction |
-| `tune_slow_observer` | the method of the thesis, with automatic tuning |
+| `tune_slow_observer` | the slow observer of the thesis, tuned automatically |
 """
 
 from needleplan.models.tissue._joint_fit import fit_on_tissue, lag_with_sd, tissue_lag_rad, tissue_start

@@ -24,20 +24,24 @@ __all__ = ["fit_on_tissue", "lag_with_sd", "tissue_lag_rad", "tissue_start"]
 
 # Sampling rate of the coarse fit, Hz.
 _COARSE_HZ = 40.0
-# Smallest lag that the start values assume, rad.
+# Smallest phase lag of the tissue that the start values assume, rad.
 _SMALL_LAG_RAD = 0.03
-# Evaluations of each coarse fit, which only selects the best local optimum.
+# Largest number of evaluations of each coarse fit, which only selects the best local optimum.
 _COARSE = 25
 
 
 def tissue_start(record: Record) -> LumpedOnTissue:
-    """Return start values from the magnitudes of force and velocity. Raises DataError if a column is missing."""
+    """Return a model with start values for a fit, from the magnitudes of force and velocity in a record.
+
+    The stiffness also follows from a tuned slow observer, if the record allows the tuning. Raises DataError if a column
+    is missing, the force is zero, or the needle is at rest.
+    """
     motion, force = record.motion(), record["force_n"]
     frequency = dominant_frequency_hz(motion.time_s, motion.depth_mm)
     top = float(np.percentile(np.abs(motion.velocity_mm_s), 98))
     largest = float(np.nanpercentile(np.abs(force), 98))
     if not top > 0 or not largest > 0:
-        raise DataError(Mistake("force_n", "", "is zero, or the needle at rest: there is no friction"), record.trial)
+        raise DataError(Mistake("force_n", "", "is zero, or the needle is at rest: there is no friction"), record.trial)
     seen = np.isfinite(force)
     fundamental = sine_at(frequency, motion.time_s[seen], force[seen]).amplitude
     lag = _SMALL_LAG_RAD
@@ -74,11 +78,11 @@ def fit_on_tissue(
     start : LumpedOnTissue, optional
         First start. The default is `tissue_start` of the first record.
     average : int
-        Number of samples that the force sensor averages; 1 for none.
+        Number of samples that the force sensor averages; 1 for no averaging.
     starts : int
         Number of starts. Further starts are drawn around the first one, within a factor of about two.
     free : sequence of str, optional
-        Names of the parameters to estimate. The default is all free ones.
+        Names of the parameters to estimate. The default is all free parameters.
     mask : callable, optional
         Function from a record to the samples to use, bool of shape (samples,).
 
@@ -108,7 +112,7 @@ def fit_on_tissue(
     True
     """
     if not records:
-        raise DataError(Mistake("records", "", "there is none"))
+        raise DataError(Mistake("records", "", "must contain at least one record"))
     first = start or tissue_start(records[0])
     smooth = MovingAverage(average).apply
     strides = [max(round(1 / (_COARSE_HZ * float(np.median(np.diff(each["time_s"]))))), 1) for each in records]
@@ -123,7 +127,10 @@ def fit_on_tissue(
 
 
 def tissue_lag_rad(model: LumpedOnTissue, record: Record, frequency_hz: float) -> float:
-    """Return the lag of the relative velocity behind the needle's velocity, without the first cycle."""
+    """Return the phase lag (rad) of the velocity relative to the tissue behind the velocity of the needle.
+
+    The first cycle is left out, but at most half of the record.
+    """
     motion = record.motion()
     states = simulate(model, motion).states
     settled = motion.time_s - motion.time_s[0] >= min(1 / frequency_hz, 0.5 * float(np.ptp(motion.time_s)))
@@ -135,7 +142,7 @@ def lag_with_sd(found: Fit, record: Record, frequency_hz: float) -> tuple[float,
     """Return the lag of the fitted tissue and its standard deviation (rad), to first order in the parameters."""
     model = found.model
     if not isinstance(model, LumpedOnTissue):
-        raise TypeError(f"a fit of LumpedOnTissue is needed, this is one of {type(model).__name__}")
+        raise TypeError(f"`found` must be a fit of LumpedOnTissue, not of {type(model).__name__}")
     what = model.parameters()
     slopes = []
     for name in found.free:

@@ -1,4 +1,4 @@
-"""Friction on moving tissue: a needle, the tissue around it, and the spring and damper that hold the tissue.
+"""Friction on moving tissue: a needle in tissue that is held by a spring and a damper.
 
 The needle moves with the velocity v, the tissue with s = u'. Friction depends on the difference w = v - s, and the
 friction on the needle is the force that moves the tissue (Kelvin and Voigt)::
@@ -8,7 +8,7 @@ friction on the needle is the force that moves the tissue (Kelvin and Voigt)::
     m s' = F(z, w) - c s - k u
 
 The moving mass m is a few grams, and its inertia is below a millinewton. The equation needs the mass: without it, the
-balance F = k u + c s does not determine s where friction falls with the velocity faster than damping rises. With a bent
+balance F = k u + c s does not determine s if friction falls with the velocity faster than damping rises. With a bent
 bristle and mu_s below mu_c, this happens at every reversal, and the balance has three roots. With any mass, the tissue
 accelerates from its present velocity to the first root in the direction of the force; the integration takes this root.
 If friction itself falls with the velocity (mu_c below mu_s), needle and tissue stick and slip. The jumps are then
@@ -58,16 +58,19 @@ class MovingTissue(SelfIntegratingModel):
         """Return the friction model; the velocity of its motion is relative to the tissue."""
 
     def law(self, motion: Motion) -> FrictionLaw:
-        """Return the friction in Python floats. Default: by calls of `friction`, which is slow."""
+        """Return the friction law that computes with Python floats. Default: `PointwiseLaw`, which is slow."""
         return PointwiseLaw(self.friction(), motion)
 
     def relative(self, state: Array, motion: Motion) -> Motion:
-        """Return the motion relative to the tissue, with the depth of the needle."""
+        """Return the motion with the velocity relative to the tissue; the depth remains that of the needle."""
         velocity = np.asarray(motion.velocity_mm_s - state[2])
         return Motion(motion.time_s, motion.depth_mm, velocity, np.sign(velocity), motion.angle_rad)
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return the state at rest, shape (3,): its tissue velocity balances the friction."""
+        """Return the state with a straight bristle and undisplaced tissue, shape (3,).
+
+        The velocity of the tissue is the one at which its damping balances the friction.
+        """
         law = self.law(motion)
         velocity = float(np.atleast_1d(motion.velocity_mm_s)[0])
 
@@ -78,7 +81,7 @@ class MovingTissue(SelfIntegratingModel):
         return np.array([0.0, 0.0, first_root(balance, 0.0)])
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of the three states, shape (3, ...)."""
+        """Return the rates of change of the three states, shape (3, ...)."""
         relative, friction = self.relative(state, motion), self.friction()
         forcing, rate = friction.coefficients(relative)
         force = friction.output(state[:1], relative)
@@ -95,7 +98,7 @@ class MovingTissue(SelfIntegratingModel):
 
 
 class PointwiseLaw:
-    """Any friction model with one linear state in Python floats: slow, and the reference for `LuGreLaw`."""
+    """Friction law that calls any friction model with one linear state; slow, and the reference for `LuGreLaw`."""
 
     def __init__(self, friction: LinearStateModel, motion: Motion) -> None:
         self._friction, self._motion = friction, motion
@@ -178,7 +181,7 @@ class AveragedOnTissue(StribeckFriction, MovingTissue):
 
 
 class LuGreLaw:
-    """LuGre friction with the consistent output in Python floats: the values of `PointwiseLaw` in 1/50 of the time."""
+    """Friction law of LuGre models with the consistent output: as `PointwiseLaw`, in a fiftieth of the time."""
 
     coefficients: Callable[[int, float], tuple[float, float]]
     force: Callable[[int, float, float, float], float]
@@ -213,7 +216,7 @@ class LuGreLaw:
 
 
 def _transport(friction: LuGre, motion: Motion, sign: float) -> list[float]:
-    """Return the transport term of z'/z for a velocity of 1 mm/s in the direction of `sign`, at every sample."""
+    """Return the transport term of z'/z (1/s) at every sample for the velocity `sign` times 1 mm/s."""
     velocity = np.full(len(motion), sign)
     moved = Motion(motion.time_s, motion.depth_mm, velocity, velocity, motion.angle_rad)
     return [float(each) for each in friction.transport_per_s(moved)]

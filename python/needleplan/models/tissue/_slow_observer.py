@@ -4,15 +4,15 @@ The thesis chooses alpha1 of the slow observer "by trial and error" until the fr
 the force F passes the same low-pass filter as the velocity of the fast observer; otherwise alpha1 would be 1 to 4 too
 large. The opening of the loop::
 
-    G(alpha1) = median of v_s where F rises through zero - median of v_s where F falls through zero
+    G(alpha1) = median of v_s at rising zero crossings of F - median of v_s at falling zero crossings of F
 
-is positive if the slow observer delays too little, and decreases with the delay. The tuned alpha1 is the last change of
-sign of G.
+is positive if the slow observer delays too little, and decreases with the delay. v_s is the velocity of the slow
+observer. The tuned alpha1 is the largest one at which G changes its sign.
 
-**Accuracy** (docs/explanation/tissue-motion.md). If friction rises with the velocity, the lag is right within two
+**Accuracy** (docs/explanation/tissue-motion.md). If friction rises with the velocity, the lag is correct to within two
 degrees. If friction is almost dry, the lag is 8 to 12 degrees too large, because bristles that bend before they slide
 open the loop too. On stiff tissue the damping of the bristles closes the loop. There is then nothing to compensate, and
-the status says so.
+the status is `NO_COMPENSATION`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from needleplan.signals import FAST_ALPHA1, Array, HighGainObserver, Projection
 
 __all__ = ["SlowObserver", "TuningStatus", "tune_slow_observer"]
 
-# Range of alpha1, 1/s; the fast observer has 40.
+# Range of alpha1 that is searched, 1/s; alpha1 of the fast observer is 40.
 _SLOWEST, _FASTEST = 1.5, 39.9
 # Number of values of alpha1 at which G is computed before the bisection.
 _TRIED = 40
@@ -42,6 +42,7 @@ class TuningStatus(StrEnum):
     """How the tuning of a slow observer ended."""
 
     COMPENSATED = "compensated"
+    """A slow observer that closes the loop was found."""
 
     NO_COMPENSATION = "no_compensation"
     """G does not change its sign: no slow observer closes the loop. Use the velocity of the fast observer."""
@@ -52,11 +53,12 @@ class TuningStatus(StrEnum):
 
 @dataclass(frozen=True)
 class SlowObserver:
-    """Result of a tuning.
+    """Result of the tuning of a slow observer.
 
     `projection` is None unless the status is COMPENSATED. `alphas` (1/s) and `gaps_mm_s`, shape (40,), are the curve
-    G(alpha1); `gaps_mm_s` is empty without crossings. `upward` and `downward` count the crossings. `gap_sd_mm_s` is the
-    standard deviation of G at its root from the scatter of the crossings; infinite with one crossing in a direction.
+    G(alpha1); `gaps_mm_s` is empty if the status is TOO_FEW_CROSSINGS. `upward` and `downward` are the numbers of
+    rising and falling zero crossings. `gap_sd_mm_s` is the standard deviation of G at the tuned alpha1, from the
+    scatter of the crossings; it is infinite if there is only one rising or only one falling crossing.
     """
 
     status: TuningStatus
@@ -73,9 +75,10 @@ class SlowObserver:
         return self.projection.slow.alpha1 if self.projection else None
 
     def lag_sd_rad(self, frequency_hz: float) -> float:
-        """Return the standard deviation of the lag at a frequency, to first order, from the scatter of the crossings.
+        """Return the standard deviation (rad) of the lag at a frequency, to first order; infinite without compensation.
 
-        It measures how well the crossings agree. It does not contain the bias that friction causes in all of them.
+        The standard deviation follows from the scatter of the zero crossings of the force. It does not contain the bias
+        that friction causes in all crossings.
         """
         if self.projection is None or self.alpha1 is None:
             return np.inf
@@ -101,7 +104,7 @@ def tune_slow_observer(
     fast_alpha1 : float
         alpha1 of the fast observer, 1/s.
     skip_s : float
-        Time at the begin of the record that is not used.
+        Time at the beginning of the record that is not used.
 
     Returns
     -------
@@ -178,13 +181,17 @@ def _even_interval(time: Array, depth: Array, force: Array) -> float:
     interval = float(np.median(steps))
     if not interval > 0 or np.abs(steps - interval).max() > _UNEVEN * interval:
         first = int(np.argmax(np.abs(steps - interval))) + 1
-        rule = "must be even in time, as filters are: resample first"
+        rule = "must be evenly spaced in time, as the filters require: resample the record first"
         raise DataError(Mistake(f"time_s[{first}]", f"{time[first]:g}", rule))
     return interval
 
 
 def _crossings(force: Array, begin: int) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
-    """Return the sample before each zero crossing from `begin` on, the fraction of a step, and if the force rises."""
+    """Return index, fraction and direction of each zero crossing of the force from sample `begin` on, shape (n,) each.
+
+    The index is that of the sample before the crossing. The fraction is the position of the crossing within the step.
+    The direction is True if the force rises.
+    """
     below = force < 0
     before = np.flatnonzero(below[:-1] != below[1:])
     before = before[before >= begin]

@@ -1,6 +1,6 @@
-"""Integration of a needle in moving tissue: one scalar equation a sample, in Python floats.
+"""Integration of a needle in moving tissue: one scalar equation per sample, in Python floats.
 
-A step h from one sample to the next, with the means of the coefficients at its two ends::
+A step of length h from one sample to the next uses the means of the coefficients at its two ends::
 
     z+ = (z + A (1 + B/2)) / (1 + B + B^2/2),   A = h (forcing + forcing+)/2,   B = h (rate + rate+)/2
     u+ = u + h (s + s+)/2
@@ -27,26 +27,26 @@ __all__ = ["FrictionLaw", "first_root", "step_through", "stepping"]
 _TOLERANCE_N = 1e-12
 # Number of secant steps before the search for the first root.
 _SECANTS = 12
-# First step of this search, mm/s; each further step is 20 % longer.
+# First step of the search for the first root, mm/s; each further step is 20 % longer.
 _FIRST_STEP_MM_S = 0.01
 # Change of the tissue velocity beyond which the search gives up and the state becomes NaN, mm/s.
 _FARTHEST_MM_S = 1e5
 
 
 class FrictionLaw(Protocol):
-    """A friction model in Python floats; `w_mm_s` is the velocity relative to the tissue."""
+    """A friction model that computes with Python floats; `w_mm_s` is the velocity relative to the tissue."""
 
     def coefficients(self, sample: int, w_mm_s: float) -> tuple[float, float]:
-        """Return forcing and rate of the bristle."""
+        """Return the forcing (unit of the bristle per second) and the rate (1/s) of the bristle."""
 
     def force(self, sample: int, w_mm_s: float, bending: float, bending_rate: float) -> float:
         """Return the friction on the needle (N)."""
 
 
 def step_through(law: FrictionLaw, k: float, c: float, m: float, motion: Motion, start: Array) -> Array:
-    """Return bristle, displacement and velocity of the tissue at the samples of a motion, shape (3, samples).
+    """Return bristle state, tissue displacement (mm) and tissue velocity (mm/s) at every sample, shape (3, samples).
 
-    `start`, shape (3,), is the state at the first sample. After the state has grown without bound, it is NaN.
+    `start`, shape (3,), is the state at the first sample. All samples after the state has grown without bound are NaN.
     """
     times, needle = motion.time_s.tolist(), motion.velocity_mm_s.tolist()
     bent, moved, speed = (float(each) for each in start)
@@ -66,11 +66,12 @@ def step_through(law: FrictionLaw, k: float, c: float, m: float, motion: Motion,
 def stepping(
     law: FrictionLaw, k: float, c: float, m: float, velocity: float, start: tuple[float, float, float]
 ) -> Generator[tuple[float, float, float, float], tuple[int, float, float], None]:
-    """Integrate step by step, for motions that are not known in advance.
+    """Return a generator that integrates step by step, for motions that are not known in advance.
 
     The generator receives the sample (an index for `law`), the length of the step (s) and the velocity of the needle at
-    its end. It yields bristle, displacement and velocity of the tissue, and the force on the needle (N); NaN after they
-    have grown without bound. `velocity` is the velocity of the needle at sample 0, in the state `start`.
+    the end of the step. It yields bristle state, tissue displacement (mm), tissue velocity (mm/s) and force on the
+    needle (N); these are NaN after they have grown without bound. `velocity` is the velocity of the needle at sample 0,
+    at which the state is `start`.
     """
     coefficients, friction = law.coefficients, law.force
     bent, moved, speed = start
@@ -115,9 +116,10 @@ def stepping(
 
 
 def first_root(balance: Callable[[float], float], speed: float) -> float:
-    """Return the first equilibrium velocity of the tissue from `speed` in the direction of the force; NaN if none.
+    """Return the equilibrium velocity (mm/s) of the tissue nearest to `speed` in the direction of the force, or NaN.
 
-    `balance` is the resisting force minus the driving force: the tissue decelerates where `balance` is positive.
+    NaN means that no equilibrium was found. `balance` is the resisting force minus the driving force (N) as a function
+    of the velocity: the tissue decelerates if `balance` is positive.
     """
     error = balance(speed)
     if error == 0:
