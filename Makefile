@@ -27,6 +27,7 @@ test: install-test
 # The tests marked slow, instruction counts, and the numerical tests once for each kind of processor.
 test-slow: install-test
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal
+	$(BIN)/python -m pytest -m realtime
 	$(MAKE) processors
 	$(MAKE) guard
 
@@ -41,7 +42,7 @@ python:
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
-	$(BIN)/python -m pytest -m "not slow" -n 2 --dist worksteal
+	$(BIN)/python -m pytest -m "not slow and not realtime" -n 2 --dist worksteal
 
 # OpenBLAS has kernels of its own for each kind of processor, and they round differently.
 processors:

@@ -62,7 +62,7 @@ def test_make_plan(tmp_path: Path) -> None:
     ("target", "tools", "marker"),
     [
         ("test", ("cargo fmt", "cargo clippy", "cargo test", "ruff check", "ruff format", "mypy", "lint-imports",
-                  "stubtest"), "not slow"),
+                  "stubtest"), "not slow and not realtime"),
         ("test-slow", ("scripts/processors", "benches/guard"), "slow"),
     ],
 )  # fmt: skip
@@ -72,8 +72,9 @@ def test_the_two_test_commands_run_everything(target: str, tools: tuple[str, ...
     for tool in tools:
         assert tool in done.stdout
     # All tests with or without the mark: no path and no other option selects fewer.
-    (line,) = [each for each in done.stdout.splitlines() if "pytest" in each]
-    assert shlex.split(line)[1:] == ["-m", "pytest", "-m", marker, "-n", "2", "--dist", "worksteal"]
+    lines = [shlex.split(each)[1:] for each in done.stdout.splitlines() if "pytest" in each]
+    assert lines[0] == ["-m", "pytest", "-m", marker, "-n", "2", "--dist", "worksteal"]
+    assert lines[1:] == ([["-m", "pytest", "-m", "realtime"]] if target == "test-slow" else [])
 
 
 def test_continuous_integration_runs_the_test_command() -> None:

@@ -52,7 +52,7 @@ def insert(folder: Path, robot: str, force: str, tracker: str, *more: str) -> in
     )  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_the_same_loop_in_real_time(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     x, y, heading, _ = small_table().best_entry().pose
     effects = Effects(coil_offset_mm=2.0, tracker_noise_mm=0.05, force_noise_n=0.02)

@@ -81,7 +81,7 @@ def stays(robot: RobotServer) -> None:
     assert robot.machine.drive.advance(time.monotonic()).depth_mm == depth_mm
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_33_a_loop_that_is_stopped_for_200_ms(robot: RobotServer) -> None:
     loop = begun(robot, "plain")
     try:
@@ -100,7 +100,7 @@ def test_33_a_loop_that_is_stopped_for_200_ms(robot: RobotServer) -> None:
         loop.end()
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_33_a_collection_of_garbage(robot: RobotServer) -> None:
     loop = begun(robot, "collect")
     try:
@@ -118,7 +118,7 @@ def test_33_a_collection_of_garbage(robot: RobotServer) -> None:
         loop.end()
 
 
-@pytest.mark.slow
+@pytest.mark.realtime
 def test_33_a_loop_that_is_killed(robot: RobotServer) -> None:
     loop = begun(robot, "plain")
     loop.end()
