@@ -84,8 +84,8 @@ class FrictionLayer(PathTerm):
     """A deeper layer of tissue with higher or lower friction."""
 
     name: ClassVar[str] = "friction_layer"
-    size: float = parameter("N/mm", -1, 1, "friction per length in the layer minus that before it", typical=1e-3)
-    depth_mm: float = parameter("mm", 0, 500, "begin of the layer", typical=1.0)
+    size: float = parameter("N/mm", -1, 1, "change of the friction per length at the layer", typical=1e-3)
+    depth_mm: float = parameter("mm", 0, 500, "depth at which the layer begins", typical=1.0)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return the length of the shaft in the layer (mm) times the bristle, which gives the sign."""
@@ -237,9 +237,9 @@ class Bump(PathTerm):
     """Resistance at one depth each time the tip passes this depth, caused by an air bubble, a fibre or a lesion."""
 
     name: ClassVar[str] = "bump"
-    size: float = parameter("N", -20, 20, "force at the place", typical=0.1)
-    depth_mm: float = parameter("mm", 0, 500, "depth of the tip at the place", typical=1.0)
-    width_mm: float = parameter("mm", 0.1, 30, "half width at 1/e")
+    size: float = parameter("N", -20, 20, "force at the bump", typical=0.1)
+    depth_mm: float = parameter("mm", 0, 500, "depth of the bump", typical=1.0)
+    width_mm: float = parameter("mm", 0.1, 30, "half width at which the force has fallen to 1/e")
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return a Gaussian in depth times the bristle, which directs the force against the movement."""
@@ -276,8 +276,8 @@ class CuttingLayer(PathTerm):
     """A deeper layer of tissue with a higher or lower cutting force."""
 
     name: ClassVar[str] = "cutting_layer"
-    size: float = parameter("N", -20, 20, "cutting force in the layer minus that before it", typical=0.1)
-    depth_mm: float = parameter("mm", 0, 500, "begin of the layer", typical=1.0)
+    size: float = parameter("N", -20, 20, "change of the cutting force at the layer", typical=0.1)
+    depth_mm: float = parameter("mm", 0, 500, "depth at which the layer begins", typical=1.0)
     width_mm: float = parameter("mm", 0.05, 20, "half width of the transition between the layers")
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002

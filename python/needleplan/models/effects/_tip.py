@@ -208,7 +208,7 @@ class CoilOffset(Shifted):
     """A tracker coil beside the axis of the needle, which rotates with the tip."""
 
     size: float = parameter("mm", -20, 20, "distance of the coil from the axis", typical=0.3)
-    direction_rad: float = parameter("rad", -20, 20, "direction, from the bevel", typical=0.3)
+    direction_rad: float = parameter("rad", -20, 20, "direction of the coil, from the bevel", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
         """Return the unit vector from the axis toward the coil, shape (3, ...)."""
@@ -272,7 +272,7 @@ class BreathingTarget(Shifted):
 
     size: float = parameter("mm", -40, 40, "displacement from one end to the other", typical=0.3)
     frequency_hz: float = parameter("Hz", 0.05, 2, "frequency of the breathing")
-    phase_rad: float = parameter("rad", -20, 20, "phase at the begin of a trial", typical=0.3)
+    phase_rad: float = parameter("rad", -20, 20, "phase at the beginning of a trial", typical=0.3)
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002

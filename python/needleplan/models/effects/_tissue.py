@@ -163,7 +163,7 @@ class BreathingTissue(SelfIntegratingModel):
     base: Model
     size: float = parameter("mm", 0, 30, "displacement from one end to the other", typical=0.5)
     frequency_hz: float = parameter("Hz", 0.02, 5, "frequency of the breathing")
-    phase_rad: float = parameter("rad", -20, 20, "phase at the begin of a trial", typical=1.0)
+    phase_rad: float = parameter("rad", -20, 20, "phase at the beginning of a trial", typical=1.0)
     rest: float = parameter("", -1, 1, "dwell: 0 is a sine, 1 dwells at exhalation, -1 at inhalation", typical=1.0)
 
     @property

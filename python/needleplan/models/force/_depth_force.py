@@ -78,9 +78,7 @@ class DepthForce(LinearStateModel):
         return self.f1 > 0 and self.f1 + self.f2 > 0
 
     def g(self, depth_mm: Array) -> Array:
-        """Return g (N s) of eq.
-
-        2.2 at each depth, of the shape of `depth_mm`; NaN at depths at which g is not positive.
+        """Return g (N s) of eq. 2.2, of the shape of `depth_mm`; NaN at depths at which g is not positive.
 
         At these depths z would grow without bound. The NaN propagates to the simulated force, so that no fit accepts
         the parameters.

@@ -1,8 +1,8 @@
 """The distributed LuGre model, solved along its characteristics: slow, and the reference for the averaged models.
 
-Bristles sit on the needle and move along the patch with it. Each obeys dz/dt = v - sigma0 |v| z/g(v) (thesis, (3.1)),
-with z = 0 when it enters the tissue at either end. The force is (3.4) with dz/dt at constant zeta, integrated by parts
-as in (3.18)::
+Bristles sit on the needle and move with it along the patch. Each bristle obeys dz/dt = v - sigma0 |v| z/g(v) (thesis,
+(3.1)), with z = 0 when the bristle enters the tissue at either end. The force is (3.4) with dz/dt at constant zeta,
+integrated by parts as in (3.18)::
 
     F = int_0^L {(sigma0 - sigma0 sigma1 |v|/g) z + (sigma1 + sigma2) v} fn dzeta
         + sigma1 v [ int_0^L z fn' dzeta - z(L) fn(L) + z(0) fn(0) ]

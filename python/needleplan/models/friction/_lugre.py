@@ -64,10 +64,10 @@ class Beta(StrEnum):
     """beta v as printed: (3.16) without its end term for the right trapezoid, (3.17) for the isosceles one."""
 
     ABSOLUTE = "absolute"
-    """beta |v|, isosceles only: a patch of fixed length which fresh bristles enter at the upstream end."""
+    """beta |v|, for the isosceles trapezoid only: fresh bristles enter a patch of fixed length at its upstream end."""
 
     TIP = "tip"
-    """beta v for a tip in the tissue (L' = v), where fn grows with the patch (Leibniz's rule); 0 for lambda = 0."""
+    """beta v for a tip in the tissue (L' = v), so that fn changes with the patch (Leibniz's rule); 0 for lambda = 0."""
 
 
 def beta_per_mm(profile: Profile, term: Beta, length_mm: Array, ramp_mm: float, exponent: float) -> Array:

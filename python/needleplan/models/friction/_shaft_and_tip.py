@@ -80,7 +80,7 @@ def _steps(way: Array, back: Array, turns: _Turns, length_mm: float) -> tuple[Ar
 
 @lru_cache(maxsize=16)
 def _ways(velocity_mm_s: bytes, time_s: bytes) -> tuple[Array, Array, _Turns]:
-    """Return the values of `_ways_of` for velocities and times given as byte strings, so that they can be cached."""
+    """Return `_ways_of` for velocities and times that are given as byte strings, so that the result can be cached."""
     return _ways_of(np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s)))
 
 

@@ -104,7 +104,7 @@ class PointwiseLaw:
         self._friction, self._motion = friction, motion
 
     def coefficients(self, sample: int, w_mm_s: float) -> tuple[float, float]:
-        """Return forcing and rate of the bristle."""
+        """Return the forcing (unit of the bristle per second) and the rate (1/s) of the bristle."""
         forcing, rate = self._friction.coefficients(self._at(sample, w_mm_s))
         return float(forcing), float(rate)
 
@@ -181,7 +181,7 @@ class AveragedOnTissue(StribeckFriction, MovingTissue):
 
 
 class LuGreLaw:
-    """Friction law of LuGre models with the consistent output: as `PointwiseLaw`, in a fiftieth of the time."""
+    """Friction law of LuGre models with the consistent output; equals `PointwiseLaw` but is fifty times as fast."""
 
     coefficients: Callable[[int, float], tuple[float, float]]
     force: Callable[[int, float, float, float], float]

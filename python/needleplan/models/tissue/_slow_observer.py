@@ -7,7 +7,7 @@ large. The opening of the loop::
     G(alpha1) = median of v_s at rising zero crossings of F - median of v_s at falling zero crossings of F
 
 is positive if the slow observer delays too little, and decreases with the delay. v_s is the velocity of the slow
-observer. The tuned alpha1 is the largest one at which G changes its sign.
+observer. The tuned alpha1 is the largest alpha1 at which G changes its sign.
 
 **Accuracy** (docs/explanation/tissue-motion.md). If friction rises with the velocity, the lag is correct to within two
 degrees. If friction is almost dry, the lag is 8 to 12 degrees too large, because bristles that bend before they slide
