@@ -83,9 +83,7 @@ def test_without_a_name_the_scenario_has_the_calibrated_curvature(
     assert main(["diagnose", "base.toml", "few.csv", "-o", "open", "--scenario", "prostate"]) == 1
     assert "plan: Curvature calibrated to these recordings, without effects" in capsys.readouterr().out
     text = Path("open/scenario.toml").read_text()
-    assert text.startswith(
-        "# Calibrated only: the curvature of these recordings, without any effect (verdict: ambiguous)"
-    )
+    assert text.startswith("# Curvature calibrated to these recordings, without effects (verdict: ambiguous)")
     needle = Scenario.read("open/scenario.toml").needle
     assert not needle.layers
     said = json.loads(Path("open/diagnosis.json").read_text())["base"]["curvature_per_mm"]

@@ -102,7 +102,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict."""
+        """Verdict of the diagnosis, as `decision.verdict`."""
         return self.decision.verdict
 
     @property

@@ -50,7 +50,7 @@ class Isolability:
 
 
 def isolability(calibration: Calibration, library: Library, heterogeneity_sd: float) -> Isolability:
-    """Return the isolability matrix of the training trials at a heterogeneity standard deviation."""
+    """Return which effects imitate each other in the motions of the training trials."""
     trials = calibration.training
     entries = library.entries([trial.motion for trial in trials])
     parts, raw = [], np.zeros(entries[-1].last)

@@ -82,10 +82,10 @@ class Verdict(StrEnum):
     """Result of a diagnosis."""
 
     NONE = "none"
-    """No gap; a relevant effect would have been detected."""
+    """There is no gap, and a relevant effect would have been detected."""
 
     UNDERPOWERED = "underpowered"
-    """No gap; a relevant effect may be hidden in these data."""
+    """There is no gap, but the data could hide a relevant effect."""
 
     NAMED = "named"
     """The missing effects are known, and they close the gap on the held-out trials."""
@@ -184,10 +184,11 @@ def decide(selection: Selection, gates: Gates, *, detection_limit: float) -> Dia
     return DiagnosisDecision(Verdict.NAMED, names, (), None, share, "passes all gates")
 
 
-def _matches_prediction(seen: HeldOutValidation) -> bool:
-    """Return whether the achieved held-out gain agrees with the predicted one, neither smaller nor larger."""
+def _matches_prediction(other: HeldOutValidation) -> bool:
+    """Return whether the achieved held-out gain is close to the predicted gain."""
     return bool(
-        abs(seen.achieved - seen.predicted) < max(_PREDICTION_TOLERANCE * seen.predicted, 4 * math.sqrt(seen.predicted))
+        abs(other.achieved - other.predicted)
+        < max(_PREDICTION_TOLERANCE * other.predicted, 4 * math.sqrt(other.predicted))
     )
 
 

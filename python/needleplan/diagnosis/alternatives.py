@@ -107,7 +107,7 @@ def validate(joint: JointFit, calibration: Calibration, before: JointFit | None 
 
 
 def _with_heterogeneity_of(trial: CalibratedTrial, like: CalibratedTrial) -> WhitenedTrial:
-    """Return a whitened trial with the heterogeneity modes of another one with the same motion."""
+    """Return a whitened trial with the heterogeneity modes of `like`, a trial of the same motion."""
     return replace(trial.whitened, modes=like.whitened.modes, variances=like.whitened.variances)
 
 
@@ -140,7 +140,7 @@ class AlternativeModel:
     degrees_of_freedom: int
     bic_gain: float
     time_s: float | None = None
-    """Time (s) of a step that is the same in all trials; None for other alternatives."""
+    """Time (s) of a step that is common to all trials; None for other alternatives."""
 
     held_out_difference: float = 0.0
     """Held-out likelihood gain of the alternative minus that of the best effect; 0 if not validated."""
@@ -253,7 +253,7 @@ def _best_period(
 
 @dataclass(frozen=True, kw_only=True)
 class _PushSquared(Memoryless):
-    """A term in proportion to the square of the pushing force."""
+    """A term proportional to the square of the pushing force."""
 
     name: ClassVar[str] = "pushing_force_squared"
     size: float = parameter("1/N", -10, 10, "factor of the squared pushing force", typical=0.01)

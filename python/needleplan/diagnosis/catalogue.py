@@ -177,13 +177,13 @@ class FittedEffect:
     """Linearised standard deviation of the amplitude, in its unit."""
 
     heterogeneity_sd: float = 0.0
-    """Heterogeneity standard deviation that maximises the likelihood beside this effect."""
+    """Heterogeneity standard deviation that maximises the likelihood of the fit with this effect."""
 
     p_value: float | None = None
     """Probability that data without this effect reach its BIC gain, in the round that accepted it."""
 
     alternatives: tuple[FittedEffect, ...] = ()
-    """Effects that explain the data as well in place of this one."""
+    """Other effects that would explain the data equally well in place of this effect."""
 
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     """Parameters with 95 % intervals; empty before the verdict."""
@@ -192,7 +192,7 @@ class FittedEffect:
     """RMS of the effect's output in the training data, in the channel's unit."""
 
     share: float = 0.0
-    """Share of this effect in the sum of the likelihood gains of all effects."""
+    """Ratio of this effect's likelihood gain to the sum of the gains of all effects."""
 
     @property
     def name(self) -> str:
@@ -287,7 +287,7 @@ def allowed_amplitudes(amplitudes: Array, entries: Sequence[CatalogueEntry]) -> 
 
 @dataclass(frozen=True)
 class DetectionLimit:
-    """The smallest amplitude of an effect that would be named at half of its grid points."""
+    """Detection limit of an effect: the amplitude above which it would be named at half of its grid points."""
 
     effect: str
     amplitude: float

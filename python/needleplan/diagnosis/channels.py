@@ -90,7 +90,7 @@ class SimulatedTrial(Protocol):
 
     @property
     def model(self) -> Model:
-        """The model."""
+        """Model that predicts the output."""
 
     @property
     def motion(self) -> Motion:
@@ -123,22 +123,22 @@ class ChannelDescription:
     """Prior standard deviation of fit coordinates by parameter; other parameters have a default of about a factor 2."""
 
     modes: Callable[[Model, Motion], Array]
-    """Change of the output by each mode of the heterogeneity at standard deviation 1, shape (axes * samples, modes)."""
+    """Returns the output change by each heterogeneity mode at standard deviation 1, shape (axes * samples, modes)."""
 
     turn_errors: Callable[[Array, Motion], Array]
-    """Change of the output by timing errors of reversals at one standard deviation, shape (axes * samples, errors).
+    """Returns the output change by timing errors of one standard deviation at reversals, (axes * samples, errors).
 
     Takes the predicted output, shape (axes * samples,), and the motion.
     """
 
     smooth_bases: Callable[[Sequence[SimulatedTrial]], Mapping[str, SmoothBasis]]
-    """Nonparametric alternatives by name."""
+    """Returns the nonparametric alternatives by name."""
 
     independent_samples: Callable[[Motion], int] = lambda motion: 0  # noqa: ARG005
     """Returns the number of independent samples of a trial; 0 if all samples are independent."""
 
     gates: Gates = Gates()
-    """Default thresholds."""
+    """Default thresholds of the verdict."""
 
     linear_parameters: tuple[str, ...] = ()
     """Well known parameters that enter linearly: they keep their values in a calibration and are only linearised."""

@@ -259,7 +259,7 @@ class GapDescription:
 
     @property
     def main(self) -> Curve:
-        """The most significant curve."""
+        """The curve with the largest ratio of mean to standard deviation at a visited node."""
         return max(self.curves.curves, key=lambda each: float((np.abs(each.mean / each.sd) * each.inside).max()))
 
     @property

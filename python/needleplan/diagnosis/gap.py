@@ -55,6 +55,7 @@ _LENGTHS = (0.08, 0.15, 0.3, 0.6)
 # Prior amplitudes tried, in units of the noise RMS.
 _AMPLITUDES = np.geomspace(0.02, 200.0, 17)
 
+# Unit of each axis.
 _UNITS = {
     GapAxis.TIME: "s",
     GapAxis.DEPTH: "mm",
@@ -66,6 +67,7 @@ _UNITS = {
 
 _ADVANCE, _RETRACTION, _REST, _ANY = "advance", "retraction", "rest", "any"
 
+# Ways of moving that have separate curves; other axes have one curve for all motion.
 _WAYS = {
     GapAxis.DEPTH: (_ADVANCE, _RETRACTION),
     GapAxis.PERIOD: (_ADVANCE, _RETRACTION),
@@ -80,7 +82,7 @@ class MotionPhase(StrEnum):
     ADVANCE = "advance"
     DWELL = "hold"
     REVERSAL = "reversal"
-    """The first millimetres after a change of direction."""
+    """The first millimetres of travel after a change of direction."""
 
     RETRACTION = "retraction"
     ROTATED = "after a rotation"
@@ -129,7 +131,7 @@ class Localisation:
 
 
 def localise(likelihood: JointLikelihood, trials: Sequence[CalibratedTrial], *, seed: int = 0) -> Localisation:
-    """Locate the gap that the base model of `likelihood` leaves in `trials`."""
+    """Return where the model of `likelihood` leaves a gap in `trials`; `seed` is that of the random draws."""
     smooth, residual, rows = _projected(likelihood, trials)
     left, singular, _ = np.linalg.svd(smooth, full_matrices=False)
     kept = left[:, singular > 1e-6 * singular[0]]

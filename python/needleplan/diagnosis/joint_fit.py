@@ -98,7 +98,7 @@ class HeldOutValidation:
 
     @property
     def transfer(self) -> float:
-        """Achieved over predicted gain: about 1 for a true effect; NaN without a predicted gain."""
+        """Ratio of achieved to predicted gain: about 1 for a true effect, NaN if no gain is predicted."""
         return self.achieved / self.predicted if self.predicted > 0 else float("nan")
 
 
@@ -108,10 +108,10 @@ class JointFit:
 
     effects: tuple[FittedEffect, ...]
     trials: tuple[CalibratedTrial, ...]
-    """Training trials, with the base model calibrated beside the effects."""
+    """Training trials, with the base model calibrated jointly with the effects."""
 
     likelihood: JointLikelihood
-    """Likelihood with the effects' parameters as nuisances shared by all trials."""
+    """Likelihood with the effects' parameters as nuisance parameters that all trials share."""
 
     likelihood_gain: float
     """Twice the log-likelihood gain of all effects over the base model alone."""
@@ -123,7 +123,7 @@ class JointFit:
     """For each fit coordinate: index of the effect and name of the parameter."""
 
     validation: HeldOutValidation | None = None
-    """Validation of the newest effect beside the earlier ones; None if it was not validated."""
+    """Validation of the newest effect, compared with the earlier effects; None if it was not validated."""
 
     refuted: bool = False
     """Whether the validation refutes the newest effect."""

@@ -63,7 +63,7 @@ class Selection:
 
     @property
     def unambiguous(self) -> tuple[FittedEffect, ...]:
-        """The accepted effects without an alternative effect."""
+        """The accepted effects that no other effect could replace equally well."""
         return tuple(each for each in self.effects if not each.alternatives)
 
     @property

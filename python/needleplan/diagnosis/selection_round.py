@@ -108,7 +108,7 @@ class Search:
     entries: tuple[CatalogueEntry, ...]
     base: JointLikelihood
     sensitivities: Sequence[Array]
-    """Whitened sensitivities of all candidates beside the base model alone, one array per trial."""
+    """Whitened sensitivities of all candidates for the base model without effects, one array per trial."""
 
     at_prior: tuple[CalibratedTrial, ...]
     """As `Selection.at_prior`: trials with those parameters at their priors that calibration moved far."""

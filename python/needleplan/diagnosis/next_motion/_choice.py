@@ -69,7 +69,7 @@ def separations(found: Diagnosis, motion: Motion) -> tuple[Separation, ...]:
 
 
 def _role(found: Diagnosis) -> Role:
-    """Return the role of the next trial: holdout if only a held-out trial of another motion is missing, else train."""
+    """Return the role of the next trial: holdout if a name waits for a held-out trial but not for a training trial."""
     lacks = found.checked.lacks
     waits = found.lacks_data and Lack.TRIALS not in lacks
     return Role.HOLDOUT if waits and (Lack.HELD_OUT in lacks or Lack.OTHER_MOTION in lacks) else Role.TRAIN

@@ -8,13 +8,16 @@ from needleplan.diagnosis import Curve, Curves, Formula, GapAxis, GapDescription
 
 __all__ = ["effect_file_text"]
 
+# Name of each axis in the file.
 _AXES = {
     GapAxis.TIME: "time", GapAxis.DEPTH: "depth", GapAxis.SPEED: "speed", GapAxis.FORCE: "force",
     GapAxis.DWELL: "time at rest", GapAxis.PERIOD: "depth", GapAxis.ANGLE: "angle",
 }  # fmt: skip
 
+# Expression of each axis variable in `drawn`; `depth_mm` for other axes.
 _VARIABLES = {GapAxis.TIME: "time_s", GapAxis.SPEED: "abs(velocity_mm_s)", GapAxis.FORCE: "force_n"}
 
+# Factor in `drawn` that selects a way of moving.
 _WAYS = {"advance": "(sign > 0)", "retraction": "(sign < 0)", "any": "1.0"}
 
 

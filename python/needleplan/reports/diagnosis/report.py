@@ -93,8 +93,8 @@ def _where(found: Diagnosis, traces: Sequence[TrialTrace]) -> Iterator[str]:
     yield html.heading("Where")
     phases, edges, energy = gap_map(traces, after=False)
     row, column = np.unravel_index(np.nanargmax(energy), energy.shape)
-    most = (f"before, most at {edges[column]:.3g} to {edges[column + 1]:.3g} mm, {phases[row]}: "
-            f"{energy[row, column]:.3g} times the noise")  # fmt: skip
+    most = (f"before, the largest mean square is {energy[row, column]:.3g} times that of noise, at "
+            f"{edges[column]:.3g} to {edges[column + 1]:.3g} mm in the phase '{phases[row]}'")  # fmt: skip
     text = f"Whitened residual over depth, and a map of its mean square by depth and phase of the motion; {most}"
     caption = (
         "Whitened residual of all trials (grey: 99 % range of noise), and its mean square by depth "
@@ -175,7 +175,7 @@ def _candidates(found: Diagnosis) -> Iterator[str]:
             f"{second.name} {second.bic_gain:.3g}" if second else "none", _chance(each.p_value),
             f"{each.alternatives[0].name} {each.alternatives[0].bic_gain:.3g}", STOPS[each.outcome],
         ))  # fmt: skip
-    columns = ("round", "best effect", "BIC gain", "next best", "p by chance", "best alternative", "outcome")
+    columns = ("round", "best effect", "BIC gain", "next best", "p-value", "best alternative", "outcome")
     yield html.table("Rounds", columns, rows)
 
 

@@ -8,6 +8,7 @@ from needleplan.diagnosis import Diagnosis, GapAxis, RoundOutcome, Verdict
 
 __all__ = ["STOPS", "advice", "answer", "title_of"]
 
+# Text after "The unexplained gap depends on".
 _ALONG = {
     GapAxis.TIME: "time: it changes at some moment, or slowly",
     GapAxis.DEPTH: "depth, the position of the tip",
