@@ -38,7 +38,7 @@ TABLE_2_1: Mapping[type[DepthForce], tuple[dict[str, int], ...]] = {
     ForceModel1: ({"f2": 5, "sigma0": 9}, {"f1": 15, "sigma1": 15}, {"alpha": 5, "sigma2": 15}),
     ForceModel2: ({"sigma0": 9}, {"f1": 15, "sigma1": 15}, {"beta": 3, "sigma2": 15}),
 }
-"""By model: the parameters of each filter with the printed exponents n of their variances, Q = 0.05 diag(10^n)."""
+"""By model and filter: its parameters and the printed exponents n of their process variances, Q = 0.05 diag(10^n)."""
 
 
 class Exponents(StrEnum):
@@ -48,7 +48,7 @@ class Exponents(StrEnum):
     """Variance 0.05 * 10^-n: steps are small compared with the parameters."""
 
     AS_PRINTED = "as_printed"
-    """Variance 0.05 * 10^n: a parameter keeps nothing of its previous value."""
+    """Variance 0.05 * 10^n: a step is so large that the previous value of a parameter has no influence."""
 
 
 class Trigger(StrEnum):
@@ -62,8 +62,8 @@ class Trigger(StrEnum):
 class BankSettings:
     """Choices that the text of the thesis leaves open; see the module docstring.
 
-    `initial_variance` is P0 of the parameters; None means (5 theta)^2. `filters` replaces the pairing of Table 2.1.
-    `state_sd` and `state_walk` are the initial standard deviation and the process variance of z.
+    `initial_variance` is the P0 of the parameters; None means (5 theta)^2. `filters` replaces the parameters per filter
+    of Table 2.1. `state_sd` and `state_walk` are the initial standard deviation and the process variance of z.
     """
 
     exponents: Exponents = Exponents.NEGATIVE
@@ -79,7 +79,7 @@ class BankSettings:
 
 @dataclass(frozen=True)
 class BankRun:
-    """Result of the bank: status, final parameters, and the estimates of every sample.
+    """Result of the bank: status, final parameters, and the estimates at every sample.
 
     `values` may lie outside the bounds of the model. `track` has +-3 sigma limits and ends where the bank diverged.
     """
@@ -90,7 +90,7 @@ class BankRun:
 
 
 def run_bank(model: DepthForce, record: Record, settings: BankSettings | None = None) -> BankRun:
-    """Run the bank over a record, starting from the parameters of `model`.
+    """Run the bank of filters over a record, starting from the parameters of `model`.
 
     Raises DataError if the record lacks force or motion.
     """
@@ -107,13 +107,13 @@ def run_bank(model: DepthForce, record: Record, settings: BankSettings | None = 
             try:
                 samples.append(bank.take(*instant))
             except (ArithmeticError, ValueError, np.linalg.LinAlgError):
-                break  # g crossed zero, or a number overflowed
+                break  # the bank diverged: g crossed zero, or a number overflowed
     status = FilterStatus.DONE if len(samples) == len(measured) else FilterStatus.DIVERGED
     return BankRun(status, dict(zip(NAMES, bank.values, strict=True)), _track(record, bank, samples))
 
 
 _Sample = tuple[float, float, float, list[float], list[float]]
-"""Of one sample: predicted force (N), innovation (N) and its standard deviation, (z, parameters), their deviations."""
+"""Predicted force (N), innovation (N), its standard deviation, estimates of (z, parameters), their deviations."""
 
 
 class _Bank:

@@ -1,4 +1,4 @@
-"""Tables 2.1 and 2.2: the published bank of filters on simulated records, started wrong by a factor of six."""
+"""Tables 2.1 and 2.2: the published bank of filters on simulated records, from values wrong by a factor of six."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["PhaseErrors", "phases_of", "tables_2_1_and_2_2"]
 # RMS innovation of the retraction (N) above which a run counts as failed.
 _FAILED_N = 0.1
 
-# The pairing of parameters that section 2.5.2 calls worse than that of Table 2.1.
+# Parameters per filter that section 2.5.2 calls worse than those of Table 2.1.
 _OTHER_PAIRING = ({"sigma0": 9, "sigma2": 15}, {"f1": 15, "sigma1": 15}, {"beta": 3})
 
 
@@ -36,7 +36,7 @@ class PhaseErrors:
 
 
 def phases_of(run: BankRun, record: Record, skip: int) -> PhaseErrors:
-    """Return the RMS innovations by phase, without the first `skip` samples of each phase."""
+    """Return the RMS innovations of insertion, retraction and both, without the first `skip` samples of each phase."""
     direction = record.motion().direction
     turn = int(np.flatnonzero(direction < 0)[0])
     squares = np.full(len(record), np.inf)
@@ -48,7 +48,10 @@ def phases_of(run: BankRun, record: Record, skip: int) -> PhaseErrors:
 
 
 def tables_2_1_and_2_2(starts: int) -> list[Comparison]:
-    """Run the bank for both models and both pairings, from `starts` starting values each, and compare."""
+    """Run the bank for both models and both pairings, from `starts` starting values each.
+
+    Returns the comparisons with the tables and with the statements of section 2.5.2.
+    """
     chosen = PUBLISHED_FORCES[0]
     record = insertion_record(chosen, 0)
     truths: dict[str, DepthForce] = {"I": ForceModel1(**chosen.model.values()), "II": chosen.model}
@@ -159,7 +162,7 @@ def _outperforms(runs: dict[str, list[BankRun]], record: Record, model: ForceMod
 
 
 def _open_loop(runs: Sequence[BankRun], record: Record, model: ForceModel2) -> Comparison:
-    """Compare innovations of the bank with open-loop errors of its final parameters."""
+    """Compare the innovations of the bank with the open-loop errors that its final parameters give."""
     known = model.parameters()
     errors = []
     for run in runs:

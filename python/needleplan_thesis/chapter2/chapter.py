@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["files", "run"]
 
-# Number of starting values for the bank and for the joint filter.
+# Number of starting values by effort: for the bank, and for the joint filter.
 _STARTS = {Effort.QUICK: 2, Effort.DEFAULT: 8, Effort.FULL: 32}
 _ROBUST = {Effort.QUICK: 0, Effort.DEFAULT: 2, Effort.FULL: 32}
 
@@ -26,7 +26,7 @@ def files(_: Request) -> tuple[str, ...]:
 
 
 def run(request: Request) -> list[Comparison]:
-    """Reproduce the chapter; draw the figures if the request names a folder."""
+    """Return the comparisons of the chapter; draw the figures if the request names a folder."""
     comparisons = forward()
     request.note("chapter 2: the published bank of filters")
     comparisons += tables_2_1_and_2_2(_STARTS[request.effort])

@@ -1,4 +1,4 @@
-"""Figs. 2.2 to 2.9."""
+"""Draws Figs. 2.2 to 2.9 from simulated records."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Published parameters of chapter 2, and the records that are simulated with them.
 
-Section 2.5.2 (needle A) and Table 2.3 (needle B) give parameters of Model II; the shipped atlas `published` holds them.
-Here they carry the letters of the thesis: needle A is 18 GA, needle B is 22 GA; tissue A is 4.5 % gellan gum, tissue B
-6 %.
+Section 2.5.2 (needle A) and Table 2.3 (needle B) give parameters of Model II; the shipped atlas `published` contains
+them. The letters are those of the thesis: needle A is 18 GA, needle B is 22 GA; tissue A is 4.5 % gellan gum, tissue B
+is 6 %.
 
 The force of a simulated record is the sum of
 
@@ -11,9 +11,9 @@ The force of a simulated record is the sum of
   mm, normally distributed heights, the same in insertion and retraction, with the sign of the velocity;
 - white noise of 4.2 mN; the sensor's moving average over five samples leaves 1.9 mN of it.
 
-No fitted model has the bumps. Their standard deviation is an assumption: 10 mN for needle A, and 8 mN for needle B,
-which is more relative to its smaller forces, because the text calls needle B more susceptible. The bumps dominate the
-open-loop errors, so these errors are no evidence about the data of the thesis.
+No fitted model contains the bumps. Their standard deviation is an assumption: 10 mN for needle A and 8 mN for needle B.
+Relative to the smaller forces of needle B, 8 mN is more, because the text calls needle B more susceptible. The bumps
+dominate the open-loop errors, so these errors are no evidence about the data of the thesis.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class PublishedForce:
-    """A column of Table 2.3, or one of the two parameter sets of the text, with its published error."""
+    """A published parameter set (a column of Table 2.3, or one of two in section 2.5.2) and its published error."""
 
     needle: str
     tissue: str
@@ -75,7 +75,10 @@ def _published() -> tuple[PublishedForce, ...]:
 
 
 PUBLISHED_FORCES = _published()
-"""As printed, in the order text, Table 2.3. The positive f2 of B/B at 6 mm/s is admissible: g falls with depth."""
+"""Printed parameter sets: first those of the text, then Table 2.3.
+
+The positive f2 of B/B at 6 mm/s is admissible, because its g falls with depth.
+"""
 
 
 NO_DATA = "the measurements of the thesis are not published; computed from simulated records with assumed disturbances"
@@ -100,7 +103,7 @@ TABLE_2_2 = (
     Row22("I", False, 1.81e-2, 1.71e-2, 2.03e-2),
     Row22("II", False, 3.44e-3, 2.83e-3, 3.9e-3),
 )
-"""As printed. The columns contradict each other, which a comparison shows."""
+"""Table 2.2 as printed. Its columns contradict each other, which a comparison shows."""
 
 
 SENSOR = MovingAverage(5)
@@ -110,12 +113,12 @@ BUBBLES_N = {"A": 10e-3, "B": 8e-3}
 
 # Standard deviation of the white noise (N): the average over five samples leaves 1.9 mN.
 _NOISE_N = 1.9e-3 * 5**0.5
-# Mean distance and width of the bumps.
+# Mean distance and width of the bumps (mm).
 _SPACING_MM, _WIDTH_MM = 4.0, 1.5
 
 
 def insertion_record(published: PublishedForce, seed: int, *, bubbles: bool = True) -> Record:
-    """Return a simulated insertion and retraction; see the module docstring."""
+    """Return a simulated record of an insertion and a retraction, as in the module docstring; `bubbles` adds bumps."""
     random = np.random.default_rng([seed, round(10 * published.velocity_mm_s)])
     motion = insertion_cycles(published.depth_mm, published.velocity_mm_s)
     force = simulate(published.model, motion).output
@@ -137,7 +140,7 @@ def insertion_record(published: PublishedForce, seed: int, *, bubbles: bool = Tr
 def corners(model: DepthForce, factor: float, count: int, seed: int = 0) -> Iterator[DepthForce]:
     """Yield `count` starting models: each free parameter but f2 is multiplied by `factor` or its inverse, at random.
 
-    For f1, the distance from the bound that keeps g positive is multiplied. Section 2.5.2 starts within +-500 %.
+    Of f1, only the distance from its bound (g > 0) is multiplied. The starts of section 2.5.2 are within +-500 %.
     """
     joint = JointForce(model)
     x = joint.initial(model, insertion_cycles(1.0, 1.0))

@@ -1,6 +1,6 @@
-"""What the published parameters imply (Fig. 2.2, section 2.3), and parameters identified from simulated records.
+"""Forces of the published parameters (Fig. 2.2, section 2.3), and parameters identified from simulated records.
 
-The second part is Table 2.3 with the open loops of Figs. 2.7 and 2.9: the force that the identified parameters predict.
+The identified parameters are compared with Table 2.3. Their open-loop forces are compared with Figs. 2.7 and 2.9.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _TURN = int(np.flatnonzero(_MOTION.direction > 0)[-1])
 
 
 def forward() -> list[Comparison]:
-    """Return peaks and asymptotes of the published sets, and a verdict on every statement of section 2.3."""
+    """Compare the forces of the published parameter sets with Fig. 2.2 and with every statement of section 2.3."""
     return [*_peaks(), *_statements(), *_symmetries()]
 
 
@@ -115,7 +115,7 @@ def _statement(what: str, published: str, computed: str, holds: bool) -> Compari
 
 @dataclass(frozen=True)
 class IdentifiedForce:
-    """A simulated record of one published combination, and the passes of the joint filter over it."""
+    """A simulated record of one published parameter set, and the result of the joint filter on this record."""
 
     published: PublishedForce
     record: Record
@@ -123,7 +123,7 @@ class IdentifiedForce:
 
 
 def identified_forces() -> list[IdentifiedForce]:
-    """Identify each published combination from its own record, from starting values wrong by a factor of three."""
+    """Identify each published parameter set from a record simulated with it, from values wrong by a factor of 3."""
     made = []
     for number, each in enumerate(PUBLISHED_FORCES):
         record = insertion_record(each, number)
@@ -140,7 +140,10 @@ def table_2_3_and_open_loops(identified: list[IdentifiedForce]) -> list[Comparis
 
 
 def robust_starts(count: int) -> list[Comparison]:
-    """Count the starting values, wrong by six, that lead to an open-loop error below 10 mN without bubbles."""
+    """Count the starts that end with an open-loop error below 10 mN, on records without bubbles.
+
+    There are `count` starts per parameter set, with values wrong by a factor of six.
+    """
     good = 0
     for number, each in enumerate(PUBLISHED_FORCES):
         record = insertion_record(each, 100 + number, bubbles=False)

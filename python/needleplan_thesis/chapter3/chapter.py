@@ -39,7 +39,7 @@ def files(_: Request) -> tuple[str, ...]:
 
 
 def run(request: Request) -> list[Comparison]:
-    """Reproduce the chapter; draw the figures if the request names a folder."""
+    """Return the comparisons of the chapter; draw the figures if the request names a folder."""
     quick, rate = request.effort is Effort.QUICK, _RATE_HZ[request.effort]
     exponents = (0.5, 5.0) if quick else EXPONENTS
     generators = (Generator.III_B,) if quick else tuple(Generator)
@@ -75,7 +75,10 @@ _RAMP_MM = 2.5
 
 
 def draw_profiles(file: Path) -> None:
-    """Draw Fig. 3.3: the normal force per length along the patch, at five inserted lengths, for both trapezoids."""
+    """Draw Fig. 3.3: normal force per length against the distance from the entry, for five inserted lengths.
+
+    One panel shows the right trapezoid (Model III-A), the other the isosceles trapezoid (Model III-B).
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.6, 2.9), layout="constrained")
@@ -86,7 +89,7 @@ def draw_profiles(file: Path) -> None:
     }
     for each, (profile, lengths) in zip(axes, states.items(), strict=True):
         for number, (length, colour) in enumerate(zip(lengths, _COLOURS, strict=True), start=1):
-            # Without the far end, where the right trapezoid jumps to zero.
+            # The far end is left out, because the right trapezoid jumps to zero there.
             position = np.linspace(0, length, 400)
             shape = intensity(profile, position, length, _RAMP_MM)
             label = f"{number}: L = {length:g} mm"

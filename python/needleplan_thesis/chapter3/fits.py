@@ -1,6 +1,6 @@
 """Synthetic data of chapter 3, and all models fitted to them.
 
-The data are a model with the printed parameters plus white noise. A `Generator` names the model.
+The data are the output of a model with the printed parameters, plus white noise. A `Generator` names the model.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NOISE_N = 0.015
 
 
 class Generator(StrEnum):
-    """The model that generates the data of a periodic motion through the phantom."""
+    """Model that generates the data of a periodic motion through the phantom."""
 
     III_B = "III-B (beta v, lambda 5, Table 3.4)"
     ABSOLUTE = "III-B (beta |v|, lambda 5, Table 3.4)"
@@ -43,7 +43,7 @@ class Generator(StrEnum):
 
 
 def generated(case: int, generator: Generator, motion: Motion) -> Array:
-    """Return the friction (N) without noise, shape (samples,)."""
+    """Return the friction (N) of a case and a motion without noise, shape (samples,)."""
     if generator is Generator.DISTRIBUTED:
         return distributed(model_ii(case), motion, Profile.ISOSCELES)
     if generator is Generator.II:
@@ -67,20 +67,23 @@ def recorded(motion: Motion, force_n: Array, seed: int, noise_n: float = NOISE_N
 
 
 def periodic(case: int, generator: Generator, rate_hz: float, seed: int) -> Record:
-    """Return a record of four cycles of a case of Table 3.1."""
+    """Return a simulated record of four cycles of a case of Table 3.1, with noise."""
     motion = passing_through(case, rate_hz=rate_hz)
     return recorded(motion, generated(case, generator, motion), seed)
 
 
 _EVALUATIONS = 100
-"""Evaluation limit of a fit. Only the static model reaches it: its parameters trade off at almost the same error."""
+"""Evaluation limit of a fit. Only the static model reaches it: many parameter sets give almost the same error."""
 
 _KINDS = ("Karnopp", "I", "II", "III-B")
 
 
 @dataclass(frozen=True)
 class CaseFits:
-    """The fits of one case: by model with the best lambda (`fits`), and of Model III-B by lambda (`exponents`)."""
+    """The fits of one case: by model (`fits`), and of Model III-B by lambda (`exponents`).
+
+    `fits` contains Model III-B with its best lambda.
+    """
 
     case: int
     generator: Generator
@@ -99,7 +102,7 @@ class CaseFits:
 
 
 def errors_mn(model: Model, record: Record) -> Errors:
-    """Return the RMSE (mN) after the first cycle: total, below half of the top speed, and above."""
+    """Return the RMSE (mN) after the first cycle: at all speeds, below half of the top speed, and above it."""
     motion = record.motion()
     counts = steady(record)
     squared = 1e6 * (record["force_n"] - simulate(model, motion).output) ** 2
@@ -109,7 +112,10 @@ def errors_mn(model: Model, record: Record) -> Errors:
 
 
 def fit_case(case: int, generator: Generator, rate_hz: float, exponents: Sequence[float], seed: int) -> CaseFits:
-    """Simulate the data of a case, and fit Karnopp, I, II, and III-B with each lambda, after the first cycle."""
+    """Simulate the data of a case and fit all models to the samples after the first cycle: Karnopp, I, II and III-B.
+
+    Model III-B is fitted with each lambda in `exponents`.
+    """
     record = periodic(case, generator, rate_hz, seed)
     found = {
         each.label: fit(each.model, record, free=each.free, mask=steady, max_evaluations=_EVALUATIONS)
@@ -124,6 +130,6 @@ def fit_case(case: int, generator: Generator, rate_hz: float, exponents: Sequenc
 def fit_cases(
     generator: Generator, rate_hz: float, exponents: Sequence[float], note: Callable[[str], None], seed: int = 0
 ) -> list[CaseFits]:
-    """Fit all cases of Table 3.1."""
+    """Simulate and fit all cases of Table 3.1."""
     note(f"friction: data from {generator}")
     return [fit_case(case, generator, rate_hz, exponents, seed + case) for case in CASES]

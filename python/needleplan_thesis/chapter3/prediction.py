@@ -1,6 +1,6 @@
 """Table 3.6 and Fig. 3.6: friction predicted with the tip inside the tissue, and the remaining cutting force.
 
-The synthetic measurement is Model III-B with the inserted length, plus effects that no friction model has.
+The synthetic measurement is Model III-B with the inserted length, plus effects that no friction model contains.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from needleplan_thesis.chapter3.published import CASES, NEEDLE_MASS_KG, TABLE_3_
 
 __all__ = ["InsideRecord", "draw_prediction", "inside", "prediction", "predictors"]
 
-# Motion: depth of the middle of the stroke, and amplitude.
+# Motion: depth of the middle of the stroke, and amplitude (mm).
 _MIDDLE_MM, _AMPLITUDE_MM = 38.0, 25.0
 
 # Cutting of fresh tissue: force at rest (N), and its increase with the velocity (N s/mm).
@@ -45,7 +45,7 @@ _CASES = "cases 1 and 2 are needles A and B in tissue A, by Fig. 3.6 and Table 3
 
 @dataclass(frozen=True)
 class InsideRecord:
-    """A record with the tip inside the tissue: measured force, its parts (N), and a mask of major cutting."""
+    """A record with the tip inside the tissue, the true friction and cutting force (N), and a mask of major cutting."""
 
     case: int
     profile: str
@@ -60,7 +60,7 @@ class InsideRecord:
         return self.record.motion()
 
     def error_mn(self, model: Model) -> float:
-        """Return the RMSE of a prediction (mN), major cutting excluded."""
+        """Return the RMSE (mN) of the force that `model` predicts, without the samples of major cutting."""
         error = self.record["force_n"] - simulate(model, self.motion).output
         return 1e3 * float(np.sqrt(np.mean(error[~self.major] ** 2)))
 
@@ -68,9 +68,10 @@ class InsideRecord:
 def inside(case: int, profile: str, hidden: bool = True, rate_hz: float = 200.0, seed: int = 0) -> InsideRecord:
     """Simulate four cycles about the middle of the phantom.
 
-    `profile` is `solid` (insertion first) or `dashed` (retraction first), as in Fig. 3.4(b). `hidden` adds cutting of
-    fresh tissue (0.10 N + 0.01 N s/mm v); minor cutting during insertion, 60 mN for 1 s at random times, 0.15 times a
-    second; 20 air bubbles at fixed depths with a standard deviation of 50 mN over 1.5 mm; and 15 mN of noise.
+    The motion begins with an insertion (profile `solid`) or a retraction (`dashed`), as in Fig. 3.4(b). `hidden` adds:
+    cutting of fresh tissue, 0.10 N + 0.01 N s/mm * v; minor cutting during insertion, 60 mN for 1 s, at random times
+    with a mean rate of 0.15 per second; 20 air bubbles at fixed depths, with a width of 1.5 mm and a standard deviation
+    of 50 mN; and 15 mN of noise.
     """
     motion = sinusoid(
         offset_mm=_MIDDLE_MM, amplitude_mm=_AMPLITUDE_MM, frequency_hz=CASES[case].frequency_hz, rate_hz=rate_hz,
@@ -94,9 +95,10 @@ def inside(case: int, profile: str, hidden: bool = True, rate_hz: float = 200.0,
 
 
 def predictors(case: int) -> dict[str, Friction]:
-    """Return the models with the printed parameters.
+    """Return the models with the printed parameters, by label.
 
-    Models I and II have Fn frozen at the middle of the stroke, and once more Fn = 1 N; Model II once more Fn(L).
+    Models I and II occur with the normal force Fn of the middle of the stroke and with Fn = 1 N. Model II also occurs
+    with Fn as a function of the inserted length L.
     """
     three = model_iii_b(case)
     middle = Motion.sampled(np.arange(2.0), np.full(2, _MIDDLE_MM))
@@ -113,7 +115,10 @@ def predictors(case: int) -> dict[str, Friction]:
 
 
 def prediction(folder: Path | None, note: Callable[[str], None], rate_hz: float) -> list[Comparison]:
-    """Compare Table 3.6 with and without hidden effects, and the cutting force; draw Fig. 3.6 if a folder is given."""
+    """Compare Table 3.6 with computed errors with and without hidden effects, and check the estimated cutting force.
+
+    Draws Fig. 3.6 if a folder is given.
+    """
     note("friction: prediction with the tip inside the tissue")
     rows, cutting, drawn = [], [], []
     for profile, printed in TABLE_3_6.items():
@@ -148,7 +153,7 @@ def prediction(folder: Path | None, note: Callable[[str], None], rate_hz: float)
 def _rows(
     profile: str, case: int, label: str, printed: dict[str, tuple[float, float]], error: float, undisturbed: float
 ) -> list[Comparison]:
-    """Compare a cell of Table 3.6, and list the error without hidden effects."""
+    """Compare one cell of Table 3.6 with the computed error; also list the error without hidden effects."""
     identity = f"ch3/Table 3.6/{profile}, case {case}, {label}"
     reason = f"{_HIDDEN}; {_CASES}"
     plain = Comparison(f"{identity}, no hidden effects", None, undisturbed, "mN", Agreement.OURS)
@@ -179,7 +184,7 @@ _COLOURS = (VERMILLION, BLUE, ORANGE)
 def draw_prediction(
     records: Sequence[tuple[str, Record, NDArray[np.bool_]]], models: Mapping[str, Model], file: Path
 ) -> None:
-    """Draw Fig. 3.6: records (name, record, mask of major cutting) one above the other, with the predictions."""
+    """Draw Fig. 3.6: one panel per (name, record, mask of major cutting), with the predicted forces of the models."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8.0, 5.6), layout="constrained")

@@ -1,11 +1,11 @@
-"""What chapter 3 of the thesis prints: the parameters of Tables 3.1 to 3.4 and the errors of Tables 3.5 and 3.6.
+"""Published numbers of chapter 3: the parameters of Tables 3.1 to 3.4 and the errors of Tables 3.5 and 3.6.
 
 A. Asadian, "Robot-Assisted Needle Insertion Using a Control Theoretic Approach", PhD thesis, The University of Western
 Ontario, chapter 3.
 
-The parameters are means and standard deviations over repetitions at four insertion points. No single record
-therefore has its optimum at the means. The normal force is Fn = 1 N at 76 mm, the ramp w = 2.5 mm, and gamma = 1. The
-thesis prints lambda = 5 for case 1 and no value for the other cases.
+The parameters are means and standard deviations over repetitions at four insertion points. Therefore the means are not
+the best fit of any single record. The normal force is Fn = 1 N at 76 mm, the ramp w = 2.5 mm, and gamma = 1. The thesis
+prints lambda = 5 for case 1 and no value for the other cases.
 
 | label | specimen |
 |---|---|
@@ -14,8 +14,8 @@ thesis prints lambda = 5 for case 1 and no value for the other cases.
 | tissue A | gellan gum, 4 %, 0.11 MPa |
 | tissue B | gellan gum, 6 %, 0.16 MPa |
 
-The text extraction lost the order of the columns of Table 3.5. They are ordered here such that the low and the high
-range pool to the total (`pooled_mn`); all 16 triples do so to 0.4 mN.
+The text extraction lost the order of the columns of Table 3.5. They are ordered here such that the errors of the low
+and the high speed range combine to the total (`pooled_mn`); all 16 triples do so to 0.4 mN.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ __all__ = [
 ]
 
 THICKNESS_MM = 76.0
-"""Thickness of the phantoms."""
+"""Thickness of the phantoms (mm)."""
 
-# Distance of the tip beyond the phantom, in the middle of the stroke.
+# Distance of the tip beyond the phantom in the middle of the stroke (mm).
 _PROTRUSION_MM = 50.0
 
 NEEDLE_MASS_KG = {"A": 0.044058, "B": 0.013128}
-"""Mass of each needle with its holder."""
+"""Mass of each needle with its holder (kg)."""
 
 
 @dataclass(frozen=True)
 class FrictionCase:
-    """A column of Table 3.1. The amplitude is from zero to peak: case 4 reaches 14.1 mm/s (text: above 10)."""
+    """A column of Table 3.1. `amplitude_mm` is from zero to peak: case 4 reaches 14.1 mm/s (the text says above 10)."""
 
     number: int
     frequency_hz: float
@@ -78,7 +78,7 @@ CASES = {
     3: FrictionCase(3, 0.02, 45.0, "A", "B"),
     4: FrictionCase(4, 0.05, 45.0, "B", "B"),
 }
-"""Table 3.1."""
+"""Table 3.1 by case number."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def model_iii_b(case: int, exponent: float = 5.0) -> AveragedLuGre:
 
 
 def passing_through(case: int, cycles: float = 4.0, rate_hz: float = 200.0) -> Motion:
-    """Return the periodic motion of a case, the tip 50 mm beyond the phantom in the middle of its stroke."""
+    """Return the periodic motion of a case. In the middle of the stroke the tip is 50 mm beyond the phantom."""
     each = CASES[case]
     return sinusoid(
         offset_mm=THICKNESS_MM + _PROTRUSION_MM, amplitude_mm=each.amplitude_mm, frequency_hz=each.frequency_hz,
@@ -157,7 +157,7 @@ def passing_through(case: int, cycles: float = 4.0, rate_hz: float = 200.0) -> M
 
 @dataclass(frozen=True)
 class Errors:
-    """RMSE (mN): over all speeds, up to half of the top speed, and above."""
+    """RMSE (mN) at all speeds (`total`), up to half of the top speed (`low`), and above it (`high`)."""
 
     total: float
     low: float
@@ -184,5 +184,8 @@ TABLE_3_6 = {
 
 
 def pooled_mn(errors: Errors) -> float:
-    """Return the total RMSE that follows from both ranges: a sine is slow (|cos| < 1/2) for a third of the time."""
+    """Return the total RMSE (mN) that follows from those of both speed ranges.
+
+    A sinusoidal motion is below half of its top speed (|cos| < 1/2) for a third of the time.
+    """
     return math.sqrt(errors.low**2 / 3 + 2 * errors.high**2 / 3)

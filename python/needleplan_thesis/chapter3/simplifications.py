@@ -1,10 +1,11 @@
-"""What simplifications of the friction model and of the signals cost: section 3.2 and Fig. 3.7.
+"""Errors due to simplifications of the friction model and of the signals: section 3.2 and Fig. 3.7.
 
-- Section 3.2: lumped and averaged models compared with the distributed model, which they approximate.
+- Section 3.2: lumped and averaged models are compared with the distributed model, which they approximate.
 - Delays: the fast observer of the thesis, [40, 400], delays the velocity by 0.1 s, and a moving average over five
   samples delays the force by 10 ms. Two signals with different delays form an open loop, which the fit attributes to
   the bristles.
-- Fig. 3.7: tissue that moves with the needle. Over the relative velocity, its loop closes.
+- Fig. 3.7: tissue that moves with the needle. The hysteresis loop nearly vanishes if the force is plotted against the
+  velocity relative to the tissue.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def averaging(note: Callable[[str], None], rate_hz: float) -> list[Comparison]:
         two, three = model_ii(case), model_iii_b(case)
         values = {name: value for name, value in three.values().items() if name != "exponent"}
         two_with_length = LumpedLuGre(**values, profile=Profile.ISOSCELES)
-        # The slow distributed model runs once for all models with the same parameters.
+        # One call per parameter set, because the distributed model is slow.
         rows += _compared(case, through, Profile.UNIFORM, {"constant patch, uniform force: II": two})
         rows += _compared(case, through, Profile.ISOSCELES, {"constant patch, trapezoid: II": two})
         rows += _compared(case, through, Profile.ISOSCELES, {
@@ -76,7 +77,7 @@ def _with(model: AveragedLuGre, beta: Beta) -> AveragedLuGre:
 
 
 def _compared(case: int, motion: Motion, profile: Profile, models: Mapping[str, LuGre]) -> list[Comparison]:
-    """Compare models that share their parameters with the distributed model."""
+    """Compare `models` with the distributed model; all must have the same parameters."""
     exact = distributed(next(iter(models.values())), motion, profile)
     rows = []
     for name, model in models.items():
@@ -85,13 +86,13 @@ def _compared(case: int, motion: Motion, profile: Profile, models: Mapping[str, 
     return rows
 
 
-# Standard deviation of the noise (N), and sampling rate.
+# Standard deviation of the noise (N), and sampling rate (Hz).
 _NOISE_N = 0.004
 _RATE_HZ = 200.0
 
 
 def velocity_lag(note: Callable[[str], None]) -> list[Comparison]:
-    """Identify Model II, case 1, from signals with four combinations of delays and 4 mN of noise."""
+    """Identify Model II (case 1) from signals with 4 mN of noise and four combinations of delays; list the biases."""
     note("friction: bias due to the delay of the velocity")
     truth, motion = model_ii(1), passing_through(1, cycles=3, rate_hz=_RATE_HZ)
     observer = HighGainObserver.critically_damped(40.0, 1 / _RATE_HZ)
@@ -135,7 +136,7 @@ _TISSUES = {
         sigma0=5.0, sigma1=0.02, sigma2=0.015, mu_c=0.01, mu_s=0.008, alpha=0.1, stiffness=0.03, damping=0.005,
     )),
 }  # fmt: skip
-"""Amplitude (mm) and model at 0.1 Hz. The parameters are assumed: none were published for these tissues."""
+"""By tissue: amplitude (mm) of the motion at 0.1 Hz, and model. The parameters are assumed; none were published."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,10 @@ class _Loop:
 
 
 def deforming_tissue(folder: Path | None, note: Callable[[str], None]) -> list[Comparison]:
-    """Compare the widths of the loops over both velocities; draw Fig. 3.7 if a folder is given."""
+    """Compare the widths of the force loops against the velocity of the needle and the velocity relative to the tissue.
+
+    Draws Fig. 3.7 if a folder is given.
+    """
     note("friction: moving tissue")
     loops = [_loop(name, amplitude, model) for name, (amplitude, model) in _TISSUES.items()]
     rows = []

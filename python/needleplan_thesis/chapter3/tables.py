@@ -31,7 +31,7 @@ _SIGMA0 = "a patch of 76 mm is 50 to 2000 times g/sigma0: sigma0 changes the for
 
 
 def parameters(fits: Sequence[CaseFits]) -> list[Comparison]:
-    """Compare identified parameters of Models I, II and III-B with Tables 3.2 to 3.4; data from III-B."""
+    """Compare parameters of Models I, II and III-B with Tables 3.2 to 3.4, identified from data of Model III-B."""
     speed = CASES[4].top_speed_mm_s
     rows = [
         Comparison(
@@ -56,14 +56,14 @@ def _row(identity: str, printed: PrintedParameter, fits: CaseFits, label: str, n
     found = estimates[name]
     reason = {"I": f"{_NO_DATA}; {_STATIC}", "II": _NO_DATA, "III-B": _ROUND_TRIP}[label]
     reason = f"{reason}; computed +- {found.sd:.2g}, printed +- {printed.sd:g}"
-    # The table prints three decimals, so a standard deviation of 0.000 may be up to 0.0005.
+    # The tables print three decimals, so a printed standard deviation of 0.000 may be as large as 0.0005.
     if abs(found.value - printed.mean) <= 2 * max(printed.sd, 5e-4):
         return Comparison(identity, printed.mean, found.value, found.unit, Agreement.REPRODUCED, reason)
     return measured(identity, printed.mean, found.value, found.unit, reason)
 
 
 def recovered(fits: Sequence[CaseFits]) -> list[Comparison]:
-    """Compare the best lambda with the published one; the reason lists the errors of all lambdas."""
+    """Compare the lambda of the smallest error with the published value; the reasons list the errors of all lambdas."""
     rows = []
     for each in fits:
         errors = {exponent: 1e3 * found.rmse for exponent, found in each.exponents.items()}
@@ -92,7 +92,7 @@ _PRINTED_ORDER = "III-B < II < Karnopp < I"
 
 
 def errors(fits: Sequence[CaseFits]) -> list[Comparison]:
-    """Compare all 48 errors of Table 3.5; data from III-B."""
+    """Compare all 48 errors of Table 3.5 with those computed from data of Model III-B."""
     rows = []
     for label, cases in TABLE_3_5.items():
         for each in fits:
@@ -135,7 +135,7 @@ def orders(every: Sequence[Sequence[CaseFits]]) -> list[Comparison]:
 
 
 def statements() -> list[Comparison]:
-    """Compare statements of section 3.4.1 with Table 3.5, which they describe."""
+    """Compare the statements of section 3.4.1 about Table 3.5 with the table itself."""
     worst = max(
         (abs(pooled_mn(each) - each.total), f"{label}, case {case}")
         for label, cases in TABLE_3_5.items()

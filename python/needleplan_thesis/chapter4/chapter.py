@@ -24,7 +24,7 @@ def files(_: Request) -> tuple[str, ...]:
 
 
 def run(request: Request) -> list[Comparison]:
-    """Reproduce the chapter; draw Figures 4.3 to 4.6 if the request names a folder."""
+    """Return the comparisons of the chapter; draw Figures 4.3 to 4.6 if the request names a folder."""
     quick = request.effort is Effort.QUICK
     cycles, rate_hz = (2.0, 50.0) if quick else (4.0, FORCE_HZ)
     request.note("chapter 4: loops of friction and velocity")

@@ -17,7 +17,7 @@ from needleplan_thesis.chapter4.phantoms import FREQUENCY_HZ, PhantomTrial, Tune
 
 __all__ = ["FrictionLoop", "compensated", "draw_loops", "loop_rows"]
 
-# Beginning of a trial that no error includes (s).
+# Initial part of a trial that is excluded from all errors (s).
 _SKIPPED_S = 1.0
 
 # Ratio of two errors below which the first one is clearly smaller.
@@ -28,9 +28,9 @@ _TUNING = "the phantom is assumed; the thesis tunes by hand, the computation by 
 
 @dataclass(frozen=True)
 class FrictionLoop:
-    """Model II fitted over the velocities of the fast and of the slow observer.
+    """A trial with the velocities of the fast and of the slow observer, and Model II fitted to each velocity.
 
-    If the tuning finds no slow observer, `projection` holds that of the thesis.
+    If the tuning finds no slow observer, `projection` is that of the thesis' observer.
     """
 
     trial: PhantomTrial
@@ -47,18 +47,18 @@ class FrictionLoop:
         return np.asarray(self.trial.motion.time_s >= _SKIPPED_S)
 
     def rmse_n(self, simulated: Array) -> float:
-        """Return the RMSE of a simulated force (N)."""
+        """Return the RMSE (N) of a simulated force relative to the measured force."""
         left = (self.trial.record["force_n"] - simulated)[self.counted]
         return float(np.sqrt(np.mean(left**2)))
 
     @property
     def vs_error(self) -> float:
-        """RMS error of v_s, relative to the true velocity against the tissue, filtered by the fast observer."""
+        """RMS error of v_s divided by the RMS of the true velocity against the tissue (after the fast observer)."""
         return self._error(self.slow_mm_s)
 
     @property
     def vf_error(self) -> float:
-        """RMS error of v_f, relative to the same velocity: the error without compensation."""
+        """RMS error of v_f (no compensation) divided by the RMS of the same true velocity as in `vs_error`."""
         return self._error(self.fast_mm_s)
 
     def _error(self, velocity: Array) -> float:
@@ -67,7 +67,7 @@ class FrictionLoop:
 
 
 def compensated(trial: PhantomTrial, slow_alpha1: float) -> FrictionLoop:
-    """Tune the slow observer to a trial, and fit Model II over both velocities.
+    """Tune the slow observer to a trial, and fit Model II with each of the two velocities.
 
     `slow_alpha1` is used if the tuning finds no slow observer.
     """
@@ -82,7 +82,7 @@ def compensated(trial: PhantomTrial, slow_alpha1: float) -> FrictionLoop:
 
 
 def _fitted(record: Record, velocity: Array) -> Array:
-    """Return the force of Model II, fitted over a filtered velocity and an unfiltered force, as in the thesis."""
+    """Fit Model II to the force of a record with a filtered velocity, as in the thesis; return its force (N)."""
     seen = record.with_column("velocity_mm_s", velocity)
     first = tissue_start(record)
     names = ("sigma0", "sigma1", "sigma2", "mu_c", "mu_s", "alpha")
@@ -94,7 +94,7 @@ def _fitted(record: Record, velocity: Array) -> Array:
 
 
 def loop_rows(loop: FrictionLoop, tuned: Tuned, figure: str) -> list[Comparison]:
-    """Compare alpha1 and the fits, and list the errors of the velocities."""
+    """Compare alpha1 and the quality of the fits with the thesis, and list the errors of the velocities."""
     name = f"ch4/{figure}/{tuned.phantom}"
     rows = []
     if loop.tuned.alpha1 is None:
@@ -133,7 +133,7 @@ def loop_rows(loop: FrictionLoop, tuned: Tuned, figure: str) -> list[Comparison]
 
 
 def draw_loops(loop: FrictionLoop, tuned: Tuned, file: Path) -> None:
-    """Draw the loops over v_f and v_s; 1/H maps the fit over v_s back to v_f."""
+    """Draw the friction against v_f and against v_s. In the first panel, 1/H maps the fit with v_s back to v_f."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")

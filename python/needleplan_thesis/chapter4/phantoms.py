@@ -1,20 +1,20 @@
 """Published numbers of chapter 4, and the phantoms of known stiffness that replace its measurements.
 
-Published: section 4.3.2 and the captions of Figures 4.3 to 4.6. Displacements and forces are only drawn in the figures,
-so they have no published numbers here.
+Published numbers are from section 4.3.2 and the captions of Figures 4.3 to 4.6. Displacements and forces are only drawn
+in the figures of the thesis, so there are no published numbers for them.
 
-Simulated: the friction is Model III-B (beta v), so that the fitted Model II is not the true model. Lambda is 0.5, which
-of the four values of the thesis is nearest to the distributed equations (lambda -> 0). The tissue is Kelvin-Voigt. The
-needle has passed through the phantom and oscillates by 40 mm at 0.1 Hz for four cycles. The sensors are
+The simulated friction is Model III-B (beta v), so the fitted Model II is not the true model. Lambda is 0.5; of the four
+values in the thesis it is nearest to the distributed equations (lambda -> 0). The tissue is Kelvin-Voigt. The needle
+has passed through the phantom and oscillates by 40 mm at 0.1 Hz for four cycles. The sensors are
 
 - force at 200 Hz with 4 mN of noise after the average over five samples;
 - an encoder with steps of 1 micrometre;
-- three trackers in the tissue at 40 Hz with 0.1 mm of noise. They move by 0.8, 0.6 and 1 times the displacement at the
-  shaft: in the thesis, sensor 3 moves most and sensor 2 least.
+- three trackers in the tissue at 40 Hz with 0.1 mm of noise. Their displacements are 0.8, 0.6 and 1 times that of the
+  tissue at the shaft, because in the thesis sensor 3 moves most and sensor 2 least.
 
-Stiffness and damping are assumed. With those of gelatin, the velocity against the tissue lags by about the published
-lag of sensor 3 (10.13 degrees). With those of agar, it lags by about the published lag of the observer (2.99 degrees).
-The lags are therefore no evidence, but the errors of the methods are.
+Stiffness and damping are chosen so that the lag of the velocity against the tissue is about the published one: for
+gelatin that of sensor 3 (10.13 degrees), for agar that of the observer (2.99 degrees). Computed lags are therefore no
+evidence; only the errors of the methods are.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ FREQUENCY_HZ, AMPLITUDE_MM = 0.1, 40.0
 FORCE_HZ, TRACKER_HZ = 200.0, 40.0
 
 FAST = (40.0, 400.0)
-"""pf of Figures 4.3 and 4.5: alpha1 (1/s), alpha2 (1/s^2)."""
+"""Fast observer (pf of Figures 4.3 and 4.5): alpha1 (1/s), alpha2 (1/s^2)."""
 
 SENSOR_LAG_DEG = 10.13
-"""Lag in gelatin of the velocity of the needle relative to sensor 3, behind the velocity of the needle."""
+"""Published phase lag in gelatin (degrees): from the needle's velocity to its velocity relative to sensor 3."""
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,11 @@ AGAR = Tuned("agar", 22.0, 121.0, 0.19, 2.99)
 SHARES = (0.8, 0.6, 1.0)
 """Displacements of the three sensors, relative to that of the tissue at the shaft."""
 
-# Standard deviation of the force after the average, and of the trackers.
+# Standard deviations of the averaged force (N) and of the trackers (mm).
 _FORCE_SD_N = 0.004
 _TRACKER_SD_MM = 0.1
 
-# Depth of the tip in the middle of the stroke; the phantom ends before it.
+# Depth of the tip in the middle of the stroke (mm); the phantom is thinner.
 _OUTSIDE_MM = 126.0
 
 # Number of samples of the force sensor's moving average.
@@ -102,7 +102,7 @@ class PhantomTrial:
 
     @property
     def lag_deg(self) -> float:
-        """True lag of the velocity against the tissue (degrees), without the first cycle."""
+        """True phase lag (degrees) of the velocity against the tissue behind the needle's, after the first cycle."""
         settled = self.motion.time_s >= 1 / FREQUENCY_HZ
         time, velocity = self.motion.time_s[settled], self.motion.velocity_mm_s[settled]
         return float(np.degrees(lag_rad(FREQUENCY_HZ, time, self.relative_mm_s[settled], velocity)))
@@ -110,13 +110,13 @@ class PhantomTrial:
 
 @dataclass(frozen=True)
 class Phantom:
-    """A tissue, and the friction of a needle in it."""
+    """A named tissue with the friction of a needle in it."""
 
     name: str
     model: AveragedOnTissue
 
     def trial(self, cycles: float = 4.0, rate_hz: float = FORCE_HZ, amplitude_mm: float = AMPLITUDE_MM) -> PhantomTrial:
-        """Simulate a trial; the noise is the same in each call."""
+        """Simulate a trial. The noise has a fixed seed, so that equal arguments give equal trials."""
         motion = sinusoid(
             offset_mm=_OUTSIDE_MM, amplitude_mm=amplitude_mm, frequency_hz=FREQUENCY_HZ, cycles=cycles, rate_hz=rate_hz
         )

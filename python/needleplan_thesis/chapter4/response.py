@@ -1,4 +1,4 @@
-"""The observers without data: equations (4.1) to (4.3), and Figure 4.6 with its numbers."""
+"""Comparisons of the observers that need no data: equations (4.1) to (4.3), and the numbers of Figure 4.6."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from needleplan_thesis.chapter4.phantoms import AGAR, FAST, FREQUENCY_HZ, GELATI
 
 __all__ = ["draw_bode", "response"]
 
-# Sampling intervals to compare with the unpublished one; 25 ms is that of the tracker.
+# Candidates for the unpublished sampling interval (s); the tracker has 25 ms.
 _INTERVALS_S = (0.001, 0.005, 0.025)
 
-# A value other than 1, at which the printed equations differ from the correct ones.
+# Epsilon for which the printed equations differ from the correct ones; at 1 they agree.
 _EPSILON = 0.5
 
 # alpha1 of the curves of Figure 4.6 (1/s).
@@ -26,7 +26,7 @@ _ALPHAS = (5.0, GELATIN.alpha1, AGAR.alpha1)
 
 
 def response() -> list[Comparison]:
-    """Return all comparisons that need the equations only."""
+    """Return the comparisons of all equations, of the printed attenuations and lags, and of Figure 4.6."""
     return [
         *_damping(),
         *_equations(),

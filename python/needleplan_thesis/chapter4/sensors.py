@@ -1,6 +1,6 @@
 """Sensors in the tissue compared with the slow observer (Figure 4.4), and tissue parameters fitted to known phantoms.
 
-The thesis publishes nothing to compare the second part with.
+The thesis has no numbers for the fitted tissue parameters.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ __all__ = ["draw_sensors", "sensor_rows", "tissue_rows"]
 # Noise density of the tracker filter (mm^2/s^5): jerks of about 1 mm/s^3 that last a second, as in tissue at 0.1 Hz.
 _DENSITY = 3.0
 
-# Standard deviation of the trackers.
+# Standard deviation of the trackers (mm).
 _SD_MM = 0.1
 
-# Time (s) from which comparisons use the samples, and from which velocities are drawn: the filter settles before.
+# Initial times (s) that comparisons and figures leave out, because the filter settles.
 _SKIPPED_S = 2.0
 _SETTLING_S = 0.5
 
@@ -57,7 +57,7 @@ def _seen(loop: FrictionLoop) -> _Seen:
 
 
 def sensor_rows(loop: FrictionLoop) -> list[Comparison]:
-    """Compare the lags of the sensors, and the slow observer with the sensors."""
+    """Compare the lags with the published ones, and the slow observer with the sensors in the tissue."""
     seen = _seen(loop)
     counts = seen.time_s >= _SKIPPED_S
     relative = seen.relative_mm_s[:, counts]
@@ -101,7 +101,7 @@ def sensor_rows(loop: FrictionLoop) -> list[Comparison]:
 
 
 def draw_sensors(loop: FrictionLoop, file: Path) -> None:
-    """Draw Figure 4.4: displacements and velocities of the tissue, and velocities of the needle against it."""
+    """Draw Figure 4.4: displacement and velocity of the tissue, and velocity of the needle relative to the tissue."""
     from matplotlib.figure import Figure
 
     seen = _seen(loop)
@@ -132,14 +132,14 @@ def draw_sensors(loop: FrictionLoop, file: Path) -> None:
     save(figure, file)
 
 
-# Amplitude of the second trial of the full effort.
+# Amplitude (mm) of the second trial, which only the full effort has.
 _SECOND_AMPLITUDE_MM = 10.0
 
 
 def tissue_rows(
     phantoms: Sequence[Phantom], cycles: float, rate_hz: float, note: Callable[[str], None], *, both: bool
 ) -> list[Comparison]:
-    """Compare true, observed and fitted lag for each phantom; `both` adds fits to two amplitudes."""
+    """Compare true, observed and fitted lag for each phantom; `both` adds fits to trials of two amplitudes at once."""
     rows = []
     for phantom in phantoms:
         note(f"chapter 4: fitting {phantom.name}")

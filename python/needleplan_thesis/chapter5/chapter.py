@@ -29,7 +29,7 @@ def files(_: Request) -> tuple[str, ...]:
 
 
 def run(request: Request) -> list[Comparison]:
-    """Reproduce the chapter; draw both figures if the request names a folder."""
+    """Return the comparisons of the chapter; draw both figures if the request names a folder."""
     step = _STEPS_MM[request.effort]
     request.note("Tables 5.1 and 5.2")
     comparisons = [*table51(), *table52(step)]
@@ -49,9 +49,10 @@ def run(request: Request) -> list[Comparison]:
 
 
 def residual_n(force_n: float) -> float:
-    """Return the larger residual (N) of the end conditions (5.6) with the coefficients of Table 5.1.
+    """Return the larger residual (N) of the end conditions (5.6) at L, with the coefficients of Table 5.1.
 
-    With the sign of the thesis: EI phi''' = Fc cos a - Fc sin a phi', phi'' = 0 at L, phi = (c3 x^3 + c2 x^2) Fc.
+    The conditions have the sign of the thesis, EI phi''' = Fc cos a - Fc sin a phi' and phi'' = 0, with
+    phi = (c3 x^3 + c2 x^2) Fc.
     """
     bending, length, alpha = NEEDLE.bending_stiffness_n_mm2, NEEDLE.length_mm, NEEDLE.bevel_angle_rad
     c3 = math.cos(alpha) / (6 * bending - 3 * length**2 * force_n * math.sin(alpha))
@@ -67,7 +68,7 @@ def singular_force_n() -> float:
 
 
 def table51() -> list[Comparison]:
-    """Compare the section of the needle and the polynomial of Table 5.1."""
+    """Compare the cross-section of the needle and the polynomial of Table 5.1 with computed values."""
     worst = max(residual_n(force) for force in (0.05, 0.15, 0.2, 0.25))
     greatest = max(case.greatest_n or 0 for case in CASES)
     frequency = float(natural_frequencies_hz(NEEDLE, CASES[0].tissue, 0.0, 1)[0])

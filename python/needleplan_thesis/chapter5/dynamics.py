@@ -6,8 +6,8 @@ average acceleration. The foundation is anchored to the straight line, and there
 (`Foundation.ANCHORED`, `AxialTerms.PLAIN`).
 
 The coordinates move with the needle, as in (5.7) and (5.8), and there are no convective terms. A step of the force at
-the entry excites the free cantilever, and without damping the vibration never ends. A solution of this kind is an
-artefact of its start.
+the entry excites the free cantilever, and without damping the vibration never ends. Such a vibration is an artefact of
+the initial condition.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _BEND, _FULL = _matrix(2), _matrix(0)
 
 @dataclass(frozen=True)
 class Vibration:
-    """Deflection of the tip with and without inertia, by the time from the entry, shape (steps + 1,) each."""
+    """Deflection of the tip with and without inertia at each time after the entry, shape (steps + 1,) each."""
 
     time_s: Array
     depth_mm: Array
@@ -51,7 +51,7 @@ class Vibration:
 def natural_frequencies_hz(
     needle: NeedleShaft, tissue: ElasticTissue, depth_mm: float, count: int = 3, *, element_mm: float = 2.0
 ) -> Array:
-    """Return the lowest natural frequencies of the needle at rest at a depth (0: the free cantilever), Hz.
+    """Return the `count` lowest natural frequencies (Hz) of the needle at rest at a depth (0: the free cantilever).
 
     The unknowns are the curvatures at the element ends. Nodal displacements would lose ten digits of the lowest
     frequency with 100 elements, because the ratio of the largest to the smallest eigenvalue grows with the fourth power
@@ -79,7 +79,7 @@ def vibrate(
     damping_1_s: float = 0.0,
     element_mm: float = 2.0,
 ) -> Vibration:
-    """Simulate an insertion from rest at the entry with inertia.
+    """Simulate an insertion with inertia; the needle is at rest at the entry.
 
     `tip_push_n`, shape (steps + 1,), is the lateral tip force P at the times 0, step, ... `damping_1_s` is the damping
     force per mass and velocity: 2 zeta omega for a mode of the angular frequency omega. Raises ModelError if the last
@@ -151,7 +151,7 @@ class _Mesh:
         return clamped
 
     def displacements(self) -> Array:
-        """Return the matrix from h^2 u'' at the two ends of every element to the unknowns."""
+        """Return the square matrix that maps h^2 u'' at the two ends of every element to the unknowns."""
         matrix = np.zeros((self.unknowns, self.unknowns))
         u, slope = np.zeros(self.unknowns), np.zeros(self.unknowns)
         for start in range(0, self.unknowns, 2):
@@ -163,7 +163,7 @@ class _Mesh:
         return matrix
 
     def bending(self) -> Array:
-        """Return the bending stiffness for the unknowns of `displacements`, block diagonal."""
+        """Return the block-diagonal bending stiffness for h^2 u'' at the element ends, as in `displacements`."""
         block = np.array([[1 / 3, 1 / 6], [1 / 6, 1 / 3]])
         return np.asarray(self.bending_n_mm * np.kron(np.eye(self.count), block), float)
 

@@ -32,7 +32,7 @@ __all__ = ["figure_5_1", "figure_5_2"]
 
 
 def figure_5_1(folder: Path, step_mm: float) -> None:
-    """Draw Fig. 5.1: the needle at 80 mm, and the cutting force that the published radius requires at every depth."""
+    """Draw Fig. 5.1: the needle at a depth of 80 mm, and the cutting force by depth that gives the estimated radius."""
     from matplotlib.figure import Figure
 
     case = CASES[2]
@@ -57,7 +57,7 @@ def figure_5_1(folder: Path, step_mm: float) -> None:
 
 
 def figure_5_2(folder: Path, step_mm: float) -> None:
-    """Draw Fig. 5.2: the deflection of the coil by depth in the four cases."""
+    """Draw Fig. 5.2: the deflection of the tracker coil against depth, in the four cases."""
     from matplotlib.figure import Figure
 
     offset = mean_offset_n(step_mm)
@@ -98,7 +98,7 @@ def _draw_case(axes: Axes, case: DeflectionCase, offset_n: float, step_mm: float
 
 
 def _draw_needle(axes: Axes, case: DeflectionCase, step_mm: float) -> None:
-    """Draw shape, path and load of the tissue at 80 mm, for the memory model and the force that it requires."""
+    """Draw needle, cut path and load of the tissue at 80 mm, by the memory model with its required cutting force."""
     depth, force = required_force_n(MEMORY, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm)
     path = march(NEEDLE, case.tissue, np.concatenate([[0.0], force]), step_mm, case.velocity_mm_s)
     last = Beam.of(NEEDLE, case.tissue, END_MM, float(force[-1]), case.velocity_mm_s)

@@ -47,7 +47,7 @@ NO_FORCE = "the cutting force by depth, which drives the model, was not publishe
 
 @dataclass(frozen=True)
 class DeflectionCase:
-    """A column of Table 5.2: tissue, velocity, errors of the path, and radii.
+    """A column of Table 5.2: tissue, velocity, errors of the path, and its measured and estimated radius.
 
     `greatest_n` is the largest axial force (N), published for 15 mm/s only.
     """
@@ -79,7 +79,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """A row of Table 5.3: factors of kf (`stiffness`) and vf (`friction`)."""
+    """A row of Table 5.3: the factors by which kf (`stiffness`) and vf (`friction`) are wrong."""
 
     name: str
     stiffness: float
@@ -106,13 +106,13 @@ SENSITIVITY = (
 """Table 5.3 in percent: a row per element of CHANGES, a column per element of CASES."""
 
 
-# Depth from which a circle is fitted to a path.
+# Depth (mm) from which a circle is fitted to a path.
 _FROM_MM = 10.0
 
 
 @dataclass(frozen=True)
 class Reading:
-    """An interpretation of the chapter: its foundation and its axial terms."""
+    """An interpretation of the chapter's model: kind of foundation and of axial terms."""
 
     name: str
     foundation: Foundation
@@ -135,7 +135,7 @@ class ForceProfile(StrEnum):
     """Constant from 5 mm on."""
 
     def of(self, depth_mm: Array) -> Array:
-        """Return the force relative to that at 80 mm, for depths of any shape."""
+        """Return the cutting force at each depth divided by that at 80 mm; the result has the shape of `depth_mm`."""
         if self is ForceProfile.QUADRATIC:
             return (depth_mm / END_MM) ** 2
         if self is ForceProfile.LINEAR:
@@ -151,7 +151,7 @@ def depths_mm(step_mm: float) -> Array:
 
 
 def tip_force_n(axial_n: float, tissue: ElasticTissue, velocity_mm_s: float, offset_n: float) -> float:
-    """Return the cutting force Fc (N) at 80 mm, (F - F0 - vf v l)/sin a, with F0 = `offset_n`."""
+    """Return the cutting force Fc = (F - F0 - vf v l)/sin a (N) at 80 mm, with F = `axial_n` and F0 = `offset_n`."""
     friction = tissue.friction_n_s_mm2 * velocity_mm_s * END_MM
     return (axial_n - offset_n - friction) / math.sin(NEEDLE.bevel_angle_rad)
 
@@ -159,7 +159,10 @@ def tip_force_n(axial_n: float, tissue: ElasticTissue, velocity_mm_s: float, off
 def coil_path(
     reading: Reading, tissue: ElasticTissue, velocity_mm_s: float, force_n: Array, step_mm: float
 ) -> tuple[Array, Array]:
-    """Return depth and deflection (mm) of the coil for cutting forces at every step, shape (..., steps + 1)."""
+    """Return the depth and the deflection of the coil (mm) at every step.
+
+    `force_n` has the cutting force at every step, shape (..., steps + 1).
+    """
     path = march(
         NEEDLE, tissue, force_n, step_mm, velocity_mm_s, terms=reading.terms, foundation=reading.foundation,
         behind_tip_mm=COIL_MM,
@@ -186,10 +189,11 @@ def required_force_n(
     *,
     behind_mm: float = 0.0,
 ) -> tuple[Array, Array]:
-    """Return depths (without 0) and the cutting force (N) that keeps a point of the needle on a circle.
+    """Return the depths (mm, without 0) and the cutting force (N) at each that keeps a point of the needle on a circle.
 
-    The circle is tangent at the entry; the point is `behind_mm` behind the tip. With `Foundation.MEMORY` the circle is
-    also the path that was cut. The force has an axial part, so the equation is nonlinear; it is solved by secants.
+    The circle has the given radius and is tangent at the entry; the point is `behind_mm` behind the tip. With
+    `Foundation.MEMORY` the cut path is also this circle. The force has an axial part, so the equation is nonlinear; it
+    is solved by the secant method.
     """
     depth = depths_mm(step_mm)[1:]
     steps = depth.size

@@ -27,12 +27,12 @@ from needleplan_thesis.chapter5.insertions import (
 __all__ = ["arcs_apart_mm", "mean_offset_n", "memory_path", "missing_force_n", "table52"]
 
 _SECTION = "ch5/Table 5.2"
-# Assumed standard deviation and rate of the tracker.
+# Assumed standard deviation (mm) and rate (Hz) of the tracker.
 _TRACKER_MM, _RATE_HZ = 0.1, 40.0
 
 
 def table52(step_mm: float) -> list[Comparison]:
-    """Compare radii, errors, percentages and axial forces."""
+    """Compare the radii, errors, percentages and axial forces of Table 5.2 with computed ones."""
     return [
         *(each for case in CASES for each in _radii(case, step_mm)),
         *(_percentage(case, printed) for case, printed in zip(CASES, (None, None, 8.7, 18.72), strict=True)),
@@ -44,16 +44,20 @@ def table52(step_mm: float) -> list[Comparison]:
 
 
 def arcs_apart_mm(case: DeflectionCase) -> tuple[float, float]:
-    """Return the largest distance (mm) of arcs of both radii: tangent at the entry, and with the best offset."""
+    """Return the largest distance (mm) between the arcs of the measured and the estimated radius.
+
+    Returns two values: for arcs tangent at the entry, and for arcs with the lateral offset that minimises the distance.
+    """
     depth = np.linspace(0, END_MM, 801)
     apart = _arc(case.estimated_mm, depth) - _arc(case.measured_mm, depth)
     return float(np.abs(apart).max()), float(np.ptp(apart) / 2)
 
 
 def missing_force_n(case: DeflectionCase, step_mm: float) -> float:
-    """Return the remainder (N) of the largest axial force in the memory model.
+    """Return the part (N) of the largest axial force that the memory model does not explain.
 
-    Shaft friction vf and the cutting force that the estimated radius requires are subtracted.
+    The explained parts are the shaft friction vf and the cutting force that the estimated radius requires. NaN if no
+    axial force was published.
     """
     _, force = required_force_n(MEMORY, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm)
     friction = case.tissue.friction_n_s_mm2 * case.velocity_mm_s * END_MM
@@ -129,7 +133,7 @@ def memory_path(case: DeflectionCase, offset_n: float, step_mm: float) -> tuple[
 
 
 def mean_offset_n(step_mm: float) -> float:
-    """Return the mean remainder (N) of the cases with a known axial force."""
+    """Return the mean of `missing_force_n` (N) of the cases with a published axial force."""
     return float(np.mean([missing_force_n(case, step_mm) for case in CASES if case.greatest_n]))
 
 

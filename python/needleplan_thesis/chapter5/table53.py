@@ -29,9 +29,9 @@ _SECTION = "ch5/Table 5.3"
 def radius_change(
     reading: Reading, case: DeflectionCase, changes: tuple[ParameterChange, ...], speed: float, step_mm: float
 ) -> list[float]:
-    """Return the factor by which the radius of the coil's path changes with each parameter change, at the same force.
+    """Return for each parameter change the ratio of the radius of the coil's path to that without a change.
 
-    `speed` multiplies the velocity. The printed estimated radius determines the cutting force.
+    The cutting force is the same for all; the printed estimated radius determines it. `speed` multiplies the velocity.
     """
     _, force = required_force_n(reading, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm, behind_mm=0.0)
     force = np.concatenate([[0.0], force])
@@ -46,7 +46,7 @@ def radius_change(
 
 
 def table53(step_mm: float) -> list[Comparison]:
-    """Compare the cells of the table, the statements of the text, and the signs of the changes."""
+    """Compare the cells of Table 5.3, the statements of the text, and the signs of the changes of the radius."""
     factors = {
         reading.name: np.array([radius_change(reading, case, CHANGES, 1.0, step_mm) for case in CASES]).T
         for reading in (MEMORY, PRINTED)
