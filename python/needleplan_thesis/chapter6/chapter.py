@@ -1,9 +1,10 @@
 """Entry point of `needleplan reproduce ch6`; predicted costs of five entries compared with an independent prototype.
 
-The prototype measured how rounding and interpolation change the expected cost: four obstacles, rotation 4, failures
-10,000 and 20,000, no discount, 20,000 executions per entry by the policy of the nearest state. Its notes do not say
-which failure has which cost. With collision 20,000 and exit 10,000 the computed values on the nearest-point grid equal
-those of the prototype to the last digit; with exchanged costs they do not.
+The prototype measured how rounding and interpolation change the expected cost. Its scene had four obstacles, a rotation
+cost of 4, failure costs of 10,000 and 20,000, and no discount; the policy of the nearest state was executed 20,000
+times per entry. Its notes do not say which failure has which cost. With 20,000 for a collision and 10,000 for an exit,
+the computed values on the nearest-point grid equal those of the prototype to the last digit; with exchanged costs they
+do not.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["COARSE", "ENTRIES", "FINE", "PrototypeResult", "files", "prototype", "run"]
 
-# Insertions per experiment, and those of the quick effort.
+# Insertions per experiment: default and full effort, and quick effort.
 _SEEDS, _FEW = 100, 2
 
 
@@ -44,7 +45,10 @@ def files(request: Request) -> tuple[str, ...]:
 
 
 def run(request: Request) -> list[Comparison]:
-    """Reproduce the chapter, or only its experiments; write figures and tables if the request names a folder."""
+    """Return the comparisons of the chapter, or only those of its experiments.
+
+    Writes figures and tables if the request names a folder.
+    """
     if request.experiments:
         return experiments(request.folder, request.note, _FEW if request.effort is Effort.QUICK else _SEEDS)
     quick, full = request.effort is Effort.QUICK, request.effort is Effort.FULL
@@ -69,7 +73,7 @@ def run(request: Request) -> list[Comparison]:
 
 
 ENTRIES = ((0, 40, 0), (0, 60, -18), (0, 45, 18), (0, 35, -18), (0, 50, 0))
-"""x_mm, y_mm, heading_deg. The bevel is the one with the lower cost."""
+"""The five entries: x_mm, y_mm, heading_deg. The bevel of each is the one with the lower cost."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +108,7 @@ _OTHER_CORNERS = "the prototype treats cells at obstacles and at the border as s
 
 
 def prototype(note: Callable[[str], None], fine: bool, runs: int) -> list[Comparison]:
-    """Compare predicted cost and realised success with the prototype; `fine` adds the grids of 0.25 mm."""
+    """Compare predicted cost and realised success with those of the prototype; `fine` adds the grids of 0.25 mm."""
     four = Scenario.read("four_obstacles")
     scenario = replace(four, objective=replace(four.objective, collision=20_000.0, exit=10_000.0))
     comparisons = []

@@ -1,8 +1,8 @@
 """Predicted and realised success from many entries of the shipped scenarios: transitions, spacings and executions.
 
-The entries follow a rule: on the left edge at every multiple of 10 mm, with the headings nearest to -30, 0 and +30
-degrees and the bevel of the lower cost, if the interpolated table at 0.5 mm predicts more than 1 %. All tables of a
-scenario are evaluated at the same entries.
+The entries lie on the left edge at every multiple of 10 mm, with the headings nearest to -30, 0 and +30 degrees and the
+bevel of the lower cost. An entry is kept if the interpolated table at 0.5 mm predicts a success above 1 %. All tables
+of a scenario are evaluated at the same entries.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ __all__ = [
 # Seed of all executions.
 SEED = 6
 
-# The rule of the entries: spacing along the edge, headings, and the smallest predicted success.
+# Rule for the entries: spacing along the edge (mm), headings (degrees), and lower limit of the predicted success.
 _EVERY_MM = 10.0
 _HEADINGS_DEG = (-30.0, 0.0, 30.0)
 _LEAST_SUCCESS = 0.01
@@ -71,7 +71,10 @@ class ExecutionRule:
 
 @dataclass(frozen=True)
 class EntryStudy:
-    """Success from entries [n, 4] (x_mm, y_mm, heading_rad, bevel): predicted, realised [n], 95 % interval [n, 2]."""
+    """Predicted and realised success [n] and its 95 % interval [n, 2], by entry.
+
+    `entries` [n, 4] are x_mm, y_mm, heading_rad and bevel.
+    """
 
     scenario: str
     grid: Grid
@@ -88,7 +91,7 @@ class EntryStudy:
 
 
 def planned(scenario: Scenario, transition: Transition, spacing_mm: float, refinement: int = 1) -> PolicyTable:
-    """Plan `scenario` by sweeps on a square grid; success is evaluated on a grid `refinement` times finer."""
+    """Plan `scenario` by sweeps on a square grid. Success is evaluated on a grid that is `refinement` times finer."""
     grid = Grid((spacing_mm, spacing_mm), transition, refinement)
     return plan(replace(scenario, grid=grid, solver=replace(scenario.solver, method=Method.SWEEP, partitions=None)))
 
@@ -109,7 +112,7 @@ def choose_entries(table: PolicyTable) -> NDArray[np.float64]:
 def execute(
     name: str, table: PolicyTable, entries: NDArray[np.float64], execution: ExecutionRule, runs: int
 ) -> EntryStudy:
-    """Execute `table` of the scenario `name` from every entry, `runs` times each."""
+    """Execute `table` of the scenario `name` from every entry, `runs` times each, and return the study."""
     result = table.lattice.rollout(
         policy=table.policy,
         values=table.values,
@@ -134,22 +137,25 @@ def execute(
 
 
 SCENARIOS = ("four_obstacles", "narrow_passage", "prostate", "brain")
-# The grid that has a goal, and that chooses the entries.
+# Transition and spacing (mm) of the grid that has a goal and whose table determines the entries.
 _REFERENCE = (Transition.INTERPOLATED, 0.5)
 _RUNS = {Effort.QUICK: 1000, Effort.DEFAULT: 20_000, Effort.FULL: 20_000}
 _SPACINGS_MM = {Effort.QUICK: (1.0,), Effort.DEFAULT: (1.0, 0.5), Effort.FULL: (1.0, 0.5, 0.25)}
-# Refinement of the grid on which success is evaluated once more.
+# Refinement of the grid for a second evaluation of the predicted success.
 _REFINEMENT = 3
 
 # Goals: largest and mean difference of predicted and realised success (percentage points).
 _MOST_POINTS, _MEAN_POINTS = 2.0, 1.0
 
-# Tested points per arc of the finest execution.
+# Tested points per arc in the finest execution.
 _FINE_ARC = 40
 
 
 def predicted_and_realised(request: Request) -> list[Comparison]:
-    """Run all studies; if the request names a folder, write predicted_realised.csv and .png."""
+    """Run all studies and return the comparisons.
+
+    Writes predicted_realised.csv and predicted_realised.png if the request names a folder.
+    """
     studies = [study for name in SCENARIOS for study in _of_scenario(name, request)]
     if request.folder:
         write_entries(request.folder / "predicted_realised.csv", studies)
@@ -160,7 +166,7 @@ def predicted_and_realised(request: Request) -> list[Comparison]:
 
 
 def summary(study: EntryStudy) -> list[Comparison]:
-    """Return mean and maximum of |predicted - realised|, with a verdict for the study that has a goal."""
+    """Return the mean and the maximum of |predicted - realised| as comparisons; some studies have goals for them."""
     apart = np.abs(study.points)
     name = f"ch6/predicted less realised/{study.scenario}, {_grid(study)}, {study.execution}"
     differences = {"mean": float(apart.mean()), "max": float(apart.max())}
@@ -221,7 +227,7 @@ def _of_scenario(name: str, request: Request) -> Iterator[EntryStudy]:
 
 
 def _predicted_finer(study: EntryStudy, table: PolicyTable) -> EntryStudy:
-    """Return `study` with the more accurate predictions of `table`, which has the same policy."""
+    """Return `study` with the predicted success and the grid of `table`, which has the same policy on a finer grid."""
     predicted = table.lookup_many(study.entries).success.astype(np.float64)
     return replace(study, grid=table.scenario.grid, predicted=predicted)
 

@@ -1,6 +1,6 @@
 """Statements of section 6.4 about prioritized-partitioned value iteration, and Figs. 6.3 and 6.6.
 
-The figures show the order in which the partitions are processed, and the states that depend on one of them.
+The figures show the order in which the partitions are processed, and the states that depend on a sample partition.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _ONE_SCENE = "one assumed scene, and times of this run; another scene may give a
 
 
 def statements(solves: Solves) -> list[Comparison]:
-    """Return a verdict on every statement."""
+    """Compare every statement with the solves of this run."""
     return [
         *_beats_plain(solves),
         _h2_beats_h1(solves),
@@ -49,7 +49,7 @@ def statements(solves: Solves) -> list[Comparison]:
 
 
 def in_obstacles(table: PolicyTable) -> set[int]:
-    """Return the indices of the partitions that contain obstacle points only."""
+    """Return the indices of the partitions that contain only obstacle points."""
     nx, ny, *_ = table.scenario.shape
     columns, rows = table.scenario.partitions
     labels = np.add.outer(np.arange(nx) * columns // nx * rows, np.arange(ny) * rows // ny)
@@ -188,7 +188,7 @@ def dependent_points(table: PolicyTable, partition: int) -> NDArray[np.bool_]:
 
 
 def draw_dependents(axes: Axes, table: PolicyTable, partition: int) -> None:
-    """Outline `partition` in red, and colour the grid points that depend on it."""
+    """Outline `partition` in red, and colour the grid points from which a step can lead into it cyan."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Rectangle
 
@@ -215,11 +215,11 @@ def draw_dependents(axes: Axes, table: PolicyTable, partition: int) -> None:
 
 
 _SAMPLE = (8, 4)
-"""Column and row (from 0) of the sample partition among (12, 8), away from obstacles so that all dependents show."""
+"""Column and row (from 0) of the sample partition among (12, 8). No obstacle near it hides dependent states."""
 
 
 def draw_orders(solves: Solves, folder: Path) -> None:
-    """Draw Figs. 6.3 and 6.6 with the priority H1, the default of the thesis."""
+    """Draw Figs. 6.3 and 6.6: the order of processing with the priority H1, the default of the thesis."""
     _order(solves.partitioned[(12, 8), Priority.H1], folder / "fig_6_3.png", sample=_SAMPLE)
     _order(solves.partitioned[(24, 16), Priority.H1], folder / "fig_6_6.png", sample=None)
 

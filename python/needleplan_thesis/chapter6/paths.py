@@ -1,10 +1,10 @@
 """Figs. 6.4 and 6.5: plans with and without noise, and with other costs of insertion and rotation.
 
-The start is (0, 20) mm, the thesis' (0, 2) cm. The scene of the thesis is not known. In the scene used here, the
-published heading of -30 degrees leads into an obstacle, so Fig. 6.4 is drawn from the nearest heading that does not. A
-cost of the thesis per centimetre is a tenth of it per millimetre here. With the literal costs (collision 200, exit 100,
-discount 0.95) failing is cheaper than a detour. The figures therefore use failures of 10,000 without discount; the
-literal plans are drawn separately.
+The start is (0, 20) mm, the (0, 2) cm of the thesis. The scene of the thesis is not known. In the scene used here, the
+published heading of -30 degrees leads into an obstacle, so Fig. 6.4 is drawn with the nearest heading that does not.
+Costs per centimetre in the thesis are divided by ten to give costs per millimetre. With the literal costs (collision
+200, exit 100, discount 0.95) a failure is cheaper than a detour. The figures therefore use a failure cost of 10,000
+without discount; the literal plans are drawn separately.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 
 __all__ = ["Panel", "clearance_mm", "draw_panels", "ending", "nearest_heading", "paths"]
 
-# Noisy executions behind each path.
+# Number of executions with tip noise that are drawn behind each path.
 _NOISY = 30
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One execution of `table` without noise, drawn under the title `heading`."""
+    """One execution of `table` without noise, drawn in a panel with the title `heading`."""
 
     heading: str
     table: PolicyTable
@@ -44,7 +44,7 @@ class Panel:
 
     @classmethod
     def of(cls, heading: str, table: PolicyTable, start: Sequence[float]) -> Panel:
-        """Execute `table` from a pose; a missing bevel is the one with the lower cost."""
+        """Return the panel of an execution of `table` from a pose; a missing bevel is the one with the lower cost."""
         return cls(heading, table, table.path(start))
 
     @property
@@ -75,7 +75,7 @@ def ending(path: Path) -> str:
 
 
 def draw_panels(panels: Sequence[Panel], text: str, file: File) -> None:
-    """Draw the panels with noisy executions behind each path, one caption below, and save the figure."""
+    """Draw the panels, each with noisy executions behind its path, and a caption; save the figure to `file`."""
     figure, every = sheet(panels[0].table.scenario.workspace, len(panels))
     for axes, panel in zip(every, panels, strict=True):
         panel.table.rollout(panel.start, runs=_NOISY).plot(axes)
@@ -106,7 +106,7 @@ def _legend() -> list[Line2D]:
 
 _START_MM = (0.0, 20.0)
 
-# Success that the start of Fig. 6.4 needs at least.
+# Smallest predicted success with which a heading is accepted for the start of Fig. 6.4.
 _MOST = 0.75
 
 _RUNS = 10_000
@@ -117,7 +117,7 @@ _COSTS = ((10, 40, 11), (10, 100, 9), (1, 100, 3))
 
 
 def paths(folder: File | None, note: Callable[[str], None]) -> list[Comparison]:
-    """Plan and compare; draw the figures if a folder is given."""
+    """Plan for both figures and return the comparisons; draw the figures if a folder is given."""
     note("Figs. 6.4 and 6.5")
     return [*_noise(folder), *_costs(folder)]
 
@@ -130,7 +130,7 @@ def clearance_mm(panel: Panel) -> float:
 
 
 def nearest_heading(table: PolicyTable, wanted_rad: float) -> float:
-    """Return the heading nearest to `wanted_rad` with a predicted success of at least 0.75."""
+    """Return the heading (rad) nearest to `wanted_rad` with a predicted success of at least 0.75 from (0, 20) mm."""
     headings = np.remainder(table.scenario.headings_rad - wanted_rad + math.pi, 2 * math.pi) - math.pi
     poses = [(*_START_MM, heading + wanted_rad, bevel) for heading in headings for bevel in (-1, 1)]
     success = table.lookup_many(poses).success.reshape(-1, 2).max(axis=1)
@@ -143,7 +143,7 @@ def _noise(folder: File | None) -> list[Comparison]:
     scenario = replace(four, objective=replace(four.objective, rotation=40.0))
     noisy = plan(scenario)
     calm = plan(replace(scenario, motion=replace(scenario.motion, tip_noise=(1.0,))))
-    # The plan made without noise, executed with noise.
+    # The policy planned without noise is executed with noise.
     exposed = replace(calm, scenario=scenario)
     wanted = math.radians(-30)
     start = (*_START_MM, nearest_heading(noisy, wanted))

@@ -1,13 +1,13 @@
 """Section 6.5, Figs. 6.7 to 6.9: three experiments in a phantom, as plans and as insertions in the lab twin.
 
-From the thesis: starts, radius (646.83 mm), 1800 headings of alpha = 0.2 degrees, the grid of 3 x 0.15 mm, and the
-insertion speed. The costs are those of section 6.4 with a rotation of 100, then 40. With the discount and failures of
-the thesis every plan would give up, so failures cost 1,000 here, without discount; the cost of a rotation then still
-matters.
+The starts, the radius (646.83 mm), the 1800 headings (steps of alpha = 0.2 degrees), the grid of 3 x 0.15 mm and the
+insertion speed are those of the thesis. The costs are those of section 6.4, with a rotation cost of 100 or 40. With the
+discount and the failure costs of the thesis, every plan would prefer a failure. Therefore failures cost 1,000 here,
+without discount; with this value the cost of a rotation still has an effect.
 
-Assumed: rods, target, and the imperfections of the lab (those of the shipped experiment `steering`). The base turns ten
-times faster than the thesis' three turns a minute, which changes only the duration in the twin. The measurements in gel
-cannot be repeated.
+Rods, target and the imperfections of the lab (those of the shipped experiment `steering`) are assumed. The base turns
+ten times faster than the three turns a minute of the thesis, which changes only the duration in the twin. The
+measurements in gel cannot be repeated.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ _RUNS = 10_000
 class PhantomExperiment:
     """A plan of section 6.5: figure, start, cost of a rotation, published number of turns.
 
-    `alphas` is the heading in heading steps; None means the best heading of the table. `turns` is None if the thesis
-    finds no path.
+    `alphas` is the start heading in steps of alpha; None means the best heading of the table. `turns` is None if the
+    thesis finds no path.
     """
 
     figure: str
@@ -72,9 +72,9 @@ EXPERIMENTS = (
 
 
 def phantom(folder: Path | None, note: Callable[[str], None], fine: bool) -> list[Comparison]:
-    """Plan and compare; draw the figures if a folder is given.
+    """Plan all experiments and return the comparisons; draw the figures if a folder is given.
 
-    `fine` halves the spacing of the thesis.
+    `fine` halves the grid spacing of the thesis.
     """
     note("Figs. 6.7 to 6.9")
     scenario = Scenario.read("phantom")
@@ -94,14 +94,14 @@ def phantom(folder: Path | None, note: Callable[[str], None], fine: bool) -> lis
 
 
 def miss_mm(panel: Panel) -> float:
-    """Return the smallest distance (mm) of the poses of a path from the edge of the target; negative inside."""
+    """Return the smallest distance (mm) between the poses of a path and the edge of the target; negative inside it."""
     target = panel.table.scenario.target
     x, y = target.center_mm
     return min(math.hypot(*(pose[:2] - (x, y))) for pose in panel.path.poses) - target.radius_mm
 
 
 def with_rotation(scenario: Scenario, rotation: float) -> Scenario:
-    """Return the scenario with the costs that this module uses for section 6.5."""
+    """Return the scenario with this rotation cost and the failure costs of this module."""
     objective = replace(scenario.objective, rotation=rotation, collision=_FAILURE, exit=_FAILURE)
     return replace(scenario, objective=objective)
 
@@ -173,7 +173,7 @@ def _statements(panels: dict[str, Panel]) -> list[Comparison]:
 
 
 def _predictions(scenario: Scenario) -> list[Comparison]:
-    """Compare predicted with realised success of the best entry on the grid of the thesis, for both transitions."""
+    """Compare predicted and realised success from the best entry, for both transitions on the grid of the thesis."""
     comparisons = []
     for transition in Transition:
         table = plan(replace(scenario, grid=replace(scenario.grid, transition=transition)))
@@ -191,7 +191,7 @@ def _predictions(scenario: Scenario) -> list[Comparison]:
 _LAB_SECTION = "ch6/experiments"
 _VELOCITY_MM_S, _VELOCITY_RAD_S = 12.0, 3.14
 
-# Published: largest deviation from the plan (Fig. 6.7), and distance beyond the rim (Fig. 6.8c).
+# Published distances (mm): largest deviation from the plan (Fig. 6.7), and end of the path beyond the rim (Fig. 6.8c).
 _DEVIATION_MM, _BEYOND_MM = 0.176, 0.248
 _LAB_WHY = (
     "rods, target and imperfections of the lab are assumed; the heading of its needle has a random walk of 2 mrad per "
@@ -207,7 +207,10 @@ class _Done(NamedTuple):
 
 
 def experiments(folder: Path | None, note: Callable[[str], None], seeds: int) -> list[Comparison]:
-    """Repeat every experiment in the lab twin with `seeds` seeds, and compare; draw if a folder is given."""
+    """Repeat every experiment in the lab twin with `seeds` seeds and return the comparisons.
+
+    Draws the figures if a folder is given.
+    """
     scenario, lab = Scenario.read("phantom"), Experiment.read("steering")
     done = []
     for experiment in EXPERIMENTS:
@@ -273,7 +276,7 @@ def _is(done: _Done, figure: str) -> bool:
 
 
 def _median(name: str, published: float | None, values: np.ndarray) -> Comparison:
-    """Compare a single published measurement with the median of the insertions."""
+    """Compare the published measurement of one insertion with the median of the simulated insertions."""
     median = float(np.median(values))
     if published is None:
         return Comparison(name, None, median, "mm", Agreement.OURS, _spread(values))

@@ -1,4 +1,4 @@
-"""Published numbers of sections 6.2 to 6.5; the size of the problem; Tables 6.2 and 6.3, and plain value iteration.
+"""Printed and computed numbers of sections 6.2 to 6.4: size of the problem, Tables 6.2 and 6.3, plain value iteration.
 
 The problem of section 6.4 is solved by plain value iteration, by the six settings of Table 6.2, and by sweeps.
 """
@@ -36,10 +36,10 @@ __all__ = [
 ]
 
 STATES = 1_176_120
-"""Section 6.4: number of states."""
+"""Number of states that section 6.4 prints."""
 
 FORMULA_STATES = 1_152_000
-"""All states of Table 6.3 at (6, 4), where every partition is processed; also the formula of section 6.2."""
+"""Number of states by the formula of section 6.2; Table 6.3 has the same for (6, 4), with every partition processed."""
 
 OTHER_SCENE = "the thesis prints no coordinates of its obstacles; the scene is assumed"
 OTHER_MACHINE = (
@@ -66,7 +66,7 @@ TABLE_6_2 = (
     Row62((24, 16), Priority.H1, 700.8, 1612.1, 2312.9),
     Row62((24, 16), Priority.H2, 522.4, 1663.8, 2186.2),
 )
-"""As printed. The parts of (12, 8) add up to 1805.6 (H1) and 1364.5 (H2), not to the printed totals."""
+"""Table 6.2 as printed. The parts of (12, 8) add up to 1805.6 (H1) and 1364.5 (H2), not to the printed totals."""
 
 TABLE_6_3 = {(6, 4): (24, 1_152_000), (12, 8): (91, 1_092_000), (24, 16): (332, 996_000)}
 """Table 6.3: processed partitions and processed states, by (nx, ny)."""
@@ -74,7 +74,7 @@ TABLE_6_3 = {(6, 4): (24, 1_152_000), (12, 8): (91, 1_092_000), (24, 16): (332, 
 
 @dataclass(frozen=True)
 class PlainValueIteration:
-    """Plain value iteration in section 6.4."""
+    """Published results of plain value iteration in section 6.4."""
 
     sweeps: int
     updates: int
@@ -89,14 +89,14 @@ _SECTION = "ch6/problem"
 
 
 def formula_states(scenario: Scenario) -> float:
-    """Return n = 4 pi rho xmax ymax / (spacing^2 delta), section 6.2: without the points of two edges."""
+    """Return n = 4 pi rho xmax ymax / (spacing^2 delta) of section 6.2, which omits the grid points of two edges."""
     dx, dy = scenario.grid.spacing_mm
     area = scenario.workspace.width_mm * scenario.workspace.height_mm
     return 4 * math.pi * scenario.needle.curvature_radius_mm * area / (dx * dy * scenario.step_mm)
 
 
 def problem(thesis: Scenario) -> list[Comparison]:
-    """Compare the size and the noise of `thesis`, a scenario with the workspace and the grid of section 6.4."""
+    """Compare numbers of states and tip noise of `thesis`, a scenario with the workspace and grid of section 6.4."""
     noise = thesis.motion.tip_noise
     steps = range(1 - len(noise), len(noise))
     mean = sum(m * noise[abs(m)] for m in steps)
@@ -146,7 +146,10 @@ SolverCase = tuple[tuple[int, int], Priority]
 
 @dataclass(frozen=True)
 class Solves:
-    """The tables of one scenario: by plain value iteration, by partitions and priority, by directional sweeps."""
+    """The policy tables of one scenario by each method: plain value iteration, PPVI, directional sweeps.
+
+    `partitioned` has the tables of PPVI by numbers of partitions and priority.
+    """
 
     plain: PolicyTable
     partitioned: dict[SolverCase, PolicyTable]
@@ -154,7 +157,7 @@ class Solves:
 
 
 def solve_all(thesis: Scenario, note: Callable[[str], None]) -> Solves:
-    """Solve `thesis` by all eight methods, on one thread each, so that times are comparable."""
+    """Solve `thesis` by all eight methods. All use one thread, so that their times are comparable."""
 
     def solved(method: Method, partitions: tuple[int, int] = (1, 1), priority: Priority = Priority.H1) -> PolicyTable:
         note(f"Tables 6.2 and 6.3: {method}" + (f", {partitions}, {priority}" if method is Method.PPVI else ""))
@@ -181,7 +184,7 @@ def processed_states(table: PolicyTable) -> int:
 
 
 def tables(solves: Solves) -> list[Comparison]:
-    """Return the rows of Table 6.2, those of Table 6.3 and the plain value iteration."""
+    """Return the comparisons of Tables 6.2 and 6.3, of plain value iteration and of directional sweeps."""
     return [*_table_6_2(solves), *_table_6_3(solves), *_plain(solves)]
 
 
@@ -191,7 +194,7 @@ def name_of(partitions: tuple[int, int], priority: str = "") -> str:
 
 
 def solving_seconds(stats: Stats) -> float:
-    """Return the time that the thesis counts: solving and priorities, without geometry and evaluation."""
+    """Return the time (s) that the thesis reports: solving and priorities, without geometry and evaluation."""
     return stats.seconds_solving + stats.seconds_priorities
 
 

@@ -1,4 +1,4 @@
-"""Entry point of `needleplan reproduce diagnosis`: the value of a diagnosis for the next plan, by hidden effect."""
+"""Entry point of `needleplan reproduce diagnosis`: the benefit of a diagnosis for the next plan, by hidden effect."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 __all__ = ["closed_loop_scenario", "files", "run"]
 
-# Insertions per hidden effect, and those of the quick effort.
+# Insertions per hidden effect: default and full effort, and quick effort.
 _SEEDS, _FEW = 40, 1
 
-# Goal: relative reduction of a gap.
+# Goal: relative reduction of the gap of success and of the median error by the diagnosis.
 _GOAL = 0.6
 
-# Curvature radius of the needle, headings of the plan, and radius of the target.
+# Curvature radius of the needle (mm), number of headings of the plan, and radius of the target (mm).
 _RADIUS_MM, _HEADINGS = 100.0, 150
 _TARGET_MM = 1.5
 
@@ -49,7 +49,7 @@ def files(_: Request) -> tuple[str, ...]:
 
 
 def run(request: Request) -> list[Comparison]:
-    """Run all rounds; write diagnosis.md, .json and .png if the request names a folder."""
+    """Run all rounds and return the comparisons; write diagnosis.md, .json and .png if the request names a folder."""
     quick = request.effort is Effort.QUICK
     seeds = range(request.runs or (_FEW if quick else _SEEDS))
     chosen = HIDDEN[:1] if quick else HIDDEN

@@ -16,11 +16,11 @@ from needleplan.simulation import Effects, Experiment, Move, Robot, Setup, Shaft
 
 __all__ = ["HIDDEN", "NOTHING", "SHAFT", "HiddenEffect", "hidden_named", "laboratory", "next_record", "recordings"]
 
-# Random walk of the heading (rad per root mm), and noise of the tracker.
+# Random walk of the heading (rad per root mm), and noise of the tracker (mm).
 _HEADING_NOISE = 5e-4
 _TRACKER_MM = 0.1
 
-# Rate of the servo, below the twin's default because its samples dominate the computing time.
+# Rate of the servo (Hz), below the twin's default because the servo samples dominate the computing time.
 _SERVO_HZ = 400
 
 SHAFT = Shaft(torsional_stiffness_n_mm2=1.5e4)
@@ -28,12 +28,12 @@ SHAFT = Shaft(torsional_stiffness_n_mm2=1.5e4)
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """An effect that the plan does not know; `hide` adds it to a lab that behaves as planned."""
+    """An effect that the plan does not contain; `hide(setup)` returns the lab with this effect."""
 
     name: str
     title: str
     truth: str
-    """The true parameters, in the terms of the diagnosis where the effect is in its library."""
+    """The true parameters as text; named as in the library of the diagnosis if it contains the effect."""
 
     hide: Callable[[Setup], Setup]
 
@@ -49,7 +49,7 @@ def laboratory(scenario: Scenario, entry: SimulatedEntry | None = None) -> Setup
 
 
 def _layers(pieces: Sequence[tuple[float, float]]) -> Callable[[Setup], Setup]:
-    """Hide changes of curvature: `pieces` are the start (mm along x) and the ratio to the planned curvature."""
+    """Return a `hide` that changes the curvature. `pieces` are pairs: start (mm along x), true / planned curvature."""
 
     def hide(setup: Setup) -> Setup:
         assert setup.scenario is not None
@@ -116,7 +116,7 @@ def hidden_named(name: str) -> HiddenEffect:
     raise InputError(Mistake("hidden effect", name, f"must be one of {', '.join(each.name for each in HIDDEN)}"))
 
 
-# Duration of the noise record, and speed of rotations.
+# Duration of the noise record (s), and speed of rotations (rad/s).
 _NOISE_S = 20.0
 _TURN_RAD_S = 3.0
 _COLUMNS = ("time_s", "depth_mm", "angle_rad", "x_mm", "y_mm", "z_mm")
@@ -148,7 +148,7 @@ def recordings(setup: Setup, seed: int) -> list[Record]:
 
 
 def next_record(setup: Setup, moves: Sequence[Move], seed: int) -> Record:
-    """Return a further training record of the moves that a diagnosis proposes."""
+    """Return a training record of an insertion with the moves that a diagnosis proposes and a pause at the end."""
     return _recorded(setup, (*moves, Move(dwell_s=1.0)), seed, Role.TRAIN)
 
 

@@ -1,9 +1,9 @@
 """One round of the closed loop: plan, insert, diagnose recordings, plan with the diagnosed model, insert again.
 
-The lab twin hides an effect that the first plan does not know, so its insertions miss. Recordings of a few insertions
-into the same tissue are diagnosed. While several effects explain the recordings equally well, the proposed next motion
-is recorded and all recordings are diagnosed again. The diagnosed model gives the second plan. Insertions follow the
-moves of their plan without feedback, because feedback would compensate for the missing effect.
+The lab twin has a hidden effect that the first plan does not contain, so the first insertions miss. Recordings of a few
+insertions into the same tissue are diagnosed. While the verdict is AMBIGUOUS or INCOMPLETE, the proposed next motion is
+recorded and all recordings are diagnosed again. The second plan uses the diagnosed model. Insertions follow the moves
+of their plan without feedback, because feedback would compensate for the missing effect.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from needleplan_thesis.steering import execute_moves, path_end, planned_moves
 __all__ = ["VELOCITY_MM_S", "NamedEffect", "OpenLoopInsertion", "Round", "diagnosed", "run_round", "run_rounds"]
 
 VELOCITY_MM_S = 10.0
-"""Insertion velocity when a plan is executed."""
+"""Insertion velocity when a plan is executed (mm/s)."""
 
 _VELOCITY_RAD_S = 10.0
 _MORE = 2
@@ -49,7 +49,7 @@ _SEEDS_PER_ROUND = 100
 
 @dataclass(frozen=True)
 class OpenLoopInsertion:
-    """An insertion: predicted and realised success, and distance of its end from the centre of the target in space."""
+    """Predicted and realised success of an insertion, and distance (mm) of its end from the target centre in space."""
 
     predicted: float
     success: bool
@@ -83,7 +83,7 @@ class Round:
 
 
 def run_round(hidden: HiddenEffect, scenario: Scenario, seeds: Sequence[int]) -> Round:
-    """Run one round; the first seed also determines the recordings."""
+    """Run one round with an insertion per seed; the first seed also determines the recordings."""
     found, motions = diagnosed(hidden, scenario, seeds[0])
     last = found[-1]
     wrong = corrected_plan(_base(scenario), scenario, velocity_mm_s=VELOCITY_MM_S)
@@ -157,13 +157,13 @@ def _planned(scenario: Scenario) -> PolicyTable:
 
 
 _SHARING = 5
-"""Insertions per diagnosis; a diagnosis takes longer than five insertions."""
+"""Number of insertions that share a diagnosis, because a diagnosis takes longer than five insertions."""
 
 
 def run_rounds(
     scenario: Scenario, hidden: Sequence[HiddenEffect], seeds: Sequence[int], processes: int = 1
 ) -> Iterator[Round]:
-    """Yield the rounds of all hidden effects, in their order; five seeds share recordings and a diagnosis."""
+    """Yield the rounds of all hidden effects in order. Up to five seeds share one round: recordings and diagnosis."""
     groups = [tuple(seeds[first : first + _SHARING]) for first in range(0, len(seeds), _SHARING)]
     tasks = [(each.name, group) for each in hidden for group in groups]
     yield from map_in_processes(partial(_round, scenario), tasks, processes)

@@ -36,7 +36,7 @@ _HEAD = (
 
 
 def markdown_of(scenario: Scenario, summaries: Sequence[EffectSummary], overall: OverallResult, command: str) -> str:
-    """Return the table of all hidden effects, with an explanation of its columns."""
+    """Return the Markdown page: a table with a row per hidden effect, totals, and an explanation of the columns."""
     rows = [_HEAD, ("---",) * 6 + ("--:",) * 10, *(_row(each) for each in summaries)]
     runs = summaries[0].before.runs
     gap, error = overall.gap, overall.error_mm
@@ -70,7 +70,7 @@ def json_of(
     rounds: Sequence[Round],
     command: str,
 ) -> str:
-    """Return all results as a JSON document."""
+    """Return all results as the text of a JSON document."""
     return json.dumps(
         {
             "schema": "needleplan.closed_loop/1",
@@ -134,7 +134,7 @@ def _reductions(before: float, after: float, known: float) -> str:
 
 
 def parameter_text(name: str, each: ParameterMedians) -> str:
-    """Return name, value, unit and interval of an estimated parameter; `size` is the amplitude of an effect."""
+    """Return name, value, unit and interval of an estimated parameter as text; `size` is shown as amplitude."""
     called = name.removesuffix("size") + "amplitude" if name.endswith("size") else name
     return f"{called} {each.value:.3g} {each.unit}".rstrip() + f" ({each.low:.3g} to {each.high:.3g})"
 
@@ -145,11 +145,11 @@ def percent(share: float) -> str:
 
 
 def in_percent(share: float | None) -> str:
-    """Format a reduction in percent; a dash if there was no gap."""
+    """Format a reduction in percent; return a dash if it is None (no gap to reduce)."""
     return "-" if share is None else f"{100 * share:.0f} %"
 
 
-# Vertical distance of the three markers of a row.
+# Vertical distance between the three markers of a row, as a fraction of the row height.
 _APART = 0.24
 
 

@@ -23,7 +23,7 @@ __all__ = [
     "total",
 ]
 
-# Gap below which a reduction is undefined.
+# Gap (or error, mm) below which a relative reduction is undefined.
 _NO_GAP = 1e-9
 
 
@@ -54,7 +54,7 @@ class InsertionStatistics:
 
 @dataclass(frozen=True)
 class ParameterMedians:
-    """A parameter of a named effect: medians over rounds of its value and of the limits of its 95 % interval."""
+    """A parameter of a named effect: medians over the rounds of its estimate and of its 95 % limits."""
 
     value: float
     low: float
@@ -66,8 +66,8 @@ class ParameterMedians:
 class EffectSummary:
     """Results for one hidden effect.
 
-    `verdicts` counts the verdicts of the last diagnosis of each round, `named` the sets of named effects, `motions` the
-    recorded next motions. `parameters` are those of the most frequent set of names.
+    `verdicts` counts the verdicts of the final diagnosis of each round, `named` the sets of named effects, `motions`
+    the recorded next motions. `parameters` are those of the most frequently named set of effects.
     """
 
     hidden: HiddenEffect
@@ -110,7 +110,7 @@ def _parameters(rounds: Sequence[Round], names: tuple[str, ...]) -> dict[str, Pa
 
 
 def reduction(before: float, after: float, floor: float = 0.0) -> float | None:
-    """Return the relative reduction of the part above `floor`; None if nothing is above it."""
+    """Return the relative reduction from `before` to `after` of the part above `floor`; None if `before` has none."""
     return 1 - (after - floor) / (before - floor) if before - floor > _NO_GAP else None
 
 
@@ -118,7 +118,7 @@ def reduction(before: float, after: float, floor: float = 0.0) -> float | None:
 class OverallResult:
     """Results over all hidden effects: summed gaps of success, and median error (mm) of all insertions.
 
-    Both hold three values: before, after, and by the first plan without a hidden effect.
+    Each has three values: first plan, plan with the diagnosed model, and first plan without a hidden effect.
     """
 
     gap: tuple[float, float, float]

@@ -20,20 +20,20 @@ class Guidance(StrEnum):
     """Feedback and replanning, as in `needleplan insert`."""
 
     ONE_TABLE = "closed loop, one table"
-    """As REPLANNED, without replanning."""
+    """Feedback with the first policy table, without replanning."""
 
     OPEN = "open loop"
-    """The moves of the planned path without feedback; torsional lag is compensated."""
+    """The moves of the planned path without feedback; the torsional lag is compensated."""
 
     AIMED = "aimed, not steered"
-    """The same needle and position, the heading towards the target, without rotations."""
+    """The same needle and entry position, heading towards the target, without rotations or feedback."""
 
     STRAIGHT = "straight needle"
-    """A needle that does not bend; same position, heading towards the target."""
+    """A needle that does not bend, at the same entry position, heading towards the target."""
 
     @property
     def has_feedback(self) -> bool:
-        """Whether the tracker steers the needle."""
+        """Whether the control loop uses the tracker to steer the needle."""
         return self in (Guidance.REPLANNED, Guidance.ONE_TABLE)
 
 
@@ -41,8 +41,8 @@ class Guidance(StrEnum):
 class SteeringCase:
     """A scenario and its simulated lab, whose needle bends as planned except for the effects of the experiment.
 
-    `start` is x_mm, y_mm, heading_rad; None means the best entry. The bevel is the one with the lower cost. The servo
-    of the robot runs at `servo_hz`, slower than the twin's default, because its samples dominate the computing time.
+    `start` is x_mm, y_mm, heading_rad; None means the best entry. The bevel is the one with the lower cost. `servo_hz`,
+    the rate of the robot's servo, is below the twin's default because servo samples dominate the computing time.
     """
 
     name: str
@@ -73,7 +73,7 @@ class SteeringCase:
 
 @dataclass(frozen=True)
 class SteeringTask:
-    """One insertion. `curvature_error` is the relative excess of the true curvature over that of the plan."""
+    """One insertion. `curvature_error` is the relative deviation of the true curvature from the planned one."""
 
     case: SteeringCase
     guidance: Guidance

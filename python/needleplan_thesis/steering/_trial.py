@@ -27,10 +27,10 @@ class SteeringTrial:
     """Result of an insertion; lengths in mm, positions in the plane of the plan.
 
     `path_mm` [n, 3] is the true path of the tip. `error_mm` is the distance of its end from the centre of the target,
-    `deviation_mm` its largest distance from the planned path. `seen_error_mm` and `seen_deviation_mm` are the estimates
-    of the tip filter, NaN without feedback. `touched` names the first obstacle on the true path, or is empty.
-    `predicted` is the success probability of the plan. `outcome` and `cause` are those that the control loop reports,
-    empty without feedback.
+    `deviation_mm` the largest distance of the path from the planned path. `seen_error_mm` and `seen_deviation_mm` are
+    the same lengths by the tip filter, NaN without feedback. `touched` names the first obstacle on the true path, or is
+    empty; `left` is True if the path left the workspace. `predicted` is the success probability of the plan. `outcome`
+    and `cause` are those that the control loop reports, empty without feedback.
     """
 
     task: SteeringTask
@@ -57,17 +57,17 @@ class SteeringTrial:
 
     @property
     def beyond_rim_mm(self) -> float:
-        """Distance of the end of the path from the rim of the target; 0 inside."""
+        """Distance (mm) of the end of the path from the rim of the target; 0 inside the target."""
         return max(self.error_mm - self.task.case.scenario.target.radius_mm, 0.0)
 
 
 def run_trial(task: SteeringTask) -> SteeringTrial:
-    """Simulate an insertion; the same task gives the same result."""
+    """Simulate an insertion and return its result; equal tasks give equal results."""
     return _with_feedback(task) if task.guidance.has_feedback else _without(task)
 
 
 class _Truth(Listener):
-    """Records the true position of the tip at every estimate of the loop."""
+    """Records the true position of the tip at every tip estimate of the control loop."""
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
@@ -145,7 +145,7 @@ def run_all(tasks: Sequence[SteeringTask], processes: int = 1) -> Iterator[Steer
     return map_in_processes(run_trial, tasks, processes, chunk=4)
 
 
-# Bootstrap samples.
+# Number of bootstrap samples for the interval of a mean.
 _RESAMPLED = 2000
 
 
@@ -196,7 +196,8 @@ def summarized(trials: Sequence[SteeringTrial]) -> SteeringSummary:
 def gap_closed(predicted: float, one_table: float, replanned: float) -> float | None:
     """Return the share of the gap between predicted and realised success that replanning closes.
 
-    `one_table` and `replanned` are the realised success without and with replanning. None if there is no gap.
+    `one_table` and `replanned` are the realised success without and with replanning. Returns None if there is no gap
+    without replanning.
     """
     gap = predicted - one_table
     return None if gap <= 0 else (replanned - one_table) / gap

@@ -1,4 +1,4 @@
-"""Insertions without feedback: a sequence of moves, the true path of the tip, and where the path ends."""
+"""Insertions without feedback: sequences of moves, true paths of the tip, and ends of paths."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["Moves", "PathEnd", "aimed_at_target", "execute_moves", "path_end", "
 class PathEnd:
     """The end of a path, relative to the target of a scenario.
 
-    `error_mm` is the distance from the centre of the target in the plane of the plan, `aside_mm` the distance from the
+    `error_mm` is the distance from the centre of the target in the plane of the plan, `aside_mm` the distance from this
     plane. `touched` names the first obstacle on the path, or is empty; `left` is True if the path left the workspace.
     """
 
@@ -34,12 +34,12 @@ class PathEnd:
 
     @property
     def distance_mm(self) -> float:
-        """Distance from the centre of the target in space."""
+        """Distance (mm) from the centre of the target in space."""
         return math.hypot(self.error_mm, self.aside_mm)
 
 
 def path_end(scenario: Scenario, path_mm: Array) -> PathEnd:
-    """Return where a path, shape (n, 3), ends in a scenario."""
+    """Return the end of a path (mm), shape (n, 3), relative to the target and the obstacles of a scenario."""
     scene, places = _scene(scenario), path_mm[:, :2].tolist()
     touched = next((name for place in places if (name := scene.touches(*place))), "")
     left = any(scene.outside(*place) for place in places)
@@ -52,12 +52,12 @@ def _scene(scenario: Scenario) -> ScenarioGeometry:
 
 
 _AT_REST_S = 0.1
-"""Pause after a move (s): the control loop waits for four frames of the tracker."""
+"""Pause after a move (s), as long as the control loop waits for four frames of the tracker."""
 
-# Sampling interval of the true path.
+# Sampling interval of the true path (s).
 _EVERY_S = 0.02
 
-# Distance along an arc below which the closest point to the target counts as the beginning of the arc.
+# Distance along an arc (mm) below which the point closest to the target counts as the beginning of the arc.
 _CLOSE_MM = 0.05
 
 
@@ -75,7 +75,7 @@ class Moves:
 
 
 def planned_moves(table: PolicyTable, start: Pose) -> Moves:
-    """Return the moves of the planned path, to the point closest to the centre of the target, where the loop ends."""
+    """Return the moves of the planned path up to its point closest to the target centre, as in the control loop."""
     scene, path = ScenarioGeometry(table.scenario), table.path(start)
     lengths, bevels = [0.0], [start.bevel]
     for row, action in zip(path.poses[:-1].tolist(), path.actions.tolist(), strict=True):
@@ -99,9 +99,9 @@ def planned_moves(table: PolicyTable, start: Pose) -> Moves:
 
 
 def aimed_at_target(setup: Setup, table: PolicyTable, *, bending: bool) -> tuple[Setup, Moves]:
-    """Return a lab with the heading towards the target, and one move to the target.
+    """Return the lab with the needle heading towards the target centre, and a single move of that distance.
 
-    Without `bending` the needle is straight.
+    If not `bending`, the needle of the returned lab does not bend.
     """
     entry, (x, y) = setup.entry, table.scenario.target.center_mm
     heading = math.atan2(y - entry.y_mm, x - entry.x_mm)
