@@ -131,7 +131,7 @@ def test_29_a_drive_that_restarts_is_a_fault() -> None:
     with drives() as there, stage_on(there) as stage:
         next_of(stage)
         there.roll.restart()
-        fault_of(stage, "is not operational: NMT state 0")
+        fault_of(stage, "is in NMT state 0 instead of OPERATIONAL")
         stage.start()
         assert not next_of(stage).moving
 
@@ -158,8 +158,8 @@ def test_30_what_goes_wrong_on_the_way_is_a_fault(wrong: Callable[[SimulatedDriv
 
 @pytest.mark.parametrize(
     ("faults", "cause"),
-    [(Cia402DriveFaults(stuck=True), r"it does not move: 50 from its target for 0\.\d+ s"),
-     (Cia402DriveFaults(backwards=True), "it moves away from its target")],
+    [(Cia402DriveFaults(stuck=True), r"does not move: 50 from its target for 0\.\d+ s"),
+     (Cia402DriveFaults(backwards=True), "moves away from its target")],
     ids=["no motion", "wrong way"],
 )  # fmt: skip
 def test_30_a_motion_that_is_none_is_a_fault(faults: Cia402DriveFaults, cause: str) -> None:

@@ -102,7 +102,7 @@ def test_21_a_coil_that_is_left_out_as_its_own_message_ends_in_a_fault() -> None
     bench = Bench()
     tracker = settled(bench)
     bench.tip.status = "MISSING"
-    fault_of(tracker, "no new TRANSFORM 'NeedleToTracker' for .* A server may leave out coils out of view")
+    fault_of(tracker, "no new TRANSFORM 'NeedleToTracker' for .* Some servers omit coils that are not visible")
     bench.tip.status = "OK"
     tracker.start()
     assert next_of(tracker).health is Health.GOOD
@@ -165,7 +165,7 @@ def test_24_what_is_no_rotation_is_suspect_or_missing(bench: Bench) -> None:
     bench.faults.stretch = 1.02
     sample = next_of(tracker)
     assert sample.health is Health.SUSPECT
-    assert "no rotation" in sample.notes[0]
+    assert "not a rotation" in sample.notes[0]
     assert math.hypot(*sample.quaternion) == pytest.approx(1)
     bench.faults.stretch = math.nan
     assert next_of(tracker).health is Health.MISSING

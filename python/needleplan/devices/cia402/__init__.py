@@ -1,4 +1,4 @@
-"""CiA-402 drives on a CAN bus (CANopen) as a stage; requires the extra `canopen`."""
+"""Stage with two CiA-402 drives on a CAN bus (CANopen); requires the optional dependency `canopen`."""
 
 from needleplan.devices.cia402._axes import DriveTiming
 from needleplan.devices.cia402._simulated_drive import Cia402DriveFaults, SimulatedDrive, SimulatedDrives

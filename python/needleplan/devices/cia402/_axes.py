@@ -1,4 +1,4 @@
-"""The state of the axes as received from their drives, its validation, and the SYNC cycle that requests it."""
+"""The state that the drives report for their axes: its request by SYNC messages and its validation."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ __all__ = ["Cia402Axis", "DriveTiming", "Rounds"]
 
 @dataclass(frozen=True)
 class DriveTiming:
-    """Timing of the communication with the drives.
+    """Times of the communication with the drives, in s.
 
     - `sync_s`: interval between two SYNC messages, which request the positions.
-    - `heartbeat_s`: interval between heartbeats, of the controller and of the drives.
-    - `watchdog_s`: a drive stops by itself without a heartbeat of the controller for this time.
-    - `silence_s`: the stage raises DeviceFault without positions for this time.
-    - `answer_s`: time for a drive to answer a request.
-    - `change_s`: time for a change of state, and for accepting a new target.
-    - `slack_s`: delay of the begin of a motion, and pause within it, at most.
+    - `heartbeat_s`: interval between heartbeats of the controller, and of each drive.
+    - `watchdog_s`: a drive stops by itself after this time without a heartbeat of the controller.
+    - `silence_s`: the stage raises DeviceFault after this time without positions from a drive.
+    - `answer_s`: longest time for a drive to answer a request.
+    - `change_s`: longest time for a drive to change its state or to accept a new target.
+    - `slack_s`: longest delay of the start of a motion, and longest pause within a motion.
     """
 
     sync_s: float = 0.005
@@ -39,7 +39,7 @@ class DriveTiming:
 
 _STATUS = struct.Struct("<Hi")
 _VELOCITY = struct.Struct("<i")
-_LATENCY_S = 0.05  # time in which an axis continues in its old direction
+_LATENCY_S = 0.05  # time (s) for which an axis may continue at its old velocity after a new target is sent
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,10 @@ class _Motion:
 
 
 class Cia402Axis:
-    """Validates the frames of one drive; `slack_s` is the longest delay of the begin or end of a motion."""
+    """State of one axis; validates each received frame of its drive.
+
+    `slack_s` is the longest time (s) for which an axis in motion may not approach its target.
+    """
 
     def __init__(self, setup: AxisSetup, name: str, slack_s: float) -> None:
         self.setup, self.name, self.slack_s = setup, name, slack_s
@@ -57,7 +60,7 @@ class Cia402Axis:
         self.word = 0
         self.received_ns = 0
         self.stopped = False
-        """Whether the drive was commanded to stop; it may then be in QUICK STOP ACTIVE."""
+        """Whether the drive was commanded to stop; the state QUICK STOP ACTIVE is then not a fault."""
 
         self._motion: _Motion | None = None
         self._nearest = self._leeway = 0.0
@@ -67,15 +70,15 @@ class Cia402Axis:
 
     @property
     def complete(self) -> bool:
-        """Whether the drive has answered the last SYNC."""
+        """Whether status and velocity have arrived since the last SYNC."""
         return self.has_status and self.has_velocity
 
     def expect(self) -> None:
-        """Mark the answers as missing, because a new SYNC is sent."""
+        """Mark status and velocity as missing, because a new SYNC requests them."""
         self.has_status = self.has_velocity = False
 
     def begin(self, target: float, velocity: float, position: float, now_ns: int) -> None:
-        """Record the begin of a motion from `position`."""
+        """Record that a motion from `position` to `target` has begun."""
         self._motion, self.stopped, self.position = _Motion(target, velocity), False, position
         # An axis that reverses continues in its old direction for a while.
         speed, limits = abs(self.velocity), self.setup.limits
@@ -84,7 +87,7 @@ class Cia402Axis:
         self._moved_ns = now_ns
 
     def stop(self) -> None:
-        """Record a stop."""
+        """Record that the drive was commanded to stop."""
         self._motion, self.stopped = None, True
 
     def enabled(self, position: float) -> None:
@@ -94,23 +97,26 @@ class Cia402Axis:
 
     @property
     def moving(self) -> bool:
-        """Whether the axis moves to its target, or has not come to rest after a stop."""
+        """Whether the axis has not reached its target, or has not come to rest after a stop."""
         reached = bool(self.word & Bit.TARGET_REACHED)
         if self._motion is None:
             return self.stopped and not reached
         return not reached or abs(self._motion.target - self.position) > self.setup.limits.margin
 
     def take_velocity(self, data: bytes) -> str:
-        """Store a received velocity; return the problem, or ""."""
+        """Store a received velocity. Return a description of its problem, or "" if it is valid."""
         if len(data) != _VELOCITY.size:
-            return f"a velocity of {len(data)} bytes"
+            return f"sent a velocity of {len(data)} bytes instead of {_VELOCITY.size}"
         self.velocity, self.has_velocity = self.setup.velocity(_VELOCITY.unpack(data)[0]), True
         return ""
 
     def take_status(self, data: bytes, asked_ns: int, now_ns: int) -> str:
-        """Store statusword and position, valid between `asked_ns` and `now_ns`; return the problem, or ""."""
+        """Store statusword and position, which the drive measured between the times `asked_ns` and `now_ns`.
+
+        Return a description of the problem, or "" if state and position are plausible.
+        """
         if len(data) != _STATUS.size:
-            return f"a status of {len(data)} bytes"
+            return f"sent a status of {len(data)} bytes instead of {_STATUS.size}"
         self.word, counts = _STATUS.unpack(data)
         before, self.position = self.position, self.setup.position(counts)
         since_ns, self._known_ns = self._known_ns, asked_ns
@@ -126,11 +132,11 @@ class Cia402Axis:
         if self.word & Bit.FOLLOWING_ERROR and not self.stopped:
             return "following error"
         if self.word & Bit.LIMIT:
-            return "a limit is active: limit switch or an internal one"
+            return "a limit is active: a limit switch, or a limit within the drive"
         return ""
 
     def _wrong_step(self, before: float, since_ns: int | None, now_ns: int) -> str:
-        """Return a problem if no permitted speed explains the step within the longest possible time."""
+        """Return a problem if the step of the position is larger than the highest permitted speed allows, else ""."""
         limits = self.setup.limits
         step = abs(self.position - before)
         if since_ns is None or step <= limits.margin + limits.fastest * (now_ns - since_ns) / 1e9:
@@ -143,47 +149,50 @@ class Cia402Axis:
             return ""
         left = abs(motion.target - self.position)
         if left > self._nearest + self._leeway + margin:
-            return "it moves away from its target: is its direction set right?"
+            return "moves away from its target: is its direction set right?"
         if left < self._nearest - margin / 2:
             self._nearest, self._leeway, self._moved_ns = left, 0.0, now_ns
         idle_s = (now_ns - self._moved_ns) / 1e9
         if self.moving and idle_s > self.slack_s + margin / motion.velocity:
-            return f"it does not move: {left:.3g} from its target for {idle_s:.2g} s"
+            return f"does not move: {left:.3g} from its target for {idle_s:.2g} s"
         return ""
 
 
 _NANO = 1_000_000_000
 _PATIENCE = 4  # time to wait for the answers of a round, in SYNC intervals
 
-_MOST_OPEN = 8
+_MOST_OPEN = 8  # largest number of rounds whose answers may still arrive
 
 
 class Rounds:
-    """Requests the positions of both `axes` by SYNC, one round at a time; an unanswered round is counted as lost."""
+    """Requests the positions of both `axes` in rounds: one SYNC message, then the answers of both drives.
+
+    The next round begins only when the present one is complete, or is counted as lost because an answer is missing.
+    """
 
     def __init__(self, bus: CanBus, axes: Sequence[Cia402Axis], timing: DriveTiming) -> None:
         self._bus, self._axes, self._clock = bus, axes, bus.clock
         self._sync_ns, self._silence_s = round(timing.sync_s * _NANO), timing.silence_s
         self._number = self._lost = 0
         self.asked_ns: int | None = None
-        """Begin of the present round, or None."""
+        """Time of the SYNC of the present round, or None if no round is in progress."""
 
         self._due_ns = self._answered_ns = 0
         self._open: deque[int] = deque(maxlen=_MOST_OPEN)
 
     @property
     def earliest_ns(self) -> int | None:
-        """Earliest request that an answer may belong to: an abandoned round may be answered late."""
+        """Time of the earliest SYNC to which an arriving answer may belong, or None; answers may be late."""
         return self._open[0] if self._open else None
 
     def begin_anew(self) -> None:
-        """Discard the present round and the count of lost ones."""
+        """Discard the present round and the number of lost rounds."""
         self.asked_ns, self._due_ns, self._lost = None, 0, 0
         self._open.clear()
         self._answered_ns = self._clock.now_ns()
 
     def forget(self) -> None:
-        """Abandon the present round; its answers are ignored."""
+        """Abandon the present round, if any, and count it as lost; its answers are ignored."""
         self._lost += self.asked_ns is not None
         self.asked_ns, self._due_ns = None, 0
         self._open.clear()
@@ -191,12 +200,12 @@ class Rounds:
             axis.expect()
 
     def ask(self) -> None:
-        """Begin a round if one is due. Raises LinkClosed."""
+        """Send a SYNC to begin a new round if it is due. Raises LinkClosed."""
         now_ns = self._clock.now_ns()
         if self.asked_ns is None:
             if now_ns < self._due_ns:
                 return
-            # Without reading, no positions were requested: this is not a silence of the drives.
+            # The caller did not read, so no positions were requested: the drives were not silent.
             if now_ns > self._due_ns + self._sync_ns:
                 self._answered_ns = now_ns
         elif now_ns < self.asked_ns + _PATIENCE * self._sync_ns:
@@ -211,7 +220,7 @@ class Rounds:
         self._bus.sync()
 
     def sample(self) -> StageSample | None:
-        """Return the sample of the present round, and end it, if all drives have answered; else None."""
+        """If both drives have answered, end the present round and return its sample; else return None."""
         if self.asked_ns is None or not all(axis.complete for axis in self._axes):
             return None
         self._answered_ns, self._due_ns, self.asked_ns = self._clock.now_ns(), self.asked_ns + self._sync_ns, None
@@ -223,10 +232,10 @@ class Rounds:
         return StageSample(stamp, insertion.position, insertion.velocity, roll.position, moving)
 
     def silent(self) -> str:
-        """Return the drives that have not answered for too long, with the time, or ""."""
+        """Return a message with the drives that have not answered for too long; "" if there are none."""
         now_ns = self._clock.now_ns()
         silent_s = (now_ns - self._answered_ns) / _NANO
         if silent_s <= self._silence_s or self.asked_ns is None or now_ns <= self.asked_ns + self._sync_ns:
             return ""
         names = ", ".join(axis.name for axis in self._axes if not axis.complete)
-        return f"{names}: silent for {silent_s:.3g} s: power, cable, or bus-off"
+        return f"{names}: silent for {silent_s:.3g} s: check power, cable, and whether the bus is off"

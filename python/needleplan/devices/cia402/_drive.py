@@ -1,4 +1,4 @@
-"""The CAN bus, by the optional library `canopen`, and one CiA-402 drive on it."""
+"""A CAN bus, accessed by the optional library `canopen`, and one CiA-402 drive on the bus."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from needleplan.errors import ConfigurationError, DeviceFault, LinkClosed, Mista
 
 __all__ = ["CanBus", "Cia402Drive", "Frame", "library"]
 
-_SYNC = 0x80
-_CYCLE_S = 0.02
+_SYNC = 0x80  # identifier of the SYNC message
+_CYCLE_S = 0.02  # time (s) after which the receiving thread of the library notices that the bus is to be closed
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame that a node sent without a request."""
+    """A received frame that is not the answer to an SDO request."""
 
     node: int
     service: Service
@@ -33,7 +33,7 @@ class Frame:
 
 
 def library(name: str = "canopen") -> Any:
-    """Return `canopen` or one of its modules. Raises ConfigurationError if the extra is not installed."""
+    """Return the module `name`: `canopen`, a submodule, or `can`. Raises ConfigurationError if it is not installed."""
     try:
         return import_module(name)
     except ImportError as error:
@@ -42,7 +42,10 @@ def library(name: str = "canopen") -> Any:
 
 
 class CanBus(Closing):
-    """A CAN bus. Raises ConfigurationError without the library, DeviceFault if the bus cannot be opened."""
+    """An open CAN bus.
+
+    Raises ConfigurationError if `canopen` is not installed, DeviceFault if the bus cannot be opened.
+    """
 
     def __init__(self, channel: str, interface: str, clock: Clock, **options: Any) -> None:
         canopen = library()
@@ -50,7 +53,7 @@ class CanBus(Closing):
         self.name = f"canopen://{channel}"
         self.clock = clock
         self.network = canopen.Network()
-        self.network.NOTIFIER_CYCLE = _CYCLE_S  # the longest time that closing takes
+        self.network.NOTIFIER_CYCLE = _CYCLE_S  # `close` takes at most this time
         self.frames: queue.SimpleQueue[Frame] = queue.SimpleQueue()
         self._closed = False
         try:
@@ -59,7 +62,7 @@ class CanBus(Closing):
             raise DeviceFault(f"{self.name} cannot be opened by {interface}: {error}") from error
 
     def listen(self, node: int, *services: Service) -> None:
-        """Queue the frames of a node in `frames`."""
+        """From now on, put the frames that `node` sends for `services` into the queue `frames`."""
         for service in services:
             self.network.subscribe(service + node, self._put(node, service))
 
@@ -70,7 +73,7 @@ class CanBus(Closing):
         return put
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Send one frame. Raises LinkClosed if the bus is gone, or is off after too many errors."""
+        """Send one frame. Raises LinkClosed if the bus is closed or disconnected, or off after too many errors."""
         if self._closed:
             raise LinkClosed(f"{self.name} is closed")
         try:
@@ -79,24 +82,25 @@ class CanBus(Closing):
             raise LinkClosed(f"{self.name}: {error}") from error
 
     def sync(self) -> None:
-        """Request the positions of all drives."""
+        """Send SYNC, which requests the positions and velocities of all drives."""
         self.send(_SYNC, b"")
 
     def close(self) -> None:
         """Disconnect from the bus."""
         if not self._closed:
             self._closed = True
-            # If the bus is gone already, the library reports that again after it has released everything.
+            # If the bus is disconnected, the library raises only after it has released all resources.
             with contextlib.suppress(*self._errors):
                 self.network.disconnect()
 
 
-_PROFILE_POSITION = 1
+_PROFILE_POSITION = 1  # mode of operation: move to a target position with a trapezoidal velocity
 _STOP_AND_STAY = 6  # quick stop option: decelerate, then stay in QUICK STOP ACTIVE
 
-_EVERY_SYNC, _AT_ONCE = 1, 255
-_OFF = 1 << 31
-_POLL_S = 0.002
+_EVERY_SYNC, _AT_ONCE = 1, 255  # transmission types of a PDO: at every SYNC; as soon as it is received
+_OFF = 1 << 31  # bit of a COB-ID entry that disables the PDO
+_POLL_S = 0.002  # pause (s) between two requests of the statusword
+# Command that leads from each state towards OPERATION ENABLED
 _NEXT = {
     Cia402State.SWITCH_ON_DISABLED: Control.SHUTDOWN,
     Cia402State.READY: Control.SWITCH_ON,
@@ -106,9 +110,9 @@ _NEXT = {
 
 
 class Cia402Drive:
-    """The drive of one axis; each method waits for the answers of the drive. Raises DeviceFault.
+    """The drive of one axis. Each method but `quick_stop` waits for the answers of the drive. Raises DeviceFault.
 
-    `heartbeat` is called before each request, because the watchdog of the other drive continues meanwhile.
+    `heartbeat` is called before each request, so that the watchdog of the other drive does not expire during the wait.
     """
 
     def __init__(
@@ -123,30 +127,33 @@ class Cia402Drive:
 
     @property
     def name(self) -> str:
-        """Name in messages."""
+        """Name of the drive in messages: axis and node number."""
         return f"{self.setup.name} drive (node {self.setup.node})"
 
     def write(self, entry: Entry, value: int) -> None:
-        """Write an entry and wait for its acknowledgement."""
+        """Write `value` to an entry of the object dictionary and wait for the acknowledgement."""
         self._ask(entry, "write", lambda: self._node.sdo.download(*entry.value[:2], entry.packing.pack(value)))
 
     def read(self, entry: Entry) -> int:
-        """Return the value of an entry."""
+        """Request an entry of the object dictionary and return its value."""
         data = self._ask(entry, "read", lambda: self._node.sdo.upload(*entry.value[:2]))
         if len(data) != entry.packing.size:
-            raise DeviceFault(f"{self.name}: {entry} has {len(data)} bytes: is it a drive by CiA 402?")
+            raise DeviceFault(
+                f"{self.name}: {entry} has {len(data)} bytes instead of {entry.packing.size}: is it a CiA-402 drive?"
+            )
         return int(entry.packing.unpack(data)[0])
 
     @property
     def state(self) -> Cia402State | None:
-        """The state, requested from the drive."""
+        """State of the drive, from its statusword, which is requested at each access; None if it is unknown."""
         return state_of(self.read(Entry.STATUSWORD))
 
     def configure(self, master: int, silence_s: float, heartbeat_s: float) -> None:
-        """Set mode, limits, messages, and the reaction to a missing heartbeat of `master` for `silence_s`.
+        """Disable the drive and write its mode, limits, PDOs and heartbeats.
 
-        The drive is left disabled. It is refused if it does not accept a setting: a drive without a working watchdog
-        must not be enabled.
+        The drive will quick-stop if it receives no heartbeat of the node `master` for `silence_s`, and send its own
+        every `heartbeat_s`. Raises DeviceFault if the drive rejects a setting, because a drive without a working
+        watchdog must not be enabled.
         """
         setup, limits, node = self.setup, self.setup.limits, self.setup.node
         self._node.nmt.state = "PRE-OPERATIONAL"
@@ -182,7 +189,7 @@ class Cia402Drive:
         self._node.nmt.state = "OPERATIONAL"
 
     def reset_fault(self) -> None:
-        """Reset a fault if its cause is gone; the drive stays disabled."""
+        """Disable the drive and reset its fault, if any. Raises DeviceFault if the fault persists."""
         self.write(Entry.CONTROLWORD, Control.DISABLE_VOLTAGE)
         if self.state not in (Cia402State.FAULT, Cia402State.FAULT_REACTION):
             return
@@ -195,7 +202,7 @@ class Cia402Drive:
         self.write(Entry.CONTROLWORD, Control.DISABLE_VOLTAGE)
 
     def enable(self) -> None:
-        """Bring the drive to OPERATION ENABLED with its present position as the target; nothing moves."""
+        """Bring the drive to OPERATION ENABLED, with the present position as its target, so that nothing moves."""
         self.write(Entry.TARGET_POSITION, self.read(Entry.POSITION))
         deadline = Deadline(self.bus.clock, self.change_s)
         while (state := self.state) is not Cia402State.ENABLED:
@@ -209,10 +216,10 @@ class Cia402Drive:
                 self.bus.clock.sleep(_POLL_S)
 
     def move(self, position: float, velocity: float) -> None:
-        """Begin a motion, which replaces the present one."""
+        """Begin a motion to `position`, which replaces the present motion; wait until the drive accepts the target."""
         self.write(Entry.TARGET_POSITION, self.setup.counts(position))
         self.write(Entry.PROFILE_VELOCITY, self.setup.speed(velocity))
-        # The rising edge of a bit starts the motion; the drive acknowledges it by another bit.
+        # The rising edge of controlword bit 4 starts the motion; the drive acknowledges it by statusword bit 12.
         self.write(Entry.CONTROLWORD, Control.ENABLE)
         self._until(acknowledged=False)
         self.write(Entry.CONTROLWORD, Control.NEW_TARGET_NOW)
@@ -228,11 +235,11 @@ class Cia402Drive:
         self.write(Entry.CONTROLWORD, Control.QUICK_STOP)
 
     def disable(self) -> None:
-        """Disable the voltage."""
+        """Switch off the power stage of the drive (controlword DISABLE VOLTAGE)."""
         self.write(Entry.CONTROLWORD, Control.DISABLE_VOLTAGE)
 
     def cause(self) -> str:
-        """Return the error code and register of a fault."""
+        """Request the error code and the error register, and return them as text."""
         code, register = self.read(Entry.ERROR_CODE), self.read(Entry.ERROR_REGISTER)
         return f"error 0x{code:04X}, register 0x{register:02X}"
 
@@ -245,7 +252,7 @@ class Cia402Drive:
             if bool(word & Bit.ACKNOWLEDGED) == acknowledged:
                 return
             if deadline.passed:
-                raise DeviceFault(f"{self.name}: does not take a new target")
+                raise DeviceFault(f"{self.name}: does not accept a new target")
             self.bus.clock.sleep(_POLL_S)
 
     def _ask(self, entry: Entry, what: str, ask: Any) -> Any:
@@ -255,4 +262,4 @@ class Cia402Drive:
         except self._sdo_error as error:
             raise DeviceFault(f"{self.name}: {what} {entry}: {error}") from error
         except (OSError, RuntimeError, library("can").CanError) as error:
-            raise DeviceFault(f"{self.name}: {what} {entry}: the bus is gone: {error}") from error
+            raise DeviceFault(f"{self.name}: {what} {entry}: the bus cannot be used: {error}") from error

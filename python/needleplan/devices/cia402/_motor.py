@@ -1,4 +1,4 @@
-"""A motor that follows a position profile with ramps, in counts."""
+"""A simulated motor that moves to a target with limited speed and acceleration; positions are in encoder counts."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from needleplan.devices.cia402.setup import AxisSetup
 
 __all__ = ["Motor"]
 
-_STEP_NS = 1_000_000
+_STEP_NS = 1_000_000  # time step of the simulation (ns)
 
 
 class Motor:
-    """Moves to a target with a trapezoidal speed, in steps of 1 ms; `counts` is the position."""
+    """Moves to a target with a trapezoidal speed profile, in time steps of 1 ms; `counts` is the present position."""
 
     def __init__(self, setup: AxisSetup, counts: float, now_ns: int) -> None:
         self.counts, self.speed = float(counts), 0.0
@@ -30,22 +30,22 @@ class Motor:
         return self.speed == 0 and (self._braking is not None or self.counts == self._target)
 
     def shown(self, backwards: bool) -> float:
-        """Return the position that the encoder shows."""
+        """Return the position (counts) that the encoder reports; if `backwards`, it counts in the wrong direction."""
         return 2 * self._start - self.counts if backwards else self.counts
 
     def begin(self, now_ns: int, target: float, fastest: float, stuck: bool = False) -> None:
-        """Begin a motion to `target` with a speed of at most `fastest` counts/s."""
+        """Begin a motion to `target` at a speed of at most `fastest` counts/s; if `stuck`, the motor does not move."""
         self.advance(now_ns)
         self._target, self._start, self._stuck, self._braking = float(target), self.counts, stuck, None
         self._fastest = fastest
 
     def halt(self, now_ns: int, quick: bool) -> None:
-        """Decelerate to rest."""
+        """Decelerate to rest, with the deceleration of a quick stop if `quick`."""
         self.advance(now_ns)
         self._braking = self._quick if quick else self._ramp
 
     def advance(self, now_ns: int) -> None:
-        """Advance to a time."""
+        """Advance the simulation to the time `now_ns`."""
         while self._now_ns + _STEP_NS <= now_ns:
             if self.arrived or self._stuck:
                 self._now_ns += (now_ns - self._now_ns) // _STEP_NS * _STEP_NS

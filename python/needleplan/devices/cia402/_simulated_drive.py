@@ -1,7 +1,6 @@
-"""Simulated CiA-402 drives on a CAN bus of python-can, which can be given faults.
+"""Simulated CiA-402 drives on a CAN bus of python-can, with selectable faults.
 
-A drive is a node of `canopen` with an object dictionary of CiA 402, a motor without physics of a needle, and a
-heartbeat watchdog.
+Each drive is a `canopen` node with the object dictionary of CiA 402, a motor without load, and a heartbeat watchdog.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ _TYPES = {"<B": 0x05, "<H": 0x06, "<I": 0x07, "<b": 0x02, "<h": 0x03, "<i": 0x04
 
 
 def object_dictionary() -> Any:
-    """Return an object dictionary of `canopen` with every entry, readable and writable."""
+    """Return a `canopen` object dictionary with all entries of `Cia402Entry`, readable and writable."""
     parts = library("canopen.objectdictionary")
     dictionary = library().ObjectDictionary()
     records: dict[int, Any] = {}
@@ -52,37 +51,41 @@ _PRE_OPERATIONAL = 128
 
 @dataclass
 class Cia402DriveFaults:
-    """Faults to simulate from now on."""
+    """Faults that the simulated drive shows from now on."""
 
     mute: bool = False
-    """Send nothing, and execute nothing."""
+    """Whether the drive sends nothing and executes no commands."""
 
     deaf: bool = False
-    """Do not answer requests (SDO)."""
+    """Whether the drive ignores SDO requests."""
 
     refuse: dict[Cia402Entry, int] = field(default_factory=dict)
-    """Abort code by entry whose writing is aborted."""
+    """Entries that cannot be written, each with the SDO abort code that the drive answers."""
 
     ignore: set[Cia402Entry] = field(default_factory=set)
-    """Entries whose writing is acknowledged without effect."""
+    """Entries for which the drive acknowledges a write request but keeps the old value."""
 
     stuck: bool = False
-    """Accept motions without moving the motor."""
+    """Whether the motor stands still although the drive accepts motions."""
 
     backwards: bool = False
-    """Count in the wrong direction."""
+    """Whether the encoder counts in the wrong direction."""
 
     limit: bool = False
+    """Whether the statusword reports an active limit."""
+
     following: bool = False
+    """Whether the statusword reports a following error."""
+
     torque_off: bool = False
-    """Whether the safe torque off is open: the drive cannot be enabled."""
+    """Whether the safe torque off (STO) is active, so that the drive cannot be enabled."""
 
 
 _ENTRIES = {(entry.index, entry.subindex): entry for entry in Cia402Entry}
 
 
 class SimulatedDrive:
-    """One simulated drive."""
+    """One simulated drive at the node number of `setup`; the caller of `tick` advances its time."""
 
     def __init__(self, bus: CanBus, setup: AxisSetup) -> None:
         self.bus, self.setup, self.clock = bus, setup, bus.clock
@@ -102,7 +105,7 @@ class SimulatedDrive:
         canopen = library()
         self._abort = library("canopen.sdo.exceptions").SdoAbortedError
         self._node = canopen.LocalNode(setup.node, object_dictionary())
-        # The library would send heartbeats by its own thread, which the simulated faults could not stop.
+        # Remove the library's own heartbeat thread, which would continue in spite of the fault `mute`.
         self._node._write_callbacks.remove(self._node.nmt.on_write)
         self._node.add_read_callback(self._read)
         self._node.add_write_callback(self._write)
@@ -118,7 +121,7 @@ class SimulatedDrive:
 
     @property
     def position(self) -> float:
-        """Position of the axis."""
+        """Present position of the axis, mm or rad."""
         with self._lock:
             self.motor.advance(self.clock.now_ns())
             return self.setup.position(round(self.motor.counts))
@@ -131,29 +134,29 @@ class SimulatedDrive:
             return self.motor.speed == 0
 
     def trip(self, code: int, register: int = 0x81) -> None:
-        """Change to FAULT and send an emergency message."""
+        """Stop the motor, change to FAULT and send an emergency message with `code` and `register`."""
         with self._lock:
             self.motor.halt(self.clock.now_ns(), quick=True)
             self.state, self._error = Cia402State.FAULT, (code, register)
         self._send(Service.EMERGENCY, _EMERGENCY.pack(code, register, bytes(5)))
 
     def press_stop(self) -> None:
-        """Open the safe torque off, as an emergency stop does: no torque, and no fault."""
+        """Activate the safe torque off, as an emergency stop does: the motor stops and the drive reports no fault."""
         with self._lock:
             self.faults.torque_off = True
             self._unpowered()
 
     def release_stop(self) -> None:
-        """Close the safe torque off."""
+        """Deactivate the safe torque off; the drive stays disabled."""
         self.faults.torque_off = False
 
     def jump(self, distance: float) -> None:
-        """Let the encoder jump by `distance`, mm or rad."""
+        """Change the measured position at once by `distance`, mm or rad."""
         with self._lock:
             self.motor.counts += distance * self.setup.counts_per_unit
 
     def restart(self) -> None:
-        """Restart, as after a power dip."""
+        """Restart the drive, as after a power dip: it is disabled and sends a boot-up message."""
         with self._lock:
             self._unpowered()
             self._heartbeat_ns = None
@@ -161,7 +164,7 @@ class SimulatedDrive:
         self._send(Service.HEARTBEAT, b"\0")
 
     def tick(self) -> None:
-        """Advance the watchdog and the motor, and send a heartbeat if it is due."""
+        """Advance the motor, react to a missing heartbeat of the controller, and send a heartbeat if it is due."""
         now_ns = self.clock.now_ns()
         with self._lock:
             self.motor.advance(now_ns)
@@ -181,7 +184,7 @@ class SimulatedDrive:
             self._send(Service.HEARTBEAT, bytes([self._node.nmt._state]))
 
     def _abandoned(self, late_s: float) -> None:
-        """React to a missing heartbeat as 0x6007 says."""
+        """React to a heartbeat that is missing for `late_s`, as entry 0x6007 (abort connection option) prescribes."""
         option = self._values[Cia402Entry.ABORT_CONNECTION]
         if self.state is not Cia402State.ENABLED or option == AbortOption.NOTHING:
             return
@@ -285,7 +288,7 @@ class SimulatedDrive:
             self.bus.network.subscribe(Service.HEARTBEAT + master, self._take_heartbeat)
 
     def _command(self, word: int) -> None:
-        """Change the state by a controlword; the rising edge of its bit 4 begins a motion."""
+        """Execute a controlword: change the state, and begin a motion at the rising edge of bit 4."""
         state, off = self.state, self.faults.torque_off
         if word & Control.RESET_FAULT:
             if state is Cia402State.FAULT:
@@ -320,11 +323,11 @@ class SimulatedDrive:
         self.motor.begin(self.clock.now_ns(), target, fastest, stuck=self.faults.stuck)
 
 
-_TICK_S = 0.002
+_TICK_S = 0.002  # interval (s) between two ticks of the simulated drives
 
 
 class SimulatedDrives(Closing):
-    """Two drives on a bus, by default a virtual bus of this process."""
+    """Two simulated drives on a CAN bus, by default a virtual bus within this process; they run in their own thread."""
 
     def __init__(
         self, setup: DrivesSetup, channel: str, interface: str = "virtual", clock: Clock | None = None
@@ -339,7 +342,7 @@ class SimulatedDrives(Closing):
 
     @property
     def address(self) -> str:
-        """The address of the bus; a client appends the file with its setup."""
+        """Address of the bus; a client appends the option `setup` with the path of its setup file."""
         return f"canopen://{self.channel}?interface={self.interface}"
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
-"""Two CiA-402 drives on a CAN bus as a stage: one inserts the needle, one rotates it.
+"""Stage with two CiA-402 drives on a CAN bus: one inserts the needle, the other rotates it.
 
-Motions use the profile position mode: a drive moves to its target and stops there by itself, even if the controller is
-gone. In a cyclic velocity mode it would move on until its heartbeat watchdog expires.
+Motions use the profile position mode, in which a drive stops by itself at its target even if the controller fails. In a
+cyclic velocity mode the drive would move on until its heartbeat watchdog expires.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake
 
 __all__ = ["CanopenStage"]
 
-_OPERATIONAL = 5
+_OPERATIONAL = 5  # NMT state OPERATIONAL in a heartbeat message
 _NANO = 1_000_000_000
 
 
 class CanopenStage(Stage):
-    """The two drives on `bus`; `node` is the node number of this controller.
+    """Stage that commands two drives on `bus`; `node` is the node number of this controller.
 
-    `heartbeat` sends heartbeats; commands also send one before each request to a drive, because a command may take
-    longer than the watchdog of the other drive. Reading sends none: a thread that still reads must not conceal that the
-    control loop has failed.
+    `heartbeat` sends a heartbeat. A command also sends heartbeats before its requests, because it may last longer than
+    the watchdog time of the other drive. `read` sends no heartbeat, so that the drives also stop if the control loop
+    fails while another thread continues to read.
     """
 
     def __init__(self, bus: CanBus, setup: DrivesSetup, *, node: int = 127, timing: DriveTiming | None = None) -> None:
@@ -59,10 +59,11 @@ class CanopenStage(Stage):
     def open(cls, address: str, *, timing: DriveTiming | None = None, clock: Clock | None = None) -> CanopenStage:
         """Open `canopen://can0?setup=drives.toml` and enable both drives.
 
-        Options: `interface` (socketcan, or any of python-can), `bitrate`, `node` (node number of this controller, 127),
-        `watchdog_s` (0.04).
+        Further options: `interface` (default `socketcan`; any interface of python-can), `bitrate`, `node` (node number
+        of this controller, default 127), `watchdog_s` (default 0.04).
 
-        Raises AddressError, ConfigurationError for a wrong setup or without the extra `canopen`, DeviceFault.
+        Raises AddressError if the address is wrong, ConfigurationError if the setup is wrong or `canopen` is not
+        installed, and DeviceFault if the bus or a drive cannot be used.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "canopen" or not parsed.host or parsed.port is not None or parsed.path not in ("", "/"):
@@ -89,9 +90,9 @@ class CanopenStage(Stage):
         return cls(bus, setup, node=node, timing=asked)
 
     def start(self) -> None:
-        """Configure both drives, reset faults if their causes are gone, and enable; nothing moves.
+        """Configure both drives, reset faults if their causes are gone, and enable the drives; nothing moves.
 
-        Only a person may restart after a fault, so no code of this package calls it then. Raises DeviceFault.
+        The constructor calls it. After a fault only a person may decide to call it again. Raises DeviceFault.
         """
         with self._lock:
             self._fault, self._running = None, False
@@ -105,7 +106,7 @@ class CanopenStage(Stage):
                     self._enable(which)
             except DeviceFault as fault:
                 raise self._give_up(fault) from None
-            # Frames received before the start describe the time before it.
+            # Frames received so far describe the drives before they were enabled.
             while self._next_frame(0) is not None:
                 pass
             self._rounds.begin_anew()
@@ -116,22 +117,22 @@ class CanopenStage(Stage):
         self._move(0, depth_mm, velocity_mm_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin a rotation of the base to a roll. Raises DeviceFault."""
+        """Begin a rotation of the needle base to a roll angle. Raises DeviceFault."""
         self._move(1, roll_rad, velocity_rad_s)
 
     def stop(self) -> None:
-        """Stop both axes by quick stop; the next motion enables its axis again.
+        """Stop both axes by a quick stop; the next motion command of an axis enables its drive again.
 
-        Raises DeviceFault if a drive does not acknowledge it; the watchdog of the drive then stops it.
+        Raises DeviceFault if a drive does not acknowledge the stop; its watchdog then stops it.
         """
         if self._closed:
             raise LinkClosed("the stage is closed")
         try:
-            # A thread that reads must know of the stop before the drives report its effects.
+            # Marked before the drives report the effects of the stop, so that a reading thread expects them.
             for axis in self._axes:
                 axis.stop()
             for drive in self._drives:
-                drive.quick_stop()  # both are sent before this or another thread waits for an answer
+                drive.quick_stop()  # both drives get the command before any thread waits for an answer
             with self._lock:
                 for axis in self._axes:
                     axis.stop()
@@ -142,7 +143,7 @@ class CanopenStage(Stage):
             raise self._give_up(faults[0])
 
     def heartbeat(self) -> None:
-        """Send a heartbeat if `timing.heartbeat_s` has passed since the last. Raises DeviceFault if the bus is gone."""
+        """Send a heartbeat if `timing.heartbeat_s` has passed since the last one. Raises DeviceFault if that fails."""
         if self._closed:
             raise LinkClosed("the stage is closed")
         try:
@@ -151,7 +152,10 @@ class CanopenStage(Stage):
             raise self._give_up(fault) from None
 
     def read(self, timeout_s: float) -> StageSample | None:
-        """Return the next sample, or None after `timeout_s`. Raises DeviceFault, then at every call until `start`."""
+        """Return the next sample, or None after `timeout_s`.
+
+        Raises DeviceFault if a drive reports a fault or is silent, and then at every call until `start`.
+        """
         self._require_no_fault()
         deadline = Deadline(self._clock, timeout_s)
         waited = False
@@ -169,7 +173,7 @@ class CanopenStage(Stage):
                     self._guarded(frame)
 
     def close(self) -> None:
-        """Stop, disable the voltage, and disconnect from the bus."""
+        """Stop both axes, switch off the power stages, and disconnect from the bus."""
         if self._closed:
             return
         with contextlib.suppress(DeviceFault):
@@ -185,10 +189,10 @@ class CanopenStage(Stage):
         drive, axis = self._drives[which], self._axes[which]
         limits = axis.setup.limits
         if not (limits.least <= target <= limits.most and 0 < velocity <= limits.fastest):
-            allowed = f"{limits.least:g} to {limits.most:g} at up to {limits.fastest:g}"
-            raise DeviceFault(f"{axis.name}: {target:g} at a speed of {velocity:g} is not a motion: {allowed}")
+            allowed = f"targets from {limits.least:g} to {limits.most:g}, speeds up to {limits.fastest:g}"
+            raise DeviceFault(f"{axis.name}: {target:g} at a speed of {velocity:g} is not permitted; only {allowed}")
         if axis.setup.speed(velocity) < 1:
-            raise DeviceFault(f"{axis.name}: a speed of {velocity:g} is less than the drive can count")
+            raise DeviceFault(f"{axis.name}: a speed of {velocity:g} is below the smallest speed of the drive")
         with self._lock:
             self._drain()
             try:
@@ -199,7 +203,7 @@ class CanopenStage(Stage):
                 position = axis.setup.position(drive.read(Cia402Entry.POSITION))
             except DeviceFault as fault:
                 raise self._give_up(fault) from None
-            # Answers to earlier requests must not be taken as positions after the begin of the motion.
+            # Answers to earlier requests hold positions from before the motion; they must not be used.
             self._rounds.forget()
             self._drain()
             axis.begin(target, velocity, position, self._clock.now_ns())
@@ -210,7 +214,7 @@ class CanopenStage(Stage):
         axis.enabled(axis.setup.position(drive.read(Cia402Entry.POSITION)))
 
     def _step(self) -> StageSample | None:
-        """Return the sample if all drives have answered; otherwise request the positions when the next SYNC is due."""
+        """Return the sample if both drives have answered. Else send the next SYNC if it is due, and return None."""
         self._drain()
         if (sample := self._rounds.sample()) is not None:
             return sample
@@ -239,7 +243,7 @@ class CanopenStage(Stage):
             self._guarded(frame)
 
     def _guarded(self, frame: Frame) -> None:
-        """Take a frame. Raises DeviceFault for a frame that reports a fault."""
+        """Store the content of a frame. Raises DeviceFault if the frame reports a fault."""
         which = next(at for at, axis in enumerate(self._axes) if axis.setup.node == frame.node)
         wrong = self._take(self._axes[which], frame)
         if not wrong or self._fault is not None:
@@ -255,7 +259,9 @@ class CanopenStage(Stage):
             return "" if emergency is not None and emergency.code >> 8 == 0 else str(emergency or "emergency")
         if frame.service is Service.HEARTBEAT:
             state = frame.data[0] & 0x7F if frame.data else -1
-            return "" if state == _OPERATIONAL or not self._running else f"is not operational: NMT state {state}"
+            return (
+                "" if state == _OPERATIONAL or not self._running else f"is in NMT state {state} instead of OPERATIONAL"
+            )
         earliest_ns = self._rounds.earliest_ns
         if self._rounds.asked_ns is None or earliest_ns is None:
             return ""
@@ -270,7 +276,7 @@ class CanopenStage(Stage):
             raise self._fault
 
     def _give_up(self, fault: DeviceFault) -> DeviceFault:
-        """Stop both axes, latch the fault until `start`, and return the first fault."""
+        """Stop both axes, latch `fault` until `start` unless one is latched already, and return the latched fault."""
         if self._fault is None:
             self._fault = fault
         self._running = False

@@ -1,4 +1,4 @@
-"""The entries of CiA 301 and CiA 402 in use, the words of a drive, and emergency messages."""
+"""Entries of the object dictionary (CiA 301, CiA 402), controlword and statusword, and emergency messages."""
 
 from __future__ import annotations
 
@@ -61,22 +61,22 @@ class Cia402Entry(Enum):
 
     @property
     def index(self) -> int:
-        """The index, such as 0x6041."""
+        """Index of the entry, such as 0x6041."""
         return self.value[0]
 
     @property
     def subindex(self) -> int:
-        """The subindex."""
+        """Subindex of the entry."""
         return self.value[1]
 
     @property
     def packing(self) -> struct.Struct:
-        """The encoding of its value."""
+        """Encoding of the value as bytes."""
         return struct.Struct(self.value[2])
 
     @property
     def mapping(self) -> int:
-        """The entry as encoded in the mapping of a PDO."""
+        """The entry as encoded in a PDO mapping: index, subindex, and length in bits."""
         return self.index << 16 | self.subindex << 8 | 8 * self.packing.size
 
     def __str__(self) -> str:
@@ -84,7 +84,7 @@ class Cia402Entry(Enum):
 
 
 class Control(IntEnum):
-    """Values of the controlword."""
+    """Commands: values of the controlword."""
 
     DISABLE_VOLTAGE = 0x00
     QUICK_STOP = 0x02
@@ -92,13 +92,13 @@ class Control(IntEnum):
     SWITCH_ON = 0x07
     ENABLE = 0x0F
     NEW_TARGET_NOW = 0x3F
-    """Enabled, with a new set-point that replaces the last one at once."""
+    """ENABLE, with a new target that replaces the present one at once."""
 
     RESET_FAULT = 0x80
 
 
 class Bit(IntFlag):
-    """Bits of the statusword in profile position mode, apart from those of the state."""
+    """Bits of the statusword in profile position mode, without the bits that encode the state."""
 
     TARGET_REACHED = 1 << 10
     LIMIT = 1 << 11
@@ -107,7 +107,7 @@ class Bit(IntFlag):
 
 
 class AbortOption(IntEnum):
-    """Reaction of a drive to the loss of its controller (0x6007)."""
+    """Values of entry 0x6007: reaction of a drive if the heartbeat of its controller is missing."""
 
     NOTHING = 0
     FAULT = 1
@@ -116,7 +116,7 @@ class AbortOption(IntEnum):
 
 
 class Cia402State(StrEnum):
-    """The states of CiA 402, named as there."""
+    """States of a drive, with their names in CiA 402."""
 
     NOT_READY = "NOT READY TO SWITCH ON"
     SWITCH_ON_DISABLED = "SWITCH ON DISABLED"
@@ -136,12 +136,12 @@ _STATES = (
 
 
 def state_of(statusword: int) -> Cia402State | None:
-    """Return the state in a statusword, or None if it is not a state of CiA 402."""
+    """Return the state that a statusword encodes, or None if its bits are not a state of CiA 402."""
     return next((state for mask, bits, state in _STATES if statusword & mask == bits), None)
 
 
 class Service(IntEnum):
-    """Kind of a frame: its identifier minus the number of the node."""
+    """Kind of a CAN frame; its identifier is this value plus the node number."""
 
     EMERGENCY = 0x080
     STATUS = 0x180
@@ -152,7 +152,7 @@ class Service(IntEnum):
 
 @dataclass(frozen=True)
 class Emergency:
-    """An emergency message; code 0 withdraws earlier ones."""
+    """An emergency message of a drive; code 0 reports that earlier errors are gone."""
 
     code: int
     register: int
@@ -165,10 +165,10 @@ class Emergency:
 
 _KINDS = (
     (0x1, "generic"), (0x2, "current"), (0x3, "voltage"), (0x4, "temperature"), (0x5, "hardware"), (0x6, "software"),
-    (0x7, "additional modules"), (0x8, "monitoring"), (0x9, "external"), (0xF, "of the maker"),
+    (0x7, "additional modules"), (0x8, "monitoring"), (0x9, "external"), (0xF, "manufacturer-specific"),
 )  # fmt: skip
 
 
 def decode_emergency(data: bytes) -> Emergency | None:
-    """Return an emergency message, or None for a wrong length."""
+    """Return the emergency message in `data`, or None if `data` has a wrong length."""
     return Emergency(*_EMERGENCY.unpack(data)) if len(data) == _EMERGENCY.size else None

@@ -1,4 +1,4 @@
-"""Setup of two drives, a TOML file: encoder, gear and lead of each axis, and the limits of its motion.
+"""Setup of two drives, read from a TOML file: encoder, gear, lead and motion limits of each axis.
 
 ```toml
 schema = "needleplan.drives/1"
@@ -40,20 +40,20 @@ _MM, _RAD = Number("mm", at_least=-1e4, at_most=1e4), Number("rad", at_least=-1e
 
 
 class VelocityUnit(StrEnum):
-    """The unit in which a drive counts velocities; accelerations are per second of it."""
+    """Unit of velocities in the object dictionary of a drive; accelerations are in this unit per second."""
 
     RPM = "rpm"
-    """Turns of the motor per minute, the factory setting of EPOS4."""
+    """Turns of the motor per minute; the factory setting of EPOS4."""
 
     COUNTS = "counts/s"
 
 
 @dataclass(frozen=True)
 class AxisLimits:
-    """Limits of an axis, in mm or rad and seconds."""
+    """Travel per turn and motion limits of an axis; lengths are in mm (insertion) or rad (roll), times in s."""
 
     turn: float
-    """Travel per turn of the axis."""
+    """Travel per turn of the output shaft of the gear, mm or rad."""
 
     least: float
     most: float
@@ -63,76 +63,78 @@ class AxisLimits:
     """Deceleration of a quick stop."""
 
     margin: float
-    """Largest displacement that is not yet a motion, a jump, or a motion in the wrong direction."""
+    """Displacement up to which measurement noise is assumed: no motion, no jump, no wrong direction is detected."""
 
 
 @dataclass(frozen=True)
 class AxisSetup(ConfigTable, ABC, error=ConfigurationError):
-    """One axis; abstract. Lengths are in mm or rad, times in s."""
+    """Abstract setup of one axis. Lengths are in mm (insertion) or rad (roll), times in s."""
 
     node: int = ruled(Integer(1, 126))
     counts_per_turn: int = ruled(Integer(1, 1 << 24))
-    """Counts per turn of the motor, with all four edges."""
+    """Encoder counts per turn of the motor, with all four edges of the encoder signals counted."""
 
     gear: float = ruled(Number(above=0, at_most=1e5), 1.0)
-    """Turns of the motor per turn of the axis."""
+    """Gear ratio: turns of the motor per turn of the output shaft."""
 
     direction: int = ruled(Sign(), 1)
-    """1, or -1 if the counts grow as the axis moves back."""
+    """1 if the counts increase with the position of the axis, else -1."""
 
     zero_counts: int = ruled(_COUNTS, 0)
-    """Count of the encoder at position 0 of the axis."""
+    """Encoder count at position 0 of the axis."""
 
     velocity_unit: VelocityUnit = ruled(Choice(VelocityUnit), VelocityUnit.RPM)
 
     @property
     def name(self) -> str:
-        """`insertion` or `roll`."""
+        """Name of the axis: `insertion` or `roll`."""
         return self.key
 
     @property
     @abstractmethod
     def limits(self) -> AxisLimits:
-        """Limits of the axis."""
+        """Travel per turn and motion limits of the axis."""
 
     @property
     def counts_per_unit(self) -> float:
-        """Counts per mm or rad, negative for direction -1."""
+        """Encoder counts per mm or rad; negative if `direction` is -1."""
         return self.direction * self.counts_per_turn * self.gear / self.limits.turn
 
     def counts(self, position: float) -> int:
-        """Return the count nearest to a position."""
+        """Return the encoder count nearest to a position (mm or rad)."""
         return self.zero_counts + round(position * self.counts_per_unit)
 
     def position(self, counts: int) -> float:
-        """Return the position of a count."""
+        """Return the position (mm or rad) at an encoder count."""
         return (counts - self.zero_counts) / self.counts_per_unit
 
     def speed(self, velocity: float) -> int:
-        """Return the magnitude of a velocity or an acceleration in the unit of the drive."""
+        """Convert a velocity or an acceleration of the axis to the unit of the drive; return the rounded magnitude."""
         counts = abs(velocity * self.counts_per_unit)
         return round(counts * 60 / self.counts_per_turn if self.velocity_unit is VelocityUnit.RPM else counts)
 
     def velocity(self, speed: int) -> float:
-        """Return the signed velocity of a value in the unit of the drive."""
+        """Convert a signed velocity in the unit of the drive to the velocity of the axis (mm/s or rad/s)."""
         counts = speed * self.counts_per_turn / 60 if self.velocity_unit is VelocityUnit.RPM else speed
         return counts / self.counts_per_unit
 
     def contradictions(self) -> Iterator[Mistake]:
-        """Yield a mistake if the drive cannot count the range or the velocities of the axis."""
+        """Yield a mistake if the limits are inconsistent, or if the drive cannot represent positions or velocities."""
         limits = self.limits
         if limits.least >= limits.most:
-            yield Mistake("least", f"{limits.least:g}", f"must be less than the most, {limits.most:g}")
+            yield Mistake("least", f"{limits.least:g}", f"must be less than the largest position, {limits.most:g}")
         elif max(abs(self.counts(limits.least)), abs(self.counts(limits.most))) > _MOST_COUNTS:
-            yield Mistake("counts_per_turn", str(self.counts_per_turn), "must leave the range within 32 bits of counts")
+            yield Mistake(
+                "counts_per_turn", str(self.counts_per_turn), "must be smaller: the positions exceed 32 bits of counts"
+            )
         elif self.speed(limits.fastest) < 1:
-            rule = "must be a velocity that the drive can count: take velocity_unit = counts/s"
+            rule = "is below the smallest velocity of the drive: set velocity_unit to counts/s"
             yield Mistake("fastest", f"{limits.fastest:g}", rule)
 
 
 @dataclass(frozen=True)
 class InsertionSetup(AxisSetup, key="insertion"):
-    """The axis along the needle; the table `[insertion]`."""
+    """Setup of the insertion axis: the table `[insertion]`."""
 
     lead_mm: float = ruled(Number("mm", above=0, at_most=1000), 1.0)
     """Travel per turn of the spindle (mm)."""
@@ -146,7 +148,7 @@ class InsertionSetup(AxisSetup, key="insertion"):
 
     @property
     def limits(self) -> AxisLimits:
-        """Limits in mm."""
+        """Travel per turn (mm) and limits of position (mm), velocity (mm/s) and acceleration (mm/s^2)."""
         return AxisLimits(
             self.lead_mm, self.least_mm, self.most_mm, self.fastest_mm_s, self.acceleration_mm_s2, self.stop_mm_s2,
             self.margin_mm,
@@ -155,7 +157,7 @@ class InsertionSetup(AxisSetup, key="insertion"):
 
 @dataclass(frozen=True)
 class RollSetup(AxisSetup, key="roll"):
-    """The axis about the needle; the table `[roll]`."""
+    """Setup of the roll axis, which rotates the needle: the table `[roll]`."""
 
     least_rad: float = ruled(_RAD, -200.0)
     most_rad: float = ruled(_RAD, 200.0)
@@ -166,7 +168,7 @@ class RollSetup(AxisSetup, key="roll"):
 
     @property
     def limits(self) -> AxisLimits:
-        """Limits in rad."""
+        """Travel per turn (rad) and limits of position (rad), velocity (rad/s) and acceleration (rad/s^2)."""
         return AxisLimits(
             math.tau, self.least_rad, self.most_rad, self.fastest_rad_s, self.acceleration_rad_s2, self.stop_rad_s2,
             self.margin_rad,
@@ -175,22 +177,22 @@ class RollSetup(AxisSetup, key="roll"):
 
 def _two_nodes(insertion: InsertionSetup, roll: RollSetup) -> Iterator[Mistake]:
     if insertion.node == roll.node:
-        yield Mistake("roll.node", str(roll.node), "must be another than insertion.node")
+        yield Mistake("roll.node", str(roll.node), "must differ from insertion.node")
 
 
 @dataclass(frozen=True)
 class DrivesSetup(ConfigTable, error=ConfigurationError, schema="needleplan.drives/1", between=(_two_nodes,)):
-    """Both axes. Raises ConfigurationError if they are one node."""
+    """Setup of both axes. Raises ConfigurationError if both axes have the same node number."""
 
     insertion: InsertionSetup = ruled(Subtable(InsertionSetup))
     roll: RollSetup = ruled(Subtable(RollSetup))
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
-        """Return the setup of a file. Raises ConfigurationError with every mistake."""
+        """Read a setup file and return its setup. Raises ConfigurationError with all mistakes."""
         return read_toml(path, cls)
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> Self:
-        """Return the setup of the text of a file. Raises ConfigurationError with every mistake."""
+        """Return the setup in the TOML text `text`. Raises ConfigurationError with all mistakes."""
         return parse_toml(text, cls, source)

@@ -1,4 +1,4 @@
-"""OpenIGTLink: trackers through PLUS, a server for 3D Slicer, and a simulated PLUS server."""
+"""OpenIGTLink: a tracker behind a PLUS server, a server for 3D Slicer, and a simulated PLUS server."""
 
 from needleplan.devices.igtl._server import MessageServer, Shown, SlicerServer
 from needleplan.devices.igtl._simulator import PlusDevice, PlusFaults, PlusLink, PlusServer, TrackedTool

@@ -1,8 +1,8 @@
-"""A server of OpenIGTLink messages, and the view of an insertion that 3D Slicer receives from it.
+"""An OpenIGTLink server, and a server that shows an insertion in 3D Slicer.
 
-The server runs in its own thread and serves any number of clients. Publishing never waits: the server keeps only the
-newest message of each kind and device, and a slow client receives the newest one when it is ready. A client that reads
-nothing for a while is disconnected.
+The server runs in its own thread and serves any number of clients. `publish` never waits: the server keeps only the
+newest message of each kind and device, and sends this message to a slow client when the client is ready. A client that
+accepts no data for `stalled_s` is disconnected.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ from needleplan.errors import AddressError, DeviceFault, InputError, Mistake
 
 __all__ = ["MessageServer", "Shown", "SlicerServer"]
 
-_LONGEST_READ = 65_536
-_LONGEST_QUERY = 4096
-_KERNEL_BYTES = 1 << 16
-_MOST_REPLIES = 64
+_LONGEST_READ = 65_536  # bytes read from a client at once, at most
+_LONGEST_QUERY = 4096  # largest accepted body of a query, in bytes
+_KERNEL_BYTES = 1 << 16  # size of the send buffer that is requested from the operating system for each client
+_MOST_REPLIES = 64  # number of unsent replies kept for a client; older ones are dropped
 
 _Key = tuple[str, str]
 
 
 class _Client:
-    """One client: its waiting messages, newest only, and the message in transmission."""
+    """One client: the newest unsent message of each kind and device, unsent replies, and the message being sent."""
 
     def __init__(self, connection: socket.socket, now_s: float) -> None:
         self.connection = connection
@@ -59,7 +59,10 @@ class _Client:
         self.moved_s = now_s
 
     def send(self, now_s: float) -> bool:
-        """Send as much as the client accepts; return whether there is more. Raises OSError if the client is gone."""
+        """Send as much as the client accepts without waiting; return whether unsent data remain.
+
+        Raises OSError if the client has disconnected.
+        """
         while self.sending or self._take():
             try:
                 sent = self.connection.send(self.sending)
@@ -79,10 +82,10 @@ class _Client:
 
 
 class MessageServer(Closing):
-    """Serves at `host` and `port`; port 0 chooses a free one.
+    """OpenIGTLink server at `host` and `port`; port 0 selects a free port.
 
-    Messages are sent at most every `interval_s`. A client that accepts nothing for `stalled_s` is disconnected. Raises
-    DeviceFault if the port cannot be opened.
+    New messages are sent at most every `interval_s`. A client that accepts no data for `stalled_s` is disconnected.
+    Raises DeviceFault if the port cannot be opened.
     """
 
     def __init__(
@@ -95,7 +98,7 @@ class MessageServer(Closing):
         self.host, self.port = self._listener.getsockname()[:2]
         self.interval_s, self.stalled_s = interval_s, stalled_s
         self.dropped = 0
-        """Number of clients disconnected because they accepted nothing."""
+        """Number of clients that were disconnected because they accepted no data."""
 
         self._lock = threading.Lock()
         self._fresh: dict[_Key, IgtlMessage] = {}
@@ -109,7 +112,7 @@ class MessageServer(Closing):
 
     @property
     def address(self) -> str:
-        """`igtl://host:port`."""
+        """Address of the server, `igtl://host:port`."""
         return f"igtl://{self.host}:{self.port}"
 
     @property
@@ -118,9 +121,10 @@ class MessageServer(Closing):
         return len(self._clients)
 
     def publish(self, kind: str, device: str, content: bytes, time_s: float | None = None) -> None:
-        """Send a message to all clients, in place of the last one of its kind and device; returns at once.
+        """Queue a message for all clients, in place of the previous message of the same kind and device.
 
-        `time_s` is in seconds since 1970, by default now. Raises InputError for a name that is too long.
+        `time_s` is in seconds since 1970 and defaults to the present time. The method does not wait. Raises InputError
+        if `kind` or `device` is too long, DeviceFault after `close`.
         """
         padded(kind, 12, "message type"), padded(device, 20, "device name")
         message = IgtlMessage(kind, device, content, stamp_of(time.time() if time_s is None else time_s))
@@ -168,7 +172,7 @@ class MessageServer(Closing):
         self._selector.close()
 
     def _hand_out(self) -> None:
-        """Encode each new message once, and replace the waiting one of each client by it."""
+        """Encode each new message once; for each client, replace the unsent message of the same kind and device."""
         with self._lock:
             fresh, self._fresh, self._awake = self._fresh, {}, False
         for key, message in fresh.items():
@@ -181,7 +185,7 @@ class MessageServer(Closing):
             connection, _ = self._listener.accept()
             connection.setblocking(False)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            # A small kernel buffer: messages buffered for a slow client would be outdated on arrival.
+            # The kernel buffer is small, because messages that wait in it for a slow client would arrive outdated.
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BYTES)
             client = _Client(connection, time.monotonic())
             client.waiting.update(self._newest)
@@ -204,14 +208,17 @@ class MessageServer(Closing):
         del client.replies[:-_MOST_REPLIES]
 
     def _answer(self, query: IgtlMessage) -> list[bytes]:
-        """Return the replies to GET_, STT_ and STP_; STT_ and STP_ have no effect, since all messages are sent."""
+        """Return the encoded replies to a GET_, STT_ or STP_ query; [] for other messages.
+
+        STT_ and STP_ (start and stop) have no further effect, because every client receives all messages anyway.
+        """
         prefix, _, short = query.kind.partition("_")
         if prefix == "GET":
             found = [
                 data for (kind, device), data in self._newest.items()
                 if kind[:8] == short[:8] and query.device in ("", device)
             ]  # fmt: skip
-            whole = "TRANSFORM" if short == "TRANSFOR" else short  # the prefix leaves no room for its last letter
+            whole = "TRANSFORM" if short == "TRANSFOR" else short  # GET_TRANSFORM exceeds 12 bytes and lacks its M
             return found or [encode_message(IgtlMessage(whole, query.device))]
         if prefix in ("STT", "STP"):
             offered = prefix == "STT" and any(kind[:8] == short[:8] for kind, _ in self._newest)
@@ -239,13 +246,13 @@ class MessageServer(Closing):
             client.connection.close()
 
 
-_Place = tuple[float, float, float]
-_TARGET_COLOUR = (255, 64, 64, 255)
-_LARGEST = 1e6
+_Vector = tuple[float, float, float]
+_TARGET_COLOUR = (255, 64, 64, 255)  # red, green, blue, opacity
+_LARGEST = 1e6  # largest magnitude of a shown number, in its unit; larger numbers are refused
 
 
 class Shown(StrEnum):
-    """Names of the nodes in Slicer."""
+    """Names of the nodes that Slicer creates for the messages."""
 
     TIP = "NeedleTip"
     TARGET = "Target"
@@ -258,18 +265,18 @@ class Shown(StrEnum):
 
 
 class SlicerServer(MessageServer):
-    """A server to which Slicer connects as a client (OpenIGTLinkIF), by default at port 18944.
+    """A server to which Slicer connects as a client (module OpenIGTLinkIF), by default at port 18944.
 
-    All positions are in mm in one frame, which Slicer takes as RAS; for another frame, put a transform above the nodes
-    in Slicer. All methods return at once, with or without a client. They raise InputError for values that are not
-    finite numbers, and DeviceFault after `close`.
+    All positions are in mm and in the same frame, which Slicer interprets as RAS; for another frame, apply a transform
+    to the nodes in Slicer. All methods return at once, with or without a client. They raise InputError for numbers that
+    are not finite or exceed a million, and DeviceFault after `close`.
     """
 
     @classmethod
     def open(cls, address: str = "igtl://127.0.0.1") -> SlicerServer:
-        """Serve at `igtl://host[:18944]`: 127.0.0.1 for Slicer on this machine, 0.0.0.0 for any machine.
+        """Serve at `igtl://host[:18944]`; host 127.0.0.1 accepts Slicer on this machine only, 0.0.0.0 on any machine.
 
-        Raises AddressError, DeviceFault if the port is in use.
+        Raises AddressError if the address is wrong, DeviceFault if the port is in use.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "igtl":
@@ -277,28 +284,28 @@ class SlicerServer(MessageServer):
         parsed.only(())
         return cls(*parsed.network(IGTL_PORT))
 
-    def show_tip(self, position_mm: _Place, quaternion: Sequence[float], time_s: float | None = None) -> None:
-        """Show the pose of the tip; `quaternion` is (w, x, y, z), `time_s` in seconds since 1970, by default now."""
+    def show_tip(self, position_mm: _Vector, quaternion: Sequence[float], time_s: float | None = None) -> None:
+        """Show the pose of the needle tip at `time_s` (s since 1970, default now); `quaternion` is (w, x, y, z)."""
         w, x, y, z = quaternion
         _require_numbers("tip", (*position_mm, w, x, y, z))
         self.publish("TRANSFORM", Shown.TIP, encode_transform(IgtlPose(position_mm, (w, x, y, z))), time_s)
 
-    def show_target(self, position_mm: _Place, diameter_mm: float = 0.0) -> None:
-        """Show the target."""
+    def show_target(self, position_mm: _Vector, diameter_mm: float = 0.0) -> None:
+        """Show the target as a point with a diameter."""
         _require_numbers("target", (*position_mm, diameter_mm))
         point = Point(Shown.TARGET, position_mm, "Target", _TARGET_COLOUR, diameter_mm)
         self.publish("POINT", Shown.TARGET, encode_points([point]))
 
-    def show_plan(self, points_mm: Sequence[_Place]) -> None:
+    def show_plan(self, points_mm: Sequence[_Vector]) -> None:
         """Show the planned path as a line; fewer than two points remove it."""
         self._line(Shown.PLANNED, points_mm)
 
-    def show_path(self, points_mm: Sequence[_Place]) -> None:
+    def show_path(self, points_mm: Sequence[_Vector]) -> None:
         """Show the executed path as a line; fewer than two points remove it."""
         self._line(Shown.EXECUTED, points_mm)
 
-    def show_force(self, force_n: _Place, torque_n_mm: _Place | None = None) -> None:
-        """Show the wrench at the base of the needle."""
+    def show_force(self, force_n: _Vector, torque_n_mm: _Vector | None = None) -> None:
+        """Show the force, and the torque if given, at the base of the needle."""
         _require_numbers("force", force_n)
         self.publish("SENSOR", Shown.FORCE, encode_sensor(Sensor(force_n, Unit.NEWTON)))
         if torque_n_mm is not None:
@@ -306,18 +313,18 @@ class SlicerServer(MessageServer):
             self.publish("SENSOR", Shown.TORQUE, encode_sensor(Sensor(torque_n_mm, Unit.NEWTON_MILLIMETRE)))
 
     def show_state(self, state: str, code: StatusCode = StatusCode.OK, cause: str = "") -> None:
-        """Show the state of the robot (such as `ENABLED`, at most 20 bytes) and its cause."""
+        """Show the state of the robot (such as `ENABLED`, at most 20 bytes) and the cause of this state."""
         self.publish("STATUS", Shown.STATE, encode_status(IgtlStatus(code, state, cause)))
 
     def show_note(self, text: str) -> None:
         """Show a line of text."""
         self.publish("STRING", Shown.NOTE, encode_string(text))
 
-    def _line(self, name: Shown, points_mm: Sequence[_Place]) -> None:
+    def _line(self, name: Shown, points_mm: Sequence[_Vector]) -> None:
         _require_numbers(name, [number for point in points_mm for number in point])
         self.publish("POLYDATA", name, encode_polyline(points_mm))
 
 
 def _require_numbers(what: str, numbers: Sequence[float]) -> None:
     if not all(map(math.isfinite, numbers)) or max(map(abs, numbers), default=0.0) > _LARGEST:
-        raise InputError(Mistake(what, str(numbers), "must be numbers of at most a million"))
+        raise InputError(Mistake(what, str(numbers), "must be finite numbers between minus and plus one million"))

@@ -1,6 +1,7 @@
-"""A simulated PLUS server, which sends the bytes of the real one and can be given faults.
+"""A simulated PLUS server with selectable faults; it sends the same bytes as a real PLUS server.
 
-`PlusDevice` makes the bytes. `PlusLink` connects it within a process on a virtual clock, `PlusServer` serves it by TCP.
+`PlusDevice` generates the bytes. `PlusLink` connects a client to it within one process on a virtual clock; `PlusServer`
+offers it at a TCP port.
 """
 
 from __future__ import annotations
@@ -34,13 +35,16 @@ from needleplan.errors import LinkClosed
 __all__ = ["PlusDevice", "PlusFaults", "PlusLink", "PlusServer", "TrackedTool"]
 
 _NANO = 1_000_000_000
-_LONGEST = 65_536
-_BEGAN_S = 1_700_000_000.0
+_LONGEST = 65_536  # bytes read from a client at once, at most
+_BEGAN_S = 1_700_000_000.0  # time of the simulated server at its start, s since 1970
 
 
 @dataclass
 class TrackedTool:
-    """A tool, named by its transform; `pose` returns position (mm) and quaternion (w, x, y, z) for a time in s."""
+    """A simulated tool. `pose` returns position (mm) and quaternion (w, x, y, z) at a time in s.
+
+    `name` is the name of its transform. A `status` other than OK means that the tool is not visible.
+    """
 
     name: str
     pose: Callable[[float], tuple[tuple[float, float, float], tuple[float, float, float, float]]]
@@ -50,45 +54,48 @@ class TrackedTool:
 
 @dataclass
 class PlusFaults:
-    """Faults to simulate from now on."""
+    """Faults that the simulated server shows from now on."""
 
     damage: int = 0
-    """Number of next messages with a wrong bit."""
+    """Number of the next messages that are sent with one wrong bit."""
 
     cut: int = 0
-    """Number of next messages of which only the first half is sent."""
+    """Number of the next messages of which only the first half is sent."""
 
     noise_before: bytes = b""
     """Bytes sent before the next message."""
 
     absurd: int = 0
-    """Number of next messages with an impossibly large length."""
+    """Number of the next messages whose header has an impossibly large length."""
 
     freeze: bool = False
-    """Send the same frame with the same time repeatedly."""
+    """Whether the same frame is sent repeatedly, with the same time."""
 
     skip: int = 0
-    """Number of next frames that are not sent."""
+    """Number of the next frames that are not sent."""
 
     mute: bool = False
+    """Whether no frames are sent."""
+
     time_step_s: float = 0.0
-    """Step of the clock of the server."""
+    """Offset (s) of the times in the messages."""
 
     stretch: float = 1.0
-    """Factor on the rotations; other than 1 they are no rotations."""
+    """Factor on the quaternions; with a factor other than 1 the sent matrices are not rotations."""
 
     flip: bool = False
-    """Send quaternions with the opposite sign."""
+    """Whether quaternions are sent with the opposite sign."""
 
     timeless: bool = False
-    """Send messages without time."""
+    """Whether messages are sent without a time."""
 
 
 @dataclass
 class PlusDevice:
-    """The simulated server. With `on_request`, TDATA and QTDATA are sent only on request.
+    """The simulated PLUS server. If `on_request`, it sends poses only after a request; if `refuse`, it denies requests.
 
-    Like PLUS, it sends header version 1 until it receives a later one, then that one, up to `version`.
+    Like PLUS, it sends messages with header version 1 until it receives a message with a higher version. Then it sends
+    this version, at most `version`.
     """
 
     tools: Sequence[TrackedTool]
@@ -98,7 +105,7 @@ class PlusDevice:
     on_request: bool = False
     refuse: bool = False
     valid_only: bool = True
-    """As `SendValidTransformsOnly` of PLUS: leave out tools that are not visible."""
+    """Whether tools that are not visible are left out, as with `SendValidTransformsOnly` of PLUS."""
 
     faults: PlusFaults = field(default_factory=PlusFaults)
     queries: list[str] = field(default_factory=list)
@@ -108,7 +115,7 @@ class PlusDevice:
     _last_s: float = 0.0
 
     def frame(self, time_s: float) -> bytes:
-        """Return the bytes of the frame at a time in seconds since the start."""
+        """Return the bytes of the frame at `time_s` (s since the start); b"" if no frame is sent."""
         faults = self.faults
         if faults.mute or (self.on_request and not self.requested):
             return b""
@@ -120,7 +127,7 @@ class PlusDevice:
         return b"".join(self._through_faults(encode_message(each)) for each in self._messages(self._last_s))
 
     def answer(self, data: bytes) -> bytes:
-        """Take bytes from a client, and return the replies."""
+        """Receive bytes from a client, and return the encoded replies; b"" if there are none."""
         self._reader.feed(data)
         replies = b""
         while (query := self._reader.next()) is not None:
@@ -185,7 +192,7 @@ def _metadata_of(tool: TrackedTool) -> dict[str, str]:
 
 
 class PlusLink(Link):
-    """Connects a client to `device` within a process; frames arrive as the clock moves, and are queued."""
+    """Connects a client to `device` within one process; frames are queued for the client as the clock advances."""
 
     def __init__(self, device: PlusDevice, clock: VirtualClock) -> None:
         self.device, self._clock = device, clock
@@ -201,7 +208,10 @@ class PlusLink(Link):
             self._coming.append(reply)
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return all received bytes; if none, advance the clock until some arrive, at most by `timeout_s`."""
+        """Return all bytes that have arrived. If there are none, advance the clock until bytes arrive or `timeout_s`.
+
+        Returns b"" after `timeout_s`.
+        """
         self._check()
         end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
         while True:
@@ -216,11 +226,11 @@ class PlusLink(Link):
             self._clock.advance((due_ns - self._clock.now_ns()) / _NANO)
 
     def say(self, data: bytes) -> None:
-        """Let bytes arrive outside of frames."""
+        """Queue bytes for the client that are not part of a frame or reply."""
         self._coming.append(data)
 
     def unplug(self) -> None:
-        """Simulate an unplugged cable."""
+        """Simulate an unplugged cable: further calls of `send` and `receive` raise LinkClosed."""
         self._closed = True
 
     def close(self) -> None:
@@ -243,7 +253,7 @@ class PlusLink(Link):
 
 
 class PlusServer(Closing):
-    """A PLUS server on a TCP port of this machine, for one client after another."""
+    """Offers a simulated PLUS server at a TCP port of this machine, to one client at a time."""
 
     def __init__(self, device: PlusDevice, host: str = "127.0.0.1", port: int = 0) -> None:
         self.device = device
@@ -256,11 +266,11 @@ class PlusServer(Closing):
 
     @property
     def address(self) -> str:
-        """The address `igtl://host:port`; a client appends the name of a tool."""
+        """Address `igtl://host:port`; a client appends `/` and the name of a tool."""
         return f"igtl://{self.host}:{self.port}"
 
     def close(self) -> None:
-        """Stop serving; clients find their link closed."""
+        """Stop serving and close the connection of the client. Closing again does nothing."""
         if self._stopping:
             return
         self._stopping = True

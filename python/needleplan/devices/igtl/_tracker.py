@@ -1,4 +1,4 @@
-"""A tracker behind an OpenIGTLink server such as PLUS."""
+"""Tracker whose poses are received from an OpenIGTLink server such as PLUS."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ __all__ = ["IGTL_PORT", "IgtlCounts", "IgtlTracker", "PoseKind"]
 
 IGTL_PORT = 18944
 
-_NAME_BYTES = 20
-_MOST_OTHERS = 20  # names of other devices in the message of a failed start
+_NAME_BYTES = 20  # length of a device name in a header; PLUS cuts longer names
+_MOST_OTHERS = 20  # largest number of other devices that the message of a failed start names
 
 
 class PoseKind(StrEnum):
-    """The kind of message that carries the poses."""
+    """Kind of the messages that contain the poses."""
 
     TRANSFORM = "transform"
     POSITION = "position"
@@ -50,7 +50,7 @@ class PoseKind(StrEnum):
 
 @dataclass
 class IgtlCounts:
-    """Numbers of samples, of lost and repeated frames, of damaged messages and of other messages since the start."""
+    """Numbers of samples, lost frames, repeated frames, damaged messages and other messages since the opening."""
 
     samples: int = 0
     lost: int = 0
@@ -60,11 +60,11 @@ class IgtlCounts:
 
 
 class IgtlTracker(Tracker):
-    """Tracks the device `name`, or the tool of that name in TDATA and QTDATA, over `link`.
+    """Receives over `link` the poses of the device `name`, or of the tool with that name in TDATA or QTDATA.
 
-    With `ask`, the tracker requests TDATA or QTDATA from the server, at most every `interval_ms`, in the coordinate
-    system `coordinates` (empty: chosen by the server). With `rate_hz`, missing frames are counted as lost by their
-    times.
+    If `ask`, the tracker requests TDATA or QTDATA from the server: at most one message every `interval_ms`, in the
+    coordinate system `coordinates` (empty: the server chooses). If `rate_hz` is not 0, lost frames are counted from the
+    times of the received frames.
     """
 
     def __init__(
@@ -97,11 +97,11 @@ class IgtlTracker(Tracker):
 
     @classmethod
     def open(cls, address: str, *, limits: IgtlPoseLimits | None = None) -> IgtlTracker:
-        """Open `igtl://host[:18944]/NeedleToTracker` and wait for its first pose.
+        """Open `igtl://host[:18944]/NeedleToTracker` and wait for the first pose.
 
         Options: `message` (transform, position, tdata, qtdata), `ask` (yes or no), `interval_ms`, `coordinates`,
-        `rate_hz`, `timeout_s` of the connection. Raises AddressError, ConfigurationError if the server does not send
-        that device, DeviceFault without a server.
+        `rate_hz`, `timeout_s` of the connection. Raises AddressError if the address is wrong, ConfigurationError if
+        the server does not send this device, DeviceFault if the server cannot be reached.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "igtl":
@@ -116,7 +116,7 @@ class IgtlTracker(Tracker):
         interval_ms = parsed.option("interval_ms", int, 0)
         rate_hz = parsed.option("rate_hz", float, 0.0)
         if not 0 <= rate_hz < 1e6:
-            raise AddressError(Mistake("rate_hz", str(rate_hz), "must be a positive number"), address)
+            raise AddressError(Mistake("rate_hz", str(rate_hz), "must be at least 0 and less than a million"), address)
         rest = {key: value for key, value in parsed.options.items() if key == "timeout_s"}
         link = open_link(Address("tcp", parsed.host, parsed.port, "", rest), IGTL_PORT)
         coordinates = parsed.options.get("coordinates", "")
@@ -126,17 +126,18 @@ class IgtlTracker(Tracker):
         )  # fmt: skip
 
     def start(self) -> None:
-        """Restart and wait for the first pose. Raises DeviceFault, ConfigurationError.
+        """Restart after a fault and wait for the first pose.
 
-        A lost connection cannot be restarted: open the tracker again.
+        Raises ConfigurationError if no pose of the device arrives within `limits.start_s`, and DeviceFault. If the
+        connection is lost, `start` cannot restore it: open a new tracker.
         """
         self._fault: DeviceFault | None = None
-        # All kinds of poses are read, so that the message of a failed start can name those that the server sends.
+        # Poses of all kinds are decoded, so that the message of a failed start can name the devices that were received.
         self._reader = MessageReader({*(each.upper() for each in PoseKind), f"RTS_{self.kind.upper()}"})
         self._validator = IgtlPoseValidator(self.limits, self._rate_hz)
         self._others: dict[str, None] = {}
         self._damaged_before = 0
-        # PLUS answers in the highest header version that it has received, and only version 2 has the status of a coil.
+        # PLUS sends the highest header version that it has received, and only version 2 contains the status of a coil.
         self._link.send(encode_message(IgtlMessage("GET_STATUS", "", version=2)))
         if self._ask:
             self._send("STT", encode_start(self._interval_ms, self._coordinates))
@@ -147,16 +148,17 @@ class IgtlTracker(Tracker):
         while not self._present and not deadline.passed:
             self._first = self._next(deadline)
         if not self._present:
-            others = ", ".join(self._others) or "no poses at all"
+            others = ", ".join(self._others) or "nothing"
             rule = (
-                f"must be a {self.kind.upper()} that the server sends; within {self.limits.start_s:g} s came: {others}"
+                f"must be a {self.kind.upper()} that the server sends; in {self.limits.start_s:g} s it sent: {others}"
             )
             raise ConfigurationError(Mistake("name", self.name, rule), "tracker")
 
     def read(self, timeout_s: float) -> PoseSample | None:
-        """Return the next frame in order, or None after `timeout_s`.
+        """Return the next pose sample, or None after `timeout_s`.
 
-        Raises DeviceFault, then at every call until `start`.
+        Raises DeviceFault if no new pose arrives for `limits.silence_s` or the messages are damaged, and then at every
+        call until `start`.
         """
         if self._closed:
             raise LinkClosed("the tracker is closed")
@@ -176,7 +178,7 @@ class IgtlTracker(Tracker):
         return sample
 
     def _next(self, deadline: Deadline) -> PoseSample | None:
-        """Return the next new frame; None after the deadline, even if other messages keep arriving."""
+        """Return the sample of the next new pose, or None after the deadline, even if other messages keep arriving."""
         asked = False
         while True:
             message = self._reader.next()
@@ -213,7 +215,10 @@ class IgtlTracker(Tracker):
         return sample
 
     def _among(self, message: IgtlMessage) -> tuple[IgtlPose | None, str]:
-        """Return pose and status of the tracked tool in a message with several tools; no pose if it is missing."""
+        """Return pose and status of the tracked tool in a TDATA or QTDATA message; (None, "") if it is missing.
+
+        Raises DeviceFault if several tools have its name.
+        """
         tools = _MANY[self.kind](message.content)
         short = self.name.encode()[:_NAME_BYTES].decode(errors="ignore")
         found = [each for each in tools if each.name == short]
@@ -233,10 +238,10 @@ class IgtlTracker(Tracker):
         silent_s = (self._clock.now_ns() - self._new_pose_ns) / 1e9
         if sample is not None or silent_s < self.limits.silence_s:
             return
-        waiting = f"; {self._reader.pending} bytes of an unfinished message wait" if self._reader.pending else ""
+        waiting = f", {self._reader.pending} bytes of an incomplete message" if self._reader.pending else ""
         raise DeviceFault(
-            f"tracker: no new {self.kind.upper()} {self.name!r} for {silent_s:.3g} s; {self.counts.repeated} repeated "
-            f"and {self.counts.others} other messages{waiting}. A server may leave out coils out of view"
+            f"tracker: no new {self.kind.upper()} {self.name!r} for {silent_s:.3g} s; received {self.counts.repeated} "
+            f"repeated and {self.counts.others} other messages{waiting}. Some servers omit coils that are not visible"
         )
 
     def _count_damage(self, whole: bool) -> None:
@@ -254,7 +259,7 @@ class IgtlTracker(Tracker):
         self._link.send(encode_message(IgtlMessage(f"{prefix}_{self.kind.upper()}", "", content)))
 
     def close(self) -> None:
-        """Stop requested transmission, and close the connection."""
+        """Ask the server to stop a requested transmission, and close the connection. Closing again does nothing."""
         if self._closed:
             return
         self._closed = True
@@ -265,7 +270,7 @@ class IgtlTracker(Tracker):
 
 
 def _names(message: IgtlMessage) -> tuple[str, ...]:
-    """Return the names of a device; PLUS stores names that are too long for the header in the metadata."""
+    """Return the name of a device in the header and in the metadata, where PLUS stores names above 20 bytes."""
     return message.device, message.metadata.get("IGTL_DEVICE_NAME", message.device)
 
 

@@ -1,4 +1,4 @@
-"""Validation of poses received by OpenIGTLink."""
+"""Validation of the poses of one tool that are received by OpenIGTLink."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from needleplan.errors import DeviceFault
 __all__ = ["IgtlPoseLimits", "IgtlPoseValidator"]
 
 _NANO = 1_000_000_000
-_SHORTEST_S = 0.001  # time between two poses is taken as at least this: noise would look like a high speed
+_SHORTEST_S = 0.001  # shortest time (s) from which the speed of a pose is computed; shorter times amplify noise
 
-# PLUS sends the identity for a coil out of view; header version 1 has no field for its status.
+# PLUS sends this pose for a coil that is not visible; header version 1 has no field for the status of the coil.
 _IDENTITY = IgtlPose((0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True)
 class IgtlPoseLimits:
-    """Limits beyond which a pose is SUSPECT, or the tracker raises DeviceFault."""
+    """Limits above which a pose is SUSPECT, or the tracker raises an error."""
 
-    start_s: float = 3.0  # time from the start to the first pose, at most
-    silence_s: float = 0.5  # time without a new pose after which the server is taken to have stopped: DeviceFault
-    late_s: float = 0.1  # delay of a pose beyond the fastest one above which it is SUSPECT: it was queued
-    damaged: int = 10  # damaged messages in succession that mean another protocol or a bad line: DeviceFault
+    start_s: float = 3.0  # longest time from the start to the first pose; then ConfigurationError
+    silence_s: float = 0.5  # time without a new pose after which the tracker raises DeviceFault
+    late_s: float = 0.1  # transmission time beyond the shortest one so far above which a pose is SUSPECT (outdated)
+    damaged: int = 10  # number of damaged messages in succession at which the tracker raises DeviceFault
     speed_mm_s: float = 200.0  # speed between two poses above which a pose is SUSPECT
-    distortion: float = 0.01  # deviation from a rotation above which a pose is SUSPECT
+    distortion: float = 0.01  # `IgtlPose.distortion` (deviation from a rotation) above which a pose is SUSPECT
 
 
 class IgtlPoseValidator(PoseValidator):
@@ -41,16 +41,18 @@ class IgtlPoseValidator(PoseValidator):
         self._fastest_ns: int | None = None
 
     def validate(self, pose: IgtlPose | None, timestamp: int, status: str, now_ns: int) -> PoseSample | None:
-        """Return the sample of a new frame, or None for a repeated one. Raises DeviceFault.
+        """Return the sample of a new frame, or None if the frame is repeated.
 
-        `pose` is None if the tool is not in the frame. `timestamp` is in units of 2**-32 s. `status` is the status of
-        the tool from the server, or "".
+        `pose` is None if the tool is not in the frame. `timestamp` is in units of 2**-32 s, 0 if unknown. `status` is
+        the status of the tool that the server reports, or "". Raises DeviceFault if `timestamp` goes back.
         """
         if timestamp and timestamp == self._timestamp:
             return None
         if timestamp < self._timestamp:
             back_s = (self._timestamp - timestamp) / (1 << 32)
-            raise DeviceFault(f"tracker: its time went back by {back_s:.3g} s: it was restarted, or its clock was set")
+            raise DeviceFault(
+                f"tracker: its time went back by {back_s:.3g} s: it was restarted, or its clock was changed"
+            )
         notes = self._notes(timestamp, now_ns)
         self.last = self._sample(pose, status, self._stamp(timestamp, now_ns), notes)
         self._timestamp = timestamp
@@ -66,7 +68,7 @@ class IgtlPoseValidator(PoseValidator):
 
     def _notes(self, timestamp: int, now_ns: int) -> tuple[str, ...]:
         if not timestamp:
-            return ("without a time: it may be an old one",)
+            return ("without a time: the pose may be outdated",)
         took_ns = now_ns - (timestamp * _NANO >> 32)
         self._fastest_ns = took_ns if self._fastest_ns is None else min(self._fastest_ns, took_ns)
         late_s = (took_ns - self._fastest_ns) / _NANO
@@ -84,12 +86,12 @@ class IgtlPoseValidator(PoseValidator):
         if not pose.oriented:
             notes += ("position without orientation",)
         if pose.distortion > self.limits.distortion:
-            notes += (f"no rotation: off by {pose.distortion:.3g}",)
+            notes += (f"not a rotation: deviation {pose.distortion:.3g}",)
         most_step_mm = self.limits.speed_mm_s * max(self._passed_s(stamp), _SHORTEST_S)
         return self.sample(stamp, pose.position_mm, pose.quaternion, math.nan, notes, most_step_mm)
 
     def _passed_s(self, stamp: Stamp) -> float:
-        """Return the time since the last sample, by the clock of the tracker if both have its time."""
+        """Return the time (s) since the last sample, on the clock of the tracker if both samples have its time."""
         last = stamp if self.last is None else self.last.stamp
         if stamp.device_time_s is None or last.device_time_s is None:
             return (stamp.received_ns - last.received_ns) / _NANO

@@ -1,4 +1,4 @@
-"""Message bodies without poses: STATUS, STRING, POINT, POLYDATA, SENSOR, and the bodies of queries."""
+"""Encoding of message bodies without poses: STATUS, STRING, POINT, POLYDATA, SENSOR, requests and replies."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _ENCODINGS = {_ASCII: "ascii", _UTF8: "utf-8", _LATIN: "latin-1"}
 
 
 class StatusCode(IntEnum):
-    """Codes of STATUS."""
+    """Status codes of OpenIGTLink STATUS messages."""
 
     INVALID = 0
     OK = 1
@@ -71,7 +71,7 @@ _CODES = frozenset(map(int, StatusCode))
 
 
 class Unit(IntEnum):
-    """Units of SENSOR as 64 bits: prefix (4), then units (6) with exponents (4)."""
+    """Units of SENSOR as 64-bit numbers: a prefix (4 bits), then units (6 bits each) with exponents (4 bits each)."""
 
     NONE = 0
     NEWTON = 0x0B << 54 | 1 << 50
@@ -82,7 +82,7 @@ class Unit(IntEnum):
 
 @dataclass(frozen=True)
 class IgtlStatus:
-    """Status of a device: code, name, text, and a subcode of its own."""
+    """Status of a device: code, name, text, and a device-specific subcode."""
 
     code: StatusCode
     name: str = ""
@@ -92,7 +92,7 @@ class IgtlStatus:
 
 @dataclass(frozen=True)
 class Point:
-    """A named position in mm; `colour` is red, green, blue, opacity from 0 to 255."""
+    """A named point in mm; `colour` holds red, green, blue and opacity, each from 0 to 255."""
 
     name: str
     position_mm: tuple[float, float, float]
@@ -104,7 +104,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Up to 255 readings in one unit; `unit` may be a unit that `Unit` does not name."""
+    """Up to 255 readings in the same unit; `unit` may also be a 64-bit number that is not in `Unit`."""
 
     values: tuple[float, ...]
     unit: int = Unit.NONE
@@ -116,7 +116,7 @@ def encode_status(status: IgtlStatus) -> bytes:
 
 
 def decode_status(content: bytes) -> IgtlStatus:
-    """Return the status in STATUS. Raises ProtocolError."""
+    """Return the status in the body of STATUS; unknown codes become UNKNOWN_ERROR. Raises ProtocolError."""
     if len(content) < _STATUS.size:
         raise ProtocolError(f"OpenIGTLink: STATUS of {len(content)} bytes")
     number, subcode, name = _STATUS.unpack_from(content)
@@ -125,7 +125,7 @@ def decode_status(content: bytes) -> IgtlStatus:
 
 
 def encode_string(text: str) -> bytes:
-    """Return the body of STRING in ASCII if possible, else UTF-8. Raises InputError beyond 65535 bytes."""
+    """Return the body of STRING, in ASCII if possible, else in UTF-8. Raises InputError above 65535 bytes."""
     data = text.encode()
     if len(data) > 0xFFFF:
         raise InputError(Mistake("text", text, "must have at most 65535 bytes"))
@@ -133,12 +133,12 @@ def encode_string(text: str) -> bytes:
 
 
 def decode_string(content: bytes) -> str:
-    """Return the text in STRING; undecodable bytes are replaced. Raises ProtocolError."""
+    """Return the text in the body of STRING; undecodable bytes become U+FFFD. Raises ProtocolError."""
     if len(content) < _STRING.size:
         raise ProtocolError(f"OpenIGTLink: STRING of {len(content)} bytes")
     encoding, length = _STRING.unpack_from(content)
     if length != len(content) - _STRING.size or encoding not in _ENCODINGS:
-        raise ProtocolError(f"OpenIGTLink: STRING says {length} bytes in encoding {encoding}")
+        raise ProtocolError(f"OpenIGTLink: STRING has a wrong length ({length}) or an unknown encoding ({encoding})")
     return content[_STRING.size :].decode(_ENCODINGS[encoding], "replace")
 
 
@@ -154,7 +154,7 @@ def encode_points(points: Sequence[Point]) -> bytes:
 
 
 def decode_points(content: bytes) -> tuple[Point, ...]:
-    """Return the points in POINT. Raises ProtocolError."""
+    """Return the points in the body of POINT. Raises ProtocolError."""
     if len(content) % _POINT.size:
         raise ProtocolError(f"OpenIGTLink: POINT of {len(content)} bytes")
     return tuple(
@@ -164,7 +164,7 @@ def decode_points(content: bytes) -> tuple[Point, ...]:
 
 
 def encode_polyline(points_mm: Sequence[tuple[float, float, float]]) -> bytes:
-    """Return the body of POLYDATA with one line through `points_mm`; empty for fewer than two points."""
+    """Return the body of POLYDATA with one line through `points_mm`; fewer than two points give no line."""
     count = len(points_mm) if len(points_mm) > 1 else 0
     flat = [number for point in points_mm[:count] for number in point]
     lines = [count, *range(count)] if count else []
@@ -173,31 +173,34 @@ def encode_polyline(points_mm: Sequence[tuple[float, float, float]]) -> bytes:
 
 
 def decode_polyline(content: bytes) -> tuple[tuple[float, float, float], ...]:
-    """Return the points of POLYDATA with one line or none. Raises ProtocolError for other shapes."""
+    """Return the points of the line in the body of POLYDATA; () without a line.
+
+    Raises ProtocolError for other shapes.
+    """
     if len(content) < _POLYDATA.size:
         raise ProtocolError(f"OpenIGTLink: POLYDATA of {len(content)} bytes")
     count, *others = _POLYDATA.unpack_from(content)
     if not any((count, *others)) and len(content) == _POLYDATA.size:
         return ()
     if others != [0, 0, 1, 4 * count + 4, 0, 0, 0, 0, 0] or len(content) != _POLYDATA.size + 16 * count + 4:
-        raise ProtocolError("OpenIGTLink: POLYDATA that is not one line")
+        raise ProtocolError("OpenIGTLink: POLYDATA is not a single line")
     numbers = struct.unpack_from(f">{3 * count}f{count + 1}I", content, _POLYDATA.size)
     points = [(numbers[at], numbers[at + 1], numbers[at + 2]) for at in range(0, 3 * count, 3)]
     length, *order = numbers[3 * count :]
     if length != count or any(index >= count for index in order):
-        raise ProtocolError("OpenIGTLink: POLYDATA with a line through missing points")
+        raise ProtocolError("OpenIGTLink: the line of POLYDATA refers to missing points")
     return tuple(points[index] for index in order)
 
 
 def encode_sensor(sensor: Sensor) -> bytes:
     """Return the body of SENSOR. Raises InputError for more than 255 readings."""
     if len(sensor.values) > 0xFF:
-        raise InputError(Mistake("values", str(len(sensor.values)), "must be at most 255 readings"))
+        raise InputError(Mistake("values", str(len(sensor.values)), "must be at most 255 (number of readings)"))
     return _SENSOR.pack(len(sensor.values), 0, sensor.unit) + struct.pack(f">{len(sensor.values)}d", *sensor.values)
 
 
 def decode_sensor(content: bytes) -> Sensor:
-    """Return the readings in SENSOR. Raises ProtocolError."""
+    """Return the readings in the body of SENSOR. Raises ProtocolError."""
     if len(content) < _SENSOR.size or len(content) != _SENSOR.size + 8 * content[0]:
         raise ProtocolError(f"OpenIGTLink: SENSOR of {len(content)} bytes")
     count, _, unit = _SENSOR.unpack_from(content)
@@ -205,14 +208,17 @@ def decode_sensor(content: bytes) -> Sensor:
 
 
 def encode_start(interval_ms: int, coordinates: str = "") -> bytes:
-    """Return the body of STT_TDATA and STT_QTDATA: least interval between frames, and coordinate system."""
+    """Return the body of STT_TDATA and STT_QTDATA, which request frames at least `interval_ms` apart.
+
+    Raises InputError if `interval_ms` is out of range or `coordinates` is longer than 32 bytes.
+    """
     if not 0 <= interval_ms < 1 << 31:
         raise InputError(Mistake("interval_ms", str(interval_ms), "must be from 0 to 2147483647"))
     return _START.pack(interval_ms, padded(coordinates, 32, "coordinates"))
 
 
 def decode_start(content: bytes) -> tuple[int, str]:
-    """Return interval (ms) and coordinate system of STT_TDATA. Raises ProtocolError."""
+    """Return interval (ms) and coordinate system in the body of STT_TDATA or STT_QTDATA. Raises ProtocolError."""
     if len(content) != _START.size:
         raise ProtocolError(f"OpenIGTLink: STT_TDATA of {len(content)} bytes")
     interval_ms, coordinates = _START.unpack(content)
@@ -220,12 +226,12 @@ def decode_start(content: bytes) -> tuple[int, str]:
 
 
 def encode_reply(granted: bool) -> bytes:
-    """Return the body of RTS_TDATA and similar replies."""
+    """Return the body of RTS_TDATA and similar replies: whether the request is granted."""
     return b"\0" if granted else b"\1"
 
 
 def decode_reply(content: bytes) -> bool:
-    """Return whether a query was granted; an empty reply grants it. Raises ProtocolError."""
+    """Return whether the body of a RTS_ reply grants the request, as an empty body does. Raises ProtocolError."""
     if len(content) > 1:
         raise ProtocolError(f"OpenIGTLink: RTS_ of {len(content)} bytes")
     return content in (b"", b"\0")

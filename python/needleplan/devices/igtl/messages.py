@@ -1,7 +1,7 @@
-"""OpenIGTLink messages as bytes, and their extraction from a stream of bytes.
+"""Encoding of OpenIGTLink messages, and their extraction from a stream of bytes.
 
-A message has a header of 58 bytes, and from header version 2 on an extended header and metadata. Numbers are
-big-endian, texts are padded with zeros, the checksum is the CRC-64 of ECMA-182.
+A message has a header of 58 bytes and a body. From header version 2 on, the body begins with an extended header and
+ends with metadata. Numbers are big-endian, texts are padded with zeros, and the checksum is the CRC-64 of ECMA-182.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ __all__ = [
 
 _POLYNOMIAL = 0x42F0E1EBA9EA3693
 _MASK = (1 << 64) - 1
-_BLOCK = 256
+_BLOCK = 256  # bytes that `crc64` processes in one step; shorter data are processed byte by byte
 
 
 def crc64(data: bytes) -> int:
-    """Return the CRC-64 of ECMA-182 of `data`: highest bit first, initial value 0, not inverted."""
+    """Return the CRC-64 of `data` according to ECMA-182: highest bit first, initial value 0, not inverted."""
     if len(data) < _BLOCK:
         register = 0
         for byte in data:
             register = (register << 8) & _MASK ^ _TABLE[register >> 56 ^ byte]
         return register
-    # The checksum is linear: the contribution of a byte depends only on its value and position. Leading zeros add none.
-    places, heads = _places()
+    # The checksum is linear: the contribution of a byte depends only on its value and position. Leading zeros add 0.
+    places, heads = _contributions()
     blocks = np.frombuffer(bytes(-len(data) % _BLOCK) + data, dtype=np.uint8).reshape(-1, _BLOCK)
     register = 0
     for part in np.bitwise_xor.reduce(places[np.arange(_BLOCK), blocks], axis=1).tolist():
@@ -63,8 +63,11 @@ _TABLE = [_of_byte(byte) for byte in range(256)]
 
 
 @cache
-def _places() -> tuple[npt.NDArray[np.uint64], list[list[int]]]:
-    """Return the contribution of each byte value at each position of a block; the first eight also as lists."""
+def _contributions() -> tuple[npt.NDArray[np.uint64], list[list[int]]]:
+    """Return the contribution to the CRC of each byte value at each position of a block, shape (256, 256).
+
+    The second value holds the rows of the first eight positions as lists.
+    """
     rows = [_TABLE]
     while len(rows) < _BLOCK:
         rows.append([(each << 8) & _MASK ^ _TABLE[each >> 56] for each in rows[-1]])
@@ -84,7 +87,7 @@ _FRACTION = 1 << 32
 
 @dataclass(frozen=True)
 class Header:
-    """The fields of a header; `timestamp` is in units of 2**-32 s since 1970, 0 if absent."""
+    """Fields of a message header; `timestamp` is the time since 1970 in units of 2**-32 s, 0 if absent."""
 
     version: int
     kind: str
@@ -96,7 +99,7 @@ class Header:
 
 @dataclass(frozen=True)
 class IgtlMessage:
-    """One message; `content` is the body that `kind` (TRANSFORM, STATUS) defines. Metadata need `version` 2."""
+    """One message; `content` is its body without extended header and metadata. Metadata need `version` 2."""
 
     kind: str
     device: str
@@ -108,17 +111,17 @@ class IgtlMessage:
 
     @property
     def time_s(self) -> float | None:
-        """Time of the sender in seconds since 1970, or None."""
+        """Time of the message on the sender's clock in seconds since 1970, or None if absent."""
         return self.timestamp / _FRACTION if self.timestamp else None
 
 
 def stamp_of(time_s: float) -> int:
-    """Return the timestamp of a time in seconds since 1970."""
+    """Convert a time in seconds since 1970 to a timestamp in units of 2**-32 s."""
     return round(time_s * _FRACTION)
 
 
 def encode_message(message: IgtlMessage) -> bytes:
-    """Return the bytes of `message`. Raises InputError for a name that is too long, and for metadata in version 1."""
+    """Return the bytes of `message`. Raises InputError if a name is too long, or if version 1 has metadata."""
     if message.version < 2 and (message.metadata or message.message_id):
         raise InputError(Mistake("version", str(message.version), "must be 2 for metadata and message numbers"))
     body = message.content if message.version < 2 else _extended(message)
@@ -127,22 +130,22 @@ def encode_message(message: IgtlMessage) -> bytes:
 
 
 def decode_header(data: bytes) -> Header:
-    """Return the header in 58 bytes. Raises ProtocolError."""
+    """Return the header in `data`, which has 58 bytes. Raises ProtocolError if it is not a plausible header."""
     version, kind, device, timestamp, body_bytes, crc = _HEADER.unpack(data)
     name = kind.rstrip(b"\0")
     if version not in (1, 2, 3) or not name or not _KIND.issuperset(name):
-        raise ProtocolError("OpenIGTLink: not a header")
+        raise ProtocolError("OpenIGTLink: the bytes are not a header")
     return Header(version, name.decode("ascii"), text_of(device), timestamp, body_bytes, crc)
 
 
 def decode_body(header: Header, body: bytes) -> IgtlMessage:
-    """Return the message of a header and its body. Raises ProtocolError for a wrong checksum or wrong lengths."""
+    """Return the message with the given header and body. Raises ProtocolError for a wrong checksum or length."""
     if len(body) != header.body_bytes or crc64(body) != header.crc:
-        raise ProtocolError(f"OpenIGTLink: {header.kind} {header.device!r} with a wrong checksum")
+        raise ProtocolError(f"OpenIGTLink: {header.kind} {header.device!r} has a wrong checksum")
     if header.version < 2:
         return IgtlMessage(header.kind, header.device, body, header.timestamp, header.version)
     if len(body) < _EXTENDED.size:
-        raise ProtocolError(f"OpenIGTLink: {header.kind} without its extended header")
+        raise ProtocolError(f"OpenIGTLink: {header.kind} has no extended header")
     size, index_bytes, metadata_bytes, number = _EXTENDED.unpack_from(body)
     end = len(body) - index_bytes - metadata_bytes
     if not _EXTENDED.size <= size <= end:
@@ -152,7 +155,7 @@ def decode_body(header: Header, body: bytes) -> IgtlMessage:
 
 
 def padded(text: str, length: int, what: str) -> bytes:
-    """Return `text` padded with zeros to `length` bytes. Raises InputError if it is longer."""
+    """Return `text` in UTF-8, padded with zeros to `length` bytes. Raises InputError for `what` if it is longer."""
     data = text.encode()
     if len(data) > length or b"\0" in data:
         raise InputError(Mistake(what, text, f"must have at most {length} bytes, none of them zero"))
@@ -160,7 +163,7 @@ def padded(text: str, length: int, what: str) -> bytes:
 
 
 def text_of(data: bytes) -> str:
-    """Return a padded text; bytes that are not UTF-8 become U+FFFD."""
+    """Return the text before the first zero in `data`; bytes that are not UTF-8 become U+FFFD."""
     return data.split(b"\0", 1)[0].decode("utf-8", "replace")
 
 
@@ -189,36 +192,36 @@ def _metadata(index: bytes, texts: bytes) -> dict[str, str]:
     for key_bytes, _, value_bytes in _ENTRY.iter_unpack(index[2:]):
         middle, end = at + key_bytes, at + key_bytes + value_bytes
         if end > len(texts):
-            raise ProtocolError("OpenIGTLink: metadata cut short")
+            raise ProtocolError("OpenIGTLink: the metadata are truncated")
         found[texts[at:middle].decode("utf-8", "replace")] = texts[middle:end].decode("utf-8", "replace")
         at = end
     return found
 
 
-_LONGEST_POSE = 1 << 16
+_LONGEST_POSE = 1 << 16  # largest accepted body (bytes) of the kinds in `_POSES` and of queries
 _POSES = frozenset({"TRANSFORM", "POSITION", "TDATA", "QTDATA", "STATUS", "SENSOR"})
 _QUERIES = ("GET_", "STT_", "STP_", "RTS_")
 
 
 class MessageReader:
-    """Extracts messages from a stream of bytes that may be damaged, cut, or begin in the middle of a message.
+    """Extracts messages from a stream of bytes that may be damaged, truncated, or begin in the middle of a message.
 
-    Only messages with a correct checksum are returned. After damage the search continues at the next byte, so that a
-    whole message after a damaged one is found. Memory is used only for received bytes. A length that the kind of
-    message cannot have counts as damage; `longest` is the longest accepted body in bytes. Bodies of kinds that are not
-    in `wanted` are skipped.
+    Only messages with a correct checksum are returned. After a damaged message, the search continues at its second
+    byte, so that a correct message behind it is found. A body of more than `longest` bytes counts as damaged. Messages
+    whose kind is not in `wanted` are skipped; None means that all kinds are wanted. Memory is allocated only for
+    received bytes, never for an announced length.
     """
 
     def __init__(self, wanted: Collection[str] | None = None, longest: int = 1 << 24) -> None:
         self.wanted, self.longest = wanted, longest
         self.damaged_bytes = 0
-        """Number of bytes outside of correct messages."""
+        """Number of discarded bytes, which belong to no correct message."""
 
         self.damaged = 0
-        """Number of messages with a plausible header and a damaged body."""
+        """Number of messages with a plausible header but a damaged or too long body."""
 
         self.skipped = 0
-        """Number of messages of unwanted kinds; their checksums are not verified."""
+        """Number of skipped messages of unwanted kinds; their checksums are not verified."""
 
         self._buffer = bytearray()
         self._at = 0
@@ -227,11 +230,11 @@ class MessageReader:
 
     @property
     def pending(self) -> int:
-        """Number of bytes of an incomplete message."""
+        """Number of received bytes that are not yet extracted."""
         return len(self._buffer) - self._at
 
     def feed(self, data: bytes) -> None:
-        """Add received bytes."""
+        """Append received bytes to the stream."""
         del self._buffer[: self._at]
         self._at = 0
         passed_over = min(self._to_skip, len(data))
@@ -239,14 +242,14 @@ class MessageReader:
         self._buffer += data[passed_over:]
 
     def clear(self) -> None:
-        """Discard the incomplete message."""
+        """Discard all received bytes that are not yet extracted."""
         self.damaged_bytes += self.pending
         self._buffer.clear()
         self._at = self._to_skip = 0
         self._header = None
 
     def next(self) -> IgtlMessage | None:
-        """Return the next whole message, or None until more bytes are received."""
+        """Return the next complete message, or None if more bytes must be received first."""
         while self._header is not None or self._find_header():
             header = self._header
             assert header is not None
@@ -268,9 +271,9 @@ class MessageReader:
         return None
 
     def _find_header(self) -> bool:
-        """Advance to the next plausible header; return whether there is one."""
+        """Advance to the next plausible header and store it; return False if none is found in the received bytes."""
         while self.pending >= HEADER_BYTES:
-            # The version is tested before anything is unpacked, so that noise is skipped quickly.
+            # The version is checked before the header is decoded, so that noise is skipped quickly.
             if self._buffer[self._at] or self._buffer[self._at + 1] not in (1, 2, 3):
                 self._drop()
                 continue

@@ -1,8 +1,8 @@
-"""Message bodies with poses: TRANSFORM, POSITION, TDATA and QTDATA, in mm and with quaternions (w, x, y, z).
+"""Encoding of message bodies with poses: TRANSFORM, POSITION, TDATA, QTDATA. Positions are in mm.
 
-A tool has 70 bytes in TDATA and 50 in QTDATA (source: `igtl_tdata.h` and `igtl_qtdata.h` of the OpenIGTLink library,
-since its manual gives another length of the name in QTDATA). POSITION has 28 bytes, 24 without w, or 12 without
-orientation.
+A tool has 70 bytes in TDATA and 50 bytes in QTDATA (source: `igtl_tdata.h` and `igtl_qtdata.h` of the OpenIGTLink
+library; its manual gives a wrong length of the name in QTDATA). POSITION has 28 bytes, 24 bytes without the w component
+of the quaternion, or 12 bytes without orientation. Quaternions of poses are (w, x, y, z).
 """
 
 from __future__ import annotations
@@ -38,9 +38,10 @@ _QTDATA = struct.Struct(">20sBx7f")
 
 @dataclass(frozen=True)
 class IgtlPose:
-    """A received pose; `quaternion` is a rotation close to the received one, `distortion` the difference between them.
+    """A pose with position (mm) and unit quaternion (w, x, y, z).
 
-    `distortion` is 0 for a rotation and NaN if there is none. `oriented` is False if only a position was received.
+    `distortion` measures how much the received matrix or quaternion deviates from a rotation: 0 for an exact rotation,
+    NaN if it cannot be converted to a rotation. `oriented` is False if only a position was received.
     """
 
     position_mm: tuple[float, float, float]
@@ -50,7 +51,7 @@ class IgtlPose:
 
 
 class ToolKind(IntEnum):
-    """Degrees of freedom of a tool."""
+    """Type of a tool in TDATA and QTDATA, by its measured degrees of freedom."""
 
     TRACKER = 1
     SIX_DOF = 2
@@ -72,25 +73,25 @@ class IgtlTool:
 
 
 def encode_transform(pose: IgtlPose) -> bytes:
-    """Return the body of TRANSFORM: the columns of the rotation, then the position."""
+    """Return the body of TRANSFORM: the columns of the rotation matrix, then the position."""
     return _MATRIX.pack(*_columns(pose))
 
 
 def decode_transform(content: bytes) -> IgtlPose:
-    """Return the pose in TRANSFORM. Raises ProtocolError for a wrong length."""
+    """Return the pose in the body of TRANSFORM. Raises ProtocolError for a wrong length."""
     if len(content) != _MATRIX.size:
         raise ProtocolError(f"OpenIGTLink: TRANSFORM of {len(content)} bytes")
     return _from_columns(_MATRIX.unpack(content))
 
 
 def encode_position(pose: IgtlPose) -> bytes:
-    """Return the body of POSITION: position, then the quaternion with w last."""
+    """Return the body of POSITION: the position, then the quaternion with w last."""
     w, x, y, z = pose.quaternion
     return _POSITION.pack(*pose.position_mm, x, y, z, w)
 
 
 def decode_position(content: bytes) -> IgtlPose:
-    """Return the pose in POSITION, of 28, 24 or 12 bytes. Raises ProtocolError."""
+    """Return the pose in the body of POSITION, which has 28, 24 or 12 bytes. Raises ProtocolError otherwise."""
     if len(content) not in (12, 24, 28):
         raise ProtocolError(f"OpenIGTLink: POSITION of {len(content)} bytes")
     numbers = struct.unpack(f">{len(content) // 4}f", content)
@@ -107,7 +108,7 @@ def encode_tdata(tools: Sequence[IgtlTool]) -> bytes:
 
 
 def decode_tdata(content: bytes) -> tuple[IgtlTool, ...]:
-    """Return the tools in TDATA. Raises ProtocolError for a wrong length."""
+    """Return the tools in the body of TDATA. Raises ProtocolError for a wrong length."""
     if len(content) % _TDATA.size:
         raise ProtocolError(f"OpenIGTLink: TDATA of {len(content)} bytes")
     return tuple(
@@ -124,7 +125,7 @@ def encode_qtdata(tools: Sequence[IgtlTool]) -> bytes:
 
 
 def decode_qtdata(content: bytes) -> tuple[IgtlTool, ...]:
-    """Return the tools in QTDATA. Raises ProtocolError for a wrong length."""
+    """Return the tools in the body of QTDATA. Raises ProtocolError for a wrong length."""
     if len(content) % _QTDATA.size:
         raise ProtocolError(f"OpenIGTLink: QTDATA of {len(content)} bytes")
     return tuple(
@@ -155,7 +156,7 @@ def _from_columns(numbers: Sequence[float]) -> IgtlPose:
     distortion = max(map(abs, products))
     if not math.isfinite(distortion) or not handed > 0:
         return IgtlPose(position, distortion=math.nan)
-    # The largest of the four components follows from a root, the others from divisions (Shepperd 1978).
+    # The largest quaternion component is computed first, then the others from it by division (Shepperd 1978).
     squares = (1 + a[0] + b[1] + c[2], 1 + a[0] - b[1] - c[2], 1 - a[0] + b[1] - c[2], 1 - a[0] - b[1] + c[2])
     sums = (b[2] - c[1], c[0] - a[2], a[1] - b[0], b[0] + a[1], a[2] + c[0], c[1] + b[2])
     largest = max(range(4), key=squares.__getitem__)
