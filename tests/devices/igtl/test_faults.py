@@ -134,7 +134,7 @@ def test_23_a_repeated_frame_is_not_a_sample_and_ends_in_a_fault(bench: Bench) -
     began_ns = bench.clock.now_ns()
     assert tracker.read(0.2) is None
     assert tracker.counts.repeated == 8
-    fault_of(tracker, "for 0.5 s; 20 repeated")
+    fault_of(tracker, "for 0.5 s; received 20 repeated")
     assert bench.clock.now_ns() - began_ns < 0.6e9
 
 
