@@ -211,5 +211,5 @@ def test_packed_messages_read_back(value: dict[str, object]) -> None:
 def test_a_kind_in_another_order_is_refused() -> None:
     with pytest.raises(DataError, match="be ordered by size"):
         Packed("p/msg/Wrong", (Field("flag", "bool"), Field("x")))
-    with pytest.raises(DataError, match="is no type"):
+    with pytest.raises(DataError, match="is not a type"):
         Packed("p/msg/Wrong", (Field("x", "float128"),))

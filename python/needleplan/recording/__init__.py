@@ -1,8 +1,8 @@
-"""Measurements as files: trials as CSV or HDF5, and recordings of a run as MCAP.
+"""Files of measurements: trials in CSV or HDF5 files, and recordings of a run in MCAP files.
 
 - `Recording.read` opens the recording of a run.
 - `Recorder` writes a recording without delaying the run.
-- `recover` makes a whole recording of a killed or damaged one.
+- `recover` writes the readable messages of an unfinished or damaged recording to a new recording.
 - `read_records` and `write_records` read and write trials.
 - `align` interpolates one sensor to the times of another.
 """

@@ -1,4 +1,4 @@
-"""Sensors with different rates at common times, and the trial that the channels of a recording make together."""
+"""Interpolation of sensors with different rates to common times, and one trial from the channels of a recording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["align", "good_samples", "trial_of_channels"]
 
 _GOOD = "good"
 
-# A gap of the other record is an interval of this many times its median interval.
+# Number of median intervals above which the interval between two samples counts as a gap
 _GAP_INTERVALS = 5
 
 
@@ -31,9 +31,9 @@ def align(
     Parameters
     ----------
     record : Record
-        Determines the times.
+        Record that determines the times.
     other : Record
-        Provides the columns.
+        Record that provides the columns.
     columns : sequence of str, optional
         Names of the columns to take from `other`; by default all columns that `record` lacks.
     longest_gap_s : float, optional
@@ -63,7 +63,7 @@ def align(
     names = [name for name in other.columns if name not in record.columns] if columns is None else list(columns)
     missing = [Mistake(name, "", "is not in the other record") for name in names if name not in other.columns]
     if missing or not names:
-        raise DataError(missing or "the other record has no column that this one lacks", other.trial)
+        raise DataError(missing or "the other record has no column that is missing from this record", other.trial)
     time, other_time = record["time_s"], other["time_s"]
     inside = (time >= other_time[0]) & (time <= other_time[-1])
     if inside.sum() < 2:
@@ -90,10 +90,10 @@ def align(
 def trial_of_channels(
     channels: Sequence[tuple[str, str, Mapping[str, Any]]], force_axis: Sequence[float], source: str
 ) -> Record:
-    """Return the samples of force sensor, stage and tracker as one trial; `Recording.trial` describes it.
+    """Return the samples of force sensor, stage and tracker as one trial, as described at `Recording.trial`.
 
-    `channels` holds topic, name of the message kind and columns of each sampled topic. Raises DataError if no topic has
-    one of the three kinds, or if they do not overlap.
+    `channels` holds (topic, name of the message kind, columns) of each topic with samples. Raises DataError if no topic
+    has one of the three kinds, or if their times do not overlap.
     """
     axis = np.array(force_axis)
     found: list[Record] = []
@@ -118,7 +118,7 @@ def trial_of_channels(
 
 
 def good_samples(columns: Mapping[str, Any], values: Mapping[str, Array]) -> dict[str, Array]:
-    """Return `values` with NaN in the rows of samples with a health other than good."""
+    """Return a copy of `values` with NaN in the rows in which `columns["health"]` is not "good"."""
     good = columns["health"] == _GOOD
     return {name: np.where(good, each, np.nan) for name, each in values.items()}
 
@@ -136,7 +136,10 @@ def _interpolated(time: Array, other_time: Array, values: Array, gap_s: float) -
 
 
 def _trial_columns(kind: str, columns: Mapping[str, Any], axis: Array) -> dict[str, Array]:
-    """Return the columns of a data file that a topic provides; force and torque are projected onto `axis`."""
+    """Convert the columns of a topic to the columns of a data file; force and torque are projected onto `axis`.
+
+    Samples that are not good become NaN.
+    """
     if kind == FORCE.name:
         force = np.stack([columns[f"force_{each}_n"] for each in "xyz"], axis=1) @ axis
         torque = np.stack([columns[f"torque_{each}_n_mm"] for each in "xyz"], axis=1) @ axis

@@ -1,4 +1,4 @@
-"""Reading and writing files of trials, and two formats of published measurements on needles."""
+"""Reading and writing files of trials, and reading two formats of published needle measurements."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def parse_records(content: bytes, source: str = "data", *, accept_units: bool = 
 
 
 def write_records(records: Sequence[Record], path: PathLike) -> str:
-    """Write trials as HDF5 or CSV; the file is written whole or not at all.
+    """Write trials to an HDF5 or CSV file; the file is written completely or not at all.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def write_records(records: Sequence[Record], path: PathLike) -> str:
     Raises
     ------
     OutputError
-        The suffix is another one, or the file cannot be written.
+        The suffix is not one of these three, or the file cannot be written.
     DataError
         There is no trial, or two trials have the same name.
 
@@ -172,7 +172,7 @@ def write_records(records: Sequence[Record], path: PathLike) -> str:
 
 
 def _require_different(found: Sequence[tuple[str, Sequence[Record]]]) -> None:
-    """Raise DataError if two trials hold the same numbers: the duplicate would narrow every confidence interval."""
+    """Raise DataError if two trials contain the same numbers, because a fit would count the measurement twice."""
     first: dict[str, str] = {}
     for file, records in found:
         for record in records:
@@ -261,7 +261,8 @@ def read_stepwise_insertion(path: PathLike) -> Record:
 def read_depth_force(path: PathLike, speed_mm_s: float) -> Record:
     r"""Read a digitised force-depth curve of an insertion at constant speed.
 
-    Points are sorted by depth, and points at equal depth are averaged, since a digitised curve goes back and forth.
+    Points are sorted by depth, and points at equal depth are averaged, because the depth of a digitised curve may
+    decrease from point to point.
 
     Parameters
     ----------

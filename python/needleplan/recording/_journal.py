@@ -1,8 +1,9 @@
-"""The description of a run, and the file while it is written: short chunks that can be read independently.
+"""The description of a run (session), and the unfinished file of a recording.
 
-A chunk carries its length and the CRC32 of its records. The session and the definitions of the channels are repeated
-every 10 s, so that no single damage can make the rest unreadable. The file has no index until it is finished
-(`_recovery.py`), because the memory for an index would grow with the run.
+The file consists of short chunks that can be read independently. A chunk has its length and the CRC32 of its records.
+The session and the definitions of the channels are repeated every 10 s, so that a damaged chunk does not make the rest
+unreadable. The file has no index until it is finished (`_recovery.py`), because an index would use more and more memory
+during the run.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ FORMAT = "needleplan.recording/1"
 class Session:
     """The description of a run.
 
-    Messages are stamped on the monotonic clock, which cannot be set, and stored with a time of day; `monotonic_ns` and
-    `wall_ns` convert between the two.
+    The times of messages are measured on the monotonic clock, which nobody can set, and are stored as times of day;
+    `monotonic_ns` and `wall_ns` convert between both clocks.
 
     Attributes
     ----------
@@ -44,13 +45,13 @@ class Session:
     digests : mapping of str to str
         Digests of the files that the run used, such as scenario, table, model and registration, by name.
     texts : mapping of str to str
-        Whole text files, such as the configuration, by file name; stored as attachments.
+        Contents of text files, such as the configuration, by file name; stored as attachments.
     force_axis : tuple of float
         Unit vector in the frame of the force sensor along which a force that resists the insertion is positive.
     monotonic_ns, wall_ns : int
-        One moment on the monotonic clock and as time of day (ns since 1970).
+        The same moment on the monotonic clock (ns) and as time of day (ns since 1970).
     made_by : str
-        The program and its version.
+        Program that wrote the recording, and its version.
 
     Examples
     --------
@@ -90,7 +91,7 @@ class Session:
         return max(monotonic_ns - self.monotonic_ns + self.wall_ns, 0)
 
     def monotonic_of(self, wall_ns: int) -> int:
-        """Return the moment on the monotonic clock that was stored with a time of day.
+        """Convert a time of day in the recording to the time on the monotonic clock.
 
         Parameters
         ----------
@@ -144,7 +145,7 @@ class Session:
         Raises
         ------
         DataError
-            The format is another one, or a value is missing or wrong.
+            The recording has another format, or a value is missing or wrong.
 
         """
         if stored.get("format") != FORMAT:
@@ -170,13 +171,13 @@ _SESSION_ID = 1
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_HEADER_BYTES = 22  # bytes of a message record before its data, included in its length
-_REPEAT_NS = 10_000_000_000  # period after which session and definitions are written again
+_REPEAT_NS = 10_000_000_000  # time (ns) after which session and channel definitions are written again
 
 
 class Journal:
-    """Writes chunks to a file descriptor; not thread-safe.
+    """Writes messages in chunks to a file descriptor; not thread-safe.
 
-    After a failed write the file is cut back to the last whole chunk, and the next `flush` writes the chunk again.
+    If writing a chunk fails, the file is truncated to the earlier chunks, and the next `flush` writes the chunk again.
     """
 
     def __init__(self, descriptor: int, session: Session) -> None:
@@ -188,25 +189,25 @@ class Journal:
         self._length = 0
         self._repeat_ns = 0
         self.unwritten = 0
-        """Number of messages in the chunk in progress."""
+        """Number of messages in the present chunk, which `flush` will write."""
         header = RecordBuilder()
         records.Header(PROFILE, f"needleplan {version()}").write(header)
         self._write(MCAP0_MAGIC + header.end())
 
     @property
     def size(self) -> int:
-        """Size of the chunk in progress, bytes."""
+        """Size of the present chunk, which `flush` will write, in bytes."""
         return len(self._chunk)
 
     def define(self, topic: str, kind: MessageKind) -> int:
-        """Add a channel and return its number; the next message is preceded by all definitions."""
+        """Add a channel and return its number; all definitions are written before the next message."""
         number = len(self._kinds) + 1
         self._kinds[number] = (topic, kind)
         self._repeat_ns = 0
         return number
 
     def add(self, channel: int, sequence: int, wall_ns: int, data: bytes) -> None:
-        """Add a message to the chunk in progress."""
+        """Add a message to the present chunk; if `_REPEAT_NS` has passed, add session and definitions before it."""
         if wall_ns >= self._repeat_ns:
             self._add_definitions(wall_ns)
             self._repeat_ns = wall_ns + _REPEAT_NS
@@ -214,7 +215,10 @@ class Journal:
         self.unwritten += 1
 
     def flush(self) -> None:
-        """Hand the chunk in progress to the operating system. If that fails, raises OSError and keeps the chunk."""
+        """Write the present chunk to the file (not to the disk), and begin a new chunk.
+
+        If writing fails, raises OSError and keeps the chunk.
+        """
         if not self._chunk:
             return
         builder = RecordBuilder()

@@ -1,7 +1,7 @@
-"""Encodings of messages: `Packed` for numbers (ROS 2 messages in CDR), `Json` for other values; Foxglove reads both.
+"""Encodings of messages: `Packed` for numbers (ROS 2 messages in CDR), `Json` for other values.
 
-The fields of a `Packed` message are ordered by size, with the strings last, so that CDR needs no padding and one
-`struct` encodes all numbers.
+The program Foxglove reads both. The fields of a `Packed` message are ordered by decreasing size, with the strings last,
+so that CDR needs no padding between numbers and one `struct` encodes all numbers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 
 class MessageKind(ABC):
-    """Abstract base of the encodings: converts values to bytes and back, and describes them by a schema.
+    """Abstract base of the encodings: converts values to bytes and back, and describes the fields by a schema.
 
     Examples
     --------
@@ -41,7 +41,7 @@ class MessageKind(ABC):
     @property
     @abstractmethod
     def schema(self) -> bytes:
-        """The schema as stored in the file."""
+        """Description of the fields, as stored in the file."""
 
     @abstractmethod
     def encode(self, value: Any) -> bytes:
@@ -150,7 +150,7 @@ class Packed(MessageKind):
     _numbers: struct.Struct = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        unknown = [Mistake(each.name, each.type, "is no type of a message") for each in self.fields
+        unknown = [Mistake(each.name, each.type, "is not a type of a message field") for each in self.fields
                    if each.type not in _ORDER]  # fmt: skip
         if unknown:
             raise DataError(unknown, self.name)
@@ -187,11 +187,11 @@ class Packed(MessageKind):
         return data
 
     def decode(self, data: bytes) -> dict[str, Any]:
-        """Return the values by field name; a `uint8` with choices as the name of its value."""
+        """Return the values by field name; a `uint8` with choices is returned as the name of its value."""
         try:
             mark, *numbers = self._numbers.unpack_from(data)
             if mark != _LITTLE_ENDIAN:
-                raise ValueError("it is not little-endian CDR")
+                raise ValueError("the bytes are not little-endian CDR")
             found: dict[str, Any] = {}
             at, rest = self._numbers.size, iter(numbers)
             for each in self.fields:
@@ -212,7 +212,7 @@ class Packed(MessageKind):
 
     @classmethod
     def from_schema(cls, name: str, schema: bytes) -> Packed:
-        """Return the kind described by the schema in a file, to decode messages of other versions.
+        """Return the kind that the schema in a file describes; it decodes messages written by other versions.
 
         Parameters
         ----------
@@ -224,7 +224,7 @@ class Packed(MessageKind):
         Returns
         -------
         Packed
-            The kind; it decodes, and encodes mappings.
+            The kind; its values are mappings by field name.
 
         Raises
         ------
@@ -275,18 +275,18 @@ class Json(MessageKind):
 
     @property
     def schema(self) -> bytes:
-        """The JSON schema."""
+        """The JSON schema of the message."""
         return json.dumps({"title": self.name, "type": "object", "properties": dict(self.properties)}).encode()
 
     def encode(self, value: Any) -> bytes:
-        """Return the object as UTF-8 text."""
+        """Return the JSON text of `value` as UTF-8. Raises TypeError if `value` is not a mapping."""
         plain = _plain(value)
         if not isinstance(plain, dict):
             raise TypeError(f"must be a mapping, not {type(value).__name__}")
         return json.dumps(plain, allow_nan=False, separators=(",", ":")).encode()
 
     def decode(self, data: bytes) -> dict[str, Any]:
-        """Return the object."""
+        """Return the JSON object in `data`. Raises DataError if `data` is damaged."""
         try:
             found = json.loads(data)
         except (ValueError, RecursionError) as error:

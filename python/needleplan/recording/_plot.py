@@ -17,7 +17,7 @@ __all__ = ["plot_channels"]
 
 _COLOURS = (BLUE, VERMILLION, GREEN)
 
-# Fields drawn for each kind of sample, and the label of their axis; other kinds: all fields of type float64.
+# Drawn fields and axis label of each kind of sample; of other kinds, all fields of type float64 are drawn
 _FIELDS = {
     FORCE.name: (("force_x_n", "force_y_n", "force_z_n"), "force (N)"),
     STAGE.name: (("depth_mm",), "depth (mm)"),
@@ -29,9 +29,9 @@ _NOT_DRAWN = frozenset(("time_s", "device_time_s"))
 def plot_channels(
     channels: Sequence[tuple[str, str, Mapping[str, Any]]], trial: Record | None, heading: str
 ) -> list[Axes]:
-    """Draw one panel for each channel, and one for the force over the depth if `trial` has both.
+    """Draw one panel for each channel, and a panel of force against depth if `trial` has both; return all axes.
 
-    `channels` holds topic, name of the message kind and columns.
+    `channels` holds (topic, name of the message kind, columns) of each channel.
     """
     by_depth = trial is not None and {"force_n", "depth_mm"} <= trial.columns.keys()
     _, axes = stack(len(channels) + by_depth)

@@ -1,9 +1,9 @@
 """Recording a run without delaying it.
 
-`RecordingChannel.put` appends to a bounded queue and returns. The writer thread encodes the values and hands a chunk to
-the operating system at least every 20 ms, so a killed process loses at most 20 ms. A power cut may lose more, because
-nothing is forced to the disk before the end. A slow disk, a full disk and a failed writer are reported in
-`Recorder.status`, never as exceptions.
+`RecordingChannel.put` appends to a bounded queue and returns. The writer thread encodes the values and gives a chunk to
+the operating system at least every 20 ms, so that a killed process loses the messages of at most 20 ms. A power failure
+may lose more, because the file is flushed to the disk only at the end. A slow disk, a full disk and a failed writer do
+not raise exceptions; `Recorder.status` reports them.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from needleplan.recording._sample_kinds import STATUS
 __all__ = ["PARTIAL", "Recorder", "RecordingChannel"]
 
 PARTIAL = ".partial"
-_PERIOD_S = 0.015  # time between two writes of the queue
-_RETRY_S = 0.1  # time between two attempts to write on a disk that fails
-_CHUNK_BYTES = 16_384  # size (bytes) from which a chunk is written
-_BURST = 512  # messages after which a chunk is written, so that a backlog does not become one huge chunk
-_CAPACITY = 16_384  # messages in the queue
+_PERIOD_S = 0.015  # time (s) between two writes of the queued messages
+_RETRY_S = 0.1  # time (s) between two attempts to write while writing fails
+_CHUNK_BYTES = 16_384  # size (bytes) at which a chunk is written
+_BURST = 512  # number of messages after which a chunk is written, so that a long queue does not give a huge chunk
+_CAPACITY = 16_384  # default capacity of the queue, in messages
 _NANO = 1e-9
 _LATEST_NS = 2**63  # time of day (ns) from which a message is refused: the file stores signed 64-bit integers
 
 
 class RecordingChannel:
-    """One topic of a recording, made by `Recorder.channel`; only one thread may put into it.
+    """One topic of a recording, created by `Recorder.channel`; only one thread may call its `put`.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class RecordingChannel:
         time_ns : int
             Time of the value on the monotonic clock, ns.
         value : object
-            A value of the channel's kind. It is encoded later by another thread: do not change it after the call.
+            A value of the channel's kind. Another thread encodes it later, so do not change the value after the call.
 
         Returns
         -------
@@ -104,14 +104,14 @@ class Recorder:
     capacity : int
         Capacity of the queue, messages.
     when_full : WhenFull
-        What `RecordingChannel.put` does if the queue is full.
+        Behaviour of `RecordingChannel.put` if the queue is full.
     overwrite : bool
-        Whether the closed recording may replace one that exists.
+        Whether closing may replace an existing recording at `path`.
 
     Raises
     ------
     OutputError
-        The file cannot be written, the recording exists and may not be replaced, or its partial file exists.
+        The file cannot be written, `path` exists and may not be replaced, or a partial file of `path` exists.
 
     Examples
     --------
@@ -198,7 +198,7 @@ class Recorder:
 
     @property
     def status(self) -> RecorderStatus:
-        """The status of the recorder; cheap enough for every cycle of a control loop."""
+        """Present status of the recorder; fast enough to be read in every cycle of a control loop."""
         behind_ns = 0 if self._state is RecorderState.CLOSED else time.monotonic_ns() - self._up_to_date_ns
         return RecorderStatus(
             self._state, self._cause, self._written, len(self._queue), behind_ns * _NANO,
@@ -208,7 +208,7 @@ class Recorder:
     def close(self, timeout_s: float = 60.0) -> RecorderStatus:
         """Write the queued messages and finish the file; closing again does nothing.
 
-        If the disk still fails, or does not respond, the partial file is kept.
+        If writing fails, or does not end within `timeout_s`, the partial file is kept.
 
         Parameters
         ----------
@@ -270,14 +270,17 @@ class Recorder:
             while not closing:
                 closing = self._closing.wait(_RETRY_S if self._state is RecorderState.STALLED else _PERIOD_S)
                 self._write_queue(closing)
-        except BaseException as error:  # the loop that puts values must see any failure in the status only
+        except BaseException as error:  # any failure is reported by the status, not by an exception
             self._fail(f"the writer ended: {error!r}")
         finally:
             with contextlib.suppress(OSError):
                 os.close(self._descriptor)
 
     def _write_queue(self, closing: bool) -> None:
-        """Write all messages that are queued now; on a failing disk only the chunk in progress."""
+        """Write all queued messages; if writing failed before, first write the present chunk again.
+
+        A failure changes the state to STALLED, or to FAILED if `closing`.
+        """
         began_ns = time.monotonic_ns()
         try:
             if self._state is RecorderState.STALLED:
@@ -324,7 +327,7 @@ class Recorder:
         self._journal.add(channel.number, sequence, wall_ns, data)
 
     def _record_status(self, state: RecorderState | None = None) -> None:
-        """Add a message on `/recorder` to the chunk if the status has changed."""
+        """Add a message with the status to the topic `/recorder` if the status has changed."""
         state = state or self._state
         now = (state, self._cause, sum(self._overflowed.values()), self._refused)
         if now == self._recorded_status:

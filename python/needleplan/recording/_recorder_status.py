@@ -21,7 +21,7 @@ class RecorderState(StrEnum):
 
     RECORDING = "recording"
     STALLED = "stalled"
-    """Writing fails, for example on a full disk, and is retried; messages beyond the capacity of the queue are lost."""
+    """Writing fails, for example on a full disk, and is retried; messages that exceed the queue are lost."""
 
     FAILED = "failed"
     """The writer has stopped, or the file could not be finished; the partial file holds the messages written so far."""
@@ -30,7 +30,7 @@ class RecorderState(StrEnum):
 
 
 class WhenFull(StrEnum):
-    """What `RecordingChannel.put` does if the queue is full.
+    """Behaviour of `RecordingChannel.put` if the queue is full.
 
     Examples
     --------
@@ -43,10 +43,10 @@ class WhenFull(StrEnum):
     """
 
     DROP = "drop"
-    """Count the message as lost and return at once; for real time."""
+    """Count the message as lost and return at once; for runs in real time."""
 
     WAIT = "wait"
-    """Wait for the writer; for simulated time, which is faster than any disk."""
+    """Wait until the queue has space; for simulated runs, which produce messages faster than a disk can write them."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class RecorderStatus:
     cause : str
         Reason of the state `STALLED` or `FAILED`.
     written : int
-        Number of messages handed to the operating system.
+        Number of messages written to the file (they may not yet be on the disk).
     queued : int
         Number of messages in the queue.
     behind_s : float
@@ -70,7 +70,7 @@ class RecorderStatus:
     refused : int
         Number of messages that could not be encoded.
     refusal : str
-        Reason of the first refusal.
+        Reason why the first of these messages could not be encoded.
 
     Examples
     --------

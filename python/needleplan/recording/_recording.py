@@ -1,4 +1,4 @@
-"""Reading a recording: the description of the run, and its messages in the order of time."""
+"""Reading a recording: the description of the run, and the messages in the order of their times."""
 
 from __future__ import annotations
 
@@ -186,7 +186,7 @@ class Recording:
         return (self.end_ns - self.start_ns) * 1e-9
 
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[RecordedMessage]:
-        """Return an iterator over the messages in the order of time.
+        """Return an iterator over the messages in the order of their times.
 
         Messages with equal times keep the order in which they were written.
 
@@ -203,7 +203,7 @@ class Recording:
         Raises
         ------
         DataError
-            The recording lacks a topic. Also raised by the iterator, if a message cannot be decoded.
+            The recording lacks a topic. The iterator raises it too, if a message cannot be decoded.
 
         """
         chosen = list(self.counts) if topics is None else list(topics)

@@ -1,7 +1,7 @@
-"""Making a whole recording, with index and checksums, of a partial, cut or damaged one.
+"""Conversion of an unfinished, truncated or damaged recording to a complete one, with index and checksums.
 
-Closing a recorder and recovering a killed run do the same: all readable messages are written again in large compressed
-chunks, and the new file takes the name of the recording once it is on the disk.
+This is done when a recorder is closed and when the recording of a killed run is recovered: all readable messages are
+written again in large compressed chunks, and the new file gets the name of the recording after it is on the disk.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from needleplan.recording.mcap_bytes import Damage, Definitions, RawMessage, chu
 
 __all__ = ["Recovery", "finish", "recover"]
 
-_CHUNK_BYTES = 2**17  # size of a chunk, about 1 s of a run: the most that one damaged byte costs
+_CHUNK_BYTES = 2**17  # size of a chunk (bytes), about 1 s of a run; one damaged byte loses at most one chunk
 
 _SESSION = "/session"
 
@@ -44,14 +44,14 @@ class Recovery:
     by_topic : mapping of str to int
         Number of messages recovered by topic.
     damaged_bytes, places : int
-        Number of unreadable bytes, and of the places in the file where they are.
+        Number of unreadable bytes, and number of separate damaged regions in the file.
     missing : mapping of str to int
-        Number of messages missing between recovered ones by topic, found by gaps in their sequence, without the
-        messages in `overflowed`.
+        Number of missing messages by topic, counted from gaps in the sequence numbers of recovered messages, without
+        the messages in `overflowed`.
     overflowed : mapping of str to int
         Number of messages by topic that the recorder itself counted as lost.
     complete : bool
-        Whether the recorder closed the recording. If not, the last 20 ms before the end may be missing too.
+        Whether the recorder closed the recording and no byte is damaged. If not, the last messages may be missing too.
 
     Examples
     --------
@@ -70,12 +70,12 @@ class Recovery:
 
 
 def recover(path: PathLike, target: PathLike, *, overwrite: bool = False) -> Recovery:
-    """Write all readable messages of a partial, cut or damaged recording to a new recording.
+    """Write all readable messages of an unfinished, truncated or damaged recording to a new recording.
 
     Parameters
     ----------
     path : str or path
-        The partial, cut or damaged recording; it is not changed.
+        The unfinished, truncated or damaged recording; it is not changed.
     target : str or path
         The recording to write.
     overwrite : bool
@@ -89,7 +89,7 @@ def recover(path: PathLike, target: PathLike, *, overwrite: bool = False) -> Rec
     Raises
     ------
     DataError
-        The file holds no readable part of a recording of needleplan.
+        The file contains no readable part of a needleplan recording.
     OutputError
         `target` exists and may not be replaced, or cannot be written.
 
@@ -116,9 +116,9 @@ def recover(path: PathLike, target: PathLike, *, overwrite: bool = False) -> Rec
 
 
 def finish(partial: Path, target: Path, expected: int) -> Recovery:
-    """Make the recording of a closed partial file and remove the partial file.
+    """Convert a closed partial file to the recording `target`, and remove the partial file.
 
-    Raises InputError and keeps the partial file unless exactly `expected` messages can be read back.
+    Raises InputError and keeps the partial file if writing fails or not exactly `expected` messages can be read.
     """
     with _mapped(partial) as data:
         done = _rewrite(data, str(partial), target, recovered=False, expected=expected)
@@ -145,7 +145,7 @@ def _mapped(path: PathLike) -> Iterator[Any]:
 
 def _rewrite(data: Any, source: str, target: Path, *, recovered: bool, expected: int | None = None) -> Recovery:
     known = Definitions()
-    for _ in range(2):  # if the first chunk is damaged, a session message precedes the definition of its channel
+    for _ in range(2):  # two passes: after a damaged first chunk, the definition of a channel may follow its messages
         for content in chunks(data, Damage()):
             with contextlib.suppress(Exception):  # the checksum agrees, but the chunk may come from another program
                 definitions_of(content, known)
@@ -205,7 +205,7 @@ def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, re
                     status = STATUS.decode(body)
             writer.add_message(numbers[number], time_ns, body, time_ns, sequence)
             counts[number] += 1
-    if session_message:  # repeated in the last chunk, so that one damaged place leaves one copy
+    if session_message:  # a second copy in the last chunk, so that damage to one chunk leaves one copy
         channel, session_ns, body = session_message
         writer.add_message(channel, session_ns, body, session_ns)
     done = _summed(known, counts, missing, status, damage)
@@ -220,7 +220,7 @@ def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, re
 
 
 def _readable(content: bytes) -> Iterator[RawMessage]:
-    """Yield the messages of a chunk up to the first malformed one: the chunk may come from another program."""
+    """Yield the messages of a chunk up to the first malformed one; another program may have written the chunk."""
     messages = messages_of(content)
     while True:
         try:
@@ -233,7 +233,7 @@ def _readable(content: bytes) -> Iterator[RawMessage]:
 
 
 def _register(writer: Writer, known: Definitions) -> dict[int, int]:
-    """Return the number of each channel in the new file by its old number."""
+    """Register all schemas and channels in the new file; return the new number of each channel by its old number."""
     schemas = {old: writer.register_schema(each.name, each.encoding, each.data) for old, each in known.schemas.items()}
     return {
         old: writer.register_channel(each.topic, each.message_encoding, schemas[each.schema_id])

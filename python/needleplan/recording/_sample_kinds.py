@@ -1,6 +1,6 @@
 """The message kinds of samples, events and recorder status.
 
-Samples are recognised by their attributes (protocols), because this package does not import `needleplan.devices`.
+Samples are typed by their attributes (protocols), because this package must not import `needleplan.devices`.
 """
 
 from __future__ import annotations
@@ -116,13 +116,13 @@ STAGE = Packed(
     (*_HEAD, *_numbers("depth_mm velocity_mm_s roll_rad"), _LOST, _HEALTH, Field("moving", "bool"), _NOTES),
     _stage_row,
 )
-"""A sample of the stage: depth, velocity and roll."""
+"""A sample of the stage: depth (mm), velocity (mm/s), roll (rad), and whether an axis moves."""
 
 EVENT = Json(
     "needleplan.Event",
     {"name": {"type": "string"}, "cause": {"type": "string"}, "text": {"type": "string"}},
 )
-"""An event: its name, its cause and a sentence; further entries are allowed."""
+"""An event: its name, its cause and a text; further entries are allowed."""
 
 STATUS = Json(
     "needleplan.RecorderStatus",
@@ -134,4 +134,4 @@ STATUS = Json(
         "refused": {"type": "integer"},
     },
 )
-"""The status of the recorder, recorded at every change."""
+"""The status of the recorder; a message is recorded at every change."""

@@ -1,8 +1,8 @@
 """Validation of the columns of a data file: their names, and whether their values are plausible in their units.
 
-A column in another unit is refused, never converted: the message names the expected column and the factor. Values are
-questioned only if no needle experiment has them, such as a depth in metres or a time in milliseconds; `accept_units`
-accepts them.
+A column in another unit is refused, never converted; the message names the expected column and the factor. Values are
+refused as implausible only if they cannot occur in a needle experiment, for example because a depth is in metres or a
+time in milliseconds; the option `accept_units` disables this check.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _BARE = {name.rsplit("_", 2)[0] if name in ("velocity_mm_s", "torque_n_mm") else
 
 
 def validate_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]]:
-    """Return the names of unknown columns, which are left out, and the mistakes among the other names.
+    """Return the names of unknown columns, which readers leave out, and the mistakes in the other names.
 
-    A name is a mistake if it occurs twice, or is a known column in another unit or with another spelling.
+    It is a mistake if a name occurs twice, if a known column has another unit or spelling, or if `time_s` is missing.
     """
     unknown: list[str] = []
     mistakes: list[Mistake] = []
@@ -65,9 +65,10 @@ def validate_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]
 
 
 def _meant(name: str, names: Sequence[str]) -> str:
-    """Return the rule that a name breaks, or "" if it is the name of another quantity.
+    """Return the rule that an unknown column name violates, or "" if the column is another quantity.
 
-    A name similar to a column that the file has as well, such as force_x beside force_n, is another quantity.
+    A name that resembles a known column counts as another quantity if the file also has the known column, for example
+    force_x in a file with force_n.
     """
     lower = name.strip().lower().replace(" ", "_")
     if lower in NUMBERS or lower in TEXTS:
@@ -84,7 +85,7 @@ def _meant(name: str, names: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class _Range:
-    """The plausible range of a column, and the likely mistake below and above it."""
+    """Plausible range of a column, with the likely mistake if values are smaller or larger."""
 
     least: float
     too_small: str
@@ -101,11 +102,11 @@ _SPANS = {
 }
 _POSITIONS = _Range(0.02, "in metres?", 10_000, "in micrometres?")
 _STEPS = _Range(1e-5, "not in seconds?", 2.0, "in milliseconds?")
-_AGREE = 5.0  # factor between velocity and change of depth beyond which their units must differ
+_AGREE = 5.0  # ratio of velocity to change of depth per time above which (or below 1/5) their units disagree
 
 
 def questionable_units(record: Record) -> list[Mistake]:
-    """Return a mistake for every column with implausible values; records of noise have no lower limit."""
+    """Return a mistake for every column with implausible values; records of noise may have arbitrarily small values."""
     found = []
     quiet = record.role is Role.NOISE
     for name, allowed in _SPANS.items():
@@ -133,7 +134,10 @@ def _out_of_range(name: str, size: float, unit: str, allowed: _Range, quiet: boo
 
 
 def _agreement(record: Record) -> list[Mistake]:
-    """Compare velocity and change of depth by the slope between them, which is robust against noise in the depth."""
+    """Return a mistake if velocity and change of depth per time disagree in unit or sign.
+
+    They are compared by the slope of a regression, which is robust against noise in the depth.
+    """
     if not {"depth_mm", "velocity_mm_s"} <= record.columns.keys() or len(record) < 5:
         return []
     given, steps = record["velocity_mm_s"], np.diff(record["time_s"])

@@ -1,7 +1,7 @@
-"""CSV: a header with the names of the columns, then one row for each sample.
+"""CSV files of trials: a header with the names of the columns, then one row for each sample.
 
-The text is UTF-8 with decimal points. The separator is comma, semicolon or tab, as in the header. An empty cell or
-`nan` is a missing number. Empty lines and lines that begin with `#` are ignored.
+The text is UTF-8 with decimal points. The separator is the comma, semicolon or tab that occurs most in the header. An
+empty cell or `nan` is a missing number. Empty lines and lines that begin with `#` are ignored.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ _SEPARATORS = ",;\t"
 
 
 def rows_of_cells(content: bytes, source: str) -> tuple[list[tuple[int, str]], list[tuple[int, list[str]]]]:
-    """Return the lines of a CSV file without remarks, and their cells, each with its line number; first the header.
+    """Return the lines of a CSV file and the cells of these lines, each with the line number; the header is first.
 
-    Raises DataError if the content is not UTF-8 text, and for stray quotes.
+    Empty lines and comment lines are left out. Raises DataError if the content is not UTF-8 text, or a quoted cell does
+    not end on its line.
     """
     text = _text(content, source)
     lines = [
@@ -37,12 +38,15 @@ def rows_of_cells(content: bytes, source: str) -> tuple[list[tuple[int, str]], l
     if not lines:
         return [], []
     separator = max(_SEPARATORS, key=lines[0][1].count)
-    # A quoted cell ends on its line; otherwise one stray quote would swallow the rest of the file.
+    # Each line is parsed separately, so that a missing closing quote cannot extend a cell to the end of the file.
     return lines, [(number, _cells(line, separator, number, source)) for number, line in lines]
 
 
 def number_in(cell: str) -> float | None:
-    """Return the number in a cell, NaN for an empty cell, None for other text, infinite numbers and 1_000."""
+    """Return the number in a cell, NaN for an empty cell, None for other text.
+
+    Infinite numbers and numbers with underscores, such as 1_000, count as other text.
+    """
     if not cell:
         return math.nan
     try:
@@ -72,12 +76,15 @@ def _cells(line: str, separator: str, number: int, source: str) -> list[str]:
         raise DataError(Mistake(f"line {number}", line[:100], f"cannot be read: {error}"), source) from None
 
 
-_MOST_MISTAKES = 10  # mistakes after which reading stops
-_PRECISION = ".17g"  # enough digits for identical numbers
+_MOST_MISTAKES = 10  # number of mistakes at which reading stops
+_PRECISION = ".17g"  # format of numbers: 17 digits, so that reading returns identical numbers
 
 
 def parse_csv(content: bytes, source: str) -> Table:
-    """Return the rows of a CSV file. Raises DataError with the mistakes in the header, or in the first wrong rows."""
+    """Return the rows of a CSV file as a table.
+
+    Raises DataError with all mistakes in the header, or else with the first mistakes in the rows.
+    """
     lines, rows = rows_of_cells(content, source)
     if not lines:
         raise DataError("is empty: it must begin with a header such as time_s,depth_mm,force_n", source)
@@ -106,7 +113,7 @@ def parse_csv(content: bytes, source: str) -> Table:
 
 
 def to_csv(records: Sequence[Record]) -> str:
-    """Return the records as CSV text, which reads back with identical numbers; missing numbers are empty cells.
+    """Return the records as CSV text; reading it returns identical numbers. Missing numbers become empty cells.
 
     Raises DataError if the name of a trial or phase has a line break.
     """
@@ -126,10 +133,10 @@ def to_csv(records: Sequence[Record]) -> str:
 
 
 def _require_names(header: Sequence[str], line: tuple[int, str], source: str) -> None:
-    """Raise DataError if the first line is not a header, with the likely reason."""
+    """Raise DataError if the first line contains only numbers, or is a single cell with several column names."""
     number, text = line
     if all(number_in(cell) is not None for cell in header):
-        rule = "holds numbers: a header with the names of the columns must stand above them, such as time_s,depth_mm"
+        rule = "holds numbers: the first line must be a header with the names of the columns, such as time_s,depth_mm"
     elif len(header) == 1 and "time_s" in text.split():
         rule = "is one cell: columns must be separated by commas, semicolons or tabs, not by spaces"
     else:

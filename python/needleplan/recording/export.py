@@ -1,4 +1,4 @@
-"""Recordings in other formats: CSV and HDF5 for `needleplan identify`, Parquet, and ROS 2 bags."""
+"""Export of recordings to other formats: CSV and HDF5 for `needleplan identify`, Parquet, and ROS 2 bags."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ __all__ = ["FORMATS", "require_no_recording", "write_csv", "write_hdf5", "write_
 
 
 def write_csv(recording: Recording, path: PathLike) -> tuple[str, ...]:
-    """Write the trial of a recording as CSV and return the notes of the trial. Raises DataError and OutputError."""
+    """Write the trial of a recording to a CSV file, and return the notes of the trial.
+
+    Raises DataError and OutputError.
+    """
     require_no_recording(path)
     trial = recording.trial()
     write_whole(path, to_csv([trial]).encode())
@@ -36,10 +39,10 @@ def write_csv(recording: Recording, path: PathLike) -> tuple[str, ...]:
 
 
 def write_hdf5(recording: Recording, path: PathLike) -> tuple[str, ...]:
-    """Write the trial of a recording and all its channels as HDF5, and return the notes of the trial.
+    """Write the trial and all channels of a recording to an HDF5 file, and return the notes of the trial.
 
-    `/trial_0001` holds the trial, for `needleplan identify`. `/trial_0001/channels/<topic>` holds the columns of a
-    topic as recorded; JSON messages are texts in the dataset `json`. Raises DataError and OutputError.
+    The group `/trial_0001` holds the trial, which `needleplan identify` reads. `/trial_0001/channels/<topic>` holds the
+    columns of a topic as recorded; JSON messages are texts in the dataset `json`. Raises DataError and OutputError.
     """
     import h5py
 
@@ -62,9 +65,9 @@ def write_hdf5(recording: Recording, path: PathLike) -> tuple[str, ...]:
 
 
 def write_parquet(recording: Recording, path: PathLike, *, overwrite: bool = False) -> tuple[str, ...]:
-    """Write a folder with one Parquet file for each topic, and return remarks. Raises OutputError.
+    """Write a folder with one Parquet file for each topic, and return the number of rows of each topic as texts.
 
-    With `overwrite` the folder may exist; only files of the same names in it are replaced.
+    If `overwrite`, the folder may exist; only files with the same names are replaced. Raises OutputError.
     """
     arrow = _optional("pyarrow", path)
     parquet = _optional("pyarrow.parquet", path)
@@ -80,7 +83,7 @@ def write_parquet(recording: Recording, path: PathLike, *, overwrite: bool = Fal
 
 
 def _optional(module: str, path: PathLike) -> Any:
-    """Return an optional dependency. Raises OutputError with the command that installs it."""
+    """Import an optional dependency and return it. If it is missing, raises OutputError with the install command."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -90,7 +93,11 @@ def _optional(module: str, path: PathLike) -> Any:
 
 
 class _NewFolder:
-    """A folder that is renamed to its final name once it is complete, else removed. Raises OutputError."""
+    """Context manager that gives a temporary folder, which gets its final name at the end of the block.
+
+    If the folder exists and may be overwritten, the new files are moved into it. After an exception the temporary
+    folder is removed. Raises OutputError.
+    """
 
     def __init__(self, path: PathLike, overwrite: bool) -> None:
         self._target = Path(path)
@@ -123,7 +130,7 @@ class _NewFolder:
 
 
 def require_no_recording(path: PathLike) -> None:
-    """Raise OutputError if `path` is a recording: its data cannot be made again."""
+    """Raise OutputError if `path` cannot be written, or is a recording, because its data cannot be measured again."""
     require_writable(path)
     with contextlib.suppress(OSError):
         if Path(path).is_file():
@@ -147,12 +154,12 @@ _MM = 1e-3
 
 
 def write_rosbag(recording: Recording, path: PathLike, *, overwrite: bool = False) -> tuple[str, ...]:
-    """Write a ROS 2 bag (MCAP storage) with standard messages in metres, and return remarks.
+    """Write a ROS 2 bag (MCAP storage) with standard messages in SI units, and return one remark for each topic.
 
     Forces become geometry_msgs/WrenchStamped (N, N m), poses geometry_msgs/PoseStamped (m), samples of the stage
-    sensor_msgs/JointState (insertion in m, roll in rad), and other messages std_msgs/String with JSON. Samples of a
-    tracker without a pose are left out and counted in the remarks. With `overwrite` the folder may exist; only files of
-    the same names in it are replaced. Raises OutputError, also without rosbags.
+    sensor_msgs/JointState (insertion in m, roll in rad), and other messages std_msgs/String with JSON. Tracker samples
+    without a pose are left out and counted in the remarks. If `overwrite`, the folder may exist; only files with the
+    same names are replaced. Raises OutputError, also if the package rosbags is not installed.
     """
     rosbag2 = _optional("rosbags.rosbag2", path)
     typesys = _optional("rosbags.typesys", path)
@@ -179,7 +186,7 @@ def write_rosbag(recording: Recording, path: PathLike, *, overwrite: bool = Fals
 
 
 def _lift(bag: Path, folder: Path, name: str) -> None:
-    """Move the files of a bag up into its folder and name them after it, as ROS does."""
+    """Move the files of `bag` up into `folder`, remove `bag`, and name the files after `name`, as ROS does."""
     metadata = (bag / "metadata.yaml").read_text(encoding="utf-8").replace("bag.mcap", f"{name}.mcap")
     (folder / "metadata.yaml").write_text(metadata, encoding="utf-8")
     (bag / "bag.mcap").rename(folder / f"{name}.mcap")
@@ -242,4 +249,4 @@ FORMATS: Mapping[str, Callable[..., tuple[str, ...]]] = {
     "parquet": write_parquet,
     "rosbag": write_rosbag,
 }
-"""Writers by the name of the format; each returns remarks on the data left out."""
+"""Functions that write a recording, by the name of the format; each returns remarks on the exported data."""

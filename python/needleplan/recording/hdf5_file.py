@@ -1,7 +1,7 @@
-"""HDF5: one dataset for each column, in the root of the file or in one group for each trial.
+"""HDF5 files of trials: one dataset for each column, in the root of the file or in one group for each trial.
 
-Several trials in the root need the column `trial`. A group has the attributes `trial` and `role`. Texts are UTF-8
-strings. Written files have groups; MATLAB reads a column with `h5read(file, '/trial_0001/force_n')`.
+If the root contains several trials, it needs the column `trial`. A group has the attributes `trial` and `role`. Texts
+are UTF-8 strings. needleplan writes groups; MATLAB reads a column with `h5read(file, '/trial_0001/force_n')`.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from needleplan.signals import UNITS, Record
 __all__ = ["FORMAT", "parse_hdf5", "to_hdf5"]
 
 FORMAT = "needleplan.records/1"
-_MOST_NUMBERS = 200_000_000  # largest length of a dataset
+_MOST_NUMBERS = 200_000_000  # largest accepted length of a dataset, in entries
 
 
 def parse_hdf5(content: bytes, source: str) -> list[Table]:
-    """Return the rows of an HDF5 file, one table for each group, or one for the root. Raises DataError."""
+    """Return one table for each group of an HDF5 file, or one table for the datasets in its root. Raises DataError."""
     import h5py
 
     try:
@@ -32,7 +32,7 @@ def parse_hdf5(content: bytes, source: str) -> list[Table]:
             groups = {name: each for name, each in members.items() if isinstance(each, h5py.Group)}
             if any(isinstance(each, h5py.Dataset) for each in members.values()):
                 if groups:
-                    rule = "must not stand beside datasets: columns are in the root, or in one group for each trial"
+                    rule = "must not be beside datasets: columns are in the root, or in one group for each trial"
                     raise DataError([Mistake(name, "", rule) for name in groups], source)
                 return [_table(file, "", source)]
             if not groups:
@@ -45,7 +45,7 @@ def parse_hdf5(content: bytes, source: str) -> list[Table]:
 
 
 def to_hdf5(records: Sequence[Record]) -> bytes:
-    """Return the records as the bytes of an HDF5 file, which reads back as equal records."""
+    """Return the bytes of an HDF5 file with the records; reading it returns equal records."""
     import h5py
 
     image = io.BytesIO()
@@ -98,7 +98,7 @@ def _shapes(datasets: dict[str, Any]) -> list[Mistake]:
         if each.is_virtual or each.external:
             mistakes.append(Mistake(key, "", "must be stored in the file itself"))
         elif each.shape is None or len(each.shape) != 1 or each.shape != shape:
-            mistakes.append(Mistake(key, f"shape {each.shape}", f"must be a row as long as time_s, {shape}"))
+            mistakes.append(Mistake(key, f"shape {each.shape}", f"must have the shape of time_s, {shape}"))
         elif each.size > _MOST_NUMBERS:
             mistakes.append(Mistake(key, f"{each.size:,}", f"must have at most {_MOST_NUMBERS:,} entries"))
         elif key in TEXTS and each.dtype.kind not in "OSiu":

@@ -1,4 +1,4 @@
-"""The bytes of an MCAP file: verification of a finished recording, and the readable chunks of a damaged one."""
+"""MCAP files as bytes: verification of a finished recording, and extraction of the readable chunks of a damaged one."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from needleplan.recording._journal import PROFILE, SESSION
 
 __all__ = ["Damage", "Definitions", "RawMessage", "chunks", "definitions_of", "messages_of", "require_intact"]
 
-_LARGEST_CHUNK_BYTES = 256 * 2**20  # a larger length is treated as damage
-_BLOCK_BYTES = 2**20  # bytes read at once for a checksum
+_LARGEST_CHUNK_BYTES = 256 * 2**20  # largest plausible size of a chunk; a larger size counts as damage
+_BLOCK_BYTES = 2**20  # number of bytes that are read at once for a checksum
 _RECOVER = "needleplan recording recover {path} -o NEW.mcap"
 _FOOTER = struct.Struct("<BQQQI")
 _DATA_END = struct.Struct("<BQI")
@@ -33,12 +33,12 @@ _CANDIDATE = re.compile(rb"\x06[\s\S]{5}\0\0\0")
 _OPCODES = frozenset(Opcode)
 
 RawMessage = tuple[int, int, int, bytes]
-"""Channel number, sequence, time (ns since 1970), data."""
+"""A message: channel number, sequence number, time (ns since 1970), and encoded data."""
 
 
 @dataclass
 class Damage:
-    """Counts of unreadable bytes, and of the places in the file where they are."""
+    """Number of unreadable bytes, and number of separate damaged regions (`places`) in the file."""
 
     damaged_bytes: int = 0
     places: int = 0
@@ -46,7 +46,7 @@ class Damage:
 
 @dataclass
 class Definitions:
-    """Schemas and channels by number, and the stored session."""
+    """Schemas and channels by number, and the session as stored, or None until it is found."""
 
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class Definitions:
 
 
 def require_intact(stream: BinaryIO, source: str) -> None:
-    """Raise DataError unless the file is a finished recording and every byte agrees with its checksums."""
+    """Raise DataError if the file is not a finished recording, or if its bytes do not agree with the checksums."""
     start = stream.read(256)
     if not start.startswith(MCAP0_MAGIC):
         raise DataError("is not a recording: it does not begin as an MCAP file", source)
@@ -88,9 +88,9 @@ def require_intact(stream: BinaryIO, source: str) -> None:
 
 
 def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
-    """Yield the records of each chunk with a correct checksum, and definitions outside of chunks.
+    """Yield the records of each chunk with a correct checksum, and the definitions that are outside of chunks.
 
-    `data` is bytes or a memory map. Other bytes are counted in `damage` and skipped up to the next readable chunk.
+    `data` is bytes or a memory map. Unreadable bytes are skipped up to the next readable chunk and counted in `damage`.
     """
     size = len(data)
     at = len(MCAP0_MAGIC) if data[: len(MCAP0_MAGIC)] == MCAP0_MAGIC else 0
@@ -113,10 +113,10 @@ def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
 
 
 def definitions_of(content: bytes, known: Definitions) -> None:
-    """Add the schemas, channels and session in the records of a chunk to `known`; the first definition of each holds.
+    """Add the schemas, channels and session in the records of a chunk to `known`, unless they are already known.
 
-    A topic has one channel. The definitions at the end of the file have no checksum of their own, so a topic repeated
-    there with another channel number is damage, and is ignored.
+    A topic has one channel. A second channel of the same topic is ignored: the definitions at the end of the file have
+    no checksum, so its number may be damaged.
     """
     for opcode, body in _records(content):
         if opcode == Opcode.SCHEMA:
@@ -134,7 +134,7 @@ def definitions_of(content: bytes, known: Definitions) -> None:
 
 
 def messages_of(content: bytes) -> Iterator[RawMessage]:
-    """Yield the messages of the records of a chunk."""
+    """Yield the messages in `content`, the records of a chunk."""
     for opcode, body in _records(content):
         if opcode == Opcode.MESSAGE:
             number, sequence, time_ns, _ = _MESSAGE.unpack_from(body)
@@ -162,7 +162,7 @@ def _checksum(stream: BinaryIO, length: int) -> int:
 
 
 def _chunk_at(data: Any, at: int) -> tuple[bytes, int] | None:
-    """Return the records of the chunk at an offset and the offset of its end, or None if no whole chunk is there."""
+    """Return the records of the chunk at the offset `at` and the offset of its end; None if no valid chunk is there."""
     body = at + _HEAD.size
     if body + _CHUNK.size + 8 > len(data):
         return None
@@ -198,7 +198,7 @@ def _unpacked(compression: bytes, stored: bytes, size: int) -> bytes | None:
 
 
 def _skipped(data: Any, at: int) -> int | None:
-    """Return the end of the record at an offset, or None for a chunk or if no plausible record follows."""
+    """Return the offset of the end of the record at the offset `at`; None if it is a chunk or not plausible."""
     if data[at : at + len(MCAP0_MAGIC) + 1] == MCAP0_MAGIC:
         return len(data)
     if at + _HEAD.size > len(data):

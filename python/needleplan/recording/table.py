@@ -1,4 +1,4 @@
-"""The rows of a data file, and their validation and division into one record for each trial."""
+"""The rows of a data file, their validation, and their division into one record for each trial."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ __all__ = ["Table", "records_of"]
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of a file: columns of numbers and of texts, all of one length; missing numbers are NaN.
+    """Rows of a data file: columns of numbers and columns of texts, all of the same length; missing numbers are NaN.
 
-    `places[i]` is the position of row i in the file for messages, such as "line 7".
+    `places[i]` names the position of row i in the file, for messages, such as "line 7".
     """
 
     numbers: dict[str, Array]
@@ -29,7 +29,7 @@ class Table:
         return len(self.places)
 
     def rows(self, index: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Table:
-        """Return the rows with the given numbers."""
+        """Return a table with the rows `index`."""
         return replace(
             self,
             numbers={name: values[index] for name, values in self.numbers.items()},
@@ -39,16 +39,16 @@ class Table:
 
 
 _DRIVERS = ("depth_mm", "velocity_mm_s", "angle_rad")
-_GAP = 5.0  # an interval of more than this many median intervals is noted as a gap
-_MOST_MISSING = 0.05  # share of rows without a motion column above which the trial is refused
-_FEW = 10  # samples below which the trial is noted as short
+_GAP = 5.0  # number of median intervals above which an interval is noted as a gap
+_MOST_MISSING = 0.05  # share of rows with a missing number in a motion column above which the trial is refused
+_FEW = 10  # number of samples below which the trial is noted as short
 
 
 def records_of(table: Table, name: str, file_digest: str, source: str) -> list[Record]:
-    """Return the trials of a table, ordered by their first row; `name` names a single trial without the column `trial`.
+    """Return the trials of a table, ordered by their first row; without a column `trial`, the only trial is `name`.
 
-    The notes of a record list the rows left out and unusual properties. Raises DataError with the mistakes of all
-    trials.
+    The notes of a record list the rows that were left out and unusual properties. Raises DataError with the mistakes of
+    all trials.
     """
     trials = table.texts.get("trial", (name,) * len(table))
     records = []
@@ -99,7 +99,10 @@ def _times(rows: Table) -> list[Mistake]:
 
 
 def _whole_rows(rows: Table) -> tuple[Table, list[str], list[Mistake]]:
-    """Return the rows with complete motion columns, notes, and mistakes; rows with missing measurements stay."""
+    """Return the rows with complete motion columns, notes on the rest, and mistakes.
+
+    Rows with missing measurements are kept. A column without any number is removed.
+    """
     notes: list[str] = []
     mistakes: list[Mistake] = []
     kept = np.ones(len(rows), bool)
@@ -126,7 +129,7 @@ def _whole_rows(rows: Table) -> tuple[Table, list[str], list[Mistake]]:
 
 
 def _unusual(rows: Table) -> list[str]:
-    """Return notes on unusual but usable properties: gaps in time, few samples, constant columns."""
+    """Return notes on properties that are unusual but permitted: gaps in time, few samples, constant columns."""
     time = rows.numbers["time_s"]
     steps = np.diff(time)
     median = float(np.median(steps))

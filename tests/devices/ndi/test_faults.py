@@ -139,7 +139,7 @@ def test_23_a_repeated_frame_is_not_a_sample_and_ends_in_a_fault(bench: Bench) -
     began_ns = bench.clock.now_ns()
     assert tracker.read(0.2) is None
     assert tracker.counts.repeated > 10
-    fault_of(tracker, "the same frame for 0.5")
+    fault_of(tracker, "no new frame for 0.5")
     assert bench.clock.now_ns() - began_ns < 0.6e9
 
 

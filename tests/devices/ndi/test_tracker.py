@@ -60,7 +60,7 @@ def test_25_a_device_that_does_not_follow_to_another_speed_is_a_fault() -> None:
     device.faults.ignore_speed = True
     with (
         PtyEndpoint(device) as end,
-        pytest.raises(DeviceFault, match="answers at 9600 baud, but after COMM not at 115200"),
+        pytest.raises(DeviceFault, match="answers at 9600 baud, but not at 115200"),
     ):
         NdiTracker.open(f"{end.address}?tool={TIP}&speed=115200")
 

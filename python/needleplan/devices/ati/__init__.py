@@ -1,4 +1,4 @@
-"""ATI Net F/T and Ethernet Axia force sensors: RDT over UDP, configuration by HTTP, and a simulated box."""
+"""ATI Net F/T and Ethernet Axia force sensors (RDT over UDP, configuration by HTTP), and a simulated sensor box."""
 
 from needleplan.devices.ati._configuration import Configuration, fetch_configuration, parse_configuration
 from needleplan.devices.ati._sensor import ForceLimits, NetFt

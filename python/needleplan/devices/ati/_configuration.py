@@ -1,7 +1,7 @@
-"""The configuration of an ATI box, read by HTTP: counts per unit of force and torque, and the units.
+"""Configuration of an ATI sensor box, read by HTTP: the units of force and torque, and the counts per unit.
 
-The factors depend on the active configuration of the box (for example a million counts per newton, or one per pound).
-They are read at every start, never assumed. An unknown unit or an impossible factor is refused.
+Both depend on the active configuration of the box (for example a million counts per newton, or one count per pound).
+They are read at every start, never assumed. An unknown unit or an impossible factor raises ConfigurationError.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ _INCH_MM = 25.4
 FORCE_UNITS = MappingProxyType({
     "N": 1.0, "kN": 1e3, "lbf": _POUND_N, "klbf": 1e3 * _POUND_N, "kgf": 9.806_65, "kg": 9.806_65,
 })  # fmt: skip
-"""Newtons per unit of force, by the name of the unit in the box."""
+"""Size in N of each unit of force, by the name that the box uses."""
 
 TORQUE_UNITS = MappingProxyType({
     "N-mm": 1.0, "N-m": 1e3, "kN-m": 1e6, "lbf-in": _POUND_N * _INCH_MM, "lbf-ft": _POUND_N * 12 * _INCH_MM,
     "kgf-cm": 98.066_5, "kg-cm": 98.066_5, "kgf-mm": 9.806_65,
 })  # fmt: skip
-"""Newton millimetres per unit of torque; the box also writes the names without hyphen, such as `Nmm`."""
+"""Size in N mm of each unit of torque, by name; the box also uses the names without hyphen, such as `Nmm`."""
 
-_LONGEST = 1_000_000
+_LONGEST = 1_000_000  # bytes of the configuration page that are read at most
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """The values of `netftapi2.xml` that convert counts."""
+    """Values of the page `netftapi2.xml` of the box: the factors and units that convert counts, and its identity."""
 
     counts_per_force: float
     counts_per_torque: float
@@ -58,7 +58,10 @@ class Configuration:
 
 
 def parse_configuration(xml: bytes, source: str = "") -> Configuration:
-    """Return the configuration in `netftapi2.xml`. Raises ConfigurationError with all missing and wrong values."""
+    """Return the configuration in the page `netftapi2.xml`.
+
+    Raises ConfigurationError with all missing and wrong values.
+    """
     if b"<!DOCTYPE" in xml or b"<!ENTITY" in xml:
         raise ConfigurationError("must be plain XML, without a document type", source)
     try:
@@ -80,14 +83,14 @@ def parse_configuration(xml: bytes, source: str = "") -> Configuration:
 
 
 def fetch_configuration(host: str, port: int = 80, slot: int | None = None, timeout_s: float = 2.0) -> Configuration:
-    """Return the configuration of the box at `host`; `slot` is one of its 16 slots, None the active one.
+    """Read the configuration of the box at `host`; `slot` is one of its 16 configurations, None the active one.
 
-    Raises DeviceFault without an answer, ConfigurationError if the answer cannot be used.
+    Raises DeviceFault if the page cannot be read, ConfigurationError if its values cannot be used.
     """
     name = f"[{host}]" if ":" in host else host
     url = f"http://{name}:{port}/netftapi2.xml" + ("" if slot is None else f"?index={slot}")
     try:
-        # The box is in the local network: proxy settings must not apply.
+        # The box is in the local network, so a configured proxy must not be used.
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         with opener.open(url, timeout=timeout_s) as answer:
             xml = answer.read(_LONGEST)
@@ -101,7 +104,7 @@ def fetch_configuration(host: str, port: int = 80, slot: int | None = None, time
 def _factor(found: dict[str, str], key: str, mistakes: list[Mistake]) -> float:
     value = _number(found.get(key, ""))
     if value is None or not value > 0:
-        mistakes.append(Mistake(key, found.get(key, ""), "must be the counts in one unit: a positive number"))
+        mistakes.append(Mistake(key, found.get(key, ""), "must be a positive number: the counts per unit"))
         return math.nan
     return value
 

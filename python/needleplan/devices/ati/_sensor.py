@@ -1,8 +1,8 @@
-"""An ATI Net F/T or Ethernet Axia as a force sensor.
+"""Force sensor ATI Net F/T or Ethernet Axia.
 
-The box sends records to one client, the last one that requested them, until it is stopped. A problem that the box
-reports makes a sample SUSPECT. A problem that makes the sensor unusable raises DeviceFault at every read until `start`
-is called, because the bias may be lost and a person has to check.
+The box sends records only to the client that requested them last, until this client stops the stream. If the box
+reports a problem, the sample is SUSPECT. If the sensor cannot be used any more, every read raises DeviceFault until
+`start` is called; a person must decide this, because the bias may be lost.
 """
 
 from __future__ import annotations
@@ -35,34 +35,34 @@ from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake, Pr
 
 __all__ = ["ForceLimits", "NetFt", "Plausibility"]
 
-_FULL = (1 << 31) - 1
+_FULL = (1 << 31) - 1  # largest count of a record; at this count, the sensor is saturated
 _Three = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class ForceLimits:
-    """Limits beyond which a sample is SUSPECT, or the sensor raises DeviceFault.
+    """Limits above which a sample is SUSPECT, a bias is refused, or the sensor raises DeviceFault.
 
-    The defaults suit a needle robot: no needle bears 50 N, and no tissue releases 10 N within one sample. They detect
-    a torn cable, not a puncture.
+    The defaults suit a needle robot: a needle does not withstand 50 N, and a puncture does not change the force by 10 N
+    within one sample. They detect a damaged cable, not a puncture.
     """
 
-    silence_s: float = 0.1  # time without a record after which the stream has stopped: DeviceFault
-    start_s: float = 0.3  # time from a start request to the first record, at most; the request is sent three times
+    silence_s: float = 0.1  # time without a record after which the sensor raises DeviceFault
+    start_s: float = 0.3  # longest time from a start request to the first record; the request is sent three times
     most_force_n: float = 50.0  # force above which a sample is SUSPECT
     most_torque_n_mm: float = 5000.0  # torque above which a sample is SUSPECT
     step_n: float = 10.0  # change of a force from one sample to the next above which a sample is SUSPECT
-    stuck_samples: int = 50  # equal samples in succession from which they are SUSPECT: all six counts stand still
-    frozen_samples: int = 10  # records with equal `ft_sequence` from which the box has stopped measuring: DeviceFault
-    malformed: int = 50  # other datagrams in succession that mean another device: DeviceFault
-    bias_samples: int = 20  # samples averaged before and after a bias
+    stuck_samples: int = 50  # number of samples with six equal counts in succession from which they are SUSPECT
+    frozen_samples: int = 10  # number of records with equal `ft_sequence` at which the sensor raises DeviceFault
+    malformed: int = 50  # number of unusable datagrams in succession at which the sensor raises DeviceFault
+    bias_samples: int = 20  # number of samples that are averaged before and after a bias
     steady_n: float = 0.1  # standard deviation of a force above which a bias is refused
-    unloaded_n: float = 0.5  # force of a biased sensor above which a further bias is refused: the needle is under load
+    unloaded_n: float = 0.5  # force on a biased sensor above which a further bias is refused (needle under load)
 
 
 @dataclass
 class Plausibility:
-    """Validates each wrench by its range, and by its difference from the one before."""
+    """Validates each wrench by its magnitude and by its difference from the previous wrench."""
 
     limits: ForceLimits
     _counts: tuple[int, ...] = ()
@@ -70,11 +70,11 @@ class Plausibility:
     _force_n: _Three | None = field(default=None)
 
     def forget(self) -> None:
-        """Permit any step to the next sample, as after a bias."""
+        """Forget the previous wrench, so that the next wrench may differ by any amount, as after a bias."""
         self._force_n, self._counts, self._same = None, (), 0
 
     def notes(self, record: RdtRecord, force_n: _Three, torque_n_mm: _Three) -> tuple[str, ...]:
-        """Return the problems of a wrench; empty if it is plausible."""
+        """Record a wrench and return its problems; () if it is plausible."""
         notes = []
         self._same = self._same + 1 if record.counts == self._counts else 1
         self._counts = record.counts
@@ -96,12 +96,12 @@ class Plausibility:
         return tuple(notes)
 
 
-_ATTEMPTS = 3
-_SETTLING_S = 1.0
+_ATTEMPTS = 3  # number of times that a start request or a bias command is sent
+_SETTLING_S = 1.0  # time (s), over all attempts, in which the force must become zero after a bias
 
 
 class NetFt(ForceSensor):
-    """A force sensor that speaks RDT over `link`; `configure` returns the configuration of the box."""
+    """Force sensor that is read by RDT over `link`; `configure` is called to read the configuration of the box."""
 
     def __init__(
         self,
@@ -127,7 +127,8 @@ class NetFt(ForceSensor):
     def open(cls, address: str, *, limits: ForceLimits | None = None) -> NetFt:
         """Open `udp://host[:49152][?http_port=80&slot=2]` and start the stream.
 
-        Raises AddressError, ConfigurationError if the units cannot be used, DeviceFault without an answer.
+        Raises AddressError if the address is wrong, ConfigurationError if the configuration of the box cannot be used,
+        DeviceFault if the box does not answer.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "udp":
@@ -145,28 +146,28 @@ class NetFt(ForceSensor):
 
     @property
     def configuration(self) -> Configuration:
-        """The configuration of the box at the last start."""
+        """Configuration of the box, read at the last `start`."""
         return self._configuration
 
     @property
     def counts(self) -> RdtCounts:
-        """Numbers of received, lost, repeated, late, malformed and frozen records since the start."""
+        """Numbers of received, lost, repeated, late, malformed and frozen records since the last `start`."""
         return self._watch.counts
 
     @property
     def unknown_senders(self) -> int:
-        """Number of datagrams from other senders, which were dropped."""
+        """Number of datagrams that were dropped because another sender sent them; 0 if the link is not UDP."""
         return self._link.unknown_senders if isinstance(self._link, UdpLink) else 0
 
     @property
     def local_port(self) -> int:
-        """The UDP port of this machine; 0 for other links."""
+        """UDP port of this machine that receives the records; 0 if the link is not UDP."""
         return self._link.local_port if isinstance(self._link, UdpLink) else 0
 
     def start(self) -> None:
-        """Read the configuration, request the stream, and wait for the first record; the request is sent three times.
+        """Read the configuration, request the stream (up to three times), and wait for the first record.
 
-        Raises ConfigurationError, DeviceFault without a record.
+        Raises ConfigurationError if the configuration cannot be used, DeviceFault if no record arrives.
         """
         self._fault = None
         self._malformed = 0
@@ -185,10 +186,13 @@ class NetFt(ForceSensor):
             if self._pending:
                 return
         waited_s = _ATTEMPTS * self.limits.start_s
-        raise self._give_up(f"no record within {waited_s:g} s of the start request; an RDT port? a firewall?")
+        raise self._give_up(f"no record within {waited_s:g} s of the start request; check the port and the firewall")
 
     def read(self, timeout_s: float) -> ForceSample | None:
-        """Return the next sample, or None after `timeout_s`. Raises DeviceFault, then at every call until `start`."""
+        """Return the next sample, or None after `timeout_s`.
+
+        Raises DeviceFault if the sensor cannot be used, and then at every call until `start`.
+        """
         if self._closed:
             raise LinkClosed("the force sensor is closed")
         if self._fault is not None:
@@ -208,16 +212,16 @@ class NetFt(ForceSensor):
             silent_s = (self._clock.now_ns() - self._last_ns) / 1e9
             if silent_s >= self.limits.silence_s:
                 raise self._give_up(
-                    f"silent for {silent_s:.3g} s; cable, power, or another client that has taken the stream"
+                    f"silent for {silent_s:.3g} s; check cable and power, and whether another client uses the sensor"
                 )
             if deadline.passed:
                 return None
 
     def bias(self) -> None:
-        """Take the present wrench as zero, and verify that it has become zero.
+        """Define the present wrench as zero, and verify that the measured force has become zero.
 
-        Raises DeviceFault if the force is not steady, a biased sensor is under load, samples stay suspect, or the box
-        does not follow. The first bias cannot detect a constant load.
+        Raises DeviceFault if the force is not steady, a sensor that is already biased is under load, samples remain
+        SUSPECT, or the force does not become zero. At the first bias, a constant load cannot be detected.
         """
         mean_n, deviation_n = self._look("bias")
         if max(deviation_n) > self.limits.steady_n:
@@ -236,17 +240,17 @@ class NetFt(ForceSensor):
         raise DeviceFault(f"bias failed: the box still reports {max(map(abs, mean_n)):.3g} N")
 
     def reset_latch(self) -> None:
-        """Clear the threshold condition latched in the box."""
+        """Clear the threshold condition that is latched in the box."""
         self._link.send(encode_request(RdtCommand.RESET_LATCH))
 
     def check_configuration(self) -> None:
-        """Read the configuration again. Raises DeviceFault if it has changed since the start."""
+        """Read the configuration again. Raises DeviceFault if it has changed since the last `start`."""
         now = self._configure()
         if now != self._configuration:
             raise self._give_up(f"its configuration has changed from {self._configuration} to {now}")
 
     def close(self) -> None:
-        """Stop the stream and release the port."""
+        """Stop the stream and close the link. Closing again does nothing."""
         if not self._closed:
             self._closed = True
             with contextlib.suppress(LinkClosed):
@@ -254,9 +258,10 @@ class NetFt(ForceSensor):
             self._link.close()
 
     def _look(self, purpose: str, strict: bool = True) -> tuple[list[float], list[float]]:
-        """Return mean and standard deviation of each force over successive samples; if `strict`, all of them good.
+        """Read `bias_samples` successive samples and return mean and standard deviation (N) of each force component.
 
-        A suspect sample restarts the series, a limited number of times: the first sample after a start may be suspect.
+        If `strict`, all samples must be GOOD; another one restarts the series. Raises DeviceFault if a sample is
+        missing or no series is completed.
         """
         forces_n: list[tuple[float, float, float]] = []
         why: tuple[str, ...] = ()
@@ -275,7 +280,7 @@ class NetFt(ForceSensor):
         raise DeviceFault(f"{purpose} refused: {', '.join(why)}")
 
     def _take(self, datagram: bytes) -> None:
-        """Queue the records of a datagram for `read`."""
+        """Decode a datagram and queue its records for `read`; count it if it is malformed."""
         if not datagram:
             return
         try:
@@ -290,7 +295,7 @@ class NetFt(ForceSensor):
     def _count_malformed(self, why: str) -> None:
         self._malformed += 1
         if self._malformed >= self.limits.malformed:
-            raise self._give_up(f"{self._malformed} datagrams in succession that are not of this stream: {why}")
+            raise self._give_up(f"{self._malformed} datagrams in succession do not belong to this stream: {why}")
 
     def _validate(self, record: RdtRecord, now_ns: int) -> ForceSample | None:
         arrival = self._watch.see(record, now_ns)

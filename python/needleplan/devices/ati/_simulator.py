@@ -1,7 +1,7 @@
-"""A simulated ATI Net F/T box, which speaks the bytes of the real one and can be given faults.
+"""A simulated ATI Net F/T box with selectable faults; it sends the same bytes as a real box.
 
-`NetFtBox` has neither socket nor clock. `BoxLink` connects it within a process on a virtual clock; `NetFtServer` serves
-it by UDP and HTTP in real time. The wrench is a function of time.
+`NetFtBox` has neither socket nor clock. `BoxLink` connects a client to it within one process on a virtual clock;
+`NetFtServer` offers it by UDP and HTTP in real time. The wrench is a function of time.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ __all__ = ["BoxFaults", "BoxLink", "BoxSettings", "NetFtBox", "NetFtServer", "Pe
 
 Peer = tuple[str, int]
 _Wrench = Callable[[float], tuple[float, float, float, float, float, float]]
-_MEASUREMENTS_PER_S = 7000
+_MEASUREMENTS_PER_S = 7000  # rate (Hz) at which the box measures; it sends every `divisor`-th measurement
 _WRAP = 1 << 32
 
 
 @dataclass
 class BoxSettings:
-    """The active configuration of the box."""
+    """Active configuration of the simulated box."""
 
     counts_per_force: float = 1_000_000
     counts_per_torque: float = 1_000_000
@@ -40,10 +40,10 @@ class BoxSettings:
     torque_unit: str = "N-m"
     product: str = "Ethernet 6-Axis F/T Sensor"
     divisor: int = 35
-    """The rate is 7000 Hz divided by this."""
+    """The box sends 7000 / `divisor` records per second."""
 
     def xml(self) -> bytes:
-        """Return `netftapi2.xml`."""
+        """Return the content of the page `netftapi2.xml`."""
         tags = {
             "prodname": self.product, "setserial": "FT00000", "runstat": "0x00000000", "comrdte": "Enabled",
             "comrdtrate": round(_MEASUREMENTS_PER_S / self.divisor), "comrdtbsiz": 1,
@@ -57,25 +57,35 @@ class BoxSettings:
 
 @dataclass
 class BoxFaults:
-    """Faults to simulate from now on; a number counts the records that it still concerns."""
+    """Faults that the simulated box shows from now on."""
 
     silent: bool = False
+    """Whether no records are sent."""
+
     lose: int = 0
+    """Number of the next records that are not sent."""
+
     duplicate: int = 0
+    """Number of the next records that are sent twice."""
+
     reorder: int = 0
-    """Number of records to hold back and send after the following one."""
+    """Number of the next records that are held back and sent after the record that follows them."""
 
     freeze: bool = False
-    """Send records without measuring."""
+    """Whether the box repeats its last measurement in all records."""
 
     deaf_to_bias: bool = False
+    """Whether the box ignores bias commands."""
+
     status: int = 0
+    """Bits that are set in the status word of all records."""
+
     instead: list[bytes] = field(default_factory=list)
-    """Datagrams to send before the next record."""
+    """Datagrams that are sent before the next record."""
 
 
 class NetFtBox:
-    """The simulated box; `wrench` returns three forces (N) and three torques (N mm) for a time in seconds."""
+    """The simulated box; `wrench` returns three forces (N) and three torques (N mm) at a time in s."""
 
     def __init__(self, wrench: _Wrench, settings: BoxSettings | None = None) -> None:
         self.wrench = wrench
@@ -84,7 +94,7 @@ class NetFtBox:
         self.client: Peer | None = None
         self.rdt_sequence = self.ft_sequence = 0
         self.before_first = 0
-        """Sequence number before the first record of a stream; close to 2^32 it lets the number wrap."""
+        """Sequence number before the first record of a stream; a value close to 2^32 makes the number wrap soon."""
 
         self._left: int | None = None
         self._latched = 0
@@ -93,7 +103,7 @@ class NetFtBox:
         self._held: list[bytes] = []
 
     def request(self, datagram: bytes, sender: Peer) -> None:
-        """Execute a request; like the real box, ignore other datagrams."""
+        """Execute a request from `sender`; like a real box, ignore datagrams that are not requests."""
         try:
             command, samples = decode_request(datagram)
         except ProtocolError:
@@ -109,17 +119,17 @@ class NetFtBox:
             self._bias = tuple(map(sum, zip(self._counts, self._bias, strict=True)))  # type: ignore[assignment]
 
     def exceed_threshold(self) -> None:
-        """Latch a threshold condition, as if a force limit of the box was exceeded."""
+        """Latch a threshold condition, as if a force threshold configured in the box had been exceeded."""
         self._latched = 0x8001_0000
 
     def reboot(self) -> None:
-        """Simulate a power dip: bias, client and measurement counter are lost."""
+        """Simulate a power dip: the box loses its bias and its client, and both sequence numbers restart at 0."""
         self.client = None
         self.rdt_sequence = self.ft_sequence = self._latched = 0
         self._bias = (0, 0, 0, 0, 0, 0)
 
     def step(self, time_s: float) -> list[bytes]:
-        """Measure at `time_s` and return the datagrams for `client`."""
+        """Measure the wrench at `time_s`, and return the datagrams that the box sends to `client` (may be none)."""
         if not self.faults.freeze:
             self.ft_sequence = (self.ft_sequence + self.settings.divisor) % _WRAP
             self._counts = self._measure(time_s)
@@ -158,7 +168,7 @@ class NetFtBox:
 
 
 class NetFtServer(Closing):
-    """A box on sockets of this machine: RDT on `port`, its configuration on `http_port`."""
+    """Offers a simulated box on this machine: RDT at the UDP port `port`, the configuration page at `http_port`."""
 
     def __init__(self, box: NetFtBox, host: str = "127.0.0.1", port: int = 0, http_port: int = 0) -> None:
         self.box = box
@@ -201,7 +211,7 @@ class NetFtServer(Closing):
             self.box.request(datagram, sender)
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop serving, and close the sockets."""
         self._stopping.set()
         self._http.shutdown()
         for thread in self._threads:
@@ -232,7 +242,7 @@ _NANO = 1_000_000_000
 
 
 class BoxLink(Link):
-    """Connects a client to `box` within a process; waiting advances `clock`, and the box measures meanwhile."""
+    """Connects a client to `box` within one process; `receive` advances `clock`, and the box measures meanwhile."""
 
     def __init__(self, box: NetFtBox, clock: VirtualClock) -> None:
         self.box, self._clock = box, clock
@@ -247,14 +257,14 @@ class BoxLink(Link):
         self.box.request(data, _HERE)
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next datagram; empty after `timeout_s`. Advances the clock."""
+        """Return the next datagram from the box; b"" after `timeout_s`. Advances the clock."""
         if self._closed:
             raise LinkClosed("the link to the box is closed")
         end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
         while not self._waiting and self._due_ns <= end_ns:
             self._clock.advance((self._due_ns - self._clock.now_ns()) / _NANO)
             datagrams = self.box.step(self._due_ns / _NANO)
-            # Datagrams for another client are not received here.
+            # If another client has requested the stream, its datagrams do not arrive at this link.
             self._waiting.extend(datagrams if self.box.client == _HERE else ())
             self._due_ns += round(self.box.settings.divisor / _MEASUREMENTS_PER_S * _NANO)
         if self._waiting:

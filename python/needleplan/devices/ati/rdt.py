@@ -1,9 +1,9 @@
-"""RDT, the raw data transfer of the ATI Net F/T box by UDP: bytes, status word and sequence numbers.
+"""RDT (raw data transfer), the UDP protocol of the ATI Net F/T box: encoding, status word and sequence numbers.
 
-Source: ATI 9620-05-NET FT, sections 9 and 17.1; ATI 9620-05-C Ethernet Axia. Everything is big-endian. A request has 8
-bytes: 0x1234, the command, the number of samples. A record has 36 bytes: the sequence number of the stream, the
-sequence number of the 7 kHz measurement in the box, the status word and six counts. In buffered mode a datagram carries
-up to 40 records. The meaning of the status word depends on the product.
+Source: ATI 9620-05-NET FT, sections 9 and 17.1; ATI 9620-05-C Ethernet Axia. Numbers are big-endian. A request has 8
+bytes: 0x1234, the command, the number of samples. A record has 36 bytes: the number of the record in the stream, the
+number of the 7 kHz measurement in the box, the status word, and six counts. In buffered mode a datagram contains up to
+40 records. The meaning of the status word depends on the product.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ _RECORD = struct.Struct(">3I6i")
 
 
 class RdtCommand(IntEnum):
-    """Commands to the box; it answers only those that start a stream, by records."""
+    """Commands to the box. The box does not acknowledge commands; after a start command it sends records."""
 
     STOP = 0x0000
     START = 0x0002
-    """One record in each datagram, at the configured rate."""
+    """Start a stream with one record in each datagram, at the configured rate."""
 
     START_BUFFERED = 0x0003
     START_MULTI_UNIT = 0x0004
@@ -53,7 +53,7 @@ class RdtCommand(IntEnum):
     """Clear the latched threshold condition."""
 
     BIAS = 0x0042
-    """Take the present wrench as zero."""
+    """Define the present wrench as zero."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,17 +67,17 @@ class RdtRecord:
 
 
 def encode_request(command: RdtCommand, samples: int = 0) -> bytes:
-    """Return a request for `samples` records; 0 requests records without end."""
+    """Return the bytes of a request with `command`; a start command requests `samples` records, 0 means no limit."""
     return _REQUEST.pack(_HEADER, command, samples)
 
 
 def decode_request(datagram: bytes) -> tuple[RdtCommand, int]:
     """Return command and number of samples of a request. Raises ProtocolError."""
     if len(datagram) != _REQUEST.size:
-        raise ProtocolError(f"an RDT request has {_REQUEST.size} bytes, this one {len(datagram)}")
+        raise ProtocolError(f"an RDT request must have {_REQUEST.size} bytes, not {len(datagram)}")
     header, command, samples = _REQUEST.unpack(datagram)
     if header != _HEADER:
-        raise ProtocolError(f"an RDT request begins with 0x1234, this one with 0x{header:04X}")
+        raise ProtocolError(f"an RDT request must begin with 0x1234, not 0x{header:04X}")
     try:
         return RdtCommand(command), samples
     except ValueError as error:
@@ -85,7 +85,7 @@ def decode_request(datagram: bytes) -> tuple[RdtCommand, int]:
 
 
 def encode_records(records: Iterable[RdtRecord]) -> bytes:
-    """Return the datagram with `records`."""
+    """Return the bytes of a datagram that contains `records`."""
     return b"".join(
         _RECORD.pack(each.rdt_sequence, each.ft_sequence, each.status, *each.counts) for each in records
     )  # fmt: skip
@@ -95,7 +95,9 @@ def decode_records(datagram: bytes) -> list[RdtRecord]:
     """Return the 1 to 40 records of a datagram. Raises ProtocolError for a wrong length."""
     count, rest = divmod(len(datagram), _RECORD.size)
     if rest or not 0 < count <= MOST_RECORDS:
-        raise ProtocolError(f"a datagram of {len(datagram)} bytes is not made of RDT records of {_RECORD.size}")
+        raise ProtocolError(
+            f"a datagram of {len(datagram)} bytes is not a sequence of RDT records of {_RECORD.size} bytes"
+        )
     return [RdtRecord(rdt, ft, status, tuple(counts))
             for rdt, ft, status, *counts in _RECORD.iter_unpack(datagram)]  # fmt: skip
 
@@ -130,9 +132,9 @@ _AXIA_SUSPECT = {3, 27}
 
 
 def read_status(status: int, product: str) -> tuple[RdtSeverity, tuple[str, ...]]:
-    """Return the severity of a status word and the names of its set bits; unknown bits are named by number.
+    """Return the severity of a status word and the names of the bits that are set; unknown bits are named by number.
 
-    `product` is `prodname` of the configuration; the Ethernet Axia has its own table.
+    `product` is the product name in the configuration: the bits of the Ethernet Axia have other meanings.
     """
     if not status:
         return RdtSeverity.HEALTHY, ()
@@ -147,7 +149,7 @@ def read_status(status: int, product: str) -> tuple[RdtSeverity, tuple[str, ...]
 
 _WRAP = 1 << 32
 _MEASUREMENTS_PER_S = 7000
-_REMEMBERED = 4096
+_REMEMBERED = 4096  # largest number of lost records that are remembered, to recognise them if they arrive late
 
 
 class RdtOrder(Enum):
@@ -156,21 +158,21 @@ class RdtOrder(Enum):
     NEXT = auto()
     DUPLICATE = auto()
     AFRESH = auto()
-    """First record of a new stream, after a start request from any client."""
+    """First record of a new stream, which any client may have requested."""
 
     LATE = auto()
-    """Counted as lost before; it arrived too late to be used."""
+    """The record was counted as lost, and has arrived after later records."""
 
     IMPLAUSIBLE = auto()
-    """Its numbers cannot follow the earlier ones: it belongs to another stream."""
+    """The sequence numbers cannot follow those of the earlier records: the record belongs to another stream."""
 
     RESTARTED = auto()
-    """The measurement counter has restarted: the box was switched off, and its bias is lost."""
+    """The number of measurements has restarted: the box was switched off, and its bias is lost."""
 
 
 @dataclass
 class RdtCounts:
-    """Numbers of records since the start, by their fate."""
+    """Numbers of received, lost, repeated, late, malformed and frozen records of a stream."""
 
     received: int = 0
     lost: int = 0
@@ -182,7 +184,11 @@ class RdtCounts:
 
 @dataclass(frozen=True)
 class RdtArrival:
-    """Validation of a record: its order, the records lost before it, and successive records without a measurement."""
+    """Result of the validation of a record.
+
+    `order` is its position, `lost` the number of records lost before it, and `frozen` the number of records in
+    succession without a new measurement.
+    """
 
     order: RdtOrder
     lost: int = 0
@@ -191,10 +197,10 @@ class RdtArrival:
 
 @dataclass
 class StreamWatch:
-    """Validates the two sequence numbers of one stream; both wrap at 2^32.
+    """Validates the two sequence numbers of the records of one stream; both wrap at 2^32.
 
-    `rdt_sequence` counts records since the start request, and reveals lost, repeated and late records. `ft_sequence`
-    counts the 7 kHz measurements of the box, and reveals whether it still measures and whether it was restarted.
+    `rdt_sequence` counts the records since the start request, and shows whether records are lost, repeated or late.
+    `ft_sequence` counts the 7 kHz measurements of the box, and shows whether the box measures or was restarted.
     """
 
     counts: RdtCounts = field(default_factory=RdtCounts)
@@ -204,11 +210,12 @@ class StreamWatch:
     _missing: dict[int, None] = field(default_factory=dict)
 
     def see(self, record: RdtRecord, now_ns: int) -> RdtArrival:
-        """Validate the next record, received at `now_ns`."""
+        """Validate the next record, which was received at `now_ns`, and update `counts`."""
         last = self._last
         if last is None:
             return self._accept(record, now_ns, 0)
-        # Twice the measurements of the box in that time, and those of one second for records queued on the way.
+        # Largest plausible difference of the numbers: twice the measurements in the time since the last record, plus
+        # one second for records that were delayed on the way.
         most = 2 * _MEASUREMENTS_PER_S * (1.0 + max(now_ns - self._last_ns, 0) / 1e9)
         ahead = (record.rdt_sequence - last.rdt_sequence) % _WRAP
         measured = (record.ft_sequence - last.ft_sequence) % _WRAP
@@ -217,7 +224,7 @@ class StreamWatch:
             if measured > most:
                 return RdtArrival(RdtOrder.RESTARTED)
         elif follows and record.rdt_sequence <= most:
-            # Earlier in the stream, but measured later: the stream was restarted, and the box was not.
+            # A lower number in the stream, but a later measurement: the stream was restarted, not the box.
             self._missing.clear()
             return RdtArrival(RdtOrder.AFRESH, self._accept(record, now_ns, 0).lost)
         elif near and (ahead == 0 or ahead >= _WRAP - _REMEMBERED):

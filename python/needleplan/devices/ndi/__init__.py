@@ -1,4 +1,4 @@
-"""NDI Aurora and Polaris trackers by the combined API over a serial port or TCP, and a simulated Aurora."""
+"""NDI Aurora and Polaris trackers (combined API over a serial port or TCP), and a simulated Aurora."""
 
 from needleplan.devices.ndi._simulator import AuroraDevice, AuroraFaults, AuroraLink, SimulatedTool
 from needleplan.devices.ndi._tracker import NdiTracker

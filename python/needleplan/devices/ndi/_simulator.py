@@ -1,8 +1,8 @@
-"""A simulated NDI Aurora, which speaks the bytes of the real one and can be given faults.
+"""A simulated NDI Aurora with selectable faults; it sends the same bytes as a real Aurora.
 
-`AuroraDevice` has no line: it takes bytes and returns bytes. `AuroraLink` connects it within a process on a virtual
-clock; `needleplan.devices.endpoint` connects it to TCP or a pseudo-terminal. The poses of the coils are functions of
-time.
+`AuroraDevice` does no input or output: it receives bytes and returns its replies. `AuroraLink` connects a client to it
+within one process on a virtual clock; `needleplan.devices.endpoint` offers it at a TCP port or pseudo-terminal. The
+poses of the coils are functions of time.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ __all__ = ["AuroraDevice", "AuroraFaults", "AuroraLink", "SimulatedTool"]
 
 _Pose = Callable[[float], tuple[tuple[float, float, float, float], tuple[float, float, float]]]
 _SPEEDS = {code: baud for baud, code in BAUD_CODES.items()}
-_LONGEST_COMMAND = 1024
+_LONGEST_COMMAND = 1024  # bytes without a carriage return after which the device discards its input
 
 
 @dataclass
 class SimulatedTool:
-    """A coil in a port; `pose` returns quaternion (w, x, y, z) and position (mm) for a time in seconds."""
+    """A simulated coil in a port; `pose` returns quaternion (w, x, y, z) and position (mm) at a time in s."""
 
     serial: str
     pose: _Pose
@@ -34,46 +34,52 @@ class SimulatedTool:
     visibility: NdiVisibility = NdiVisibility.VALID
     error_mm: float = 0.05
     port_bits: int = 0
-    """Further bits of the port status, such as 0x40: out of the volume."""
+    """Additional bits of the port status, such as 0x40 (out of the measurement volume)."""
 
     initialised: bool = False
     enabled: bool = False
 
     @property
     def port_status(self) -> int:
-        """Port status: tool in port, initialised, enabled, and `port_bits`."""
+        """Port status word: the bits for tool in port, initialised and enabled, and `port_bits`."""
         return 0x01 | self.initialised * 0x10 | self.enabled * 0x20 | self.port_bits
 
 
 @dataclass
 class AuroraFaults:
-    """Faults to simulate from now on."""
+    """Faults that the simulated device shows from now on."""
 
     damage: int = 0
-    """Number of next replies with a wrong bit."""
+    """Number of the next replies that are sent with one wrong bit."""
 
     cut: int = 0
-    """Number of next replies of which only the first half is sent."""
+    """Number of the next replies of which only the first half is sent."""
 
     noise_before: bytes = b""
     """Bytes sent before the next reply."""
 
     error: int | None = None
-    """Error code that answers the next TX or BX."""
+    """Error code with which the device answers the next TX or BX; None for a normal reply."""
 
     freeze: bool = False
-    """Send the same frame repeatedly."""
+    """Whether the same frame is sent repeatedly."""
 
     system_status: int = 0
+    """System status word in the frames."""
+
     delay_s: float = 0.0
+    """Additional delay (s) of each reply over an AuroraLink."""
+
     mute: bool = False
+    """Whether no replies are sent."""
+
     ignore_speed: bool = False
-    """Answer COMM without changing the speed."""
+    """Whether the device acknowledges COMM without changing its speed."""
 
 
 @dataclass
 class AuroraDevice:
-    """The simulated device with its tools; `count` replaces the clock as the source of frame numbers."""
+    """The simulated Aurora with its tools. Frame numbers come from `count` if it is given, else from the clock."""
 
     tools: Sequence[SimulatedTool]
     clock: Clock = field(default_factory=SystemClock)
@@ -89,7 +95,7 @@ class AuroraDevice:
     _frame: int = 0
 
     def answer(self, data: bytes) -> bytes:
-        """Take bytes, and return the replies to the commands completed by them."""
+        """Receive bytes, and return the replies to all commands that are now complete; b"" if there are none."""
         self._input += data
         replies = b""
         while (end := self._input.find(b"\r")) >= 0:
@@ -102,7 +108,7 @@ class AuroraDevice:
         return replies
 
     def reset(self) -> bytes:
-        """Restart, as after a break on the line or a power dip; return the bytes that the device then sends."""
+        """Restart the device, as after a serial break or a power dip; return the message that it then sends."""
         self.tracking, self.baud = False, 9600
         self._input.clear()
         for tool in self.tools:
@@ -231,7 +237,7 @@ _NANO = 1_000_000_000
 
 
 class AuroraLink(Link):
-    """Connects a client to `device` within a process; a reply takes 1 ms and `device.faults.delay_s`."""
+    """Connects a client to `device` within one process; a reply arrives after 1 ms plus `device.faults.delay_s`."""
 
     def __init__(self, device: AuroraDevice, clock: VirtualClock) -> None:
         self.device, self._clock = device, clock
@@ -244,13 +250,13 @@ class AuroraLink(Link):
         self.say(self.device.answer(data))
 
     def say(self, data: bytes) -> None:
-        """Let the device send bytes without a request."""
+        """Queue bytes that the device sends to the client, also without a request."""
         due_ns = self._clock.now_ns() + round((0.001 + self.device.faults.delay_s) * _NANO)
         if data:
             self._coming.append((due_ns, data))
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next bytes; empty after `timeout_s`. Advances the clock."""
+        """Return the next bytes from the device; b"" after `timeout_s`. Advances the clock."""
         self._check()
         end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
         if self._coming and self._coming[0][0] <= end_ns:
@@ -261,7 +267,7 @@ class AuroraLink(Link):
         return b""
 
     def unplug(self) -> None:
-        """Simulate an unplugged cable."""
+        """Simulate an unplugged cable: further calls of `send` and `receive` raise LinkClosed."""
         self._closed = True
 
     def close(self) -> None:

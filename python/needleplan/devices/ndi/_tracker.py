@@ -1,4 +1,4 @@
-"""An NDI Aurora or Polaris as a tracker of the coil in the tip of the needle."""
+"""Tracker that reads the pose of the coil in the needle tip from an NDI Aurora or Polaris."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from needleplan.errors import AddressError, ConfigurationError, DeviceFault, Lin
 
 __all__ = ["NDI_PORT", "NdiCounts", "NdiTool", "NdiTracker", "choose_tool", "enable_tools", "set_speed", "wake"]
 
-_FIRST_ANSWER_S = 2.0
-_RESET_S = 5.0
-_SETTLING_S = 0.1
-_ROUNDS = 8
+_FIRST_ANSWER_S = 2.0  # longest time (s) to the reply at a new speed, or to the first command on a serial line
+_RESET_S = 5.0  # longest time (s) from a serial break to the message RESET
+_SETTLING_S = 0.1  # pause (s) after a change of the speed of the serial line
+_ROUNDS = 8  # largest number of passes to initialise tools
+# Arguments of PHSR: handles of removed tools; of tools to be initialised; of tools to be enabled; of enabled tools
 _STALE, _OCCUPIED, _INITIALISED, _ENABLED = "01", "02", "03", "04"
 
 
 @dataclass(frozen=True)
 class NdiTool:
-    """An enabled tool: its handle, which may change at every start, and its serial number, which does not change."""
+    """An enabled tool: handle (may change at every start), serial number (does not change) and type."""
 
     handle: int
     serial: str
@@ -33,12 +34,15 @@ class NdiTool:
 
 
 def wake(conversation: NdiConversation) -> None:
-    """Initialise the device; on a serial line without an answer, reset it first. Raises DeviceFault."""
+    """Initialise the device. If it does not answer on a serial line, first reset it by a serial break at 9600 baud.
+
+    Raises DeviceFault without an answer.
+    """
     serial = isinstance(conversation.link, SerialLink)
     try:
         conversation.ask("INIT", timeout_s=_FIRST_ANSWER_S if serial else None)
     except NdiRefused:
-        conversation.ask("TSTOP")  # it was left in tracking mode
+        conversation.ask("TSTOP")  # the device is still in tracking mode from an earlier session
         conversation.ask("INIT")
     except DeviceFault:
         if not isinstance(conversation.link, SerialLink):
@@ -53,26 +57,33 @@ def wake(conversation: NdiConversation) -> None:
 
 
 def set_speed(conversation: NdiConversation, baud: int) -> None:
-    """Change both ends of a serial line to `baud`. Raises DeviceFault if the device does not answer at that speed."""
+    """Change the speed of the device and of the serial port to `baud`.
+
+    Raises ConfigurationError if the link or the device does not support this speed, DeviceFault if the device does not
+    answer at the new speed.
+    """
     if not isinstance(conversation.link, SerialLink):
         raise ConfigurationError(Mistake("speed", str(baud), "only a serial line has a speed"))
     if baud not in BAUD_CODES:
         raise ConfigurationError(Mistake("speed", str(baud), f"must be one of {', '.join(map(str, BAUD_CODES))}"))
     before = conversation.link.baud
-    conversation.ask("COMM", f"{BAUD_CODES[baud]}0000")  # the reply still has the old speed
+    conversation.ask("COMM", f"{BAUD_CODES[baud]}0000")  # the device replies at the old speed
     conversation.link.baud = baud
     conversation.clock.sleep(_SETTLING_S)
     try:
         conversation.ask("VER", "0", timeout_s=_FIRST_ANSWER_S)
     except DeviceFault as fault:
-        raise DeviceFault(f"tracker: answers at {before} baud, but after COMM not at {baud}: {fault}") from fault
+        raise DeviceFault(f"tracker: answers at {before} baud, but not at {baud} baud after COMM: {fault}") from fault
 
 
 def enable_tools(conversation: NdiConversation) -> list[NdiTool]:
-    """Free the handles of removed tools, then initialise and enable the present ones. Raises DeviceFault."""
+    """Free the handles of removed tools, initialise and enable the connected tools, and return all enabled tools.
+
+    Raises DeviceFault.
+    """
     for handle in _handles(conversation, _STALE):
         conversation.ask("PHF", f"{handle:02X}")
-    # Some tools show further handles once the first has been initialised.
+    # Some tools have further handles, which appear only after the first handle has been initialised.
     for _ in range(_ROUNDS):
         waiting = _handles(conversation, _OCCUPIED)
         if not waiting:
@@ -85,12 +96,15 @@ def enable_tools(conversation: NdiConversation) -> list[NdiTool]:
 
 
 def choose_tool(tools: list[NdiTool], wanted: str) -> NdiTool:
-    """Return the tool with the serial number `wanted`, or the only tool. Raises ConfigurationError."""
+    """Return the tool with the serial number `wanted`, or the only tool if `wanted` is empty.
+
+    Raises ConfigurationError if not exactly one tool matches.
+    """
     there = ", ".join(f"{tool.serial or 'without number'} (handle {tool.handle:02X})" for tool in tools) or "none"
     found = [tool for tool in tools if wanted in ("", tool.serial)]
     if len(found) != 1:
         rule = "must be the serial number of one tool" if wanted else "must be given unless there is exactly one tool"
-        raise ConfigurationError(Mistake("tool", wanted, f"{rule}; there: {there}"), "tracker")
+        raise ConfigurationError(Mistake("tool", wanted, f"{rule}; available: {there}"), "tracker")
     return found[0]
 
 
@@ -100,14 +114,17 @@ def _handles(conversation: NdiConversation, which: str) -> list[int]:
         count = int(reply[:2], 16)
         handles = [int(reply[at : at + 2], 16) for at in range(2, 2 + 5 * count, 5)]
     except ValueError as error:
-        raise ProtocolError(f"tracker: {reply[:40]!r} does not answer PHSR:{which}") from error
+        raise ProtocolError(f"tracker: {reply[:40]!r} is not a valid reply to PHSR:{which}") from error
     if len(reply) != 2 + 5 * count:
         raise ProtocolError(f"tracker: PHSR:{which} announces {count} handles in {len(reply)} characters")
     return handles
 
 
 def _tool(conversation: NdiConversation, handle: int) -> NdiTool:
-    """Query a tool: kind (8 characters), manufacturer (12), revision (3), serial number (8), port status (2)."""
+    """Query a tool and return it; its serial number and type are empty if the device refuses the query.
+
+    The reply holds type (8 characters), manufacturer (12), revision (3), serial number (8) and port status (2).
+    """
     try:
         reply = conversation.ask("PHINF", f"{handle:02X}0001")
     except NdiRefused:
@@ -117,13 +134,13 @@ def _tool(conversation: NdiConversation, handle: int) -> NdiTool:
 
 NDI_PORT = 8765
 
-_POLL_S = 0.004
-_TRANSIENT = (0x04, 0x05)  # errors of a command damaged on the line: repeat it
+_POLL_S = 0.004  # pause (s) before the next request after the device has repeated a frame
+_TRANSIENT = (0x04, 0x05)  # error codes for a command that was damaged in transmission; it is sent again
 
 
 @dataclass
 class NdiCounts:
-    """Numbers of samples, lost and repeated frames, damaged replies and refused commands since the start."""
+    """Numbers of samples, lost frames, repeated frames, damaged replies and refused commands since the opening."""
 
     samples: int = 0
     lost: int = 0
@@ -133,10 +150,10 @@ class NdiCounts:
 
 
 class NdiTracker(Tracker):
-    """Tracks the tool with the serial number `tool`, or the only tool, over `link`.
+    """Reads over `link` the poses of the tool with the serial number `tool`, or of the only tool if it is empty.
 
-    `speed` is the baud rate after the start. Poses are requested by TX if `text` is true, else by BX. With `beyond`,
-    poses outside of the volume are returned as SUSPECT.
+    `speed` is the baud rate to change to at the start (0: no change). Poses are requested by the command TX if `text`,
+    else by BX. If `beyond`, poses outside of the measurement volume are returned as SUSPECT, else as MISSING.
     """
 
     def __init__(
@@ -167,8 +184,8 @@ class NdiTracker(Tracker):
     def open(cls, address: str, *, limits: NdiPoseLimits | None = None) -> NdiTracker:
         """Open `serial:///dev/ttyUSB0[?baud=9600&speed=115200]` or `tcp://host[:8765]` and start tracking.
 
-        Further options: `tool` (a serial number), `reply` (bx or tx), `beyond` (yes or no). Raises AddressError,
-        ConfigurationError if the tool is missing, DeviceFault if no NDI device answers.
+        Further options: `tool` (a serial number), `reply` (bx or tx), `beyond` (yes or no). Raises AddressError if the
+        address is wrong, ConfigurationError if the tool is missing, DeviceFault if no NDI device answers.
         """
         parsed = Address.parse(address)
         if parsed.scheme not in ("serial", "tcp"):
@@ -204,7 +221,10 @@ class NdiTracker(Tracker):
         self._conversation.discard()
 
     def read(self, timeout_s: float) -> PoseSample | None:
-        """Return the next new frame, or None after `timeout_s`. Raises DeviceFault, then always until `start`."""
+        """Return the next pose sample, or None after `timeout_s`.
+
+        Raises DeviceFault if the tracker cannot be used, and then at every call until `start`.
+        """
         if self._closed:
             raise LinkClosed("the tracker is closed")
         if self._fault is not None:
@@ -232,10 +252,13 @@ class NdiTracker(Tracker):
             raise
 
     def _exchange(self, deadline: Deadline) -> Frames | None:
-        """Request a frame if none is requested, and return it; None if it has not arrived, or arrived damaged."""
+        """Request a frame unless a request is pending, and return the reply.
+
+        Return None if the reply has not arrived by the deadline, or is damaged.
+        """
         now_ns = self._clock.now_ns()
         if self._asked_ns is None:
-            # Bytes without a pending request are a late reply, which is outdated, or report a reset of the device.
+            # Bytes that arrive without a pending request are an outdated late reply, or report a reset of the device.
             if "RESET" in self._conversation.discard():
                 self._parse("RESET")
             self._conversation.send(self._name, self._mode)
@@ -263,7 +286,7 @@ class NdiTracker(Tracker):
 
     def _parse(self, reply: str | bytes) -> Frames | None:
         if reply == "RESET":
-            raise DeviceFault("tracker: it reset itself; was its power gone for a moment?")
+            raise DeviceFault("tracker: it has reset itself; was its power interrupted?")
         try:
             if isinstance(reply, str):
                 self._conversation.refuse(self._name, reply)
@@ -287,7 +310,7 @@ class NdiTracker(Tracker):
         self.counts.damaged += 1
         if self._damaged_replies >= self.limits.damaged:
             raise DeviceFault(
-                f"tracker: {self._damaged_replies} damaged replies in succession: {why}; speed and cable?"
+                f"tracker: {self._damaged_replies} damaged replies in succession: {why}; check speed and cable"
             )
 
     def close(self) -> None:

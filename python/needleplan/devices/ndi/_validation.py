@@ -1,4 +1,4 @@
-"""Validation of the frames of one NDI tool."""
+"""Validation of the frames that an NDI tracker sends for one tool."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from needleplan.errors import DeviceFault
 __all__ = ["NdiPoseLimits", "NdiPoseValidator"]
 
 _WRAP = 1 << 32
-_HARDWARE_FAILURE, _HARDWARE_CHANGE, _PLUGGED = 0x10, 0x20, 0xC0
-_SOUND_PORT = 0x31 | 0x0E  # port status bits without a fault: tool in port, initialised, enabled; switches
+_HARDWARE_FAILURE, _HARDWARE_CHANGE, _PLUGGED = 0x10, 0x20, 0xC0  # bits of the system status
+_SOUND_PORT = 0x31 | 0x0E  # bits of the port status that are not faults: tool in port, initialised, enabled; switches
 
 
 @dataclass(frozen=True)
 class NdiPoseLimits:
-    """Limits beyond which a pose is SUSPECT, or the tracker raises DeviceFault."""
+    """Frame rate of the tracker, and limits above which a pose is SUSPECT or the tracker raises DeviceFault."""
 
-    rate_hz: float = 40.0  # frame rate of the tracker
-    silence_s: float = 0.5  # time without a new frame after which the tracker is taken to have stopped: DeviceFault
+    rate_hz: float = 40.0  # frame rate of the tracker, which converts frame numbers to times
+    silence_s: float = 0.5  # time without a new frame after which the tracker raises DeviceFault
     reply_s: float = 12.0  # longest time from a command to its reply; then DeviceFault
-    gap_s: float = 0.1  # pause between the bytes of a reply after which the reply is taken as cut
-    late_s: float = 0.2  # time of a reply above which the age of its pose is unknown: SUSPECT
-    damaged: int = 10  # damaged replies in succession that mean a wrong speed or a bad cable: DeviceFault
+    gap_s: float = 0.1  # pause between the bytes of a reply after which the reply counts as truncated
+    late_s: float = 0.2  # time from a request to its reply above which the pose is SUSPECT (it may be outdated)
+    damaged: int = 10  # number of damaged replies in succession at which the tracker raises DeviceFault
     most_error_mm: float = 1.0  # fit error above which a pose is SUSPECT
-    step_mm: float = 5.0  # step from one frame to the next above which a pose is SUSPECT
+    step_mm: float = 5.0  # change of the position from one frame to the next above which a pose is SUSPECT
     norm_tolerance: float = 0.01  # deviation of the quaternion's length from one above which a pose is SUSPECT
 
 
 class NdiPoseValidator(PoseValidator):
-    """Validates the frames of the tool with one handle."""
+    """Validates the frames of the tool with the handle `handle`."""
 
     def __init__(self, handle: int, limits: NdiPoseLimits) -> None:
         super().__init__()
@@ -42,14 +42,14 @@ class NdiPoseValidator(PoseValidator):
         self._new_frame_ns = 0
 
     def validate(self, frames: Frames, now_ns: int, took_s: float = 0.0) -> PoseSample | None:
-        """Return the sample of a new frame, or None for a repeated one. Raises DeviceFault.
+        """Return the sample of a new frame, or None if the frame is repeated.
 
-        `took_s` is the time from the command to its reply.
+        `took_s` is the time from the request to its reply. Raises DeviceFault if the tool or tracker cannot be used.
         """
         self._check_system(frames.system_status)
         found = [tool for tool in frames.tools if tool.handle == self.handle]
         if len(found) != 1:
-            raise DeviceFault(f"tracker: handle {self.handle:02X} is {len(found)} times in the reply")
+            raise DeviceFault(f"tracker: handle {self.handle:02X} occurs {len(found)} times in the reply")
         tool = found[0]
         if tool.visibility in (NdiVisibility.DISABLED, NdiVisibility.UNOCCUPIED) or tool.frame is None:
             raise DeviceFault(
@@ -74,13 +74,14 @@ class NdiPoseValidator(PoseValidator):
     def _check_progress(self, asked_ns: int) -> None:
         still_s = (asked_ns - self._new_frame_ns) / 1e9
         if still_s > self.limits.silence_s:
-            raise DeviceFault(f"tracker: the same frame for {still_s:.3g} s: it has stopped tracking")
+            raise DeviceFault(f"tracker: no new frame for {still_s:.3g} s: it has stopped tracking")
 
     def _check_system(self, status: int) -> None:
         first, self._first = self._first, False
         if status & _HARDWARE_FAILURE:
             raise DeviceFault(f"tracker: hardware failure (system status {status:04X})")
-        # The first reply reports tools plugged in before the start; later, a handle may belong to another tool.
+        # The first reply reports tools plugged in before the start. A later change is a fault, because the handle may
+        # then belong to another tool.
         if not first and status & (_PLUGGED | _HARDWARE_CHANGE):
             raise DeviceFault(
                 f"tracker: tools were plugged in or out (system status {status:04X}): is it the same tool?"

@@ -1,7 +1,7 @@
-"""Commands of the NDI combined API, the extraction of replies from a stream of bytes, and their exchange.
+"""NDI combined API: encoding of commands, extraction of replies from a stream of bytes, and exchange with the device.
 
-A command is `NAME:arguments`, four hexadecimal digits of CRC over these, and a carriage return. A command with a space
-instead of the colon has no CRC. A text reply always ends with its CRC and a carriage return.
+A command is the text `NAME:arguments`, the CRC of this text (four hexadecimal digits), and a carriage return. A command
+with a space instead of the colon has no CRC. A text reply always ends with its CRC and a carriage return.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ ERRORS = MappingProxyType({
 BAUD_CODES = MappingProxyType({
     9600: "0", 14_400: "1", 19_200: "2", 38_400: "3", 57_600: "4", 115_200: "5", 921_600: "6", 230_400: "A",
 })  # fmt: skip
-"""First character of the argument of `COMM` by speed."""
+"""First character of the argument of `COMM` for each speed (baud)."""
 
 
 class NdiRefused(DeviceFault):
@@ -47,46 +47,46 @@ class NdiRefused(DeviceFault):
 
     def __init__(self, command: str, code: int) -> None:
         self.command, self.code = command, code
-        super().__init__(f"tracker: {command} refused: error {code:02X}, {ERRORS.get(code, 'not known here')}")
+        super().__init__(f"tracker: {command} refused: error {code:02X}, {ERRORS.get(code, 'unknown')}")
 
 
 def encode_command(name: str, arguments: str = "") -> bytes:
-    """Return a command with its CRC and carriage return."""
+    """Return the bytes of a command, with CRC and carriage return."""
     return encode_text(f"{name}:{arguments}")
 
 
 def encode_text(text: str) -> bytes:
-    """Return the text of a command or reply with its CRC and carriage return."""
+    """Return the bytes of `text`, a command or reply, followed by its CRC and a carriage return."""
     data = text.encode("ascii")
     return data + b"%04X\r" % crc16(data)
 
 
 def decode_command(line: bytes) -> tuple[str, str]:
-    """Return name and arguments of a command without its carriage return. Raises ProtocolError."""
+    """Return name and arguments of a command; `line` has no carriage return. Raises ProtocolError."""
     try:
         text = line.decode("ascii")
     except UnicodeDecodeError as error:
-        raise ProtocolError("a command is ASCII") from error
+        raise ProtocolError("a command must be ASCII text") from error
     colon, space = text.find(":"), text.find(" ")
     if space >= 0 and not 0 <= colon < space:
         return text[:space].upper(), text[space + 1 :]
     if colon < 0 or len(text) < colon + 5:
-        raise ProtocolError("a command has a colon and a CRC")
+        raise ProtocolError("a command must have a colon and a CRC")
     body, crc = text[:-4], text[-4:]
     if crc.upper() != f"{crc16(body.encode()):04X}":
         raise ProtocolError(f"the CRC of {body} is not {crc}")
     return body[:colon].upper(), body[colon + 1 :]
 
 
-_LONGEST_TEXT = 16_384
-_TEXT = frozenset(range(0x20, 0x7F)) | {0x0A}
+_LONGEST_TEXT = 16_384  # characters without a carriage return after which they are discarded as damaged
+_TEXT = frozenset(range(0x20, 0x7F)) | {0x0A}  # bytes that a text reply may contain
 
 
 class ReplyReader:
-    """Extracts replies from a stream of bytes: text replies as `str` without CRC, binary ones as `bytes` with header.
+    """Extracts replies from a stream of bytes: a text reply as `str` without CRC, a binary reply as complete `bytes`.
 
-    Only replies with a correct CRC are returned. After damage the search continues at the next byte, so that a whole
-    reply after a damaged one is found. `damaged` counts the bytes outside of correct replies.
+    Only replies with a correct CRC are returned; other bytes are discarded and counted in `damaged`. A correct reply
+    that follows damaged bytes is found.
     """
 
     def __init__(self) -> None:
@@ -96,19 +96,19 @@ class ReplyReader:
 
     @property
     def pending(self) -> int:
-        """Number of bytes of an incomplete reply."""
+        """Number of received bytes that are not yet extracted."""
         return len(self._buffer)
 
     def feed(self, data: bytes) -> None:
-        """Add received bytes."""
+        """Append received bytes to the stream."""
         self._buffer += data
 
     def clear(self) -> None:
-        """Discard the incomplete reply."""
+        """Discard the received bytes that are not yet extracted, and count them as damaged."""
         self._drop(len(self._buffer))
 
     def next(self) -> str | bytes | None:
-        """Return the next whole reply, or None until more bytes are received."""
+        """Return the next complete reply, or None if more bytes must be received first."""
         reply: str | bytes | None
         while self._buffer:
             if self._buffer[0] == START[0]:
@@ -124,7 +124,10 @@ class ReplyReader:
         del self._buffer[:count]
 
     def _binary(self) -> tuple[bytes | None, bool]:
-        """Return a reply, and whether bytes are missing; (None, False) if no reply begins with the first byte."""
+        """Return (reply, False); (None, True) if the reply is incomplete.
+
+        If the bytes are not a valid reply, drop the first byte and return (None, False).
+        """
         buffer = self._buffer
         if len(buffer) < HEADER_BYTES:
             if buffer[1:2] in (b"", START[1:]):
@@ -164,7 +167,7 @@ class ReplyReader:
 
 
 class NdiConversation:
-    """Exchanges commands and replies with an NDI device; `reply_s` is the longest time to a reply."""
+    """Exchanges commands and replies with an NDI device; `reply_s` is the longest time (s) to wait for a reply."""
 
     def __init__(self, link: Link, clock: Clock, reply_s: float = 12.0) -> None:
         self.link, self.clock, self.reply_s = link, clock, reply_s
@@ -175,7 +178,7 @@ class NdiConversation:
         self.link.send(encode_command(name, arguments))
 
     def receive(self, timeout_s: float) -> str | bytes | None:
-        """Return the next whole reply, or None after `timeout_s` or as soon as damaged bytes were discarded."""
+        """Return the next complete reply; None after `timeout_s`, or earlier if damaged bytes were discarded."""
         deadline = Deadline(self.clock, timeout_s)
         damaged = self.reader.damaged
         while True:
@@ -190,8 +193,8 @@ class NdiConversation:
     def ask(self, name: str, arguments: str = "", timeout_s: float | None = None) -> str:
         """Send a command and return the text of its reply.
 
-        Replies that arrived earlier belong to other commands and are discarded. Raises NdiRefused for `ERRORxx`,
-        DeviceFault without a reply.
+        Replies that have already arrived belong to earlier commands and are discarded. Raises NdiRefused if the reply
+        is `ERRORxx`, DeviceFault without a reply.
         """
         self.discard()
         self.send(name, arguments)
@@ -206,7 +209,7 @@ class NdiConversation:
         raise DeviceFault(f"tracker: no answer to {name}:{arguments} within {waited_s:g} s{damage}")
 
     def discard(self) -> list[str | bytes]:
-        """Discard all received bytes, and return the whole replies among them."""
+        """Discard all received bytes, and return the complete replies among them."""
         while data := self.link.receive(0):
             self.reader.feed(data)
         replies = []
@@ -217,7 +220,7 @@ class NdiConversation:
 
     @staticmethod
     def refuse(command: str, reply: str) -> None:
-        """Raise NdiRefused if `reply` is an error."""
+        """Raise NdiRefused if `reply` is `ERRORxx`; `command` is named in its message."""
         if reply.startswith("ERROR"):
             try:
                 code = int(reply[5:7], 16)

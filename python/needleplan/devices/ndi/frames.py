@@ -1,10 +1,10 @@
-"""Replies to TX (text) and BX (binary) of the NDI combined API, and the CRC of all commands and replies.
+"""Replies to the commands TX (text) and BX (binary) of the NDI combined API, and the CRC of commands and replies.
 
-A reply to BX begins with 0xA5C4, the length of the body and the CRC of these four bytes; then follow the body and its
-CRC, all little-endian. The CRC of a header with its own CRC is zero, so the CRC over the whole message equals that of
-the body. A reply to TX has fixed-width numbers: the number of tools; for each tool its handle and either `MISSING`,
-`DISABLED`, `UNOCCUPIED` or 51 characters of transform, then port status, frame number and a line feed; at the end the
-system status.
+A reply to BX has a header of six bytes (0xA5C4, the length of the body, the CRC of these four bytes), the body, and the
+CRC of the body, all little-endian. The CRC of a header that includes its CRC is zero, so the CRC of header and body
+equals the CRC of the body. A reply to TX has numbers of fixed width: first the number of tools; for each tool its
+handle, then `MISSING`, `DISABLED`, `UNOCCUPIED` or a transform of 51 characters, then port status, frame number and a
+line feed; at the end the system status.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def crc16(data: bytes) -> int:
 _NAN = math.nan
 
 PORT_SUSPECT = {0x40: "out of the volume", 0x80: "partly out of the volume"}
-"""Bits of the port status with which a pose is suspect although its numbers are plausible."""
+"""Bits of the port status that make a pose SUSPECT, and their names in the notes of the sample."""
 
 SYSTEM_SUSPECT = {
     0x01: "synchronisation",
@@ -63,7 +63,7 @@ SYSTEM_SUSPECT = {
     0x04: "CRC in the system",
     0x08: "recoverable error",
 }
-"""Bits of the system status with which the tracker stays usable, but poses are suspect."""
+"""Bits of the system status that make all poses SUSPECT, and their names in the notes of the sample."""
 
 
 class NdiVisibility(StrEnum):
@@ -97,7 +97,7 @@ class Frames:
 
 
 def bits_of(status: int, names: dict[int, str]) -> tuple[str, ...]:
-    """Return the names of the set bits."""
+    """Return the names of the bits that are set in `status`; `names` maps bits to names."""
     return tuple(name for bit, name in names.items() if status & bit)
 
 
@@ -111,7 +111,7 @@ _CODES = {visibility: code for code, visibility in _VISIBILITY.items()}
 
 
 def body_length(header: bytes) -> int:
-    """Return the length of the body after a header of six bytes. Raises ProtocolError."""
+    """Return the length (bytes) of the body that a header of six bytes announces. Raises ProtocolError."""
     if len(header) != HEADER_BYTES or header[:2] != START:
         raise ProtocolError("BX: does not begin with C4 A5")
     if crc16(header):
@@ -120,7 +120,7 @@ def body_length(header: bytes) -> int:
 
 
 def parse_bx(message: bytes) -> Frames:
-    """Return the frames in a whole reply to BX:0001 or BX:0801. Raises ProtocolError."""
+    """Return the frames in a complete reply to BX:0001 or BX:0801. Raises ProtocolError."""
     length = body_length(message[:HEADER_BYTES])
     body, crc = message[HEADER_BYTES:-2], message[-2:]
     if len(message) != length + HEADER_BYTES + 2:
@@ -141,7 +141,7 @@ def parse_bx(message: bytes) -> Frames:
 
 
 def encode_bx(frames: Frames) -> bytes:
-    """Return a whole reply to BX."""
+    """Return the bytes of a complete reply to BX."""
     body = bytearray([len(frames.tools)])
     for tool in frames.tools:
         body += bytes([tool.handle, _CODES.get(tool.visibility, _CODES[NdiVisibility.DISABLED])])
@@ -182,7 +182,7 @@ _HEX = re.compile(r"[0-9A-F]+")
 
 
 def parse_tx(text: str) -> Frames:
-    """Return the frames in a reply to TX:0001 or TX:0801 without its CRC. Raises ProtocolError."""
+    """Return the frames in a reply to TX:0001 or TX:0801; `text` has no CRC. Raises ProtocolError."""
     count = _hexadecimal(text[:2], 2)
     tools, position = [], 2
     for _ in range(count):
@@ -195,7 +195,7 @@ def parse_tx(text: str) -> Frames:
 
 
 def encode_tx(frames: Frames) -> str:
-    """Return a reply to TX without its CRC."""
+    """Return the text of a reply to TX, without its CRC."""
     lines = []
     for tool in frames.tools:
         where = tool.visibility.name
