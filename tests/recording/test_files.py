@@ -231,7 +231,7 @@ def test_one_measurement_given_twice_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (GOOD.split("\n", 1)[1], r"line 1 = 0\.0,0\.0,0\.1: holds numbers: a header with the names"),
+        (GOOD.split("\n", 1)[1], r"line 1 = 0\.0,0\.0,0\.1: holds numbers: the first line must be a header"),
         (GOOD.replace(",", " "), "line 1 = time_s depth_mm force_n: is one cell: columns must be separated by commas"),
         (GOOD.replace(",", ";").replace(".", ","), "write decimal points"),
     ],

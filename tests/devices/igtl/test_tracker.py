@@ -94,12 +94,12 @@ def test_nobody_there_is_a_fault() -> None:
 
 @pytest.mark.parametrize("kind", PoseKind)
 def test_a_tool_that_is_not_sent_is_refused_with_those_that_are(kind: PoseKind) -> None:
-    with pytest.raises(ConfigurationError, match=rf"name = Needle.*came: {kind.upper()} 'NeedleToTracker'"):
+    with pytest.raises(ConfigurationError, match=rf"name = Needle.*it sent: {kind.upper()} 'NeedleToTracker'"):
         Bench(kind).tracker("Needle")
 
 
 def test_another_kind_of_message_than_the_one_that_is_sent_is_refused_with_that() -> None:
-    with pytest.raises(ConfigurationError, match=r"must be a POSITION.*came: TRANSFORM 'NeedleToTracker'"):
+    with pytest.raises(ConfigurationError, match=r"must be a POSITION.*it sent: TRANSFORM 'NeedleToTracker'"):
         Bench().tracker(kind=PoseKind.POSITION)
 
 

@@ -115,7 +115,7 @@ def test_21_a_tool_that_is_no_longer_tracked_is_a_fault(seen: NdiVisibility) -> 
 def test_21_a_tool_that_is_gone_from_the_reply_is_a_fault(bench: Bench) -> None:
     tracker = settled(bench)
     bench.tip.enabled = False
-    fault_of(tracker, "handle 0A is 0 times")
+    fault_of(tracker, "handle 0A occurs 0 times")
 
 
 @pytest.mark.parametrize(
@@ -205,14 +205,14 @@ def test_24_a_handle_that_has_gone_to_another_tool(bench: Bench) -> None:
 def test_24_a_handle_that_comes_twice_is_a_fault(bench: Bench) -> None:
     tracker = settled(bench)
     bench.device.tools = [*bench.device.tools, SimulatedTool(TIP, needle, initialised=True, enabled=True)]
-    fault_of(tracker, "handle 0A is 2 times")
+    fault_of(tracker, "handle 0A occurs 2 times")
 
 
 def test_25_a_device_that_resets_itself_is_a_fault(bench: Bench) -> None:
     tracker = settled(bench)
     bench.link.say(bench.device.reset())
     bench.clock.advance(0.01)
-    fault_of(tracker, "it reset itself")
+    fault_of(tracker, "it has reset itself")
 
 
 def test_25_a_reset_that_goes_unseen_is_a_fault_of_the_next_reply(bench: Bench) -> None:
