@@ -34,6 +34,7 @@ from needleplan_thesis.steering import (
 )
 
 SCENARIOS = ("phantom", "four_obstacles", "layered")
+# Relative errors of the true curvature in the second part of the page.
 OFF = (-0.2, 0.2)
 KIND = (
     "scenario", "curvature", "guidance", "runs", "predicted", "success", "error mean", "median", "95 %", "turns",

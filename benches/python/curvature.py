@@ -26,6 +26,7 @@ from needleplan.models import arc_step
 
 LENGTH_MM, RADIUS_MM, SIGMA_MM, POINTS = 80.0, 1200.0, 0.1, 320
 PLACES = np.linspace(0, LENGTH_MM, POINTS)
+# Range of the coverage of a 95 % interval that counts as correct.
 WANTED = (0.93, 0.97)
 Noise = Callable[[np.random.Generator], NDArray[np.float64]]
 

@@ -52,6 +52,7 @@ from needleplan.scenario import Scenario
 from needleplan.simulation import Experiment, simulated_station
 from needleplan.simulation.lab_processes import RealTimeLab
 
+# Goals for the 99th percentile of the latency (ms), without and with replanning.
 GOAL_MS, GOAL_REPLANNING_MS = 5.0, 40.0
 PATIENT = SafetyLimits(
     insertion_velocity_mm_s=25.0, force_age_s=0.5, pose_age_s=0.5, stage_age_s=0.5, loop_age_s=0.5, motion_s=2.0,

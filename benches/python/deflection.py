@@ -32,6 +32,7 @@ from needleplan.signals import Motion, Record
 
 NEEDLE = NeedleShaft(0.718, 0.413, 203.0, math.radians(24.8))
 TISSUE = ElasticTissue(3.87e-3, 123.9e-6)
+# Goal for the computing time of one shape among many (us).
 GOAL_US = 5.0
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from needleplan.diagnosis import Diagnosis, Library
 from needleplan.signals import Array
 
+# Number of bootstrap samples, and share of them in which a coefficient must be nonzero to count.
 BAGS = 50
 INCLUDED = 0.6
 THRESHOLDS = np.geomspace(0.5, 30.0, 14)

@@ -13,13 +13,15 @@ from scipy.stats import beta
 Line = dict[str, Any]
 Lines = Sequence[Line]
 
+# Heterogeneity standard deviations of the tissue (shares).
 LEVELS = (0.0, 0.03, 0.10)
 VARIETIES = ("rich", "poor")
+# Edges of the bins of the power curves: sizes (multiples of the noise RMS) and noncentralities.
 SIZES = (0.0, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 50.0)
 NONCENTRALITIES = (0.0, 10.0, 30.0, 60.0, 100.0, 300.0, 1000.0, 3000.0, 1e9)
+# Verdicts that report no effect, and verdicts that give a name.
 QUIET = ("none", "underpowered")
 NAMING = ("named", "incomplete")
-"""Verdicts that give a name."""
 
 
 def rate(hits: int, of: int) -> dict[str, float | int | None]:

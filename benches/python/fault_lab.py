@@ -23,6 +23,7 @@ from needleplan.devices.robot.messages import RobotKind, decode
 from needleplan.errors import ProtocolError
 
 TOOL = "34801403"
+# Time for which the process of the loop is suspended (s).
 PAUSE_S = 0.2
 
 

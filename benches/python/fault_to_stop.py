@@ -37,7 +37,9 @@ from needleplan.errors import DeviceFault, MotionRefused
 from needleplan.recording import EVENT, Recorder
 from needleplan.recording import _journal as journal
 
+# Goal for the worst reaction (ms).
 GOAL_MS = 50.0
+# Period of the loop (s), and time after a fault in which a stop is expected (s).
 TICK_S = 0.005
 PATIENCE_S = 1.5
 LIMITS = SafetyLimits()

@@ -28,7 +28,9 @@ AVERAGE = MovingAverage(5)
 WHITE_SD_N = 1.9e-3 * 5**0.5
 """Standard deviation of the white noise before the average over five samples, which reduces it to 1.9 mN."""
 
+# Open-loop error (N) below which a start counts as good.
 LIMIT_N = 10e-3
+# By factor of the wrong starts: share of good starts that is the goal.
 GOALS = {1.5: 1.0, 3.0: 0.99, 6.0: 0.95}
 
 

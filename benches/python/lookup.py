@@ -25,6 +25,7 @@ from problem import scenario_at
 import needleplan as npl
 from needleplan.planning import lattice_of
 
+# Number of poses in one call of `lookup_many`.
 POSES = 4_000_000
 
 

@@ -34,6 +34,7 @@ from needleplan.diagnosis.next_motion import Separating, limits_of, next_motion,
 from needleplan.models.effects import effects_of
 from tests.blind.campaign import HETEROGENEITY, Purpose
 
+# Name of the fixed motion by channel, and kinds of added trials.
 FIXED = {SubjectName.FORCE: "rich", SubjectName.TIP: "half_turns"}
 WAYS = ("proposed", "repeated", "fixed")
 

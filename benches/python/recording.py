@@ -23,7 +23,9 @@ from needleplan.devices import ForceSample, PoseSample, StageSample, Stamp
 from needleplan.recording import FORCE, POSE, STAGE, Recorder, Recording, Session, recover
 
 PAGE_KB = os.sysconf("SC_PAGE_SIZE") / 1024
+# Goal for the longest recording lost by a kill (ms).
 LIMIT_MS = 50.0
+# Ticks of 1 ms between two poses, and between two forces.
 POSES_EVERY, FORCES_EVERY = 25, 5
 
 KILLED = """

@@ -25,12 +25,16 @@ import numpy as np
 from needleplan.estimation import PoseUse, Registration, TipFilter, TipSettings, TipStatus
 from needleplan.simulation import Effects, Lab, Setup, SimulatedEntry, SimulatedLayer
 
+# Distance of the coil behind the tip, and planned radius.
 COIL_MM, PLANNED_MM = 9.3, 40.0
+# Effects of the lab in every case.
 USUAL: dict[str, float] = {
     "curvature_error": 0.2, "heading_noise_rad_sqrt_mm": 0.002, "tracker_noise_mm": 0.2,
     "tracker_angle_noise_rad": 0.01, "coil_offset_mm": COIL_MM, "encoder_step_mm": 1e-3, "encoder_step_rad": 5e-4,
 }  # fmt: skip
+# Settings of the filter that match the white noise of the tracker in `USUAL`.
 TOLD = TipSettings(position_sd_mm=0.2, angle_sd_rad=0.01)
+# Depth (mm) of each leg of an insertion, and roll (rad) to which the needle is then rotated.
 LEGS = ((15.0, math.pi), (35.0, 0.0), (55.0, None))
 LAYERS = (SimulatedLayer(25.0, 1 / 60), SimulatedLayer(45.0, 1 / 30))
 

@@ -12,9 +12,9 @@ has passed through the phantom and oscillates by 40 mm at 0.1 Hz for four cycles
 - three trackers in the tissue at 40 Hz with 0.1 mm of noise. Their displacements are 0.8, 0.6 and 1 times that of the
   tissue at the shaft, because in the thesis sensor 3 moves most and sensor 2 least.
 
-Stiffness and damping are chosen so that the lag of the velocity against the tissue is about the published one: for
-gelatin that of sensor 3 (10.13 degrees), for agar that of the observer (2.99 degrees). Computed lags are therefore no
-evidence; only the errors of the methods are.
+Stiffness and damping are assumed. The values for gelatin give about the published lag of sensor 3 (10.13 degrees). The
+values for agar give about the published lag of the observer (2.99 degrees). Computed lags are therefore no evidence;
+only the errors of the methods are.
 """
 
 from __future__ import annotations

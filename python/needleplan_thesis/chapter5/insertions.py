@@ -38,7 +38,9 @@ __all__ = [
 ]
 
 NEEDLE = NeedleShaft(0.718, 0.413, 203.0, math.radians(24.8))
+# Printed second moment of area (m^4) and cross-sectional area (m^2) of the needle.
 SECOND_MOMENT_M4, AREA_M2 = 1.162e-14, 2.709e-7
+# Distance of the tracker coil behind the tip, and final depth of an insertion (mm).
 COIL_MM = 9.3
 END_MM = 80.0
 

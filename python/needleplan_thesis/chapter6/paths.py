@@ -109,6 +109,7 @@ _START_MM = (0.0, 20.0)
 # Smallest predicted success with which a heading is accepted for the start of Fig. 6.4.
 _MOST = 0.75
 
+# Number of executions with tip noise for a realised success.
 _RUNS = 10_000
 _SECTION = "ch6/figures"
 _LETTERS = "abc"

@@ -40,8 +40,10 @@ from needleplan_thesis.steering import (
 __all__ = ["EXPERIMENTS", "PhantomExperiment", "experiments", "miss_mm", "phantom", "with_rotation"]
 
 _SECTION = "ch6/section 6.5"
+# Cost of a collision and of an exit.
 _FAILURE = 1000.0
 _WHY = "rods and target are assumed, the thesis prints no coordinates; failures 1,000, no discount"
+# Number of executions with tip noise for a realised success.
 _RUNS = 10_000
 
 
@@ -311,7 +313,7 @@ def _draw_lab(figure: str, chosen: Sequence[_Done], file: Path) -> None:
     drawing.legend(handles=handles, loc="outside upper right", ncols=2, frameon=False, fontsize=7.5)
     caption(
         drawing,
-        f"Fig. {figure} in the lab twin. Thick: the plan. Thin: true paths of insertions with feedback, one a seed. "
+        f"Fig. {figure} in the lab twin. Thick: the plan. Thin: true paths of insertions with feedback, one per seed. "
         "Rods, target and the imperfections of the lab are assumed; the thesis measured one insertion each.",
     )
     save(drawing, file)

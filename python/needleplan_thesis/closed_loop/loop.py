@@ -39,6 +39,8 @@ VELOCITY_MM_S = 10.0
 """Insertion velocity when a plan is executed (mm/s)."""
 
 _VELOCITY_RAD_S = 10.0
+"""Speed of rotations when a plan is executed (rad/s)."""
+
 _MORE = 2
 """Largest number of next motions in a round."""
 
