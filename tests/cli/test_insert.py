@@ -116,7 +116,7 @@ def test_without_a_way_to_the_target_it_does_not_begin(file: Path, quick: Path) 
         (["--limits", "run.mcap", "-o", "run.mcap"], ["would replace run.mcap"]),
         (["--torsion", "1e4"], ["--torsion", "2 numbers"]),
         (["--force-axis", "0,0,0"], ["--force-axis", "direction"]),
-        (["--scenario", "four_obstacles"], ["workspace", "must be that of the scenario", "grid"]),
+        (["--scenario", "four_obstacles"], ["workspace", "must be equal to that of the scenario", "grid"]),
         (["--limits", "none.toml"], ["none.toml", "cannot be read"]),
         (["--registration", "none.toml"], ["none.toml", "cannot be read"]),
         (["-o", "/nowhere/run.mcap"], ["/nowhere"]),
@@ -140,7 +140,7 @@ def test_what_is_refused(
 
 def test_a_table_for_another_needle_is_refused(file: Path) -> None:
     needle = Identified(1 / 55, 1 / 60, 1 / 50, "bicycle", 3, "sha256:0")
-    with pytest.raises(TableError, match="must be that of the needle, 55 mm, from 50 to 60 mm"):
+    with pytest.raises(TableError, match="must be from 50 to 60 mm: the identified needle has 55 mm"):
         require_fitting(small_table(), str(file), needle=needle)
     require_fitting(small_table(), str(file), needle=Identified(1 / 41, 1 / 45, 1 / 38, "bicycle", 3, "sha256:0"))
     without_interval = Identified(1 / 41, math.nan, math.nan, "bicycle", 3, "sha256:0")

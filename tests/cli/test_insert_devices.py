@@ -143,5 +143,5 @@ def test_a_needle_that_stands_elsewhere(still: Still, folder: Path, capsys: pyte
     code = insert(folder, f"{still.robot.address}?watchdog_s=5", still.force, still.tracker, "--start", "0,5,0")
     said = capsys.readouterr()
     assert code == 2, said.err
-    assert "from the start that is wanted" in said.err
+    assert "from the expected start" in said.err
     assert "refused" in said.out

@@ -45,7 +45,7 @@ def test_elsewhere_it_is_lines(capsys: pytest.CaptureFixture[str]) -> None:
         report = insertion_in(lab, listeners=[shown]).run()
     lines = capsys.readouterr().err.splitlines()
     assert sum(line.startswith("step ") for line in lines) == len(report.steps)
-    assert sum(line.startswith("table swapped: a table for a radius of") for line in lines) == report.replans >= 1
+    assert sum(line.startswith("table swapped: new table for a radius of") for line in lines) == report.replans >= 1
 
 
 class Told:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needleplan.control import Options, ThreadReplanner
-from needleplan.control._replanning import curvature_left, rescaled
+from needleplan.control._replanning import curvature_mismatch, rescaled
 from needleplan.errors import ScenarioError
 from needleplan.estimation.tip import TipEstimate
 from needleplan.scenario import Scenario
@@ -28,13 +28,13 @@ class Bent:
 @given(st.floats(0.001, 0.1), st.floats(0.5, 2), st.floats(0.001, 0.3))
 def test_the_plan_is_left_where_the_estimate_is_sure_and_far(planned: float, factor: float, share: float) -> None:
     tip = cast("TipEstimate", Bent(planned * factor, planned * share))
-    cause = curvature_left(tip, planned, Options(replan_deviations=3.0, replan_share=0.04))
+    cause = curvature_mismatch(tip, planned, Options(replan_deviations=3.0, replan_share=0.04))
     off = abs(factor - 1)
     assert (
         bool(cause) == (off > 3 * share and off > 0.04) or off == pytest.approx(3 * share) or off == pytest.approx(0.04)
     )
     if cause:
-        assert "standard deviations off" in cause
+        assert "standard deviations" in cause
 
 
 @pytest.mark.parametrize("name", ["four_obstacles", "layered", "brain"])

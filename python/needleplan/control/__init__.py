@@ -1,4 +1,4 @@
-"""Control of a run: the insertion loop, its recorder and its replay; the safety guard is in `control.safety`."""
+"""Control of a run: the insertion loop, its recorder and its replay. The safety guard is in `control.safety`."""
 
 from needleplan.control._events import (
     CommandKind,

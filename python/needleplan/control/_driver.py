@@ -1,4 +1,4 @@
-"""Execution of motions: insert, rotate, wait for the end, and wait out pauses; every command goes to the guard."""
+"""Execution of the motions of an insertion: commands, waiting for their end, pauses. All commands go to the guard."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from needleplan.errors import DeviceFault
 
 __all__ = ["NeedleDriver"]
 
-# distance from its goal, mm and rad, within which a stage at rest has arrived
+# largest distance from the goal (mm, rad) at which a stage at rest counts as arrived
 _ARRIVED_MM, _ARRIVED_RAD = 0.3, 0.02
-# A motion may take this many times its nominal duration, and this many seconds more, before it is a fault.
+# time limit of a motion: factor of its nominal duration, plus a constant (s); a longer motion is a fault
 _DURATION_FACTOR, _DURATION_S = 2.0, 2.0
-# s within which one more frame of the tracker is expected, on average
+# s that each awaited tracker frame adds to the time limit of `settle`
 _FRAME_S = 0.5
+# originator of the loop's orders, as the events of the guard name it
 _BY = "the loop, for the operator"
 
 
 class NeedleDriver:
-    """Moves the needle by commands to the guard, and takes samples until each motion has ended.
+    """Moves the needle by commands to the guard, and receives samples until each motion has ended.
 
-    `on_pause` is called with the causes of a pause and a text when it begins, and without causes when it ends.
+    `on_pause(causes, text)` is called when a pause begins, and again with empty `causes` when the pause ends.
     """
 
     def __init__(
@@ -34,7 +35,7 @@ class NeedleDriver:
         on_pause: Callable[[str, str], None],
     ) -> None:  # fmt: skip
         self.goal_mm = 0.0
-        """Length of the path at which the insertion under way ends (mm)."""
+        """Path length at which the present insertion ends (mm)."""
 
         self.moved = False
         """Whether any motion was commanded."""
@@ -43,10 +44,14 @@ class NeedleDriver:
         self._listeners, self._on_pause = listeners, on_pause
         self._enabled = self._resumed = False
         self._commanded_at = -1
-        """Number of stage samples at the last command: the next sample is the first that can show its effect."""
+        """Number of stage samples received before the last command; only later samples can show the command's
+        effect."""
 
     def enable(self) -> None:
-        """Enable the guard as soon as no cause is present, at most within `silence_s`. Raises MotionRefused."""
+        """Declare the stage homed, wait until no cause is present, at most `silence_s`, and enable the guard.
+
+        Raises MotionRefused if the guard refuses an order.
+        """
         self._guard.order(Order.HOME, _BY)
         end_ns = self._clock.now_ns() + round(self._options.silence_s * 1e9)
         while self._guard.state.present and self._clock.now_ns() < end_ns:
@@ -54,24 +59,27 @@ class NeedleDriver:
         self._guard.order(Order.ENABLE, _BY)
         self._enabled = True
 
-    def wait_until(self, done: Callable[[], bool], limit_s: float, what: str) -> None:
-        """Take samples until `done()`; pauses do not count. Raises DeviceFault after `limit_s`, which names `what`."""
+    def wait_until(self, done: Callable[[], bool], limit_s: float, failure: str) -> None:
+        """Receive samples until `done()` is true. Raises DeviceFault(failure) after `limit_s`, not counting pauses."""
         end_ns = self._clock.now_ns() + round(limit_s * 1e9)
         while not done():
             if self._clock.now_ns() > end_ns:
-                raise DeviceFault(f"{what} not within {limit_s:.3g} s")
+                raise DeviceFault(f"{failure} within {limit_s:.3g} s")
             self._receive()
             if self._paused:
                 end_ns += self._wait_out_pause()
 
     def settle(self, frames: int) -> None:
-        """Take samples until the tracker has sent `frames` more usable frames. Raises DeviceFault if it does not."""
+        """Receive samples until the tracker has sent `frames` more usable frames.
+
+        Raises DeviceFault if it is too slow.
+        """
         enough = self._needle.frames + frames
         limit_s = self._options.silence_s + frames * _FRAME_S
-        self.wait_until(lambda: self._needle.frames >= enough, limit_s, "tracker: no good frames")
+        self.wait_until(lambda: self._needle.frames >= enough, limit_s, "tracker: no usable frames")
 
     def begin_insert(self, path_mm: float) -> None:
-        """Begin to insert to a length of the path (mm). Raises DeviceFault."""
+        """Begin to insert until the path has the length `path_mm` (mm). Raises DeviceFault."""
         if self._paused:
             self._wait_out_pause()
         options = self._options
@@ -81,7 +89,7 @@ class NeedleDriver:
         self._commanded(CommandKind.INSERT, depth, options.velocity_mm_s)
 
     def finish_insert(self, early_mm: float = 0.0) -> None:
-        """Wait until the stage rests at its goal, or has only `early_mm` to go. Raises DeviceFault."""
+        """Wait until the stage rests at its goal, or until at most `early_mm` (mm) are left. Raises DeviceFault."""
         needle, goal = self._needle, self.goal_mm
         limit_s = _DURATION_FACTOR * abs(goal - needle.path_mm) / self._options.velocity_mm_s + _DURATION_S
 
@@ -93,18 +101,18 @@ class NeedleDriver:
             left = goal - needle.path_mm
             return 0 < left <= early_mm or (not needle.stage.moving and abs(left) <= _ARRIVED_MM)
 
-        self.wait_until(arrived, limit_s, f"stage: came to rest at {goal:.4g} mm")
+        self.wait_until(arrived, limit_s, f"stage: did not come to rest at {goal:.4g} mm")
         if needle.stage is not None and not needle.stage.moving:
-            self.hold()  # the next step makes up for what is left
+            self.hold()  # the next step starts from the length that was reached
 
     def hold(self) -> None:
-        """Take the present length of the path as the goal."""
+        """Set the goal to the present path length."""
         self.goal_mm = self._needle.path_mm
 
     def rotate(self, roll_rad: float) -> None:
-        """Rotate the base until the tip has a roll (rad; 0 bends to the left). Raises DeviceFault.
+        """Rotate the base until the tip has the roll `roll_rad`; at 0 the needle bends to the left. Raises DeviceFault.
 
-        With a known torsional lag, the base is rotated beyond the goal by the lag, and back.
+        If the torsional lag is known, the base is rotated beyond the goal by the lag, and then back.
         """
         options, needle = self._options, self._needle
         goals = [roll_rad]
@@ -118,7 +126,7 @@ class NeedleDriver:
             self._rotate_base(float(goal) + options.roll_left_rad)
 
     def halt(self, *, latch: bool) -> None:
-        """Stop both axes and disable the stage, in any state; a latched stop must be reset by a person."""
+        """Stop both axes and disable the guard, in any state. If `latch`, a person must reset the guard afterwards."""
         self._enabled = False
         if latch:
             self._guard.stop()
@@ -132,11 +140,11 @@ class NeedleDriver:
 
     @property
     def _unseen(self) -> bool:
-        """Whether no stage sample has been taken since the last command."""
+        """Whether no stage sample has been received since the last command."""
         return self._needle.stage_samples <= self._commanded_at
 
     def _receive(self) -> None:
-        """Take one sample. Raises DeviceFault, with the cause, if the guard is no longer enabled."""
+        """Receive one sample. Raises DeviceFault, with the cause, if the guard has stopped the run."""
         self._needle.receive()
         if self._enabled and self._guard.state.operating in (OperatingState.FAULT, OperatingState.DISABLED):
             raise DeviceFault(self._needle.why_stopped())
@@ -145,14 +153,14 @@ class NeedleDriver:
         """Wait until no cause is present, resume, and return the duration of the pause (ns). Raises DeviceFault."""
         began_ns = self._clock.now_ns()
         causes = present_causes(self._guard)
-        self._on_pause(causes, "the needle stands")
+        self._on_pause(causes, "the needle has stopped")
         while self._guard.state.present or (self._needle.stage is not None and self._needle.stage.moving):
             if (self._clock.now_ns() - began_ns) * 1e-9 >= self._options.resume_s:
                 raise DeviceFault(f"paused for {self._options.resume_s:g} s: {present_causes(self._guard) or causes}")
             self._receive()
         self._guard.order(Order.RESUME, _BY)
         self._resumed = True
-        self._on_pause("", "the needle goes on")
+        self._on_pause("", "the insertion continues")
         return self._clock.now_ns() - began_ns
 
     def _rotate_base(self, goal_rad: float) -> None:
@@ -175,7 +183,7 @@ class NeedleDriver:
             return not stage.moving and abs(stage.roll_rad - goal_rad) <= _ARRIVED_RAD
 
         begin()
-        self.wait_until(arrived, limit_s, f"stage: came to rest at a roll of {goal_rad:.4g} rad")
+        self.wait_until(arrived, limit_s, f"stage: did not come to rest at a roll of {goal_rad:.4g} rad")
 
     def _commanded(self, kind: CommandKind, goal: float, speed: float) -> None:
         self.moved, self._resumed = True, False

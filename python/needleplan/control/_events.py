@@ -1,4 +1,4 @@
-"""Events of a run, and the interface of its listeners: the recorder, the live view, the report."""
+"""Events of a run, and the interface of the listeners that receive them: the recorder, the live view, the report."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = [
 
 
 class RunEventName(StrEnum):
-    """Kind of an event of a run; steps are not events."""
+    """Kind of an event of a run. Decisions are not events; see `ExecutedStep`."""
 
     BEGIN = "begin"
     BIAS = "bias"
@@ -41,7 +41,7 @@ class RunEventName(StrEnum):
 
 @dataclass(frozen=True)
 class RunEvent:
-    """One event of a run: its cause, and a sentence. `step` is the number of the next decision."""
+    """One event of a run with its cause and a text for the user. `step` is the number of the next decision."""
 
     time_ns: int
     name: RunEventName
@@ -71,11 +71,12 @@ class RunCommand:
 
 @dataclass(frozen=True)
 class ExecutedStep:
-    """One decision of the loop and the step that follows from it.
+    """One decision of the loop and the step that the needle then makes.
 
-    `pose` is the predicted tip at the end of the insertion under way, at the length `path_mm` of the path. `state` is
-    the state of the table nearest to that pose, `estimate` the tip at the time of the decision. The needle is inserted
-    by `length_mm`. `latency_s` is the time from the arrival of the last tracker frame to the decision.
+    `pose` is the predicted pose of the tip at the end of the present insertion, where the path length is `path_mm`.
+    `state` holds the indices of the table state nearest to `pose`; `estimate` is the tip estimate at the time of the
+    decision. The needle is then inserted by `length_mm`. `latency_s` is the time from the arrival of the last tracker
+    frame to the decision.
     """
 
     number: int
@@ -93,7 +94,7 @@ class ExecutedStep:
 
 
 class Listener:
-    """Receives everything that happens in a run, and ignores it; subclasses override what they need.
+    """Base class of listeners. Every method does nothing; subclasses override the methods that they need.
 
     Methods must return at once and must not raise. `safety` may be called by any thread, the others by the loop.
     """
@@ -102,7 +103,7 @@ class Listener:
         """Receive a sample of a device."""
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:
-        """Receive the estimate of the tip, after every frame of the tracker."""
+        """Receive the tip estimate after a tracker frame; `path_mm` is the path length (mm)."""
 
     def command(self, command: RunCommand) -> None:
         """Receive a command that the stage has accepted."""
@@ -117,12 +118,12 @@ class Listener:
         """Receive an event of the guard."""
 
     def status(self) -> RecorderStatus | None:
-        """Return the status of the recording if the run requires one, otherwise None."""
+        """Return the status of the recording that the run requires, or None if the run does not depend on it."""
         return None
 
 
 class ListenerGroup(Listener):
-    """Passes everything on to several listeners, in their order."""
+    """Passes every call on to several listeners, in their order."""
 
     def __init__(self, listeners: Iterable[Listener]) -> None:
         self._listeners = tuple(listeners)
@@ -133,7 +134,7 @@ class ListenerGroup(Listener):
             each.sample(sample)
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:
-        """Pass an estimate on."""
+        """Pass a tip estimate on."""
         for each in self._listeners:
             each.tip(time_ns, path_mm, tip)
 

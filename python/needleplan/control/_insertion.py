@@ -1,8 +1,8 @@
-"""The insertion loop: from the estimated tip to the next action of the table, step by step, until the insertion ends.
+"""The insertion loop: it looks up the action for the estimated tip in the table and carries it out, step by step.
 
-A decision is made at the end of every step. If the needle need not stop, the decision is made shortly before the end,
-for the predicted pose at the end of the step. To rotate, the needle stops, is observed again, and the decision is made
-for the pose at rest. The last step ends where the arc is closest to the centre of the target.
+If the needle need not stop, the decision is made shortly before the end of a step, for the predicted pose at its end.
+Before a rotation the needle stops, the tracker observes it again, and the decision is made for the pose at rest. The
+last step ends at the point of the arc that is closest to the centre of the target.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from needleplan.control._events import ExecutedStep, Listener, ListenerGroup, Ru
 from needleplan.control._needle import NeedleState, Stopped
 from needleplan.control._options import Options
 from needleplan.control._preconditions import measured_entry, require_expected
-from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_left, rescaled
+from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch, rescaled
 from needleplan.control._report import InsertionOutcome, InsertionReport, InsertionTrace
 from needleplan.control._scene import NEARLY_MM, Approach, ScenarioGeometry
 from needleplan.control.safety import GuardedStage, SafetyLimits
@@ -30,15 +30,15 @@ from needleplan.planning import Action, Decision, Path, PolicyTable, Pose
 
 __all__ = ["Insertion"]
 
-# frames of the tracker over which the pose of the entry is averaged
+# number of tracker frames over which the pose of the entry is averaged
 _ENTRY_FRAMES = 10
-# events that are emitted before the end of a run with one of these outcomes
+# event that is emitted before END if the run ends with one of these outcomes; these outcomes also latch the stop
 _ABORTED = {InsertionOutcome.FAULT: RunEventName.FAULT, InsertionOutcome.REFUSED: RunEventName.FAULT,
             InsertionOutcome.STOPPED: RunEventName.STOP}  # fmt: skip
 
 
 class Insertion(Closing):
-    """One insertion with a policy table; call `run` once, and close it.
+    """One insertion with a policy table. Call `run` once, then `close`.
 
     Parameters
     ----------
@@ -47,13 +47,13 @@ class Insertion(Closing):
     station
         The three devices and their clock. Closing the insertion closes the stage; the sensors stay open.
     options
-        Speeds, rules of replanning, and when to give up.
+        Speeds, conditions for replanning, and conditions for ending the insertion without success.
     registration
-        Transformation from the tracker to the plan; without one, the frame of the tracker is the frame of the plan.
+        Transformation from the tracker frame to the plan frame; the identity by default.
     tip_settings
         Settings of the tip filter.
     limits
-        Limits of the guard before the stage. `insertion.guard` also offers what a person needs, such as retraction.
+        Limits of the safety guard `insertion.guard`, through which a person can also retract the needle.
     replanner
         Source of new tables; a thread by default.
     listeners
@@ -89,22 +89,25 @@ class Insertion(Closing):
         self._planned: Path | None = None
         self._number = 0
         self._thread = 0
-        # Lazy attributes that take long at their first use are computed before anything moves.
+        # Cached attributes that take long to compute are computed here, before anything moves.
         _ = table.lattice, table.digest, self._scene.touches(0.0, 0.0)
 
     def stop(self, cause: str) -> None:
-        """End the run with the needle where it is, for good; any thread or signal handler may call it."""
+        """Stop the needle and end the run for good. Any thread or signal handler may call this method."""
         self._needle.request_stop(cause)
-        # A signal handler runs in the thread of the loop, which may hold the guard: there the loop itself stops.
+        # A signal handler runs in the thread of the loop, which may hold the lock of the guard; then the loop stops.
         if self._thread and threading.get_ident() != self._thread:
             self.guard.stop()
 
     def close(self) -> None:
-        """Stop, and close the stage; closing twice is harmless."""
+        """Stop the needle and close the stage. Closing twice is harmless."""
         self.guard.close()
 
     def run(self) -> InsertionReport:
-        """Insert the needle. In every case the needle stands still afterwards, and the report says why it ended."""
+        """Insert the needle and return the report, which contains the outcome and its cause.
+
+        Afterwards the needle rests.
+        """
         outcome, cause = InsertionOutcome.FAULT, "the program ended"
         self._thread = threading.get_ident()
         with ExitStack() as closing:
@@ -144,9 +147,12 @@ class Insertion(Closing):
         return ended
 
     def _begin(self) -> tuple[InsertionOutcome, str] | None:
-        """Estimate the tip, and turn the bevel to the better side; return the outcome if the plan has no chance."""
+        """Measure the entry, enable the guard, insert to the entry, and turn the bevel to the side of the lower cost.
+
+        Returns (outcome, cause) if the success probability at the start is below `least_success`, else None.
+        """
         needle, driver, options = self._needle, self._driver, self.options
-        driver.wait_until(lambda: needle.stage is not None, options.silence_s, "stage: the first sample")
+        driver.wait_until(lambda: needle.stage is not None, options.silence_s, "stage: no sample")
         entry = measured_entry(needle, driver, self.registration, _ENTRY_FRAMES, self.guard.limits.pose_age_s)
         require_expected(entry, options)
         needle.follow(TipFilter.for_scenario(self._scene.scenario, self.registration, entry, self._tip_settings))
@@ -168,20 +174,26 @@ class Insertion(Closing):
         return None
 
     def _outcome_at_tip(self) -> tuple[InsertionOutcome, str] | None:
-        """Return the outcome if the present place of the tip, or the length of the path, ends the insertion."""
+        """Return (outcome, cause) if the position of the tip or the path length ends the insertion, else None."""
         tip, scene, options = self._needle.tip, self._scene, self.options
         place = f"the tip is at x {tip.x_mm:.2f} mm, y {tip.y_mm:.2f} mm"
         if scene.outside(tip.x_mm, tip.y_mm):
-            return InsertionOutcome.OUTSIDE, f"{place}, outside of the workspace"
+            return InsertionOutcome.OUTSIDE, f"{place}, outside the workspace"
         touched = scene.touches(tip.x_mm, tip.y_mm)
         if touched:
             return InsertionOutcome.COLLISION, f"{place}, in {touched}"
         if self._needle.path_mm >= options.longest_mm - NEARLY_MM:
-            return InsertionOutcome.TOO_LONG, f"the path has the length that is allowed, {options.longest_mm:g} mm"
+            return (
+                InsertionOutcome.TOO_LONG,
+                f"the path has reached the largest allowed length, {options.longest_mm:g} mm",
+            )
         return None
 
     def _step(self) -> tuple[InsertionOutcome, str] | None:
-        """Decide and carry out one step; return the outcome if the insertion has ended."""
+        """Decide and carry out one step. Returns (outcome, cause) if the insertion has ended, else None.
+
+        If the needle must be at rest for the decision, it is only stopped and observed again.
+        """
         self._take_table()
         pose, scene, options = self._pose_at_goal(), self._scene, self.options
         approach = Approach(scene, self._needle.tip.curvature_per_mm)
@@ -192,7 +204,7 @@ class Insertion(Closing):
         hopeless = decision is not None and decision.success < options.least_success
         rotates = decision is not None and decision.action is Action.ROTATE
         if moving and (inside or outside or hopeless or rotates):
-            # These decisions are not made on the way: the needle stops and is observed again.
+            # These decisions are not made during a motion: the needle stops and is observed again.
             self._driver.finish_insert()
             self._driver.settle(options.settling_frames)
             return None
@@ -228,7 +240,7 @@ class Insertion(Closing):
         return self._driver.goal_mm - self._needle.path_mm
 
     def _pose_at_goal(self) -> Pose:
-        """Return the predicted pose of the tip at the end of the insertion under way."""
+        """Return the predicted pose of the tip at the end of the present insertion."""
         tip, bevel = self._needle.tip, self._needle.bevel
         left = self._remaining_mm()
         x, y, heading = tip.x_mm, tip.y_mm, tip.heading_rad
@@ -237,7 +249,7 @@ class Insertion(Closing):
         return Pose.wound((*self._scene.clamped(x, y), heading, bevel))
 
     def _given_up(self, pose: Pose, decision: Decision) -> tuple[InsertionOutcome, str]:
-        promise = f"the table promises {decision.success:.2%} from {pose}"
+        promise = f"the success probability of the table is {decision.success:.2%} at {pose}"
         if Approach(self._scene, 0.0).near(pose):
             distance = self._scene.target_distance_mm(pose.x_mm, pose.y_mm)
             return (
@@ -259,19 +271,19 @@ class Insertion(Closing):
         self._listeners.step(step)
 
     def _state(self, pose: Pose) -> tuple[int, int, int, int]:
-        """Return the indices of the state of the table nearest to a pose."""
+        """Return the indices (x, y, heading, bevel) of the table state nearest to a pose."""
         scenario = self.table.scenario
         (dx, dy), headings = scenario.grid.spacing_mm, scenario.motion.headings
         turn = round(pose.heading_rad / (2 * math.pi / headings)) % headings
         return round(pose.x_mm / dx), round(pose.y_mm / dy), turn, (pose.bevel + 1) // 2
 
     def _replan_if_needed(self, pose: Pose) -> None:
-        """Ask for a new table if the estimated curvature has left the planned one."""
+        """Request a new table if the estimated curvature differs too much from the planned curvature."""
         if not self.options.replan or self._replanner.busy:
             return
         tip = self._needle.tip
         planned = 1 / self._scene.radius_mm(pose.x_mm, pose.y_mm)
-        cause = curvature_left(tip, planned, self.options)
+        cause = curvature_mismatch(tip, planned, self.options)
         if not cause:
             return
         try:
@@ -283,7 +295,7 @@ class Insertion(Closing):
         self._replanner.ask(scenario)
 
     def _take_table(self) -> None:
-        """Replace the table if a new one is ready."""
+        """Replace the table if a new table is ready."""
         try:
             table = self._replanner.take(self._number)
         except NeedleplanError as error:
@@ -292,7 +304,7 @@ class Insertion(Closing):
         if table is not None:
             self.table, self._scene = table, ScenarioGeometry(table.scenario)
             radius = table.scenario.needle.curvature_radius_mm
-            text = f"a table for a radius of {radius:.4g} mm, made in {table.stats.seconds:.3f} s"
+            text = f"new table for a radius of {radius:.4g} mm, computed in {table.stats.seconds:.3f} s"
             self._emit(RunEventName.TABLE_SWAPPED, "replan", text, table.digest)
 
     def _on_pause(self, causes: str, text: str) -> None:

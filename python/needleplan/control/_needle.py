@@ -1,7 +1,7 @@
-"""State of the needle: the last sample of each device, the tip filter, and the one place where the loop takes samples.
+"""State of the needle: the last sample of each device and the tip filter. Only this module receives samples.
 
-The loop is driven by samples in the order of their arrival. The same samples lead to the same decisions; a replay
-depends on that.
+The loop processes samples in the order of their arrival. The same samples lead to the same decisions, so a recording
+can be replayed.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from needleplan.estimation.tip import PoseUse, TipEstimate, TipFilter, TipStatus
 
 __all__ = ["NeedleState", "Stopped", "present_causes"]
 
-# s that the loop waits for a sample before it looks at the operator's stop and at the guard
+# longest wait for a sample, s; after it the loop checks whether the operator or the guard has stopped the run
 _TURN_S = 0.02
-# samples that may wait in the feed before the fault that the guard already knows of
+# largest number of waiting samples that are read from the feed to reach the fault that stopped the run
 _MOST_WAITING = 100
-# ns between two ticks of the guard, which send the heartbeat of the stage
+# ns between two calls of the guard's `tick`, which sends the heartbeat to the stage
 _TICK_NS = 10_000_000
 
 
 class Stopped(Exception):
-    """The operator has stopped the run."""
+    """Raised in the loop if the operator has stopped the run."""
 
 
 class NeedleState:
-    """Last sample of each device and the estimated tip; `receive` takes the next sample of the feed."""
+    """Last sample of each device and the estimated tip; `receive` updates them with the next sample."""
 
     def __init__(self, guard: GuardedStage, clock: Clock, options: Options, listeners: ListenerGroup) -> None:
         self.stage: StageSample | None = None
@@ -50,7 +50,7 @@ class NeedleState:
         self._received_ns = self._ticked_ns = clock.now_ns()
 
     def open(self, feed: Feed) -> None:
-        """Take samples from `feed` from now on."""
+        """Receive samples from `feed` from now on."""
         self._feed = feed
         self._received_ns = self._clock.now_ns()
 
@@ -59,17 +59,17 @@ class NeedleState:
         self._filter = tip_filter
 
     def request_stop(self, cause: str) -> None:
-        """Let the next `receive` raise Stopped; the first cause counts. Any thread may call it."""
+        """Let the next `receive` raise Stopped with `cause`, or with the cause of an earlier request. Thread-safe."""
         self._stop_cause = self._stop_cause or cause or "stopped"
 
     @property
     def path_mm(self) -> float:
-        """Length of the path in the tissue, by the stage (mm)."""
+        """Path length in the tissue (mm), computed from the depth of the stage; NaN before the first stage sample."""
         return self.stage.depth_mm - self._options.entry_depth_mm if self.stage else math.nan
 
     @property
     def roll_rad(self) -> float:
-        """Roll of the base (rad); at 0 the needle bends to the left."""
+        """Roll of the base (rad); at 0 the needle bends to the left. NaN before the first stage sample."""
         return self.stage.roll_rad - self._options.roll_left_rad if self.stage else math.nan
 
     @property
@@ -79,7 +79,7 @@ class NeedleState:
 
     @property
     def tip(self) -> TipEstimate:
-        """Estimate of the tip. Raises DeviceFault if it is lost."""
+        """Estimate of the tip. Raises DeviceFault if the filter has lost the tip."""
         assert self._filter is not None
         tip = self._filter.tip
         if tip.status is TipStatus.LOST:
@@ -89,7 +89,10 @@ class NeedleState:
         return tip
 
     def receive(self) -> None:
-        """Take one sample. Raises Stopped if the operator stops the run, and DeviceFault if no device sends samples."""
+        """Process the next sample, if one arrives, and call the guard's `tick` if it is due.
+
+        Raises Stopped if the operator has stopped the run, and DeviceFault if no device sends samples.
+        """
         if self._stop_cause:
             raise Stopped(self._stop_cause)
         assert self._feed is not None
@@ -107,9 +110,9 @@ class NeedleState:
             self._guard.tick()
 
     def why_stopped(self) -> str:
-        """Return why the guard stopped the run: its causes, after the fault message of the device if there is one.
+        """Return the message of a stop by the guard: the fault of a device if there is one, and the causes of the stop.
 
-        Waiting samples are passed to the listeners: the guard has validated them, and one may have caused the stop.
+        Samples that still wait in the feed are passed to the listeners, because one of them may have caused the stop.
         """
         assert self._feed is not None
         causes = f"stopped: {present_causes(self._guard)}"
@@ -148,7 +151,7 @@ class NeedleState:
         self._listeners.tip(sample.stamp.received_ns, self.path_mm, tip)
 
     def _from_entry(self, sample: StageSample) -> StageSample:
-        """Return the sample with the depth counted from the entry and the roll from the left."""
+        """Return the sample with its depth relative to the entry and its roll relative to the roll that bends left."""
         options = self._options
         if not (options.entry_depth_mm or options.roll_left_rad):
             return sample
@@ -158,5 +161,5 @@ class NeedleState:
 
 
 def present_causes(guard: GuardedStage) -> str:
-    """Return the causes that are present or latched, as text."""
+    """Return the names of all present and latched causes, separated by commas."""
     return ", ".join(sorted(guard.state.present | guard.state.latched))

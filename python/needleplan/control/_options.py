@@ -1,4 +1,4 @@
-"""Options of an insertion, and its complete setup as texts in a recording."""
+"""Options of an insertion, and the setup that a recording stores as texts."""
 
 from __future__ import annotations
 
@@ -24,68 +24,72 @@ _OPTIONS, _LIMITS, _TIP, _REGISTRATION = "options.json", "limits.json", "tip_set
 
 @dataclass(frozen=True)
 class Options:
-    """Options of an insertion; lengths in mm, angles in rad. Raises InputError with all mistakes."""
+    """Options of an insertion; lengths in mm, angles in rad. Raises InputError with every invalid option."""
 
     velocity_mm_s: float = 5.0
-    """Insertion speed; the thesis uses up to 12 mm/s."""
+    """Insertion speed (mm/s); the thesis uses up to 12 mm/s."""
 
     velocity_rad_s: float = 3.0
-    """Rotation speed; the thesis uses 3 turns a minute, a tenth of the default."""
+    """Rotation speed (rad/s); the thesis uses 3 turns a minute, a tenth of the default."""
 
     entry_depth_mm: float = 0.0
-    """Depth of the stage at which the tip is at the entry."""
+    """Stage depth at which the tip is at the entry."""
 
     roll_left_rad: float = 0.0
-    """Roll of the stage at which the needle bends to the left."""
+    """Stage roll at which the needle bends to the left."""
 
     longest_mm: float = 180.0
-    """Longest path of the tip."""
+    """Path length at which the insertion ends without success."""
 
     torsion: Torsion | None = None
-    """Torsional lag to compensate; None: the tip turns with the base."""
+    """Model of the torsional lag to compensate; None if the tip turns exactly with the base."""
 
     needle_length_mm: float = 200.0
-    """Length of the needle, for the torsional lag."""
+    """Length of the needle; the torsional lag depends on it."""
 
     stops: bool = False
-    """Stop after every step; otherwise only to rotate."""
+    """Whether the needle stops after every step; otherwise it stops only to rotate."""
 
     lead_s: float = 0.15
-    """Time before the end of a step at which the next decision is made; at least the stopping time of the stage."""
+    """Time (s) before the end of a step at which the next decision is made. Must be at least the stopping time of the
+    stage."""
 
     settling_frames: int = 4
-    """Number of tracker frames to wait for when the needle stands."""
+    """Number of usable tracker frames to wait for after the needle has stopped."""
 
     least_success: float = 0.01
-    """Success probability of the table below which the insertion ends."""
+    """Success probability in the table below which the insertion ends."""
 
     replan: bool = True
-    """Plan again when the estimated curvature leaves the planned one."""
+    """Whether to plan again if the estimated curvature differs too much from the planned curvature."""
 
     replan_deviations: float = 3.0
-    """Number of standard deviations between estimated and planned curvature above which the needle replans ..."""
+    """Smallest difference between estimated and planned curvature that causes replanning, in standard deviations of the
+    estimate. The difference must also exceed `replan_share`."""
 
     replan_share: float = 0.04
-    """... if they also differ by this share of the planned curvature; a smaller difference hardly changes a policy."""
+    """Smallest difference that causes replanning, as a share of the planned curvature; a smaller difference hardly
+    changes a policy."""
 
     silence_s: float = 1.0
-    """Time without any sample after which the run ends with a fault."""
+    """Time (s) without a sample of any device after which the run ends with a fault."""
 
     expected_start: tuple[float, float, float] | None = None
-    """Expected pose of the entry, x_mm, y_mm, heading_rad; the run is refused elsewhere. None: any."""
+    """Expected pose (x_mm, y_mm, heading_rad) of the entry; the run is refused if the measured pose is too far from
+    it. None: every pose is accepted."""
 
     start_within_mm: float = 5.0
-    """Largest distance of the entry from `expected_start`."""
+    """Largest accepted distance of the entry from `expected_start`."""
 
     start_within_rad: float = 0.2
-    """Largest difference of the heading from `expected_start`."""
+    """Largest accepted difference of the heading from `expected_start`."""
 
     resume_s: float = 5.0
-    """Longest pause, for example while the tracker does not see its coil; a longer one ends the run. By starting the
-    run, the operator allows the loop to resume after pauses; 0 forbids it. A fault always ends the run."""
+    """Longest pause (s), for example while the tracker does not see the coil; a longer pause ends the run. By starting
+    the run, the operator allows the loop to resume after pauses; 0 forbids resuming. A fault always ends the run."""
 
     force_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Unit vector in the frame of the force sensor; a force along it resists insertion."""
+    """Unit vector in the frame of the force sensor, in the direction of a force that resists insertion."""
 
     def __post_init__(self) -> None:
         mistakes = [
@@ -103,14 +107,14 @@ class Options:
             mistakes.append(Mistake("least_success", f"{self.least_success:g}", "must be from 0 to 1"))
         length = math.hypot(*self.force_axis)
         if not 0.999 < length < 1.001:
-            mistakes.append(Mistake("force_axis", str(self.force_axis), "must be a direction of length 1"))
+            mistakes.append(Mistake("force_axis", str(self.force_axis), "must be a vector of length 1"))
         if mistakes:
             raise InputError(mistakes, "options of the insertion")
 
 
 @dataclass(frozen=True)
 class RunSetup:
-    """Everything that an insertion depends on besides its table: options, limits, registration, tip filter."""
+    """Everything besides the table that an insertion depends on: options, limits, registration and tip filter."""
 
     options: Options = field(default_factory=Options)
     limits: SafetyLimits = field(default_factory=SafetyLimits)
@@ -119,19 +123,19 @@ class RunSetup:
 
     @property
     def digests(self) -> dict[str, str]:
-        """Digest of the registration."""
+        """Digest of the registration, under the name `registration`."""
         return {"registration": self.registration.digest}
 
     @property
     def texts(self) -> dict[str, str]:
-        """The setup as files in a recording, text by name."""
+        """Text of each file that stores the setup in a recording, by file name."""
         parts = {_OPTIONS: asdict(self.options), _LIMITS: asdict(self.limits), _TIP: asdict(self.tip_settings)}
         texts = {name: json.dumps(part, indent=1) for name, part in parts.items()}
         return texts | {_REGISTRATION: self.registration.to_toml()}
 
     @classmethod
     def from_texts(cls, texts: Mapping[str, str], source: str = "") -> Self:
-        """Return the setup that `texts` gave. Raises DataError if a file is missing or invalid."""
+        """Return the setup stored in `texts`, text by file name. Raises DataError if a file is missing or invalid."""
         try:
             options: dict[str, Any] = json.loads(texts[_OPTIONS])
             if options["torsion"] is not None:
@@ -147,4 +151,4 @@ class RunSetup:
         except KeyError as error:
             raise DataError(f"is not the recording of an insertion: it has no {error}", source) from error
         except (ValueError, TypeError, InputError) as error:
-            raise DataError(f"does not say how the insertion was set up: {error}", source) from error
+            raise DataError(f"contains an invalid setup of the insertion: {error}", source) from error

@@ -1,4 +1,4 @@
-"""Checks before anything moves: the table fits the scenario and the needle, and the needle is at the expected start."""
+"""Checks before the first motion: the table fits scenario and needle, and the needle is at the expected start."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from needleplan.scenario import Identified, Scenario
 
 __all__ = ["measured_entry", "require_expected", "require_fitting"]
 
-# share by which the radii may differ if the identified radius has no interval
+# largest relative difference of the table's radius from an identified radius that has no interval
 _DEFAULT_SHARE = 0.05
 
 
 def require_fitting(
     table: PolicyTable, source: str, scenario: Scenario | None = None, needle: Identified | None = None
 ) -> None:
-    """Raise TableError, with every difference, if a table belongs to another scenario or to another needle.
+    """Raise TableError, with every difference, if a table does not fit the scenario or the needle, or is not converged.
 
     The needle fits if the radius of the table lies in the 95 % interval of the identified radius.
 
@@ -33,30 +33,30 @@ def require_fitting(
     table
         The table that an insertion would use.
     source
-        Name of the table in the message.
+        Name of the table in the error message.
     scenario
-        Scenario that the table must have been planned for, apart from solver and title; None: any.
+        Scenario for which the table must have been planned; solver and title may differ. None: any scenario.
     needle
-        Identified needle that must fit; None: any.
+        Identified needle that the table must fit. None: any needle.
 
     """
     mistakes = []
     if table.stats.status is not Status.CONVERGED:
         mistakes.append(
-            Mistake("status", table.stats.status, "must be converged: its success probabilities are not proven")
+            Mistake("status", table.stats.status, "must be converged; otherwise the success probabilities may be wrong")
         )
     if scenario is not None and scenario.digest != table.scenario.digest:
         for each in fields(Scenario):
             its, wanted = getattr(table.scenario, each.name), getattr(scenario, each.name)
             if its != wanted and each.name not in ("solver", "title"):
-                mistakes.append(Mistake(each.name, str(its), f"must be that of the scenario, {wanted}"))
+                mistakes.append(Mistake(each.name, str(its), f"must be equal to that of the scenario, {wanted}"))
     if needle is not None:
         radius = table.scenario.needle.curvature_radius_mm
         low, high = needle.interval_mm
         if not math.isfinite(low):
             low, high = (needle.radius_mm * share for share in (1 - _DEFAULT_SHARE, 1 + _DEFAULT_SHARE))
         if not min(low, high) <= radius <= max(low, high):
-            rule = f"must be that of the needle, {needle.radius_mm:.4g} mm, from {low:.4g} to {high:.4g} mm"
+            rule = f"must be from {low:.4g} to {high:.4g} mm: the identified needle has {needle.radius_mm:.4g} mm"
             mistakes.append(Mistake("needle.curvature_radius_mm", f"{radius:g}", rule))
     if mistakes:
         raise TableError(mistakes, source)
@@ -65,11 +65,11 @@ def require_fitting(
 def measured_entry(
     needle: NeedleState, driver: NeedleDriver, registration: Registration, frames: int, oldest_s: float
 ) -> tuple[float, float, float]:
-    """Return the pose of the entry, x_mm, y_mm and heading_rad: the mean over `frames` frames of the needle at rest.
+    """Return the pose (x_mm, y_mm, heading_rad) of the entry, averaged over `frames` frames of the needle at rest.
 
-    The needle is still straight, so its tip lies ahead of the coil in the direction of the coil. Raises DeviceFault if
-    the tracker sends no usable frames, or if the time between two frames is at least `oldest_s` (s), the age limit of
-    the guard: the needle would pause at every frame.
+    The needle is assumed to be straight, so its tip lies ahead of the coil in the direction of the coil. Raises
+    DeviceFault if the tracker sends no usable frames, or if the time between two frames is at least `oldest_s` (s), the
+    age limit of the guard, because the insertion would then pause at every frame.
     """
     rows, times_ns = [], []
     for _ in range(frames):
@@ -83,7 +83,7 @@ def measured_entry(
     interval_s = float(np.median(np.diff(times_ns))) * 1e-9
     if interval_s >= oldest_s:
         raise DeviceFault(
-            f"tracker: its frames come every {1e3 * interval_s:.0f} ms, and a pose may be {1e3 * oldest_s:.0f} ms old: "
+            f"tracker: a frame arrives every {1e3 * interval_s:.0f} ms, and poses may be {1e3 * oldest_s:.0f} ms old: "
             "set a higher frame rate, or set safety.pose_age_s to more than the time between two frames"
         )
     x, y, _, dx, dy, _ = np.mean(rows, axis=0).tolist()
@@ -99,5 +99,5 @@ def require_expected(entry: tuple[float, float, float], options: Options) -> Non
     off_rad = abs(math.remainder(entry[2] - expected[2], 2 * math.pi))
     if off_mm > options.start_within_mm or off_rad > options.start_within_rad:
         found = f"x {entry[0]:.2f} mm, y {entry[1]:.2f} mm, heading {math.degrees(entry[2]):.2f} deg"
-        rule = f"is {off_mm:.1f} mm and {math.degrees(off_rad):.1f} deg from the start that is wanted"
+        rule = f"is {off_mm:.1f} mm and {math.degrees(off_rad):.1f} deg from the expected start"
         raise PoseError(Mistake("start", found, rule))

@@ -1,4 +1,4 @@
-"""Recording of a run: samples, tips, commands, decisions, events and events of the guard, each on its own topic."""
+"""Recording of a run: samples, tip estimates, commands, decisions, events and guard events, each on its own topic."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ TIP = Packed(
      Field("status", "uint8", tuple(map(str, TipStatus)))),
     _tip_row,
 )  # fmt: skip
-"""Kind of the messages of /tip: the estimated tip in the frame of the plan."""
+"""Format of the messages on the topic /tip: the estimated tip in the plan frame."""
 
 COMMAND = Packed(
     "needleplan_msgs/msg/RunCommand",
@@ -58,7 +58,7 @@ COMMAND = Packed(
      Field("kind", "uint8", tuple(map(str, CommandKind)))),
     _command_row,
 )  # fmt: skip
-"""Kind of the messages of /command: commands that the stage has accepted."""
+"""Format of the messages on the topic /command: the commands that the stage has accepted."""
 
 DECISION = Json(
     "needleplan.Decision",
@@ -70,14 +70,14 @@ DECISION = Json(
         "success": {"type": "number"},
     },
 )
-"""Kind of the messages of /decision: the action, the state of the table, and the tip at that time."""
+"""Format of the messages on the topic /decision: the action, the table state, and the tip estimate at that time."""
 
 TOPICS = {"/stage": STAGE, "/force": FORCE, "/pose": POSE, "/tip": TIP, "/command": COMMAND, "/decision": DECISION,
           "/event": EVENT, "/safety": EVENT}  # fmt: skip
 
 
 def decision_of(step: ExecutedStep) -> dict[str, Any]:
-    """Return a decision as a message of /decision."""
+    """Return the message on the topic /decision for a decision."""
     return {
         "number": step.number, "action": step.action.name.lower(), "state": list(step.state), "value": step.value,
         "success": step.success, "length_mm": step.length_mm, "path_mm": step.path_mm,
@@ -87,10 +87,10 @@ def decision_of(step: ExecutedStep) -> dict[str, Any]:
 
 
 class RunRecorder(Listener, Closing):
-    """Listener that writes a run to the file `path`; on simulated time it waits for the disk and loses nothing.
+    """Listener that writes a run to the file `path`. On simulated time it waits for the disk, so it drops no message.
 
-    Samples are stored in the order in which the loop took them, which a replay repeats. Raises OutputError if the file
-    cannot be written.
+    Samples are stored in the order in which the loop received them; a replay depends on this order. Raises OutputError
+    if the file cannot be written.
     """
 
     def __init__(
@@ -120,12 +120,13 @@ class RunRecorder(Listener, Closing):
         topic = (
             "/stage" if isinstance(sample, StageSample) else "/force" if isinstance(sample, ForceSample) else "/pose"
         )
-        # An earlier sample of another device may have a later stamp; a replay needs the order of the samples.
+        # A sample may have an earlier stamp than the sample of another device before it. A replay needs the order in
+        # which the loop received them, so stored times must not decrease.
         self._last_ns = max(sample.stamp.received_ns, self._last_ns)
         self._topics[topic].put(self._last_ns, sample)
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Record an estimate of the tip."""
+        """Record a tip estimate."""
         self._topics["/tip"].put(time_ns, tip)
 
     def command(self, command: RunCommand) -> None:
@@ -137,7 +138,7 @@ class RunRecorder(Listener, Closing):
         self._topics["/decision"].put(step.time_ns, decision_of(step))
 
     def event(self, event: RunEvent) -> None:
-        """Record an event."""
+        """Record an event of the run."""
         entry = {"name": event.name, "cause": event.cause, "text": event.text, "step": event.step}
         self._topics["/event"].put(event.time_ns, entry | ({"digest": event.digest} if event.digest else {}))
 
@@ -148,16 +149,16 @@ class RunRecorder(Listener, Closing):
         self._topics["/safety"].put(event.time_ns, values)
 
     def status(self) -> RecorderStatus | None:
-        """Return the status of the recorder; None on simulated time, because the run waits for the disk."""
+        """Return the status of the recorder; None on simulated time, where no message can be dropped."""
         return None if self._simulated else self.recorder.status
 
     def close(self) -> None:
-        """Finish the file; closing twice is harmless."""
+        """Write the rest of the file and close it. Closing twice is harmless."""
         self.recorder.close()
 
     @property
     def missing(self) -> str:
-        """Description of what is missing in the file; empty if the recording is complete."""
+        """Text that lists lost and refused messages and a failure of the disk; empty if the recording is complete."""
         status = self.recorder.status
         lost = [f"{count} messages of {topic} were lost" for topic, count in status.overflowed.items()]
         refused = [f"{status.refused} messages were refused: {status.refusal}"] if status.refused else []

@@ -1,8 +1,9 @@
 """Replanning during an insertion: when to replan, for which scenario, and the thread that computes the new table.
 
-A plan assumes a curvature. The needle replans if the estimate differs from it by more than `replan_deviations` standard
-deviations and by more than `replan_share` of the planned curvature. The new plan uses the estimated curvature. In a
-scenario with layers or tissues, all radii are scaled alike, because the tip shows only the curvature of its own layer.
+A plan assumes a curvature. The controller replans if the estimated curvature differs from the planned curvature by more
+than `replan_deviations` standard deviations and by more than `replan_share` of the planned curvature. The new plan uses
+the estimated curvature. In a scenario with layers or tissues, all radii are multiplied by the same factor, because only
+the curvature in the layer around the tip can be estimated.
 """
 
 from __future__ import annotations
@@ -19,23 +20,23 @@ from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import PolicyTable, plan
 from needleplan.scenario import Scenario
 
-__all__ = ["Replanner", "ThreadReplanner", "curvature_left", "rescaled"]
+__all__ = ["Replanner", "ThreadReplanner", "curvature_mismatch", "rescaled"]
 
 
-def curvature_left(tip: TipEstimate, planned_per_mm: float, options: Options) -> str:
-    """Return why the planned curvature (1/mm) is wrong, or an empty text if it is not."""
+def curvature_mismatch(tip: TipEstimate, planned_per_mm: float, options: Options) -> str:
+    """Return a text that describes the curvature mismatch if it requires replanning, else an empty text."""
     off = tip.curvature_per_mm - planned_per_mm
     sd = tip.curvature_sd_per_mm
     if abs(off) <= options.replan_deviations * sd or abs(off) <= options.replan_share * planned_per_mm:
         return ""
     return (
-        f"the curvature is {tip.curvature_per_mm:.4g} +- {sd:.2g} per mm where {planned_per_mm:.4g} was planned, "
-        f"{off / planned_per_mm:+.1%} and {abs(off) / sd:.1f} standard deviations off"
+        f"the curvature is {tip.curvature_per_mm:.4g} +- {sd:.2g} per mm, but {planned_per_mm:.4g} per mm was planned: "
+        f"a difference of {off / planned_per_mm:+.1%} and {abs(off) / sd:.1f} standard deviations"
     )
 
 
 def rescaled(scenario: Scenario, factor: float) -> Scenario:
-    """Return the scenario with all curvatures multiplied by `factor`. Raises ScenarioError."""
+    """Return the scenario with all curvatures multiplied by `factor`. Raises ScenarioError if the result is invalid."""
     needle = scenario.needle
     layers = tuple(replace(each, curvature_radius_mm=each.curvature_radius_mm / factor) for each in needle.layers)
     tissues = tuple(replace(each, curvature_radius_mm=each.curvature_radius_mm / factor) for each in scenario.tissues)
@@ -44,28 +45,31 @@ def rescaled(scenario: Scenario, factor: float) -> Scenario:
 
 
 class Replanner(Closing):
-    """Computes new tables, one at a time; abstract."""
+    """Abstract source of new tables; it computes one table at a time."""
 
     @property
     @abstractmethod
     def busy(self) -> bool:
-        """Whether a table was requested and has not been taken."""
+        """Whether a table was requested and `take` has not returned it yet."""
 
     @abstractmethod
     def ask(self, scenario: Scenario) -> None:
-        """Begin to plan for a scenario."""
+        """Begin to compute a table for a scenario."""
 
     @abstractmethod
     def take(self, step: int) -> PolicyTable | None:
-        """Return the new table, or None if it is not ready at decision `step`. Raises NeedleplanError if it failed."""
+        """Return the new table, or None if there is none at decision `step`.
+
+        Raises NeedleplanError if planning failed.
+        """
 
 
 class ThreadReplanner(Replanner):
-    """Plans in a thread.
+    """Replanner that computes tables in a thread.
 
-    In real time, a table is taken at the first decision after it is ready. On simulated time, which does not pass while
-    a plan is computed, `wait` makes the decision after the request wait for the table. For replays, `at` gives the
-    numbers of the decisions at which tables are taken.
+    By default, `take` returns a table at the first decision after the table is ready. If `wait`, the decision after the
+    request waits for the table; this is meant for simulated time, which does not pass while a table is computed. For
+    replays, `at` contains the numbers of the decisions at which `take` returns a table.
     """
 
     def __init__(self, *, wait: bool, at: Iterable[int] | None = None) -> None:
@@ -76,15 +80,18 @@ class ThreadReplanner(Replanner):
 
     @property
     def busy(self) -> bool:
-        """Whether a table was requested and has not been taken."""
+        """Whether a table was requested and `take` has not returned it yet."""
         return self._asked is not None
 
     def ask(self, scenario: Scenario) -> None:
-        """Begin to plan for a scenario."""
+        """Begin to compute a table for a scenario."""
         self._asked = self._pool.submit(_made, scenario)
 
     def take(self, step: int) -> PolicyTable | None:
-        """Return the new table, or None if it is not ready at decision `step`. Raises NeedleplanError if it failed."""
+        """Return the new table, or None if there is none at decision `step`.
+
+        Raises NeedleplanError if planning failed.
+        """
         asked = self._asked
         if asked is None:
             return None
@@ -103,11 +110,11 @@ class ThreadReplanner(Replanner):
             raise NeedleplanError(f"planning again failed: {error!r}") from error
 
     def close(self) -> None:
-        """Wait for the plan under way, and discard it."""
+        """Wait until the present computation has ended, and discard its table."""
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _made(scenario: Scenario) -> PolicyTable:
     table = plan(scenario)
-    _ = table.digest  # computed here, because it takes long
+    _ = table.digest  # cached; computed in this thread, because it takes long
     return table

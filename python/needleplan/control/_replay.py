@@ -1,7 +1,7 @@
 """Replay: the loop runs on recorded samples, and its decisions and commands are compared with the recorded ones.
 
-The devices return the recorded samples on a virtual clock, in the order in which the loop took them. The stage accepts
-every command and compares it with the recorded one. Decisions are compared in the same way.
+The devices return the recorded samples on a virtual clock, in the order in which the loop received them. The stage
+accepts every command and compares it with the recorded command. Decisions are compared in the same way.
 """
 
 from __future__ import annotations
@@ -40,22 +40,27 @@ from needleplan.recording import Recording
 
 __all__ = ["RecordedForceSensor", "RecordedStage", "RecordedStation", "RecordedTracker", "ReplayComparison", "replay"]
 
+# relative and absolute difference up to which a replayed number equals the recorded number
 _TOLERANCE = 1e-9
 _NANO = 1_000_000_000
+# entries of a decision that are compared
 _COMPARED = ("action", "state", "value", "success", "length_mm", "path_mm", "pose", "table")
 
 _Sample = TypeVar("_Sample", StageSample, ForceSample, PoseSample)
 
 
 class _Tape(Generic[_Sample]):
-    """Recorded samples of one device that have not been read yet."""
+    """Queue of the recorded samples of one device that have not been read yet."""
 
     def __init__(self, clock: VirtualClock, samples: list[tuple[int, _Sample]]) -> None:
         self._clock = clock
         self._left: deque[tuple[int, _Sample]] = deque(samples)
 
     def read(self, timeout_s: float) -> _Sample | None:
-        """Return the next sample, and advance the clock to its arrival, or by `timeout_s`. Raises DeviceFault."""
+        """Advance the clock to the arrival of the next sample and return it; None if it arrives after `timeout_s`.
+
+        Raises DeviceFault at the end of the recording.
+        """
         if not self._left:
             raise DeviceFault(f"{type(self).__name__}: the recording is at its end")
         due_s = (self._left[0][0] - self._clock.now_ns()) / _NANO
@@ -68,7 +73,7 @@ class _Tape(Generic[_Sample]):
 
 
 class RecordedStage(_Tape[StageSample], Stage):
-    """Returns the recorded stage samples, and compares each command with the recorded command."""
+    """Stage that returns the recorded samples and compares each command with the recorded command."""
 
     def __init__(
         self, clock: VirtualClock, samples: list[tuple[int, StageSample]], commands: list[dict[str, Any]]
@@ -78,46 +83,48 @@ class RecordedStage(_Tape[StageSample], Stage):
         self.differences: list[str] = []
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Compare a command."""
+        """Compare the command with the next recorded command."""
         self._compare(CommandKind.INSERT, depth_mm, velocity_mm_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Compare a command."""
+        """Compare the command with the next recorded command."""
         self._compare(CommandKind.ROTATE, roll_rad, velocity_rad_s)
 
     def stop(self) -> None:
-        """Do nothing: stops are repeated as often as needed, so they are not compared."""
+        """Do nothing. The number of stops depends on the timing, so stops are not compared."""
 
     def _compare(self, kind: CommandKind, goal: float, speed: float) -> None:
         command = f"{kind} to {goal:.9g} at {speed:.9g}"
         if not self._commands:
-            self.differences.append(f"{command}, where the recording has no command any more")
+            self.differences.append(f"{command}, but the recording has no further command")
             return
         its = self._commands.popleft()
         if (its["kind"], its["goal"], its["speed"]) != (str(kind), goal, speed):
-            self.differences.append(f"{command}, where the recording has {its['kind']} to {its['goal']:.9g}")
+            self.differences.append(
+                f"{command}, but {its['kind']} to {its['goal']:.9g} at {its['speed']:.9g} in the recording"
+            )
 
 
 class RecordedForceSensor(_Tape[ForceSample], ForceSensor):
-    """Returns the recorded force samples."""
+    """Force sensor that returns the recorded samples."""
 
     def bias(self) -> None:
-        """Do nothing: the recorded samples are biased already."""
+        """Do nothing, because the bias has already been subtracted from the recorded samples."""
 
 
 class RecordedTracker(_Tape[PoseSample], Tracker):
-    """Returns the recorded poses."""
+    """Tracker that returns the recorded poses."""
 
 
 class _OrderedFeed(Feed):
-    """Reads the devices in the order in which the recorded loop took their samples."""
+    """Feed that reads the devices in the order in which the recorded loop received their samples."""
 
     def __init__(self, station: Station, order: list[Source], read: ReadDevice) -> None:
         self._devices, self._read = station.devices, read
         self._order = deque(order)
 
     def next(self, timeout_s: float) -> Sample | None:
-        """Return the next sample. Raises DeviceFault at the end of the recording."""
+        """Return the next sample, or None if none arrives within `timeout_s`. Raises DeviceFault at the end."""
         if not self._order:
             raise DeviceFault("the recording is at its end")
         source = self._order[0]
@@ -132,7 +139,7 @@ class _OrderedFeed(Feed):
 
 
 class RecordedStation(Station):
-    """The three devices of a recording. Raises DataError if a topic is missing."""
+    """Station whose three devices return the samples of a recording. Raises DataError if a topic is missing."""
 
     def __init__(self, recording: Recording) -> None:
         missing = [Mistake("topic", topic, "is missing") for topic in ("/stage", "/force", "/pose", "/command")
@@ -160,13 +167,13 @@ class RecordedStation(Station):
         super().__init__(self.recorded_stage, RecordedForceSensor(clock, forces), RecordedTracker(clock, poses), clock)
 
     def feed(self, read: ReadDevice = read_directly) -> Feed:
-        """Return the samples in the order in which they were taken."""
+        """Return a feed of the samples in the order in which the recorded loop received them."""
         return _OrderedFeed(self, self._order, read)
 
 
 @dataclass(frozen=True)
 class ReplayComparison:
-    """Result of a replay: the numbers of decisions made and recorded, and all differences in their order."""
+    """Result of a replay: its report, the numbers of `decisions` made and `recorded`, and all differences in order."""
 
     report: InsertionReport
     decisions: int
@@ -185,7 +192,7 @@ class _Comparing(Listener):
         self.differences: list[str] = []
 
     def step(self, step: ExecutedStep) -> None:
-        """Compare a decision."""
+        """Compare a decision with the recorded decision of the same number."""
         if step.number >= len(self.recorded):
             self.differences.append(f"decision {step.number}: the recording has none")
             return
@@ -196,7 +203,7 @@ class _Comparing(Listener):
 
 
 def replay(recording: Recording, table: PolicyTable) -> ReplayComparison:
-    """Run the loop on a recording with the same table, and compare its decisions and commands with the recorded ones.
+    """Run the loop on the samples of a recording, and compare its decisions and commands with the recorded ones.
 
     Parameters
     ----------
@@ -208,18 +215,18 @@ def replay(recording: Recording, table: PolicyTable) -> ReplayComparison:
     Returns
     -------
     ReplayComparison
-        The report of the replay and all differences; `same` is true if there are none.
+        The report of the replay and all differences; `same` is true if there are no differences.
 
     Raises
     ------
     DataError
-        If the recording is not of an insertion, or if it was made with another table.
+        If the recording is not the recording of an insertion, or if the insertion used another table.
 
     """
     source = str(recording.path)
     setup = RunSetup.from_texts(recording.session.texts, source)
     if recording.session.digests.get("table") != table.digest:
-        rule = f"must be that of the table, {table.digest}"
+        rule = f"must be equal to the digest of the table, {table.digest}"
         raise DataError(Mistake("digest.table", recording.session.digests.get("table", ""), rule), source)
     missing = [topic for topic in ("/decision", "/event") if topic not in recording.counts]
     if missing:
@@ -236,7 +243,7 @@ def replay(recording: Recording, table: PolicyTable) -> ReplayComparison:
         report = insertion.run()
     differences = [*listener.differences, *station.recorded_stage.differences]
     ended = next((each["cause"] for each in events if each["name"] == RunEventName.END), "")
-    # A run that was stopped, or ended by a device, has no further samples: its replay ends with them.
+    # The recording of a stopped or failed run has no samples after its end, so the replay ends with a DeviceFault.
     cut = ended in (InsertionOutcome.STOPPED, InsertionOutcome.FAULT, InsertionOutcome.REFUSED, "")
     if not cut and report.outcome != ended:
         differences.append(f"it ends with {report.outcome} ({report.cause}), in the recording with {ended}")

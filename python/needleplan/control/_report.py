@@ -21,17 +21,17 @@ __all__ = ["InsertionOutcome", "InsertionReport", "InsertionTrace", "drawn", "pa
 
 
 class InsertionOutcome(StrEnum):
-    """Outcome of an insertion; in all cases the needle stands still."""
+    """Outcome of an insertion. Afterwards the needle is at rest in all cases."""
 
     TARGET = "target"
     MISSED = "missed"
-    """The tip is less than two steps from the target, beside it, and cannot get nearer."""
+    """The tip is beside the target, less than two steps away, and cannot get nearer."""
 
     UNREACHABLE = "unreachable"
-    """The success probability of the table at the tip is below `least_success`."""
+    """The table's success probability at the pose of the tip is below `least_success`."""
 
     OUTSIDE = "outside"
-    """The tip has left the workspace of the table."""
+    """The tip is outside the workspace of the table."""
 
     COLLISION = "collision"
     TOO_LONG = "too_long"
@@ -58,15 +58,17 @@ class InsertionReport:
     executed_mm
         [m, 3] estimated tip at every frame of the tracker: x, y, distance out of the plane.
     path_mm, deviations_mm
-        [m] length of the path, and distance from the planned path, at these frames.
+        [m] path length, and distance of the tip from the planned path, at the frames of `executed_mm`.
     forces
-        [m, 2] length of the path (mm) and axial force (N) at these frames.
+        [m, 2] path length (mm) and axial force (N) at the frames of `executed_mm`.
     tip, error_mm, beyond_rim_mm
-        Last estimate of the tip; its distance from the centre of the target; how far it is outside the target.
+        Last estimate of the tip, its distance from the centre of the target, and its distance from the rim of the
+        target (0 inside).
     deviation_mm, out_of_plane_mm
-        Largest distance from the planned path, prolonged straight into the target, and out of the plane.
+        Largest distance of the tip from the planned path, which is extended straight into the target, and from the
+        plane of the plan.
     predicted_success
-        Success probability of the table at the first decision.
+        Success probability in the table at the first decision.
     table_digest
         Digest of the first table.
 
@@ -95,7 +97,7 @@ class InsertionReport:
     table_digest: str
 
     def record(self) -> dict[str, Any]:
-        """Return the numbers as a JSON object, without the paths."""
+        """Return the entries of the report, without its paths, steps and events, as a JSON object."""
         tip = self.tip
         return {
             "ending": self.outcome, "cause": self.cause, "error_mm": self.error_mm,
@@ -109,7 +111,7 @@ class InsertionReport:
 
 
 class InsertionTrace(Listener):
-    """Collects the samples, estimates, decisions and events for the report."""
+    """Listener that collects estimates, forces, decisions and events for the report."""
 
     def __init__(self, force_axis: tuple[float, float, float]) -> None:
         self.steps: list[ExecutedStep] = []
@@ -133,7 +135,7 @@ class InsertionTrace(Listener):
             self.largest_force_n = max(self.largest_force_n, abs(along))
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Append the estimate of the tip and the present force."""
+        """Append a tip estimate, its path length and the last force."""
         self.last = tip
         self.paths_mm.append(path_mm)
         self.forces.append((path_mm, self._force_n))
@@ -144,7 +146,7 @@ class InsertionTrace(Listener):
         self.steps.append(step)
 
     def event(self, event: RunEvent) -> None:
-        """Append an event."""
+        """Append an event of the run."""
         self.events.append(event)
 
     def report(
@@ -171,7 +173,7 @@ class InsertionTrace(Listener):
 
 
 def drawn(path: Path, table: PolicyTable) -> Array:
-    """Return points [n, 2] along the arcs of a noise-free execution (mm)."""
+    """Return points [n, 2] (mm) along the arcs of a planned path."""
     parts = [path.poses[:1, :2]]
     for (x, y, heading, _), after in pairwise(path.poses):
         bevel = after[3]
@@ -185,7 +187,7 @@ def drawn(path: Path, table: PolicyTable) -> Array:
 
 
 def path_distances_mm(line_mm: Array, points_mm: Array) -> Array:
-    """Return the distances [m] of points [m, 2] from a polyline [n, 2] (mm)."""
+    """Return the distance (mm) of each of m points [m, 2] from a polyline [n, 2]; zeros if the line has no segment."""
     if len(line_mm) < 2 or not len(points_mm):
         return np.zeros(len(points_mm))
     import shapely
@@ -194,7 +196,10 @@ def path_distances_mm(line_mm: Array, points_mm: Array) -> Array:
 
 
 def _prolonged(line_mm: Array, length_mm: float) -> Array:
-    """Return a polyline with a straight extension: the plan ends at the rim of the target, the insertion inside it."""
+    """Return a polyline with a straight extension of `length_mm` at its end.
+
+    The planned path ends at the rim of the target, the executed path inside the target.
+    """
     if len(line_mm) < 2:
         return line_mm
     ahead = line_mm[-1] - line_mm[-2]

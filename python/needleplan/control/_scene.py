@@ -19,29 +19,30 @@ if TYPE_CHECKING:
 __all__ = ["NEARLY_MM", "Approach", "ScenarioGeometry"]
 
 NEARLY_MM = 0.05
-"""Distance (mm) below which a goal counts as reached; an arc whose closest point is nearer than twice this is done."""
+"""Distance to a goal (mm) below which the goal counts as reached. An approach is complete if the point closest to the
+target is less than twice this distance ahead."""
 
-# distance between points of an arc that are checked, mm
+# distance (mm) between the points at which an arc is checked
 _SAMPLE_MM = 0.05
-# reduction of the distance to the target, mm, below which a last step beside the target is not made
+# Before a last step beside the target: smallest reduction (mm) of the distance to the target that justifies the step.
 _GAIN_MM = 0.1
 
 
 class ScenarioGeometry:
-    """Geometry of one scenario; x and y in mm, curvature in 1/mm, positive to the left."""
+    """Geometry of one scenario. Positive curvature (1/mm) bends to the left."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self._uniform = scenario.uniform
 
     def radius_mm(self, x_mm: float, y_mm: float) -> float:
-        """Return the planned radius of an arc that starts at a point (mm)."""
+        """Return the planned radius (mm) of an arc that starts at a point."""
         if self._uniform:
             return self.scenario.needle.curvature_radius_mm
         return float(self.scenario.radius_mm(x_mm, y_mm))
 
     def step_mm(self, x_mm: float, y_mm: float) -> float:
-        """Return the length of the step that starts at a point: one heading of the table (mm)."""
+        """Return the length (mm) of a step from a point; the step turns the tip by one heading of the table."""
         return 2 * math.pi * self.radius_mm(x_mm, y_mm) / self.scenario.motion.headings
 
     def clamped(self, x_mm: float, y_mm: float) -> tuple[float, float]:
@@ -52,16 +53,16 @@ class ScenarioGeometry:
         return (x if abs(x - x_mm) <= dx / 2 else x_mm), (y if abs(y - y_mm) <= dy / 2 else y_mm)
 
     def outside(self, x_mm: float, y_mm: float) -> bool:
-        """Return whether a point is more than half a cell outside of the workspace."""
+        """Return whether a point is more than half a cell outside the workspace."""
         x, y = self.clamped(x_mm, y_mm)
         workspace = self.scenario.workspace
         return not (0 <= x <= workspace.width_mm and 0 <= y <= workspace.height_mm)
 
     def decided_at(self, x_mm: float, y_mm: float) -> tuple[float, float]:
-        """Return the point at which the table is looked up for a tip at a free point.
+        """Return the point at which the table is looked up for a tip at a point outside of all obstacles.
 
         The table has no action at grid points in an obstacle. If the grid point nearest to the tip is in an obstacle,
-        the nearest free corner of the tip's cell is returned, otherwise the point itself.
+        the nearest corner of the tip's cell that is not in an obstacle is returned, otherwise the point itself.
         """
         (dx, dy), points = self.scenario.grid.spacing_mm, self.scenario.grid.points(self.scenario.workspace)
         corners = [
@@ -75,7 +76,7 @@ class ScenarioGeometry:
         return (x_mm, y_mm) if free is None or free == corners[0] else free
 
     def touches(self, x_mm: float, y_mm: float) -> str:
-        """Return the name of the obstacle that contains a point, or an empty text."""
+        """Return the name of the obstacle that contains a point; empty if no obstacle does."""
         from shapely import Point
 
         point = Point(x_mm, y_mm)
@@ -92,7 +93,7 @@ class ScenarioGeometry:
     def closest(
         self, x_mm: float, y_mm: float, heading_rad: float, curvature_per_mm: float, length_mm: float
     ) -> tuple[float, float]:
-        """Return the length along an arc at which it is closest to the centre of the target, and that distance (mm)."""
+        """Return where an arc is closest to the centre of the target: length along the arc and distance (mm)."""
         lengths = np.linspace(0.0, length_mm, max(int(length_mm / _SAMPLE_MM), 1) + 1)
         x, y, _ = arc_step(x_mm, y_mm, heading_rad, curvature_per_mm, lengths)
         target_x, target_y = self.scenario.target.center_mm
@@ -120,7 +121,7 @@ class ScenarioGeometry:
 
 @dataclass(frozen=True)
 class Approach:
-    """The approach to the target of a scene, for a needle with an estimated curvature (1/mm)."""
+    """The last steps to the target of `scene`, for a needle with the estimated curvature `curvature_per_mm` (1/mm)."""
 
     scene: ScenarioGeometry
     curvature_per_mm: float
@@ -131,17 +132,17 @@ class Approach:
         return distance <= self.scene.scenario.target.radius_mm
 
     def done(self, pose: Pose) -> bool:
-        """Return whether the tip is in the target and a further step would not bring it nearer to the centre."""
+        """Return whether the tip is in the target and a further step would not bring the tip nearer to the centre."""
         return self.inside(pose) and self.closest(pose)[0] < 2 * NEARLY_MM
 
     def closest(self, pose: Pose) -> tuple[float, float]:
-        """Return the length along the next step at which the tip is closest to the target, and that distance (mm)."""
+        """Return the length (mm) along the next step at which the tip is closest to the target, and the distance."""
         step = self.scene.step_mm(pose.x_mm, pose.y_mm)
         bend = pose.bevel * self.curvature_per_mm
         return self.scene.closest(pose.x_mm, pose.y_mm, pose.heading_rad, bend, step)
 
     def length_mm(self, pose: Pose, room_mm: float) -> tuple[float, bool]:
-        """Return the length to insert, at most `room_mm` (mm), and whether the insertion ends there."""
+        """Return the length (mm) of the next step, at most `room_mm`, and whether the insertion ends after it."""
         step = self.scene.step_mm(pose.x_mm, pose.y_mm)
         along, distance = self.closest(pose)
         if room_mm < step:
@@ -157,9 +158,10 @@ class Approach:
         return scene.target_distance_mm(pose.x_mm, pose.y_mm) <= reach
 
     def beside(self, pose: Pose) -> tuple[Pose, float] | None:
-        """Return the pose, with the better bevel, and the length (mm) of a last step that ends nearest to the target.
+        """Return start pose and length (mm) of the last step, of either bevel, that ends nearest to the target.
 
-        Returns None if the target is not near, the step would gain too little, or an obstacle is in the way.
+        Returns None if the target is not near, if the step would hardly reduce the distance to the target, or if the
+        step would leave the workspace or touch an obstacle.
         """
         if not self.near(pose):
             return None

@@ -15,9 +15,9 @@ from needleplan.planning import PolicyTable
 
 __all__ = ["SlicerView"]
 
-# distance between points of the executed path that are shown, mm
+# smallest distance (mm) between two shown points of the executed path
 _SPACING_MM = 0.5
-# time between two force values that are shown, ns
+# smallest time (ns) between two shown force values
 _FORCE_NS = 100_000_000
 _CODES = {
     OperatingState.ENABLED: StatusCode.OK,
@@ -28,7 +28,7 @@ _CODES = {
 
 
 class SlicerView(Listener):
-    """Listener that shows tip, target, planned and executed path, force and state on a server for Slicer."""
+    """Listener that shows tip, target, planned and executed path, force and guard state in 3D Slicer."""
 
     def __init__(self, server: SlicerServer, table: PolicyTable) -> None:
         self._server, self._table = server, table
@@ -39,7 +39,7 @@ class SlicerView(Listener):
         server.show_target((x, y, 0.0), 2 * table.scenario.target.radius_mm)
 
     def sample(self, sample: Sample) -> None:
-        """Show the force, ten times a second."""
+        """Show a force sample, at most ten times a second."""
         now_ns = sample.stamp.received_ns
         if isinstance(sample, ForceSample) and now_ns >= self._force_ns and all(map(math.isfinite, sample.force_n)):
             self._force_ns = now_ns + _FORCE_NS
@@ -55,7 +55,7 @@ class SlicerView(Listener):
             self._server.show_path(self._path)
 
     def step(self, step: ExecutedStep) -> None:
-        """Show the action; at the first decision, also the planned path."""
+        """Show the action and its success probability; at the first decision, also show the planned path."""
         if not self._planned_with:
             self._planned_with = step.table_digest
             line = drawn(self._table.path(step.pose), self._table)
@@ -63,7 +63,7 @@ class SlicerView(Listener):
         self._server.show_note(f"step {step.number}: {step.action}, success {100 * step.success:.1f} %")
 
     def event(self, event: RunEvent) -> None:
-        """Show the end, pauses and new tables."""
+        """Show the text of the event if it is the end, a pause or a new table."""
         if event.name in (RunEventName.END, RunEventName.TABLE_SWAPPED, RunEventName.PAUSED):
             self._server.show_note(f"{event.name.replace('_', ' ')}: {event.text}")
 
