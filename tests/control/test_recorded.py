@@ -98,7 +98,7 @@ def test_a_changed_recording_is_told_apart(run: tuple[Path, InsertionReport], tm
 def test_another_table_is_refused(run: tuple[Path, InsertionReport]) -> None:
     scenario = small_table().scenario
     other = plan(replace(scenario, objective=replace(scenario.objective, rotation=5.0)))
-    with pytest.raises(DataError, match=r"digest.table = .*must be that of the table"):
+    with pytest.raises(DataError, match=r"digest.table = .*must be equal to the digest of the table"):
         replay(Recording.read(run[0]), other)
 
 

@@ -2,9 +2,9 @@
 
 | | |
 |---|---|
-| `Experiment`, `run_experiment` | a program of moves from a file, and all samples of the devices |
-| `open_lab`, `Lab` | the three devices of a lab by address, `sim://insertion?seed=3` |
-| `simulated_station` | a lab as the devices of an insertion |
+| `Experiment`, `run_experiment` | read a program of moves from a file; run it and return all samples of the devices |
+| `open_lab`, `Lab` | the three devices of a lab, opened by an address such as `sim://insertion?seed=3` |
+| `simulated_station` | the devices of a lab, for an insertion |
 | `Setup`, `Effects`, ... | the parts of a lab |
 | `Plant` | the true state behind the devices |
 """

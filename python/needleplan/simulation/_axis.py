@@ -2,8 +2,8 @@
 
 The axis is a double integrator with feed-forward of the profile's acceleration. The gains place three poles at the
 bandwidth w: a = a_ref + 3 w (v_ref - v) + 3 w^2 (x_ref - x) + w^3 int (x_ref - x). Between ticks the acceleration is
-constant, which is integrated exactly. The servo measures the encoder only; its velocity is a filtered difference.
-From rest, the profile is `signals.lspb` with a blend of velocity / acceleration.
+constant and is integrated exactly. The servo measures only the encoder position, and its velocity is a filtered
+difference. A profile that starts at rest is `signals.lspb` with the blend time velocity / acceleration.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from dataclasses import dataclass
 
 __all__ = ["SimulatedAxis", "Trapezoid"]
 
-# time constant of the filter of the measured velocity, s
+# time constant (s) of the low-pass filter of the measured velocity
 _FILTER_S = 0.001
-# largest acceleration of the drive as a multiple of the profile's
+# ratio of the largest acceleration of the drive to the acceleration of the profile
 _HEADROOM = 20.0
-# duration below which a piece of a profile is left out, s
+# duration (s) below which a piece of a profile is omitted
 _INSTANT_S = 1e-12
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """Constant acceleration from `begin_s` on."""
+    """Piece of a profile with constant acceleration; it begins at `begin_s` with this position and velocity."""
 
     begin_s: float
     position: float
@@ -32,7 +32,7 @@ class _Piece:
 
 
 class Trapezoid:
-    """A motion in pieces of constant acceleration that ends at rest; positions in one unit, mm or rad."""
+    """Motion profile in pieces of constant acceleration that ends at rest. All positions are in mm, or all in rad."""
 
     def __init__(self, begin_s: float, position: float, velocity: float = 0.0) -> None:
         self._pieces = [_Piece(begin_s, position, velocity, 0.0)]
@@ -41,20 +41,20 @@ class Trapezoid:
 
     @classmethod
     def rest(cls, begin_s: float, position: float) -> Trapezoid:
-        """Return a profile at rest."""
+        """Return the profile of an axis at rest."""
         return cls(begin_s, position)
 
     @classmethod
     def to(
         cls, goal: float, top_velocity: float, acceleration: float, *, begin_s: float, position: float, velocity: float
     ) -> Trapezoid:
-        """Return the profile from a position and velocity to `goal` at `top_velocity` (> 0); it reverses if needed."""
+        """Return the profile from a position and velocity to `goal`, at most at `top_velocity`; it may reverse."""
         made = cls(begin_s, position, velocity)
         stops_at = position + velocity * abs(velocity) / (2 * acceleration)
         sign = math.copysign(1.0, goal - stops_at)
         peak = sign * min(top_velocity, math.sqrt(acceleration * abs(goal - position) + velocity**2 / 2))
         if velocity * sign < 0:
-            # The axis first stops; the distance to go is counted from where it stops.
+            # The axis first stops, so the distance to the goal is measured from the position where it stops.
             peak = sign * min(top_velocity, math.sqrt(acceleration * abs(goal - stops_at)))
         blend = abs(peak - velocity) / acceleration
         travelled = (velocity + peak) / 2 * blend
@@ -68,7 +68,7 @@ class Trapezoid:
 
     @classmethod
     def stop(cls, acceleration: float, *, begin_s: float, position: float, velocity: float) -> Trapezoid:
-        """Return the profile that comes to rest with the full deceleration."""
+        """Return the profile that comes to rest with the deceleration `acceleration`."""
         made = cls(begin_s, position, velocity)
         made._pieces = []
         made._add(abs(velocity) / acceleration, position, velocity, -math.copysign(acceleration, velocity))
@@ -77,7 +77,7 @@ class Trapezoid:
         return made
 
     def at(self, time_s: float) -> tuple[float, float, float]:
-        """Return position, velocity and acceleration at a time (s); times must not decrease."""
+        """Return position, velocity and acceleration at a time (s). Times must not decrease from call to call."""
         pieces = self._pieces
         while self._at + 1 < len(pieces) and time_s >= pieces[self._at + 1].begin_s - _INSTANT_S:
             self._at += 1
@@ -88,7 +88,7 @@ class Trapezoid:
 
     @property
     def end_s(self) -> float:
-        """Time at which the profile ends at rest (s)."""
+        """Time (s) at which the profile comes to rest."""
         return self._end_s
 
     def _add(self, duration_s: float, position: float, velocity: float, acceleration: float) -> None:
@@ -98,7 +98,7 @@ class Trapezoid:
 
 
 class SimulatedAxis:
-    """One axis, in mm or rad, initially at rest."""
+    """One servo axis, in mm or rad, initially at rest."""
 
     def __init__(
         self, position: float, *, interval_s: float, bandwidth_hz: float, acceleration: float, resolution: float
@@ -118,7 +118,7 @@ class SimulatedAxis:
         self._integral = 0.0
 
     def go(self, goal: float, velocity: float, now_s: float) -> None:
-        """Begin to move to a goal at a speed (> 0)."""
+        """Begin to move to a goal at most at `velocity` (> 0)."""
         x, v, _ = self._profile.at(now_s)
         self._profile = Trapezoid.to(goal, velocity, self.acceleration_limit, begin_s=now_s, position=x, velocity=v)
 
@@ -128,21 +128,21 @@ class SimulatedAxis:
         self._profile = Trapezoid.stop(self.acceleration_limit, begin_s=now_s, position=x, velocity=v)
 
     def moving(self, now_s: float) -> bool:
-        """Return whether the profile has not ended."""
+        """Return whether the present profile has not ended yet."""
         return now_s < self._profile.end_s
 
     @property
     def end_s(self) -> float:
-        """Time at which the profile ends (s)."""
+        """Time (s) at which the present profile ends."""
         return self._profile.end_s
 
     @property
     def reference(self) -> float:
-        """Position of the profile."""
+        """Position that the profile required in the last tick."""
         return self._reference[0]
 
     def step(self, now_s: float, disturbance: float = 0.0) -> None:
-        """Advance by one tick that begins at `now_s`; `disturbance` is an external acceleration."""
+        """Simulate one tick of the servo that begins at `now_s`. `disturbance` is an external acceleration."""
         dt = self._interval_s
         wanted, wanted_velocity, forward = self._profile.at(now_s)
         error = wanted - self.measured

@@ -1,4 +1,4 @@
-"""Effects of the lab twin that a plan does not know, and the random streams that realise them."""
+"""Effects of the lab twin that a plan does not take into account, and their random streams."""
 
 from __future__ import annotations
 
@@ -24,73 +24,74 @@ def _scale(unit: str, at_most: float, default: object = MISSING) -> Any:
 
 @dataclass(frozen=True)
 class Effects(ConfigTable, key="effects", error=ExperimentError):
-    """Amplitudes of all effects; 0 means no effect. The time and length scales of effects have other defaults."""
+    """Amplitudes of all effects, 0 by default (no effect), and the time and length scales of some effects."""
 
     curvature_error: float = _amplitude("", 0.95, signed=True)
-    """Relative difference of the true curvature from the planned one."""
+    """Relative difference of the true curvature from the planned curvature."""
 
     curvature_scatter: float = _amplitude("", 0.5)
-    """Standard deviation of this relative difference between insertions (seeds)."""
+    """Standard deviation, over insertions with different seeds, of an additional relative curvature difference."""
 
     curvature_speed_power: float = _amplitude("", 1, signed=True)
-    """Exponent p of a curvature proportional to (speed / 5 mm/s)^p: rate-dependent tissue."""
+    """Exponent p of rate-dependent tissue: the curvature is proportional to (speed / 5 mm/s)^p."""
 
     pre_bend_per_mm: float = _amplitude("1/mm", 0.1, signed=True)
-    """Curvature of a pre-bent needle, perpendicular to the bevel's; it rolls with the tip."""
+    """Curvature of a pre-bent needle, perpendicular to the curvature caused by the bevel; it rolls with the tip."""
 
     sag_per_mm: float = _amplitude("1/mm", 0.1, signed=True)
-    """Downward curvature at the entry by the weight of the needle; proportional to the length outside."""
+    """Downward curvature at the entry caused by the needle's weight; it is proportional to the length outside."""
 
     heading_noise_rad_sqrt_mm: float = _amplitude("rad/sqrt(mm)", 0.1)
-    """Standard deviation of the heading after 1 mm of path, in the plane and out of it; grows with the square root."""
+    """Standard deviation of the heading after 1 mm of path, in the plane and out of it. It grows with the square root
+    of the path length."""
 
     torsional_friction_n: float = _amplitude("N mm/mm", 10)
-    """Torque per inserted length by which tissue resists rotation."""
+    """Torque per inserted length with which the tissue resists rotation."""
 
     tissue_compliance_mm_n: float = _amplitude("mm/N", 100)
-    """Displacement of the tissue along the needle under 1 N."""
+    """Displacement of the tissue along the needle caused by a force of 1 N."""
 
     tissue_relaxation_s: float = _scale("s", 100, 0.2)
-    """Ratio of damping and stiffness of the tissue's support."""
+    """Ratio of the damping to the stiffness with which the tissue is supported."""
 
     respiration_along_mm: float = _amplitude("mm", 30)
-    """Amplitude of respiration along the entry."""
+    """Amplitude of the respiration along the direction of the entry."""
 
     respiration_across_mm: float = _amplitude("mm", 30)
-    """Amplitude of respiration across the entry, to the left."""
+    """Amplitude of the respiration perpendicular to the direction of the entry, to the left."""
 
     respiration_period_s: float = _scale("s", 60, 4.0)
 
     encoder_step_mm: float = _amplitude("mm", 0.1)
-    """Resolution of the insertion axis."""
+    """Encoder resolution of the insertion axis; 0: exact."""
 
     encoder_step_rad: float = _amplitude("rad", 0.1)
-    """Resolution of the roll axis."""
+    """Encoder resolution of the roll axis; 0: exact."""
 
     reaction_mm_s2_n: float = _amplitude("mm/s^2/N", 1e4)
-    """Acceleration of the insertion axis under 1 N on the needle: the inverse of its mass."""
+    """Acceleration of the insertion axis caused by 1 N on the needle: the inverse of the moved mass."""
 
     force_noise_n: float = _amplitude("N", 1)
-    """Standard deviation of a sample before the moving average."""
+    """Standard deviation of a force sample before the moving average."""
 
     force_offset_n: float = _amplitude("N", 10, signed=True)
     force_drift_n_s: float = _amplitude("N/s", 0.1, signed=True)
     force_gain_error: float = _amplitude("", 0.5, signed=True)
 
     tracker_noise_mm: float = _amplitude("mm", 5)
-    """Standard deviation along each axis, independent from frame to frame."""
+    """Standard deviation of the position along each axis, independent from frame to frame."""
 
     tracker_wander_mm: float = _amplitude("mm", 5)
-    """Standard deviation of the correlated drift along each axis."""
+    """Standard deviation of the correlated drift of the position along each axis."""
 
     tracker_wander_s: float = _scale("s", 1000, 1.0)
-    """Correlation time of the drift (to 1/e)."""
+    """Time in which the correlation of the drift falls to 1/e."""
 
     tracker_distortion_mm: float = _amplitude("mm", 20)
-    """Amplitude of a smooth distortion of the field that is fixed in space."""
+    """Amplitude of a smooth distortion of the tracker's field that does not change with time."""
 
     tracker_distortion_length_mm: float = _scale("mm", 1e4, 200.0)
-    """Wavelength of the distortion."""
+    """Wavelength of the field distortion."""
 
     tracker_angle_noise_rad: float = _amplitude("rad", 0.5)
     """Standard deviation of the direction of the coil, about each axis perpendicular to it."""
@@ -99,14 +100,17 @@ class Effects(ConfigTable, key="effects", error=ExperimentError):
     """Probability that a dropout begins at a frame."""
 
     tracker_dropout_s: float = _scale("s", 60, 0.1)
-    """Mean length of a dropout."""
+    """Mean duration of a dropout."""
 
     coil_offset_mm: float = _amplitude("mm", 50)
     """Distance of the coil behind the tip."""
 
 
 class Stream(IntEnum):
-    """Purpose of a random stream: each has its own numbers, so one noise does not change another. Never renumber."""
+    """Random streams: each random effect has its own stream, so one effect does not change the numbers of another.
+
+    The values must never change, because the random numbers depend on them.
+    """
 
     CURVATURE = 1
     HEADING = 2
@@ -120,19 +124,19 @@ class Stream(IntEnum):
 
 
 def random_for(seed: int, stream: Stream) -> np.random.Generator:
-    """Return the generator of a stream for a seed (0 or above)."""
+    """Return the random generator of a stream for a seed (0 or above)."""
     return np.random.default_rng([seed, int(stream)])
 
 
 class Draws:
-    """Standard normal numbers, returned row by row and drawn in blocks."""
+    """Rows of standard normal numbers, which are drawn in blocks."""
 
     def __init__(self, random: np.random.Generator, width: int) -> None:
         self._random, self._width = random, width
         self._rows: list[list[float]] = []
 
     def next(self) -> list[float]:
-        """Return the next row."""
+        """Return the next row of `width` numbers."""
         if not self._rows:
             self._rows = self._random.standard_normal((256, self._width))[::-1].tolist()
         return self._rows.pop()

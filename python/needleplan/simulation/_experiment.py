@@ -1,4 +1,4 @@
-"""A simulated experiment: a setup, a program of moves and a seed, read from `needleplan.experiment/1`."""
+"""Simulated experiments: setup, program of moves and seed, read from files of the format `needleplan.experiment/1`."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ __all__ = ["Experiment", "shipped_experiments"]
 _FOLDER = Path(__file__).parent.parent / "experiments"
 _FRICTIONS: dict[str, type[LuGre]] = {each.name: each for each in (LumpedLuGre, AveragedLuGre)}
 _KINDS_OF_MOVE = ("insert_to_mm", "rotate_to_rad", "dwell_s")
-# Largest number of layers, and of moves.
+# Largest number of layers and largest number of moves in one file.
 _MOST_TABLES = 1000
 
 Models = dict[Channel, Model]
 
 
 class _ScenarioRule:
-    """The name of a scenario, or of its file."""
+    """Rule for the name of a shipped scenario or of a scenario file."""
 
     def read(self, value: object) -> Scenario:
         """Return the scenario. Raises Violation."""
@@ -65,10 +65,10 @@ class _ScenarioRule:
 
 
 class _ModelsRule:
-    """The name of a model file, or a list of such names."""
+    """Rule for the name of a model file, or a list of such names."""
 
     def read(self, value: object) -> Models:
-        """Return the models by the channel that they predict. Raises Violation."""
+        """Return the models, by the channel that each predicts. Raises Violation."""
         files = [value] if isinstance(value, str) else value
         if not isinstance(files, list) or not all(isinstance(each, str) for each in files):
             raise Violation("must be the name of a model file, or a list of such names", value)
@@ -82,7 +82,7 @@ class _ModelsRule:
                 mistakes += _inside(file, error.mistakes)
                 continue
             if model.channel in found:
-                mistakes.append(Mistake("", file, f"must not be a second one of the {model.channel}"))
+                mistakes.append(Mistake("", file, f"must not be a second model of the {model.channel}"))
             found[model.channel] = model
         if mistakes:
             raise Violation(mistakes)
@@ -90,7 +90,7 @@ class _ModelsRule:
 
 
 class _FrictionRule:
-    """A table with the kind of a friction model and its parameters."""
+    """Rule for a table with the kind and the parameters of a friction model."""
 
     def read(self, value: object) -> LuGre:
         """Return the friction model. Raises Violation."""
@@ -108,7 +108,7 @@ class _FrictionRule:
 
 
 class _Anything:
-    """Any value: the model checks its parameters itself."""
+    """Rule that accepts any value, because the model checks its parameters itself."""
 
     def read(self, value: object) -> object:
         """Return the value."""
@@ -116,22 +116,22 @@ class _Anything:
 
 
 def _inside(file: str, mistakes: Sequence[Mistake]) -> Iterator[Mistake]:
-    """Yield mistakes of a file that another file names; a mistake without a value shows the name of the file."""
+    """Yield the mistakes of `file` with keys for the file that refers to it; the value is `file` if there is none."""
     for each in mistakes:
         yield Mistake(f" {each.key}".rstrip(), each.value or file, each.rule)
 
 
-def _curvature_is_told_once(
+def _curvature_is_given_once(
     scenario: Scenario | None, model: Models, tissue: SimulatedTissue, layer: tuple[SimulatedLayer | None, ...]
 ) -> Iterator[Mistake]:
     path = model.get(Channel.TIP)
     if tissue.curvature_per_mm is None and not path and not scenario:
-        rule = "is missing: it is needed where there is neither scenario nor a model of the path"
+        rule = "is missing: it is required without a scenario and without a model of the path"
         yield Mistake("tissue.curvature_per_mm", "", rule)
     named = {"tissue": tissue} | {f"layer {number}": each for number, each in enumerate(layer, start=1)}
     for name, part in named.items():
         if path and part and part.curvature_per_mm is not None:
-            rule = "must not be there: the model says how the path bends"
+            rule = "must not be given: the model determines the curvature of the path"
             yield Mistake(f"{name}.curvature_per_mm", f"{part.curvature_per_mm:g}", rule)
 
 
@@ -150,14 +150,14 @@ def _move_fits(move: Move, robot: Robot) -> Iterator[Mistake]:
     for kind, name in speeds.items():
         speed = getattr(move, name)
         if kind != given[0] and speed is not None:
-            yield Mistake(name, f"{speed:g}", f"must not be there with {given[0]}")
+            yield Mistake(name, f"{speed:g}", f"must not be given with {given[0]}")
         elif kind == given[0] and speed is None:
             yield Mistake(name, "", f"is missing: {kind} needs a speed")
         elif kind == given[0] and speed > (top := getattr(robot, name.replace("velocity", "top_velocity"))):
             yield Mistake(name, f"{speed:g}", f"must be at most the robot's top speed, {top:g}")
     depth = move.insert_to_mm
     if depth is not None and not robot.shallowest_mm <= depth <= robot.deepest_mm:
-        rule = f"must be where the robot can be, {robot.shallowest_mm:g} to {robot.deepest_mm:g}"
+        rule = f"must be within the range of the robot, {robot.shallowest_mm:g} to {robot.deepest_mm:g}"
         yield Mistake("insert_to_mm", f"{depth:g}", rule)
 
 
@@ -166,7 +166,7 @@ class _ExperimentTable(
     ConfigTable,
     error=ExperimentError,
     schema="needleplan.experiment/1",
-    between=(_curvature_is_told_once, *BETWEEN, _moves_fit),
+    between=(_curvature_is_given_once, *BETWEEN, _moves_fit),
 ):
     title: str = ruled(Text(), "")
     seed: int = ruled(Integer(0, 2**32 - 1), 0)
@@ -183,7 +183,7 @@ class _ExperimentTable(
 
     @property
     def setup(self) -> Setup:
-        """What the lab twin is built from."""
+        """Setup of the lab twin."""
         path = self.model.get(Channel.TIP)
         plan = 1 / self.scenario.needle.curvature_radius_mm if self.scenario else self.tissue.curvature_per_mm
         if plan is None:
@@ -197,7 +197,10 @@ class _ExperimentTable(
 
 @dataclass(frozen=True)
 class Experiment:
-    """A run of the lab twin; `scenario` is what was planned for, if anything, and `digest` names the file."""
+    """Setup, program of moves and seed of a run of the lab twin.
+
+    `scenario` is the scenario that was planned, or None; `digest` is the digest of the experiment file.
+    """
 
     setup: Setup
     moves: tuple[Move, ...]
@@ -216,7 +219,7 @@ class Experiment:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Experiment:
-        """Read an experiment file, or a shipped experiment by its name (`Experiment.read("insertion")`).
+        """Read an experiment file, or a shipped experiment by its name, such as `Experiment.read("insertion")`.
 
         Raises ExperimentError with every mistake of the file.
         """
@@ -224,7 +227,7 @@ class Experiment:
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> Experiment:
-        """Return the experiment of the text of a file; `source` names it in messages.
+        """Return the experiment described by the text of an experiment file; `source` names the text in messages.
 
         Raises ExperimentError with every mistake of the text.
         """
@@ -233,5 +236,5 @@ class Experiment:
 
 
 def shipped_experiments() -> list[str]:
-    """Return the names of the shipped experiments; `Experiment.read` takes a name where it takes a path."""
+    """Return the names of the shipped experiments. `Experiment.read` accepts a name instead of a path."""
     return shipped_names(_FOLDER)

@@ -1,7 +1,7 @@
 """Forces along the needle: shaft friction, compliant tissue, cutting, and membranes.
 
-The physics of friction and tissue is in `models`. Here it is advanced step by step, because the depths are not known
-in advance. The friction looks up its normal force in a table with a spacing of 0.01 mm.
+The physics of friction and tissue is in `models`. Here it is simulated step by step, because the depths are not known
+in advance. The normal force of the friction is read from a table with a spacing of 0.01 mm.
 """
 
 from __future__ import annotations
@@ -18,18 +18,21 @@ from needleplan.simulation._setup import SimulatedLayer
 
 __all__ = ["DepthLaw", "ShaftForce", "TipForce"]
 
-# spacing of the table of normal forces, mm
+# spacing (mm) of the table of normal forces
 _SPACING_MM = 0.01
-# rate at which the bristles relax outside of the tissue, 1/s
+# rate (1/s) at which the bristles relax outside of the tissue
 _RELAXATION_PER_S = 1e3
-# mass of the dragged tissue, N s^2/mm: negligible
+# mass of the dragged tissue (N s^2/mm), so small that it has no effect
 _MASS = 1e-6
-# distance by which the tip compresses tissue before it cuts, mm
+# distance (mm) by which the tip compresses the tissue before it cuts
 _CONTACT_MM = 0.1
 
 
 class DepthLaw:
-    """A friction model on plain numbers; its sample number is the depth in steps of 0.01 mm, -1 outside the tissue."""
+    """A friction model for single numbers instead of arrays.
+
+    Its sample number is the depth in steps of 0.01 mm, or -1 outside of the tissue.
+    """
 
     def __init__(self, friction: LuGre, deepest_mm: float) -> None:
         depth = np.asarray((np.arange(max(math.ceil(deepest_mm / _SPACING_MM), 2)) + 0.5) * _SPACING_MM)
@@ -67,20 +70,20 @@ class ShaftForce:
         self._steps = None
         if self._law and compliance_mm_n:
             stiffness = 1 / compliance_mm_n
-            # Outside of the tissue, a law at rest has no force.
+            # The needle starts at rest outside of the tissue, so the friction force is 0.
             outside = (stiffness, stiffness * relaxation_s, _MASS, 0.0, (0.0, 0.0, 0.0))
             self._steps = stepping(_From(self._law), *outside)
             next(self._steps)
 
     def step(self, interval_s: float, velocity_mm_s: float, depth_mm: float) -> None:
-        """Advance by a time step to a velocity relative to undragged tissue, and to a depth."""
+        """Simulate a time step to the given velocity, relative to tissue that is not dragged, and the given depth."""
         if self._law is None:
             return
         sample = self._law.sample(depth_mm)
         if self._steps:
             self._bent, self.tissue_mm, _, self.force_n = self._steps.send((sample, interval_s, velocity_mm_s))
             return
-        # The step of `stepping` for tissue that does not move.
+        # The same time step as in `stepping`, for tissue that does not move.
         forcing, rate = self._law.coefficients(self._sample, self._velocity)
         new_forcing, new_rate = self._law.coefficients(sample, velocity_mm_s)
         decay = interval_s / 2 * (rate + new_rate)
@@ -91,7 +94,7 @@ class ShaftForce:
 
 
 class _From:
-    """A law that starts outside of the tissue, although `stepping` starts with sample 0."""
+    """Adapter for `stepping`, which starts with sample 0: replaces the first sample by -1, outside of the tissue."""
 
     def __init__(self, law: DepthLaw) -> None:
         first = True
@@ -108,10 +111,10 @@ class _From:
 
 
 class TipForce:
-    """Force on the tip (N): cutting, and membranes until they are punctured.
+    """Force on the tip (N): cutting force, and the force of each membrane until it is punctured.
 
-    The tip compresses the tissue by 0.1 mm and then cuts. The force remains while the needle stands, and vanishes when
-    the needle has been pulled back by 0.1 mm. A membrane behaves in the same way over its own stretch.
+    The tip compresses the tissue by 0.1 mm and then cuts. The force remains while the needle is at rest, and vanishes
+    when the needle has been pulled back by 0.1 mm. The force of a membrane rises over the membrane's own stretch.
     """
 
     def __init__(self, layers: Sequence[SimulatedLayer]) -> None:
@@ -121,11 +124,11 @@ class TipForce:
 
     @property
     def front_mm(self) -> float:
-        """Depth to which the tissue is cut (mm)."""
+        """Depth (mm) to which the tissue has been cut."""
         return self._front_mm
 
     def step(self, depth_mm: float) -> float:
-        """Advance to a depth (mm) and return the force (N)."""
+        """Move the tip to a depth (mm) and return the force (N)."""
         if depth_mm <= 0:
             return 0.0
         self._front_mm = max(self._front_mm, depth_mm - _CONTACT_MM)
@@ -142,5 +145,5 @@ class TipForce:
         return force + cutting * pressed
 
     def turn_off(self, depth_mm: float) -> None:
-        """Cut again from a depth on, because the needle leaves its old channel there."""
+        """Treat the tissue beyond a depth (mm) as uncut, because the needle leaves its old channel there."""
         self._front_mm = min(self._front_mm, depth_mm)

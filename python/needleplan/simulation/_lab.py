@@ -1,9 +1,9 @@
-"""The lab twin: a plant with its sensors, as three devices.
+"""The lab twin: a plant with its sensors, accessible as three devices.
 
-Time is simulated. It advances when a program advances the clock of the lab, sleeps on it, or waits for a sample:
-`read` returns the oldest unread sample; if there is none, time advances until there is one, at most by `timeout_s`. All
-devices share the time. Each device keeps the samples of the last two seconds; its next sample tells how many older ones
-were lost.
+Time is simulated. It advances when a program advances the clock of the lab, sleeps on this clock, or waits for a
+sample: `read` returns the oldest unread sample; if there is no sample, time advances until there is one, at most by
+`timeout_s`. All devices share the clock. Each device keeps the unread samples of the last two seconds. The next sample
+contains the number of older samples that were lost.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from needleplan.simulation._setup import FORCE_HZ, TRACKER_HZ, Setup
 
 __all__ = ["Lab", "SimulatedForceSensor", "SimulatedStage", "SimulatedTracker", "open_lab"]
 
-# duration for which a device keeps unread samples, s
+# time (s) for which a device keeps unread samples
 _KEPT_S = 2
 _NANO = 1_000_000_000
 
@@ -43,8 +43,8 @@ _Sample = TypeVar("_Sample", StageSample, ForceSample, PoseSample)
 class Lab(Device):
     """A plant with its sensors on a virtual clock; its devices are `stage`, `force_sensor` and `tracker`.
 
-    Samples are taken at multiples of their interval, the first one after one interval. They carry the time at which
-    they were taken; transport takes no time.
+    Samples are taken at multiples of their interval, the first sample after one interval. The time of a sample is the
+    time at which it was taken; transport takes no time.
     """
 
     def __init__(self, setup: Setup, seed: int = 0, clock: VirtualClock | None = None) -> None:
@@ -69,12 +69,12 @@ class Lab(Device):
             self._tick()
 
     def advance(self, seconds: float) -> None:
-        """Advance the clock and the plant (s)."""
+        """Advance the clock and the plant by `seconds`."""
         self.clock.advance(seconds)
         self.catch_up()
 
     def wait(self, limit_ns: int) -> bool:
-        """Advance by one tick, at most to `limit_ns` on the clock; return whether there was a tick."""
+        """Advance to the next tick, but at most to the time `limit_ns`; return whether there was a tick."""
         due_ns, now_ns = self._due_ns, self.clock.now_ns()
         self.clock.advance((min(due_ns, limit_ns) - now_ns) / _NANO)
         self.catch_up()
@@ -105,7 +105,7 @@ class Lab(Device):
 
 
 class _SampleQueue(Generic[_Sample]):
-    """Unread samples of one device."""
+    """Queue of the unread samples of one device."""
 
     def __init__(self, lab: Lab, rate_hz: float) -> None:
         self._lab = lab
@@ -114,14 +114,16 @@ class _SampleQueue(Generic[_Sample]):
         self._open = True
 
     def put(self, sample: _Sample) -> None:
-        """Append a sample of the lab."""
+        """Append a sample, and drop the oldest sample if the queue is full."""
         if not self._open:
             return
         self._lost += len(self._waiting) == self._waiting.maxlen
         self._waiting.append(sample)
 
     def read(self, timeout_s: float) -> _Sample | None:
-        """Return the oldest unread sample; if there is none, advance the time, at most by `timeout_s`.
+        """Return the oldest unread sample; if there is none, advance the time to the next one, at most by `timeout_s`.
+
+        Returns None if there is no sample then.
 
         Raises DeviceFault if the device is closed.
         """
@@ -142,7 +144,7 @@ class _SampleQueue(Generic[_Sample]):
         return replace(sample, stamp=replace(stamp, lost=lost))
 
     def waiting(self) -> list[_Sample]:
-        """Return all unread samples without advancing the time."""
+        """Remove and return all unread samples, without advancing the time."""
         found = list(self._waiting)
         self._waiting.clear()
         return found
@@ -153,25 +155,25 @@ class _SampleQueue(Generic[_Sample]):
             raise DeviceFault(f"{type(self).__name__}: is closed")
 
     def close(self) -> None:
-        """Close the device, and discard its samples."""
+        """Close the device and discard its samples."""
         self._open = False
         self._waiting.clear()
 
 
 class SimulatedStage(_SampleQueue[StageSample], Stage):
-    """The two axes of the robot; samples at the rate of the servo."""
+    """Stage that moves the two axes of the simulated robot; it has one sample per servo tick."""
 
     def __init__(self, lab: Lab) -> None:
         super().__init__(lab, lab.plant.setup.robot.servo_hz)
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin to move to a depth at a speed. Raises DeviceFault."""
+        """Begin to move to a depth at a speed. Raises DeviceFault if the stage is closed or refuses the values."""
         self.require_open()
         self._lab.catch_up()
         self._lab.plant.insert(depth_mm, velocity_mm_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin to rotate the base to a roll. Raises DeviceFault."""
+        """Begin to rotate the base to a roll. Raises DeviceFault if the stage is closed or refuses the values."""
         self.require_open()
         self._lab.catch_up()
         self._lab.plant.rotate(roll_rad, velocity_rad_s)
@@ -182,22 +184,22 @@ class SimulatedStage(_SampleQueue[StageSample], Stage):
         self._lab.plant.stop()
 
     def close(self) -> None:
-        """Stop, and close the stage."""
+        """Stop and close the stage."""
         if self._open:
             self.stop()
         super().close()
 
 
 class SimulatedForceSensor(_SampleQueue[ForceSample], ForceSensor):
-    """The force sensor: z is along the needle, positive if the force resists insertion."""
+    """Simulated force sensor; its z axis is along the needle, and a positive force resists insertion."""
 
     def __init__(self, lab: Lab) -> None:
         super().__init__(lab, FORCE_HZ)
 
     def bias(self) -> None:
-        """Take the present wrench as zero; advance the time until there is one.
+        """Set the zero to the last measured force and torque; without a sample, first advance the time by at most 1 s.
 
-        Unread samples have the old zero: they are dropped, and counted as lost.
+        Unread samples, which have the old zero, are dropped and counted as lost.
         """
         self.require_open()
         lab = self._lab
@@ -210,17 +212,17 @@ class SimulatedForceSensor(_SampleQueue[ForceSample], ForceSensor):
 
 
 class SimulatedTracker(_SampleQueue[PoseSample], Tracker):
-    """The tracker; the z axis of its coil is along the needle."""
+    """Simulated tracker; the z axis of its coil is along the needle."""
 
     def __init__(self, lab: Lab) -> None:
         super().__init__(lab, TRACKER_HZ)
 
 
 def open_lab(url: str, clock: VirtualClock | None = None) -> Lab:
-    """Open a lab: `sim://insertion`, `sim://folder/mine.toml?seed=3`, `sim:///absolute/mine.toml`.
+    """Open a lab by its address: `sim://insertion`, `sim://folder/mine.toml?seed=3` or `sim:///absolute/mine.toml`.
 
     The devices of the lab are `stage`, `force_sensor` and `tracker`; the program of the experiment is not run. Without
-    `clock` the lab gets a clock of its own. Raises ExperimentError if the address or the file is wrong.
+    `clock` the lab has its own clock. Raises ExperimentError if the address or the file is invalid.
     """
     parts = urlsplit(url)
     mistakes = []

@@ -1,6 +1,6 @@
-"""Models from files as parts of the plant: a model of the path of the tip, or of the axial force.
+"""Models from files as parts of the plant: a model of the path of the tip, or a model of the axial force.
 
-Effects of a sensor (`Enters.SENSOR`) are not in the plant; the simulated sensors show them.
+Effects that act on a sensor (`Enters.SENSOR`) do not change the plant, only the values that the sensors show.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ __all__ = ["ModelledForce", "ModelledPath", "require_simulated"]
 
 
 def require_simulated(model: Model, channel: Channel) -> None:
-    """Raise ModelError if the lab twin cannot simulate a model, or if the model has another channel."""
+    """Raise ModelError if the lab twin cannot simulate a model, or if the model does not predict `channel`."""
     usable = isinstance(_plant(model), SteeredModel) if channel is Channel.TIP else channel is Channel.FORCE
     if model.channel is not channel or not usable:
         what = "the path of a tip in space" if channel is Channel.TIP else "the axial force"
-        raise ModelError(Mistake("kind", model.name, f"must be of {what}"))
+        raise ModelError(Mistake("kind", model.name, f"must be a model of {what}"))
 
 
 class ModelledForce:
-    """Axial force of a model (N), one sample of the sensor at a time; positive if it resists insertion.
+    """Axial force (N) of a model, simulated by one sensor interval at a time; positive if it resists insertion.
 
-    `force_n` is the force of the plant, `shown_n` the additional force that only the sensor shows.
+    `force_n` is the force of the plant. `shown_n` is the additional force that only the sensor shows.
     """
 
     def __init__(self, model: Model) -> None:
@@ -38,7 +38,7 @@ class ModelledForce:
         self.force_n = self.shown_n = 0.0
 
     def step(self, time_s: float, depth_mm: float, velocity_mm_s: float, base_rad: float) -> None:
-        """Advance to a later time."""
+        """Simulate the force up to a later time `time_s`, at which the needle has these values."""
         now = (time_s, depth_mm, velocity_mm_s, base_rad)
         if self._last is not None:
             motion = Motion.sampled(*np.array([self._last, now]).T)
@@ -50,9 +50,9 @@ class ModelledForce:
 
 
 class ModelledPath:
-    """Path of a model: its start, its curvature, the roll of the tip, and the displacement that a tracker shows.
+    """Path of the tip by a model: its start, its curvature, the roll of the tip, and its displacement by moving tissue.
 
-    `line` is the frame on the surface in the frame of the robot.
+    `line` is the pose of the needle where it enters the surface, in the frame of the robot.
     """
 
     def __init__(self, model: Model, line: TipFrame) -> None:
@@ -72,7 +72,7 @@ class ModelledPath:
     def bend(
         self, roll_rad: float, time_s: float, depth_mm: float, velocity_mm_s: float, base_rad: float
     ) -> tuple[float, float]:
-        """Return the curvatures along n and b (1/mm) for a roll of the tip."""
+        """Return the curvatures (1/mm) along the normal and the binormal of the tip frame, for a roll of the tip."""
         n, b = self._plant.bend_per_mm(self._motion(time_s, depth_mm, velocity_mm_s, base_rad), np.array(roll_rad))
         return float(n), float(b)
 
@@ -85,7 +85,10 @@ class ModelledPath:
         self, frame: TipFrame, roll_rad: float, time_s: float, depth_mm: float, velocity_mm_s: float, base_rad: float,
         *, shown: bool,
     ) -> Vector:  # fmt: skip
-        """Return the displacement of the tip from its path by moving tissue (mm); `shown`: as a tracker shows it."""
+        """Return the displacement (mm) of the tip from its path by moving tissue.
+
+        If `shown`, the displacement includes the effects that only the tracker shows.
+        """
         back = self._axes.T
         state = np.concatenate([
             back @ (np.array(frame.position_mm) - self._origin), back @ np.array(frame.tangent),

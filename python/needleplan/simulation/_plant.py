@@ -1,7 +1,7 @@
-"""The plant: robot, needle and tissue on simulated time, advanced by one tick of the servo at a time.
+"""The plant: robot, needle and tissue, simulated by one tick of the servo at a time.
 
-The plant is not the planner's model. The planner assumes a known curvature, a tip that rolls with the base, and tissue
-at rest; the effects of the plant violate each of these assumptions by a chosen amplitude.
+The plant differs from the model of the planner. The planner assumes a known curvature, a tip that rolls with the base,
+and tissue at rest. The effects of the plant violate each of these assumptions by a chosen amplitude.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from needleplan.simulation._tip_path import RandomHeading, TipPath3D
 
 __all__ = ["PlannedCurvature", "Plant"]
 
-# speed at which a rate-dependent curvature equals the curvature of the tissue, mm/s
+# speed (mm/s) at which a rate-dependent curvature equals the curvature of the tissue
 _REFERENCE_MM_S = 5.0
-# speed below which a rate-dependent curvature is constant, mm/s
+# speed (mm/s) below which a rate-dependent curvature is constant
 _SLOWEST_MM_S = 0.25
-# spacing of the grid on which the planned curvature is looked up, mm
+# largest spacing (mm) of the grid on which the planned curvature is tabulated
 _SPACING_MM = 0.25
 
 
 class PlannedCurvature:
-    """Planned curvature (1/mm) of a scenario by position, on a grid of 0.25 mm; constant beyond the edges."""
+    """Planned curvature (1/mm) of a scenario, tabulated on a grid of at most 0.25 mm; constant beyond the edges."""
 
     def __init__(self, scenario: Scenario) -> None:
         import numpy as np
@@ -41,17 +41,17 @@ class PlannedCurvature:
         self._table: list[list[float]] = (1 / scenario.radius_mm(x[:, None], y[None, :])).tolist()
 
     def at(self, x_mm: float, y_mm: float) -> float:
-        """Return the curvature at a point (mm)."""
+        """Return the curvature (1/mm) at the grid point nearest to a point (mm)."""
         table = self._table
         row = table[min(max(round(x_mm / self._steps[0]), 0), len(table) - 1)]
         return row[min(max(round(y_mm / self._steps[1]), 0), len(row) - 1)]
 
 
 class Plant:
-    """Robot, needle and tissue; the same setup and seed give bitwise the same motion.
+    """Robot, needle and tissue. The same setup, seed and commands give bitwise the same motion.
 
-    The attributes are true values, which no sensor measures: `force_n` (axial force at the base), `torque_n_mm` (torque
-    at the base), `tip_roll_rad` and `path_mm`.
+    The attributes hold true values without errors of sensors: `force_n` (axial force at the base), `torque_n_mm`
+    (torque at the base), `tip_roll_rad` (roll of the tip) and `path_mm` (path length in the tissue).
     """
 
     def __init__(self, setup: Setup, seed: int = 0) -> None:
@@ -97,7 +97,7 @@ class Plant:
 
     @property
     def now_s(self) -> float:
-        """Simulated time since the start (s)."""
+        """Simulated time (s) since the start."""
         return self.ticks * self.interval_s
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
@@ -120,11 +120,11 @@ class Plant:
 
     @property
     def moving(self) -> bool:
-        """Whether the profile of either axis has not ended."""
+        """Whether the motion profile of at least one axis has not ended yet."""
         return self.insertion.moving(self.now_s) or self.roll.moving(self.now_s)
 
     def step(self) -> None:
-        """Advance by one tick of the servo."""
+        """Simulate one tick of the servo."""
         insertion, roll, interval = self.insertion, self.roll, self.interval_s
         now = self.ticks * interval
         insertion.step(now, -self.force_n * self._reaction)
@@ -148,7 +148,7 @@ class Plant:
         else:
             self.torque_n_mm = 0.0
         if length > 0 and not self._entered:
-            # The needle passes through this point of the tissue, however the tissue is shifted at this moment.
+            # The path is fixed in the tissue, which is displaced at this moment; the start is shifted back accordingly.
             self._entered = True
             n, shift = self._line.normal, -breath[1]
             self._path.begin(self._start.moved((shift * n[0], shift * n[1], shift * n[2])))
@@ -161,7 +161,7 @@ class Plant:
             self.force_n += self._force_model.force_n
 
     def tip(self) -> TipFrame:
-        """Return the frame of the tip in the lab: x along the insertion, y to the left, z up (mm)."""
+        """Return the frame of the tip (mm) in the frame of the lab: x along the insertion, y to the left, z up."""
         return self.frame_behind(0.0)
 
     def frame_behind(self, distance_mm: float) -> TipFrame:
@@ -175,7 +175,10 @@ class Plant:
         return frame.moved((along * t[0] + across * n[0], along * t[1] + across * n[1], along * t[2] + across * n[2]))
 
     def seen_behind(self, distance_mm: float) -> TipFrame:
-        """Return the frame that a noise-free tracker shows: the true one, or the one shown by a model of the path."""
+        """Return the frame of the needle at a distance (mm) behind the tip, as a noise-free tracker shows it.
+
+        It differs from the true frame only if the model of the path has effects that only the tracker shows.
+        """
         true = self.frame_behind(distance_mm)
         if not self._model:
             return true
@@ -186,17 +189,17 @@ class Plant:
 
     @property
     def felt_n(self) -> float:
-        """Axial force (N) that a noise-free sensor shows: the true force plus the sensor effects of a force model."""
+        """Axial force (N) that a noise-free sensor shows: the true force plus the sensor effects of the force model."""
         return self.force_n + (self._force_model.shown_n if self._force_model else 0.0)
 
     @property
     def breath_mm(self) -> tuple[float, float]:
-        """Displacement of the tissue by respiration along the entry and across it (mm)."""
+        """Displacement (mm) of the tissue by respiration, along the direction of the entry and perpendicular to it."""
         return self._breath
 
     @property
     def tissue_mm(self) -> float:
-        """Displacement of the tissue that the needle drags along (mm)."""
+        """Displacement (mm) of the tissue by the friction of the needle."""
         return self._shaft.tissue_mm
 
     def _bend(self, tip: TipFrame) -> float:
@@ -219,7 +222,7 @@ class Plant:
         return bend * self.curvature_factor
 
     def _aside(self, tip: TipFrame, roll_rad: float) -> tuple[float, float]:
-        """Return the curvatures along n and b (1/mm) of a pre-bent needle, of its weight, or of a model."""
+        """Return the curvatures (1/mm) along n and b by a pre-bent needle and its weight, or those of a model."""
         if self._model:
             n, b = self._model.bend(roll_rad, *self._moving_now())
             return n * self.curvature_factor, b * self.curvature_factor
@@ -232,7 +235,7 @@ class Plant:
         )
 
     def _moving_now(self) -> tuple[float, float, float, float]:
-        """Return the input of a model: time (s), length of the path (mm), velocity (mm/s), roll of the base (rad)."""
+        """Return the present input of a model: time (s), path length (mm), velocity (mm/s), roll of the base (rad)."""
         return self.now_s, self.path_mm, self.insertion.velocity, self.roll.position
 
     def _lag(self, inserted_mm: float) -> float:
@@ -250,9 +253,13 @@ class Plant:
 
 def _accept(name: str, value: float, lowest: float, highest: float, unit: str) -> None:
     if not lowest <= value <= highest:
-        raise DeviceFault(f"simulated stage: {name} of {value:g} {unit} is not from {lowest:g} to {highest:g} {unit}")
+        raise DeviceFault(
+            f"simulated stage: the {name} of {value:g} {unit} is not from {lowest:g} to {highest:g} {unit}"
+        )
 
 
 def _accept_speed(value: float, highest: float, unit: str) -> None:
     if not 0 < value <= highest:
-        raise DeviceFault(f"simulated stage: a speed of {value:g} {unit} is not above 0 and at most {highest:g} {unit}")
+        raise DeviceFault(
+            f"simulated stage: the speed of {value:g} {unit} must be above 0 and at most {highest:g} {unit}"
+        )

@@ -1,4 +1,4 @@
-"""Runs of experiments: all samples of the devices, the record for identification, and the recording file."""
+"""Running experiments: the samples of all devices, as a record for identification and as a recording file."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from needleplan.simulation._setup import AVERAGED, FORCE_HZ, Move
 
 __all__ = ["Run", "RunPhase", "record_run", "run_experiment"]
 
-# time step between two readings of the devices, s
+# simulated time (s) between two readings of the devices; must be shorter than the time for which they keep samples
 _AT_ONCE_S = 0.25
 _NANO = 1e9
-# duration that is recorded after the last move, s
+# time (s) that is recorded after the last move
 _SETTLING_S = 0.25
 
 
 @dataclass(frozen=True)
 class RunPhase:
-    """A part of the program that begins at a simulated time."""
+    """One move of the program, with the simulated time (s) at which it begins."""
 
     begin_s: float
     label: str
@@ -34,7 +34,7 @@ class RunPhase:
 
 @dataclass(frozen=True)
 class Run:
-    """All samples of the three devices in order, the phases of the program, and the true final frame of the tip."""
+    """Result of an experiment: all samples of the three devices, phases of the program, and true final tip frame."""
 
     experiment: Experiment
     seed: int
@@ -47,8 +47,9 @@ class Run:
     def record(self, trial: str = "") -> Record:
         """Return the run as a record at the rate of the force sensor.
 
-        Depth and angle are encoder values at the same time. The columns x, y and z have the frames of the tracker, and
-        NaN between frames. The force is corrected for the delay of its moving average, two samples.
+        Depth and angle are the encoder values at the times of the force samples. The columns x, y and z contain the
+        positions of the tracker frames, and NaN between the frames. Force and torque are shifted by two samples, which
+        compensates the delay of the sensor's moving average.
         """
         time = np.array([each.stamp.device_time_s for each in self.forces], float)
         every = len(self.stage) // len(self.forces)
@@ -74,7 +75,7 @@ class Run:
 
 
 def run_experiment(experiment: Experiment, seed: int | None = None) -> Run:
-    """Run the program of an experiment in a new lab, with the seed of the experiment or another one."""
+    """Run the program of an experiment in a new lab. `seed` replaces the seed of the experiment."""
     chosen = experiment.seed if seed is None else seed
     stage: list[StageSample] = []
     forces: list[ForceSample] = []
@@ -98,7 +99,7 @@ def run_experiment(experiment: Experiment, seed: int | None = None) -> Run:
 
 
 def _begin(lab: Lab, move: Move) -> float:
-    """Begin a move and return its duration up to the first tick at or after its end (s)."""
+    """Begin a move and return its duration (s), rounded up to a whole number of ticks."""
     if move.insert_to_mm is not None:
         lab.stage.insert(move.insert_to_mm, move.velocity_mm_s or 0.0)
     elif move.rotate_to_rad is not None:
@@ -117,10 +118,10 @@ def _drain(lab: Lab, stage: list[StageSample], forces: list[ForceSample], poses:
 
 
 def record_run(run: Run, path: PathLike, *, overwrite: bool = False) -> None:
-    """Write all samples of a run to a recording, and the phases of its program as events.
+    """Write a recording with all samples of a run, and with the phases of its program as events.
 
     The recorded time of day is the time of writing plus the simulated time. Raises OutputError if the file cannot be
-    written, or if it exists and `overwrite` is false.
+    written, or if the file exists and `overwrite` is false.
     """
     experiment = run.experiment
     digests = {"experiment": experiment.digest}

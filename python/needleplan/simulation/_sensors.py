@@ -1,4 +1,4 @@
-"""Measurement errors of the sensors: noise, offset, drift, distortion, dropouts."""
+"""Simulated measurements with the errors of the sensors: noise, offset, drift, distortion and dropouts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NAN = float("nan")
 
 
 class ForceReading:
-    """The force sensor at 200 Hz: the mean of five samples; z is along the needle, positive if it resists insertion."""
+    """Measurements of the force sensor at 200 Hz, averaged over five samples. A positive z force resists insertion."""
 
     def __init__(self, effects: Effects, seed: int) -> None:
         self._effects = effects
@@ -25,10 +25,10 @@ class ForceReading:
         self._zero = (0.0, 0.0, 0.0, 0.0)
         self._last = self._zero
         self.measured = False
-        """Whether there has been a sample."""
+        """Whether a sample has been taken."""
 
     def sample(self, stamp: Stamp, force_n: float, torque_n_mm: float, time_s: float) -> ForceSample:
-        """Return the sample for the true axial force (N) and torque (N mm)."""
+        """Return the sample that the sensor shows for the true axial force (N) and torque (N mm)."""
         effects = self._effects
         self.measured = True
         noise = [effects.force_noise_n * each for each in self._draws.next()]
@@ -41,12 +41,12 @@ class ForceReading:
         return ForceSample(stamp, (x - zero[0], y - zero[1], z - zero[2]), (0.0, 0.0, torque - zero[3]))
 
     def bias(self) -> None:
-        """Take the last measured wrench as zero."""
+        """Set the zero to the last measured force and torque."""
         self._zero = self._last
 
 
 class TrackerReading:
-    """The tracker at 40 Hz: a coil with five degrees of freedom behind the tip; its z axis is along the needle."""
+    """Measurements of the tracker at 40 Hz: a coil with five degrees of freedom, whose z axis is along the needle."""
 
     def __init__(self, effects: Effects, seed: int) -> None:
         self._effects = effects
@@ -60,7 +60,7 @@ class TrackerReading:
         self._missing = 0
 
     def sample(self, stamp: Stamp, coil: TipFrame) -> PoseSample:
-        """Return the frame for the true pose of the coil."""
+        """Return the pose sample that the tracker shows for the true frame of the coil; without a pose in a dropout."""
         effects, keep = self._effects, self._keep
         fresh = math.sqrt(1 - keep * keep)
         self._drift = [keep * old + fresh * new for old, new in zip(self._drift, self._drift_draws.next(), strict=True)]
@@ -79,7 +79,7 @@ class TrackerReading:
         return PoseSample(stamp, (x, y, z), from_z_to(*direction), error)
 
     def _lost(self) -> bool:
-        # Two numbers are drawn at each frame, so that a dropout does not change when the next one begins.
+        # Two numbers are drawn for each frame, so that the duration of a dropout does not change later dropouts.
         begins, length = self._chance.random(2).tolist()
         if begins < self._effects.tracker_dropout:
             frames = -math.log(1 - length) * self._effects.tracker_dropout_s * TRACKER_HZ
@@ -88,7 +88,7 @@ class TrackerReading:
         return self._missing > 0 or begins < self._effects.tracker_dropout
 
     def _distortion(self, position_mm: tuple[float, float, float]) -> list[float]:
-        """Return a displacement (mm) that depends on the position: on each axis, a sine along the next axis."""
+        """Return the displacement (mm) by the field distortion at a position; it is smooth along all three axes."""
         size, wave = self._effects.tracker_distortion_mm, 2 * math.pi / self._effects.tracker_distortion_length_mm
         return [
             size * math.sin(wave * position_mm[(axis + 1) % 3] + wave * position_mm[axis] / 2 + self._phases[axis])
@@ -97,7 +97,7 @@ class TrackerReading:
 
 
 def from_z_to(x: float, y: float, z: float) -> tuple[float, float, float, float]:
-    """Return the shortest rotation (w, x, y, z) from the z axis to a direction, a vector of any length above 0."""
+    """Return the shortest rotation, as a quaternion (w, x, y, z), from the z axis to a vector of any length above 0."""
     length = math.sqrt(x * x + y * y + z * z)
     x, y, z = x / length, y / length, z / length
     if z < -1 + 1e-12:

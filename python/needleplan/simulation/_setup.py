@@ -1,4 +1,4 @@
-"""The parts of a lab: the tables of an experiment file, one frozen dataclass per table and one rule per field.
+"""The parts of a lab: one frozen dataclass per table of an experiment file, with one rule per field.
 
 Lengths in mm, forces in N, times in s, angles in rad.
 """
@@ -31,7 +31,7 @@ __all__ = [
     "SimulatedTissue",
 ]
 
-# Rates of the sensors, and number of force samples that are averaged (thesis, appendix A).
+# Rates (Hz) of the sensors, and number of samples in the moving average of the force sensor (thesis, appendix A).
 FORCE_HZ = 200
 TRACKER_HZ = 40
 AVERAGED = 5
@@ -43,10 +43,10 @@ _DEPTH = Number("mm", at_least=-100, at_most=1000)
 
 @dataclass(frozen=True)
 class SimulatedEntry(ConfigTable, key="entry", error=ExperimentError):
-    """Pose of the needle at the start: the line of entry meets the surface of the tissue at `x_mm`, `y_mm`.
+    """Pose of the needle at the start. The line of the needle meets the surface of the tissue at `x_mm`, `y_mm`.
 
-    `depth_mm` is the depth of the tip beyond the surface, `roll_rad` the roll of the base: at 0 the needle bends to the
-    left, at pi to the right.
+    `depth_mm` is the depth of the tip relative to the surface (negative outside). `roll_rad` is the roll of the base:
+    at 0 the needle bends to the left, at pi to the right.
     """
 
     x_mm: float = ruled(Number("mm", at_least=-1000, at_most=1000), 0.0)
@@ -58,7 +58,7 @@ class SimulatedEntry(ConfigTable, key="entry", error=ExperimentError):
 
 @dataclass(frozen=True)
 class SimulatedTissue(ConfigTable, key="tissue", error=ExperimentError):
-    """The tissue outside of layers; without `curvature_per_mm` the needle bends as the needle of the scenario."""
+    """The tissue outside of layers. Without `curvature_per_mm`, the needle has the curvature of the scenario."""
 
     curvature_per_mm: float | None = ruled(Maybe(_BEND), None)
     cutting_n: float = ruled(_FORCE, 0.0)
@@ -68,10 +68,10 @@ class SimulatedTissue(ConfigTable, key="tissue", error=ExperimentError):
 
 @dataclass(frozen=True)
 class SimulatedLayer(ConfigTable, key="layer", error=ExperimentError):
-    """Tissue deeper than `from_mm` along the entry, with its own curvature and cutting force, and a membrane.
+    """Tissue deeper than `from_mm` along the entry, behind a membrane, with its own curvature and cutting force.
 
-    The force on the membrane rises linearly to `puncture_n` over `stretch_mm` and drops to 0 at the puncture. Without
-    `curvature_per_mm` the needle bends as in the tissue.
+    The force of the membrane rises linearly to `puncture_n` over `stretch_mm` and drops to 0 at the puncture. Without
+    `curvature_per_mm`, the needle has the same curvature as in the tissue outside of layers.
     """
 
     from_mm: float = ruled(Number("mm", at_least=0, at_most=1000))
@@ -83,7 +83,7 @@ class SimulatedLayer(ConfigTable, key="layer", error=ExperimentError):
 
 @dataclass(frozen=True)
 class Shaft(ConfigTable, key="shaft", error=ExperimentError):
-    """Torsional stiffness GJ and length of the needle's shaft. The default is an 18 gauge cannula."""
+    """Torsional stiffness GJ and length of the needle's shaft. The defaults are those of an 18 gauge cannula."""
 
     torsional_stiffness_n_mm2: float = ruled(Number("N mm^2", above=0, at_most=1e9), 1.5e4)
     length_mm: float = ruled(Number("mm", at_least=10, at_most=1000), 200.0)
@@ -105,7 +105,7 @@ class Robot(ConfigTable, key="robot", error=ExperimentError):
 
 @dataclass(frozen=True)
 class Move(ConfigTable, key="move", error=ExperimentError):
-    """One move of a program: `insert_to_mm`, `rotate_to_rad` or `dwell_s`; the first two at a speed."""
+    """One move of a program: `insert_to_mm`, `rotate_to_rad` or `dwell_s`. The first two require a speed."""
 
     insert_to_mm: float | None = ruled(Maybe(_DEPTH), None)
     velocity_mm_s: float | None = ruled(Maybe(Number("mm/s", above=0, at_most=1000)), None)
@@ -115,7 +115,7 @@ class Move(ConfigTable, key="move", error=ExperimentError):
 
     @property
     def label(self) -> str:
-        """Name of the phase in the recording."""
+        """Name of this move as a phase in the recording."""
         if self.insert_to_mm is not None:
             return f"to {self.insert_to_mm:g} mm"
         return f"roll to {self.rotate_to_rad:g} rad" if self.rotate_to_rad is not None else "dwell"
@@ -124,7 +124,7 @@ class Move(ConfigTable, key="move", error=ExperimentError):
 def _layers_increase(layer: Sequence[SimulatedLayer | None]) -> Iterator[Mistake]:
     for number, (before, after) in enumerate(pairwise(layer), start=2):
         if before and after and after.from_mm <= before.from_mm:
-            rule = f"must be beyond the layer before it, {before.from_mm:g}: layers are in their order"
+            rule = f"must be greater than that of the previous layer, {before.from_mm:g}"
             yield Mistake(f"layer {number}.from_mm", f"{after.from_mm:g}", rule)
 
 
@@ -145,22 +145,23 @@ def _shaft_reaches(shaft: Shaft, robot: Robot) -> Iterator[Mistake]:
 
 def _entry_is_reached(entry: SimulatedEntry, robot: Robot) -> Iterator[Mistake]:
     if not robot.shallowest_mm <= entry.depth_mm <= robot.deepest_mm:
-        rule = f"must be where the robot can be, {robot.shallowest_mm:g} to {robot.deepest_mm:g}"
+        rule = f"must be within the range of the robot, {robot.shallowest_mm:g} to {robot.deepest_mm:g}"
         yield Mistake("entry.depth_mm", f"{entry.depth_mm:g}", rule)
 
 
 BETWEEN = (_layers_increase, _robot_holds, _shaft_reaches, _entry_is_reached)
-"""Rules between the tables of an experiment, named as in its file."""
+"""Rules between the tables of an experiment file. Their parameters have the names of the tables."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Needle, tissue, robot and effects; the plan's curvature is `plan_curvature_per_mm`, positive to the left.
+    """Needle, tissue, robot and effects of a lab twin.
 
-    Where neither tissue nor layers give a curvature, the needle bends as in the plan, or with a `scenario` whose
-    curvature differs from place to place, as in that. `friction` is Model II or III of chapter 3, or None. A `path` is
-    a model of the path of a tip, which then says all about it, and `force` one of an axial force, which is added.
-    Raises ExperimentError where the parts contradict each other, ModelError for other models.
+    If neither the tissue nor a layer has a curvature, the needle has the curvature of the plan: `plan_curvature_per_mm`
+    (positive to the left), or the local curvature of `scenario` if that is not uniform. `friction` is Model II or III
+    of chapter 3, or None. `path` is a model of the path of the tip and replaces all curvatures. `force` is a model of
+    the axial force and is added to the other forces. Raises ExperimentError if the parts contradict each other, and
+    ModelError if `path` or `force` is not such a model.
     """
 
     plan_curvature_per_mm: float = 0.0
@@ -191,13 +192,16 @@ class Setup:
 
     @property
     def all_layers(self) -> tuple[SimulatedLayer, ...]:
-        """The tissue as the first layer, from the surface on, and the others."""
+        """The tissue as the first layer, which begins at the surface, followed by the other layers."""
         tissue = self.tissue
         first = SimulatedLayer(0.0, tissue.curvature_per_mm, tissue.cutting_n, tissue.puncture_n, tissue.stretch_mm)
         return (first, *self.layers)
 
     def curvatures(self) -> tuple[tuple[float, float | None], ...]:
-        """Return where each layer begins (mm) and the curvature in it (1/mm), before any effect; None: by place."""
+        """Return for each layer its first depth (mm) and its curvature (1/mm) without effects.
+
+        A curvature of None means that the local curvature of the scenario applies.
+        """
         usual = self.tissue.curvature_per_mm
         if usual is None and (self.scenario is None or self.scenario.uniform):
             usual = self.plan_curvature_per_mm

@@ -1,4 +1,4 @@
-"""The devices of an insertion in a simulated lab, and the choice between real and simulated devices by address."""
+"""The devices of a simulated lab for an insertion, and the choice between real and simulated devices by address."""
 
 from __future__ import annotations
 
@@ -28,44 +28,44 @@ class SimulatedStation(Station):
 
     lab: Lab
     registration: Registration
-    """Offset of the coil; the frame of the tracker is the frame of the plan."""
+    """Registration with the offset of the coil; tracker frame and plan frame are the same."""
 
     torsion: Torsion | None
-    """Torsional lag of the simulated needle; None if the tip turns with the base."""
+    """Torsional lag of the simulated needle; None if the tip turns exactly with the base."""
 
     needle_length_mm: float
 
     @property
     def true_tip_mm(self) -> tuple[float, float, float]:
-        """True position of the tip, which no sensor measures (mm)."""
+        """True position (mm) of the tip, without errors of sensors."""
         return self.lab.plant.tip().position_mm
 
 
 def are_simulated(robot: str, force: str, tracker: str) -> bool:
-    """Return whether three addresses are the address of one simulated lab.
+    """Return whether the three addresses are the same address of a simulated lab.
 
-    Raises AddressError, with all mistakes, if an address is wrong or the addresses do not go together.
+    Raises AddressError, with all mistakes, if an address is invalid, or if the addresses cannot be used together.
     """
     addresses = {"--robot": robot, "--force": force, "--tracker": tracker}
     schemes = require_schemes(robot, force, tracker, also=(_SIM,))
     simulated = [name for name, scheme in schemes.items() if scheme == _SIM]
     if len(simulated) == len(addresses):
         if len(set(addresses.values())) > 1:
-            rule = "must be the same address as that of the other two: a simulated lab has all three devices"
+            rule = "must be the same address for all three devices: a simulated lab contains all three"
             raise AddressError([Mistake(name, address, rule) for name, address in addresses.items()])
         return True
     if simulated:
-        rule = "cannot be simulated where the others are not: their times are not the same"
+        rule = "cannot be simulated together with real devices: simulated time differs from real time"
         raise AddressError([Mistake(name, addresses[name], rule) for name in simulated])
     return False
 
 
 def open_insertion_station(robot: str, force: str, tracker: str, table: PolicyTable, start: Pose) -> Station:
-    """Open the devices of an insertion at three addresses: real ones, or those of a simulated lab.
+    """Open the three devices of an insertion, real or simulated, at their addresses.
 
-    `sim://[EXPERIMENT][?seed=N]`, given three times, is a simulated lab into which the needle goes at `start`; then the
-    result is a SimulatedStation. Raises AddressError if the addresses are wrong or do not go together, and the errors
-    of `open_station`.
+    If all three addresses are the same `sim://[EXPERIMENT][?seed=N]`, a simulated lab is opened in which the needle
+    enters at `start`, and the result is a SimulatedStation. Raises AddressError if an address is invalid or the
+    addresses cannot be used together, and the errors of `open_station`.
     """
     if not are_simulated(robot, force, tracker):
         return open_station(robot, force, tracker)
@@ -74,7 +74,7 @@ def open_insertion_station(robot: str, force: str, tracker: str, table: PolicyTa
     seed = address.option("seed", int, -1)
     if seed < -1 or (seed == -1 and "seed" in address.options):
         raise AddressError(Mistake("seed", str(seed), "must be a whole number from 0"), str(address))
-    # The parser of addresses lowers the case of a host; the path of a file keeps its case.
+    # The address parser converts the host to lower case, so the name, which may be the path of a file, is read here.
     name = robot.partition("://")[2].partition("?")[0] or _DEFAULT_EXPERIMENT
     return simulated_station(Experiment.read(name), table, start, None if seed == -1 else seed)
 
@@ -82,20 +82,23 @@ def open_insertion_station(robot: str, force: str, tracker: str, table: PolicyTa
 def simulated_station(
     experiment: Experiment, table: PolicyTable, start: Pose, seed: int | None = None
 ) -> SimulatedStation:
-    """Return the devices of a lab into which the needle goes at `start`; it bends as planned, apart from the effects.
+    """Return the devices of a simulated lab in which the needle enters at `start` and has the planned curvature.
+
+    The effects of the experiment still change this curvature.
 
     Parameters
     ----------
     experiment
-        Robot, needle, tissue and effects of the lab; its entry, scenario and curvatures are replaced by the plan's.
+        Robot, needle, tissue and effects of the lab. Entry pose, scenario and curvatures are replaced by the planned
+        values.
     table
-        Policy table whose scenario gives the curvature of the needle at each place.
+        Policy table whose scenario determines the curvature of the needle at each position.
     start
-        Pose at which the needle enters.
+        Pose at which the needle enters the tissue.
     seed
         Seed of all random effects; None: the seed of the experiment.
     """
-    # Imported here: estimation imports scipy.stats, which takes long and which an experiment alone does not need.
+    # Imported here, because estimation imports scipy.stats, which takes long and is not needed for experiments.
     from needleplan.estimation.registration import Registration
 
     setup = experiment.setup

@@ -1,8 +1,8 @@
-"""The path that the tip cuts, which is the channel of the shaft.
+"""The path that the tip cuts; it is the channel in which the shaft follows.
 
-Lengths along the path are counted from the surface. In fresh tissue the tip follows arcs with the local curvature, in
-the direction of its bevel. When it is pulled back it returns along its channel, and follows the channel again on the
-way in, unless the bevel has rolled by more than half a radian: then the tip cuts a new channel.
+Lengths along the path begin at the surface. In fresh tissue the tip follows arcs with the local curvature, in the
+direction of its bevel. When the needle is pulled back, the tip returns along its channel. When the needle is inserted
+again, the tip follows the channel, unless the bevel has rolled by more than half a radian: then it cuts a new channel.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from needleplan.models import TipFrame
 
 __all__ = ["RandomHeading", "TipPath3D"]
 
-# distance between stored frames of the channel, mm
+# distance (mm) between stored frames of the channel
 _SPACING_MM = 0.05
-# roll from which the tip cuts a new channel, rad
+# roll (rad) of the bevel since the channel was cut, above which the tip cuts a new channel
 _REJOIN_RAD = 0.5
 
 
 class RandomHeading:
-    """Random curvature: white noise along the path, so that the heading is a random walk.
+    """Random curvature that is white noise along the path, so the heading is a random walk.
 
-    The path is divided into cells of 0.25 mm, each with its own curvature in both directions. The curvature depends on
-    the seed and the cell only, not on the speed or on the tick of the servo.
+    The path is divided into cells of 0.25 mm, each with its own curvatures in both directions. The curvatures depend
+    only on the seed and the cell, not on the speed or on the ticks of the servo.
     """
 
     CELL_MM = 0.25
@@ -39,7 +39,7 @@ class RandomHeading:
         self._cells: list[tuple[float, float]] = []
 
     def at(self, length_mm: float) -> tuple[float, float, float]:
-        """Return the two curvatures (1/mm) at a length of the path, and the length at which they end."""
+        """Return the two curvatures (1/mm) at a path length, and the path length (mm) up to which they are constant."""
         if not self._sd:
             return 0.0, 0.0, math.inf
         cell = int(length_mm / self.CELL_MM)
@@ -52,8 +52,8 @@ class RandomHeading:
 class TipPath3D:
     """Path of the tip in tissue at rest, from the surface on.
 
-    `bend` returns the curvature of the bevel at a frame (1/mm). `aside` returns additional curvatures along n and b of
-    the frame for a roll, independent of the bevel.
+    `bend` returns the curvature (1/mm) that the bevel causes at a frame. `aside` returns, for a frame and a roll, the
+    additional curvatures along the normal n and the binormal b of the frame that do not depend on the bevel.
     """
 
     def __init__(
@@ -70,18 +70,18 @@ class TipPath3D:
         self.begin(start)
 
     def begin(self, start: TipFrame) -> None:
-        """Begin a new path at another frame on the surface."""
+        """Discard the path, and begin a new path at a frame on the surface."""
         self.start = self._newest = start
         self._lengths, self._frames, self._bends, self._rolls = [0.0], [start], [(0.0, 0.0)], [0.0]
         self._cut_mm = 0.0
 
     @property
     def cut_mm(self) -> float:
-        """Length of the channel (mm)."""
+        """Length (mm) of the channel."""
         return self._cut_mm
 
     def step(self, length_mm: float, roll_rad: float) -> bool:
-        """Move the tip to a length with a roll; return whether it left the old channel for a new one."""
+        """Move the tip to a path length with a roll, and return whether it left its channel to cut a new one."""
         moved = length_mm - self._length_mm
         branched = False
         if moved > 0 and 0 < self._length_mm < self._cut_mm - _SPACING_MM:
@@ -99,7 +99,7 @@ class TipPath3D:
         return self._newest if self._length_mm == self._cut_mm else self.frame_at(self._length_mm)
 
     def frame_at(self, length_mm: float) -> TipFrame:
-        """Return the frame at a length of the channel, or on the straight line before the surface."""
+        """Return the frame at a path length; for negative lengths, on the straight line before the surface."""
         if length_mm <= 0:
             return self.start.arc(0.0, 0.0, length_mm)
         number = bisect_right(self._lengths, length_mm) - 1
@@ -107,7 +107,7 @@ class TipPath3D:
         return self._frames[number].arc(n, b, length_mm - self._lengths[number])
 
     def _cut(self, length_mm: float, roll_rad: float) -> None:
-        # A step ends where the random curvature changes, so that the path does not depend on the ticks.
+        # The step is divided where the random curvature changes, so that the path does not depend on the ticks.
         bend = self._bend(self._newest)
         across_n, across_b = bend * math.cos(roll_rad), bend * math.sin(roll_rad)
         if self._aside:

@@ -1,7 +1,7 @@
-"""The lab in real time: three processes that speak the bytes of a robot, a force sensor and a tracker.
+"""The lab in real time: three processes with the protocols of a robot, a force sensor and a tracker.
 
-The plant runs in the process of the robot, which sends the measured values to the other two. No process waits for
-another, so one that is killed or suspended leaves the others as they are.
+The plant runs in the process of the robot, which sends the measured values to the other two processes. No process waits
+for another, so a process that is killed or suspended does not block the others.
 """
 
 from __future__ import annotations
@@ -45,21 +45,21 @@ from needleplan.simulation._setup import Setup
 
 __all__ = ["PlantDrive", "RealTimeLab", "limits_of", "serve_robot"]
 
-# s within which a process must have started, and within which it must end before it is killed
+# time limits (s) for the start of a process, and for its end, after which it is killed
 _START_S, _END_S = 60.0, 3.0
-# longest time step of the plant, s; a servo that was suspended for longer does not catch up
+# longest time step (s) of the plant; if the process was suspended for longer, the rest of the time is skipped
 _LONGEST_STEP_S = 0.05
 
 
 class PlantDrive(RobotDrive):
-    """The two axes of the robot of a lab; `measured` is called with each sample of the force sensor and the tracker."""
+    """Drive of the robot process: it simulates the lab and calls `measured` with each force and pose sample."""
 
     def __init__(self, lab: Lab, measured: Callable[[ForceSample | PoseSample], None]) -> None:
         self._lab, self._measured = lab, measured
         self._time_s: float | None = None
 
     def advance(self, time_s: float) -> RobotDriveState:
-        """Advance the plant to a time (s), and return the state of the axes."""
+        """Simulate the plant up to a time (s), and return the state of the axes."""
         lab, plant = self._lab, self._lab.plant
         passed_s = 0.0 if self._time_s is None else time_s - self._time_s
         self._time_s = time_s
@@ -76,11 +76,11 @@ class PlantDrive(RobotDrive):
         )  # fmt: skip
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin to move to a depth. Raises DeviceFault if the robot of the setup cannot do it."""
+        """Begin to move to a depth. Raises DeviceFault if depth or velocity is beyond the range of the robot."""
         self._lab.plant.insert(depth_mm, velocity_mm_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin to rotate to a roll. Raises DeviceFault if the robot of the setup cannot do it."""
+        """Begin to rotate to a roll. Raises DeviceFault if roll or velocity is beyond the range of the robot."""
         self._lab.plant.rotate(roll_rad, velocity_rad_s)
 
     def stop(self) -> None:
@@ -89,7 +89,7 @@ class PlantDrive(RobotDrive):
 
 
 def limits_of(lab: Lab) -> DriveLimits:
-    """Return the limits of a following error: the defaults, plus the motion during the servo tick of delay."""
+    """Return the drive limits: default following errors plus the motion in a tick, and 4 times the top speeds."""
     robot, usual = lab.plant.setup.robot, DriveLimits()
     return DriveLimits(
         usual.following_mm + robot.top_velocity_mm_s / robot.servo_hz,
@@ -103,14 +103,17 @@ def serve_robot(
     boss: Connection, setup: Setup, seed: int, places: LabPlaces, limits: RobotLimits,
     to_force: socket.socket, to_tracker: socket.socket,
 ) -> None:  # fmt: skip
-    """Run the process of the robot, which steps the plant in real time."""
+    """Run the process of the robot, which simulates the plant in real time, until the parent ends it.
+
+    Sends `Ready` with its address after the first measured value, or `Failed`, and at its end `Served` to the parent.
+    """
     forces, poses = FeedSender(to_force), FeedSender(to_tracker)
     begun = False
 
     def measured(sample: ForceSample | PoseSample) -> None:
         nonlocal begun
         (forces if isinstance(sample, ForceSample) else poses).send(sample)
-        if not begun:  # before the first measured value, a sensor would be open but not measure
+        if not begun:  # only now: before the first measured value, the sensors would be open but without samples
             begun = True
             assert server is not None
             boss.send(Ready(server.address))
@@ -128,9 +131,9 @@ def serve_robot(
 
 
 class RealTimeLab(Closing):
-    """A lab as three processes; a context manager. `addresses` are the addresses of its devices.
+    """A lab in three processes, which `close` ends. `addresses` contains the addresses of its devices.
 
-    Raises InputError if a device cannot be placed at its address.
+    Raises InputError if a device cannot be opened at its address.
     """
 
     def __init__(
@@ -138,7 +141,7 @@ class RealTimeLab(Closing):
     ) -> None:
         places = LabPlaces() if places is None else places
         self.served: dict[str, Served] = {}
-        """Last messages of the processes, by their names."""
+        """Final message of each process, by the name of the process; filled by `close`."""
 
         self._parts: dict[str, tuple[BaseProcess, Connection]] = {}
         self._dead: set[str] = set()
@@ -155,7 +158,7 @@ class RealTimeLab(Closing):
             robot = self._address("robot", places)
         except BaseException:
             for process, _ in self._parts.values():
-                process.kill()  # some do not listen for messages yet
+                process.kill()  # some processes do not receive messages yet
             self.close()
             raise
         finally:
@@ -165,11 +168,11 @@ class RealTimeLab(Closing):
 
     @property
     def pids(self) -> dict[str, int]:
-        """Process ids by the names of the processes."""
+        """Process id of each process, by its name."""
         return {name: process.pid or 0 for name, (process, _) in self._parts.items()}
 
     def newly_ended(self) -> dict[str, str]:
-        """Return the processes that have ended since the last call, with exit code or signal."""
+        """Return the exit code or signal of each process that has ended since the last call, by the process name."""
         found = {}
         for name, (process, _) in self._parts.items():
             code = process.exitcode
@@ -180,7 +183,7 @@ class RealTimeLab(Closing):
 
     @property
     def alive(self) -> bool:
-        """Whether any process is running."""
+        """Whether at least one process is running."""
         return any(process.is_alive() for process, _ in self._parts.values())
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Safety of a run: operating states, limits, the guard before the stage, and the watchdog thread."""
+"""Safety of a run: operating states, limits, the guard of the stage, and the watchdog thread."""
 
 from needleplan.control.safety._causes import Cause, Severity
 from needleplan.control.safety._guard import GuardedStage

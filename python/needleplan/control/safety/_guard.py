@@ -1,18 +1,18 @@
-"""The guard before the stage: it validates every sample and every command, and is the last code before the wire.
+"""The guard of the stage: it validates every sample, and every command directly before it is sent to the stage.
 
-All devices are read through `read_device`, so every sample meets the guard as soon as it arrives. The loop reports with
-`tick` that it is running. A motion command is sent to the stage if the state is ENABLED and every input is fresh, valid
-and within limits. A command with a value beyond a limit is refused, never clipped.
+All devices are read through `read_device`, so the guard validates every sample as soon as it arrives. The loop calls
+`tick` to report that it is running. A motion command is sent to the stage only if the state is ENABLED and every input
+is fresh, valid and within limits. A command with a value beyond a limit is refused, never clipped.
 
 Retraction by a person (`retract`) is allowed in every state, including FAULT, and with any sensor state: pulling the
-needle out is the way to safety, and a dead sensor must not prevent it. It is a person's decision, so no program calls
-it on its own; the loop moves the needle back with `insert`, under the same rules as inward. Retraction is limited in
-speed and must lead outward from the present position. If the position is unknown, only the full way out to
-`shallowest_mm` is accepted. A cause that appears meanwhile does not stop a retraction, unless the stage moves the wrong
-way. A stop by a person does.
+needle out is safe, and a failed sensor must not prevent it. Only a person decides on a retraction, so no program calls
+`retract` on its own. The loop moves the needle back with `insert`, under the same rules as inward. The speed of a
+retraction is limited, and it must lead outward from the present position. If the position is unknown, only a retraction
+to `shallowest_mm` is accepted. A retraction is stopped by a person, or if the stage moves the wrong way or jumps; other
+causes do not stop it.
 
-A stop is repeated until the stage reports that it stands still. All of this is software; it does not replace an
-emergency stop that cuts the power of the drives.
+A stop is repeated until the stage reports that it is at rest. The guard is software and does not replace an emergency
+stop that cuts the power of the drives.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from needleplan.recording import RecorderStatus
 __all__ = ["GuardedStage"]
 
 _NANO = 1e-9
-# s; a thread that holds the guard for longer is blocked in a command to the stage
+# longest wait (s) for the lock of the guard; a thread that holds it for longer is blocked in a command to the stage
 _LOCK_TIMEOUT_S = 0.02
 
 _RUNNING = (OperatingState.ENABLED, OperatingState.PAUSED)
@@ -56,11 +56,11 @@ _GUARDED: WeakSet[Stage] = WeakSet()
 
 
 class GuardedStage(Stage):
-    """A stage that moves only while it is safe. Raises MotionRefused if another guard has the stage already.
+    """A stage that moves only while all checks pass. Raises MotionRefused if the stage already has a guard.
 
-    `listener` receives every event, in order, after the stop of the event has been sent. It must return at once, as
-    `Channel.put` of a recording does, and must not call the guard. Only one thread may command: the first one that does
-    so after the stage is enabled. Any thread may call everything else.
+    `listener` receives every event, in order; a stop is sent before its event. The listener must return at once, as
+    `Channel.put` of a recording does, and must not call the guard. Only one thread may command motions: the first that
+    commands a motion after the guard is enabled. Any thread may call all other methods.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class GuardedStage(Stage):
 
     @property
     def state(self) -> SafetyState:
-        """The state after the last validation."""
+        """State of the guard after the last validation."""
         return self._state
 
     @property
@@ -98,7 +98,10 @@ class GuardedStage(Stage):
         return self._limits
 
     def exchange_limits(self, limits: SafetyLimits) -> None:
-        """Replace the limits. Raises MotionRefused unless DISABLED: limits do not change while the needle may move."""
+        """Replace the limits.
+
+        Raises MotionRefused unless the state is DISABLED, because otherwise the needle may move.
+        """
         with self._held() as now_ns:
             if self._state.operating is not OperatingState.DISABLED:
                 self._refuse("exchange the limits", (Cause.LIMITS_IN_USE,), now_ns)
@@ -107,9 +110,9 @@ class GuardedStage(Stage):
     def observe(
         self, sample: Sample, *, tip_mm: tuple[float, float] | None = None, out_of_plane_mm: float = math.nan
     ) -> SafetyState:
-        """Validate a sample; a pose comes with the tip that was estimated from it, and its distance from the plane.
+        """Validate a sample, send a stop if the sample requires it, and return the state.
 
-        If the sample requires a stop, the stop has been sent when this returns.
+        For a pose, `tip_mm` is the tip estimated from it and `out_of_plane_mm` the distance of this tip from the plane.
         """
         return self._observe(sample, (tip_mm, out_of_plane_mm))
 
@@ -122,37 +125,37 @@ class GuardedStage(Stage):
             return self._validate(now_ns)
 
     def observe_tip(self, tip_mm: tuple[float, float] | None, out_of_plane_mm: float) -> SafetyState:
-        """Validate a new estimate of the tip: its place in the plane of the plan (None if lost), and its distance."""
+        """Validate a new tip estimate: its position in the plane (None if lost) and its distance from the plane."""
         with self._held() as now_ns:
             self._inputs = self._inputs.with_tip(tip_mm, out_of_plane_mm)
             return self._validate(now_ns)
 
     def device_failed(self, source: Source, error: Exception) -> SafetyState:
-        """Treat a device as failed until its next usable sample."""
+        """Mark a device as failed until its next usable sample, and return the state."""
         with self._held() as now_ns:
             self._inputs = self._inputs.with_failure(source)
             return self._validate(now_ns, str(error))
 
     def report(self, causes: Collection[Cause], text: str = "") -> SafetyState:
-        """Report the causes that the loop finds itself, such as PLAN_LOST; they hold until the next report."""
+        """Replace the causes that the loop itself reports, such as PLAN_LOST, and return the state."""
         with self._held() as now_ns:
             self._reported = frozenset(causes)
             return self._validate(now_ns, text)
 
     def observe_recording(self, status: RecorderStatus) -> SafetyState:
-        """Validate the status of the recorder; a run must be recorded completely, so a loss is a fault."""
+        """Validate the status of the recorder, and return the state. A lost message is a fault."""
         with self._held() as now_ns:
             self._recording = self._recording.then(status, now_ns)
             return self._validate(now_ns, status.cause)
 
     def tick(self) -> SafetyState:
-        """Report that the loop is running, and validate everything; the loop calls it once per iteration.
+        """Report that the loop is running, validate all inputs, and return the state. The loop calls this regularly.
 
-        This is the only place from which the stage gets its heartbeat: a loop that dies or hangs ends the heartbeat,
-        and the watchdog of the stage stops the motion.
+        Only this method sends the heartbeat to the stage. If the loop ends or hangs, the heartbeat ends too, and the
+        watchdog of the stage stops the motion.
         """
         with self._held() as now_ns:
-            # A tick that came too late must be validated before its time is replaced.
+            # Validated before the time of the last tick is replaced, so that a late tick is detected.
             state = self._validate(now_ns)
             self._ticked_ns = now_ns
             if (error := self._heartbeat.send(now_ns)) is not None:
@@ -161,16 +164,19 @@ class GuardedStage(Stage):
             return self._validate(now_ns) if Cause.LOOP_LATE in state.present else state
 
     def heartbeat(self) -> None:
-        """Report that the loop is running; the same as `tick`."""
+        """Call `tick`, which reports that the loop is running."""
         self.tick()
 
     def check(self) -> SafetyState:
-        """Validate everything on behalf of a thread other than the loop: the watchdog."""
+        """Validate all inputs and return the state, without reporting that the loop is running; for the watchdog."""
         with self._held() as now_ns:
             return self._validate(now_ns)
 
     def order(self, order: Order, by: str = "") -> SafetyState:
-        """Carry out an order of the person `by`. Raises MotionRefused with all causes against it."""
+        """Carry out an order of the person `by`, and return the state.
+
+        Raises MotionRefused with all causes of the refusal.
+        """
         with self._held() as now_ns:
             self._validate(now_ns)
             transition = advance(self._state, order, now_ns)
@@ -212,7 +218,7 @@ class GuardedStage(Stage):
             self._send(SafetyEventName.COMMAND, self._stage.rotate, values, what, now_ns)
 
     def retract(self, depth_mm: float, velocity_mm_s: float, by: str = "") -> None:
-        """Pull the needle out to a depth, by order of the person `by`, in every state; ENABLED becomes PAUSED first.
+        """Begin to pull the needle out to a depth, by order of the person `by`, in every state; ENABLED becomes PAUSED.
 
         Raises MotionRefused if the motion does not lead outward or is too fast, or the DeviceFault of the stage.
         """
@@ -231,21 +237,22 @@ class GuardedStage(Stage):
             self._send(SafetyEventName.RETRACTION, self._stage.insert, values, what, now_ns, by)
 
     def stop(self) -> None:
-        """Stop now, and stay stopped until a person resets and enables; allowed in every state."""
+        """Stop both axes in every state, and latch the stop until a person resets and enables the guard."""
         with contextlib.suppress(MotionRefused):
             self.order(Order.STOP, "stop()")
 
     def read(self, timeout_s: float) -> StageSample | None:
-        """Return the next sample of the stage, validated. Raises DeviceFault."""
+        """Return the next sample of the stage after validating it; None after `timeout_s`. Raises DeviceFault."""
         sample = self.read_device(Source.STAGE, self._stage, timeout_s)
         assert sample is None or isinstance(sample, StageSample)
         return sample
 
     def read_device(self, source: Source, device: SampledDevice, timeout_s: float) -> Sample | None:
-        """Return the next sample of a device, validated; the one place where the samples of a run meet the guard.
+        """Return the next sample of a device after validating it; None after `timeout_s`.
 
-        A pose is validated with the present estimate of the tip; `observe_tip` follows when the loop has a new one.
-        Raises DeviceFault, after the device has been marked as failed.
+        All samples of a run are read by this method. A pose is validated with the present tip estimate; the loop calls
+        `observe_tip` when it has a new estimate. If reading fails, the device is marked as failed and the error is
+        raised.
         """
         try:
             sample = device.read(timeout_s)
@@ -259,7 +266,7 @@ class GuardedStage(Stage):
         return sample
 
     def close(self) -> None:
-        """Stop, and close the stage."""
+        """Stop and close the stage."""
         with contextlib.suppress(MotionRefused), self._held() as now_ns:
             self._follow(advance(self._state, Order.DISABLE, now_ns), now_ns, "close")
         self._stage.close()
@@ -267,16 +274,20 @@ class GuardedStage(Stage):
 
     @contextlib.contextmanager
     def _held(self) -> Iterator[int]:
-        """Hold the lock of the guard; if another thread holds it for too long, stop the stage without the lock.
+        """Hold the lock of the guard, and yield the time (ns).
 
-        The other thread may be blocked in a command that can still reach the stage after this stop. The stop that
-        follows LOOP_LATE, as soon as the lock is free, is the one that counts.
+        If another thread holds the lock for too long, stop the stage without the lock and raise MotionRefused. The
+        other thread may be blocked in a command that still reaches the stage after this stop. Therefore the stage is
+        stopped again, because of LOOP_LATE, as soon as the lock is free.
         """
         if not self._lock.acquire(timeout=_LOCK_TIMEOUT_S):
             self._blocked = True
             with contextlib.suppress(DeviceFault):
                 self._stage.stop()
-            raise MotionRefused("reach the guard: a command to the stage hangs; it was sent a stop", (Cause.LOOP_LATE,))
+            raise MotionRefused(
+                "reach the guard: a command to the stage does not return; a stop was sent to the stage",
+                (Cause.LOOP_LATE,),
+            )
         try:
             yield self._clock.now_ns()
         finally:
@@ -286,7 +297,7 @@ class GuardedStage(Stage):
         self, name: SafetyEventName, command: Callable[..., None], values: dict[str, float], what: str, now_ns: int,
         by: str = "",
     ) -> None:  # fmt: skip
-        """Send a command to the stage, and emit its event. Raises the DeviceFault of the stage."""
+        """Send a command to the stage, and emit its event. Raises the DeviceFault of the stage after validating it."""
         try:
             command(*values.values())
         except MotionRefused:
@@ -299,7 +310,7 @@ class GuardedStage(Stage):
         self._emit(name, now_ns, text=text, sent_ns=self._clock.now_ns(), values=tuple(values.items()))
 
     def _validate(self, now_ns: int, text: str = "") -> SafetyState:
-        """Validate everything at a time, and carry out the transition that follows."""
+        """Validate all inputs at a time (ns), carry out the transition that follows, and return the state."""
         limits = self._limits
         causes = set(validate(self._inputs, limits, now_ns))
         causes.update(self._reported, self._motion.causes(limits, now_ns), self._recording.causes(limits, now_ns))
@@ -323,7 +334,7 @@ class GuardedStage(Stage):
         return self._state
 
     def _follow(self, transition: SafetyTransition, now_ns: int, text: str) -> None:
-        """Carry out a transition: send the stop first, then emit the events."""
+        """Carry out a transition: first send its stop, then emit its events."""
         before, self._state = self._state, transition.state
         if transition.state is before and not transition.actions:
             return
@@ -351,7 +362,7 @@ class GuardedStage(Stage):
             return self._clock.now_ns()
 
     def _detect_end(self, sample: StageSample, now_ns: int) -> None:
-        """Detect the end of a stop or of a retraction."""
+        """End the repetition of a stop, or a retraction, if the sample shows that the stage is at rest."""
         self._repeated_stop.observe(sample)
         goal = self._motion.depth
         if self._retracting and goal is not None and not sample.moving:
@@ -361,7 +372,7 @@ class GuardedStage(Stage):
                 self._motion = self._motion.stops(now_ns)
 
     def _require_none(self, what: str, against: frozenset[Cause], now_ns: int) -> None:
-        """Raise MotionRefused if any cause is against a command of the loop."""
+        """Raise MotionRefused if there is a cause against a command; otherwise this thread becomes the commander."""
         if self._state.operating is not OperatingState.ENABLED:
             against |= {Cause.NOT_ENABLED, *self._state.present, *self._state.latched}
         elif self._commander not in (None, threading.get_ident()):
@@ -385,5 +396,5 @@ class GuardedStage(Stage):
         event = SafetyEvent(name, now_ns, operating, frozenset(causes), text, before, sent_ns, values)
         try:
             self._listener(event)
-        except Exception:  # a failing listener must not prevent a stop; its event is missing in the recording
+        except Exception:  # a failing listener must not prevent a stop; the lost event is reported as RECORDING_LOST
             self._listener_failed = True

@@ -1,7 +1,7 @@
-"""State of every input of the guard, and its validation: pure functions of samples, limits and time.
+"""State of every input of the guard, and its validation, as pure functions of samples, limits and time.
 
-An input is healthy while its last usable sample is younger than the age limit. One suspect sample is not used, but it
-does not stop the motion before the age limit. A value beyond a limit counts even if its sample is suspect.
+An input is healthy while its last usable sample is younger than the age limit. A single suspect sample is not used, but
+does not stop the motion either. A force or depth beyond its limit stops the motion even if the sample is suspect.
 """
 
 from __future__ import annotations
@@ -20,22 +20,21 @@ __all__ = ["Delay", "InputStatus", "Inputs", "RecordingStatus", "validate"]
 _Sample = TypeVar("_Sample", ForceSample, PoseSample, StageSample)
 _NANO = 1e-9
 _NONE: frozenset[Cause] = frozenset()
-# s by which a sample may be ahead of the clock: rounding, and two processor cores that disagree
+# s by which the time of a sample may be later than the clock, because of rounding and of clocks of processor cores
 _FUTURE_S = 0.005
-# largest relative difference of two clock rates; crystals differ by much less
+# largest relative difference between the rates of two clocks; real crystals differ by much less
 _CLOCK_RATE_ERROR = 0.001
 
 
 @dataclass(frozen=True)
 class Delay:
-    """Transport delay of a device with a clock of its own; `late_s` is the delay of the last sample (s).
+    """Estimate of the transport delay of a device that has its own clock; `late_s` is the delay (s) of the last sample.
 
-    The zero of the device clock is unknown, so the shortest transport so far counts as no delay. Each later sample is
-    older than its arrival by the time that its transport took longer. Samples that waited in a network or in a buffer
-    therefore do not count as fresh. A device clock that goes back starts the estimate again.
-
-    Only stages use this. The time of a tracker is often a frame number times a nominal rate, and trackers answer with
-    the latest frame, which has not waited.
+    The offset between the two clocks is unknown, so the sample with the shortest transport so far is assumed to have no
+    delay. The delay of another sample is the additional duration of its transport. Samples that waited in a network or
+    in a buffer therefore do not count as fresh. If the device clock goes back, the estimate starts again. Only stages
+    use this class. The time of a tracker is often a frame number times a nominal rate, and trackers return their latest
+    frame, which has not waited.
     """
 
     late_s: float = 0.0
@@ -44,7 +43,7 @@ class Delay:
     _device_s: float | None = None
 
     def then(self, stamp: Stamp) -> Delay:
-        """Return the estimate after another sample; unchanged if the device has no clock."""
+        """Return the estimate after another sample. It is unchanged if the device has no clock."""
         if stamp.device_time_s is None:
             return self
         received_s = stamp.received_ns * _NANO
@@ -62,7 +61,7 @@ class InputStatus(Generic[_Sample]):
 
     last: _Sample | None = None
     usable_ns: int | None = None
-    """Time at which the last usable sample was taken, as far as it is known."""
+    """Estimated time (ns) at which the device took its last usable sample."""
     failed: bool = False
     is_usable: bool = False
     """Whether `last` is usable."""
@@ -70,9 +69,9 @@ class InputStatus(Generic[_Sample]):
     delay: Delay = field(default_factory=Delay)
 
     def then(self, sample: _Sample, usable: bool, timed: bool = False) -> InputStatus[_Sample]:
-        """Return the status after another sample; a sample with the number of the last one changes nothing.
+        """Return the status after another sample; unchanged if the sample has the sequence number of the last sample.
 
-        `timed` says that the device time of the sample comes from a clock.
+        `timed` means that the device time of the sample comes from a clock.
         """
         if self.last is not None and sample.stamp.sequence == self.last.stamp.sequence:
             return self
@@ -85,21 +84,21 @@ class InputStatus(Generic[_Sample]):
 
 @dataclass(frozen=True)
 class RecordingStatus:
-    """Last status of the recorder, and the time of the last loss; without a status the recording is not validated."""
+    """Last status of the recorder, and the time of the last lost message. Without a status there is no validation."""
 
     status: RecorderStatus | None = None
     lost: int = 0
     lost_ns: int | None = None
 
     def then(self, status: RecorderStatus, now_ns: int) -> RecordingStatus:
-        """Return the status after another report of the recorder."""
+        """Return the recording status after another status of the recorder."""
         lost = sum(status.overflowed.values()) + status.refused
         if lost > self.lost:
             return RecordingStatus(status, lost, now_ns)
         return replace(self, status=status)
 
     def causes(self, limits: SafetyLimits, now_ns: int) -> frozenset[Cause]:
-        """Return the causes that the recording gives. A loss is present for `recording_age_s`, and latches."""
+        """Return the causes that concern the recording. A loss is reported for `recording_age_s`."""
         status, limit_s = self.status, limits.recording_age_s
         if status is None:
             return _NONE
@@ -126,11 +125,14 @@ class Inputs:
     step_mm: float = 0.0
     """Distance of the coil between the last two usable poses (mm)."""
     step_s: float = 0.0
-    """Time between those two poses (s)."""
+    """Time between the last two usable poses (s)."""
     _coil: tuple[int, tuple[float, float, float]] | None = None
 
     def then(self, sample: Sample, tip: tuple[tuple[float, float] | None, float] | None) -> Inputs:
-        """Return the inputs after a sample; `tip` was estimated from it if it is a pose, None keeps the present tip."""
+        """Return the inputs after a sample.
+
+        For a pose, `tip` replaces the present tip and distance, unless it is None.
+        """
         match sample:
             case ForceSample():
                 return self.with_force(sample)
@@ -167,7 +169,7 @@ class Inputs:
         numbers = (sample.depth_mm, sample.velocity_mm_s, sample.roll_rad)
         usable = sample.health is Health.GOOD and all(map(math.isfinite, numbers))
         stage = self.stage.then(sample, usable, timed=True)
-        return Inputs(  # not `replace`, which takes three times as long, and this runs a thousand times a second
+        return Inputs(  # not `replace`: it takes three times as long, and this method runs a thousand times a second
             self.force, self.pose, stage, self.tip_mm, self.out_of_plane_mm, self.step_mm, self.step_s, self._coil
         )
 
@@ -181,14 +183,14 @@ class Inputs:
         return replace(self, **{name: replace(getattr(self, name), failed=True)})
 
     def stage_known(self, limits: SafetyLimits, now_ns: int) -> StageSample | None:
-        """Return the last stage sample if it is usable and young enough, otherwise None."""
+        """Return the last stage sample if it is usable and not older than `stage_age_s`, otherwise None."""
         stage = self.stage
         young = not _older(stage.usable_ns, limits.stage_age_s, now_ns)
         return stage.last if young and not stage.failed and stage.is_usable else None
 
 
 def validate(inputs: Inputs, limits: SafetyLimits, now_ns: int) -> frozenset[Cause]:
-    """Return every cause that the inputs give at a time; none if all inputs are fresh, valid and within limits."""
+    """Return every cause that is present at a time (ns); empty if all inputs are fresh, valid and within limits."""
     found: list[Cause] = []
     _force(found, inputs.force, limits, now_ns)
     _pose(found, inputs, limits, now_ns)
@@ -196,7 +198,7 @@ def validate(inputs: Inputs, limits: SafetyLimits, now_ns: int) -> frozenset[Cau
     return frozenset(found) if found else _NONE
 
 
-# For each input: the cause if the device has failed, if no sample arrives, if no usable sample arrives.
+# Causes of each input: the device has failed, no sample arrives, or no usable sample arrives.
 _FORCE = (Cause.FORCE_FAULT, Cause.FORCE_STALE, Cause.FORCE_SUSPECT)
 _POSE = (Cause.POSE_FAULT, Cause.POSE_STALE, Cause.POSE_SUSPECT)
 _POSE_UNSEEN = (Cause.POSE_FAULT, Cause.POSE_STALE, Cause.POSE_UNSEEN)
@@ -241,7 +243,10 @@ def _stage(found: list[Cause], stage: InputStatus[StageSample], limits: SafetyLi
 def _age(
     found: list[Cause], status: InputStatus[_Sample], limit_s: float, now_ns: int, causes: tuple[Cause, Cause, Cause]
 ) -> None:
-    """Add the cause that the age of an input gives, if any; `causes` are: failed, no sample, no usable sample."""
+    """Append to `found` the cause that follows from failure or age of an input.
+
+    `causes` are the causes for a failed device, no sample, and no usable sample.
+    """
     failed, stale, unusable = causes
     if status.last is not None and status.last.stamp.received_ns - now_ns > _FUTURE_S / _NANO:
         found.append(Cause.CLOCK_MISMATCH)

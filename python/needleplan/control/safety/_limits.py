@@ -1,8 +1,9 @@
-"""The limits of a run, checked on the last value before it goes to the stage.
+"""The limits of a run. Every command is checked against them directly before it is sent to the stage.
 
-The defaults suit a needle robot in a phantom. The ages follow from the rates of the sensors and from the requirement
-that a stop is sent 50 ms after a fault: a force at 200 Hz may miss five samples, a pose at 40 Hz none. A tracker that
-loses its coil for a moment causes a pause, which ends as soon as the coil is tracked again.
+The defaults suit a needle robot in a phantom. The age limits follow from the rates of the sensors and from the
+requirement that a stop is sent at most 50 ms after a fault: five samples of a force sensor at 200 Hz may be missing,
+and no pose of a tracker at 40 Hz. If the tracker loses the coil for a moment, the run pauses until the coil is tracked
+again.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def _workspace_ranges(workspace_x_mm: Range | None, workspace_y_mm: Range | None
 
 @dataclass(frozen=True)
 class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth_range, _workspace_ranges)):
-    """The limits; the table `[safety]`. Raises SafetyError with all mistakes."""
+    """Limits of a run, read from a table `[safety]`. Raises SafetyError with every invalid limit."""
 
     force_n: float = ruled(Number("N", above=0, at_most=200), 10.0)
     """Largest magnitude of the force at the base of the needle."""
@@ -62,33 +63,35 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
     """Largest roll of the base to either side."""
 
     pose_jump_mm: float = ruled(Number("mm", above=0, at_most=1000), 5.0)
-    """Largest distance between successive usable poses of the coil, beyond the motion that the stage can cause."""
+    """Largest distance of the coil between successive usable poses, in addition to the motion that the stage can
+    cause."""
 
     out_of_plane_mm: float = ruled(Number("mm", above=0, at_most=1000), 5.0)
     workspace_x_mm: Range | None = ruled(_PLACE, None)
     """Range of x of the tip in the plane of the table; None for no limit."""
     workspace_y_mm: Range | None = ruled(_PLACE, None)
     run_s: float = ruled(Number("s", above=0, at_most=86_400), 900.0)
-    """Longest time from enabling to the end of the run."""
+    """Longest duration of a run, from enabling the guard."""
 
     force_age_s: float = ruled(_AGE, 0.03)
     pose_age_s: float = ruled(_AGE, 0.045)
     stage_age_s: float = ruled(_AGE, 0.03)
     loop_age_s: float = ruled(_AGE, 0.045)
-    """Longest time between two heartbeats of the loop."""
+    """Longest time between two calls of the guard's `tick` by the loop."""
 
     recording_age_s: float = ruled(_AGE, 0.5)
     """Largest delay of the recorder."""
 
     motion_s: float = ruled(_AGE, 0.5)
-    """Time in which a stage must have moved after a command, and must stand still after a stop."""
+    """Time within which the stage must begin to move after a command, and must come to rest after a stop."""
 
     following_mm: float = ruled(Number("mm", above=0, at_most=100), 0.5)
-    """Largest motion of a stage against its command, beyond its limits, or from one sample to the next."""
+    """Tolerance for the stage position: largest motion against a command, beyond the depth limits, after a stop, and
+    (in addition to the motion at the velocity limit) from one sample to the next."""
 
     @classmethod
     def from_table(cls, raw: object, source: str = "") -> SafetyLimits:
-        """Return the limits of a table of a file, as TOML reads it. Raises SafetyError."""
+        """Return the limits of a table as parsed from TOML. Raises SafetyError."""
         try:
             limits: SafetyLimits = Subtable(cls).read(raw)
         except Violation as broken:
@@ -100,5 +103,5 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
         """Return the limits of the table `[safety]` of a file; other tables are ignored. Raises SafetyError."""
         raw = raw_toml(text_of(path, SafetyError), SafetyError, str(path))
         if cls.key not in raw:
-            raise SafetyError(Mistake(cls.key, "", f"is missing: limits stand in the table [{cls.key}]"), str(path))
+            raise SafetyError(Mistake(cls.key, "", f"is missing: limits belong in the table [{cls.key}]"), str(path))
         return cls.from_table(raw[cls.key], str(path))

@@ -1,4 +1,4 @@
-"""Validation of commands against the limits, and of the stage's motion against its commands: pure functions."""
+"""Pure functions that validate commands against the limits, and the motion of the stage against its commands."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ __all__ = ["Goal", "MotionWatch", "against_insertion", "against_retraction", "ag
 
 _NANO = 1e-9
 _NOT_FINITE = frozenset({Cause.NOT_FINITE})
-# s within which a stage that moves the other way has reversed
+# longest time, s, that a stage needs to reverse its direction
 _REVERSAL_S = 0.15
-# factor of the velocity limit above which a measured velocity is not noise
+# ratio to the velocity limit above which a measured velocity is not explained by noise
 _VELOCITY_MARGIN = 1.5
-# share of the commanded distance below which an axis counts as stuck after `motion_s`
+# share of the commanded distance that an axis must have moved after `motion_s`; below, it counts as stuck
 _STUCK_SHARE = 0.1
-# commanded distances below which an axis is not checked for being stuck
+# commanded distances (mm, rad) below which an axis is never reported as stuck
 _LEAST_MM, _LEAST_RAD = 0.1, 0.05
 
 
 def against_insertion(
     limits: SafetyLimits, here: StageSample | None, depth_mm: float, velocity_mm_s: float
 ) -> frozenset[Cause]:
-    """Return the causes against a motion to a depth from `here`, which is None if the position is unknown."""
+    """Return the causes against an insertion to a depth. `here` is the last stage sample; None: position unknown."""
     if not (math.isfinite(depth_mm) and math.isfinite(velocity_mm_s)):
         return _NOT_FINITE
     inward = here is None or depth_mm > here.depth_mm
@@ -41,7 +41,7 @@ def against_insertion(
 
 
 def against_rotation(limits: SafetyLimits, roll_rad: float, velocity_rad_s: float) -> frozenset[Cause]:
-    """Return the causes against a rotation of the base to a roll."""
+    """Return the causes against a rotation of the base to a roll; empty if the rotation is allowed."""
     if not (math.isfinite(roll_rad) and math.isfinite(velocity_rad_s)):
         return _NOT_FINITE
     against = set()
@@ -55,7 +55,10 @@ def against_rotation(limits: SafetyLimits, roll_rad: float, velocity_rad_s: floa
 def against_retraction(
     limits: SafetyLimits, here: StageSample | None, depth_mm: float, velocity_mm_s: float
 ) -> frozenset[Cause]:
-    """Return the causes against a retraction; from an unknown position only `shallowest_mm` is accepted."""
+    """Return the causes against a retraction.
+
+    If the position is unknown, only the depth `shallowest_mm` is accepted.
+    """
     if not (math.isfinite(depth_mm) and math.isfinite(velocity_mm_s)):
         return _NOT_FINITE
     against = set()
@@ -70,7 +73,7 @@ def against_retraction(
 
 @dataclass(frozen=True)
 class Goal:
-    """Command to one axis: start and end position (mm or rad), velocity, velocity at the start, and start time."""
+    """Command to one axis: first and last position (mm or rad), velocity, velocity at the start, and start time."""
 
     begin: float
     end: float
@@ -79,21 +82,21 @@ class Goal:
     began_ns: int
 
     def stuck(self, position: float, least: float, motion_s: float, now_ns: int) -> bool:
-        """Return whether the axis has hardly moved although `motion_s` has passed."""
+        """Return whether the axis has hardly moved within `motion_s`; False for commanded distances below `least`."""
         distance = abs(self.end - self.begin)
         if distance < least or (now_ns - self.began_ns) * _NANO < motion_s:
             return False
         return abs(position - self.begin) < _STUCK_SHARE * min(distance, self.velocity * motion_s)
 
     def waiting_since(self, position: float, least: float, now_ns: int) -> int:
-        """Return the start time of the next goal: now, or the start of this goal if the axis has not moved yet."""
+        """Return the start time (ns) of the next goal: that of this goal if the axis has not moved yet, else now."""
         waits = abs(position - self.begin) < least and abs(self.end - position) >= least
         return self.began_ns if waits else now_ns
 
 
 @dataclass(frozen=True)
 class MotionWatch:
-    """Commands that the stage carries out, and its last sample."""
+    """Commands that the stage is carrying out, and its last sample."""
 
     depth: Goal | None = None
     roll: Goal | None = None
@@ -103,10 +106,10 @@ class MotionWatch:
     last: StageSample | None = None
     jumped: bool = False
     rest_mm: float | None = None
-    """Depth at which the stage came to rest after the last stop."""
+    """Depth (mm) at which the stage came to rest after the last stop; None while it may move."""
 
     def inserts(self, depth_mm: float, velocity_mm_s: float, now_ns: int) -> MotionWatch:
-        """Return the watch after a command to insert or retract; requires a sample."""
+        """Return the watch after a command to insert or retract; there must have been a sample."""
         assert self.last is not None
         begin = self.last.depth_mm
         began_ns = now_ns if self.depth is None else self.depth.waiting_since(begin, _LEAST_MM, now_ns)
@@ -114,19 +117,22 @@ class MotionWatch:
         return replace(self, depth=goal, rest_mm=None)
 
     def rotates(self, roll_rad: float, velocity_rad_s: float, now_ns: int) -> MotionWatch:
-        """Return the watch after a command to rotate; requires a sample."""
+        """Return the watch after a command to rotate; there must have been a sample."""
         assert self.last is not None
         begin = self.last.roll_rad
         began_ns = now_ns if self.roll is None else self.roll.waiting_since(begin, _LEAST_RAD, now_ns)
         return replace(self, roll=Goal(begin, roll_rad, velocity_rad_s, 0.0, began_ns), rest_mm=None)
 
     def stops(self, now_ns: int) -> MotionWatch:
-        """Return the watch after a stop; an idle stage gets no new time to come to rest."""
+        """Return the watch after a stop.
+
+        If the stage was already idle, the time allowed for coming to rest does not restart.
+        """
         idle = self.depth is None and self.roll is None
         return replace(self, depth=None, roll=None, stopped_ns=self.stopped_ns if idle else now_ns, rest_mm=None)
 
     def then(self, sample: StageSample, limits: SafetyLimits) -> MotionWatch:
-        """Return the watch after a sample."""
+        """Return the watch after a stage sample."""
         last = self.last
         if last is None:
             return replace(self, last=sample)
@@ -142,7 +148,7 @@ class MotionWatch:
         return MotionWatch(self.depth, self.roll, self.stopped_ns, sample, jumped, rest_mm)
 
     def causes(self, limits: SafetyLimits, now_ns: int) -> Iterator[Cause]:
-        """Yield every cause that the motion gives."""
+        """Yield every cause that concerns the motion at a time (ns)."""
         last = self.last
         if last is None:
             return

@@ -1,4 +1,4 @@
-"""Signals that run beside the commands: the stop that is repeated, the heartbeat, and the watchdog thread."""
+"""Repetition of stops, the heartbeat of the stage, and the watchdog thread."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from needleplan.errors import DeviceFault, MotionRefused
 __all__ = ["Heartbeat", "RepeatedStop", "Watchdog"]
 
 _NANO = 1e-9
-# s after which a stop that reached the stage is sent again
+# time (s) after which a stop that has reached the stage is sent again
 _AGAIN_S = 0.02
-# s after which a stop that did not reach the stage is sent again
+# time (s) after which a stop that has not reached the stage is sent again
 _UNSENT_S = 0.25
-# On a slow link, stops take at most a tenth of the time (a wait of 10 times the last duration, at most 1 s),
-# so that heartbeats and samples still pass.
+# Wait after a slow stop: 10 times the duration of sending it, at most 1 s. Stops then use at most about a tenth of the
+# time of the link, and heartbeats and samples can pass.
 _WAIT_FACTOR, _LONGEST_WAIT_S = 10.0, 1.0
 # shortest time between two heartbeats, s: a sixth of the watchdog of a robot (0.03 s)
 _HEARTBEAT_S = 0.005
 
 
 class RepeatedStop:
-    """The stop of one stage; it is `wanted` until it has reached the stage and the stage has reported standstill."""
+    """Repeats the stop of one stage. The stop is `wanted` until it has reached the stage and the stage reports rest."""
 
     def __init__(self, stage: Stage, clock: Clock) -> None:
         self._stage, self._clock = stage, clock
@@ -34,7 +34,10 @@ class RepeatedStop:
         self.wanted = False
 
     def send(self) -> int:
-        """Send a stop and return the time at which it was sent. Raises DeviceFault if it did not reach the stage."""
+        """Send a stop and return the time (ns) at which it was sent.
+
+        Raises DeviceFault if it did not reach the stage.
+        """
         self.wanted = True
         sent_ns = self._clock.now_ns()
         self._arrived = False
@@ -53,13 +56,13 @@ class RepeatedStop:
         return self.wanted and now_ns >= self._again_ns
 
     def observe(self, sample: StageSample) -> None:
-        """End the repetition if the stage has stood still since the last stop."""
+        """End the repetition if a sample that arrived after the last stop shows the stage at rest."""
         if self._arrived and not sample.moving and sample.stamp.received_ns > self._sent_ns:
             self.wanted = False
 
 
 class Heartbeat:
-    """Sends the heartbeat of one stage, at most every 5 ms; nothing else in the package sends it."""
+    """Sends the heartbeat to one stage, at most every 5 ms. No other code of the package sends it during a run."""
 
     def __init__(self, stage: Stage, now_ns: int) -> None:
         self._stage = stage
@@ -78,7 +81,7 @@ class Heartbeat:
 
 
 class _Checked(Protocol):
-    """The guard, as the watchdog needs it."""
+    """Interface of the guard that the watchdog uses."""
 
     def check(self) -> object: ...
 
@@ -86,9 +89,10 @@ class _Checked(Protocol):
 class Watchdog(Closing):
     """A thread that calls `guard.check()` every `period_s` of real time until it is closed.
 
-    It detects a loop that hangs, waits or computes for too long. If the whole process is suspended (SIGSTOP, a garbage
-    collection that holds the interpreter), this thread is suspended too and stops the stage as soon as the process
-    continues. Until then only the watchdog of the drive protects, so a stage must have one of its own.
+    It detects that the loop hangs, waits or computes for too long. If the whole process is suspended (by SIGSTOP, or by
+    a garbage collection that holds the interpreter), this thread is suspended too, and stops the stage as soon as the
+    process continues. Until then only a watchdog in the drive can stop the stage, so every stage needs its own
+    watchdog.
     """
 
     def __init__(self, guard: _Checked, period_s: float = 0.005) -> None:
@@ -108,6 +112,6 @@ class Watchdog(Closing):
                 self._guard.check()
 
     def close(self) -> None:
-        """End the thread; closing twice is harmless."""
+        """End the thread. Closing twice is harmless."""
         self._closing.set()
         self._thread.join()

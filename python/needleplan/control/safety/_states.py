@@ -1,13 +1,13 @@
-"""Operating states of the robot, the pure function `advance` from one to the next, and the events of the guard.
+"""Operating states of the robot, the pure function `advance` from one state to the next, and the guard's events.
 
-The names are those of CRTK. In DISABLED the robot does not move. In ENABLED it follows the loop. In PAUSED it has
-stopped and waits to be resumed. In FAULT it has stopped because a fault is present.
+The names are those of CRTK (Collaborative Robotics Toolkit). In DISABLED the robot does not move. In ENABLED it follows
+the loop. In PAUSED it has stopped and waits to be resumed. In FAULT it has stopped because a fault is present.
 
-1. Orders neither cause nor end FAULT. FAULT ends, in DISABLED, when its causes are gone.
+1. Orders neither cause nor end FAULT. When its causes are gone, FAULT becomes DISABLED.
 2. ENABLED is entered only by ENABLE from DISABLED and by RESUME from PAUSED, and only while no cause is present.
-3. Faults and ordered stops latch: ENABLE is refused until RESET, and RESET is refused in FAULT.
-4. In DISABLED a cause only prevents enabling. The exception is a stage that moves: that is a fault.
-5. Every transition out of ENABLED stops the stage. The interrupted command is not taken up again.
+3. Faults and ordered stops are latched: ENABLE is refused until RESET, and RESET is refused in FAULT.
+4. In DISABLED a cause only prevents enabling. The exception is a stage that moves, which is a fault.
+5. Every transition out of ENABLED stops the stage. The interrupted command is not continued later.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ __all__ = [
 ]
 
 _NONE: frozenset[Cause] = frozenset()
-# Causes that are a fault in DISABLED too.
+# Causes that lead to FAULT even from DISABLED.
 _FAULTS_WHEN_DISABLED = frozenset({Cause.STILL_MOVING})
-# Causes that stop the stage again in FAULT, because they show that the first stop did not help.
+# Causes that stop the stage again in FAULT, because they show that it moves in spite of the first stop.
 _OF_MOTION = frozenset({Cause.STILL_MOVING, Cause.WRONG_WAY, Cause.OVERSPEED, Cause.DEPTH_EXCEEDED, Cause.STAGE_JUMPED})
 # Causes after which the stage must be homed again.
 _ZERO_LOST = frozenset({Cause.STAGE_JUMPED})
 
 
 class OperatingState(StrEnum):
-    """The four states of CRTK."""
+    """Operating states, with the names of CRTK."""
 
     DISABLED = "DISABLED"
     ENABLED = "ENABLED"
@@ -54,7 +54,7 @@ _FAULT = OperatingState.FAULT
 
 
 class Order(StrEnum):
-    """Request of a person, or of a program on behalf of a person."""
+    """Order to the guard by a person, or by a program on behalf of a person."""
 
     ENABLE = "enable"
     DISABLE = "disable"
@@ -77,7 +77,7 @@ class GuardAction(StrEnum):
 
 @dataclass(frozen=True)
 class InputReport:
-    """Validation result of all inputs: the causes that are present (none means health), and whether the stage moves."""
+    """Validation result of all inputs: the present causes (empty if all is well), and whether the stage moves."""
 
     causes: frozenset[Cause] = _NONE
     busy: bool = False
@@ -85,7 +85,7 @@ class InputReport:
 
 @dataclass(frozen=True)
 class SafetyState:
-    """Operating state and what it depends on: causes that are `present`, and causes `latched` until a reset."""
+    """Operating state, causes that are `present`, causes that are `latched` until a reset, and flags of the stage."""
 
     operating: OperatingState = OperatingState.DISABLED
     is_homed: bool = False
@@ -93,7 +93,7 @@ class SafetyState:
     present: frozenset[Cause] = _NONE
     latched: frozenset[Cause] = _NONE
     since_ns: int = 0
-    """Time at which `operating` was entered."""
+    """Time (ns) at which the guard entered the state `operating`."""
 
 
 @dataclass(frozen=True)
@@ -111,15 +111,15 @@ class SafetyEventName(StrEnum):
 
     TRANSITION = "transition"
     RAISED = "raised"
-    """Causes have appeared."""
+    """New causes are present; `causes` lists them."""
 
     CLEARED = "cleared"
-    """Causes have gone; the event lists the ones that have gone."""
+    """Causes are no longer present; `causes` lists them."""
 
     ORDER = "order"
     REFUSAL = "refusal"
     COMMAND = "command"
-    """A command was sent to the stage, with these values."""
+    """A motion command with the event's `values` was sent to the stage."""
 
     RETRACTION = "retraction"
     """A retraction by a person was sent to the stage."""
@@ -130,7 +130,7 @@ class SafetyEventName(StrEnum):
 
 @dataclass(frozen=True)
 class SafetyEvent:
-    """One event of the guard; times are on the monotonic clock."""
+    """One event of the guard. Times (ns) are those of the monotonic clock."""
 
     name: SafetyEventName
     time_ns: int
@@ -144,7 +144,7 @@ class SafetyEvent:
     values: tuple[tuple[str, float], ...] = field(default=())
 
     def entry(self) -> dict[str, Any]:
-        """Return the event as a message of the recording's kind EVENT."""
+        """Return the event as a message of a recording, in the format `EVENT`."""
         entry: dict[str, Any] = {
             "name": self.name, "cause": ", ".join(sorted(self.causes)), "text": self.text, "state": self.state,
         }  # fmt: skip
@@ -159,7 +159,7 @@ SafetyListener = Callable[[SafetyEvent], None]
 
 
 def advance(state: SafetyState, event: Order | InputReport, now_ns: int) -> SafetyTransition:
-    """Return the transition that an order or a validation result causes at a time on the monotonic clock."""
+    """Return the transition that an order or a validation result causes at a time (ns)."""
     if isinstance(event, InputReport):
         return _validated(state, event, now_ns)
     return _ORDERS[event](state, now_ns)
@@ -167,7 +167,7 @@ def advance(state: SafetyState, event: Order | InputReport, now_ns: int) -> Safe
 
 def _validated(state: SafetyState, report: InputReport, now_ns: int) -> SafetyTransition:
     if not report.causes and not state.present and report.busy == state.is_busy and state.operating is not _FAULT:
-        return SafetyTransition(state)  # fast path: nothing has changed, a thousand times a second
+        return SafetyTransition(state)  # fast path if nothing has changed; this function runs a thousand times a second
     present = frozenset(each for each in report.causes if each.severity is not Severity.REFUSAL)
     faults = frozenset(each for each in present if each.severity is Severity.FAULT)
     homed = state.is_homed and not present & _ZERO_LOST
@@ -202,7 +202,7 @@ def _enable(state: SafetyState, now_ns: int) -> SafetyTransition:
 
 
 def _disable(state: SafetyState, now_ns: int) -> SafetyTransition:
-    # An order does not end a fault, but the stop is sent again.
+    # The order does not end FAULT, but the stop is sent again.
     kept = state.operating is OperatingState.FAULT
     return SafetyTransition(state if kept else _to(state, OperatingState.DISABLED, now_ns), (GuardAction.STOP,))
 
