@@ -105,9 +105,9 @@ def test_a_model_file_is_the_plant_of_an_experiment(tmp_path: Path) -> None:
         ('model = "nowhere.toml"', "model.*cannot be read"),
         ("model = 3", "must be the name of a model file"),
         ('model = "path.toml"\n[tissue]\ncurvature_per_mm = 0.01', "the model determines the curvature of the path"),
-        ('model = ["path.toml", "path.toml"]', "a second one"),
+        ('model = ["path.toml", "path.toml"]', "a second model"),
         ('model = "plane.toml"', "must be a model of the axial force"),
-        ('model = "force.toml"', "tissue.curvature_per_mm.*neither scenario nor a model of the path"),
+        ('model = "force.toml"', "tissue.curvature_per_mm.*without a scenario"),
     ],
 )
 def test_mistakes_of_models(
