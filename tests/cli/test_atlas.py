@@ -46,7 +46,7 @@ def test_what_was_identified_is_stored_once_and_found_again(data: Path, tmp_path
     before = (tmp_path / "atlas.toml").read_bytes()
     refused_again = needleplan(*identify, "--json", cwd=tmp_path)
     assert refused_again.returncode == 2
-    assert "18 GA in gel at 10 mm/s: is there already; --force replaces it" in refused_again.stderr
+    assert "18 GA in gel at 10 mm/s: is already in the atlas; --force replaces it" in refused_again.stderr
     assert (tmp_path / "atlas.toml").read_bytes() == before
     listed = needleplan("info", "atlas.toml", cwd=tmp_path)
     assert listed.returncode == 0
@@ -68,7 +68,7 @@ def test_the_shipped_atlas_is_listed_and_searched() -> None:
 def test_nothing_that_fits_is_the_answer_no() -> None:
     done = needleplan("info", "published", "--needle", "18 GA", "--tissue", "6 %")
     assert done.returncode == 1
-    assert "no combination of the atlas fits" in done.stderr
+    assert "no combination of the atlas matches the search" in done.stderr
 
 
 @pytest.mark.parametrize(

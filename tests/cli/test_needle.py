@@ -98,7 +98,7 @@ def test_insertions_become_a_scenario(folder: Path, capsys: pytest.CaptureFixtur
     [
         (
             ["curvature", "x.csv", "--layers", "2"],
-            "--scenario: is missing: --layers and --scenario-out need a scenario",
+            "--scenario: is missing: --layers and --scenario-out require it",
         ),
         (["curvature", "x.csv", "--scenario-out", "y.toml"], "--scenario: is missing"),
         (["force", "x.csv", "--scenario", "small.toml"], "--scenario = force: must be curvature"),

@@ -1,6 +1,6 @@
 """The command line, `needleplan`.
 
-This module imports nothing that takes time: while the commands are imported, Ctrl-C must already find its handler.
+This module imports nothing that takes long, so that Ctrl-C is already handled while the commands are imported.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _MESSAGE = "needleplan: interrupted"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code.
 
-    Without `arguments` this is the program itself: it reads `sys.argv` and handles Ctrl-C at any moment.
+    Without `arguments`, it reads `sys.argv` and installs a handler of Ctrl-C for the whole process.
     """
     interrupt = _Interrupt() if arguments is None else None
     try:
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(_MESSAGE, file=sys.stderr)
         return _INTERRUPTED
     except Exception:
-        # A library may turn the interrupt into an error of its own, above all while it is imported.
+        # A library may turn the interrupt into another exception, above all while it is imported.
         if interrupt and interrupt.received:
             interrupt.exit()
         raise
@@ -44,7 +44,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Interrupt:
-    """The first Ctrl-C raises KeyboardInterrupt, so that files and processes are closed; the second ends at once."""
+    """Handler of Ctrl-C.
+
+    The first Ctrl-C raises KeyboardInterrupt, so that files are closed; the second ends at once.
+    """
 
     def __init__(self) -> None:
         self.received = False
@@ -56,7 +59,7 @@ class _Interrupt:
             sys.excepthook = self._uncaught
 
     def end(self) -> None:
-        """Leave Ctrl-C to the system: while the interpreter ends, Python cannot receive it without a traceback."""
+        """Restore the default of the system, because Python would print a traceback for Ctrl-C while it ends."""
         if self._caught:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
 
@@ -67,19 +70,19 @@ class _Interrupt:
         raise KeyboardInterrupt
 
     def _unraisable(self, what: sys.UnraisableHookArgs) -> None:
-        """End here if the interrupt came where Python cannot raise it: in a destructor or a callback."""
+        """End the process if Python cannot raise the interrupt, because it came in a destructor or a callback."""
         if what.exc_type is KeyboardInterrupt:
             self.exit()
         sys.__unraisablehook__(what)
 
     def _uncaught(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        """End here if C code reports the interrupt, as numpy's `import_array` does before it raises ImportError."""
+        """End the process if C code reports the interrupt, as numpy's `import_array` does during its import."""
         if self.received and issubclass(kind, KeyboardInterrupt):
             self.exit()
         sys.__excepthook__(kind, error, trace)
 
     def exit(self) -> Never:
-        """End the process at once: with `sys.exit`, the interpreter may still end itself by the signal."""
+        """End the process at once with exit code 130. After `sys.exit`, the signal could still end the interpreter."""
         if os.getpid() == self._process:
             os.write(2, f"{_MESSAGE}\n".encode())
         os._exit(_INTERRUPTED)

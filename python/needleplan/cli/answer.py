@@ -1,4 +1,4 @@
-"""What the commands print: the answer on standard output, everything else on standard error."""
+"""Output of the commands: the answer on standard output, progress, remarks and errors on standard error."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 SUMMARY_LINES = 5
-"""Lines that a command prints without `--verbose`, the title included."""
+"""Number of lines, including the title, that a command prints without `--verbose`."""
 
 _DELAY_S = 1.0  # time after which a command begins to show its progress
 
@@ -37,13 +37,13 @@ _shown: Working | None = None
 
 
 def set_quiet(quiet: bool) -> None:
-    """Choose whether `note` says anything."""
+    """Switch the output of `note` and `working` off or on."""
     global _quiet
     _quiet = quiet
 
 
 def note(text: str) -> None:
-    """Print a remark on standard error, unless the user asked for quiet."""
+    """Print a remark on standard error, unless `set_quiet` has switched remarks off."""
     if _quiet:
         return
     if _shown is None or not _shown.say(text):
@@ -51,13 +51,13 @@ def note(text: str) -> None:
 
 
 def complain(text: str) -> int:
-    """Print on standard error why the answer is no, and return the exit code for that."""
+    """Print on standard error why the answer is no, and return the exit code 1."""
     print(f"needleplan: {text}", file=sys.stderr)
     return 1
 
 
 def print_json(record: Mapping[str, object] | Sequence[object]) -> None:
-    """Print a record or a list as JSON, one entry a line; numbers that JSON does not have become null."""
+    """Print a record or a list as JSON, one entry a line. NaN and infinity become null."""
     plain = _plain(record)
     if isinstance(plain, dict):
         entries, brackets = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in plain.items()], "{}"
@@ -76,7 +76,7 @@ def print_summary(
 
 
 def print_first(options: argparse.Namespace, lines: Sequence[str]) -> None:
-    """Print all lines with `--verbose`, otherwise as many as a summary has and the number of the others."""
+    """Print all lines with `--verbose`, otherwise at most `SUMMARY_LINES` including the number of omitted lines."""
     if not options.verbose and len(lines) > SUMMARY_LINES:
         left = len(lines) - SUMMARY_LINES + 1
         lines = [*lines[: SUMMARY_LINES - 1], f"  ... {left} more lines with --verbose"]
@@ -85,12 +85,12 @@ def print_first(options: argparse.Namespace, lines: Sequence[str]) -> None:
 
 
 def percent(probability: float) -> str:
-    """Return a probability as a percentage."""
+    """Return the text of a probability as a percentage, such as `94.3 %`."""
     return f"{100 * probability:.1f} %"
 
 
 class Working:
-    """Progress of a command: shown on a terminal from one second on, removed when the command has finished."""
+    """Display of a command's progress on a terminal: it appears after one second, and `close` removes it."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -104,13 +104,13 @@ class Working:
         self._timer.start()
 
     def __call__(self, text: str, fraction: float | None = None) -> None:
-        """Show what is being done, and which fraction of it is finished if that is known."""
+        """Show a description of the present work, and its finished fraction (0 to 1) unless that is None."""
         with self._lock:
             self._text, self._fraction = text, fraction
             self._update()
 
     def say(self, text: str) -> bool:
-        """Print a line above the progress; False if no progress is shown."""
+        """Print a line above the progress and return True; return False without printing if no progress is shown."""
         with self._lock:
             if self._display is None:
                 return False
@@ -152,7 +152,7 @@ class Working:
 
 @contextmanager
 def working(options: argparse.Namespace, text: str) -> Iterator[Callable[..., None]]:
-    """Show progress on standard error: on a terminal only, and neither with `--quiet` nor with `--json`."""
+    """Yield a function that shows progress: on a terminal as `Working`, otherwise or with `--quiet` or `--json` not."""
     global _shown
     if _quiet or getattr(options, "json", False) or not sys.stderr.isatty():
         yield lambda *_: None

@@ -1,4 +1,4 @@
-"""The force atlas on the command line: `identify force --atlas` stores a combination, `info` lists and searches."""
+"""The force atlas on the command line: `identify force --atlas` stores in it, `info` lists and searches it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def add_search(parser: argparse.ArgumentParser) -> None:
 
 
 def is_atlas(file: str) -> bool:
-    """Return whether `info` shall read an atlas: a TOML file, or the shipped atlas by its name."""
+    """Return whether `info` should read `file` as an atlas: a TOML file, or the name of a shipped atlas."""
     if file.endswith(".toml") or Path(file).suffix or Path(file).exists():
         return file.endswith(".toml")
     from needleplan.identification.atlas import shipped_atlases
@@ -43,9 +43,9 @@ def is_atlas(file: str) -> bool:
 
 
 def require_atlas(options: argparse.Namespace) -> Atlas | None:
-    """Return the atlas that takes the result, None without `--atlas`.
+    """Return the atlas of the option `--atlas`, empty if its file is new; None without the option.
 
-    Raises InputError for options that do not fit, OutputError if the file cannot be written.
+    Raises InputError for contradicting options, and OutputError if the file cannot be written.
     """
     from needleplan.artifacts import require_different, require_writable
     from needleplan.identification.atlas import Atlas
@@ -57,10 +57,10 @@ def require_atlas(options: argparse.Namespace) -> Atlas | None:
             raise InputError([Mistake(name, "", "is an option for --atlas, which is missing") for name in given])
         return None
     if options.kind != "force":
-        raise InputError(Mistake("--atlas", options.kind, "must be force: an atlas holds axial forces"))
+        raise InputError(Mistake("--atlas", options.kind, "must be force: an atlas contains axial forces only"))
     missing = [name for name, value in names.items() if not (value or "").strip()]
     if missing:
-        raise InputError([Mistake(name, "", "is missing: --atlas needs needle and tissue") for name in missing])
+        raise InputError([Mistake(name, "", "is missing: --atlas requires --needle and --tissue") for name in missing])
     outputs = [each for each in (options.output, options.figure) if each]
     require_different(options.data, [options.atlas, *outputs])
     require_writable(options.atlas)
@@ -70,23 +70,25 @@ def require_atlas(options: argparse.Namespace) -> Atlas | None:
 def store(
     atlas: Atlas, found: Identification, records: Sequence[Record], options: argparse.Namespace
 ) -> dict[str, Any]:
-    """Write the atlas with the result, and return what `--json` says of it.
+    """Write the atlas with the result added, and return its record for `--json`.
 
-    Raises OutputError if the atlas has such a combination already and the user does not allow to overwrite it.
+    Raises OutputError if the atlas already has this combination and the user does not allow to replace it.
     """
     from needleplan.identification.atlas import combination_of
 
     made = combination_of(found, records, options.atlas_needle, options.atlas_tissue)
     if atlas.like(made) and not options.overwrite:
-        raise OutputError(Mistake("combination", made.title, "is there already; --force replaces it"), options.atlas)
+        raise OutputError(
+            Mistake("combination", made.title, "is already in the atlas; --force replaces it"), options.atlas
+        )
     changed = atlas.with_combination(made)
     changed.write(options.atlas)
-    note(f"stored {made.title} in {options.atlas}, which holds {len(changed.combinations)}")
+    note(f"stored {made.title} in {options.atlas}, which now has {len(changed.combinations)} combinations")
     return {"atlas": options.atlas, "combination": made.raw()}
 
 
 def require_no_search(options: argparse.Namespace) -> None:
-    """Raise InputError for options that search an atlas, as the file is none."""
+    """Raise InputError if options that search an atlas are given, because the file is not an atlas."""
     given = {"--needle": options.needle, "--tissue": options.tissue, "--velocity": options.velocity}
     mistakes = [
         Mistake(name, f"{value}", "is an option for an atlas, a .toml file")
@@ -98,7 +100,7 @@ def require_no_search(options: argparse.Namespace) -> None:
 
 
 def run_info(options: argparse.Namespace) -> int:
-    """List or search an atlas and return the exit code: 1 if nothing fits."""
+    """List or search an atlas and return the exit code: 1 if no combination matches, else 0."""
     from needleplan.identification.atlas import Atlas
 
     atlas = Atlas.read(options.table)
@@ -109,7 +111,7 @@ def run_info(options: argparse.Namespace) -> int:
     else:
         for line in _lines(options, atlas, matches):
             print(line)
-    return 0 if matches else complain("no combination of the atlas fits")
+    return 0 if matches else complain("no combination of the atlas matches the search")
 
 
 def _lines(options: argparse.Namespace, atlas: Atlas, matches: Sequence[Match]) -> Iterator[str]:

@@ -17,7 +17,7 @@ _FILES = ("DATA", "EXPERIMENT", "FILE", "PATH", "RUN", "SCENARIO")  # metavars w
 
 
 def add_to(commands: Any, make_parser: Callable[[], argparse.ArgumentParser]) -> None:
-    """Declare the command; `make_parser` returns the parser of the whole program."""
+    """Declare the command. `make_parser` returns the parser of the whole program."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "completion",
         help="print a script that completes commands, options and files in a shell",
@@ -46,7 +46,7 @@ def _run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
 
 
 def _mark_files(parser: argparse.ArgumentParser, file: object, folder: object) -> None:
-    """Tell shtab which arguments are files and folders: their metavars are `FILE`, `DIR` or have a suffix."""
+    """Mark the arguments for which shtab completes files or folders, by their metavars, such as FILE or DIR."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for each in action.choices.values():

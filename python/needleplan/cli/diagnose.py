@@ -1,4 +1,4 @@
-"""`needleplan diagnose`: where a model and recordings disagree, and which effect is missing."""
+"""`needleplan diagnose`: find where a model and recordings disagree, and which effect the model lacks."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def add_to(commands: Any) -> None:
         "diagnose",
         help="find where a model and recordings disagree, and name and add the missing effect",
         description="Compare a model with recordings: where they disagree, which effect is missing, how large it is, "
-        "and whether it closes the gap; or report that the data do not tell. Trials have the roles train, holdout "
-        "(another motion) and noise (the sensor with nothing happening). Writes DIR/report.html, DIR/diagnosis.json, "
-        "and DIR/model.toml if an effect was named. Exit code 0: nothing is missing, or it has a name; 1: no name "
-        "could be given.",
+        "and whether it closes the gap; or report that the data do not show it. Trials have the roles train, holdout "
+        "(another motion) and noise (the sensor at rest). Writes DIR/report.html, DIR/diagnosis.json, "
+        "and DIR/model.toml if an effect was named. Exit code 0: no effect is missing, or it was named; 1: the missing "
+        "effect could not be named.",
     )
     parser.add_argument("model", metavar="MODEL.toml", help="the model, as needleplan identify writes it")
     parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:
-    """Read the scenario to change, if any, before the long computation begins. Raises InputError."""
+    """Return the scenario of `--scenario`, or None; checked before the long computation begins. Raises InputError."""
     from needleplan.models import ModelFile
     from needleplan.reports.diagnosis.corrected_plan import require_path
     from needleplan.scenario import Scenario

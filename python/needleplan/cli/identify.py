@@ -1,4 +1,4 @@
-"""`needleplan identify`: models of the mechanics from recorded data."""
+"""`needleplan identify`: identify models of the mechanics from recorded data."""
 
 from __future__ import annotations
 
@@ -87,7 +87,9 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(_record(found, records, file, options) | _part_record(part, options.scenario_out) | stored)
     else:
-        shown = options if found.ok else argparse.Namespace(verbose=True)  # the remarks say why nothing was identified
+        shown = (
+            options if found.ok else argparse.Namespace(verbose=True)
+        )  # all lines, because the remarks say why nothing was identified
         print_first(shown, [*_lines(found)])
         for line in _part_lines(part):
             print(line)
@@ -106,16 +108,16 @@ def _draw(found: Identification, file: str) -> None:
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:
-    """Return the scenario that gets the identified values, if any. Raises InputError if the options contradict."""
+    """Return the scenario of `--scenario`, or None. Raises InputError if options contradict each other."""
     from needleplan.scenario import Scenario
 
     if options.scenario is None:
         if options.scenario_out or options.layers != 1:
-            raise InputError(Mistake("--scenario", "", "is missing: --layers and --scenario-out need a scenario"))
+            raise InputError(Mistake("--scenario", "", "is missing: --layers and --scenario-out require it"))
         return None
     if options.kind != "curvature":
         raise InputError(
-            Mistake("--scenario", options.kind, "must be curvature: only a curvature goes into a scenario")
+            Mistake("--scenario", options.kind, "must be curvature: a scenario uses no other identified values")
         )
     return Scenario.read(options.scenario)
 
@@ -131,7 +133,7 @@ def _part(scenario: Scenario, records: Sequence[Record], options: argparse.Names
 
 
 def _identifier(kind: str) -> Any:
-    """Return the module that identifies a kind. Raises InputError if there is none."""
+    """Return the module with the function `identify` for a kind. Raises InputError if there is no such module."""
     name = f"needleplan.identification.{kind.replace('-', '_')}"
     try:
         return importlib.import_module(name)
@@ -201,7 +203,7 @@ def _record(
 
 
 def _part_lines(part: ScenarioPart | None) -> Iterator[str]:
-    """Yield the identified tables of the scenario, after the remarks on them."""
+    """Yield the printed lines: radii of the pieces, remarks, and the identified tables; nothing if `part` is None."""
     if part is None:
         return
     yield "scenario"
@@ -215,7 +217,7 @@ def _part_lines(part: ScenarioPart | None) -> Iterator[str]:
 
 
 def _part_record(part: ScenarioPart | None, output: str | None) -> dict[str, Any]:
-    """Return the identified tables for JSON; an empty record without a scenario."""
+    """Return the JSON record of the identified values of the scenario; empty if `part` is None."""
     if part is None:
         return {}
     noise = {"status": part.noise.status, "sd_rad": part.noise.sd_rad} if part.noise else None

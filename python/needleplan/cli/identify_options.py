@@ -1,4 +1,4 @@
-"""Options of `needleplan identify` about needle, tissue and sensors, with the kinds that use them."""
+"""Options of `needleplan identify` for known properties of needle, tissue and sensors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["add_knowledge", "knowledge"]
 
 @dataclass(frozen=True)
 class _Option:
-    """An option: the keyword argument of `identify`, the kinds that have the option, and its argparse settings."""
+    """One option: its keyword argument of `identify`, the kinds that accept the option, and its argparse settings."""
 
     flag: str
     keyword: str
@@ -27,19 +27,19 @@ class _Option:
 
 _OPTIONS = (
     _Option("--average", "average", ("force", "tissue-motion"),
-            "samples that the force sensor averages; 1 for none (5)",
+            "number of samples that the force sensor averages; 1: no average (5)",
             {"type": whole, "metavar": "N"}),
     _Option("--marker", "marker", ("tissue-motion",),
-            "column with the displacement of a sensor in the tissue", {"choices": ("x_mm", "y_mm", "z_mm")}),
+            "column that contains the displacement of a sensor in the tissue", {"choices": ("x_mm", "y_mm", "z_mm")}),
     _Option("--thickness", "thickness_mm", ("friction",),
             "thickness of the tissue (76)", {"type": float, "metavar": "MM"}),
     _Option("--skip-cycles", "skip_cycles", ("friction",),
-            "first cycles that are left out (1)", {"type": whole, "metavar": "N"}),
+            "number of cycles left out at the beginning (1)", {"type": whole, "metavar": "N"}),
     _Option("--plane", "plane", ("curvature",), "plane of bending (xy)", {"choices": ("xy", "xz")}),
     _Option("--segments", "segments", ("curvature",),
             "number of equal parts of the path, each with its own curvature (2)", {"type": whole, "metavar": "N"}),
     _Option("--skip", "skip_mm", ("curvature", "deflection"),
-            "depth above which samples are left out (curvature 0, deflection 20)", {"type": float, "metavar": "MM"}),
+            "samples at smaller depths are left out (curvature 0, deflection 20)", {"type": float, "metavar": "MM"}),
     _Option("--geometry", "needle", ("deflection",),
             "outer and inner diameter and length in mm, bevel angle in degrees (the 22-gauge needle of the thesis)",
             {"metavar": "OUTER,INNER,LENGTH,BEVEL"}),
@@ -54,14 +54,14 @@ _OPTIONS = (
 
 
 def add_knowledge(parser: argparse.ArgumentParser) -> None:
-    """Declare the options; the help of each names its kinds."""
-    group = parser.add_argument_group("what is known of needle, tissue and sensors")
+    """Declare the options. The help of each option names the kinds that accept it."""
+    group = parser.add_argument_group("known properties of needle, tissue and sensors")
     for each in _OPTIONS:
         group.add_argument(each.flag, help=f"{', '.join(each.kinds)}: {each.help}", dest=each.keyword, **each.reads)
 
 
 def knowledge(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the keyword arguments of `identify`. Raises InputError for an option of another kind."""
+    """Return the keyword arguments of `identify`. Raises InputError for an option that the kind does not accept."""
     given = [each for each in _OPTIONS if getattr(options, each.keyword) is not None]
     wrong = [
         Mistake(each.flag, "", f"is for {' and '.join(each.kinds)}, not for {options.kind}")

@@ -1,4 +1,4 @@
-"""`needleplan insert`: the intraoperative loop."""
+"""`needleplan insert`: insert a needle by a policy table."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _ROTATION_DEG_S = math.degrees(3.0)  # default speed of the needle's rotation
 
 
 def _degrees(text: str) -> float:
-    """Return the degrees of an angle in radians, or of a speed in rad/s."""
+    """Return an angle or a speed, given as text in rad or rad/s, in degrees or degrees/s."""
     return math.degrees(float(text))
 
 
@@ -61,7 +61,7 @@ def add_to(commands: Any) -> None:
             f"--{name}", metavar="URL", help=f"{what}, or sim://[EXPERIMENT][?seed=N] for all three (sim://)"
         )
     parser.add_argument(
-        "--registration", metavar="FILE", help="registration of coil and tracker; only sim:// needs none"
+        "--registration", metavar="FILE", help="registration of coil and tracker; required except for sim://"
     )
     add_start(parser)
     parser.add_argument("--scenario", metavar="SCENARIO.toml", help="refuse a table of another scenario")
@@ -100,7 +100,7 @@ def add_to(commands: Any) -> None:
         help="direction of the axial force in the sensor's frame (0,0,1)",
     )
     parser.add_argument(
-        "--no-replan", action="store_true", help="keep the table even if the needle bends otherwise than planned"
+        "--no-replan", action="store_true", help="keep the table even if the curvature differs from the plan"
     )
     parser.add_argument("--stops", action="store_true", help="stop after every step, not only before a rotation")
     parser.add_argument(
@@ -130,11 +130,11 @@ def run(options: argparse.Namespace) -> int:
     start = table.start(wanted) if wanted else table.best_entry().pose
     addresses = [getattr(options, name) for name in ("robot", "force", "tracker")]
     given = {address for address in addresses if address and address.startswith(_SIM)} or {_SIM}
-    # A simulated lab has all three devices, so addresses that are not given are those of the same lab.
+    # A simulated lab has all three devices, so the address of one device is also used for devices without an address.
     robot, force, tracker = (address or min(given) for address in addresses)
     setup = _setup(options, wanted)
     if not are_simulated(robot, force, tracker) and not options.registration:
-        rule = "is missing: only the simulated lab needs none; see `needleplan register`"
+        rule = "is missing: real devices require a registration; see `needleplan register`"
         raise AddressError(Mistake("--registration", "", rule))
     try:
         with open_insertion_station(robot, force, tracker, table, start) as station:
@@ -152,7 +152,7 @@ def run(options: argparse.Namespace) -> int:
 def _insert(
     table: PolicyTable, station: Station, setup: RunSetup, options: argparse.Namespace
 ) -> tuple[InsertionReport, str]:
-    """Run the insertion; return its report, and a description of what the recording lacks."""
+    """Run the insertion, and return its report and a text that describes the gaps of the recording (empty if none)."""
     from needleplan.cli.insert_view import view
     from needleplan.control import Insertion, Listener, RunRecorder
     from needleplan.control.safety import Watchdog
@@ -186,7 +186,7 @@ def _insert(
 
 @contextmanager
 def _stopped_by_signals(insertion: Insertion) -> Iterator[None]:
-    """Stop the needle on Ctrl-C and on a request to end."""
+    """Stop the insertion on Ctrl-C (SIGINT) and on SIGTERM."""
     names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "asked to end"}
     before = {number: signal.signal(number, lambda n, _: insertion.stop(names[signal.Signals(n)])) for number in names}
     try:
@@ -207,7 +207,7 @@ def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
 
 
 def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any:
-    """Check the options and return a function that makes the run's setup from the opened devices."""
+    """Check the options, and return a function that returns the setup of the run for the opened devices."""
     from needleplan.control import Options, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.estimation.registration import Registration
@@ -220,7 +220,7 @@ def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any
     x, y, z = numbers("--force-axis", options.force_axis, 3)
     length = math.hypot(x, y, z)
     if not length:
-        raise InputError(Mistake("--force-axis", options.force_axis, "must be a direction"))
+        raise InputError(Mistake("--force-axis", options.force_axis, "must be a vector other than 0,0,0"))
     _require_numbers(options, limits)
     how = Options(
         velocity_mm_s=options.speed, velocity_rad_s=math.radians(options.rotation_speed_deg),
@@ -240,7 +240,7 @@ def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any
 
 
 def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
-    """Raise InputError for values that the guard or the loop would refuse later, with the needle in place."""
+    """Raise InputError for values that the guard or the loop would otherwise refuse after the needle is in place."""
     mistakes = []
     for name, most, unit in (
         ("speed", limits.insertion_velocity_mm_s, "mm/s"),
@@ -252,7 +252,7 @@ def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
         elif value > most:
             mistakes.append(Mistake(option, f"{value:g}", f"must be at most the limit of the run, {most:g} {unit}"))
     if not limits.shallowest_mm <= options.entry_depth < limits.deepest_mm:
-        rule = f"must be in the limits of the run, from {limits.shallowest_mm:g} to {limits.deepest_mm:g} mm"
+        rule = f"must be within the limits of the run, from {limits.shallowest_mm:g} to {limits.deepest_mm:g} mm"
         mistakes.append(Mistake("--entry-depth", f"{options.entry_depth:g}", rule))
     if not math.isfinite(options.roll_left_deg):
         mistakes.append(Mistake("--roll-left-deg", f"{options.roll_left_deg:g}", "must be a number of degrees"))

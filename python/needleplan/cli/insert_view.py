@@ -1,4 +1,4 @@
-"""A running insertion on the terminal: a small table that is updated, or plain lines."""
+"""Display of a running insertion on the terminal: a table that is updated, or plain lines."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 __all__ = ["LiveView", "PlainView", "view"]
 
-_PERIOD_S = 0.1  # time between two updates of the terminal
+_PERIOD_S = 0.1  # shortest time between two updates of the terminal
 _DELAY_S = 1.0  # time from the start of a run to its first display
 _TOLD = {RunEventName.TABLE_SWAPPED, RunEventName.REPLAN_REFUSED, RunEventName.PAUSED, RunEventName.RESUMED,
          RunEventName.FAULT, RunEventName.STOP}  # fmt: skip
 
 
 class PlainView(Listener):
-    """Prints one line for each decision and each important event."""
+    """Listener that prints one line for each decision and each important event."""
 
     def step(self, step: ExecutedStep) -> None:
         """Print a decision."""
@@ -44,7 +44,7 @@ class PlainView(Listener):
         )
 
     def event(self, event: RunEvent) -> None:
-        """Print an event."""
+        """Print an event if the user must know of it."""
         if event.name in _TOLD:
             self._say(f"{event.name.replace('_', ' ')}: {event.text}" + (f" ({event.cause})" if event.cause else ""))
 
@@ -53,7 +53,7 @@ class PlainView(Listener):
 
 
 class LiveView(PlainView):
-    """Shows the current values on a terminal, and events above them."""
+    """Listener that shows the current values on a terminal, and events above them."""
 
     def __init__(self, live: Live, table: PolicyTable, options: Options) -> None:
         self._live = live
@@ -65,7 +65,7 @@ class LiveView(PlainView):
         self._table, self._line = table, np.empty((0, 2))
 
     def sample(self, sample: Sample) -> None:
-        """Keep a sample; update the terminal if the last update is old enough."""
+        """Store a sample, and update the terminal if the last update is at least 0.1 s old."""
         self._samples[type(sample)] = sample
         self._now_ns = max(self._now_ns, sample.stamp.received_ns)
         if time.monotonic() >= self._due_s:
@@ -74,17 +74,17 @@ class LiveView(PlainView):
             self._live.update(self.rows(), refresh=True)
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Keep the estimate of the tip."""
+        """Store the estimate of the tip."""
         self._tip = tip
 
     def step(self, step: ExecutedStep) -> None:
-        """Keep a decision; the first one also determines the planned path."""
+        """Store a decision. The first decision also determines the planned path."""
         if self._step is None:
             self._line = drawn(self._table.path(step.pose), self._table)
         self._step = step
 
     def safety(self, event: SafetyEvent) -> None:
-        """Keep the state of the guard."""
+        """Store the state of the guard."""
         self._state = str(event.state)
 
     def rows(self) -> Table:
@@ -123,9 +123,9 @@ class LiveView(PlainView):
 
 @contextmanager
 def view(table: PolicyTable, options: Options, command: argparse.Namespace) -> Iterator[Listener]:
-    """Show a run on standard error: live on a terminal, in lines elsewhere; nothing with `--quiet`.
+    """Yield a listener that shows a run on standard error: `LiveView` on a terminal, otherwise `PlainView`.
 
-    With `--json`, nothing is shown on a terminal.
+    With `--quiet`, and on a terminal with `--json`, the listener shows nothing.
     """
     terminal = sys.stderr.isatty()
     if command.quiet or (terminal and command.json):

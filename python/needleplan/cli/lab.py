@@ -1,4 +1,4 @@
-"""`needleplan lab`: the simulated devices in real time, to be opened by their addresses."""
+"""`needleplan lab`: run simulated devices in real time, which other programs open by their addresses."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["add_to", "run"]
 
 _PORTS = ("robot_port", "force_port", "http_port", "tracker_port")
+# time (s) between two checks whether processes of the lab have ended
 _LOOK_S = 0.1
 
 
@@ -36,11 +37,11 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument(
         "experiment", metavar="EXPERIMENT", nargs="?", default="steering",
-        help="an experiment file (.toml) or a shipped one by name (steering); its moves are not made",
+        help="an experiment file (.toml), or the name of a shipped experiment (steering); its moves are not executed",
     )  # fmt: skip
     parser.add_argument(
         "--table", metavar="TABLE.h5",
-        help="place the needle where an insertion by this table begins; it bends as planned, apart from the effects",
+        help="place the needle at the start of an insertion by this table, and give it the planned curvature",
     )  # fmt: skip
     add_start(parser)
     add_output(parser, "REGISTRATION.toml", "write the registration that `insert` needs")
@@ -102,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
-    """Return the setup with the needle at the beginning of an insertion by the table."""
+    """Return the setup in which the needle is at the start of an insertion by the table and has its curvature."""
     from needleplan.planning import PolicyTable
     from needleplan.simulation import simulated_station
 
@@ -114,7 +115,7 @@ def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
 
 @contextmanager
 def _ended_by_signals() -> Iterator[threading.Event]:
-    """Yield an event that is set by Ctrl-C and by requests to end."""
+    """Yield an event that is set by Ctrl-C (SIGINT), SIGTERM and SIGHUP."""
     ending = threading.Event()
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, lambda *_: ending.set()) for number in numbers}
@@ -126,7 +127,7 @@ def _ended_by_signals() -> Iterator[threading.Event]:
 
 
 def _started(start: Callable[[], RealTimeLab]) -> RealTimeLab:
-    """Return a started lab whose processes never receive Ctrl-C: they inherit the blocked signal."""
+    """Return a started lab whose processes ignore Ctrl-C, because they inherit the blocked signal."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         return start()
@@ -135,7 +136,7 @@ def _started(start: Callable[[], RealTimeLab]) -> RealTimeLab:
 
 
 def _serve(lab: RealTimeLab, ending: threading.Event, duration_s: float | None) -> bool:
-    """Wait for the end and report processes that end before it; return whether all of them ended."""
+    """Wait for `ending` or the end of the duration, and report ended processes; return whether all have ended."""
     end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
     while not ending.wait(_LOOK_S) and time.monotonic() < end_s:
         for name, how in lab.newly_ended().items():
@@ -165,7 +166,9 @@ def _require(options: argparse.Namespace) -> None:
     for name in _PORTS:
         if not 0 <= getattr(options, name) <= 65_535:
             option = "--" + name.replace("_", "-")
-            mistakes.append(Mistake(option, f"{getattr(options, name)}", "must be a port: from 1 to 65535, 0 for any"))
+            mistakes.append(
+                Mistake(option, f"{getattr(options, name)}", "must be a port from 1 to 65535, or 0 for a free port")
+            )
     if options.start is not None and not options.table:
         mistakes.append(Mistake("--start", options.start, "needs --table"))
     if options.tracker_port and options.tracker == "pty":

@@ -1,4 +1,4 @@
-"""Options that several commands share, and poses as the commands read and print them."""
+"""Options that several commands share, and reading and printing of poses."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ EDGES = ("left", "right", "bottom", "top")
 
 
 def add_table(parser: argparse.ArgumentParser) -> None:
-    """Declare the policy table."""
+    """Declare the argument for the policy table."""
     parser.add_argument("table", metavar="TABLE.h5", help="a policy table that `needleplan plan` wrote")
 
 
 def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: bool = True) -> None:
-    """Declare how the answer is printed: `--json`, `--verbose` and `--quiet`."""
+    """Declare the options for printing the answer: `--json`, `--verbose` and `--quiet`."""
     if json:
         parser.add_argument("--json", action="store_true", help="print the answer as JSON")
     if verbose:
@@ -52,13 +52,13 @@ def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: b
 def add_output(
     parser: argparse.ArgumentParser, metavar: str, what: str, *, required: bool = False, force: str = "--force"
 ) -> None:
-    """Declare the main output, and the option that overwrites it."""
+    """Declare the option for the main output, and the option that allows to overwrite it."""
     parser.add_argument("-o", "--output", required=required, metavar=metavar, help=what)
     _add_force(parser, force)
 
 
 def add_figure(parser: argparse.ArgumentParser, what: str, *, force: str = "--force") -> None:
-    """Declare the option that draws, and the option that overwrites the drawing."""
+    """Declare the option for a figure, and the option that allows to overwrite it."""
     parser.add_argument("--figure", metavar="FILE", help=f"draw {what} (.png, .pdf or .svg)")
     _add_force(parser, force)
 
@@ -70,7 +70,7 @@ def _add_force(parser: argparse.ArgumentParser, name: str) -> None:
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:
-    """Declare the pose at which an execution begins."""
+    """Declare the option for the pose at which an execution begins."""
     parser.add_argument(
         "--start",
         metavar="X,Y,DEG[,BEVEL]",
@@ -80,7 +80,7 @@ def add_start(parser: argparse.ArgumentParser) -> None:
 
 
 def add_greedy(parser: argparse.ArgumentParser) -> None:
-    """Declare the option that decides from interpolated values."""
+    """Declare the option that makes decisions from interpolated values."""
     parser.add_argument(
         "--greedy",
         action="store_true",
@@ -89,12 +89,12 @@ def add_greedy(parser: argparse.ArgumentParser) -> None:
 
 
 def add_edge(parser: argparse.ArgumentParser) -> None:
-    """Declare the edge at which the needle enters."""
+    """Declare the option for the edge at which the needle enters."""
     parser.add_argument("--edge", choices=EDGES, default="left", help="edge of the workspace to enter at (left)")
 
 
 def start_pose(text: str) -> tuple[float, ...]:
-    """Return x_mm, y_mm, heading_rad and, where given, the bevel. Raises PoseError."""
+    """Return (x_mm, y_mm, heading_rad), followed by the bevel if the text contains it. Raises PoseError."""
     found = _split(text)
     bevel = found[3] if len(found) == 4 else 1
     if len(found) not in (3, 4) or abs(bevel) != 1:
@@ -103,7 +103,10 @@ def start_pose(text: str) -> tuple[float, ...]:
 
 
 def numbers(option: str, text: str, *counts: int, form: str = "") -> list[float]:
-    """Return the finite numbers of an option's value, as many as one of `counts`. Raises InputError."""
+    """Return the comma-separated finite numbers of an option's value. Raises InputError if their count is wrong.
+
+    `counts` are the allowed counts; `form` describes the value in the message.
+    """
     found = _split(text)
     if len(found) not in counts:
         wanted = f"{form}:" if form else f"{counts[0]}"
@@ -112,7 +115,7 @@ def numbers(option: str, text: str, *counts: int, form: str = "") -> list[float]
 
 
 def _split(text: str) -> list[float]:
-    """Return the finite numbers between commas; an empty list if a word is not one."""
+    """Return the numbers between commas; an empty list if a word is not a finite number."""
     try:
         found = [float(word) for word in text.split(",")]
     except ValueError:
@@ -121,16 +124,16 @@ def _split(text: str) -> list[float]:
 
 
 def require_outputs(options: argparse.Namespace, inputs: Iterable[str | None], *outputs: str | None) -> None:
-    """Raise OutputError, before the work begins, if an output could not be written after it.
+    """Raise OutputError if an output cannot be written; commands call this before their work begins.
 
     Parameters
     ----------
     options
-        Options of the command; its `figure`, if it has one, is an output too.
+        Options of the command. The option `figure`, if the command has it, is an output too.
     inputs
-        Files that the command reads; no output may replace one of them.
+        Files that the command reads. No output may replace one of these files.
     outputs
-        Files that the command writes; they must not exist unless the user allows to overwrite them.
+        Files that the command writes. They must not exist unless the user allows to overwrite them.
 
     """
     from needleplan.artifacts import require_different, require_writable
@@ -156,7 +159,7 @@ def require_free(options: argparse.Namespace, files: Iterable[str | os.PathLike[
 
 
 def pose_record(pose: Pose) -> dict[str, Any]:
-    """Return a pose for JSON."""
+    """Return the JSON record of a pose."""
     return {
         "x_mm": pose.x_mm,
         "y_mm": pose.y_mm,
@@ -167,5 +170,5 @@ def pose_record(pose: Pose) -> dict[str, Any]:
 
 
 def entry_record(entry: Entry) -> dict[str, Any]:
-    """Return an entry for JSON."""
+    """Return the JSON record of an entry."""
     return {**pose_record(entry.pose), "success": entry.success, "value": entry.value}

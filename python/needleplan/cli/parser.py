@@ -1,4 +1,4 @@
-"""Reading the command line: suggestions for misspelt words, whole numbers, old spellings of options."""
+"""Argument parser with suggestions for misspelt words, whole numbers, and old spellings of options."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Any, Never
 
 __all__ = ["Parser", "add_old_spelling", "whole"]
 
-_MOST_DIGITS = 18  # digits of the largest whole number that is accepted; 64-bit integers hold them
+_MOST_DIGITS = 18  # largest number of digits of a whole number; such numbers fit into 64-bit integers
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that suggests the word that was probably meant.
+    """An argument parser that suggests the intended word for a misspelt command, option or choice.
 
     Without any argument, a parser that has commands prints its help on standard output and exits with code 2.
     """
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse arguments; print the usage and exit with code 2 if one of them is unknown."""
+        """Parse arguments. If an option is unknown, print the usage and exit with code 2."""
         given = sys.argv[1:] if args is None else list(args)
         if self._commands() and not given:
             self.print_help()
@@ -37,7 +37,7 @@ class Parser(argparse.ArgumentParser):
         return any(isinstance(action, argparse._SubParsersAction) for action in self._actions)
 
     def _require_known(self, given: Sequence[str]) -> None:
-        """Refuse unknown options before argparse complains about what is missing because of them."""
+        """Exit with an error if an option is unknown; argparse would first report seemingly missing arguments."""
         for word in given:
             if word == "--" or (not word.startswith("-") and self._commands()):
                 return
@@ -68,7 +68,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def whole(text: str) -> int:
-    """Return the whole number that a text stands for, such as `500` or `1e4`.
+    """Return the whole number that a text such as `500` or `1e4` represents.
 
     Raises ArgumentTypeError if the text is not a whole number of at most 18 digits.
     """
@@ -88,16 +88,16 @@ def add_old_spelling(
     *,
     convert: Callable[[str], Any] = str,
 ) -> None:
-    """Accept the old spelling of an option, hidden from the help, and tell the user the new one.
+    """Accept the old spelling of an option, which the help does not show, and print the new spelling when it is used.
 
     Parameters
     ----------
     parser
-        The parser that has the option `new` already.
+        The parser, in which the option `new` is already declared.
     old, new
         The two spellings.
     convert
-        Makes the value of the new option from the text that was given to the old one.
+        Converts the text given to the old option to the value of the new option.
 
     """
     dest = parser._option_string_actions[new].dest

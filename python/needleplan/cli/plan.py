@@ -1,4 +1,4 @@
-"""`needleplan plan`: from a scenario to a policy table."""
+"""`needleplan plan`: solve a scenario and write its policy table."""
 
 from __future__ import annotations
 
@@ -18,24 +18,27 @@ if TYPE_CHECKING:
 
 __all__ = ["UNREACHABLE_SUCCESS", "Replaced", "add_to", "run", "with_identified"]
 
-_POOR_SUCCESS = 0.8  # success of the best entry below which the user is warned
+_POOR_SUCCESS = 0.8  # success probability of the best entry below which a warning is printed
 UNREACHABLE_SUCCESS = 0.001
-"""Success of the best entry below which the target counts as unreachable."""
+"""Success probability of the best entry below which the target counts as unreachable."""
 
-_NOISY_PATHS = 40  # executions with noise in the figure
-_DETERRENT = 10  # failures must cost this many times the way through the workspace to deter
+_NOISY_PATHS = 40  # number of executions with noise in the figure
+_DETERRENT = 10  # ratio of the cost of a failure to the cost of crossing the workspace, below which a hint is printed
 
 
 @dataclass(frozen=True)
 class Replaced:
-    """A radius of the scenario that an identified one replaced: the place, the identified radius and its file."""
+    """Replacement of a radius of the scenario by an identified radius.
+
+    `place` names the needle or the tissue, `found` is the identified curvature, and `file` its model file.
+    """
 
     place: str
     found: Identified
     file: str
 
     def record(self) -> dict[str, Any]:
-        """Return the replacement for JSON."""
+        """Return the JSON record of the replacement."""
         low, high = self.found.interval_mm
         found = {"radius_mm": self.found.radius_mm, "interval_mm": [_finite(low), _finite(high)]}
         return {"place": self.place, **found, "kind": self.found.kind, "model": self.file, "digest": self.found.digest}
@@ -110,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _giving_up(scenario: Scenario) -> str:
-    """Return a hint if failing costs so little that the plan may give up on purpose."""
+    """Return a hint for the user if failures cost so little that the plan may choose to fail, else an empty text."""
     objective = scenario.objective
     way_through = objective.insertion_per_mm * scenario.workspace.width_mm + objective.rotation
     if objective.discount == 1 and min(objective.collision, objective.exit) > _DETERRENT * way_through:
@@ -168,7 +171,10 @@ def _draw(table: PolicyTable, best: Entry, file: str) -> None:
 
 
 def with_identified(scenario: Scenario, options: argparse.Namespace) -> tuple[Scenario, list[Replaced]]:
-    """Return the scenario with the radii of the model files, and the replacements. Raises InputError."""
+    """Return the scenario with the radii of the model files in the options, and a list of the replacements.
+
+    Raises InputError if an option or a model file is invalid.
+    """
     files = [("", options.needle)] if options.needle else []
     for each in options.tissue:
         name, equals, file = each.partition("=")

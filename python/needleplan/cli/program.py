@@ -1,7 +1,7 @@
-"""The program: parses the command line, runs the command and returns the exit code.
+"""The program: it parses the command line, runs the command and returns the exit code.
 
-Exit codes: 0 done; 1 the job ran and the answer is no; 2 the input is wrong; and as in shells 130 for an interrupt and
-141 if the reader of the output has gone.
+Exit codes: 0 done; 1 the job ran and the answer is no; 2 the input is wrong. As in shells, the exit code is 130 after
+an interrupt, and 141 if the program that reads the output has ended.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _WRONG_INPUT, _NOBODY_READS = 2, 141
 
 
 def run_command(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return the exit code; `None` reads the arguments of the program. Raises KeyboardInterrupt."""
+    """Run a command and return the exit code; None: the arguments are `sys.argv`. Raises KeyboardInterrupt."""
     options = make_parser().parse_args(arguments)
     set_quiet(getattr(options, "quiet", False))
     try:
@@ -72,7 +72,7 @@ def make_parser() -> Parser:
 
 
 class _Version(argparse.Action):
-    """Prints the version, which is looked up only on demand."""
+    """Action that prints the version; the version is looked up only then, because this takes time."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from needleplan.artifacts import version
@@ -82,5 +82,5 @@ class _Version(argparse.Action):
 
 
 def _drop_output() -> None:
-    """Discard buffered output, so that the interpreter does not report it when it ends."""
+    """Discard buffered output, so that the interpreter does not report an error when it ends."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

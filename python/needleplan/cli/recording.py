@@ -1,4 +1,4 @@
-"""`needleplan recording`: what is in a recording, recovering a cut one, exporting, replaying an insertion."""
+"""`needleplan recording`: show, recover and export recordings, and replay recorded insertions."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def run_export(options: argparse.Namespace) -> int:
 
 
 def _require_export(options: argparse.Namespace) -> None:
-    """Raise OutputError if the output cannot be written; even with `--force`, no recording is overwritten."""
+    """Raise OutputError if the output cannot be written, or if it is a recording (even with `--force`)."""
     from needleplan.recording.export import require_no_recording
 
     if Path(options.output).is_dir() and options.to in FOLDERS:
@@ -164,7 +164,7 @@ def run_replay(options: argparse.Namespace) -> int:
         print_summary(options, options.recording, lines)
     if not done.same:
         return complain(
-            f"the decisions differ from the recorded ones: {(*done.differences, 'it made fewer decisions')[0]}"
+            f"the decisions differ from the recorded ones: {(*done.differences, 'the replay made fewer decisions')[0]}"
         )
     return 0
 

@@ -1,4 +1,4 @@
-"""`needleplan register`: from the coil of a tracked needle to its tip, and from the tracker to the plan."""
+"""`needleplan register`: determine the offset from coil to tip, and the transformation from tracker to plan."""
 
 from __future__ import annotations
 

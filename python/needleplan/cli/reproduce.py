@@ -1,4 +1,4 @@
-"""`needleplan reproduce`: published numbers beside computed ones."""
+"""`needleplan reproduce`: compare computed with published results."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _lines(comparisons: Iterable[Comparison]) -> Iterator[str]:
-    """Yield a table for every section; reasons that several rows share are numbered and follow the table."""
+    """Yield the lines of a table for every section. Reasons shared by several rows are numbered below the table."""
     for section, group in groupby(comparisons, key=lambda each: "/".join(each.id.split("/")[:2])):
         rows = list(group)
         shared = [reason for reason, times in Counter(row.reason for row in rows).items() if reason and times > 1]

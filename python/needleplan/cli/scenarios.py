@@ -1,4 +1,4 @@
-"""`needleplan scenarios` and `needleplan new`: the shipped scenarios, and a scenario to start from."""
+"""`needleplan scenarios` lists the shipped scenarios; `needleplan new` writes a scenario file to start from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`needleplan simulate`: an experiment in the lab twin."""
+"""`needleplan simulate`: run an experiment in the lab twin."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ def add_to(commands: Any) -> None:
         description="Run an experiment with a simulated robot, needle, tissue and sensors, faster than real time. "
         "Write the readings of the sensors as records for `needleplan identify`, or as a recording (MCAP).",
     )
-    parser.add_argument("experiment", metavar="EXPERIMENT", help="an experiment file (.toml), or a shipped one by name")
+    parser.add_argument(
+        "experiment", metavar="EXPERIMENT", help="an experiment file (.toml), or the name of a shipped experiment"
+    )
     add_output(parser, "RUN", "write the records (.csv or .h5), or a recording (.mcap)")
     parser.add_argument("--seed", type=whole, metavar="N", help="seed that replaces the seed of the experiment")
     parser.add_argument(

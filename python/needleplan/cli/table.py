@@ -165,7 +165,7 @@ def _add_entry(commands: Any) -> None:
     )
     add_table(parser)
     add_edge(parser)
-    parser.add_argument("--at", type=float, metavar="MM", help="search only the headings at this place of the edge")
+    parser.add_argument("--at", type=float, metavar="MM", help="search only at this position on the edge")
     add_answer(parser)
     parser.set_defaults(run=_run_entry)
 

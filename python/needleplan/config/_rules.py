@@ -33,10 +33,10 @@ __all__ = [
 
 
 class Violation(Exception):
-    """A value violates a rule.
+    """Raised if a value violates a rule.
 
-    `mistakes` have keys relative to the value; the mistake of a single value has an empty key. `partial` is the part of
-    the value that obeys its rules, or None.
+    The key of each mistake is the path within the value; it is empty if the value has no parts. `partial` is the part
+    of the value that obeys its rules, or None.
     """
 
     def __init__(self, mistakes: str | Sequence[Mistake], value: object = None, partial: object = None) -> None:
@@ -47,7 +47,7 @@ class Violation(Exception):
 
 
 class Rule(Protocol):
-    """Reads one value of a file or of a constructor's argument."""
+    """Rule that checks one value of a file, or an argument of a constructor, and converts it to its stored form."""
 
     def read(self, value: object) -> Any:
         """Return the value in its stored form. Raises Violation."""
@@ -55,7 +55,7 @@ class Rule(Protocol):
 
 @dataclass(frozen=True)
 class Number:
-    """A number in a range, stored as a float. Truth values are not numbers. NaN is refused, infinity if `finite`."""
+    """A number in a range, stored as a float. Truth values and NaN are refused; infinity is refused if `finite`."""
 
     unit: str = ""
     above: float | None = None
@@ -126,7 +126,7 @@ class Flag:
 
 @dataclass(frozen=True)
 class Text:
-    """A text that UTF-8 can encode, of at most `at_most` characters; not only spaces if `filled`."""
+    """A text of at most `at_most` characters that UTF-8 can encode. If `filled`, it must not consist of spaces only."""
 
     at_most: int = 1000
     filled: bool = False
@@ -142,7 +142,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Texts:
-    """A list of texts, each with the prefix `prefix`."""
+    """A list of texts, each of which begins with `prefix`."""
 
     prefix: str = ""
 
@@ -157,7 +157,7 @@ class Texts:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of some names: the members of an enumeration, or the keys of a mapping, whose values are then stored."""
+    """One of several names: of the members of an enumeration, or of the keys of a mapping, whose value is stored."""
 
     among: type[StrEnum] | Mapping[str, Any]
 
@@ -196,7 +196,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Numbers:
-    """A fixed count of finite numbers, of Euclidean length 1 (to 1e-6) if `unit_length`."""
+    """A list of `count` finite numbers; if `unit_length`, their Euclidean norm must be 1 within 1e-6."""
 
     count: int
     unit_length: bool = False
@@ -217,7 +217,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Maybe:
-    """A value of a rule, or None, which a file expresses by leaving the key out."""
+    """A value that obeys `rule`, or None. In a file, a missing key means None."""
 
     rule: Rule
 
@@ -227,7 +227,7 @@ class Maybe:
 
 
 def shown(value: object, depth: int = 3) -> str:
-    """Return the value in TOML syntax; levels nested deeper than `depth` are left out."""
+    """Return the value in TOML syntax, for messages. Lists nested deeper than `depth` levels are shown as `[...]`."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -239,9 +239,9 @@ def shown(value: object, depth: int = 3) -> str:
 
 
 def closest(value: object, names: Iterable[str], cutoff: float = 0.6) -> str:
-    """Return the one of `names` that is most similar to `value`, or an empty text if none is.
+    """Return the name in `names` that is most similar to `value`, or an empty text if no name is similar.
 
-    `cutoff` is the least similarity by `difflib`, from 0 to 1.
+    `cutoff` is the smallest accepted similarity by `difflib`, from 0 to 1.
     """
     close = get_close_matches(value, list(names), n=1, cutoff=cutoff) if isinstance(value, str) else []
     return close[0] if close else ""
@@ -254,14 +254,14 @@ def suggestion(value: object, names: Iterable[str]) -> str:
 
 
 def sequence(value: object) -> list[object] | None:
-    """Return lists, tuples and arrays as a list, and None for anything else."""
+    """Return a list, tuple or array as a list; None for any other value."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     return list(value) if isinstance(value, list | tuple) else None
 
 
 def plain(value: object) -> object:
-    """Return a number of NumPy or Python as a number of Python, and None for anything else."""
+    """Return a NumPy or Python number as a Python number; None for any other value, also for truth values."""
     if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, int | float):

@@ -33,9 +33,9 @@ _T = TypeVar("_T", bound="ConfigTable")
 def ruled(
     rule: Rule | Given, default: object = MISSING, *, factory: Any = MISSING, key: str = "", about: str = ""
 ) -> Any:
-    """Declare a field that `rule` reads.
+    """Declare a field whose values are read by `rule`.
 
-    `key` is its key in a file if that differs from the field's name; `about` explains it in commented files.
+    `key` is the key in a file if it differs from the name of the field. `about` is the comment in commented files.
     """
     metadata = {"rule": rule, "key": key, "about": about}
     if factory is not MISSING:
@@ -56,7 +56,7 @@ class Given:
 
 @dataclass(frozen=True)
 class ConfigTable:
-    """One TOML table as a frozen dataclass; abstract.
+    """Base class of TOML tables as frozen dataclasses.
 
     Every field is declared by `ruled`. The constructor and the reading of a file check the same rules. Class arguments:
 
@@ -92,7 +92,7 @@ class ConfigTable:
             raise self.error(list(under(self.key, broken.mistakes))) from None
 
     def contradictions(self) -> Iterable[Mistake]:
-        """Return the mistakes of the table as a whole, whose fields have none; keys are relative to the table."""
+        """Return the mistakes of the table as a whole, with keys relative to it; called if all fields are valid."""
         return ()
 
 
@@ -140,14 +140,14 @@ def examine(kind: type[ConfigTable], raw: Mapping[str, object]) -> tuple[dict[st
 
 
 def build(kind: type[_T], raw: Mapping[str, object]) -> _T:
-    """Return the table of a raw table. Raises Violation with all mistakes, their keys relative to the table."""
+    """Return the dataclass instance for a raw table. Raises Violation with all mistakes, keys relative to the table."""
     made = object.__new__(kind)  # __post_init__ would check all rules a second time
     _fill(made, raw)
     return made
 
 
 def under(key: str, mistakes: Iterable[Mistake]) -> Iterator[Mistake]:
-    """Yield the mistakes with `key` before their keys: `a` and `b` become `a.b`, `a` and ` 1.b` become `a 1.b`."""
+    """Yield the mistakes with `key` in front of their keys: with `a`, key `b` becomes `a.b`, and ` 1.b` `a 1.b`."""
     for each in mistakes:
         dot = "." if key and each.key and not each.key.startswith(" ") else ""
         yield Mistake(f"{key}{dot}{each.key}", each.value, each.rule)
@@ -155,7 +155,7 @@ def under(key: str, mistakes: Iterable[Mistake]) -> Iterator[Mistake]:
 
 @dataclass(frozen=True)
 class Subtable:
-    """A table within a table. A missing one without a default is read as an empty table."""
+    """A table within a table. If it is missing and has no default, it is read as an empty table."""
 
     kind: type[ConfigTable]
 
@@ -202,14 +202,14 @@ class TableList:
 
 @dataclass(frozen=True)
 class Keyed:
-    """A table whose keys and rules are known at run time only; returns a dict with the keys of the file.
+    """A table whose keys and rules are known only at run time; it is stored as a dict with the keys of the file.
 
-    Keys in `required` must be there. With `others`, that rule reads every key without a rule of its own.
+    Keys in `required` must be present. If `others` is given, this rule reads all keys that are not in `rules`.
     """
 
     rules: Mapping[str, Rule]
     required: Mapping[str, str] = field(default_factory=dict)
-    """Keys that must be there, with an explanation for messages, which may be empty."""
+    """Keys that must be present, each with an explanation for messages, which may be empty."""
 
     others: Rule | None = None
 
@@ -239,7 +239,7 @@ class Keyed:
 
 @dataclass(frozen=True)
 class _ParentTable(ConfigTable, key="parent"):
-    """One `[[parent]]`."""
+    """One table `[[parent]]`: name and digest of a file from which an artefact was made."""
 
     name: str = ruled(Text(100_000))
     digest: str = ruled(Text())
@@ -247,7 +247,7 @@ class _ParentTable(ConfigTable, key="parent"):
 
 @dataclass(frozen=True)
 class _PartialParentTable(_ParentTable):
-    """One `[[parent]]` whose keys may be left out."""
+    """One table `[[parent]]` whose keys may be missing."""
 
     name: str = ruled(Text(100_000), "")
     digest: str = ruled(Text(), "")
@@ -255,7 +255,7 @@ class _PartialParentTable(_ParentTable):
 
 @dataclass(frozen=True)
 class ParentList:
-    """The parents of an artefact: tables under `[[parent]]`, each with name and digest, which may lack if `partial`."""
+    """The parents of an artefact: tables `[[parent]]` with name and digest, which may be missing if `partial`."""
 
     partial: bool = False
 
@@ -269,12 +269,12 @@ class ParentList:
 
 
 def key_of(of: Field[Any]) -> str:
-    """Return the key in a file of a field of a table."""
+    """Return the key that a field of a table has in a file."""
     return str(of.metadata["key"] or of.name)
 
 
 def _fill(table: ConfigTable, raw: Mapping[str, object]) -> None:
-    """Set the fields of a table. Raises Violation with all mistakes."""
+    """Read a raw table and set the fields of `table`. Raises Violation with all mistakes."""
     values, mistakes = examine(type(table), raw)
     if not mistakes:
         for name, value in values.items():

@@ -1,4 +1,4 @@
-"""TOML files: text of a file, table of a text, and the writer."""
+"""TOML files: reading the text of a file, parsing it to a table, and writing TOML."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 def text_of(
     path: str | os.PathLike[str], error: type[InputError], shipped: Path | None = None, noun: str = "file"
 ) -> str:
-    """Return the text of a file, or of a file of the folder `shipped` by its name, if there is no file at `path`.
+    """Return the text of the file `path`; if it does not exist, of the file with this name in the folder `shipped`.
 
-    Raises `error` if there is neither, and for bytes that are not UTF-8; `noun` says what is looked for.
+    Raises `error` if neither file exists, or if it is not UTF-8. `noun` names the kind of file in the message.
     """
     source, names = os.fspath(path), shipped_names(shipped)
     try:
@@ -44,17 +44,17 @@ def text_of(
 
 
 def shipped_names(folder: Path | None) -> list[str]:
-    """Return the names of the files that come with the package in a folder, without `.toml`."""
+    """Return the sorted names, without `.toml`, of the TOML files in a folder of the package; empty for None."""
     return sorted(file.stem for file in folder.glob("*.toml")) if folder else []
 
 
 def read_toml(path: str | os.PathLike[str], kind: type[_T]) -> _T:
-    """Return the table of a file. Raises `kind.error` with all mistakes of the file."""
+    """Return the table in a file. Raises `kind.error` with all mistakes of the file."""
     return parse_toml(text_of(path, kind.error), kind, os.fspath(path))
 
 
 def parse_toml(text: str, kind: type[_T], source: str = "") -> _T:
-    """Return the table of a text. Raises `kind.error` with all mistakes of the text; `source` names the text there."""
+    """Return the table in a text. Raises `kind.error` with all mistakes; `source` names the text in the message."""
     raw = raw_toml(text, kind.error, source)
     mistakes: list[Mistake] = []
     if kind.schema and raw.get("schema") != kind.schema:
@@ -72,7 +72,7 @@ def parse_toml(text: str, kind: type[_T], source: str = "") -> _T:
 
 
 def raw_toml(text: str, error: type[InputError], source: str = "") -> dict[str, Any]:
-    """Return the tables of a text as they are. Raises `error` if the text is not TOML."""
+    """Return the parsed text, without checking its values. Raises `error` if the text is not TOML."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as wrong:
@@ -81,16 +81,16 @@ def raw_toml(text: str, error: type[InputError], source: str = "") -> dict[str, 
 
 @dataclass(frozen=True)
 class Commented:
-    """A value or a table with a comment, which the writer puts behind it."""
+    """A value or a table with a comment, which is written at the end of its line."""
 
     value: Any
     comment: str
 
 
 def raw_of(table: object, *, commented: bool = False) -> dict[str, Any]:
-    """Return a table as the dict of a file: None and empty lists of tables left out, the schema first.
+    """Return a table as the dict of a file, without None and empty lists of tables; the schema is first.
 
-    With `commented` every value carries what its field says `about` it.
+    If `commented`, values whose field has a text `about` are wrapped in `Commented` with this text.
     """
     raw: dict[str, Any] = {}
     if isinstance(table, ConfigTable) and table.schema:
@@ -108,8 +108,8 @@ def raw_of(table: object, *, commented: bool = False) -> dict[str, Any]:
 def toml_text(document: Mapping[str, Any], header: str = "") -> str:
     """Return the text of a TOML file that reads back as `document`; `header` becomes comment lines above it.
 
-    Within a table, values come before tables; else the order stays. A blank line precedes every table, but for tables
-    within a table of a list. Raises TypeError for a value that TOML cannot hold.
+    Within a table, values are written before tables; otherwise the order is kept. A blank line precedes every table,
+    except tables within a list of tables. Raises TypeError for a value that TOML cannot represent.
     """
     head = [f"# {line}".rstrip() for line in header.splitlines()]
     return "\n".join([*head, *_lines(document, "", False)]) + "\n"
@@ -141,7 +141,7 @@ def _value(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # JSON and TOML write strings alike, except for one character.
+        # JSON strings are valid TOML strings, except for the character 0x7f.
         return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007F")
     if isinstance(value, int | float):
         return repr(value)

@@ -1,4 +1,4 @@
-"""Planning: from a scenario to a policy table, and what a table answers."""
+"""Planning: computing a policy table from a scenario, and looking up and executing its policy."""
 
 from needleplan.planning._execution import MOST_STEPS, Path, Rollouts, wilson
 from needleplan.planning._lattice import Progress, Stats, Status, lattice_of

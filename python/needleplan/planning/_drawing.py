@@ -1,4 +1,4 @@
-"""Drawings on axes that show a scene already: executions, the success map, and the order of the partitions."""
+"""Drawings on axes that already show a scenario: executions, the success map, and the order of the partitions."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ __all__ = ["draw_noisy", "draw_partition_order", "draw_path", "draw_success"]
 
 _END_MARKERS = {Outcome.COLLISION: "X", Outcome.EXIT: "X", Outcome.STEP_LIMIT: "P"}
 
-# Outcome that the lattice gives to a grid point inside an obstacle.
+# Code of the lattice for a grid point inside an obstacle.
 _IN_OBSTACLE = 4
 
-# Largest number of partitions along x with which their small numbers are still legible.
+# Largest number of partitions along x for which the small partition numbers are drawn; more are not legible.
 _MOST_NUMBERED = 16
 
 
 def draw_path(axes: Axes, poses: NDArray[np.float64], turns: NDArray[np.float64], outcome: Outcome, label: str) -> None:
-    """Draw one execution, its rotations as green circles, and a mark at its end if it failed."""
+    """Draw one execution: its path, a green circle at each rotation, and a mark at its end if it failed."""
     axes.plot(*poses[:, :2].T, color=BLUE, linewidth=1.8, zorder=4, label=label)
     axes.plot(poses[0, 0], poses[0, 1], marker=">", markersize=7, color=BLUE, zorder=5, clip_on=False)
     if len(turns):
@@ -62,7 +62,7 @@ def draw_path(axes: Axes, poses: NDArray[np.float64], turns: NDArray[np.float64]
 
 
 def draw_noisy(axes: Axes, reached: Sequence[NDArray[np.float64]], failed: Sequence[NDArray[np.float64]]) -> None:
-    """Draw many executions as thin lines: the poses of those that reached the target and of those that failed."""
+    """Draw executions as thin lines. `reached` and `failed` are the poses of successful and of failed executions."""
     for group, colour, word in ((failed, GREY, "failed"), (reached, SKY, "reached the target")):
         for poses in group:
             axes.plot(*poses[:, :2].T, color=colour, linewidth=0.5, alpha=0.6, zorder=2)
@@ -77,7 +77,7 @@ def draw_success(
     outcomes: NDArray[np.uint8],
     heading_rad: float | None,
 ) -> None:
-    """Draw the predicted success over positions, for one heading or for the best one, with the better bevel.
+    """Draw a map of the success probability for one heading, or for the best heading if None, with the better bevel.
 
     `success` and the lattice's `outcomes` of the grid points are [nx, ny, headings, 2].
     """
@@ -108,7 +108,7 @@ def draw_success(
 
 
 def draw_partition_order(axes: Axes, scenario: Scenario, order: Sequence[int]) -> None:
-    """Write into every partition its position in the order of processing (large) and its number (small).
+    """Draw the partitions, each with its position in the order of processing (large) and its number (small).
 
     Partitions that were never processed are grey. Raises InputError for a table that was not solved by partitions.
     """
@@ -116,7 +116,7 @@ def draw_partition_order(axes: Axes, scenario: Scenario, order: Sequence[int]) -
     from matplotlib.patches import Rectangle
 
     if scenario.solver.method is not Method.PPVI:
-        rule = 'must be "ppvi" for this figure; the other methods know no partitions'
+        rule = 'must be "ppvi" for this figure; the other methods have no partitions'
         raise InputError(Mistake("solver.method", f'"{scenario.solver.method}"', rule))
     columns, rows = scenario.partitions
     width, height = scenario.workspace.width_mm / columns, scenario.workspace.height_mm / rows

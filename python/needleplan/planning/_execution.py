@@ -1,4 +1,4 @@
-"""Executions of a policy in the continuous bicycle model: one path, or the statistics of many noisy runs."""
+"""Executions of a policy in the continuous bicycle model: a single path, or the statistics of many noisy runs."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 __all__ = ["MOST_STEPS", "Execution", "Path", "Rollouts", "wilson"]
 
-# Insertion steps after which an execution ends with the outcome `STEP_LIMIT`.
+# Number of insertion steps after which an execution ends with the outcome `STEP_LIMIT`.
 MOST_STEPS = 10_000
 
-# Number of executions that `Rollouts` keeps for its picture.
+# Largest number of executions that `Rollouts` keeps for its figure.
 _SAMPLES = 40
 
 
@@ -36,7 +36,7 @@ class Path:
     Attributes
     ----------
     poses : ndarray of float64, shape (k, 4)
-        The poses: x_mm, y_mm, heading_rad, bevel. Headings are not wrapped: they may grow beyond 2 pi.
+        The poses: x_mm, y_mm, heading_rad, bevel. Headings are not wrapped, so their size can exceed 2 pi.
     actions : ndarray of uint8, shape (k - 1,)
         The action that leads from each pose to the next: 0 insert, 1 rotate, then insert.
     outcome : Outcome
@@ -75,7 +75,7 @@ class Path:
 
     @property
     def turns(self) -> NDArray[np.float64]:
-        """Poses at which the needle was rotated, before the rotation: array (turns, 4)."""
+        """Poses directly before the rotations of the needle, array of shape (turns, 4)."""
         return self.poses[np.flatnonzero(self.actions == Action.ROTATE)]
 
     def plot(self, ax: Axes | None = None, *, scene: bool = True, label: str = "without noise") -> Axes:
@@ -88,7 +88,7 @@ class Path:
         scene : bool, default True
             Draw workspace, obstacles and target first. False adds the path to axes that show them already.
         label : str, optional
-            What the legend says of the path.
+            Label of the path in the legend.
 
         Returns
         -------
@@ -123,7 +123,7 @@ class Path:
 
 @dataclass(frozen=True, repr=False)
 class Rollouts:
-    """Statistics of many noisy executions from one pose, beside what the table predicts for that pose.
+    """Statistics of many noisy executions from one pose, with the predictions of the table for this pose.
 
     Attributes
     ----------
@@ -138,13 +138,13 @@ class Rollouts:
     interval : tuple of float
         95 % confidence interval of `success` (Wilson).
     outcomes : mapping of Outcome to int
-        Number of runs that ended in each way.
+        Number of runs with each outcome.
     mean_turns, mean_length_mm, mean_cost : float
         Means over all runs, failures included; the cost is discounted as in the table.
     predicted_success, predicted_value : float
         Success probability and expected cost in the table at the nearest state.
     samples : tuple of Path
-        Up to 40 executions for the picture, with the noise seeds `seed`, `seed` + 1 ...
+        Up to 40 executions for the figure, with the noise seeds `seed`, `seed` + 1 ...
     scenario : Scenario
         The scenario in which the policy was executed.
 
@@ -172,7 +172,7 @@ class Rollouts:
     scenario: Scenario = field(compare=False)
 
     def plot(self, ax: Axes | None = None, *, scene: bool = True) -> Axes:
-        """Draw the sampled executions in their workspace: those that reach the target and those that fail.
+        """Draw the sampled executions in their workspace, in different colours if they reach the target or fail.
 
         Parameters
         ----------
@@ -218,7 +218,7 @@ class Rollouts:
 
 @dataclass(frozen=True, eq=False)
 class Execution:
-    """A policy to execute: by its decision at the nearest state, or `greedy` by values interpolated at the pose."""
+    """Executes a policy: its decision at the nearest state, or, if `greedy`, the best action by interpolated values."""
 
     lattice: _ppvi.Lattice
     policy: NDArray[np.uint8]
@@ -227,7 +227,7 @@ class Execution:
     greedy: bool
 
     def path(self, start: Pose, noise_seed: int | None) -> Path:
-        """Execute the policy once, with the tip noise of a seed or without noise."""
+        """Execute the policy once, with tip noise of the seed `noise_seed`, or without noise if it is None."""
         execution = self.lattice.path(
             policy=self.policy,
             values=self.values,
@@ -247,7 +247,7 @@ class Execution:
         )
 
     def rollouts(self, start: Pose, runs: int, seed: int, predicted_success: float, predicted_value: float) -> Rollouts:
-        """Execute the policy `runs` times with tip noise."""
+        """Execute the policy `runs` times with tip noise, and return the statistics with the given predictions."""
         run = self.lattice.rollout(
             policy=self.policy,
             values=self.values,

@@ -1,4 +1,4 @@
-"""The compiled lattice of a scenario, how its solve went, and the success probability of a policy on it."""
+"""The compiled lattice of a scenario, the statistics of a solve, and the success probability of a policy."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Status(StrEnum):
     ITERATION_LIMIT = "iteration_limit"
     TIME_LIMIT = "time_limit"
     PRECISION_LIMIT = "precision_limit"
-    """The tolerance asks for more than double precision: rounding errors are as large as the residual."""
+    """The tolerance cannot be reached in double precision, because rounding errors are as large as the residual."""
 
     INTERRUPTED = "interrupted"
 
@@ -67,9 +67,9 @@ class Stats:
     states : int
         Number of states.
     partitions : int
-        Number of partitions; for the directional sweeps, of sectors.
+        Number of partitions; for the directional sweeps, number of sectors.
     partitions_processed : int
-        Number of visits of partitions; repeated visits count.
+        Number of visits to partitions, including repeated visits.
     backups : int
         Number of Bellman backups of single states.
     sweeps : float
@@ -77,7 +77,7 @@ class Stats:
     residual : float
         Largest Bellman residual max |TV - V| of the values; for the directional sweeps, an upper bound of it.
     error_bound : float
-        Upper bound of max |V - V*|; infinite if the problem allows none.
+        Upper bound of max |V - V*|; infinite if no bound is known.
     status : Status
         Why the solve ended.
     seconds : float
@@ -116,7 +116,7 @@ class Stats:
 
 
 def stats_of(solved: _Solution, states: int, seconds: float) -> Stats:
-    """Return the statistics of a solve from what the compiled solver reports; `seconds` is the whole time."""
+    """Return the statistics of a solve from the result of the compiled solver; `seconds` is the total time."""
     return Stats(
         states=states,
         partitions=solved["partitions"],
@@ -134,22 +134,22 @@ def stats_of(solved: _Solution, states: int, seconds: float) -> Stats:
 
 
 def require_callable(progress: Progress | None, kind: type[InputError]) -> None:
-    """Raise a `kind` of InputError unless `progress` can be called or is None."""
+    """Raise the error `kind` unless `progress` can be called or is None."""
     if progress is not None and not callable(progress):
         rule = "must be a function of sweeps, residual and threshold, or None"
         raise kind(Mistake("progress", repr(progress), rule))
 
 
 def compiled_call(kind: type[InputError], function: Callable[_P, _T], *args: _P.args, **options: _P.kwargs) -> _T:
-    """Call a function of the compiled module, whose errors become a `kind` of InputError with key, value and rule.
+    """Call a function of the compiled module and return its result; its errors are raised as `kind`.
 
-    An exception that a Python callback raises inside of the call is not changed.
+    An exception that a Python callback raises during the call is not changed.
     """
     try:
         return function(*args, **options)
     except (ValueError, MemoryError) as error:
         if error.__traceback__ is not None and error.__traceback__.tb_next is not None:
-            raise  # frames below this one belong to a callback
+            raise  # the traceback has further frames, so the exception is from a callback
         parts = re.fullmatch(r"(\w+) = (.*): (must .*)", str(error), re.DOTALL)
         raise kind(Mistake(*parts.groups()) if parts else str(error)) from error
 
@@ -184,10 +184,10 @@ def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
 def success_of(scenario: Scenario, lattice: _ppvi.Lattice, policy: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Return the success probability [nx, ny, headings, 2] of `policy` at the grid points of `scenario`.
 
-    With `grid.success_refinement` above one, the policy is evaluated on a finer grid, each point of which follows the
-    policy of the nearest coarse point. The reason: bilinear weights spread the tip with every step in proportion to the
-    square of the spacing, and near obstacles part of that spread collides, so a coarse grid underestimates success.
-    Raises ScenarioError.
+    If `grid.success_refinement` is above 1, the policy is evaluated on a finer grid, where each point uses the policy
+    of the nearest coarse point. The reason: with every step, the bilinear weights spread the tip position in proportion
+    to the square of the spacing. Near obstacles a part of this spread collides, so a coarse grid underestimates the
+    success. Raises ScenarioError.
     """
     times, threads = scenario.grid.success_refinement, scenario.solver.threads
     success: NDArray[np.float32]
@@ -202,7 +202,7 @@ def success_of(scenario: Scenario, lattice: _ppvi.Lattice, policy: NDArray[np.ui
         refined = np.ascontiguousarray(policy[nearest])
         found = compiled_call(ScenarioError, lattice_of(fine).success, policy=refined, threads=threads)["success"]
         found = found[::times, ::times][: policy.shape[0], : policy.shape[1]]
-        # A coarse point beyond the last fine point lies outside the workspace: its success is 0.
+        # A coarse point beyond the last fine point lies outside the workspace, so its success is 0.
         success = np.zeros(policy.shape, np.float32)
         success[: found.shape[0], : found.shape[1]] = found
     np.minimum(success, 1, out=success)  # weights in single precision can sum to slightly more than one
@@ -210,7 +210,7 @@ def success_of(scenario: Scenario, lattice: _ppvi.Lattice, policy: NDArray[np.ui
 
 
 def finer(scenario: Scenario) -> Scenario:
-    """Return `scenario` on the grid on which its success is computed."""
+    """Return the scenario with the finer grid on which its success is computed."""
     grid = scenario.grid
     dx, dy = (spacing / grid.success_refinement for spacing in grid.spacing_mm)
     return replace(scenario, grid=replace(grid, spacing_mm=(dx, dy), success_refinement=1))

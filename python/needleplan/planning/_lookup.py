@@ -23,14 +23,14 @@ __all__ = ["Decision", "Decisions", "Expectations", "Lookups"]
 
 @dataclass(frozen=True, repr=False)
 class Decision:
-    """What to do at one pose.
+    """Decision of the policy at one pose.
 
     Attributes
     ----------
     action : Action
         Insert, or rotate and then insert.
     value : float
-        Expected cost from the pose on.
+        Expected cost of the remaining insertion.
     success : float
         Probability of reaching the target.
 
@@ -50,7 +50,7 @@ class Decision:
 
 
 class Decisions(NamedTuple):
-    """What to do at many poses.
+    """Decisions of the policy at many poses.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Decisions(NamedTuple):
 
 
 class Expectations(NamedTuple):
-    """What an execution from each state takes on average; inf if it need not end.
+    """Expected length and number of rotations of an execution from each state; inf if it may never end.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Expectations(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Lookups:
-    """The arrays of a policy table and what they say about poses; abstract: users have a `PolicyTable`."""
+    """The arrays of a policy table and the lookups in them; base class of `PolicyTable`."""
 
     values: NDArray[np.float32]
     policy: NDArray[np.uint8]
@@ -112,7 +112,7 @@ class Lookups:
             array = getattr(self, name)
             if not isinstance(array, np.ndarray) or array.shape != self.scenario.shape or array.dtype != dtype:
                 found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else repr(array)
-                rule = f"must be {np.dtype(dtype).name} of the shape {self.scenario.shape}, as the scenario says"
+                rule = f"must be {np.dtype(dtype).name} of the shape {self.scenario.shape} of the scenario"
                 raise TableError(Mistake(name, found, rule))
             array.flags.writeable = False
 
@@ -261,7 +261,7 @@ class Lookups:
         Returns
         -------
         Pose
-            The pose. Without a bevel in `pose`, it has the bevel of the lower expected cost.
+            The pose. If `pose` has no bevel, the result has the bevel with the lower expected cost.
 
         Raises
         ------

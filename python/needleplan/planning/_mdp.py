@@ -165,7 +165,7 @@ class TabularMdp:
         )
 
     def actions_of(self, choices: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """Return the actions that stand at given positions among the available actions of each state.
+        """Convert positions among the available actions of each state to numbers of actions.
 
         Parameters
         ----------
@@ -343,7 +343,7 @@ class Dependencies:
     states : tuple of ndarray of uint32
         For every state, the states that have an action leading to it (SDS).
     partitions : tuple of dict
-        For every partition, the partitions that depend on it (PDP), each with those of its states that do (SDP). A
+        For every partition, the partitions that depend on it (PDP), each with its states that depend on it (SDP). A
         partition depends on itself if a step can stay inside.
 
     Examples

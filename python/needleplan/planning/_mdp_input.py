@@ -1,4 +1,4 @@
-"""Checked arguments of the MDP solver; matrices and costs become compressed sparse rows, as the solver reads them."""
+"""Checks of the arguments of the MDP solver, and conversion of matrices and costs to compressed sparse rows."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SparseRows:
 
 
 def numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
-    """Return an array of numbers. Raises MdpError."""
+    """Return `value` as a float64 array. Raises MdpError if it is not an array of numbers."""
     try:
         return np.ascontiguousarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -41,7 +41,7 @@ def numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
 
 
 def whole_numbers(key: str, value: ArrayLike, kind: type[_Integer]) -> NDArray[_Integer]:
-    """Return an array of whole numbers of an integer type, none of them negative. Raises MdpError."""
+    """Return `value` as an array of the integer type `kind`. Raises MdpError unless all are whole numbers from 0."""
     array = np.asarray(value) if isinstance(value, np.ndarray) else numbers(key, value)
     most = np.iinfo(kind).max
     whole = np.issubdtype(array.dtype, np.integer) or np.all(array == np.rint(array))
@@ -51,7 +51,7 @@ def whole_numbers(key: str, value: ArrayLike, kind: type[_Integer]) -> NDArray[_
 
 
 def compressed(matrix: Any, key: str) -> _Matrix:
-    """Return offsets, columns and entries of a square matrix. Raises MdpError."""
+    """Return row offsets, column numbers and values of the entries of a square matrix. Raises MdpError."""
     sparse = hasattr(matrix, "tocsr")
     dense = None if sparse else numbers(key, matrix)
     shape = matrix.shape if dense is None else dense.shape
@@ -66,7 +66,7 @@ def compressed(matrix: Any, key: str) -> _Matrix:
 
 
 def interleaved(matrices: Sequence[_Matrix], costs: NDArray[np.float64]) -> tuple[SparseRows, NDArray[np.uint32]]:
-    """Merge the rows of the actions state by state without empty rows; also return the action of every row."""
+    """Return the rows of all actions, ordered by state and without empty rows, and the action of every row."""
     states, actions = costs.shape
     if any(len(offsets) != states + 1 for offsets, _, _ in matrices):
         raise MdpError(Mistake("transitions", "", "all matrices must have the same shape"))
@@ -90,7 +90,7 @@ def interleaved(matrices: Sequence[_Matrix], costs: NDArray[np.float64]) -> tupl
 
 
 def argument(key: str, rule: Rule, value: object) -> Any:
-    """Return an argument as its rule reads it. Raises MdpError."""
+    """Return the value of an argument after reading it by its rule. Raises MdpError."""
     try:
         return rule.read(value)
     except Violation as violation:
@@ -98,7 +98,7 @@ def argument(key: str, rule: Rule, value: object) -> Any:
 
 
 def labels_of(labels: ArrayLike, states: int) -> NDArray[np.uint32]:
-    """Return one label per state. Raises MdpError."""
+    """Return the partition number of each state as an array. Raises MdpError."""
     array = whole_numbers("labels", labels, np.uint32)
     if array.shape != (states,):
         raise MdpError(Mistake("labels", f"shape {array.shape}", f"must have the shape ({states},), one a state"))

@@ -1,4 +1,4 @@
-"""From a scenario to a policy table, if the table fits into memory."""
+"""Planning: solves a scenario into a policy table, after checking that there is enough memory."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from needleplan.scenario import Method, Scenario
 
 __all__ = ["BYTES_PER_FINER_STATE", "BYTES_PER_STATE", "available_bytes", "plan", "require_memory"]
 
-# Peak memory of planning in bytes a state, measured: the table (9), the solver's copies, the successors of the arcs.
-# The sweeps run in single precision on the lattice, the other methods in double precision on any decision process.
+# Measured peak memory of planning, in bytes per state: the table (9), copies of the solver, successors of the arcs.
+# The sweeps use single precision on the lattice; the other methods use double precision and general sparse rows.
 BYTES_PER_STATE = {Method.SWEEP: 36, Method.PPVI: 180, Method.VALUE_ITERATION: 180}
 
-# Peak memory of an evaluation on a finer grid in bytes a finer state; measured 17 to 21.
+# Peak memory of the evaluation on a finer grid, in bytes per state of that grid; measured: 17 to 21.
 BYTES_PER_FINER_STATE = 24
 
-# Largest number of states that the solver can number.
+# Largest number of states; the solver numbers states in 31 bits.
 _MOST_STATES = 2**31 - 1
 
 
@@ -39,7 +39,7 @@ def plan(scenario: Scenario | str | os.PathLike[str], progress: Progress | None 
     -------
     PolicyTable
         Values, policy and success probability of every state. A solve that reaches a limit before it converges returns
-        its table too; `table.stats.status` tells.
+        its table too; `table.stats.status` shows this.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def require_memory(scenario: Scenario) -> None:
         + f" and needs about {_readable(needed)} of memory"
         + (f"; {_readable(available)} are available" if available is not None else "")
         + (f"; at most {_MOST_STATES:,} states can be numbered" if max(states, finer) > _MOST_STATES else "")
-        + "; take a coarser spacing, fewer headings or a smaller workspace"
+        + "; choose a coarser spacing, fewer headings or a smaller workspace"
         + ("" if scenario.solver.method is Method.SWEEP else ', or solver.method = "sweep"')
     )
     raise ScenarioError(Mistake("grid.spacing_mm", str(list(scenario.grid.spacing_mm)), reason))

@@ -1,4 +1,4 @@
-"""Poses of the tip: making and checking them, what can be done there, and the poses at which a needle can enter."""
+"""Poses of the tip, actions, outcomes, and the poses at which a needle can enter the workspace."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ __all__ = [
     "wrapped",
 ]
 
-# Largest size of a heading in rad; a larger one was probably meant in degrees. 2 pi in single precision is accepted.
+# Largest size (rad) of a heading, so large that 2 pi in single precision is accepted. Larger ones are likely degrees.
 FULL_TURN_RAD = 2 * math.pi + 1e-6
 
 _POSE_RULE = "a pose is x_mm, y_mm, heading_rad and bevel (-1 or +1)"
 
 
 class Action(IntEnum):
-    """What to do next.
+    """Action of the policy.
 
     Examples
     --------
@@ -91,7 +91,7 @@ class Pose(_PoseFields):
     heading_rad : float
         Tip tangent in rad from +x, counter-clockwise positive, at most a full turn in size.
     bevel : {-1, 1}, optional
-        Sign of the arc's curvature. Without it, a table takes the bevel of the lower cost.
+        Sign of the arc's curvature. Without it, a table uses the bevel with the lower expected cost.
 
     Raises
     ------
@@ -164,7 +164,7 @@ class Pose(_PoseFields):
 
     @classmethod
     def of(cls, pose: Entry | Iterable[float]) -> Pose:
-        """Make a pose of an entry, another pose, or a sequence of three or four numbers.
+        """Make a pose from an entry, another pose, or a sequence of three or four numbers.
 
         Parameters
         ----------
@@ -202,7 +202,7 @@ class Pose(_PoseFields):
 
     @classmethod
     def wound(cls, row: Iterable[float]) -> Pose:
-        """Make a pose of a row of an execution, whose heading may have grown beyond a full turn.
+        """Make a pose from a row of an execution, whose heading may exceed a full turn.
 
         Parameters
         ----------
@@ -212,7 +212,7 @@ class Pose(_PoseFields):
         Returns
         -------
         Pose
-            The pose, with whole turns taken off a heading beyond 2 pi.
+            The pose, with its heading reduced by whole turns to less than 2 pi.
 
         Examples
         --------
@@ -251,7 +251,7 @@ class Edge(StrEnum):
 
 @dataclass(frozen=True, repr=False)
 class Entry:
-    """A pose at which the needle enters, with what the table predicts from there.
+    """A pose at which the needle enters, with the predictions of the table for it.
 
     Attributes
     ----------
@@ -278,7 +278,7 @@ class Entry:
 
 
 def edge_poses(scenario: Scenario, edge: str, x_mm: float | None, y_mm: float | None) -> NDArray[np.float64]:
-    """Return the poses [n, 4] on an edge that lead into the workspace, at every grid point or at the given one.
+    """Return the poses [n, 4] on an edge that lead into the workspace, at every grid point or at the given position.
 
     Headings lie within less than a quarter turn of the inward normal. Raises PoseError.
     """
@@ -318,13 +318,13 @@ def _along(
 
 
 def wrapped(heading_rad: float) -> float:
-    """Return the heading in (-pi, pi]."""
+    """Return the same heading (rad) in the range (-pi, pi]."""
     turned = math.remainder(heading_rad, 2 * math.pi)
     return math.pi if turned == -math.pi else turned
 
 
 def require_full_turn(key: str, heading_rad: float) -> float:
-    """Return a heading; raise PoseError if it is larger than a full turn, as a heading in degrees is."""
+    """Return the heading. Raises PoseError if it is larger than a full turn; it was probably meant in degrees."""
     if abs(heading_rad) > FULL_TURN_RAD:
         degrees = f"{heading_rad:g} degrees are {math.radians(heading_rad):.4g} rad, or use Pose.deg"
         rule = f"must lie between -2 pi and 2 pi rad; degrees? ({degrees})"
@@ -333,9 +333,9 @@ def require_full_turn(key: str, heading_rad: float) -> float:
 
 
 def whole_number(key: str, value: Any, least: int, most: int, limits: str, kind: type[InputError] = PoseError) -> int:
-    """Return a whole number as an int; raise a `kind` of InputError unless it lies from `least` to `most`.
+    """Return `value` as an int. Raises the error `kind` unless it is a whole number from `least` to `most`.
 
-    `limits` are the two numbers in words.
+    `limits` describes this range in the message.
     """
     try:
         number = int(value) if isinstance(value, int | np.integer | float) and value == int(value) else None

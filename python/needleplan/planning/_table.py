@@ -1,4 +1,4 @@
-"""The policy table: for every pose of the tip what to do, what it will cost, and how likely it is to succeed."""
+"""The policy table: action, expected cost and success probability for every pose of the tip."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 __all__ = ["PolicyTable"]
 
-# Success probabilities of entries that differ by less than this count as equal; the lower cost decides.
+# Step to which success probabilities of entries are rounded; among equal ones, the lower cost decides.
 _SUCCESS_STEP = 0.001
 
-# Largest number of runs of one rollout; more would not fit into memory.
+# Largest number of runs of one rollout, limited by memory.
 _MOST_RUNS = 50_000_000
 
 
@@ -52,7 +52,7 @@ class PolicyTable(Lookups):
     Raises
     ------
     TableError
-        If an array has not the type or the shape that the scenario asks for.
+        If an array does not have the type or the shape that the scenario requires.
 
     Notes
     -----
@@ -79,7 +79,7 @@ class PolicyTable(Lookups):
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the scenario's digest and the three arrays; artefacts made from this table name it by this."""
+        """SHA-256 of the scenario's digest and the three arrays; other files refer to the table by this digest."""
         tables = (digest(array.data) for array in (self.values, self.policy, self.success))
         return digest("\n".join([self.scenario.digest, *tables]))
 
@@ -137,7 +137,7 @@ class PolicyTable(Lookups):
         Returns
         -------
         Rollouts
-            Success with confidence interval, outcomes and means, beside what the table predicts.
+            Success with its confidence interval, outcomes and means, and the predictions of the table.
 
         Raises
         ------
@@ -313,7 +313,7 @@ class PolicyTable(Lookups):
         )
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the table to an HDF5 file, completely or not at all.
+        """Write the table to an HDF5 file. If this fails, an existing file is unchanged.
 
         Parameters
         ----------

@@ -1,8 +1,8 @@
-"""The policy table as a file: HDF5 behind a seal.
+"""Files of policy tables: HDF5 with a checksum (seal) in front.
 
 The first 512 bytes are an HDF5 user block. It holds the seal: the format, the length of the rest of the file and its
-SHA-256, padded with zeros. Verifying the seal proves every byte of the file before HDF5 parses any. Readers that ignore
-the seal, such as MATLAB's `h5read`, open the file as any other HDF5 file.
+SHA-256, padded with zeros. The seal is verified before HDF5 parses the file, so changed bytes are always detected.
+Readers that ignore the seal, such as MATLAB's `h5read`, open the file like any other HDF5 file.
 
 Contiguous datasets follow: `values`, `policy` and `success` [x, y, heading, bevel] with their units and SHA-256, the
 axes `x_mm`, `y_mm`, `heading_rad`, `bevel`, and `order`. The attributes of the root hold the text and the digest of the
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 __all__ = ["FORMAT", "TABLES", "Content", "read", "write"]
 
-# First word of a file: its format and version.
+# First word of a file: format and version.
 FORMAT = "needleplan.table/1"
 
-# Size of the seal; HDF5 allows 512 bytes or a larger power of two.
+# Size (bytes) of the seal; the HDF5 user block must have 512 bytes or a larger power of two.
 _SEAL_BYTES = 512
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 # Description and unit of every table.
@@ -55,7 +55,7 @@ class Content:
 
 
 def write(path: str | os.PathLike[str], content: Content, table_digest: str) -> None:
-    """Write a table file, completely or not at all. Raises OutputError."""
+    """Write a table file. Raises OutputError if it cannot be written; an existing file is then unchanged."""
     import h5py
 
     image = io.BytesIO()
@@ -135,7 +135,7 @@ def _fill(file: h5py.File, content: Content, table_digest: str) -> None:
 
 
 def _require_units(file: h5py.File) -> None:
-    """Raise TableError if the file declares other units than ours, as a file of another program may."""
+    """Raise TableError if the units in the file differ from the units of this package."""
     units = {name: unit for name, (_, unit) in TABLES.items()} | {"x_mm": "mm", "y_mm": "mm", "heading_rad": "rad"}
     mistakes = [
         Mistake(f"{name}.units", str(file[name].attrs.get("units", "")), f'must be "{unit}"')

@@ -1,4 +1,4 @@
-"""Figures: sheets, colours and saving; importing this package does not import matplotlib."""
+"""Figures: layout, colours and saving. Importing this package does not import matplotlib."""
 
 from needleplan.plotting.canvas import (
     axes_or_new,

@@ -1,4 +1,4 @@
-"""Sheets, axes in mm, and saving; colours by Okabe and Ito, safe for colour-blind readers."""
+"""Figures with panels, axes in mm, and saving. The colours of Okabe and Ito suit colour-blind readers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ BLUE, SKY, GREEN, ORANGE, VERMILLION = "#0072B2", "#56B4E9", "#009E73", "#E69F00
 
 
 class Extent(Protocol):
-    """The size of a workspace, mm."""
+    """Size of a workspace (mm)."""
 
     @property
     def width_mm(self) -> float:
@@ -62,18 +62,18 @@ _STYLE: Any = {
     "svg.hashsalt": "needleplan",
     "pdf.fonttype": 42,
 }
-# Width over height of a workspace above which panels are stacked.
+# Ratio of width to height of a workspace above which panels are stacked.
 _FLAT = 2.2
 
-# Width over height of a workspace above which it is stretched in y.
+# Ratio of width to height of a workspace above which the workspace is stretched in y.
 _FLATTEST = 6.0
 
-# Resolution of a picture in a notebook in dots per inch.
+# Resolution (dots per inch) of a figure in a notebook.
 _NOTEBOOK_DPI = 80
 
 
 def sheet(workspace: Extent, panels: int) -> tuple[Figure, list[Axes]]:
-    """Return a figure with `panels` axes of one workspace, side by side, or stacked if the workspace is flat."""
+    """Return a figure and its `panels` axes, side by side, or stacked if the workspace is flat."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -95,7 +95,7 @@ def axes_or_new(axes: Axes | None, workspace: Extent) -> Axes:
 
 
 def _sheet_size(workspace: Extent, panels: int) -> tuple[float, float, int]:
-    """Return width and height of a figure in inches, and its number of rows."""
+    """Return width and height (inches) of a figure, and its number of rows."""
     if workspace.width_mm > _FLAT * workspace.height_mm:
         height = 7.2 / min(workspace.width_mm / workspace.height_mm, _FLATTEST) + 0.9
         return 7.6, panels * height, panels
@@ -103,7 +103,7 @@ def _sheet_size(workspace: Extent, panels: int) -> tuple[float, float, int]:
 
 
 def stack(panels: int) -> tuple[Figure, list[Axes]]:
-    """Return a figure with `panels` axes below each other."""
+    """Return a figure and its `panels` axes, one below the other."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -113,7 +113,7 @@ def stack(panels: int) -> tuple[Figure, list[Axes]]:
 
 
 def axes_in_mm(axes: Axes, workspace: Extent) -> None:
-    """Label the axes in mm, with equal scales; a very flat workspace is stretched in y, and its label says so."""
+    """Set labels, limits (mm) and equal scales of axes. A very flat workspace is stretched in y, as the label says."""
     stretch = workspace.width_mm / workspace.height_mm / _FLATTEST
     axes.set_aspect(max(stretch, 1))
     axes.set_xlabel(f"x (mm); y stretched {stretch:.2g} times" if stretch > 1 else "x (mm)")
@@ -139,7 +139,7 @@ def legend_below(axes: Axes) -> None:
 
 
 def picture_html(workspace: Extent, draw: Callable[[Axes], object], text: str) -> str:
-    """Return an HTML figure for a notebook: what `draw` draws on axes of the workspace, as PNG, and a caption."""
+    """Return an HTML figure for a notebook: a PNG of the axes on which `draw` has drawn, and the caption `text`."""
     figure, (axes,) = sheet(workspace, 1)
     draw(axes)
     if axes.get_legend_handles_labels()[0]:
@@ -154,14 +154,14 @@ def picture_html(workspace: Extent, draw: Callable[[Axes], object], text: str) -
 
 
 def require_drawable(path: str | os.PathLike[str]) -> None:
-    """Raise OutputError unless the end of a name is that of a format in which figures are written."""
+    """Raise OutputError unless the file name ends in .png, .pdf or .svg."""
     if Path(path).suffix.lower().removeprefix(".") not in _FORMATS:
         rule = f"the name of a figure must end in {', '.join(f'.{each}' for each in _FORMATS)}"
         raise OutputError(Mistake("", "", rule), os.fspath(path))
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write the figure as PNG (200 dots per inch), PDF or SVG, by the end of the name. Raises OutputError."""
+    """Write the figure as PNG (200 dots per inch), PDF or SVG, depending on the file name. Raises OutputError."""
     import matplotlib as mpl
 
     require_drawable(path)

@@ -1,4 +1,4 @@
-"""Captions: what a figure shows, in words, below it."""
+"""Captions below figures."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ if TYPE_CHECKING:
 
 __all__ = ["caption"]
 
+# number of letters per inch of figure width after which a caption is wrapped
 _LETTERS_PER_INCH = 18.0
 
 
 def caption(figure: Figure, text: str) -> None:
-    """Write `text` below all panels, broken into lines that fit the figure."""
+    """Write `text` below all panels in lines that fit the figure, and increase the height of the figure for it."""
     lines = textwrap.wrap(text, int(figure.get_figwidth() * _LETTERS_PER_INCH))
     figure.set_figheight(figure.get_figheight() + 0.15 * len(lines))
     figure.supxlabel("\n".join(lines), x=0.01, ha="left", fontsize=8)

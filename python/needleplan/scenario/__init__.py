@@ -1,4 +1,4 @@
-"""The scenario: anatomy, target, needle, tip noise, grid, objective and solver, read from and written to TOML."""
+"""The scenario: anatomy, target, needle, tip noise, grid, objective and solver, stored as TOML."""
 
 from needleplan.scenario._identified import CurvaturePiece, Identified, identified, pieces_of, within
 from needleplan.scenario._parts import (

@@ -1,4 +1,4 @@
-"""Rules between the parts of a scenario. Entries of lists that could not be read are None."""
+"""Rules between the parts of a scenario. List entries that could not be read are None in their arguments."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from needleplan.scenario._polygon import contains
 
 __all__ = ["BETWEEN"]
 
-# Largest number of different radii: the solver stores headings times bevels displacements for each of them.
+# Largest number of different radii, limited by memory: the solver stores 2 displacements per heading and radius.
 _MOST_RADII = 200
 
 
@@ -75,7 +75,7 @@ def _target_on_grid(workspace: Workspace, target: Target, grid: Grid) -> Iterato
     if distance > target.radius_mm:
         rule = (
             f'must be at least {distance:g}, the distance to the nearest grid point: with transition = "nearest" '
-            'the tip is on grid points only; enlarge it, refine grid.spacing_mm or take "interpolated"'
+            'the tip is on grid points only; enlarge the radius, refine grid.spacing_mm or use "interpolated"'
         )
         yield Mistake("target.radius_mm", shown(target.radius_mm), rule)
 
@@ -98,4 +98,4 @@ BETWEEN = (
     _target_on_grid,
     _partitions_hold_points,
 )
-"""All of them, in the order in which their mistakes are reported."""
+"""All rules between the parts, in the order in which their mistakes are reported."""

@@ -1,4 +1,4 @@
-"""The workspace of a scenario as a drawing: obstacles, target, and tissues tinted by the radius of the needle there."""
+"""Drawing of a scenario: obstacles, target, and tissues with a tint that depends on the radius of the needle."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Scene", "draw_scene"]
 
-# Shares of the colour map for the largest and the smallest radius.
+# Positions (0 to 1) in the colour map for the largest and the smallest radius.
 _PALEST, _DEEPEST = 0.06, 0.36
 
-# Share of the workspace's width below which the label of a layer is written upright.
+# Share of the workspace's width below which the label of a layer is rotated by 90 degrees.
 _NARROW = 0.12
 
 # Share of the workspace's height below which the label of a region is written above it.
@@ -51,7 +51,7 @@ class Scene(Protocol):
 
 
 def draw_scene(axes: Axes, scene: Scene, *, on_map: bool = False) -> None:
-    """Draw workspace, tissues, obstacles and target; `on_map` leaves out the fillings that would hide a colour map."""
+    """Draw workspace, tissues, obstacles and target. If `on_map`, tissues are not filled, to keep a map visible."""
     from matplotlib.patches import Circle, Polygon
 
     axes_in_mm(axes, scene.workspace)
@@ -68,7 +68,7 @@ def draw_scene(axes: Axes, scene: Scene, *, on_map: bool = False) -> None:
 
 
 def _draw_tissues(axes: Axes, scene: Scene, on_map: bool) -> None:
-    """Tint layers and regions, the deeper the smaller the radius, and label them; on a map draw their borders only."""
+    """Fill and label layers and regions, darker for smaller radii; if `on_map`, draw only their borders."""
     from matplotlib import colormaps
 
     layers = list(_layers(scene))

@@ -1,4 +1,4 @@
-"""Curvature of the path from a model file, as the radii and layers that a scenario holds."""
+"""Curvature of the path from a model file, converted to the radii and layers of a scenario."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class HasCurvature(Protocol):
 
     @property
     def curvature_per_mm(self) -> float:
-        """Curvature (1/mm) of either sign: the sign is the side of the bevel."""
+        """Curvature (1/mm); its sign depends on the side of the bevel."""
 
     @property
     def low_mm(self) -> float:
@@ -57,7 +57,7 @@ class CurvaturePiece:
 
 @dataclass(frozen=True)
 class Identified:
-    """An identified curvature (1/mm, positive) with its 95 % interval, which is NaN if there is none.
+    """An identified positive curvature (1/mm) with its 95 % interval, or NaN if there is no interval.
 
     `kind` is the kind of the model, `trials` the number of trials of the identification, `digest` the digest of the
     model file.
@@ -70,16 +70,16 @@ class Identified:
     trials: int
     digest: str
     pieces: tuple[CurvaturePiece, ...] = ()
-    """All pieces of a path whose curvature changes; `curvature_per_mm` is the curvature of the first one."""
+    """All pieces of a path whose curvature changes; `curvature_per_mm` is then the curvature of the first piece."""
 
     @property
     def radius_mm(self) -> float:
-        """Radius of the arc."""
+        """Radius of the arc (mm)."""
         return 1 / self.curvature_per_mm
 
     @property
     def interval_mm(self) -> tuple[float, float]:
-        """The 95 % interval of the radius (mm); NaN if there is none."""
+        """The 95 % interval of the radius (mm); NaN if there is no interval."""
         return 1 / self.high_per_mm, 1 / self.low_per_mm
 
     def __str__(self) -> str:
@@ -143,7 +143,7 @@ def pieces_of(along_mm: Array, curvature_per_mm: Array) -> tuple[CurvaturePiece,
 
 
 def within(pieces: Sequence[CurvaturePiece], along_mm: float) -> tuple[CurvaturePiece, ...]:
-    """Return the pieces that begin before x = `along_mm`: the layers of a scenario must begin in its workspace."""
+    """Return the pieces that begin before x = `along_mm`, because layers must begin in the workspace."""
     return tuple(each for each in pieces if each.low_mm < along_mm)
 
 
@@ -166,7 +166,7 @@ def _cut(along: Array, bend: Array, first: int, last: int) -> Iterator[tuple[int
 
 
 def needle_with(curvature_per_mm: float | Sequence[HasCurvature], entry_mm: float) -> Needle:
-    """Return a needle with one curvature, or with a layer per piece of the path. Raises ScenarioError."""
+    """Return a needle with one curvature, or, for pieces of a path, with one layer per piece. Raises ScenarioError."""
     if not isinstance(curvature_per_mm, Sequence):
         return Needle(_radius_mm(curvature_per_mm))
     if not curvature_per_mm:
@@ -179,7 +179,7 @@ def needle_with(curvature_per_mm: float | Sequence[HasCurvature], entry_mm: floa
 def tissues_with(
     tissues: Sequence[Tissue], curvature_per_mm: float | Sequence[HasCurvature], name: str
 ) -> tuple[Tissue, ...]:
-    """Return the tissues with a curvature for those of a name. Raises ScenarioError."""
+    """Return the tissues after setting the curvature of all tissues called `name`. Raises ScenarioError."""
     if isinstance(curvature_per_mm, Sequence):
         raise ScenarioError(Mistake("curvature_per_mm", "", f'must be one number for the tissue "{name}"'))
     names = [each.name for each in tissues]

@@ -53,13 +53,13 @@ _NOISE_TOLERANCE = 1e-9
 
 
 class Transition(StrEnum):
-    """Grid points to which the end of an arc is mapped."""
+    """Rule that maps the end of an arc to grid points."""
 
     NEAREST = "nearest"
-    """The nearest grid point, as in the thesis."""
+    """The arc ends at the nearest grid point, as in the thesis."""
 
     INTERPOLATED = "interpolated"
-    """The four grid points around it, with bilinear weights: unbiased."""
+    """The arc ends at the four surrounding grid points with bilinear weights, which is unbiased."""
 
 
 class Method(StrEnum):
@@ -72,7 +72,7 @@ class Method(StrEnum):
     """Prioritized-partitioned value iteration as in section 6.3 of the thesis."""
 
     VALUE_ITERATION = "vi"
-    """Plain value iteration: the readable reference."""
+    """Plain value iteration: the simple reference for the other methods."""
 
 
 class Priority(StrEnum):
@@ -104,12 +104,12 @@ def _noise_below_half_a_turn(headings: int, tip_noise: tuple[float, ...]) -> Ite
 
 def _insertion_costs(insertion_per_mm: float, discount: float) -> Iterator[Mistake]:
     if discount == 1 and insertion_per_mm == 0:
-        rule = "must be above 0 where the discount is 1: circling for ever would be free"
+        rule = "must be above 0 if the discount is 1: otherwise circling forever would cost nothing"
         yield Mistake("insertion_per_mm", f"{insertion_per_mm:g}", rule)
 
 
 class NoiseProbabilities:
-    """The rule of tip noise: P(0), P(+-1) ... heading steps, not negative, with the sum 1 if doubled from P(+-1) on."""
+    """Rule for tip noise: probabilities P(0), P(+-1) ... of heading steps with P(0) + 2 (P(+-1) + ...) = 1."""
 
     def read(self, value: object) -> tuple[float, ...]:
         """Return the probabilities as a tuple. Raises Violation."""
@@ -181,7 +181,7 @@ class Layer(ConfigTable, key="needle.layer", error=ScenarioError):
 
 @dataclass(frozen=True)
 class Needle(ConfigTable, key="needle", error=ScenarioError, between=(_increasing,)):
-    """The needle in its tissue: the radius of the arc that its bevel causes, up to the first of the layers."""
+    """The needle in its tissue: radius of the arc that its bevel causes, valid up to the first layer, and layers."""
 
     curvature_radius_mm: float = ruled(_LENGTH, about="radius of the arc that the needle follows without rotation")
     layers: tuple[Layer, ...] = ruled(TableList(Layer), (), key="layer")

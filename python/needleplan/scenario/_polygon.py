@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["TOLERANCE_MM", "Points", "SimplePolygon", "contains", "covered"]
 
 TOLERANCE_MM = 1e-9
-"""Distance (mm) from a boundary up to which a point lies on it: absorbs rounding of coordinates."""
+"""Distance (mm) from a boundary up to which a point counts as on the boundary, because of rounding."""
 
 Points = tuple[tuple[float, float], ...]
 
@@ -28,12 +28,12 @@ _MOST_POINTS = 100_000
 
 @dataclass(frozen=True)
 class SimplePolygon:
-    """The corners of a polygon whose boundary does not touch itself; the last corner need not repeat the first."""
+    """Rule for the corners of a polygon whose boundary does not touch itself; the last may repeat the first."""
 
     coordinate: Number
 
     def read(self, value: object) -> Points:
-        """Return the corners, each different from the one before. Raises Violation."""
+        """Return the corners without repeated successive corners. Raises Violation."""
         entries = sequence(value)
         if entries is None or len(entries) > _MOST_POINTS:
             raise Violation("must be a list of points, [[x, y], [x, y], [x, y], ...]", value)
@@ -63,7 +63,7 @@ def contains(polygon_mm: Sequence[tuple[float, float]], point_mm: tuple[float, f
 
 
 def covered(polygon_mm: Points, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which points are inside the polygon or on its boundary; arrays of one shape."""
+    """Return a mask of the points that are inside the polygon or on its boundary; all arrays have the same shape."""
     import shapely
 
     found: NDArray[np.bool_] = shapely.dwithin(_prepared(polygon_mm), shapely.points(x_mm, y_mm), TOLERANCE_MM)
@@ -72,7 +72,7 @@ def covered(polygon_mm: Points, x_mm: NDArray[np.float64], y_mm: NDArray[np.floa
 
 @lru_cache(maxsize=64)
 def _prepared(polygon_mm: Points) -> Polygon:
-    """Return the polygon prepared for many queries: a loop queries one point at a time."""
+    """Return the polygon prepared for fast queries; cached, because the insertion loop queries single points."""
     import shapely
 
     polygon = shapely.Polygon(polygon_mm)
@@ -81,7 +81,7 @@ def _prepared(polygon_mm: Points) -> Polygon:
 
 
 def _flaw(corners: list[tuple[float, float]]) -> str:
-    """Return the rule that the polygon violates, or an empty text."""
+    """Return the rule that the polygon violates, or an empty text if the polygon is valid."""
     from shapely import Polygon, is_valid_reason
 
     polygon = Polygon(corners)

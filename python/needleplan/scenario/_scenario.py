@@ -53,7 +53,7 @@ FOLDER = Path(__file__).parent.parent / "scenarios"
 ORDER = (
     "schema", "title", "workspace", "obstacle", "target", "needle", "tissue", "motion", "grid", "objective", "solver",
 )  # fmt: skip
-"""Order of a written file. The digest of a scenario depends on it."""
+"""Order of the keys in a written file. The digest of a scenario depends on this order."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -1,4 +1,4 @@
-"""The shipped scenarios, and a commented scenario file as a start for one's own."""
+"""The shipped scenarios, and a commented scenario file as a template for new scenarios."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def shipped() -> list[str]:
 
 
 def template(name: str | os.PathLike[str] = "four_obstacles") -> str:
-    """Return the text of a scenario file in which every value has a comment, as a start for one's own scenario.
+    """Return the text of a scenario file in which every value has a comment, as a template for new scenarios.
 
     `needleplan new` writes this text; `Scenario.from_toml` reads it back as the same scenario.
 
