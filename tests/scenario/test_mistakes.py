@@ -128,7 +128,7 @@ CASES = [
     ("[1.0, 1.0]", "[1.0, 0]", "grid.spacing_mm = [1.0, 0]: each of the two must be a finite number in mm above 0"),
     ("[1.0, 1.0]", "[200, 1]", "grid.spacing_mm = [200.0, 1.0]: must not exceed the workspace"),
     ('"nearest"', '"nearst"', 'must be one of "nearest", "interpolated"; did you mean "nearest"?'),
-    ("insertion_per_mm = 1.0", "insertion_per_mm = 0", "must be above 0 where the discount is 1"),
+    ("insertion_per_mm = 1.0", "insertion_per_mm = 0", "must be above 0 if the discount is 1"),
     ("discount = 1.0", "discount = 1.1", "objective.discount = 1.1: must be a finite number above 0 and at most 1"),
     ('"ppvi"', '"PPVI"', 'solver.method = "PPVI": must be one of "sweep", "ppvi", "vi"'),
     ("[12, 8]", "[122, 8]", "solver.partitions = [122, 8]: must not exceed the grid, 121 x 81 points"),

@@ -220,7 +220,7 @@ def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any
     x, y, z = numbers("--force-axis", options.force_axis, 3)
     length = math.hypot(x, y, z)
     if not length:
-        raise InputError(Mistake("--force-axis", options.force_axis, "must be a vector other than 0,0,0"))
+        raise InputError(Mistake("--force-axis", options.force_axis, "must be a direction other than 0,0,0"))
     _require_numbers(options, limits)
     how = Options(
         velocity_mm_s=options.speed, velocity_rad_s=math.radians(options.rotation_speed_deg),
