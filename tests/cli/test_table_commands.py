@@ -100,6 +100,11 @@ def test_starts_that_are_no_poses(table_file: Path, start: str) -> None:
     refused(needleplan("path", table_file, f"--start={start}"), "needleplan: ")
 
 
+def test_a_heading_beyond_a_full_turn_is_refused_in_degrees(table_file: Path) -> None:
+    rule = "--start = 0,25,375: its heading must lie between -360 and 360 degrees"
+    refused(needleplan("path", table_file, "--start=0,25,375"), rule)
+
+
 def test_numbers_that_cannot_be(table_file: Path) -> None:
     refused(needleplan("evaluate", table_file, "--runs", "0"), "runs = 0: must be a whole number from 1")
     refused(needleplan("evaluate", table_file, "--seed", "-1"), "seed = -1: must be a whole number")

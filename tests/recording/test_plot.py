@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib import pyplot
 
 from needleplan.errors import DataError
 from needleplan.recording import EVENT, FORCE, Field, Packed, Recorder, Recording, WhenFull
@@ -23,6 +24,7 @@ def test_channels_over_time_and_force_over_depth(recording: Recording) -> None:
     assert [each.get_ylabel() for each in axes] == ["depth (mm)", "force (N)", "position (mm)", "axial force (N)"]
     assert [each.get_xlabel() for each in axes] == ["time (s)"] * 3 + ["depth (mm)"]
     assert axes[0].figure is axes[-1].figure
+    assert axes[0].figure.number in pyplot.get_fignums()
 
     (depth,) = axes[0].lines
     stage = recording.columns("/stage")

@@ -32,6 +32,9 @@ __all__ = [
 
 EDGES = ("left", "right", "bottom", "top")
 
+# Largest heading on the command line (degrees): one full turn, as for headings in Python.
+_FULL_TURN_DEG = 360.0
+
 
 def add_table(parser: argparse.ArgumentParser) -> None:
     """Declare the argument for the policy table."""
@@ -99,6 +102,8 @@ def start_pose(text: str) -> tuple[float, ...]:
     bevel = found[3] if len(found) == 4 else 1
     if len(found) not in (3, 4) or abs(bevel) != 1:
         raise PoseError(Mistake("--start", text, "must be X,Y,DEG or X,Y,DEG,BEVEL: numbers with commas between them"))
+    if abs(found[2]) > _FULL_TURN_DEG:
+        raise PoseError(Mistake("--start", text, "its heading must lie between -360 and 360 degrees"))
     return (found[0], found[1], math.radians(found[2]), *found[3:])
 
 

@@ -99,16 +99,16 @@ def _sheet_size(workspace: Extent, panels: int) -> tuple[float, float, int]:
     if workspace.width_mm > _FLAT * workspace.height_mm:
         height = 7.2 / min(workspace.width_mm / workspace.height_mm, _FLATTEST) + 0.9
         return 7.6, panels * height, panels
-    return 5.0 * panels, 4.4 * min(workspace.height_mm / workspace.width_mm, 1.6) + 0.8, 1
+    return 5.0 * panels, 4.4 * min(workspace.height_mm / workspace.width_mm, 1.6) + 1.1, 1
 
 
 def stack(panels: int) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its `panels` axes, one below the other."""
+    """Return a new pyplot figure and its `panels` axes, one below the other."""
     import matplotlib as mpl
-    from matplotlib.figure import Figure
+    from matplotlib import pyplot
 
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(7.6, 1.9 * panels + 0.6), layout="constrained")
+        figure = pyplot.figure(figsize=(7.6, 1.9 * panels + 0.6), layout="constrained")
         return figure, list(figure.subplots(panels, 1, squeeze=False).flat)
 
 
