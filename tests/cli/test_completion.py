@@ -35,6 +35,11 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def name_of(value: str | set[str]) -> str:
+    """Return the name of a case; words of a set are sorted, so that every test process names it alike."""
+    return value if isinstance(value, str) else " ".join(sorted(value))
+
+
 LINES = [
     ("needleplan pl", {"plan"}, {"path"}),
     ("needleplan re", {"register", "recording", "reproduce"}, {"plan"}),
@@ -47,7 +52,7 @@ LINES = [
 ]
 
 
-@pytest.mark.parametrize(("line", "offered", "not_offered"), LINES, ids=lambda value: str(value)[:40])
+@pytest.mark.parametrize(("line", "offered", "not_offered"), LINES, ids=name_of)
 def test_bash_completes(line: str, offered: set[str], not_offered: set[str], folder: Path) -> None:
     script = f"""
     source script.bash
@@ -62,7 +67,7 @@ def test_bash_completes(line: str, offered: set[str], not_offered: set[str], fol
     assert not not_offered & words
 
 
-@pytest.mark.parametrize(("line", "offered", "not_offered"), LINES, ids=lambda value: str(value)[:40])
+@pytest.mark.parametrize(("line", "offered", "not_offered"), LINES, ids=name_of)
 def test_fish_completes(line: str, offered: set[str], not_offered: set[str], folder: Path) -> None:
     words = {word.rstrip("/") for word in run("fish", f"source script.fish; complete -C '{line}'", folder)}
     assert offered <= words
