@@ -68,5 +68,5 @@ def test_what_cannot_be_tested_says_why() -> None:
     findings = residual_findings(fit(Line(0.02, 0.1), record), [record])
     assert len(findings) == 6
     assert all(each.p_value is None and "fewer than 20 samples" in each.says for each in findings)
-    with pytest.raises(DataError, match="must be those"):
+    with pytest.raises(DataError, match="must be the records of the fit"):
         residual_findings(fit(Line(0.02, 0.1), record), [record, record])
