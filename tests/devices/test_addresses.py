@@ -20,7 +20,7 @@ WRONG = {
     "udp://127.0.0.1:0": "from 1 to 65535",
     "udp://127.0.0.1:70000": "is not an address",
     "udp://127.0.0.1:x": "is not an address",
-    "tcp://127.0.0.1:1/path": "has no path",
+    "tcp://127.0.0.1:1/path": "must not have a path after the port",
     "udp://127.0.0.1:1?locl_port=3": 'did you mean "local_port"',
     "udp://127.0.0.1:1?local_port=3&local_port=4": "twice",
     "udp://127.0.0.1:1?local_port=many": "local_port = many",

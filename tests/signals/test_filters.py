@@ -109,7 +109,7 @@ def test_samples_that_the_tracker_missed_are_bridged_and_counted() -> None:
 
 def test_bad_tracks_are_refused() -> None:
     filtered = TrackerFilter(0.1, 1.0)
-    with pytest.raises(DataError, match="saw nothing"):
+    with pytest.raises(DataError, match="the tracker measured nothing"):
         filtered.apply(np.arange(3.0), np.full(3, np.nan))
     with pytest.raises(DataError, match="increase"):
         filtered.apply(np.array([0.0, 1.0, 1.0]), np.zeros(3))

@@ -28,5 +28,5 @@ def test_a_lag_is_positive_where_a_signal_is_late(lag: float) -> None:
 
 
 def test_a_constant_has_no_frequency() -> None:
-    with pytest.raises(DataError, match="change"):
+    with pytest.raises(DataError, match="must be at least eight samples that are not all equal"):
         dominant_frequency_hz(np.arange(20.0), np.ones(20))

@@ -55,13 +55,13 @@ def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: b
 def add_output(
     parser: argparse.ArgumentParser, metavar: str, what: str, *, required: bool = False, force: str = "--force"
 ) -> None:
-    """Declare the option for the main output, and the option that allows to overwrite it."""
+    """Declare the option for the main output, and the option that allows overwriting it."""
     parser.add_argument("-o", "--output", required=required, metavar=metavar, help=what)
     _add_force(parser, force)
 
 
 def add_figure(parser: argparse.ArgumentParser, what: str, *, force: str = "--force") -> None:
-    """Declare the option for a figure, and the option that allows to overwrite it."""
+    """Declare the option for a figure, and the option that allows overwriting it."""
     parser.add_argument("--figure", metavar="FILE", help=f"draw {what} (.png, .pdf or .svg)")
     _add_force(parser, force)
 

@@ -57,7 +57,7 @@ def read_directly(_: Source, device: SampledDevice, timeout_s: float) -> Sample 
 
 @dataclass
 class Station(Closing):
-    """The devices of an insertion: a stage, a force sensor, a tracker, and the clock of their stamps."""
+    """The devices of an insertion (stage, force sensor and tracker) and the clock that timestamps their samples."""
 
     stage: Stage
     force_sensor: ForceSensor

@@ -1,4 +1,4 @@
-"""Servers that offer a simulated device at a TCP port or pseudo-terminal, where a client opens it like a real one."""
+"""Servers that offer a simulated device at a TCP port or pseudo-terminal; clients connect as to a real device."""
 
 from __future__ import annotations
 

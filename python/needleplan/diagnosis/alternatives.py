@@ -178,7 +178,7 @@ def winning_alternative(
 
 
 def smooth_sensitivities(trials: Sequence[CalibratedTrial]) -> list[Array]:
-    """Return all bases with `beside_effects`, joined column by column and whitened, shape (n, df) per trial."""
+    """Return per trial all bases whose `beside_effects` is True, as columns of one whitened array, shape (n, df)."""
     found = [basis for basis in smooth_bases(trials).values() if basis.beside_effects]
     raw = [np.column_stack(each) for each in zip(*(basis.functions for basis in found), strict=True)]
     return [trial.whiten(each) for trial, each in zip(trials, raw, strict=True)]

@@ -75,7 +75,7 @@ class Lack(StrEnum):
 
 @dataclass(frozen=True)
 class CheckedData:
-    """Recordings by role, missing data (`lacks`: why each matters), and remarks on the recordings."""
+    """Recordings by role, and remarks on them. `lacks` maps each kind of missing data to the reason why it matters."""
 
     training: tuple[Record, ...]
     held_out: tuple[Record, ...]

@@ -144,7 +144,7 @@ class JointFit:
         return replace(self, effects=(*self.effects[:-1], newest))
 
     def sd(self, which: int, name: str) -> float:
-        """Return the linearised standard deviation of a parameter of effect number `which`, in its unit."""
+        """Return the linearised standard deviation of parameter `name` of `effects[which]`, in the parameter's unit."""
         index = self.coordinates.index((which, name))
         each = self.effects[which]
         what = each.effect.parameters[name]

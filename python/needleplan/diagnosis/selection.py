@@ -100,7 +100,7 @@ def select_effects(calibration: Calibration, library: Library, gates: Gates, *, 
 
 @dataclass(frozen=True)
 class _EffectSet:
-    """Effects that were accepted together, with the rounds that accepted them."""
+    """A set of accepted effects, the rounds that accepted them, and the final round, which accepted none."""
 
     rounds: tuple[SelectionRound, ...]
     last: SelectionRound

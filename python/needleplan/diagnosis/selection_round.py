@@ -314,7 +314,10 @@ def _validated(search: Search, taken: JointFit | None, ranked: Sequence[JointFit
 
 
 def _starts_at_prior(search: Search, needed: float) -> list[_Start]:
-    """Return starts of joint fits for effects that the calibrated base model may hide, screened at the prior."""
+    """Return starting points of joint fits for effects that the calibrated base model may hide.
+
+    The effects are screened with the base model at its prior values.
+    """
     trials, sensitivities = search.at_prior, search.sensitivities_at_prior()
     at_prior = JointLikelihood([trial.whitened for trial in trials])
     behind = 2 * float(search.base.evidence.max() - at_prior.evidence.max())

@@ -83,10 +83,10 @@ class FilterRun:
     """Result of the passes.
 
     - `model`: the identified model, or the initial one if the filter diverged.
-    - `tracks`: the tracks of the last pass, one per record.
-    - `innovation_rmse`: root mean square of the used innovations, one per pass, in the unit of the channel.
+    - `tracks`: the tracks of the last pass, one per record, up to the record at which the filter diverged.
+    - `innovation_rmse`: root mean square of the used innovations, one per completed pass, in the unit of the channel.
     - `replay_mae`: mean absolute error of the open loop (the model after the pass, simulated along all records), one
-      per pass, in the unit of the channel. A filter that follows the data has small innovations even with wrong
+      per completed pass, in the unit of the channel. A filter that follows the data has small innovations even with wrong
       parameters; the open loop reveals them.
     - `counts`: number of samples by their use, over all passes.
     """

@@ -57,12 +57,12 @@ def identify(
     starts
         Number of starting points of the fit.
     filtered
-        Whether the joint filter runs too, from the same initial model.
+        Whether the joint filter runs too, from the same initial model. It is skipped if that model is not proper.
 
     Returns
     -------
     Identification
-        The model is a `DepthForce`; None if the fit diverged.
+        The model is a `DepthForce`; None if the fit diverged or its model is not proper (g > 0 at all depths).
 
     Raises
     ------

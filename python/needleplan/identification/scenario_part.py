@@ -115,7 +115,7 @@ def _mean(trials: Sequence[Curvature], low_mm: float) -> PathPiece:
 
 
 def _along(path: Array, x_mm: Array) -> list[float]:
-    """Return the distances (mm) along the fitted circle from the first point of a path to the places x."""
+    """Return the distances (mm) along the fitted circle from the smallest x of a path to each of `x_mm`."""
     circle = fit_circle(path)
     reach = np.hypot(*np.ptp(path, axis=0))
     distance = np.linspace(-2 * reach, 2 * reach, 4001)

@@ -181,7 +181,7 @@ class Layer(ConfigTable, key="needle.layer", error=ScenarioError):
 
 @dataclass(frozen=True)
 class Needle(ConfigTable, key="needle", error=ScenarioError, between=(_increasing,)):
-    """The needle in its tissue: radius of the arc that its bevel causes, valid up to the first layer, and layers."""
+    """The needle in its tissue: the tissue layers, and the radius of the bevel's arc before the first layer."""
 
     curvature_radius_mm: float = ruled(_LENGTH, about="radius of the arc that the needle follows without rotation")
     layers: tuple[Layer, ...] = ruled(TableList(Layer), (), key="layer")

@@ -51,7 +51,7 @@ def run(request: Request) -> list[Comparison]:
 def residual_n(force_n: float) -> float:
     """Return the larger residual (N) of the end conditions (5.6) at L, with the coefficients of Table 5.1.
 
-    The conditions have the sign of the thesis, EI phi''' = Fc cos a - Fc sin a phi' and phi'' = 0, with
+    The conditions use the sign convention of the thesis, EI phi''' = Fc cos a - Fc sin a phi' and phi'' = 0, with
     phi = (c3 x^3 + c2 x^2) Fc.
     """
     bending, length, alpha = NEEDLE.bending_stiffness_n_mm2, NEEDLE.length_mm, NEEDLE.bevel_angle_rad

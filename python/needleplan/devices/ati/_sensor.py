@@ -62,7 +62,7 @@ class ForceLimits:
 
 @dataclass
 class Plausibility:
-    """Validates each wrench by its magnitude and by its difference from the previous wrench."""
+    """Checks each wrench: finite, within its limits, counts not saturated, not stuck, no large force step."""
 
     limits: ForceLimits
     _counts: tuple[int, ...] = ()

@@ -243,7 +243,7 @@ class CanopenStage(Stage):
             self._guarded(frame)
 
     def _guarded(self, frame: Frame) -> None:
-        """Store the content of a frame. Raises DeviceFault if the frame reports a fault."""
+        """Store the content of a frame. At the first fault, stop both axes, latch the fault and raise DeviceFault."""
         which = next(at for at, axis in enumerate(self._axes) if axis.setup.node == frame.node)
         wrong = self._take(self._axes[which], frame)
         if not wrong or self._fault is not None:

@@ -198,7 +198,10 @@ def moved(
 
 
 def _noise(before: Array, after: Array, piece: ChannelPiece, settings: TipSettings) -> Array:
-    """Return the process noise of a piece: the random walk of the tangent, integrated over the length, and the slip."""
+    """Return the process noise of a piece: slip, and random walks of the tangent and of the curvature factor.
+
+    A piece that is not `fresh` has only slip.
+    """
     length = piece.length_mm
     middle = (before + after) / 2
     cos_h, sin_h = math.cos(middle[HEADING]), math.sin(middle[HEADING])

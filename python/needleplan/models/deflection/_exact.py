@@ -50,7 +50,10 @@ class ExactShape:
         return self.at(0.0)
 
     def at(self, behind_tip_mm: ArrayLike) -> Array:
-        """Return the deflection (mm) at a distance behind the tip; the distance broadcasts with the insertions."""
+        """Return the deflection (mm) at a distance behind the tip.
+
+        For several insertions the distance must broadcast to their shape, else ModelError is raised.
+        """
         return self._derivative(np.asarray(behind_tip_mm, float), 0)
 
     def slope_at(self, behind_tip_mm: ArrayLike) -> Array:

@@ -96,7 +96,7 @@ class DepthForce(LinearStateModel):
         return self._force(state, motion.depth_mm, motion.direction)
 
     def output_as_printed(self, state: Array, motion: Motion) -> Array:
-        """Return the force (N) of eq. 2.1 as printed, with sign(l); it does not become negative on retraction."""
+        """Return the force (N) of eq. 2.1 as printed, with sign(l): this force is never negative on retraction."""
         return self._force(state, motion.depth_mm, np.sign(motion.depth_mm))
 
     def _force(self, state: Array, depth: Array, sign: Array) -> Array:

@@ -33,7 +33,7 @@ _FOLLOWING_S = 1e-3
 class SteeredModel(SelfIntegratingModel):
     """Abstract base class of models of the path of a tip in space; the output is the position, shape (3, ...).
 
-    A member defines the curvature of the path, its entry, and how the roll of the tip follows the base.
+    A subclass defines the curvature of the path, its entry, and how the roll of the tip follows the base.
 
     Examples
     --------

@@ -100,7 +100,7 @@ def tune_slow_observer(
     Parameters
     ----------
     time_s, depth_mm, force_n : Array
-        Samples at even times, shape (samples,) each.
+        Evenly spaced samples, shape (samples,) each.
     fast_alpha1 : float
         alpha1 of the fast observer, 1/s.
     skip_s : float
@@ -114,7 +114,8 @@ def tune_slow_observer(
     Raises
     ------
     DataError
-        If the shapes differ, a number is not finite, or the sampling intervals differ by more than 2 %.
+        If the shapes differ, there are fewer than three samples, a number is not finite, time does not increase, or a
+        sampling interval deviates from the median by more than 2 %.
 
     Examples
     --------
