@@ -86,8 +86,8 @@ class FilterRun:
     - `tracks`: the tracks of the last pass, one per record, up to the record at which the filter diverged.
     - `innovation_rmse`: root mean square of the used innovations, one per completed pass, in the unit of the channel.
     - `replay_mae`: mean absolute error of the open loop (the model after the pass, simulated along all records), one
-      per completed pass, in the unit of the channel. A filter that follows the data has small innovations even with wrong
-      parameters; the open loop reveals them.
+      per completed pass, in the unit of the channel. A filter that follows the data has small innovations even with
+      wrong parameters; the open loop reveals them.
     - `counts`: number of samples by their use, over all passes.
     """
 
