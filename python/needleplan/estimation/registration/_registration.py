@@ -109,9 +109,10 @@ class Registration:
     """Distance from coil to tip, and the rigid motion from the tracker's frame to the frame of the plan.
 
     The plan has x along the insertion, y lateral to the left, and z out of its plane. `quaternion` (w, x, y, z) and
-    `translation_mm` move a point of the tracker there. The z axis of the coil is parallel to the needle; `coil_axis` is
-    +1 if it points to the tip, else -1. `points` are the pairs (tracker, plan) from which the frame was fitted. Raises
-    DataError with all mistakes, their keys those of the file.
+    `translation_mm` transform a point from the tracker's frame to the frame of the plan. The z axis of the coil is
+    parallel to the needle; `coil_axis` is +1 if it points to the tip, else -1. `points` are the pairs (tracker, plan)
+    from which the frame was fitted. Raises DataError with all mistakes; each mistake names the key that is used in the
+    file.
     """
 
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)

@@ -1,13 +1,13 @@
 """Automatic tuning of the slow observer of chapter 4: the opening of the friction-velocity loop at zero force.
 
 The thesis chooses alpha1 of the slow observer "by trial and error" until the friction-velocity loop is centred. Here
-the force F passes the same low-pass filter as the velocity of the fast observer; otherwise alpha1 would be 1 to 4 too
-large. The opening of the loop::
+the force F passes the same low-pass filter as the velocity of the fast observer; otherwise alpha1 would be 1 to 4 1/s
+too large. The width of the loop at zero force is::
 
     G(alpha1) = median of v_s at rising zero crossings of F - median of v_s at falling zero crossings of F
 
-is positive if the slow observer delays too little, and decreases with the delay. v_s is the velocity of the slow
-observer. The tuned alpha1 is the largest alpha1 at which G changes its sign.
+v_s is the velocity of the slow observer. G is positive if the slow observer delays too little; more delay makes G
+smaller. The tuned alpha1 is the largest alpha1 at which G becomes positive as alpha1 grows.
 
 **Accuracy** (docs/explanation/tissue-motion.md). If friction rises with the velocity, the lag is correct to within two
 degrees. If friction is almost dry, the lag is 8 to 12 degrees too large, because bristles that bend before they slide

@@ -70,8 +70,8 @@ def stepping(
 
     The generator receives the sample (an index for `law`), the length of the step (s) and the velocity of the needle at
     the end of the step. It yields bristle state, tissue displacement (mm), tissue velocity (mm/s) and force on the
-    needle (N); these are NaN after they have grown without bound. `velocity` is the velocity of the needle at sample 0,
-    at which the state is `start`.
+    needle (N). All four are NaN if the motion has diverged. `velocity` is the velocity of the needle at sample 0, and
+    `start` is the state at sample 0. `k`, `c` and `m` are stiffness, damping and mass of the tissue.
     """
     coefficients, friction = law.coefficients, law.force
     bent, moved, speed = start
