@@ -13,9 +13,9 @@ psi = zeta^lambda, integration by parts gives::
 
     beta = [ int_0^L psi fn' dzeta - psi(L) fn(L) ] / int_0^L psi fn dzeta
 
-**Corrections to the print.** (3.12) divides its last term by Fn; the divisor must be Fn z. (3.16), for
-the right trapezoid, omits the end term although fn(L) = f is not zero there. The beta of (3.16) is therefore almost
-zero (5e-10 to 2e-3 per mm at L = 76 mm) instead of -0.017 to -0.079 per mm. (3.17), for the isosceles trapezoid, is right.
+**Corrections to the print.** (3.12) divides its last term by Fn; the divisor must be Fn z. (3.16), for the right
+trapezoid, omits the end term although fn(L) = f is not zero there. The beta of (3.16) is therefore almost zero (5e-10
+to 2e-3 per mm at L = 76 mm) instead of -0.017 to -0.079 per mm. (3.17), for the isosceles trapezoid, is right.
 
 **A limit of the ansatz.** The partial differential equation gives a bending that is constant beyond the first g/sigma0
 (0.03 to 0.5 mm) of the patch. This corresponds to lambda -> 0 and beta -> 0; no psi of the thesis has this form. See
