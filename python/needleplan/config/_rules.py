@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from difflib import get_close_matches
 from enum import StrEnum
+from itertools import takewhile
 from typing import Any, Protocol
 
 from needleplan.errors import Mistake
@@ -241,10 +242,14 @@ def shown(value: object, depth: int = 3) -> str:
 def closest(value: object, names: Iterable[str], cutoff: float = 0.6) -> str:
     """Return the name in `names` that is most similar to `value`, or an empty text if no name is similar.
 
-    `cutoff` is the smallest accepted similarity by `difflib`, from 0 to 1.
+    A name that differs by one letter comes first. `cutoff` is the smallest accepted similarity by `difflib`, from 0 to
+    1, of the other names.
     """
-    close = get_close_matches(value, list(names), n=1, cutoff=cutoff) if isinstance(value, str) else []
-    return close[0] if close else ""
+    if not isinstance(value, str):
+        return ""
+    known = list(names)
+    slips = [name for name in known if _is_one_letter_off(value, name)]
+    return next(iter(slips or get_close_matches(value, known, n=1, cutoff=cutoff)), "")
 
 
 def suggestion(value: object, names: Iterable[str]) -> str:
@@ -267,6 +272,22 @@ def plain(value: object) -> object:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return value
+
+
+def _is_one_letter_off(value: str, name: str) -> bool:
+    """Return whether one letter was replaced, added or left out; `difflib` calls `_x__` and `____` half similar.
+
+    Names of fewer than four letters are never meant: `x` would be one letter off `y`.
+    """
+    longer = max(len(value), len(name))
+    start = _common_letters(value, name)
+    end = _common_letters(value[start:][::-1], name[start:][::-1])
+    return min(len(value), len(name)) >= 3 and longer >= 4 and longer - start - end == 1
+
+
+def _common_letters(a: str, b: str) -> int:
+    """Return how many letters are the same at the start of both texts."""
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(a, b, strict=False)))
 
 
 def _within(number: float, above: float | None, at_least: float | None, at_most: float | None) -> bool:

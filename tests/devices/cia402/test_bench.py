@@ -18,7 +18,7 @@ from needleplan.errors import AddressError, DeviceFault
 from needleplan.simulation import open_insertion_station
 from tests.control.faults.test_drives import LIMITS, turn
 from tests.control.scenes import small_table
-from tests.devices.cia402.bench import LONG_S, PATIENT, drives, setup_file
+from tests.devices.cia402.bench import LONG_S, PATIENT, drives, setup_file, wait_for
 from tests.devices.igtl.bench import TIP, plus
 
 
@@ -61,6 +61,7 @@ def test_the_heartbeat_of_the_loop_keeps_the_drives_moving(tmp_path: Path, monke
             assert guard.state.operating is OperatingState.ENABLED
             with pytest.raises(DeviceFault, match=r"0x8130|QUICK STOP ACTIVE"):
                 deque((guard.read(LONG_S) for _ in range(10_000)), maxlen=0)
+            wait_for(lambda: there.insertion.stopped_after_s is not None)  # the other drive may be the first to say so
             assert there.insertion.stopped_after_s is not None
             assert there.insertion.stopped_after_s > watchdog_s
 
