@@ -1,4 +1,7 @@
-"""Rules between the parts of a scenario. List entries that could not be read are None in their arguments."""
+"""Rules between the parts of a scenario: each function yields one mistake for each violation.
+
+In `obstacles` and `tissues`, an entry that could not be read is None.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drawing of a scenario: obstacles, target, and tissues with a tint that depends on the radius of the needle."""
+"""Draw a scenario: obstacles, target, and layers and tissues filled with a darker colour the smaller their radius."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LABEL: Any = {"ha": "center", "fontsize": 7, "color": "#5c4a2f", "zorder": 2, "
 
 
 class Scene(Protocol):
-    """The parts of a scenario that are drawn."""
+    """Protocol: the parts of a scenario that `draw_scene` draws."""
 
     @property
     def workspace(self) -> Workspace:
@@ -47,11 +47,14 @@ class Scene(Protocol):
 
     @property
     def tissues(self) -> tuple[Tissue, ...]:
-        """Regions with a radius of their own."""
+        """Regions in which the needle's arc has another radius."""
 
 
 def draw_scene(axes: Axes, scene: Scene, *, on_map: bool = False) -> None:
-    """Draw workspace, tissues, obstacles and target. If `on_map`, tissues are not filled, to keep a map visible."""
+    """Draw workspace, layers, tissues, obstacles and target.
+
+    If `on_map`, layers and tissues are drawn as outlines without fill and labels, so that a map below stays visible.
+    """
     from matplotlib.patches import Circle, Polygon
 
     axes_in_mm(axes, scene.workspace)
@@ -68,7 +71,7 @@ def draw_scene(axes: Axes, scene: Scene, *, on_map: bool = False) -> None:
 
 
 def _draw_tissues(axes: Axes, scene: Scene, on_map: bool) -> None:
-    """Fill and label layers and regions, darker for smaller radii; if `on_map`, draw only their borders."""
+    """Fill and label layers and tissues, darker for smaller radii. If `on_map`, draw only their borders, in white."""
     from matplotlib import colormaps
 
     layers = list(_layers(scene))
@@ -97,7 +100,10 @@ def _draw_tissues(axes: Axes, scene: Scene, on_map: bool) -> None:
 
 
 def _layers(scene: Scene) -> Iterator[tuple[float, float, float]]:
-    """Yield the first and the last x in mm of every layer and its radius in mm, the needle's own radius first."""
+    """Yield first x, last x and radius (mm) of each layer that is not empty, from the entry on.
+
+    The part of the workspace in front of the first layer comes first, with the radius of the needle.
+    """
     needle = scene.needle
     starts = [0.0, *(layer.from_mm for layer in needle.layers)]
     radii = [needle.curvature_radius_mm, *(layer.curvature_radius_mm for layer in needle.layers)]

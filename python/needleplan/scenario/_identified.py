@@ -1,4 +1,4 @@
-"""Curvature of the path from a model file, converted to the radii and layers of a scenario."""
+"""Read the curvature of the path from a model file and convert it to the radii and layers of a scenario."""
 
 from __future__ import annotations
 
@@ -27,29 +27,29 @@ __all__ = [
     "within",
 ]
 
-# Depth (mm) to which the curvature of a model of the tip's path is evaluated.
+# Inserted length (mm) to which the curvature of a model of the tip's path is evaluated.
 _DEEPEST_MM = 200.0
 # Shortest piece of constant curvature (mm).
 _SHORTEST_MM = 2.0
-# Largest relative difference from the median curvature within a piece.
+# Relative difference from the median curvature above which a sample counts as different from its piece.
 _WITHIN = 0.02
 
 
 class HasCurvature(Protocol):
-    """The curvature of a piece of the path, such as `needleplan.identification.Curvature`."""
+    """Protocol of a piece of the path with a curvature, such as `needleplan.identification.Curvature`."""
 
     @property
     def curvature_per_mm(self) -> float:
-        """Curvature (1/mm); its sign depends on the side of the bevel."""
+        """Curvature (1/mm). Only the magnitude is used; the sign depends on the side of the bevel."""
 
     @property
     def low_mm(self) -> float:
-        """Position along the insertion at which the piece begins (mm)."""
+        """Distance along x from the entry to the beginning of the piece (mm)."""
 
 
 @dataclass(frozen=True)
 class CurvaturePiece:
-    """A piece of the path with constant curvature (1/mm); it begins at x = `low_mm` from the entry."""
+    """A piece of the path with constant curvature (1/mm). `low_mm` is its distance along x from the entry."""
 
     low_mm: float
     curvature_per_mm: float
@@ -57,10 +57,10 @@ class CurvaturePiece:
 
 @dataclass(frozen=True)
 class Identified:
-    """An identified positive curvature (1/mm) with its 95 % interval, or NaN if there is no interval.
+    """An identified curvature (1/mm, positive) with the 95 % interval from `low_per_mm` to `high_per_mm`.
 
-    `kind` is the kind of the model, `trials` the number of trials of the identification, `digest` the digest of the
-    model file.
+    Both limits are NaN if the model file has no interval. `kind` is the kind of the model, `trials` the number of files
+    from which the model was identified, `digest` the digest of the model file.
     """
 
     curvature_per_mm: float
@@ -70,16 +70,19 @@ class Identified:
     trials: int
     digest: str
     pieces: tuple[CurvaturePiece, ...] = ()
-    """All pieces of a path whose curvature changes; `curvature_per_mm` is then the curvature of the first piece."""
+    """The pieces of constant curvature if the curvature changes along the path, else empty.
+
+    If there are pieces, `curvature_per_mm` is the curvature of the first piece.
+    """
 
     @property
     def radius_mm(self) -> float:
-        """Radius of the arc (mm)."""
+        """Radius of the arc (mm); of the first piece if there are pieces."""
         return 1 / self.curvature_per_mm
 
     @property
     def interval_mm(self) -> tuple[float, float]:
-        """The 95 % interval of the radius (mm); NaN if there is no interval."""
+        """Lower and upper limit of the radius (mm), with 95 % confidence; both NaN if there is no interval."""
         return 1 / self.high_per_mm, 1 / self.low_per_mm
 
     def __str__(self) -> str:
@@ -91,12 +94,16 @@ class Identified:
 
 
 def identified(file: ModelFile, source: str | os.PathLike[str] = "", velocity_mm_s: float = 5.0) -> Identified:
-    """Return the curvature of a path from a model of the kind `bicycle`, `tip_path` or `spatial_bicycle`.
+    """Return the curvature of the path that a model of the kind `bicycle`, `tip_path` or `spatial_bicycle` predicts.
 
-    For `tip_path` the curvature is that far behind the entry; it is proportional to the force on the bevel, whose
-    interval gives the interval of the curvature. For `spatial_bicycle`, with the effects that a diagnosis added, it is
-    the curvature in the plane of an insertion at `velocity_mm_s` (`needleplan.models.in_plane`). Raises ModelError for
-    other kinds, for a path that becomes straight, and if the interval contains a straight path: it has no radius.
+    - `bicycle`: the curvature of the model.
+    - `tip_path`: the curvature far behind the entry. The interval has the same relative limits as the interval of the
+      cutting force, to which the curvature is proportional.
+    - `spatial_bicycle`, with or without effects: the curvature in the plane for an insertion at `velocity_mm_s`
+      (`needleplan.models.in_plane`), in pieces if it changes along the path.
+
+    `source` is the name of the file in messages. Raises ModelError for other kinds, for a path that cannot bend to both
+    sides or becomes straight, and if the curvature is 0, not identified, or 0 lies in its interval.
     """
     from needleplan.models import Bicycle, Channel, SpatialBicycle, TipPath, in_plane
 
@@ -129,10 +136,12 @@ def identified(file: ModelFile, source: str | os.PathLike[str] = "", velocity_mm
 
 
 def pieces_of(along_mm: Array, curvature_per_mm: Array) -> tuple[CurvaturePiece, ...]:
-    """Return pieces of constant curvature from the curvature at places along x, shape (n,) each, increasing from 0.
+    """Approximate a curvature profile by pieces of constant curvature and return them from the entry on.
 
-    A piece is cut in two where the sum of squared differences from the means is smallest. It is cut until all places
-    but one are within 2 % of its median, or its parts would be shorter than 2 mm.
+    `along_mm` holds increasing positions along x, `curvature_per_mm` the curvature at each of them, shape (n,) each.
+    Starting with the whole profile as one piece, a piece is split where the squared differences from the two means have
+    the smallest sum. A piece is not split if at most one sample differs from its median by more than 2 %, or if a part
+    would be shorter than 2 mm. The curvature of a piece is the mean of its samples.
     """
     return tuple(
         CurvaturePiece(
@@ -143,7 +152,7 @@ def pieces_of(along_mm: Array, curvature_per_mm: Array) -> tuple[CurvaturePiece,
 
 
 def within(pieces: Sequence[CurvaturePiece], along_mm: float) -> tuple[CurvaturePiece, ...]:
-    """Return the pieces that begin before x = `along_mm`, because layers must begin in the workspace."""
+    """Return the pieces that begin less than `along_mm` from the entry. Used to drop layers behind the workspace."""
     return tuple(each for each in pieces if each.low_mm < along_mm)
 
 
@@ -166,7 +175,11 @@ def _cut(along: Array, bend: Array, first: int, last: int) -> Iterator[tuple[int
 
 
 def needle_with(curvature_per_mm: float | Sequence[HasCurvature], entry_mm: float) -> Needle:
-    """Return a needle with one curvature, or, for pieces of a path, with one layer per piece. Raises ScenarioError."""
+    """Return a needle with the radius of a curvature (1/mm, either sign), or with layers made from pieces of a path.
+
+    The first piece gives the radius of the needle; each other piece gives a layer from x = `entry_mm` + `low_mm`.
+    Raises ScenarioError if there is no piece, a curvature is 0 or not finite, or a layer violates a rule.
+    """
     if not isinstance(curvature_per_mm, Sequence):
         return Needle(_radius_mm(curvature_per_mm))
     if not curvature_per_mm:
@@ -179,7 +192,10 @@ def needle_with(curvature_per_mm: float | Sequence[HasCurvature], entry_mm: floa
 def tissues_with(
     tissues: Sequence[Tissue], curvature_per_mm: float | Sequence[HasCurvature], name: str
 ) -> tuple[Tissue, ...]:
-    """Return the tissues after setting the curvature of all tissues called `name`. Raises ScenarioError."""
+    """Return the tissues, with the radius of all tissues called `name` set from the curvature (1/mm, either sign).
+
+    Raises ScenarioError if the curvature is a sequence, 0 or not finite, or no tissue has this name.
+    """
     if isinstance(curvature_per_mm, Sequence):
         raise ScenarioError(Mistake("curvature_per_mm", "", f'must be one number for the tissue "{name}"'))
     names = [each.name for each in tissues]

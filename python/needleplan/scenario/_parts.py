@@ -1,4 +1,4 @@
-"""The parts of a scenario: one frozen dataclass per TOML table, one rule per field. Lengths are in mm."""
+"""The parts of a scenario: one frozen dataclass per TOML table, with a rule for each field. Lengths are in mm."""
 
 from __future__ import annotations
 
@@ -48,25 +48,25 @@ _POLYGON = SimplePolygon(_COORDINATE)
 
 # Largest number of probabilities in `motion.tip_noise`.
 _NOISE_ENTRIES = 8
-# Largest difference of the sum of all probabilities from 1.
+# Largest accepted |sum of all probabilities - 1|.
 _NOISE_TOLERANCE = 1e-9
 
 
 class Transition(StrEnum):
-    """Rule that maps the end of an arc to grid points."""
+    """How the solver maps the end of an arc to grid points."""
 
     NEAREST = "nearest"
-    """The arc ends at the nearest grid point, as in the thesis."""
+    """The end is rounded to the nearest grid point, as in the thesis."""
 
     INTERPOLATED = "interpolated"
-    """The arc ends at the four surrounding grid points with bilinear weights, which is unbiased."""
+    """The end is distributed over the four surrounding grid points with bilinear weights, which keeps its mean."""
 
 
 class Method(StrEnum):
     """Algorithm that computes the optimal values."""
 
     SWEEP = "sweep"
-    """Directional sweeps over the lattice: the fastest."""
+    """Gauss-Seidel sweeps over the lattice, ordered by heading; the fastest method."""
 
     PPVI = "ppvi"
     """Prioritized-partitioned value iteration as in section 6.3 of the thesis."""
@@ -79,13 +79,13 @@ class Priority(StrEnum):
     """Priority by which `Method.PPVI` chooses the next partition."""
 
     H1 = "H1"
-    """The Bellman residual, equation (6.7)."""
+    """The Bellman residual, equation (6.7) of the thesis."""
 
     H2 = "H2"
-    """The residual plus the value, equation (6.8)."""
+    """The Bellman residual plus the value, equation (6.8) of the thesis."""
 
     BOUND = "bound"
-    """An upper bound on the residual: the sum of the changes of the neighbours since the last visit."""
+    """An upper bound on the Bellman residual, accumulated from the value changes of the neighbouring partitions."""
 
 
 def _increasing(layers: tuple[Layer | None, ...]) -> Iterator[Mistake]:
@@ -109,7 +109,10 @@ def _insertion_costs(insertion_per_mm: float, discount: float) -> Iterator[Mista
 
 
 class NoiseProbabilities:
-    """Rule for tip noise: probabilities P(0), P(+-1) ... of heading steps with P(0) + 2 (P(+-1) + ...) = 1."""
+    """Rule for tip noise: probabilities P(0), P(+-1) ... of heading steps, P(+-k) for each sign.
+
+    The sum P(0) + 2 (P(+-1) + ...) must be 1.
+    """
 
     def read(self, value: object) -> tuple[float, ...]:
         """Return the probabilities as a tuple. Raises Violation."""
@@ -128,7 +131,7 @@ class NoiseProbabilities:
 
 @dataclass(frozen=True)
 class Workspace(ConfigTable, key="workspace", error=ScenarioError):
-    """The rectangle [0, width] x [0, height] that the tip must not leave. Its edges belong to it."""
+    """The rectangle [0, width] x [0, height] in mm that the tip must not leave. The edges are inside the workspace."""
 
     width_mm: float = ruled(_LENGTH, about="along x, the direction of insertion")
     height_mm: float = ruled(_LENGTH, about="along y, lateral")
@@ -136,20 +139,20 @@ class Workspace(ConfigTable, key="workspace", error=ScenarioError):
 
 @dataclass(frozen=True)
 class Obstacle(ConfigTable, key="obstacle", error=ScenarioError):
-    """A polygon that the tip must not touch. It may reach beyond the workspace.
+    """A polygon that the tip must not touch. The polygon may reach beyond the workspace.
 
     Parameters
     ----------
     polygon_mm : array_like, shape (n, 2)
-        Corners in mm, at least three, in either direction. The last corner need not repeat the first. The boundary must
-        not cross or touch itself.
+        Corners in mm, at least three, clockwise or counter-clockwise. The last corner may repeat the first. The
+        boundary must not cross or touch itself.
     name : str, optional
-        Name for messages and figures.
+        Name for messages and figures. Default: no name.
 
     Raises
     ------
     ScenarioError
-        If the corners are not a simple polygon.
+        If the corners are not a simple polygon, or a value violates the rule of its field.
 
     Examples
     --------
@@ -165,7 +168,7 @@ class Obstacle(ConfigTable, key="obstacle", error=ScenarioError):
 
 @dataclass(frozen=True)
 class Target(ConfigTable, key="target", error=ScenarioError):
-    """The disc that the tip must reach. Its rim belongs to it."""
+    """The disc that the tip must reach. The rim is part of the target."""
 
     center_mm: tuple[float, float] = ruled(Pair(_COORDINATE), about="[x, y], in the workspace, outside of obstacles")
     radius_mm: float = ruled(_LENGTH, about="the tip must come this close to the centre")
@@ -173,7 +176,7 @@ class Target(ConfigTable, key="target", error=ScenarioError):
 
 @dataclass(frozen=True)
 class Layer(ConfigTable, key="needle.layer", error=ScenarioError):
-    """Tissue from the depth x = from_mm up to the next layer, with its own radius."""
+    """A tissue layer from x = `from_mm` to the next layer, in which the needle's arc has the given radius."""
 
     from_mm: float = ruled(Number("mm", at_least=0, at_most=1e6), about="x at which the layer begins")
     curvature_radius_mm: float = ruled(_LENGTH, about="radius of the arc in this layer")
@@ -181,7 +184,7 @@ class Layer(ConfigTable, key="needle.layer", error=ScenarioError):
 
 @dataclass(frozen=True)
 class Needle(ConfigTable, key="needle", error=ScenarioError, between=(_increasing,)):
-    """The needle in its tissue: the tissue layers, and the radius of the bevel's arc before the first layer."""
+    """The radius of the needle's arc in front of the first tissue layer, and the layers, whose radii replace it."""
 
     curvature_radius_mm: float = ruled(_LENGTH, about="radius of the arc that the needle follows without rotation")
     layers: tuple[Layer, ...] = ruled(TableList(Layer), (), key="layer")
@@ -189,7 +192,10 @@ class Needle(ConfigTable, key="needle", error=ScenarioError, between=(_increasin
 
 @dataclass(frozen=True)
 class Tissue(ConfigTable, key="tissue", error=ScenarioError):
-    """A region with its own radius: a simple polygon with its boundary. It may reach beyond the workspace."""
+    """A region in which the needle's arc has the given radius.
+
+    The region is a simple polygon that contains its boundary. It may reach beyond the workspace.
+    """
 
     polygon_mm: Points = ruled(_POLYGON, about="corners [x, y] of the region")
     curvature_radius_mm: float = ruled(_LENGTH, about="radius of the arc in this region")
@@ -198,10 +204,11 @@ class Tissue(ConfigTable, key="tissue", error=ScenarioError):
 
 @dataclass(frozen=True)
 class TipMotion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_below_half_a_turn,)):
-    """One step: an arc of one heading step, after which the heading is disturbed.
+    """One insertion step: the needle follows an arc that turns the heading by 2 pi / `headings`, then tip noise acts.
 
-    `tip_noise` holds P(0), P(+-1), P(+-2) ... of the disturbance in heading steps. `arc_samples` is the number of
-    points of the arc that are tested for collision, exit and target; 1 is the thesis.
+    `tip_noise` holds P(0), P(+-1), P(+-2) ...: the probabilities that the noise changes the heading by so many heading
+    steps, P(+-k) for each sign. `arc_samples` is the number of equally spaced points of the arc that are tested for
+    collision, exit and target; the last point is the end. The thesis uses 1.
     """
 
     headings: int = ruled(Integer(4, 100_000), 60, about="headings of a full turn; a step turns by one of them")
@@ -217,10 +224,10 @@ class TipMotion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_
 
 @dataclass(frozen=True)
 class Grid(ConfigTable, key="grid", error=ScenarioError):
-    """The grid of positions, and how the end of an arc is mapped to it.
+    """The grid of positions, and the rule that maps the end of an arc to grid points.
 
-    With `success_refinement` k, the success of the policy is evaluated on a grid that is k times finer in x and y. k is
-    odd, so that each finer cell belongs to one grid point and uses its policy.
+    With `success_refinement` k, the success probability is evaluated on a grid that is k times finer in x and y. Each
+    fine grid point uses the policy of the nearest coarse one; k must be odd so that the nearest is unique.
     """
 
     spacing_mm: tuple[float, float] = ruled(Pair(_LENGTH), (1.0, 1.0), about="distance of grid points, [dx, dy]")
@@ -232,7 +239,7 @@ class Grid(ConfigTable, key="grid", error=ScenarioError):
     )
 
     def points(self, workspace: Workspace) -> tuple[int, int]:
-        """Return the number of grid points along x and y: 0, dx, 2 dx ... round(width / dx) dx."""
+        """Return the number of grid points along x, round(width / dx) + 1, and along y, round(height / dy) + 1."""
         nx, ny = (
             round(size / spacing) + 1
             for size, spacing in zip((workspace.width_mm, workspace.height_mm), self.spacing_mm, strict=True)
@@ -242,10 +249,10 @@ class Grid(ConfigTable, key="grid", error=ScenarioError):
 
 @dataclass(frozen=True)
 class Objective(ConfigTable, key="objective", error=ScenarioError, between=(_insertion_costs,)):
-    """The costs that are minimised: of insertion per mm, of a rotation, and of the two failures.
+    """The costs whose expected sum is minimised: insertion per mm, rotation, collision and exit.
 
-    The default reaches the target first and then causes the least trauma. The thesis uses rotation 40, collision 200,
-    exit 100 and discount 0.95.
+    With the default costs, success comes first and short paths with few rotations second. The thesis uses rotation 40,
+    collision 200, exit 100 and discount 0.95. With discount 1, `insertion_per_mm` must be above 0.
     """
 
     insertion_per_mm: float = ruled(_COST, 1.0, about="cost of 1 mm of insertion")
@@ -259,9 +266,11 @@ class Objective(ConfigTable, key="objective", error=ScenarioError, between=(_ins
 class Solver(ConfigTable, key="solver", error=ScenarioError):
     """The algorithm that computes the values, and its stopping rules.
 
-    `partitions` is their number along x and y for `Method.PPVI`; None means 12 x 8, or fewer on a smaller grid.
-    `tolerance` is the lambda of the thesis: with a discount below 1 the solve ends at a Bellman residual below
-    (1 - discount) * tolerance, which bounds the error of the values by `tolerance`. `threads` None means all cores.
+    - `partitions`: number of partitions along x and y for `Method.PPVI`; None means 12 x 8, or fewer on a smaller grid
+    - `tolerance`: largest error of the values at which the solve ends, the lambda of the thesis. With a discount below
+      1, the solve ends at a Bellman residual below (1 - discount) * `tolerance`.
+    - `max_sweeps`, `time_limit_s`: the solve also ends after so many sweeps or seconds; None means no such limit
+    - `threads`: number of threads; None means all cores
     """
 
     method: Method = ruled(

@@ -1,4 +1,4 @@
-"""Simple polygons: the rule for their corners, and tests whether points lie in them."""
+"""Simple polygons: a rule that checks their corners, and tests whether points lie in a polygon."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["TOLERANCE_MM", "Points", "SimplePolygon", "contains", "covered"]
 
 TOLERANCE_MM = 1e-9
-"""Distance (mm) from a boundary up to which a point counts as on the boundary, because of rounding."""
+"""Distance (mm) from a boundary up to which `covered` counts a point as on the boundary, because of rounding."""
 
 Points = tuple[tuple[float, float], ...]
 
@@ -28,12 +28,15 @@ _MOST_POINTS = 100_000
 
 @dataclass(frozen=True)
 class SimplePolygon:
-    """Rule for the corners of a polygon whose boundary does not touch itself; the last may repeat the first."""
+    """Rule for the corners of a polygon whose boundary does not cross or touch itself. `coordinate` reads x and y."""
 
     coordinate: Number
 
     def read(self, value: object) -> Points:
-        """Return the corners without repeated successive corners. Raises Violation."""
+        """Return the corners without successive repetitions, and without the last corner if it repeats the first.
+
+        Raises Violation if `value` is not a list of at most 100,000 points, or the polygon is not simple.
+        """
         entries = sequence(value)
         if entries is None or len(entries) > _MOST_POINTS:
             raise Violation("must be a list of points, [[x, y], [x, y], [x, y], ...]", value)
@@ -56,14 +59,14 @@ class SimplePolygon:
 
 
 def contains(polygon_mm: Sequence[tuple[float, float]], point_mm: tuple[float, float]) -> bool:
-    """Return whether the point is inside the polygon or on its boundary."""
+    """Return whether the point is inside the polygon or exactly on its boundary."""
     from shapely import Point, Polygon
 
     return bool(Polygon(polygon_mm).intersects(Point(point_mm)))
 
 
 def covered(polygon_mm: Points, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of the points that are inside the polygon or on its boundary; all arrays have the same shape."""
+    """Return a mask of the points that are inside the polygon or within `TOLERANCE_MM` of it; same shape as `x_mm`."""
     import shapely
 
     found: NDArray[np.bool_] = shapely.dwithin(_prepared(polygon_mm), shapely.points(x_mm, y_mm), TOLERANCE_MM)
@@ -72,7 +75,7 @@ def covered(polygon_mm: Points, x_mm: NDArray[np.float64], y_mm: NDArray[np.floa
 
 @lru_cache(maxsize=64)
 def _prepared(polygon_mm: Points) -> Polygon:
-    """Return the polygon prepared for fast queries; cached, because the insertion loop queries single points."""
+    """Return the polygon prepared for fast queries. Cached for the insertion loop, which queries points one by one."""
     import shapely
 
     polygon = shapely.Polygon(polygon_mm)
@@ -81,7 +84,7 @@ def _prepared(polygon_mm: Points) -> Polygon:
 
 
 def _flaw(corners: list[tuple[float, float]]) -> str:
-    """Return the rule that the polygon violates, or an empty text if the polygon is valid."""
+    """Return the rule that a polygon with these corners violates, or an empty text if the polygon is simple."""
     from shapely import Polygon, is_valid_reason
 
     polygon = Polygon(corners)

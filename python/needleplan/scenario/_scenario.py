@@ -60,9 +60,9 @@ ORDER = (
 class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1", between=BETWEEN):
     """Anatomy, target, needle, tip noise, grid, objective and solver: everything that a plan depends on.
 
-    The radius of a step is the radius at the place where the step starts: that of the last of the `tissues` that
-    contains the place, else of the last layer of the needle that begins at or before it, else of the needle. The plane
-    has x along the insertion and y lateral, in mm. Headings are in rad from +x, counter-clockwise positive.
+    The position at which a step starts determines the radius of the step: if tissues contain the position, the last of
+    them in `tissues`; else the last layer of the needle that begins at or before the position; else the needle. The
+    plane has x along the insertion and y lateral, in mm. Headings are in rad from +x, counter-clockwise positive.
 
     Parameters
     ----------
@@ -71,26 +71,26 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
     target : Target
         The disc that the tip must reach.
     needle : Needle
-        Radius of the needle's arc, with layers of other radii.
+        Radius of the needle's arc, and layers with other radii.
     obstacles : sequence of Obstacle, optional
-        Polygons that the tip must not touch.
+        Polygons that the tip must not touch. Default: none.
     motion : TipMotion, optional
-        Headings and tip noise.
+        Number of headings, tip noise, and points of an arc that are tested. Default: `TipMotion()`.
     grid : Grid, optional
-        Grid of positions.
+        Grid of positions. Default: `Grid()`.
     objective : Objective, optional
-        Costs that are minimised.
+        Costs whose expected sum is minimised. Default: `Objective()`.
     solver : Solver, optional
-        Algorithm and its stopping rules.
+        Algorithm and its stopping rules. Default: `Solver()`.
     title : str, optional
-        Title for figures and summaries.
+        Title for figures and summaries. Default: no title.
     tissues : sequence of Tissue, optional
-        Regions with their own radius.
+        Regions in which the needle's arc has another radius. Default: none.
 
     Raises
     ------
     ScenarioError
-        If the parts contradict each other; it names all contradictions.
+        If a part has the wrong type, or parts contradict each other. The exception names all mistakes.
 
     Examples
     --------
@@ -116,12 +116,12 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Scenario:
-        """Read a scenario file, or a shipped scenario by its name.
+        """Read a scenario file or a shipped scenario.
 
         Parameters
         ----------
         path : str or path
-            A TOML file. If there is no such file, the name of a shipped scenario.
+            A TOML file, or the name of a shipped scenario. An existing file takes precedence over the name.
 
         Returns
         -------
@@ -130,7 +130,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         Raises
         ------
         ScenarioError
-            With every mistake of the file: key, value and rule.
+            If the file cannot be read, or with every mistake of the file: key, value and rule.
 
         Examples
         --------
@@ -142,14 +142,14 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> Scenario:
-        """Return the scenario of the text of a scenario file.
+        """Return the scenario that the text of a scenario file describes.
 
         Parameters
         ----------
         text : str
-            TOML.
+            The text, in TOML.
         source : str, optional
-            Name of the text in messages.
+            Name of the text in messages. Default: no name.
 
         Returns
         -------
@@ -158,7 +158,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         Raises
         ------
         ScenarioError
-            With every mistake of the text: key, value and rule.
+            If the text is not TOML, or with every mistake of the text: key, value and rule.
 
         Examples
         --------
@@ -171,12 +171,12 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         return parse_toml(text, cls, source)
 
     def to_toml(self) -> str:
-        """Return the text of a scenario file that reads back as exactly this scenario, defaults written out.
+        """Return the canonical text of the scenario: a scenario file that reads back as exactly this scenario.
 
         Returns
         -------
         str
-            TOML, the canonical text of the scenario.
+            TOML. Default values are written out; settings without a value, such as a time limit, are left out.
 
         Examples
         --------
@@ -193,7 +193,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         Parameters
         ----------
         path : str or path
-            The file; an existing one is replaced.
+            The file. An existing file is replaced.
 
         Raises
         ------
@@ -212,23 +212,23 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the canonical text: the same for files that differ in layout and comments only."""
+        """SHA-256 of the canonical text. Files that differ only in layout and comments have the same digest."""
         return digest(self.to_toml())
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
-        """Shape of the tables, (nx, ny, headings, 2); the last axis is bevel -1, bevel +1."""
+        """Shape of the arrays of a policy table: (nx, ny, headings, 2). The last axis is bevel -1, bevel +1."""
         nx, ny = self.grid.points(self.workspace)
         return nx, ny, self.motion.headings, 2
 
     @property
     def states(self) -> int:
-        """Number of states."""
+        """Number of states: the product of `shape`."""
         return math.prod(self.shape)
 
     @property
     def partitions(self) -> tuple[int, int]:
-        """Number of partitions along x and y: that of the solver, else 12 x 8, or fewer on a smaller grid."""
+        """Number of partitions along x and y: `solver.partitions`, or 12 x 8 without it, or fewer on a smaller grid."""
         nx, ny = self.grid.points(self.workspace)
         return self.solver.partitions or (min(12, nx), min(8, ny))
 
@@ -243,7 +243,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         return not (self.needle.layers or self.tissues)
 
     def radius_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> NDArray[np.float64]:
-        """Return the radius of an arc that starts at a place.
+        """Return the radii of arcs that start at given positions.
 
         Parameters
         ----------
@@ -253,7 +253,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         Returns
         -------
         numpy.ndarray
-            Radii in mm, of the broadcast shape of both.
+            Radii in mm, with the broadcast shape of `x_mm` and `y_mm`.
 
         Examples
         --------
@@ -274,17 +274,19 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
     def with_curvature(
         self, curvature_per_mm: float | Sequence[HasCurvature], *, entry_mm: float = 0.0, tissue: str = ""
     ) -> Scenario:
-        """Return the scenario with an identified curvature.
+        """Return a copy of the scenario in which radii are set from an identified curvature.
 
         Parameters
         ----------
         curvature_per_mm : float or sequence
-            A number (1/mm, of either sign) is the curvature of the whole path and replaces the layers. A sequence of
-            pieces, as from `needleplan.identification.path_curvature`, becomes the layers.
-        entry_mm : float, optional
-            x of the entry in mm: a layer begins at `entry_mm` + `low_mm` of its piece.
+            A number is the curvature of the whole path in 1/mm, of either sign; it replaces needle radius and layers. A
+            sequence of pieces, as from `needleplan.identification.path_curvature`: the first piece gives the radius of
+            the needle, each other piece a layer.
+        entry_mm : float, default 0
+            x of the entry in mm: a layer begins at `entry_mm` + `low_mm` of its piece. Used with a sequence only.
         tissue : str, optional
-            Name of tissues that get the curvature, which must then be one number. All else stays.
+            Name of the tissues whose radius is set; `curvature_per_mm` must then be a number, and needle and layers
+            stay. Default: needle and layers are set, and the tissues stay.
 
         Returns
         -------
@@ -293,7 +295,8 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         Raises
         ------
         ScenarioError
-            For a straight path, an unknown tissue, or layers that violate a rule.
+            If the curvature is 0 or not finite, the sequence is empty or given for a tissue, no tissue has this name,
+            or the layers violate a rule.
 
         Examples
         --------
@@ -306,13 +309,13 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         return replace(self, needle=needle_with(curvature_per_mm, entry_mm))
 
     def with_tip_noise(self, probabilities: Sequence[float]) -> Scenario:
-        """Return the scenario with identified tip noise.
+        """Return a copy of the scenario with other tip noise.
 
         Parameters
         ----------
         probabilities : sequence of float
-            P(0), P(+-1) ... heading steps per insertion step, as from `needleplan.identification._tip_noise` for the
-            headings and the radius of this scenario.
+            P(0), P(+-1) ...: probabilities that the noise of an insertion step changes the heading by so many heading
+            steps. `needleplan.identification.tip_noise` identifies them for the headings and radius of a scenario.
 
         Returns
         -------
@@ -332,19 +335,19 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         return replace(self, motion=replace(self.motion, tip_noise=tuple(probabilities)))
 
     def plot(self, ax: Axes | None = None, *, on_map: bool = False) -> Axes:
-        """Draw workspace, obstacles, target and tissues.
+        """Draw workspace, obstacles, target, layers and tissues.
 
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
-            The axes to draw on. Without them a new pyplot figure is made.
+            The axes to draw on. Default: the axes of a new pyplot figure.
         on_map : bool, default False
-            Draw outlines that stand out on a colour map, without the tints of the tissues.
+            Draw layers and tissues as white outlines without fill and labels, for axes that show a colour map.
 
         Returns
         -------
         matplotlib.axes.Axes
-            The axes, in mm.
+            `ax` or the new axes, with limits in mm.
 
         Examples
         --------
@@ -370,21 +373,21 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
 
     @property
     def x_mm(self) -> NDArray[np.float64]:
-        """Grid positions along x, [nx]."""
+        """Grid positions along x in mm, shape (nx,)."""
         import numpy as np
 
         return np.arange(self.shape[0], dtype=np.float64) * self.grid.spacing_mm[0]
 
     @property
     def y_mm(self) -> NDArray[np.float64]:
-        """Grid positions along y, [ny]."""
+        """Grid positions along y in mm, shape (ny,)."""
         import numpy as np
 
         return np.arange(self.shape[1], dtype=np.float64) * self.grid.spacing_mm[1]
 
     @property
     def headings_rad(self) -> NDArray[np.float64]:
-        """Headings in rad, [headings], from 0 to below 2 pi."""
+        """Headings in rad, shape (headings,), from 0 to below 2 pi."""
         import numpy as np
 
         return np.arange(self.motion.headings, dtype=np.float64) * (2 * math.pi / self.motion.headings)

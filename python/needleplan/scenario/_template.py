@@ -1,4 +1,4 @@
-"""The shipped scenarios, and a commented scenario file as a template for new scenarios."""
+"""Names of the shipped scenarios, and a commented scenario file as a template for new scenarios."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def template(name: str | os.PathLike[str] = "four_obstacles") -> str:
     Parameters
     ----------
     name : str or path
-        A shipped scenario by its name, or a scenario file.
+        A scenario file, or the name of a shipped scenario.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def template(name: str | os.PathLike[str] = "four_obstacles") -> str:
     Raises
     ------
     ScenarioError
-        If there is no such scenario, or its file is wrong.
+        If there is no such file or shipped scenario, or the file has mistakes.
 
     Examples
     --------
