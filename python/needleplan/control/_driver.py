@@ -1,4 +1,4 @@
-"""Execution of the motions of an insertion: commands, waiting for their end, pauses. All commands go to the guard."""
+"""Execution of the motions of an insertion: sends commands to the guard, waits for their end, and waits out pauses."""
 
 from __future__ import annotations
 
@@ -27,7 +27,11 @@ _BY = "the loop, for the operator"
 class NeedleDriver:
     """Moves the needle by commands to the guard, and receives samples until each motion has ended.
 
-    `on_pause(causes, text)` is called when a pause begins, and again with empty `causes` when the pause ends.
+    `on_pause(causes, text)` is called with the names of the causes when a pause begins, and with "" when the pause
+    ends. If a person ordered the pause, `causes` is "" at the beginning too.
+
+    While a method waits, it raises DeviceFault if the guard stops the run or no device sends samples, and Stopped if
+    the operator stops the run.
     """
 
     def __init__(
@@ -44,11 +48,10 @@ class NeedleDriver:
         self._listeners, self._on_pause = listeners, on_pause
         self._enabled = self._resumed = False
         self._commanded_at = -1
-        """Number of stage samples received before the last command; only later samples can show the command's
-        effect."""
+        """Number of stage samples received before the last command; only later samples show its effect."""
 
     def enable(self) -> None:
-        """Declare the stage homed, wait until no cause is present, at most `silence_s`, and enable the guard.
+        """Declare the stage homed, wait at most `silence_s` until no cause is present, and enable the guard.
 
         Raises MotionRefused if the guard refuses an order.
         """
@@ -60,7 +63,10 @@ class NeedleDriver:
         self._enabled = True
 
     def wait_until(self, done: Callable[[], bool], limit_s: float, failure: str) -> None:
-        """Receive samples until `done()` is true. Raises DeviceFault(failure) after `limit_s`, not counting pauses."""
+        """Receive samples and wait out pauses until `done()` is true.
+
+        Raises DeviceFault with the message `failure` after `limit_s`, to which pauses do not count.
+        """
         end_ns = self._clock.now_ns() + round(limit_s * 1e9)
         while not done():
             if self._clock.now_ns() > end_ns:
@@ -72,14 +78,17 @@ class NeedleDriver:
     def settle(self, frames: int) -> None:
         """Receive samples until the tracker has sent `frames` more usable frames.
 
-        Raises DeviceFault if it is too slow.
+        Raises DeviceFault after `silence_s` plus 0.5 s for each frame.
         """
         enough = self._needle.frames + frames
         limit_s = self._options.silence_s + frames * _FRAME_S
         self.wait_until(lambda: self._needle.frames >= enough, limit_s, "tracker: no usable frames")
 
     def begin_insert(self, path_mm: float) -> None:
-        """Begin to insert until the path has the length `path_mm` (mm). Raises DeviceFault."""
+        """Wait out a pause, then begin to move until the path has the length `path_mm` (mm).
+
+        Raises MotionRefused or the DeviceFault of the stage.
+        """
         if self._paused:
             self._wait_out_pause()
         options = self._options
@@ -89,7 +98,11 @@ class NeedleDriver:
         self._commanded(CommandKind.INSERT, depth, options.velocity_mm_s)
 
     def finish_insert(self, early_mm: float = 0.0) -> None:
-        """Wait until the stage rests at its goal, or until at most `early_mm` (mm) are left. Raises DeviceFault."""
+        """Wait until the stage rests at `goal_mm`, or until at most `early_mm` (mm) are left to `goal_mm`.
+
+        After a pause the insertion is commanded again. If the stage rests, `goal_mm` becomes the reached path length.
+        Raises DeviceFault after twice the nominal duration plus 2 s.
+        """
         needle, goal = self._needle, self.goal_mm
         limit_s = _DURATION_FACTOR * abs(goal - needle.path_mm) / self._options.velocity_mm_s + _DURATION_S
 
@@ -110,9 +123,10 @@ class NeedleDriver:
         self.goal_mm = self._needle.path_mm
 
     def rotate(self, roll_rad: float) -> None:
-        """Rotate the base until the tip has the roll `roll_rad`; at 0 the needle bends to the left. Raises DeviceFault.
+        """Rotate the base, and with it the tip, to the roll `roll_rad`; at 0 the needle bends to the left.
 
-        If the torsional lag is known, the base is rotated beyond the goal by the lag, and then back.
+        If the options contain a torsion model with a lag above 0.002 rad, the base first rotates beyond the goal by the
+        lag and then returns to the goal. Raises DeviceFault if the base does not come to rest at a goal in time.
         """
         options, needle = self._options, self._needle
         goals = [roll_rad]
@@ -126,7 +140,10 @@ class NeedleDriver:
             self._rotate_base(float(goal) + options.roll_left_rad)
 
     def halt(self, *, latch: bool) -> None:
-        """Stop both axes and disable the guard, in any state. If `latch`, a person must reset the guard afterwards."""
+        """Stop both axes and disable the guard, in any state; FAULT remains.
+
+        If `latch`, the guard can be enabled again only after a person has reset it.
+        """
         self._enabled = False
         if latch:
             self._guard.stop()
@@ -144,13 +161,16 @@ class NeedleDriver:
         return self._needle.stage_samples <= self._commanded_at
 
     def _receive(self) -> None:
-        """Receive one sample. Raises DeviceFault, with the cause, if the guard has stopped the run."""
+        """Receive at most one sample. Raises DeviceFault, with the cause, if the guard has stopped the run."""
         self._needle.receive()
         if self._enabled and self._guard.state.operating in (OperatingState.FAULT, OperatingState.DISABLED):
             raise DeviceFault(self._needle.why_stopped())
 
     def _wait_out_pause(self) -> int:
-        """Wait until no cause is present, resume, and return the duration of the pause (ns). Raises DeviceFault."""
+        """Wait until no cause is present and the stage rests, resume, and return the duration of the pause (ns).
+
+        Raises DeviceFault after `resume_s`.
+        """
         began_ns = self._clock.now_ns()
         causes = present_causes(self._guard)
         self._on_pause(causes, "the needle has stopped")

@@ -1,4 +1,4 @@
-"""Events of a run, and the interface of the listeners that receive them: the recorder, the live view, the report."""
+"""Events of a run, and the interface of their listeners: the recorder, the live view and the report."""
 
 from __future__ import annotations
 
@@ -28,20 +28,34 @@ class RunEventName(StrEnum):
 
     BEGIN = "begin"
     BIAS = "bias"
+    """The force sensor was biased."""
+
     REPLAN_ASKED = "replan_asked"
     REPLAN_DONE = "replan_done"
+    """Not emitted; TABLE_SWAPPED reports a new table."""
+
     REPLAN_REFUSED = "replan_refused"
+    """The new scenario is invalid, or planning has failed; the present table stays."""
+
     TABLE_SWAPPED = "table_swapped"
     PAUSED = "paused"
     RESUMED = "resumed"
     FAULT = "fault"
+    """The run ends with the outcome FAULT or REFUSED; END follows."""
+
     STOP = "stop"
+    """The run ends with the outcome STOPPED; END follows."""
+
     END = "end"
 
 
 @dataclass(frozen=True)
 class RunEvent:
-    """One event of a run with its cause and a text for the user. `step` is the number of the next decision."""
+    """One event of a run with its cause and a text for the user. `step` is the number of the next decision.
+
+    In the events FAULT, STOP and END, `cause` is the outcome of the run and `text` the reason. `digest` is the digest
+    of the policy table; only BEGIN and TABLE_SWAPPED have one.
+    """
 
     time_ns: int
     name: RunEventName
@@ -73,10 +87,13 @@ class RunCommand:
 class ExecutedStep:
     """One decision of the loop and the step that the needle then makes.
 
-    `pose` is the predicted pose of the tip at the end of the present insertion, where the path length is `path_mm`.
-    `state` holds the indices of the table state nearest to `pose`; `estimate` is the tip estimate at the time of the
-    decision. The needle is then inserted by `length_mm`. `latency_s` is the time from the arrival of the last tracker
-    frame to the decision.
+    - `path_mm`, `pose`: path length and predicted pose of the tip at the start of the step.
+    - `state`: indices (x, y, heading, bevel) of the table state that is looked up for `pose`.
+    - `action`: ROTATE if the needle turns before the insertion by `length_mm`, else INSERT.
+    - `value`, `success`: expected cost and success probability of `state`; 0 and 1 if the table is not looked up,
+      because the tip is in the target or outside the workspace.
+    - `estimate`: tip estimate at the time of the decision.
+    - `latency_s`: time from the arrival of the last tracker frame to the decision; NaN without a frame.
     """
 
     number: int
@@ -96,7 +113,7 @@ class ExecutedStep:
 class Listener:
     """Base class of listeners. Every method does nothing; subclasses override the methods that they need.
 
-    Methods must return at once and must not raise. `safety` may be called by any thread, the others by the loop.
+    Methods must return at once and must not raise. Any thread may call `safety`; the loop calls all other methods.
     """
 
     def sample(self, sample: Sample) -> None:
@@ -106,10 +123,10 @@ class Listener:
         """Receive the tip estimate after a tracker frame; `path_mm` is the path length (mm)."""
 
     def command(self, command: RunCommand) -> None:
-        """Receive a command that the stage has accepted."""
+        """Receive a motion command that the stage has accepted, or a stop that the loop has ordered."""
 
     def step(self, step: ExecutedStep) -> None:
-        """Receive a decision."""
+        """Receive a decision, before the needle makes the step."""
 
     def event(self, event: RunEvent) -> None:
         """Receive an event of the run."""
@@ -118,12 +135,12 @@ class Listener:
         """Receive an event of the guard."""
 
     def status(self) -> RecorderStatus | None:
-        """Return the status of the recording that the run requires, or None if the run does not depend on it."""
+        """Return the status of a recording without which the run must stop; None if there is no such recording."""
         return None
 
 
 class ListenerGroup(Listener):
-    """Passes every call on to several listeners, in their order."""
+    """Passes samples, estimates, commands, decisions and events on to several listeners, in their order."""
 
     def __init__(self, listeners: Iterable[Listener]) -> None:
         self._listeners = tuple(listeners)

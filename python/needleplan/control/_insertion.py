@@ -1,8 +1,8 @@
-"""The insertion loop: it looks up the action for the estimated tip in the table and carries it out, step by step.
+"""The insertion loop: in each step, it looks up the action for the estimated tip in the table and carries it out.
 
-If the needle need not stop, the decision is made shortly before the end of a step, for the predicted pose at its end.
-Before a rotation the needle stops, the tracker observes it again, and the decision is made for the pose at rest. The
-last step ends at the point of the arc that is closest to the centre of the target.
+If the needle need not stop, the decision is made shortly before the end of a step, for the predicted pose at the end of
+the step. Before a rotation the needle stops, the tracker observes the tip again, and the decision is made for the pose
+at rest. The last step ends at the point of the arc that is closest to the centre of the target.
 """
 
 from __future__ import annotations
@@ -51,18 +51,19 @@ class Insertion(Closing):
     registration
         Transformation from the tracker frame to the plan frame; the identity by default.
     tip_settings
-        Settings of the tip filter.
+        Settings of the tip filter; the defaults of `TipSettings` if None.
     limits
-        Limits of the safety guard `insertion.guard`, through which a person can also retract the needle.
+        Limits of the safety guard `insertion.guard`, through which a person can also retract the needle; the
+        defaults of `SafetyLimits` if None.
     replanner
-        Source of new tables; a thread by default.
+        Source of new tables; a `ThreadReplanner` by default.
     listeners
         Receivers of samples, estimates, commands, decisions and events.
 
     Raises
     ------
     MotionRefused
-        If the stage has another guard already.
+        If the stage already has a guard.
 
     """
 
@@ -93,7 +94,10 @@ class Insertion(Closing):
         _ = table.lattice, table.digest, self._scene.touches(0.0, 0.0)
 
     def stop(self, cause: str) -> None:
-        """Stop the needle and end the run for good. Any thread or signal handler may call this method."""
+        """Stop the needle and end the run with the outcome STOPPED.
+
+        Any thread or signal handler may call this method.
+        """
         self._needle.request_stop(cause)
         # A signal handler runs in the thread of the loop, which may hold the lock of the guard; then the loop stops.
         if self._thread and threading.get_ident() != self._thread:
@@ -104,9 +108,10 @@ class Insertion(Closing):
         self.guard.close()
 
     def run(self) -> InsertionReport:
-        """Insert the needle and return the report, which contains the outcome and its cause.
+        """Insert the needle, stop it, and return the report, which contains the outcome and its cause.
 
-        Afterwards the needle rests.
+        A DeviceFault, an InputError and Ctrl-C end the run with an outcome; any other exception is raised after the
+        stop.
         """
         outcome, cause = InsertionOutcome.FAULT, "the program ended"
         self._thread = threading.get_ident()
@@ -149,7 +154,7 @@ class Insertion(Closing):
     def _begin(self) -> tuple[InsertionOutcome, str] | None:
         """Measure the entry, enable the guard, insert to the entry, and turn the bevel to the side of the lower cost.
 
-        Returns (outcome, cause) if the success probability at the start is below `least_success`, else None.
+        Returns (outcome, cause) before any motion if the success probability is below `least_success`, else None.
         """
         needle, driver, options = self._needle, self._driver, self.options
         driver.wait_until(lambda: needle.stage is not None, options.silence_s, "stage: no sample")
@@ -192,7 +197,7 @@ class Insertion(Closing):
     def _step(self) -> tuple[InsertionOutcome, str] | None:
         """Decide and carry out one step. Returns (outcome, cause) if the insertion has ended, else None.
 
-        If the needle must be at rest for the decision, it is only stopped and observed again.
+        If the decision requires a needle at rest but the needle moves, the step only waits for rest and new frames.
         """
         self._take_table()
         pose, scene, options = self._pose_at_goal(), self._scene, self.options
@@ -278,7 +283,7 @@ class Insertion(Closing):
         return round(pose.x_mm / dx), round(pose.y_mm / dy), turn, (pose.bevel + 1) // 2
 
     def _replan_if_needed(self, pose: Pose) -> None:
-        """Request a new table if the estimated curvature differs too much from the planned curvature."""
+        """Request a new table if the estimated curvature differs too much from the planned curvature at `pose`."""
         if not self.options.replan or self._replanner.busy:
             return
         tip = self._needle.tip
@@ -295,7 +300,7 @@ class Insertion(Closing):
         self._replanner.ask(scenario)
 
     def _take_table(self) -> None:
-        """Replace the table if a new table is ready."""
+        """Replace the table and its geometry if a new table is ready; emit an event if planning has failed."""
         try:
             table = self._replanner.take(self._number)
         except NeedleplanError as error:

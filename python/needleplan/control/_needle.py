@@ -1,7 +1,7 @@
-"""State of the needle: the last sample of each device and the tip filter. Only this module receives samples.
+"""State of the needle: the last sample of each device and the tip filter. Only this module reads the feed.
 
-The loop processes samples in the order of their arrival. The same samples lead to the same decisions, so a recording
-can be replayed.
+Samples are processed in the order of their arrival. The same samples lead to the same decisions, so a recording can be
+replayed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from needleplan.estimation.tip import PoseUse, TipEstimate, TipFilter, TipStatus
 
 __all__ = ["NeedleState", "Stopped", "present_causes"]
 
-# longest wait for a sample, s; after it the loop checks whether the operator or the guard has stopped the run
+# longest wait (s) for a sample; then the loop checks whether the operator or the guard has stopped the run
 _TURN_S = 0.02
 # largest number of waiting samples that are read from the feed to reach the fault that stopped the run
 _MOST_WAITING = 100
@@ -38,7 +38,8 @@ class NeedleState:
         self.force: ForceSample | None = None
         self.pose: PoseSample | None = None
         self.frames = 0
-        """Number of usable frames of the tracker so far."""
+        """Number of usable tracker frames so far; after `follow`, only frames that the tip filter uses or withdraws
+        count."""
 
         self.stage_samples = 0
         """Number of stage samples so far."""
@@ -59,7 +60,7 @@ class NeedleState:
         self._filter = tip_filter
 
     def request_stop(self, cause: str) -> None:
-        """Let the next `receive` raise Stopped with `cause`, or with the cause of an earlier request. Thread-safe."""
+        """Make the next `receive` raise Stopped with `cause`, or with the cause of an earlier request. Thread-safe."""
         self._stop_cause = self._stop_cause or cause or "stopped"
 
     @property
@@ -79,7 +80,7 @@ class NeedleState:
 
     @property
     def tip(self) -> TipEstimate:
-        """Estimate of the tip. Raises DeviceFault if the filter has lost the tip."""
+        """Estimate of the tip; available after `follow`. Raises DeviceFault if the filter has lost the tip."""
         assert self._filter is not None
         tip = self._filter.tip
         if tip.status is TipStatus.LOST:
@@ -89,9 +90,10 @@ class NeedleState:
         return tip
 
     def receive(self) -> None:
-        """Process the next sample, if one arrives, and call the guard's `tick` if it is due.
+        """Wait at most 20 ms for the next sample, process it, and call the guard's `tick` if that is due.
 
-        Raises Stopped if the operator has stopped the run, and DeviceFault if no device sends samples.
+        Raises Stopped if the operator has stopped the run, and DeviceFault if a device fails or if no device has sent a
+        sample for `silence_s`.
         """
         if self._stop_cause:
             raise Stopped(self._stop_cause)
@@ -110,7 +112,7 @@ class NeedleState:
             self._guard.tick()
 
     def why_stopped(self) -> str:
-        """Return the message of a stop by the guard: the fault of a device if there is one, and the causes of the stop.
+        """Return a message about a stop by the guard: the causes and, if a device has failed, its fault.
 
         Samples that still wait in the feed are passed to the listeners, because one of them may have caused the stop.
         """
@@ -161,5 +163,5 @@ class NeedleState:
 
 
 def present_causes(guard: GuardedStage) -> str:
-    """Return the names of all present and latched causes, separated by commas."""
+    """Return the names of all present and latched causes of `guard`, separated by commas."""
     return ", ".join(sorted(guard.state.present | guard.state.latched))

@@ -48,14 +48,14 @@ class Options:
     """Length of the needle; the torsional lag depends on it."""
 
     stops: bool = False
-    """Whether the needle stops after every step; otherwise it stops only to rotate."""
+    """Whether the needle stops after every step; otherwise it stops only before rotations and at the end."""
 
     lead_s: float = 0.15
-    """Time (s) before the end of a step at which the next decision is made. Must be at least the stopping time of the
-    stage."""
+    """Time (s) before the end of a step at which the next decision is made. Choose at least the stopping time of the
+    stage; this is not checked."""
 
     settling_frames: int = 4
-    """Number of usable tracker frames to wait for after the needle has stopped."""
+    """Number of usable tracker frames for which the loop waits after the needle has stopped."""
 
     least_success: float = 0.01
     """Success probability in the table below which the insertion ends."""
@@ -64,29 +64,30 @@ class Options:
     """Whether to plan again if the estimated curvature differs too much from the planned curvature."""
 
     replan_deviations: float = 3.0
-    """Smallest difference between estimated and planned curvature that causes replanning, in standard deviations of the
-    estimate. The difference must also exceed `replan_share`."""
+    """Difference between estimated and planned curvature, in standard deviations of the estimate, above which the loop
+    plans again. The difference must also exceed `replan_share`."""
 
     replan_share: float = 0.04
-    """Smallest difference that causes replanning, as a share of the planned curvature; a smaller difference hardly
-    changes a policy."""
+    """Difference between estimated and planned curvature, as a share of the planned curvature, above which the loop
+    plans again; a smaller difference hardly changes a policy."""
 
     silence_s: float = 1.0
     """Time (s) without a sample of any device after which the run ends with a fault."""
 
     expected_start: tuple[float, float, float] | None = None
-    """Expected pose (x_mm, y_mm, heading_rad) of the entry; the run is refused if the measured pose is too far from
-    it. None: every pose is accepted."""
+    """Expected pose (x_mm, y_mm, heading_rad) of the entry; the run is refused if the measured pose is too far away.
+    None: every pose is accepted."""
 
     start_within_mm: float = 5.0
-    """Largest accepted distance of the entry from `expected_start`."""
+    """Largest accepted distance (mm) of the measured entry from `expected_start`."""
 
     start_within_rad: float = 0.2
-    """Largest accepted difference of the heading from `expected_start`."""
+    """Largest accepted difference (rad) between the measured heading and the heading of `expected_start`."""
 
     resume_s: float = 5.0
-    """Longest pause (s), for example while the tracker does not see the coil; a longer pause ends the run. By starting
-    the run, the operator allows the loop to resume after pauses; 0 forbids resuming. A fault always ends the run."""
+    """Longest pause (s), for example while the tracker does not see the coil; a longer pause ends the run with a fault.
+    By starting the run, the operator allows the loop to resume when no cause is present and the stage rests. 0: a pause
+    ends the run, unless its cause has already gone. A fault always ends the run."""
 
     force_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Unit vector in the frame of the force sensor, in the direction of a force that resists insertion."""
@@ -114,7 +115,7 @@ class Options:
 
 @dataclass(frozen=True)
 class RunSetup:
-    """Everything besides the table that an insertion depends on: options, limits, registration and tip filter."""
+    """Everything besides the table that an insertion depends on: options, limits, registration, tip settings."""
 
     options: Options = field(default_factory=Options)
     limits: SafetyLimits = field(default_factory=SafetyLimits)
@@ -128,14 +129,14 @@ class RunSetup:
 
     @property
     def texts(self) -> dict[str, str]:
-        """Text of each file that stores the setup in a recording, by file name."""
+        """The setup as texts for a recording, by file name: JSON, and TOML for the registration."""
         parts = {_OPTIONS: asdict(self.options), _LIMITS: asdict(self.limits), _TIP: asdict(self.tip_settings)}
         texts = {name: json.dumps(part, indent=1) for name, part in parts.items()}
         return texts | {_REGISTRATION: self.registration.to_toml()}
 
     @classmethod
     def from_texts(cls, texts: Mapping[str, str], source: str = "") -> Self:
-        """Return the setup stored in `texts`, text by file name. Raises DataError if a file is missing or invalid."""
+        """Return the setup that `texts` (by file name) stores. Raises DataError if a file is missing or invalid."""
         try:
             options: dict[str, Any] = json.loads(texts[_OPTIONS])
             if options["torsion"] is not None:

@@ -26,7 +26,8 @@ def require_fitting(
 ) -> None:
     """Raise TableError, with every difference, if a table does not fit the scenario or the needle, or is not converged.
 
-    The needle fits if the radius of the table lies in the 95 % interval of the identified radius.
+    The needle fits if the radius of the table lies in the 95 % interval of the identified radius. If the interval is
+    not finite, the radii may differ by 5 %.
 
     Parameters
     ----------
@@ -38,6 +39,11 @@ def require_fitting(
         Scenario for which the table must have been planned; solver and title may differ. None: any scenario.
     needle
         Identified needle that the table must fit. None: any needle.
+
+    Raises
+    ------
+    TableError
+        If planning did not converge, an entry of the scenario differs, or the needle does not fit.
 
     """
     mistakes = []
@@ -67,9 +73,9 @@ def measured_entry(
 ) -> tuple[float, float, float]:
     """Return the pose (x_mm, y_mm, heading_rad) of the entry, averaged over `frames` frames of the needle at rest.
 
-    The needle is assumed to be straight, so its tip lies ahead of the coil in the direction of the coil. Raises
-    DeviceFault if the tracker sends no usable frames, or if the time between two frames is at least `oldest_s` (s), the
-    age limit of the guard, because the insertion would then pause at every frame.
+    The needle is assumed to be straight, so the entry lies on the axis of the coil. Raises DeviceFault if the tracker
+    sends no usable frames, or if the median time between two frames is at least `oldest_s` (s), the age limit of the
+    guard, because the insertion would then pause at every frame.
     """
     rows, times_ns = [], []
     for _ in range(frames):
@@ -91,7 +97,10 @@ def measured_entry(
 
 
 def require_expected(entry: tuple[float, float, float], options: Options) -> None:
-    """Raise PoseError if the needle is farther from the expected start than the options allow."""
+    """Raise PoseError if `entry` (x_mm, y_mm, heading_rad) is farther from `expected_start` than the options allow.
+
+    Without an `expected_start`, every entry is accepted.
+    """
     expected = options.expected_start
     if expected is None:
         return

@@ -1,4 +1,4 @@
-"""Recording of a run: samples, tip estimates, commands, decisions, events and guard events, each on its own topic."""
+"""Recording of a run: samples, tip estimates, commands, decisions, events and guard events, by topic."""
 
 from __future__ import annotations
 
@@ -70,14 +70,14 @@ DECISION = Json(
         "success": {"type": "number"},
     },
 )
-"""Format of the messages on the topic /decision: the action, the table state, and the tip estimate at that time."""
+"""Format of the messages on the topic /decision; the entries of a message are those of `decision_of`."""
 
 TOPICS = {"/stage": STAGE, "/force": FORCE, "/pose": POSE, "/tip": TIP, "/command": COMMAND, "/decision": DECISION,
           "/event": EVENT, "/safety": EVENT}  # fmt: skip
 
 
 def decision_of(step: ExecutedStep) -> dict[str, Any]:
-    """Return the message on the topic /decision for a decision."""
+    """Return a decision as a message for the topic /decision."""
     return {
         "number": step.number, "action": step.action.name.lower(), "state": list(step.state), "value": step.value,
         "success": step.success, "length_mm": step.length_mm, "path_mm": step.path_mm,
@@ -87,10 +87,11 @@ def decision_of(step: ExecutedStep) -> dict[str, Any]:
 
 
 class RunRecorder(Listener, Closing):
-    """Listener that writes a run to the file `path`. On simulated time it waits for the disk, so it drops no message.
+    """Listener that writes a run to the file `path`. Raises OutputError if the file cannot be opened.
 
-    Samples are stored in the order in which the loop received them; a replay depends on this order. Raises OutputError
-    if the file cannot be written.
+    Samples are stored in the order in which the loop received them; a replay depends on this order. On simulated time
+    the recorder waits for the disk. On real time it drops messages if the disk is too slow, and counts them in its
+    status.
     """
 
     def __init__(
@@ -116,7 +117,7 @@ class RunRecorder(Listener, Closing):
         self._last_ns = 0
 
     def sample(self, sample: Sample) -> None:
-        """Record a sample."""
+        """Record a sample, with a time that is not earlier than the time of the sample before."""
         topic = (
             "/stage" if isinstance(sample, StageSample) else "/force" if isinstance(sample, ForceSample) else "/pose"
         )
@@ -143,7 +144,7 @@ class RunRecorder(Listener, Closing):
         self._topics["/event"].put(event.time_ns, entry | ({"digest": event.digest} if event.digest else {}))
 
     def safety(self, event: SafetyEvent) -> None:
-        """Record an event of the guard."""
+        """Record an event of the guard; NaN and infinite values become null."""
         values = {name: each if not isinstance(each, float) or math.isfinite(each) else None
                   for name, each in event.entry().items()}  # fmt: skip
         self._topics["/safety"].put(event.time_ns, values)
@@ -158,7 +159,7 @@ class RunRecorder(Listener, Closing):
 
     @property
     def missing(self) -> str:
-        """Text that lists lost and refused messages and a failure of the disk; empty if the recording is complete."""
+        """List of a disk failure, lost and refused messages as one text; empty if the recording is complete."""
         status = self.recorder.status
         lost = [f"{count} messages of {topic} were lost" for topic, count in status.overflowed.items()]
         refused = [f"{status.refused} messages were refused: {status.refusal}"] if status.refused else []

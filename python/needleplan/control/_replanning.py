@@ -24,7 +24,7 @@ __all__ = ["Replanner", "ThreadReplanner", "curvature_mismatch", "rescaled"]
 
 
 def curvature_mismatch(tip: TipEstimate, planned_per_mm: float, options: Options) -> str:
-    """Return a text that describes the curvature mismatch if it requires replanning, else an empty text."""
+    """Return a text about the curvature mismatch if it requires replanning, else an empty text."""
     off = tip.curvature_per_mm - planned_per_mm
     sd = tip.curvature_sd_per_mm
     if abs(off) <= options.replan_deviations * sd or abs(off) <= options.replan_share * planned_per_mm:
@@ -50,7 +50,7 @@ class Replanner(Closing):
     @property
     @abstractmethod
     def busy(self) -> bool:
-        """Whether a table was requested and `take` has not returned it yet."""
+        """Whether a table was requested that `take` has neither returned nor reported as failed."""
 
     @abstractmethod
     def ask(self, scenario: Scenario) -> None:
@@ -58,7 +58,7 @@ class Replanner(Closing):
 
     @abstractmethod
     def take(self, step: int) -> PolicyTable | None:
-        """Return the new table, or None if there is none at decision `step`.
+        """Return the new table, or None if there is none yet at decision number `step`.
 
         Raises NeedleplanError if planning failed.
         """
@@ -67,9 +67,11 @@ class Replanner(Closing):
 class ThreadReplanner(Replanner):
     """Replanner that computes tables in a thread.
 
-    By default, `take` returns a table at the first decision after the table is ready. If `wait`, the decision after the
-    request waits for the table; this is meant for simulated time, which does not pass while a table is computed. For
-    replays, `at` contains the numbers of the decisions at which `take` returns a table.
+    - If not `wait`, `take` returns a table at the first decision after the table is ready.
+    - If `wait`, the first decision after the request waits for the table. Simulated time needs this, because it does
+      not pass while a table is computed.
+    - If `at` is given, `take` returns tables only at the decisions with these numbers, and waits for them. Replays
+      need this.
     """
 
     def __init__(self, *, wait: bool, at: Iterable[int] | None = None) -> None:
@@ -80,7 +82,7 @@ class ThreadReplanner(Replanner):
 
     @property
     def busy(self) -> bool:
-        """Whether a table was requested and `take` has not returned it yet."""
+        """Whether a table was requested that `take` has neither returned nor reported as failed."""
         return self._asked is not None
 
     def ask(self, scenario: Scenario) -> None:
@@ -88,7 +90,7 @@ class ThreadReplanner(Replanner):
         self._asked = self._pool.submit(_made, scenario)
 
     def take(self, step: int) -> PolicyTable | None:
-        """Return the new table, or None if there is none at decision `step`.
+        """Return the new table, or None if there is none yet at decision number `step`.
 
         Raises NeedleplanError if planning failed.
         """
@@ -110,7 +112,7 @@ class ThreadReplanner(Replanner):
             raise NeedleplanError(f"planning again failed: {error!r}") from error
 
     def close(self) -> None:
-        """Wait until the present computation has ended, and discard its table."""
+        """Wait until the present computation has ended; its table is not used."""
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 

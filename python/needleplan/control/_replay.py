@@ -57,9 +57,10 @@ class _Tape(Generic[_Sample]):
         self._left: deque[tuple[int, _Sample]] = deque(samples)
 
     def read(self, timeout_s: float) -> _Sample | None:
-        """Advance the clock to the arrival of the next sample and return it; None if it arrives after `timeout_s`.
+        """Advance the clock to the arrival of the next sample, and return the sample.
 
-        Raises DeviceFault at the end of the recording.
+        If the sample arrives after `timeout_s`, advance the clock by `timeout_s` and return None. Raises DeviceFault at
+        the end of the recording.
         """
         if not self._left:
             raise DeviceFault(f"{type(self).__name__}: the recording is at its end")
@@ -73,7 +74,7 @@ class _Tape(Generic[_Sample]):
 
 
 class RecordedStage(_Tape[StageSample], Stage):
-    """Stage that returns the recorded samples and compares each command with the recorded command."""
+    """Stage that returns the recorded samples, and adds a text to `differences` for each command that differs."""
 
     def __init__(
         self, clock: VirtualClock, samples: list[tuple[int, StageSample]], commands: list[dict[str, Any]]
@@ -124,7 +125,7 @@ class _OrderedFeed(Feed):
         self._order = deque(order)
 
     def next(self, timeout_s: float) -> Sample | None:
-        """Return the next sample, or None if none arrives within `timeout_s`. Raises DeviceFault at the end."""
+        """Return the next sample, or None after `timeout_s`. Raises DeviceFault at the end of the recording."""
         if not self._order:
             raise DeviceFault("the recording is at its end")
         source = self._order[0]
@@ -139,7 +140,10 @@ class _OrderedFeed(Feed):
 
 
 class RecordedStation(Station):
-    """Station whose three devices return the samples of a recording. Raises DataError if a topic is missing."""
+    """Station whose devices return the samples of a recording on a virtual clock.
+
+    Raises DataError if the topic /stage, /force, /pose or /command is missing.
+    """
 
     def __init__(self, recording: Recording) -> None:
         missing = [Mistake("topic", topic, "is missing") for topic in ("/stage", "/force", "/pose", "/command")
@@ -167,13 +171,16 @@ class RecordedStation(Station):
         super().__init__(self.recorded_stage, RecordedForceSensor(clock, forces), RecordedTracker(clock, poses), clock)
 
     def feed(self, read: ReadDevice = read_directly) -> Feed:
-        """Return a feed of the samples in the order in which the recorded loop received them."""
+        """Return the feed of the samples, in the order in which the recorded loop received them."""
         return _OrderedFeed(self, self._order, read)
 
 
 @dataclass(frozen=True)
 class ReplayComparison:
-    """Result of a replay: its report, the numbers of `decisions` made and `recorded`, and all differences in order."""
+    """Result of a replay: report, number of `decisions` made, number of decisions `recorded`, and all differences.
+
+    The differences are texts: first those of decisions, then of commands, then of the outcome.
+    """
 
     report: InsertionReport
     decisions: int
@@ -182,7 +189,7 @@ class ReplayComparison:
 
     @property
     def same(self) -> bool:
-        """Whether every decision and every command equals the recorded one."""
+        """Whether there are no differences, and the replay made as many decisions as the recorded run."""
         return not self.differences and self.decisions == self.recorded
 
 
@@ -203,7 +210,10 @@ class _Comparing(Listener):
 
 
 def replay(recording: Recording, table: PolicyTable) -> ReplayComparison:
-    """Run the loop on the samples of a recording, and compare its decisions and commands with the recorded ones.
+    """Run the loop on the samples of a recording, and compare decisions, commands and outcome with the recorded ones.
+
+    The outcome is not compared if the recorded run was stopped or failed, because its samples end too early. Recorded
+    commands that the replay does not reach are not reported.
 
     Parameters
     ----------
@@ -215,12 +225,12 @@ def replay(recording: Recording, table: PolicyTable) -> ReplayComparison:
     Returns
     -------
     ReplayComparison
-        The report of the replay and all differences; `same` is true if there are no differences.
+        The report of the replay and all differences.
 
     Raises
     ------
     DataError
-        If the recording is not the recording of an insertion, or if the insertion used another table.
+        If the recording is not from an insertion, lacks a topic or a setup text, or was made with another table.
 
     """
     source = str(recording.path)

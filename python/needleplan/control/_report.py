@@ -21,7 +21,7 @@ __all__ = ["InsertionOutcome", "InsertionReport", "InsertionTrace", "drawn", "pa
 
 
 class InsertionOutcome(StrEnum):
-    """Outcome of an insertion. Afterwards the needle is at rest in all cases."""
+    """Outcome of an insertion. With every outcome, the guard has stopped the needle."""
 
     TARGET = "target"
     MISSED = "missed"
@@ -34,13 +34,19 @@ class InsertionOutcome(StrEnum):
     """The tip is outside the workspace of the table."""
 
     COLLISION = "collision"
+    """The tip is in an obstacle."""
+
     TOO_LONG = "too_long"
+    """The path has reached the length `longest_mm`."""
+
     STOPPED = "stopped"
     """The operator stopped the run."""
 
     FAULT = "fault"
+    """The run ended with an error after the first motion command."""
+
     REFUSED = "refused"
-    """The run ended with an error before the needle was moved."""
+    """The run ended with an error before the first motion command."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,21 +60,29 @@ class InsertionReport:
     steps, events
         Decisions and events in their order.
     planned_mm
-        [n, 2] path of the first table from the start: x, y.
+        [n, 2] x and y of points on the path that the first table plans from the start.
     executed_mm
-        [m, 3] estimated tip at every frame of the tracker: x, y, distance out of the plane.
+        [m, 3] estimated tip at every frame of the tracker: x, y, and distance from the plane of the plan.
     path_mm, deviations_mm
-        [m] path length, and distance of the tip from the planned path, at the frames of `executed_mm`.
+        [m] path length, and distance of the tip from the planned path (0 before the entry), at the frames of
+        `executed_mm`. For the distance, the planned path is extended straight into the target.
     forces
         [m, 2] path length (mm) and axial force (N) at the frames of `executed_mm`.
     tip, error_mm, beyond_rim_mm
-        Last estimate of the tip, its distance from the centre of the target, and its distance from the rim of the
+        Last estimate of the tip, distance of this tip from the centre of the target, and distance from the rim of the
         target (0 inside).
     deviation_mm, out_of_plane_mm
-        Largest distance of the tip from the planned path, which is extended straight into the target, and from the
-        plane of the plan.
+        Largest distance of the tip from the planned path, and from the plane of the plan.
+    inserted_mm
+        Path length at the end.
+    turns, replans
+        Numbers of steps that began with a rotation, and of tables that replaced the first table.
+    largest_force_n
+        Largest magnitude of the axial force (N).
+    duration_s
+        Time from the first to the last sample.
     predicted_success
-        Success probability in the table at the first decision.
+        Success probability at the first decision; NaN without a decision.
     table_digest
         Digest of the first table.
 
@@ -97,7 +111,7 @@ class InsertionReport:
     table_digest: str
 
     def record(self) -> dict[str, Any]:
-        """Return the entries of the report, without its paths, steps and events, as a JSON object."""
+        """Return the report as a JSON object, without paths and events, and with only the number of steps."""
         tip = self.tip
         return {
             "ending": self.outcome, "cause": self.cause, "error_mm": self.error_mm,
@@ -111,7 +125,10 @@ class InsertionReport:
 
 
 class InsertionTrace(Listener):
-    """Listener that collects estimates, forces, decisions and events for the report."""
+    """Listener that collects estimates, forces, decisions and events for the report.
+
+    `force_axis` is the unit vector, in the frame of the sensor, along which the axial force is measured.
+    """
 
     def __init__(self, force_axis: tuple[float, float, float]) -> None:
         self.steps: list[ExecutedStep] = []
@@ -135,7 +152,7 @@ class InsertionTrace(Listener):
             self.largest_force_n = max(self.largest_force_n, abs(along))
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Append a tip estimate, its path length and the last force."""
+        """Append a tip estimate, its path length and the last axial force."""
         self.last = tip
         self.paths_mm.append(path_mm)
         self.forces.append((path_mm, self._force_n))
@@ -187,7 +204,7 @@ def drawn(path: Path, table: PolicyTable) -> Array:
 
 
 def path_distances_mm(line_mm: Array, points_mm: Array) -> Array:
-    """Return the distance (mm) of each of m points [m, 2] from a polyline [n, 2]; zeros if the line has no segment."""
+    """Return the distances [m] (mm) of points [m, 2] from a polyline [n, 2]; zeros if the line has no segment."""
     if len(line_mm) < 2 or not len(points_mm):
         return np.zeros(len(points_mm))
     import shapely
@@ -196,9 +213,9 @@ def path_distances_mm(line_mm: Array, points_mm: Array) -> Array:
 
 
 def _prolonged(line_mm: Array, length_mm: float) -> Array:
-    """Return a polyline with a straight extension of `length_mm` at its end.
+    """Return a polyline with a straight extension of `length_mm` at its end; unchanged without a segment.
 
-    The planned path ends at the rim of the target, the executed path inside the target.
+    The planned path ends at the rim of the target, but the executed path ends inside the target.
     """
     if len(line_mm) < 2:
         return line_mm

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["NEARLY_MM", "Approach", "ScenarioGeometry"]
 
 NEARLY_MM = 0.05
-"""Distance to a goal (mm) below which the goal counts as reached. An approach is complete if the point closest to the
-target is less than twice this distance ahead."""
+"""Distance to a goal (mm) below which the goal counts as reached. A tip in the target is done if the point closest to
+the centre of the target is less than twice this distance ahead."""
 
 # distance (mm) between the points at which an arc is checked
 _SAMPLE_MM = 0.05
@@ -36,17 +36,17 @@ class ScenarioGeometry:
         self._uniform = scenario.uniform
 
     def radius_mm(self, x_mm: float, y_mm: float) -> float:
-        """Return the planned radius (mm) of an arc that starts at a point."""
+        """Return the planned radius of curvature (mm) of an arc that starts at a point."""
         if self._uniform:
             return self.scenario.needle.curvature_radius_mm
         return float(self.scenario.radius_mm(x_mm, y_mm))
 
     def step_mm(self, x_mm: float, y_mm: float) -> float:
-        """Return the length (mm) of a step from a point; the step turns the tip by one heading of the table."""
+        """Return the length (mm) of a step from a point, over which the heading turns by one interval of the table."""
         return 2 * math.pi * self.radius_mm(x_mm, y_mm) / self.scenario.motion.headings
 
     def clamped(self, x_mm: float, y_mm: float) -> tuple[float, float]:
-        """Return the point, moved to the edge of the workspace if it is at most half a cell outside."""
+        """Return the point; a coordinate that is at most half a cell outside the workspace is moved to the edge."""
         workspace, (dx, dy) = self.scenario.workspace, self.scenario.grid.spacing_mm
         x = min(max(x_mm, 0.0), workspace.width_mm)
         y = min(max(y_mm, 0.0), workspace.height_mm)
@@ -59,10 +59,10 @@ class ScenarioGeometry:
         return not (0 <= x <= workspace.width_mm and 0 <= y <= workspace.height_mm)
 
     def decided_at(self, x_mm: float, y_mm: float) -> tuple[float, float]:
-        """Return the point at which the table is looked up for a tip at a point outside of all obstacles.
+        """Return the point at which the table is looked up for a tip at the given point.
 
-        The table has no action at grid points in an obstacle. If the grid point nearest to the tip is in an obstacle,
-        the nearest corner of the tip's cell that is not in an obstacle is returned, otherwise the point itself.
+        Usually this is the given point. The table has no action at grid points in an obstacle. Therefore, if the grid
+        point nearest to the tip is in an obstacle, the nearest free corner of the tip's cell is returned.
         """
         (dx, dy), points = self.scenario.grid.spacing_mm, self.scenario.grid.points(self.scenario.workspace)
         corners = [
@@ -93,7 +93,7 @@ class ScenarioGeometry:
     def closest(
         self, x_mm: float, y_mm: float, heading_rad: float, curvature_per_mm: float, length_mm: float
     ) -> tuple[float, float]:
-        """Return where an arc is closest to the centre of the target: length along the arc and distance (mm)."""
+        """Return the length (mm) along an arc to its point closest to the target's centre, and the distance (mm)."""
         lengths = np.linspace(0.0, length_mm, max(int(length_mm / _SAMPLE_MM), 1) + 1)
         x, y, _ = arc_step(x_mm, y_mm, heading_rad, curvature_per_mm, lengths)
         target_x, target_y = self.scenario.target.center_mm
@@ -121,7 +121,7 @@ class ScenarioGeometry:
 
 @dataclass(frozen=True)
 class Approach:
-    """The last steps to the target of `scene`, for a needle with the estimated curvature `curvature_per_mm` (1/mm)."""
+    """Decisions near the target of `scene`, for a needle with the estimated curvature `curvature_per_mm` (1/mm)."""
 
     scene: ScenarioGeometry
     curvature_per_mm: float
@@ -136,13 +136,16 @@ class Approach:
         return self.inside(pose) and self.closest(pose)[0] < 2 * NEARLY_MM
 
     def closest(self, pose: Pose) -> tuple[float, float]:
-        """Return the length (mm) along the next step at which the tip is closest to the target, and the distance."""
+        """Return the length (mm) along the next step to its point closest to the centre, and the distance (mm)."""
         step = self.scene.step_mm(pose.x_mm, pose.y_mm)
         bend = pose.bevel * self.curvature_per_mm
         return self.scene.closest(pose.x_mm, pose.y_mm, pose.heading_rad, bend, step)
 
     def length_mm(self, pose: Pose, room_mm: float) -> tuple[float, bool]:
-        """Return the length (mm) of the next step, at most `room_mm`, and whether the insertion ends after it."""
+        """Return the length (mm) of the next step, at most `room_mm`, and whether this step is the last one.
+
+        The last step ends at `room_mm`, or in the target at the point closest to the centre.
+        """
         step = self.scene.step_mm(pose.x_mm, pose.y_mm)
         along, distance = self.closest(pose)
         if room_mm < step:
@@ -152,16 +155,16 @@ class Approach:
         return step, False
 
     def near(self, pose: Pose) -> bool:
-        """Return whether the target is less than two steps away."""
+        """Return whether the rim of the target is at most two steps away."""
         scene = self.scene
         reach = scene.scenario.target.radius_mm + 2 * scene.step_mm(pose.x_mm, pose.y_mm)
         return scene.target_distance_mm(pose.x_mm, pose.y_mm) <= reach
 
     def beside(self, pose: Pose) -> tuple[Pose, float] | None:
-        """Return start pose and length (mm) of the last step, of either bevel, that ends nearest to the target.
+        """Return start pose and length (mm) of a last step beside the target, with the bevel that comes nearer to it.
 
-        Returns None if the target is not near, if the step would hardly reduce the distance to the target, or if the
-        step would leave the workspace or touch an obstacle.
+        Returns None if the target is not near, if the step would reduce the distance to its centre by less than 0.1 mm,
+        or if the step would leave the workspace or touch an obstacle.
         """
         if not self.near(pose):
             return None

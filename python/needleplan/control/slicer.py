@@ -46,7 +46,7 @@ class SlicerView(Listener):
             self._server.show_force(sample.force_n)
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Show the tip and the executed path."""
+        """Show the tip and, if it has moved at least 0.5 mm, the executed path."""
         place = (tip.x_mm, tip.y_mm, tip.z_mm)
         half = tip.heading_rad / 2
         self._server.show_tip(place, (math.cos(half), 0.0, 0.0, math.sin(half)))
@@ -63,7 +63,7 @@ class SlicerView(Listener):
         self._server.show_note(f"step {step.number}: {step.action}, success {100 * step.success:.1f} %")
 
     def event(self, event: RunEvent) -> None:
-        """Show the text of the event if it is the end, a pause or a new table."""
+        """Show the text of an event that is a pause, a new table or the end of the run."""
         if event.name in (RunEventName.END, RunEventName.TABLE_SWAPPED, RunEventName.PAUSED):
             self._server.show_note(f"{event.name.replace('_', ' ')}: {event.text}")
 

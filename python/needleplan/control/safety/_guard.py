@@ -1,18 +1,17 @@
-"""The guard of the stage: it validates every sample, and every command directly before it is sent to the stage.
+"""The guard of the stage: validates every sample, and every command directly before the command is sent.
 
 All devices are read through `read_device`, so the guard validates every sample as soon as it arrives. The loop calls
-`tick` to report that it is running. A motion command is sent to the stage only if the state is ENABLED and every input
-is fresh, valid and within limits. A command with a value beyond a limit is refused, never clipped.
+`tick` to report that the loop is running. `insert` and `rotate` send a command only if the state is ENABLED and every
+input is fresh, valid and within limits. A command with a value beyond a limit is refused, never clipped.
 
-Retraction by a person (`retract`) is allowed in every state, including FAULT, and with any sensor state: pulling the
-needle out is safe, and a failed sensor must not prevent it. Only a person decides on a retraction, so no program calls
-`retract` on its own. The loop moves the needle back with `insert`, under the same rules as inward. The speed of a
-retraction is limited, and it must lead outward from the present position. If the position is unknown, only a retraction
-to `shallowest_mm` is accepted. A retraction is stopped by a person, or if the stage moves the wrong way or jumps; other
-causes do not stop it.
+A person may retract the needle (`retract`) in every state, including FAULT, and with failed sensors, because pulling
+the needle out is safe. No program calls `retract` on its own; the loop moves the needle outward with `insert`. A
+retraction must lead outward, and its speed is limited. If the position is unknown, only a retraction to `shallowest_mm`
+is accepted. A retraction is stopped by an order, by a blocked guard, and, except in DISABLED, if the stage moves the
+wrong way or jumps. Other causes do not stop a retraction.
 
-A stop is repeated until the stage reports that it is at rest. The guard is software and does not replace an emergency
-stop that cuts the power of the drives.
+A stop is repeated until the stage reports rest, or until a retraction begins. The guard is software and does not
+replace an emergency stop that cuts the power of the drives.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ from needleplan.recording import RecorderStatus
 __all__ = ["GuardedStage"]
 
 _NANO = 1e-9
-# longest wait (s) for the lock of the guard; a thread that holds it for longer is blocked in a command to the stage
+# longest wait (s) for the lock of the guard; a thread that holds the lock longer is blocked in a command to the stage
 _LOCK_TIMEOUT_S = 0.02
 
 _RUNNING = (OperatingState.ENABLED, OperatingState.PAUSED)
@@ -56,11 +55,13 @@ _GUARDED: WeakSet[Stage] = WeakSet()
 
 
 class GuardedStage(Stage):
-    """A stage that moves only while all checks pass. Raises MotionRefused if the stage already has a guard.
+    """A stage whose `insert` and `rotate` require that all checks pass. Raises MotionRefused if `stage` has a guard.
 
-    `listener` receives every event, in order; a stop is sent before its event. The listener must return at once, as
-    `Channel.put` of a recording does, and must not call the guard. Only one thread may command motions: the first that
-    commands a motion after the guard is enabled. Any thread may call all other methods.
+    `listener` receives every event, in order; a stop is sent before its event. The listener must return at once and
+    must not call the guard; its exception is the cause RECORDING_LOST. After each stop, the first thread that calls
+    `insert` or `rotate` is the only one that may do so. Any thread may call all other methods. If another thread blocks
+    the guard for more than 20 ms, a method sends a stop and raises MotionRefused; `stop`, `close` and successful reads
+    do not raise.
     """
 
     def __init__(
@@ -89,7 +90,7 @@ class GuardedStage(Stage):
 
     @property
     def state(self) -> SafetyState:
-        """State of the guard after the last validation."""
+        """State of the guard after the last validation or order."""
         return self._state
 
     @property
@@ -98,10 +99,7 @@ class GuardedStage(Stage):
         return self._limits
 
     def exchange_limits(self, limits: SafetyLimits) -> None:
-        """Replace the limits.
-
-        Raises MotionRefused unless the state is DISABLED, because otherwise the needle may move.
-        """
+        """Replace the limits; raises MotionRefused unless the state is DISABLED."""
         with self._held() as now_ns:
             if self._state.operating is not OperatingState.DISABLED:
                 self._refuse("exchange the limits", (Cause.LIMITS_IN_USE,), now_ns)
@@ -110,9 +108,10 @@ class GuardedStage(Stage):
     def observe(
         self, sample: Sample, *, tip_mm: tuple[float, float] | None = None, out_of_plane_mm: float = math.nan
     ) -> SafetyState:
-        """Validate a sample, send a stop if the sample requires it, and return the state.
+        """Validate a sample and all inputs, send a stop if required, and return the state.
 
-        For a pose, `tip_mm` is the tip estimated from it and `out_of_plane_mm` the distance of this tip from the plane.
+        `tip_mm` (position in the plane) and `out_of_plane_mm` (distance from the plane) are the tip estimated from a
+        pose; by default the tip becomes unknown. Both are ignored for other samples.
         """
         return self._observe(sample, (tip_mm, out_of_plane_mm))
 
@@ -131,28 +130,28 @@ class GuardedStage(Stage):
             return self._validate(now_ns)
 
     def device_failed(self, source: Source, error: Exception) -> SafetyState:
-        """Mark a device as failed until its next usable sample, and return the state."""
+        """Mark a device as failed until its next usable sample, validate all inputs, and return the state."""
         with self._held() as now_ns:
             self._inputs = self._inputs.with_failure(source)
             return self._validate(now_ns, str(error))
 
     def report(self, causes: Collection[Cause], text: str = "") -> SafetyState:
-        """Replace the causes that the loop itself reports, such as PLAN_LOST, and return the state."""
+        """Replace the causes that the loop reports, such as PLAN_LOST, validate all inputs, and return the state."""
         with self._held() as now_ns:
             self._reported = frozenset(causes)
             return self._validate(now_ns, text)
 
     def observe_recording(self, status: RecorderStatus) -> SafetyState:
-        """Validate the status of the recorder, and return the state. A lost message is a fault."""
+        """Validate the status of the recorder, and return the state. A lost message is a fault, a delay is a pause."""
         with self._held() as now_ns:
             self._recording = self._recording.then(status, now_ns)
             return self._validate(now_ns, status.cause)
 
     def tick(self) -> SafetyState:
-        """Report that the loop is running, validate all inputs, and return the state. The loop calls this regularly.
+        """Report that the loop is running, validate all inputs, and return the state. The loop calls `tick` regularly.
 
-        Only this method sends the heartbeat to the stage. If the loop ends or hangs, the heartbeat ends too, and the
-        watchdog of the stage stops the motion.
+        Only this method sends heartbeats to the stage, at most one in 5 ms. If the loop ends or hangs, the heartbeats
+        cease, and the watchdog of the stage stops the motion. If a heartbeat cannot be sent, the stage has failed.
         """
         with self._held() as now_ns:
             # Validated before the time of the last tick is replaced, so that a late tick is detected.
@@ -164,16 +163,16 @@ class GuardedStage(Stage):
             return self._validate(now_ns) if Cause.LOOP_LATE in state.present else state
 
     def heartbeat(self) -> None:
-        """Call `tick`, which reports that the loop is running."""
+        """Call `tick`."""
         self.tick()
 
     def check(self) -> SafetyState:
-        """Validate all inputs and return the state, without reporting that the loop is running; for the watchdog."""
+        """Validate all inputs for the Watchdog thread, and return the state; this does not report a running loop."""
         with self._held() as now_ns:
             return self._validate(now_ns)
 
     def order(self, order: Order, by: str = "") -> SafetyState:
-        """Carry out an order of the person `by`, and return the state.
+        """Validate all inputs, carry out an order of the person `by`, and return the state.
 
         Raises MotionRefused with all causes of the refusal.
         """
@@ -197,7 +196,7 @@ class GuardedStage(Stage):
             return self._state
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin to move to a depth at a speed. Raises MotionRefused, or the DeviceFault of the stage."""
+        """Begin to move to a depth at a speed. Raises MotionRefused if a check fails, or the stage's DeviceFault."""
         with self._held() as now_ns:
             self._validate(now_ns)
             limits, what = self._limits, f"insert to {depth_mm:g} mm at {velocity_mm_s:g} mm/s"
@@ -208,7 +207,7 @@ class GuardedStage(Stage):
             self._send(SafetyEventName.COMMAND, self._stage.insert, values, what, now_ns)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin to rotate the base to a roll. Raises MotionRefused, or the DeviceFault of the stage."""
+        """Begin to rotate the base to a roll. Raises MotionRefused if a check fails, or the stage's DeviceFault."""
         with self._held() as now_ns:
             self._validate(now_ns)
             what = f"rotate to {roll_rad:g} rad at {velocity_rad_s:g} rad/s"
@@ -220,7 +219,7 @@ class GuardedStage(Stage):
     def retract(self, depth_mm: float, velocity_mm_s: float, by: str = "") -> None:
         """Begin to pull the needle out to a depth, by order of the person `by`, in every state; ENABLED becomes PAUSED.
 
-        Raises MotionRefused if the motion does not lead outward or is too fast, or the DeviceFault of the stage.
+        Raises MotionRefused if the goal is not outward or a value is not permitted, or the DeviceFault of the stage.
         """
         with self._held() as now_ns:
             limits, what = self._limits, f"retract to {depth_mm:g} mm at {velocity_mm_s:g} mm/s"
@@ -237,22 +236,21 @@ class GuardedStage(Stage):
             self._send(SafetyEventName.RETRACTION, self._stage.insert, values, what, now_ns, by)
 
     def stop(self) -> None:
-        """Stop both axes in every state, and latch the stop until a person resets and enables the guard."""
+        """Stop both axes in every state, and refuse ENABLE until the order RESET."""
         with contextlib.suppress(MotionRefused):
             self.order(Order.STOP, "stop()")
 
     def read(self, timeout_s: float) -> StageSample | None:
-        """Return the next sample of the stage after validating it; None after `timeout_s`. Raises DeviceFault."""
+        """Validate and return the next sample of the stage; return None after `timeout_s`. Raises DeviceFault."""
         sample = self.read_device(Source.STAGE, self._stage, timeout_s)
         assert sample is None or isinstance(sample, StageSample)
         return sample
 
     def read_device(self, source: Source, device: SampledDevice, timeout_s: float) -> Sample | None:
-        """Return the next sample of a device after validating it; None after `timeout_s`.
+        """Validate and return the next sample of a device; return None after `timeout_s`.
 
-        All samples of a run are read by this method. A pose is validated with the present tip estimate; the loop calls
-        `observe_tip` when it has a new estimate. If reading fails, the device is marked as failed and the error is
-        raised.
+        All samples of a run are read by this method. A pose is validated with the present tip estimate; the loop then
+        calls `observe_tip` with the new one. If `device.read` raises, mark the device as failed and re-raise.
         """
         try:
             sample = device.read(timeout_s)
@@ -266,7 +264,7 @@ class GuardedStage(Stage):
         return sample
 
     def close(self) -> None:
-        """Stop and close the stage."""
+        """Disable the guard, stop and close the stage, and permit another guard for the stage."""
         with contextlib.suppress(MotionRefused), self._held() as now_ns:
             self._follow(advance(self._state, Order.DISABLE, now_ns), now_ns, "close")
         self._stage.close()
@@ -276,9 +274,8 @@ class GuardedStage(Stage):
     def _held(self) -> Iterator[int]:
         """Hold the lock of the guard, and yield the time (ns).
 
-        If another thread holds the lock for too long, stop the stage without the lock and raise MotionRefused. The
-        other thread may be blocked in a command that still reaches the stage after this stop. Therefore the stage is
-        stopped again, because of LOOP_LATE, as soon as the lock is free.
+        If another thread holds the lock for more than 20 ms, stop the stage without the lock and raise MotionRefused.
+        The command of that thread may arrive after this stop, so the next validation stops again (LOOP_LATE).
         """
         if not self._lock.acquire(timeout=_LOCK_TIMEOUT_S):
             self._blocked = True
@@ -297,7 +294,10 @@ class GuardedStage(Stage):
         self, name: SafetyEventName, command: Callable[..., None], values: dict[str, float], what: str, now_ns: int,
         by: str = "",
     ) -> None:  # fmt: skip
-        """Send a command to the stage, and emit its event. Raises the DeviceFault of the stage after validating it."""
+        """Send a command and emit its event; re-raise MotionRefused of the stage at once.
+
+        On any other DeviceFault, mark the stage as failed, validate all inputs, and re-raise.
+        """
         try:
             command(*values.values())
         except MotionRefused:
@@ -310,7 +310,7 @@ class GuardedStage(Stage):
         self._emit(name, now_ns, text=text, sent_ns=self._clock.now_ns(), values=tuple(values.items()))
 
     def _validate(self, now_ns: int, text: str = "") -> SafetyState:
-        """Validate all inputs at a time (ns), carry out the transition that follows, and return the state."""
+        """Validate all inputs at a time (ns), carry out the transition, repeat a stop if due, and return the state."""
         limits = self._limits
         causes = set(validate(self._inputs, limits, now_ns))
         causes.update(self._reported, self._motion.causes(limits, now_ns), self._recording.causes(limits, now_ns))
@@ -334,7 +334,7 @@ class GuardedStage(Stage):
         return self._state
 
     def _follow(self, transition: SafetyTransition, now_ns: int, text: str) -> None:
-        """Carry out a transition: first send its stop, then emit its events."""
+        """Carry out a transition: first send its stop, unless a retraction must continue, then emit its events."""
         before, self._state = self._state, transition.state
         if transition.state is before and not transition.actions:
             return
@@ -362,7 +362,7 @@ class GuardedStage(Stage):
             return self._clock.now_ns()
 
     def _detect_end(self, sample: StageSample, now_ns: int) -> None:
-        """End the repetition of a stop, or a retraction, if the sample shows that the stage is at rest."""
+        """End a repeated stop if the stage rests; end a retraction if it rests at its goal or after `motion_s`."""
         self._repeated_stop.observe(sample)
         goal = self._motion.depth
         if self._retracting and goal is not None and not sample.moving:
@@ -372,7 +372,7 @@ class GuardedStage(Stage):
                 self._motion = self._motion.stops(now_ns)
 
     def _require_none(self, what: str, against: frozenset[Cause], now_ns: int) -> None:
-        """Raise MotionRefused if there is a cause against a command; otherwise this thread becomes the commander."""
+        """Raise MotionRefused if any cause forbids the command; otherwise make this thread the commander."""
         if self._state.operating is not OperatingState.ENABLED:
             against |= {Cause.NOT_ENABLED, *self._state.present, *self._state.latched}
         elif self._commander not in (None, threading.get_ident()):

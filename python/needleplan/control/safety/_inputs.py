@@ -1,4 +1,4 @@
-"""State of every input of the guard, and its validation, as pure functions of samples, limits and time.
+"""Status of every input of the guard, and the validation of the inputs, as pure functions of samples and time.
 
 An input is healthy while its last usable sample is younger than the age limit. A single suspect sample is not used, but
 does not stop the motion either. A force or depth beyond its limit stops the motion even if the sample is suspect.
@@ -28,13 +28,15 @@ _CLOCK_RATE_ERROR = 0.001
 
 @dataclass(frozen=True)
 class Delay:
-    """Estimate of the transport delay of a device that has its own clock; `late_s` is the delay (s) of the last sample.
+    """Estimate of the transport delay of samples from a device clock; `late_s` is the delay (s) of the last sample.
 
-    The offset between the two clocks is unknown, so the sample with the shortest transport so far is assumed to have no
-    delay. The delay of another sample is the additional duration of its transport. Samples that waited in a network or
-    in a buffer therefore do not count as fresh. If the device clock goes back, the estimate starts again. Only stages
-    use this class. The time of a tracker is often a frame number times a nominal rate, and trackers return their latest
-    frame, which has not waited.
+    The offset between the two clocks is unknown, so the delay of the fastest sample so far is taken as zero. The delay
+    of any other sample is the additional duration of its transport. Samples that waited in a network or in a buffer
+    therefore do not count as fresh. Because the clocks may drift, the zero rises by up to 0.1 % of the elapsed time. If
+    the device clock goes back, the estimate starts again.
+
+    Only the delay of stages is estimated. Trackers return their latest frame, which has not waited, and often compute
+    its time from the frame number and a nominal rate.
     """
 
     late_s: float = 0.0
@@ -43,7 +45,7 @@ class Delay:
     _device_s: float | None = None
 
     def then(self, stamp: Stamp) -> Delay:
-        """Return the estimate after another sample. It is unchanged if the device has no clock."""
+        """Return the estimate after another sample; this estimate itself if `stamp` has no device time."""
         if stamp.device_time_s is None:
             return self
         received_s = stamp.received_ns * _NANO
@@ -63,6 +65,7 @@ class InputStatus(Generic[_Sample]):
     usable_ns: int | None = None
     """Estimated time (ns) at which the device took its last usable sample."""
     failed: bool = False
+    """Whether the device has failed since its last usable sample."""
     is_usable: bool = False
     """Whether `last` is usable."""
 
@@ -71,7 +74,7 @@ class InputStatus(Generic[_Sample]):
     def then(self, sample: _Sample, usable: bool, timed: bool = False) -> InputStatus[_Sample]:
         """Return the status after another sample; unchanged if the sample has the sequence number of the last sample.
 
-        `timed` means that the device time of the sample comes from a clock.
+        If `timed`, the transport delay is estimated from the device time of the sample.
         """
         if self.last is not None and sample.stamp.sequence == self.last.stamp.sequence:
             return self
@@ -84,7 +87,7 @@ class InputStatus(Generic[_Sample]):
 
 @dataclass(frozen=True)
 class RecordingStatus:
-    """Last status of the recorder, and the time of the last lost message. Without a status there is no validation."""
+    """Last status of the recorder (None: nothing to validate), number of lost messages, and time of the last loss."""
 
     status: RecorderStatus | None = None
     lost: int = 0
@@ -98,7 +101,7 @@ class RecordingStatus:
         return replace(self, status=status)
 
     def causes(self, limits: SafetyLimits, now_ns: int) -> frozenset[Cause]:
-        """Return the causes that concern the recording. A loss is reported for `recording_age_s`."""
+        """Return the causes that concern the recording. A lost message is reported for `recording_age_s`."""
         status, limit_s = self.status, limits.recording_age_s
         if status is None:
             return _NONE
@@ -114,7 +117,8 @@ class RecordingStatus:
 class Inputs:
     """Status of the three devices, and the tip that the loop estimates from the poses.
 
-    `tip_mm` is the tip in the plane of the plan, `out_of_plane_mm` its distance from that plane.
+    `tip_mm` is the tip in the plane of the plan (None if unknown), `out_of_plane_mm` the distance of the tip from this
+    plane.
     """
 
     force: InputStatus[ForceSample] = field(default_factory=InputStatus)
@@ -131,7 +135,8 @@ class Inputs:
     def then(self, sample: Sample, tip: tuple[tuple[float, float] | None, float] | None) -> Inputs:
         """Return the inputs after a sample.
 
-        For a pose, `tip` replaces the present tip and distance, unless it is None.
+        For a usable pose, `tip` (position in the plane and distance from the plane, mm) replaces the present tip. If
+        `tip` is None, the present tip is kept.
         """
         match sample:
             case ForceSample():
@@ -152,7 +157,7 @@ class Inputs:
     def with_pose(
         self, sample: PoseSample, tip_mm: tuple[float, float] | None = None, out_of_plane_mm: float = math.nan
     ) -> Inputs:
-        """Return the inputs after a pose, with the tip that was estimated from it."""
+        """Return the inputs after a pose; if the pose is new and usable, the given tip replaces the present tip."""
         usable = sample.health is Health.GOOD and all(map(math.isfinite, sample.position_mm))
         pose = self.pose.then(sample, usable)
         if pose is self.pose or not usable:
@@ -178,19 +183,19 @@ class Inputs:
         return replace(self, tip_mm=tip_mm, out_of_plane_mm=out_of_plane_mm)
 
     def with_failure(self, source: Source) -> Inputs:
-        """Return the inputs after a device has failed; its next usable sample ends the failure."""
+        """Return the inputs after the device `source` has failed; its next usable sample ends the failure."""
         name = {Source.FORCE: "force", Source.POSE: "pose", Source.STAGE: "stage"}[source]
         return replace(self, **{name: replace(getattr(self, name), failed=True)})
 
     def stage_known(self, limits: SafetyLimits, now_ns: int) -> StageSample | None:
-        """Return the last stage sample if it is usable and not older than `stage_age_s`, otherwise None."""
+        """Return the last stage sample; None if it is unusable or too old, or if the stage has failed since."""
         stage = self.stage
         young = not _older(stage.usable_ns, limits.stage_age_s, now_ns)
         return stage.last if young and not stage.failed and stage.is_usable else None
 
 
 def validate(inputs: Inputs, limits: SafetyLimits, now_ns: int) -> frozenset[Cause]:
-    """Return every cause that is present at a time (ns); empty if all inputs are fresh, valid and within limits."""
+    """Return every cause that the inputs show at a time (ns); empty if all are fresh, valid and within limits."""
     found: list[Cause] = []
     _force(found, inputs.force, limits, now_ns)
     _pose(found, inputs, limits, now_ns)
@@ -243,9 +248,9 @@ def _stage(found: list[Cause], stage: InputStatus[StageSample], limits: SafetyLi
 def _age(
     found: list[Cause], status: InputStatus[_Sample], limit_s: float, now_ns: int, causes: tuple[Cause, Cause, Cause]
 ) -> None:
-    """Append to `found` the cause that follows from failure or age of an input.
+    """Append to `found` the cause that follows from the failure or the age of an input, and CLOCK_MISMATCH.
 
-    `causes` are the causes for a failed device, no sample, and no usable sample.
+    `causes` are the causes for a failed device, for no sample, and for no usable sample within `limit_s`.
     """
     failed, stale, unusable = causes
     if status.last is not None and status.last.stamp.received_ns - now_ns > _FUTURE_S / _NANO:

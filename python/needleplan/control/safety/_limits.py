@@ -1,9 +1,9 @@
-"""The limits of a run. Every command is checked against them directly before it is sent to the stage.
+"""The safety limits of a run, and their validation.
 
 The defaults suit a needle robot in a phantom. The age limits follow from the rates of the sensors and from the
-requirement that a stop is sent at most 50 ms after a fault: five samples of a force sensor at 200 Hz may be missing,
-and no pose of a tracker at 40 Hz. If the tracker loses the coil for a moment, the run pauses until the coil is tracked
-again.
+requirement that a stop is sent at most 50 ms after a fault. With the defaults, five samples of a force sensor at 200 Hz
+may be missing, but no pose of a tracker at 40 Hz. If the tracker loses the coil for a moment, the run pauses until the
+coil is tracked again.
 """
 
 from __future__ import annotations
@@ -49,13 +49,15 @@ def _workspace_ranges(workspace_x_mm: Range | None, workspace_y_mm: Range | None
 
 @dataclass(frozen=True)
 class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth_range, _workspace_ranges)):
-    """Limits of a run, read from a table `[safety]`. Raises SafetyError with every invalid limit."""
+    """Limits of a run; a table `[safety]` has the same keys. Raises SafetyError with every invalid limit."""
 
     force_n: float = ruled(Number("N", above=0, at_most=200), 10.0)
     """Largest magnitude of the force at the base of the needle."""
 
     shallowest_mm: float = ruled(_DEPTH, -100.0)
+    """Smallest stage depth of a command."""
     deepest_mm: float = ruled(_DEPTH, 150.0)
+    """Largest stage depth of a command."""
     insertion_velocity_mm_s: float = ruled(Number("mm/s", above=0, at_most=1000), 10.0)
     retraction_velocity_mm_s: float = ruled(Number("mm/s", above=0, at_most=1000), 20.0)
     rotation_velocity_rad_s: float = ruled(Number("rad/s", above=0, at_most=1000), 12.0)
@@ -67,31 +69,36 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
     cause."""
 
     out_of_plane_mm: float = ruled(Number("mm", above=0, at_most=1000), 5.0)
+    """Largest distance of the tip from the plane of the plan."""
     workspace_x_mm: Range | None = ruled(_PLACE, None)
-    """Range of x of the tip in the plane of the table; None for no limit."""
+    """Permitted range (least, most) of the tip's x in the plane of the plan; None for no limit."""
     workspace_y_mm: Range | None = ruled(_PLACE, None)
+    """Permitted range (least, most) of the tip's y in the plane of the plan; None for no limit."""
     run_s: float = ruled(Number("s", above=0, at_most=86_400), 900.0)
     """Longest duration of a run, from enabling the guard."""
 
     force_age_s: float = ruled(_AGE, 0.03)
+    """Largest age of the last usable force sample."""
     pose_age_s: float = ruled(_AGE, 0.045)
+    """Largest age of the last usable pose."""
     stage_age_s: float = ruled(_AGE, 0.03)
+    """Largest age of the last usable stage sample."""
     loop_age_s: float = ruled(_AGE, 0.045)
     """Longest time between two calls of the guard's `tick` by the loop."""
 
     recording_age_s: float = ruled(_AGE, 0.5)
-    """Largest delay of the recorder."""
+    """Largest delay of the recorder, and time for which a lost message is reported."""
 
     motion_s: float = ruled(_AGE, 0.5)
-    """Time within which the stage must begin to move after a command, and must come to rest after a stop."""
+    """Longest time from a command until the stage moves, and from a stop until the stage is at rest."""
 
     following_mm: float = ruled(Number("mm", above=0, at_most=100), 0.5)
-    """Tolerance for the stage position: largest motion against a command, beyond the depth limits, after a stop, and
-    (in addition to the motion at the velocity limit) from one sample to the next."""
+    """Tolerance of the stage position: largest motion outside the range of a command, beyond the depth limits, and
+    after a stop. From one sample to the next, 1.5 times the velocity limit is permitted in addition."""
 
     @classmethod
     def from_table(cls, raw: object, source: str = "") -> SafetyLimits:
-        """Return the limits of a table as parsed from TOML. Raises SafetyError."""
+        """Return the limits in `raw`, a table parsed from TOML. Raises SafetyError with every wrong key or value."""
         try:
             limits: SafetyLimits = Subtable(cls).read(raw)
         except Violation as broken:
@@ -100,7 +107,10 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
 
     @classmethod
     def read(cls, path: str | Path) -> SafetyLimits:
-        """Return the limits of the table `[safety]` of a file; other tables are ignored. Raises SafetyError."""
+        """Return the limits in the table `[safety]` of a file; other tables are ignored.
+
+        Raises SafetyError if the file cannot be read, the table is missing, or a key or value is wrong.
+        """
         raw = raw_toml(text_of(path, SafetyError), SafetyError, str(path))
         if cls.key not in raw:
             raise SafetyError(Mistake(cls.key, "", f"is missing: limits belong in the table [{cls.key}]"), str(path))

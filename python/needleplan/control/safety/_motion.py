@@ -27,7 +27,10 @@ _LEAST_MM, _LEAST_RAD = 0.1, 0.05
 def against_insertion(
     limits: SafetyLimits, here: StageSample | None, depth_mm: float, velocity_mm_s: float
 ) -> frozenset[Cause]:
-    """Return the causes against an insertion to a depth. `here` is the last stage sample; None: position unknown."""
+    """Return the causes against a motion to a depth, inward or outward; empty if it is allowed.
+
+    `here` is the last stage sample. If it is None, the position is unknown and the insertion speed limit applies.
+    """
     if not (math.isfinite(depth_mm) and math.isfinite(velocity_mm_s)):
         return _NOT_FINITE
     inward = here is None or depth_mm > here.depth_mm
@@ -55,9 +58,9 @@ def against_rotation(limits: SafetyLimits, roll_rad: float, velocity_rad_s: floa
 def against_retraction(
     limits: SafetyLimits, here: StageSample | None, depth_mm: float, velocity_mm_s: float
 ) -> frozenset[Cause]:
-    """Return the causes against a retraction.
+    """Return the causes against a retraction to a depth; empty if it is allowed.
 
-    If the position is unknown, only the depth `shallowest_mm` is accepted.
+    `here` is the last stage sample. If it is None, the position is unknown and only `shallowest_mm` is accepted.
     """
     if not (math.isfinite(depth_mm) and math.isfinite(velocity_mm_s)):
         return _NOT_FINITE
@@ -73,7 +76,10 @@ def against_retraction(
 
 @dataclass(frozen=True)
 class Goal:
-    """Command to one axis: first and last position (mm or rad), velocity, velocity at the start, and start time."""
+    """Command to one axis: position at the start and goal (mm or rad), and commanded velocity.
+
+    `begin_velocity` is the velocity at the start, `began_ns` the time of the start.
+    """
 
     begin: float
     end: float
@@ -82,34 +88,43 @@ class Goal:
     began_ns: int
 
     def stuck(self, position: float, least: float, motion_s: float, now_ns: int) -> bool:
-        """Return whether the axis has hardly moved within `motion_s`; False for commanded distances below `least`."""
+        """Return whether the axis has moved less than a tenth of its way although `motion_s` has passed.
+
+        The result is False if the commanded distance is less than `least`.
+        """
         distance = abs(self.end - self.begin)
         if distance < least or (now_ns - self.began_ns) * _NANO < motion_s:
             return False
         return abs(position - self.begin) < _STUCK_SHARE * min(distance, self.velocity * motion_s)
 
     def waiting_since(self, position: float, least: float, now_ns: int) -> int:
-        """Return the start time (ns) of the next goal: that of this goal if the axis has not moved yet, else now."""
+        """Return the start time (ns) for the next goal.
+
+        If the axis still waits to move to this goal, the time is `began_ns` of this goal, so that repeated commands do
+        not hide a stuck axis; otherwise the time is `now_ns`.
+        """
         waits = abs(position - self.begin) < least and abs(self.end - position) >= least
         return self.began_ns if waits else now_ns
 
 
 @dataclass(frozen=True)
 class MotionWatch:
-    """Commands that the stage is carrying out, and its last sample."""
+    """Commands that the stage is carrying out, and the last stage sample."""
 
     depth: Goal | None = None
     roll: Goal | None = None
     stopped_ns: int = 0
-    """Time of the last stop; 0 before the first command."""
+    """Time (ns) of the last stop that ended a motion; 0 before the first such stop."""
 
     last: StageSample | None = None
     jumped: bool = False
+    """Whether the last sample is farther from its predecessor than the stage can move, or has a lower number."""
+
     rest_mm: float | None = None
     """Depth (mm) at which the stage came to rest after the last stop; None while it may move."""
 
     def inserts(self, depth_mm: float, velocity_mm_s: float, now_ns: int) -> MotionWatch:
-        """Return the watch after a command to insert or retract; there must have been a sample."""
+        """Return the watch after a command to insert or retract. Call it only after the first sample."""
         assert self.last is not None
         begin = self.last.depth_mm
         began_ns = now_ns if self.depth is None else self.depth.waiting_since(begin, _LEAST_MM, now_ns)
@@ -117,22 +132,19 @@ class MotionWatch:
         return replace(self, depth=goal, rest_mm=None)
 
     def rotates(self, roll_rad: float, velocity_rad_s: float, now_ns: int) -> MotionWatch:
-        """Return the watch after a command to rotate; there must have been a sample."""
+        """Return the watch after a command to rotate. Call it only after the first sample."""
         assert self.last is not None
         begin = self.last.roll_rad
         began_ns = now_ns if self.roll is None else self.roll.waiting_since(begin, _LEAST_RAD, now_ns)
         return replace(self, roll=Goal(begin, roll_rad, velocity_rad_s, 0.0, began_ns), rest_mm=None)
 
     def stops(self, now_ns: int) -> MotionWatch:
-        """Return the watch after a stop.
-
-        If the stage was already idle, the time allowed for coming to rest does not restart.
-        """
+        """Return the watch after a stop. `stopped_ns` changes only if a command was being carried out."""
         idle = self.depth is None and self.roll is None
         return replace(self, depth=None, roll=None, stopped_ns=self.stopped_ns if idle else now_ns, rest_mm=None)
 
     def then(self, sample: StageSample, limits: SafetyLimits) -> MotionWatch:
-        """Return the watch after a stage sample."""
+        """Return the watch after a stage sample; unchanged if the sample has the sequence number of the last one."""
         last = self.last
         if last is None:
             return replace(self, last=sample)

@@ -19,12 +19,12 @@ _UNSENT_S = 0.25
 # Wait after a slow stop: 10 times the duration of sending it, at most 1 s. Stops then use at most about a tenth of the
 # time of the link, and heartbeats and samples can pass.
 _WAIT_FACTOR, _LONGEST_WAIT_S = 10.0, 1.0
-# shortest time between two heartbeats, s: a sixth of the watchdog of a robot (0.03 s)
+# shortest time (s) between two heartbeats: a sixth of the watchdog time of a robot (0.03 s)
 _HEARTBEAT_S = 0.005
 
 
 class RepeatedStop:
-    """Repeats the stop of one stage. The stop is `wanted` until it has reached the stage and the stage reports rest."""
+    """Repeats the stop of one stage. `wanted` is True from `send` until a stop has arrived and the stage is at rest."""
 
     def __init__(self, stage: Stage, clock: Clock) -> None:
         self._stage, self._clock = stage, clock
@@ -34,10 +34,7 @@ class RepeatedStop:
         self.wanted = False
 
     def send(self) -> int:
-        """Send a stop and return the time (ns) at which it was sent.
-
-        Raises DeviceFault if it did not reach the stage.
-        """
+        """Send a stop and return the time (ns) of sending. Raises the DeviceFault of the stage."""
         self.wanted = True
         sent_ns = self._clock.now_ns()
         self._arrived = False
@@ -56,7 +53,7 @@ class RepeatedStop:
         return self.wanted and now_ns >= self._again_ns
 
     def observe(self, sample: StageSample) -> None:
-        """End the repetition if a sample that arrived after the last stop shows the stage at rest."""
+        """End the repetition if `sample` shows the stage at rest and arrived after the last stop was sent."""
         if self._arrived and not sample.moving and sample.stamp.received_ns > self._sent_ns:
             self.wanted = False
 
@@ -69,7 +66,7 @@ class Heartbeat:
         self._sent_ns = now_ns
 
     def send(self, now_ns: int) -> DeviceFault | None:
-        """Send a heartbeat if one is due; return the fault of the stage if the heartbeat could not be sent."""
+        """Send a heartbeat if the last one is at least 5 ms old. Return the DeviceFault of the stage, or None."""
         if (now_ns - self._sent_ns) * _NANO < _HEARTBEAT_S:
             return None
         self._sent_ns = now_ns
@@ -89,10 +86,9 @@ class _Checked(Protocol):
 class Watchdog(Closing):
     """A thread that calls `guard.check()` every `period_s` of real time until it is closed.
 
-    It detects that the loop hangs, waits or computes for too long. If the whole process is suspended (by SIGSTOP, or by
-    a garbage collection that holds the interpreter), this thread is suspended too, and stops the stage as soon as the
-    process continues. Until then only a watchdog in the drive can stop the stage, so every stage needs its own
-    watchdog.
+    The thread thereby detects that the loop hangs, waits or computes for too long. If the whole process is suspended
+    (by SIGSTOP, or by a garbage collection that holds the interpreter), the thread is suspended too, and stops the
+    stage only when the process continues. Therefore every stage needs a watchdog of its own.
     """
 
     def __init__(self, guard: _Checked, period_s: float = 0.005) -> None:

@@ -1,12 +1,12 @@
 """Operating states of the robot, the pure function `advance` from one state to the next, and the guard's events.
 
-The names are those of CRTK (Collaborative Robotics Toolkit). In DISABLED the robot does not move. In ENABLED it follows
-the loop. In PAUSED it has stopped and waits to be resumed. In FAULT it has stopped because a fault is present.
+The names are those of CRTK (Collaborative Robotics Toolkit). In ENABLED the robot follows the loop; in all other states
+only a person can move it, by a retraction. In PAUSED the robot waits for the order RESUME. In FAULT a fault is present.
 
-1. Orders neither cause nor end FAULT. When its causes are gone, FAULT becomes DISABLED.
+1. Orders neither cause nor end FAULT. When no cause of the severity FAULT is present, FAULT becomes DISABLED.
 2. ENABLED is entered only by ENABLE from DISABLED and by RESUME from PAUSED, and only while no cause is present.
 3. Faults and ordered stops are latched: ENABLE is refused until RESET, and RESET is refused in FAULT.
-4. In DISABLED a cause only prevents enabling. The exception is a stage that moves, which is a fault.
+4. In DISABLED a cause only prevents enabling. The exception is STILL_MOVING, which leads to FAULT.
 5. Every transition out of ENABLED stops the stage. The interrupted command is not continued later.
 """
 
@@ -35,14 +35,14 @@ __all__ = [
 _NONE: frozenset[Cause] = frozenset()
 # Causes that lead to FAULT even from DISABLED.
 _FAULTS_WHEN_DISABLED = frozenset({Cause.STILL_MOVING})
-# Causes that stop the stage again in FAULT, because they show that it moves in spite of the first stop.
+# Causes that stop the stage again in FAULT, because they show that the stage moves in spite of the first stop.
 _OF_MOTION = frozenset({Cause.STILL_MOVING, Cause.WRONG_WAY, Cause.OVERSPEED, Cause.DEPTH_EXCEEDED, Cause.STAGE_JUMPED})
 # Causes after which the stage must be homed again.
 _ZERO_LOST = frozenset({Cause.STAGE_JUMPED})
 
 
 class OperatingState(StrEnum):
-    """Operating states, with the names of CRTK."""
+    """Operating state of the guard, with the names of CRTK."""
 
     DISABLED = "DISABLED"
     ENABLED = "ENABLED"
@@ -61,7 +61,7 @@ class Order(StrEnum):
     PAUSE = "pause"
     RESUME = "resume"
     RESET = "reset"
-    """Confirm that the causes of latched stops have been examined."""
+    """Confirm that the latched causes have been examined; allows ENABLE again."""
     STOP = "stop"
     HOME = "home"
     """Declare that the zero of the stage is known."""
@@ -77,7 +77,7 @@ class GuardAction(StrEnum):
 
 @dataclass(frozen=True)
 class InputReport:
-    """Validation result of all inputs: the present causes (empty if all is well), and whether the stage moves."""
+    """Validation result of all inputs: the present causes, and whether the stage moves (`busy`)."""
 
     causes: frozenset[Cause] = _NONE
     busy: bool = False
@@ -85,7 +85,10 @@ class InputReport:
 
 @dataclass(frozen=True)
 class SafetyState:
-    """Operating state, causes that are `present`, causes that are `latched` until a reset, and flags of the stage."""
+    """State of the guard: operating state, `present` causes, causes `latched` until RESET, and two flags of the stage.
+
+    `is_homed` tells whether the zero of the stage is known, `is_busy` whether the stage moves.
+    """
 
     operating: OperatingState = OperatingState.DISABLED
     is_homed: bool = False
@@ -98,7 +101,7 @@ class SafetyState:
 
 @dataclass(frozen=True)
 class SafetyTransition:
-    """Next state, the actions to perform, and the causes of the transition or of the refusal."""
+    """Next state, the actions to perform, and the causes. A `refused` order leaves the state unchanged."""
 
     state: SafetyState
     actions: tuple[GuardAction, ...] = ()
@@ -110,6 +113,8 @@ class SafetyEventName(StrEnum):
     """Kind of an event of the guard."""
 
     TRANSITION = "transition"
+    """The operating state has changed from `before` to `state`."""
+
     RAISED = "raised"
     """New causes are present; `causes` lists them."""
 
@@ -140,11 +145,16 @@ class SafetyEvent:
     causes: frozenset[Cause] = frozenset()
     text: str = ""
     before: OperatingState | None = None
+    """Operating state before a TRANSITION; None for all other events."""
+
     sent_ns: int | None = None
+    """Time at which a command or a stop was sent to the stage; None for all other events."""
+
     values: tuple[tuple[str, float], ...] = field(default=())
+    """Names and values of the arguments of a motion command."""
 
     def entry(self) -> dict[str, Any]:
-        """Return the event as a message of a recording, in the format `EVENT`."""
+        """Return the event as a message for a recording channel of the kind `recording.EVENT`."""
         entry: dict[str, Any] = {
             "name": self.name, "cause": ", ".join(sorted(self.causes)), "text": self.text, "state": self.state,
         }  # fmt: skip
@@ -159,7 +169,7 @@ SafetyListener = Callable[[SafetyEvent], None]
 
 
 def advance(state: SafetyState, event: Order | InputReport, now_ns: int) -> SafetyTransition:
-    """Return the transition that an order or a validation result causes at a time (ns)."""
+    """Return the transition from `state` that an order or a validation result causes at a time (ns)."""
     if isinstance(event, InputReport):
         return _validated(state, event, now_ns)
     return _ORDERS[event](state, now_ns)
