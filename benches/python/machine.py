@@ -18,6 +18,7 @@ PACKAGES = (
     "mdpsolver",
     "pymdptoolbox",
     "stormpy",
+    "ompl",
     "pysindy",
     "scikit-learn",
 )

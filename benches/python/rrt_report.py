@@ -1,0 +1,220 @@
+"""The report and the figure of `compare_planners.py`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from statistics import mean, median
+from typing import Any
+
+import numpy as np
+from rrt_arcs import Array, advance
+from rrt_scenes import GOAL_TOLERANCE_MM, MARGIN_MM, RADIUS_MM, SIDE_MM, Scene
+
+Result = Mapping[str, Any]
+Record = Mapping[str, Any]
+# Smallest success probability at the start that a solved scene without noise shall have.
+WANTED = 0.95
+
+
+def text(record: Record) -> str:
+    """Return the report as Markdown."""
+    parts = ["# Policy tables beside a kinodynamic RRT", _heading(record)]
+    parts += ["## Summary", "\n".join(_summary(record))]
+    parts += ["## Is a solved scene certain?", _certain(record)]
+    parts += ["## Scenes that neither solved", _unsolved(record)]
+    parts += ["## Every scene", "\n".join(_paths(record)), "\n".join(_noise(record))]
+    return "\n\n".join(parts)
+
+
+def by_table(result: Result) -> bool:
+    """Whether the policy without noise reaches the target, by the exact simulation."""
+    return bool(result["table"]["event"] == "target")
+
+
+def by_rrt(result: Result) -> bool:
+    """Whether at least one run of RRT found a path that reaches the target, by the exact simulation."""
+    return bool(result["rrt"]["solved"])
+
+
+def _heading(record: Record) -> str:
+    about = record["machine"]
+    versions = ", ".join(f"{name} {number}" for name, number in about["packages"].items())
+    odds = ", ".join(f"{each:g}" for each in record["tip_noise"])
+    return (
+        f"{len(record['scenes'])} scenes of {SIDE_MM:g} x {SIDE_MM:g} mm, radius {RADIUS_MM:g} mm, margin "
+        f"{MARGIN_MM:g} mm, goal tolerance {GOAL_TOLERANCE_MM:g} mm. Tables: {record['headings']} headings, grid of "
+        f"{record['spacing_mm']:g} mm, interpolated, one thread. RRT: OMPL, {len(record['rrt_seeds'])} seeds, at most "
+        f"{record['limit']:,} propagations each; the figures of a path are those of the first seed that solves. "
+        f"Noise: [{odds}] after each step, {record['runs']:,} executions. Times are processor times; RRT calls the "
+        f"needle's model in Python.\n\n"
+        f"{about['processor']}, load {about['load_before']} before the run; {about['date'][:10]}, "
+        f"commit {about['commit']}, Python {about['python']}, {versions}."
+    )
+
+
+def _summary(record: Record) -> list[str]:
+    results = record["scenes"]
+    both = [each for each in results if by_table(each) and by_rrt(each)]
+    lines = [
+        "| | table | RRT |",
+        "|---|--:|--:|",
+        f"| solved, of {len(results)} | {sum(map(by_table, results))} | {sum(map(by_rrt, results))} |",
+    ]
+    if both:
+        seconds = _median(both, "table", "seconds"), median(_search_s(each) for each in both)
+        lines += [
+            f"| time, median, s | {seconds[0]:.2f} | {seconds[1]:.2f} |",
+            _row("length, median, mm", both, "length_mm", median, "{:.0f}"),
+            _row("turns, median", both, "turns", median, "{:.0f}"),
+            _row("clearance, median, mm", both, "clearance_mm", median, "{:.1f}"),
+            f"| success with noise, mean | {_mean(both, 'table', 'realised_with_noise')} (closed loop) | "
+            f"{_mean(both, 'rrt', 'open_loop')} (open loop), {_mean(both, 'rrt', 'following')} (following the path) |",
+        ]
+        lines.append(f"\nAll rows but the first: the {len(both)} scenes that both solved.")
+    off = [each["table"]["predicted_with_noise"] - each["table"]["realised_with_noise"] for each in results]
+    lines.append(
+        f"Success of the table with noise, predicted minus realised, over all scenes: mean {100 * mean(off):+.1f} "
+        f"points, mean absolute {100 * mean(map(abs, off)):.1f}, worst {100 * max(off, key=abs):+.1f}."
+    )
+    return lines
+
+
+def _certain(record: Record) -> str:
+    solved = [each for each in record["scenes"] if by_table(each) or by_rrt(each)]
+    broken = [each for each in solved if each["table"]["success_at_start"] < WANTED]
+    false = [each for each in record["scenes"] if each["table"]["success_at_start"] >= WANTED and not by_table(each)]
+    lines = [
+        f"Wanted: a scene that one of the planners solves has a table success of at least {WANTED:g} at its start, "
+        f"without noise. This holds for {len(solved) - len(broken)} of {len(solved)} scenes.",
+    ]
+    if broken:
+        lines += ["", "| violation | table success | table's path | RRT |", "|---|--:|---|---|"]
+    for each in broken:
+        table, tries = each["table"], len(each["rrt"]["tries"])
+        lines.append(
+            f"| {each['scene']['name']} | {table['success_at_start']:.3f} | {table['event']} | "
+            f"{each['rrt']['solved']} of {tries} |"
+        )
+    names = ", ".join(each["scene"]["name"] for each in false) or "none"
+    lines += ["", f"Scenes with such a table success whose executed path fails: {names}."]
+    refuted = sum(each["rrt"]["refuted"] for each in record["scenes"])
+    lines.append(f"Paths of RRT that the exact test refuted: {refuted}.")
+    return "\n".join(lines)
+
+
+def _unsolved(record: Record) -> str:
+    unsolved = [each for each in record["scenes"] if not by_table(each) and not by_rrt(each)]
+    if not unsolved:
+        return "None."
+    lines = ["| scene | table success | |", "|---|--:|---|"]
+    for each in unsolved:
+        proof = each.get("proof")
+        answer = proof["answer"] if proof else "open"
+        lines.append(f"| {each['scene']['name']} | {each['table']['success_at_start']:.3f} | {answer} |")
+    return "\n".join(lines)
+
+
+def _paths(record: Record) -> list[str]:
+    lines = [
+        "Without noise:",
+        "",
+        "| scene | table | success | mm | turns | clearance | s | RRT | mm | turns | clearance | search s |",
+        "|---|---|--:|--:|--:|--:|--:|---|--:|--:|--:|--:|",
+    ]
+    for each in record["scenes"]:
+        table, rrt = each["table"], each["rrt"]
+        mine = _figures(table) if by_table(each) else " | | "
+        other = _figures(rrt) if by_rrt(each) else " | | "
+        lines.append(
+            f"| {each['scene']['name']} | {table['event']} | {table['success_at_start']:.3f} | {mine} | "
+            f"{table['seconds']:.2f} | {rrt['solved']} of {len(rrt['tries'])} | {other} | {_search_s(each):.2f} |"
+        )
+    return lines
+
+
+def _noise(record: Record) -> list[str]:
+    lines = [
+        "With noise, share of the executions that reach the target:",
+        "",
+        "| scene | table, predicted | table, realised | turns | RRT, open loop | RRT, following |",
+        "|---|--:|--:|--:|--:|--:|",
+    ]
+    for each in record["scenes"]:
+        table, rrt = each["table"], each["rrt"]
+        other = f"{_percent(rrt['open_loop'])} | {_percent(rrt['following'])}" if by_rrt(each) else " | "
+        lines.append(
+            f"| {each['scene']['name']} | {_percent(table['predicted_with_noise'])} | "
+            f"{_percent(table['realised_with_noise'])} | {table['turns_with_noise']:.1f} | {other} |"
+        )
+    return lines
+
+
+def _figures(path: Result) -> str:
+    return f"{path['length_mm']:.0f} | {path['turns']} | {path['clearance_mm']:.1f}"
+
+
+def _search_s(result: Result) -> float:
+    return float(median(each["search_s"] for each in result["rrt"]["tries"]))
+
+
+def _median(results: Sequence[Result], planner: str, key: str) -> float:
+    return float(median(each[planner][key] for each in results))
+
+
+def _row(name: str, results: Sequence[Result], key: str, of: Callable[[Any], float], form: str) -> str:
+    cells = [form.format(of([each[planner][key] for each in results])) for planner in ("table", "rrt")]
+    return f"| {name} | {cells[0]} | {cells[1]} |"
+
+
+def _mean(results: Sequence[Result], planner: str, key: str) -> str:
+    return _percent(mean(each[planner][key] for each in results))
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def draw(record: Record, file: Path) -> None:
+    """Draw every scene with the paths of both planners."""
+    from matplotlib.figure import Figure
+
+    results = record["scenes"]
+    columns = min(7, len(results))
+    rows = -(-len(results) // columns)
+    figure = Figure(figsize=(2.1 * columns, 2.25 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax in axes:
+        ax.set_axis_off()
+    for ax, each in zip(axes, results, strict=False):
+        _draw_scene(ax, each)
+    figure.savefig(file, dpi=110)
+
+
+def _draw_scene(ax: Any, result: Result) -> None:
+    scene = Scene.from_json(result["scene"])
+    for polygon in scene.inflated:
+        ax.fill(*np.array(polygon).T, color="0.85")
+    for polygon in scene.obstacles:
+        ax.fill(*np.array(polygon).T, color="0.55")
+    for planner, colour in (("rrt", "tab:orange"), ("table", "tab:blue")):
+        if "arcs" in result[planner]:
+            line = _line(scene, result[planner]["arcs"], result[planner]["length_mm"])
+            ax.plot(*line.T[:2], color=colour, linewidth=1.2)
+    ax.plot(*scene.target, "o", color="tab:green", markersize=4)
+    ax.set(xlim=(-1, SIDE_MM + 1), ylim=(-1, SIDE_MM + 1), aspect="equal")
+    solved = {(True, True): "", (True, False): ": table only", (False, True): ": RRT only", (False, False): ": none"}
+    ax.set_title(scene.name + solved[by_table(result), by_rrt(result)], fontsize=7)
+    ax.set_axis_on()
+    ax.set(xticks=[], yticks=[])
+
+
+def _line(scene: Scene, arcs: Sequence[tuple[int, float]], longest: float) -> Array:
+    pose, line, left = np.array([scene.start]), [np.array([scene.start])], longest
+    for bevel, length in arcs:
+        part = min(length, left)
+        left -= part
+        along = np.linspace(0, part, 20)
+        line.append(advance(np.repeat(pose, 20, axis=0), np.full(20, float(bevel)), along))
+        pose = line[-1][-1:]
+    return np.concatenate(line)
