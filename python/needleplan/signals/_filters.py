@@ -1,8 +1,8 @@
 """Linear filters of sampled signals, the moving average of the force sensor, and velocity without delay.
 
-**Delay of a velocity.** A causal filter delays the velocity, and this delay looks like compliant tissue: 0.1 s
-correspond to 3.6 degrees at 0.1 Hz. The parameters sigma0 and sigma1 of the bristles then become more than twice too
-large. Use `velocity_without_delay` for data that are processed after the experiment.
+**Delay of a velocity.** A causal filter delays the velocity. In a fit of a friction model, the delay looks like
+compliant tissue: at 0.1 Hz, a delay of 0.1 s is a phase lag of 3.6 degrees, and the identified LuGre parameters sigma0
+and sigma1 are more than twice too large. Use `velocity_without_delay` for data that are processed after the experiment.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ __all__ = [
 class DiscreteFilter:
     """The transfer function B(z)/A(z) for samples at intervals of `interval_s`.
 
-    `numerator` and `denominator` are the coefficients of descending powers of z and have the same length. The
-    constructor raises ModelError if they do not define a causal filter.
+    `numerator` and `denominator` are the coefficients of descending powers of z. The constructor raises ModelError
+    unless both have the same length and finite coefficients, `denominator[0]` is not 0, and `interval_s` is positive.
     """
 
     numerator: tuple[float, ...]
@@ -73,25 +73,25 @@ class DiscreteFilter:
 
     @property
     def minimum_phase(self) -> bool:
-        """Whether the inverse is causal and stable too: all poles and zeros are inside the unit circle."""
+        """Whether all poles and zeros are inside the unit circle and the inverse is causal."""
         return self.stable and self.numerator[0] != 0 and bool((np.abs(self.zeros) < 1).all())
 
     def response(self, frequency_hz: Array | float) -> ComplexArray:
-        """Return the complex gain at frequencies of any shape, up to the Nyquist frequency."""
+        """Return the complex gain at `frequency_hz`, of the same shape."""
         z = np.exp(2j * np.pi * np.asarray(frequency_hz, float) * self.interval_s)
         return np.asarray(np.polyval(self.numerator, z) / np.polyval(self.denominator, z))
 
     def inverse(self) -> DiscreteFilter:
-        """Return A(z)/B(z). Raises ModelError if the inverse is not causal and stable."""
+        """Return the inverse filter A(z)/B(z). Raises ModelError unless `minimum_phase` is true."""
         if not self.minimum_phase:
             rule = "must lie inside of the unit circle, or the inverse is not causal and stable"
             raise ModelError(Mistake("zeros", np.array2string(self.zeros, precision=4), rule), "filter")
         return DiscreteFilter(self.denominator, self.numerator, self.interval_s)
 
     def apply(self, values: Array) -> Array:
-        """Return the filtered signal, shape (samples,), starting in the steady state of the first value.
+        """Filter `values`, shape (samples,), and return the result in the same shape.
 
-        Raises DataError for another shape.
+        The filter starts in its steady state for the first value. Raises DataError if `values` is empty or not a row.
         """
         from scipy.signal import lfilter
 
@@ -115,7 +115,7 @@ class DiscreteFilter:
 
 
 class FilterStream:
-    """A running filter in transposed direct form II; its output equals that of `DiscreteFilter.apply`."""
+    """A running filter in transposed direct form II with the same output as `DiscreteFilter.apply`."""
 
     def __init__(self, what: DiscreteFilter) -> None:
         first = what.denominator[0]
@@ -137,13 +137,13 @@ class FilterStream:
 
 @dataclass(frozen=True)
 class MovingAverage:
-    """Mean of each sample and the `samples` - 1 samples before it, or as many of them as exist.
+    """A causal moving average: the mean of each sample and up to `samples` - 1 samples before it.
 
     The force sensor of the thesis averages five samples at 200 Hz (appendix A).
 
-    The average delays by (samples - 1)/2 intervals at every frequency, and attenuates. Before comparing a model with
-    the measured force, apply the same average to the model (`fit(..., smooth=MovingAverage(5).apply)`). Raises
-    ModelError unless `samples` is a whole number of at least 1.
+    The average attenuates a signal, and delays it by (samples - 1)/2 intervals at every frequency. Before comparing a
+    model with the measured force, apply the same average to the model (`fit(..., smooth=MovingAverage(5).apply)`). The
+    constructor raises ModelError unless `samples` is a whole number of at least 1.
     """
 
     samples: int = 5
@@ -157,14 +157,15 @@ class MovingAverage:
         return (self.samples - 1) / 2 * interval_s
 
     def response(self, frequency_hz: Array | float, interval_s: float) -> ComplexArray:
-        """Return the complex gain, of the shape of the frequencies."""
+        """Return the complex gain at `frequency_hz`, of the same shape, for samples at intervals of `interval_s`."""
         turn = -2j * np.pi * np.asarray(frequency_hz, float)[..., None] * interval_s
         return np.asarray(np.exp(turn * np.arange(self.samples)).mean(axis=-1))
 
     def apply(self, values: Array) -> Array:
-        """Return the averages of a signal, shape (samples,), which equal those of `stream` to 1e-12.
+        """Return the average at every value of a signal; `values` and the result have the shape (n,).
 
-        A NaN affects only the averages that contain it. Raises DataError if the shape is not (samples,).
+        The averages equal those of `stream` to 1e-12. A NaN affects only the averages that contain it. Raises DataError
+        if `values` is not a row.
         """
         values = np.asarray(values, float)
         if values.ndim != 1:
@@ -174,10 +175,10 @@ class MovingAverage:
         return np.asarray(windows.sum(axis=1) / np.minimum(np.arange(values.size) + 1, self.samples))
 
     def centred(self, values: Array) -> Array:
-        """Average a signal without delay, shape (samples,), over as many samples before each sample as after it.
+        """Return the averages of a signal without delay; `values` and the result have the shape (n,).
 
-        Near the ends the average contains only the existing samples. Raises DataError for another shape, and ModelError
-        if the number of samples is even.
+        Each average contains its sample and `samples` // 2 neighbours on each side; near the ends, only those that
+        exist. Raises ModelError if `samples` is even.
         """
         if self.samples % 2 == 0:
             raise ModelError(Mistake("samples", str(self.samples), "must be odd to have a middle"), "moving average")
@@ -201,7 +202,7 @@ class AverageStream:
         self._last: deque[float] = deque(maxlen=samples)
 
     def push(self, value: float) -> float:
-        """Process one sample and return the mean."""
+        """Process one sample and return the mean of the last samples."""
         self._last.append(value)
         return sum(self._last) / len(self._last)
 
@@ -222,15 +223,18 @@ class VelocityMethod(StrEnum):
     """The method by which a velocity was computed."""
 
     POLYNOMIAL = "polynomial"
-    """Derivative of a cubic over 0.1 s around each sample (Savitzky and Golay): for encoders at even times."""
+    """Derivative of a cubic over about 0.1 s around each sample (Savitzky and Golay), for encoders at even times."""
 
     SMOOTHER = "smoother"
-    """Kalman smoother with constant acceleration: for trackers, or uneven times."""
+    """Kalman smoother for the model of constant acceleration, for trackers or uneven times."""
 
 
 @dataclass(frozen=True)
 class VelocityRecord:
-    """Velocity at every sample, shape (samples,), estimated standard deviation of the position noise, and method."""
+    """Velocity at every sample, shape (samples,), with the method that computed it.
+
+    `noise_mm` is the estimated standard deviation of the position noise.
+    """
 
     velocity_mm_s: Array
     noise_mm: float
@@ -238,11 +242,12 @@ class VelocityRecord:
 
 
 def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:
-    """Return the velocity of a measured position, shape (samples,) each, without delay.
+    """Return the velocity of a measured position, without delay; `time_s` and `position_mm` have the shape (samples,).
 
-    The noise of the position selects the method. The smoother's process noise corresponds to the jerk of the dominant
-    sine in the record, correlated over a radian of this sine. Raises DataError for fewer than 15 samples, a constant
-    position, or invalid numbers.
+    The method is POLYNOMIAL if the position noise is below 0.02 mm and the sampling intervals are even to 2 %, and
+    SMOOTHER otherwise. The process noise of the smoother corresponds to the jerk of the dominant sine in the record,
+    correlated over one radian of this sine. Raises DataError if the shapes differ, for fewer than 15 samples, for
+    numbers that are not finite, and for times that do not increase; SMOOTHER also raises it for a constant position.
     """
     from scipy.signal import savgol_filter
 

@@ -10,8 +10,9 @@ The semi-implicit Euler method at intervals T gives the recursion and its transf
     w_i = w_(i-1) + (alpha2 T/eps^2) (theta_i - h_i)
     Psi(z) = (alpha2 T/eps) z (z - 1) / [(eps + alpha1 T) z^2 - (2 eps + alpha1 T - alpha2 T^2/eps) z + eps]
 
-**Correction to the print.** (4.1) and (4.2) divide alpha2 by eps once instead of twice, and therefore hold for eps = 1
-only. The printed observer (`ObserverForm.PRINTED`) is the corrected one with alpha2 multiplied by eps.
+**Correction to the print.** Equations (4.1) and (4.2) of the thesis divide alpha2 by eps once instead of twice, and
+therefore hold for eps = 1 only. The printed observer (`ObserverForm.PRINTED`) equals the corrected observer with alpha2
+multiplied by eps.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from needleplan.signals._record import Array
 __all__ = ["FAST_ALPHA1", "HighGainObserver", "ObserverForm", "ObserverStream", "Projection"]
 
 FAST_ALPHA1 = 40.0
-"""alpha1 of the fast observer in the thesis, 1/s; its alpha2 is 400/s^2."""
+"""alpha1 of the fast observer in the thesis, 1/s. The alpha2 of this observer is 400/s^2."""
 
 
 class ObserverForm(StrEnum):
@@ -37,14 +38,14 @@ class ObserverForm(StrEnum):
 
     CORRECTED = "corrected"
     PRINTED = "printed"
-    """(4.1) and (4.2) as printed."""
+    """Equations (4.1) and (4.2) as printed in the thesis."""
 
 
 @dataclass(frozen=True)
 class HighGainObserver:
-    """An observer for samples at intervals of `interval_s`; alpha1 in 1/s and alpha2 in 1/s^2 are positive.
+    """A high-gain observer for samples at intervals of `interval_s`; alpha1 is in 1/s, alpha2 in 1/s^2.
 
-    The constructor raises ModelError for other numbers, and for an interval at which the recursion is unstable.
+    The constructor raises ModelError unless all numbers are positive and `interval_s` is below `longest_interval_s`.
     """
 
     alpha1: float
@@ -73,12 +74,12 @@ class HighGainObserver:
 
     @property
     def correction(self) -> float:
-        """Gain of the position error in w', 1/s^2."""
+        """Gain from the position error theta - h to w', 1/s^2."""
         return self.alpha2 / (self.epsilon if self.form is ObserverForm.PRINTED else self.epsilon**2)
 
     @property
     def longest_interval_s(self) -> float:
-        """Interval above which the observer is unstable: a pole of Psi reaches -1 (Jury's criterion)."""
+        """Interval (s) at which the observer becomes unstable: a pole of Psi is -1 (Jury's criterion)."""
         a1, a2 = self.alpha1 / self.epsilon, self.correction
         return (a1 + math.sqrt(a1**2 + 4 * a2)) / a2
 
@@ -91,7 +92,7 @@ class HighGainObserver:
 
     @property
     def normalised(self) -> DiscreteFilter:
-        """Psi(z) divided by the difference quotient: a low-pass filter with unit gain at zero frequency."""
+        """Psi(z) divided by the backward difference quotient: a low-pass filter with unit gain at zero frequency."""
         psi = self.transfer
         return DiscreteFilter((psi.numerator[0] * self.interval_s, 0.0, 0.0), psi.denominator, self.interval_s)
 
@@ -112,7 +113,7 @@ class HighGainObserver:
 
 
 class ObserverStream:
-    """A running observer. `position` and `velocity` are its estimates; `position` is None before the first sample."""
+    """A running observer. `position` and `velocity` are the latest estimates; `position` is None before a sample."""
 
     def __init__(self, observer: HighGainObserver) -> None:
         self._eps, self._t = observer.epsilon, observer.interval_s
@@ -134,9 +135,9 @@ class ObserverStream:
 class Projection:
     """H(z) = Psi_slow/Psi_fast, (4.3): from the velocity of the needle to the velocity relative to the tissue.
 
-    The factors z (z - 1) cancel, so that H and its inverse are causal, and stable if both observers are. The inverse
-    amplifies frequencies above the corner of the slow observer, at most by `inverse.response` at the Nyquist frequency.
-    Raises ModelError for observers with different intervals.
+    The factors z (z - 1) cancel, so that H and its inverse are causal and stable. The inverse amplifies frequencies
+    above the corner frequency of the slow observer; the gain is largest at the Nyquist frequency. The constructor
+    raises ModelError if the intervals of the observers differ.
     """
 
     fast: HighGainObserver
@@ -155,7 +156,7 @@ class Projection:
 
     @property
     def transfer(self) -> DiscreteFilter:
-        """H(z), to be applied to the velocity of the fast observer."""
+        """H(z), from the velocity of the fast observer to the relative velocity."""
         fast, slow = self.fast.transfer, self.slow.transfer
         ratio = slow.numerator[0] / fast.numerator[0]
         return DiscreteFilter(tuple(ratio * each for each in fast.denominator), slow.denominator, fast.interval_s)

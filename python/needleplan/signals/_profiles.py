@@ -1,10 +1,10 @@
 """Motion profiles: sines for the identification of friction, and trapezoidal velocities for insertions.
 
-The trapezoidal profile (linear segments with parabolic blends, LSPB) is that of a robot's linear stage. From one depth
-to the next, the velocity rises linearly for `blend_s`, is constant at the preset velocity v, and falls linearly for
-`blend_s`, with the acceleration v / blend_s. On a segment shorter than v * blend_s the velocity is a triangle with the
-same acceleration. The position is the exact integral of the velocity. The sines are those of sections 3.4.1 and 3.4.2
-of the thesis.
+A robot's linear stage follows the trapezoidal profile (linear segments with parabolic blends, LSPB). From one depth to
+the next, the velocity rises linearly for `blend_s`, is constant at the preset velocity v, and falls linearly for
+`blend_s`; the acceleration is v / blend_s. On a segment shorter than v * blend_s the velocity is a triangle with the
+same acceleration. The position is the exact integral of the velocity. Sections 3.4.1 and 3.4.2 of the thesis define the
+sines.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ _MOVING = 0.05
 
 
 class Start(StrEnum):
-    """Where a sinusoidal motion begins.
+    """Where a sinusoidal motion begins. The upper sign holds for a motion that moves in first.
 
-    The motion begins at rest, because a start at full speed would bend the bristles by 3 to 4 N.
+    The motion begins at rest. A start at full speed would add a step of 3 to 4 N, from the damping of the bristles.
     """
 
     END = "end"
-    """At one end of the stroke, where the velocity is zero: offset -+ amplitude cos."""
+    """At one end of the stroke, where the velocity is zero: depth = offset -+ amplitude cos(phase)."""
 
     MIDDLE = "middle"
-    """In the middle of the stroke, with a phase that accelerates from rest: offset +- amplitude sin."""
+    """In the middle of the stroke, with a phase that accelerates from rest: depth = offset +- amplitude sin(phase)."""
 
 
 def sinusoid(
@@ -51,9 +51,11 @@ def sinusoid(
 ) -> Motion:
     """Return a sinusoidal motion around the depth `offset_mm` with the zero-to-peak amplitude `amplitude_mm`.
 
-    The needle first moves in, or out if `outward`. If the motion starts in the middle, the phase accelerates uniformly
-    during the first `ramp_cycles` periods, so that the velocity begins at zero and never exceeds 2 pi frequency
-    amplitude. The velocity is the exact derivative of the depth. Raises DataError for numbers that are not positive.
+    The motion has `cycles` cycles, sampled at `rate_hz`. The needle moves in first, or out first if `outward` is true.
+    If the motion starts in the middle, the phase accelerates uniformly during the first `ramp_cycles` periods: the
+    velocity begins at zero and never exceeds 2 pi frequency amplitude, and the motion takes ramp_cycles / 2 periods
+    longer. The velocity is the exact derivative of the depth. Raises DataError unless `offset_mm` is finite and all
+    other numbers are positive.
     """
     numbers = {
         "amplitude_mm": amplitude_mm, "frequency_hz": frequency_hz, "cycles": cycles, "rate_hz": rate_hz,
@@ -83,10 +85,10 @@ def sinusoid(
 
 
 def cycles(motion: Motion) -> Array:
-    """Return the number of completed cycles, each of two reversals, at every sample; shape (samples,).
+    """Return the number of completed cycles at every sample, shape (samples,). Every second reversal completes a cycle.
 
     Samples slower than a twentieth of the largest speed count as part of the previous movement, so that noise of a
-    measured velocity causes no reversals. A motion that begins in the middle has a first cycle of three quarters of a
+    measured velocity causes no reversals. If the motion begins in the middle, the first cycle lasts three quarters of a
     period.
     """
     velocity = motion.velocity_mm_s
@@ -111,9 +113,10 @@ def lspb(
 ) -> Motion:
     """Return a motion through `depths_mm` that comes to rest at each depth.
 
-    `velocities_mm_s`, positive, are the speeds of the segments, one fewer than the depths. `dwells_s` are the times at
-    rest at each depth except the first (default: none). The motion is sampled at `rate_hz`; the last sample is the
-    first one at or after the end. Raises DataError, with all mistakes, for invalid numbers.
+    `velocities_mm_s` are the positive speeds of the segments, one fewer than the depths. `blend_s` is the duration of
+    each acceleration and deceleration. `dwells_s` are the times at rest at each depth except the first (default: 0).
+    The motion is sampled at `rate_hz`; the last sample is at or just after the end. Raises DataError, with all
+    mistakes, for wrong counts, numbers out of range, or successive depths that are equal.
     """
     dwells = [0.0] * len(velocities_mm_s) if dwells_s is None else list(dwells_s)
     _require(depths_mm, velocities_mm_s, dwells, blend_s, rate_hz)
@@ -140,8 +143,9 @@ def insertion_cycles(
 ) -> Motion:
     """Return a motion that inserts from the surface to `depth_mm` and retracts, `cycles` times.
 
-    `retraction_mm_s` is the speed of the retraction (default: that of the insertion). `dwell_s` is the time at rest at
-    full depth, `pause_s` the time at rest at the surface between cycles. Raises DataError as `lspb` does.
+    `retraction_mm_s` is the speed of the retraction (default: `velocity_mm_s`). `dwell_s` is the time at rest at full
+    depth, `pause_s` the time at rest at the surface between cycles; `blend_s` and `rate_hz` are those of `lspb`. Raises
+    DataError unless `cycles` is a whole number of at least 1, and as `lspb` does.
     """
     if not (isinstance(cycles, int) and cycles >= 1):
         raise DataError(Mistake("cycles", str(cycles), "must be a whole number of at least 1"))
@@ -158,9 +162,9 @@ def insertion_cycles(
 def _pieces(
     depths: Sequence[float], speeds: Sequence[float], dwells: Sequence[float], blend_s: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Return start time (s), depth (mm), velocity (mm/s) and acceleration (mm/s^2) at the start of every piece.
+    """Divide a profile into pieces of constant acceleration; the last piece is rest at the last depth.
 
-    The acceleration is constant in each piece. The last piece is rest at the last depth.
+    Return time (s), depth (mm), velocity (mm/s) and acceleration (mm/s^2) at the start of every piece, shape (pieces,).
     """
     times, starts, velocities, accelerations = [0.0], [], [], []
     for begin, end, speed, dwell in zip(depths[:-1], depths[1:], speeds, dwells, strict=True):

@@ -55,14 +55,14 @@ class Motion:
     def sampled(
         cls, time_s: Array, depth_mm: Array, velocity_mm_s: Array | None = None, angle_rad: Array | None = None
     ) -> Motion:
-        """Return the motion that the given samples describe; all arrays have the shape (samples,).
+        """Return the motion with the given samples; all arrays have the shape (samples,).
 
         Parameters
         ----------
         time_s, depth_mm : Array
             Times and depths.
         velocity_mm_s : Array, optional
-            Velocities. The default is the central difference of the depth.
+            Velocities; their signs give the directions. The default is the central difference of the depth.
         angle_rad : Array, optional
             Rotation of the base. The default is zero.
 
@@ -74,7 +74,8 @@ class Motion:
         Raises
         ------
         DataError
-            If the shapes differ, a number is not finite, or the times do not increase.
+            If there are fewer than two samples, the shapes differ, a number is not finite, or the times do not
+            increase.
         """
         time = np.asarray(time_s, float)
         depth = np.asarray(depth_mm, float)
@@ -109,8 +110,8 @@ class Motion:
     def between(self, fraction: float) -> Motion:
         """Return the motion at `fraction` of each interval between samples, shape (samples - 1,).
 
-        Depth, velocity and angle are interpolated linearly. The direction is the sign of the interpolated velocity, or
-        the previous direction if this velocity is zero.
+        Time, depth, velocity and angle are interpolated linearly. The direction is the sign of the interpolated
+        velocity, or the direction at the sample before if this velocity is zero.
         """
         moved = {
             name: values[:-1] + fraction * np.diff(values) for name, values in vars(self).items() if name != "direction"
@@ -125,9 +126,10 @@ class Motion:
 
 
 def _central_difference(time: Array, depth: Array) -> Array:
-    """Return the second-order difference of uneven samples, shape (samples,): exactly zero where the depth is constant.
+    """Return the derivative of the depth (mm/s), shape (samples,): of second order, but of first order at both ends.
 
-    NumPy's gradient leaves a rounding error there, whose sign would be taken for a direction.
+    The derivative is exactly zero where the depth is constant. NumPy's gradient leaves a rounding error there, and
+    `last_direction` would return the sign of this error.
     """
     step = np.diff(time)
     slope = np.diff(depth) / step
@@ -136,7 +138,10 @@ def _central_difference(time: Array, depth: Array) -> Array:
 
 
 def last_direction(velocity: Array) -> Array:
-    """Return the sign of each velocity, or the last non-zero sign before it if the velocity is zero; shape as given."""
+    """Return the direction at each sample, shape (samples,): the sign of the velocity.
+
+    If the velocity is zero, the direction is the last non-zero sign before it, or 0 if there is none.
+    """
     sign = np.sign(velocity)
     moving = np.flatnonzero(sign)
     if not moving.size:
@@ -156,7 +161,7 @@ UNITS = {
     "y_mm": "mm",
     "z_mm": "mm",
 }
-"""Unit of every numeric column; the names are those of the data files."""
+"""Unit of every column that a record can have, by the name of the column in data files."""
 
 
 class Role(StrEnum):
@@ -176,6 +181,8 @@ class Role(StrEnum):
 class Record:
     """One trial: named columns of one length in the units of `UNITS`.
 
+    The constructor raises DataError if `time_s` is missing, a name is not in `UNITS`, or the shapes differ.
+
     Parameters
     ----------
     columns : dict of str to Array
@@ -189,7 +196,7 @@ class Record:
     digest : str
         Digest of the source file; empty for synthetic data.
     notes : tuple of str
-        Remarks of the reader, such as rows that were left out or suspicious units.
+        Remarks of the program that read the file, such as rows that were left out or suspicious units.
 
     Examples
     --------
@@ -242,7 +249,7 @@ class Record:
         return replace(self, columns={**self.columns, name: values})
 
     def select(self, rows: Array | slice) -> Record:
-        """Return the record with a selection of rows: a slice, a mask or indices."""
+        """Return the record with only the given rows (slice, mask or indices)."""
         columns = {name: values[rows] for name, values in self.columns.items()}
         phase = tuple(np.asarray(self.phase, object)[rows]) if self.phase else ()
         return replace(self, columns=columns, phase=phase)

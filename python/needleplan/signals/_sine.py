@@ -23,7 +23,7 @@ class Sine:
 
 
 def sine_at(frequency_hz: float, time_s: Array, values: Array) -> Sine:
-    """Fit a sine of known frequency to `values`, shape (samples,), by linear least squares, and return it."""
+    """Return the sine of known frequency that fits `values`, shape (samples,), by linear least squares."""
     angle = 2 * np.pi * frequency_hz * np.asarray(time_s, float)
     columns = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle)])
     (a, b, offset), *_ = np.linalg.lstsq(columns, np.asarray(values, float), rcond=None)
@@ -33,9 +33,9 @@ def sine_at(frequency_hz: float, time_s: Array, values: Array) -> Sine:
 def dominant_frequency_hz(time_s: Array, values: Array) -> float:
     """Return the frequency (Hz) of the sine that explains most of the variance of a signal.
 
-    Times and values have the shape (samples,); the times must be nearly even. The frequency of the largest spectral
-    line is refined by least squares within one line on each side. Raises DataError for fewer than eight samples, or a
-    constant signal.
+    Times and values have the shape (samples,); the times must be nearly even. Least squares refine the frequency of the
+    largest spectral line, between its two neighbours. Raises DataError for fewer than eight samples, or a constant
+    signal.
     """
     from scipy.optimize import minimize_scalar
 

@@ -68,8 +68,8 @@ class TrackerFilter:
     def apply(self, time_s: Array, position_mm: Array) -> TrackerEstimate:
         """Filter a record causally and return the estimates, which equal those of `stream` bit by bit.
 
-        NaN marks a sample without a measurement. Raises DataError if the shapes differ, the times do not increase, or
-        all samples are NaN.
+        `time_s` and `position_mm` have the shape (samples,); NaN marks a sample without a measurement. Raises DataError
+        if the shapes differ, the times do not increase, or no position is finite.
         """
         time, position = self._checked(time_s, position_mm)
         stream = self.stream()
@@ -78,7 +78,7 @@ class TrackerFilter:
         return TrackerEstimate(estimates[0], estimates[1], estimates[2], int(np.isnan(position).sum()))
 
     def smooth(self, time_s: Array, position_mm: Array) -> TrackerEstimate:
-        """Return estimates from the whole record, without delay (Rauch, Tung and Striebel).
+        """Estimate every sample from the whole record, without delay (smoother of Rauch, Tung and Striebel).
 
         Raises DataError as `apply` does.
         """
@@ -106,7 +106,10 @@ class TrackerFilter:
         return TrackerStream(self)
 
     def step(self, interval_s: float) -> tuple[Array, Array]:
-        """Return transition matrix and covariance of the process noise over an interval, shape (n, n) each."""
+        """Return the transition matrix and the covariance of the process noise over an interval, shape (n, n) each.
+
+        n = `model` + 1 is the number of integrators.
+        """
         from filterpy.common import Q_continuous_white_noise
 
         n = self.model + 1
@@ -130,7 +133,7 @@ class TrackerFilter:
 
 
 class TrackerStream:
-    """A running Kalman filter; before the first measured position all estimates are NaN."""
+    """A running Kalman filter; `push` returns NaN until the first measured position."""
 
     def __init__(self, what: TrackerFilter) -> None:
         from filterpy.kalman import KalmanFilter
@@ -157,9 +160,10 @@ class TrackerStream:
         return np.array(self.kalman.P, float)
 
     def push(self, time_s: float, position_mm: float) -> tuple[float, float, float]:
-        """Process one position and return estimates of position, velocity and standard deviation of the velocity.
+        """Process one position, which is NaN if it was not measured; return the estimates at that time.
 
-        NaN marks a position that was not measured. Raises DataError if the time does not increase.
+        The estimates are the position, the velocity and the standard deviation of the velocity. Raises DataError if the
+        time does not increase.
         """
         last, self._time = self._time, time_s
         if last is not None and not time_s > last:
