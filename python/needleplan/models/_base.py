@@ -5,8 +5,8 @@ an output y::
 
     x' = derivative(x, u)          y = output(x, u)
 
-A static model has an empty state. A member of the family defines these two functions and the initial state. Simulation,
-fitting, filtering and residual tests are written once for all members.
+A static model has an empty state. A model class defines these two functions and the initial state. Simulation, fitting,
+filtering and residual tests are written once for all models.
 
 | base class | use it for | integration |
 |---|---|---|
@@ -14,8 +14,8 @@ fitting, filtering and residual tests are written once for all members.
 | `LinearStateModel` | one state with z' = forcing(u) - rate(u) z | exact for constant coefficients |
 | `SelfIntegratingModel` | stiff models, or models with a closed-form solution | the model's own method |
 
-`parameter` and `constant` declare a field together with its unit, range, scale and meaning. The docstring of every
-member ends with a list of parameters that is generated from these declarations.
+`parameter` and `constant` declare a field together with its unit, range, scale and meaning. A list of parameters is
+generated from these declarations and inserted into the docstring of every model class.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Model(ABC):
     """Quantity that the model predicts."""
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Insert the list of parameters into the docstring of a subclass, before its examples."""
+        """Insert the list of parameters into the docstring of a subclass, unless the docstring already has one."""
         super().__init_subclass__(**options)
         section = parameter_section(cls)
         if cls.__doc__ and section and "Parameters\n" not in cls.__doc__:
@@ -116,7 +116,7 @@ class Model(ABC):
 
     @abstractmethod
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the predicted measurement in the unit of the channel, shape (...)."""
+        """Return the predicted measurement in the unit of the channel, shape (...), or (3, ...) for the channel TIP."""
 
     @classmethod
     def parameters(cls) -> dict[str, Parameter]:

@@ -23,11 +23,13 @@ class FitStatus(StrEnum):
 
     CONVERGED = "converged"
     EVALUATION_LIMIT = "evaluation_limit"
+    """The limit of the evaluations ended the best of the starts before it converged."""
+
     AT_BOUND = "at_bound"
     """The fit converged with a parameter at a bound of its range; the optimum may lie beyond the bound."""
 
     DIVERGED = "diverged"
-    """From every start the simulation grew without bound."""
+    """The simulation grew without bound: even the best result contains a residual of at least 1e6, or NaN."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +41,14 @@ class Estimate:
     value : float
         Estimate, in `unit`.
     sd : float
-        Standard deviation to first order, in `unit`.
+        Standard deviation, in `unit`: to first order, or of the bootstrap.
     low, high : float
-        Ends of the 95 % interval, in `unit`.
+        Ends of the confidence interval (95 % by default), in `unit`.
     unit : str
         Unit of the parameter.
     identified : bool
-        Whether the standard deviation of ln(p), or of p / typical, is below 1.
+        Whether the data determine the parameter. For `fit`: whether the standard deviation of the coordinate, ln(p) or
+        p / typical, is below 1. `Intervals` has another criterion.
 
     Examples
     --------
@@ -77,7 +80,8 @@ class Fit:
     estimates : dict of str to Estimate
         Estimate of every free parameter.
     covariance : Array
-        Covariance of the coordinates of `free`, shape (p, p); infinite for parameters that the data do not determine.
+        Covariance of the coordinates of `free`, shape (p, p). The variance of a parameter that the data do not
+        determine is infinite.
     residuals : tuple of Array
         Measured minus simulated for every record, shape (samples,); NaN for masked samples.
     rmse : float
@@ -85,11 +89,12 @@ class Fit:
     samples, masked : int
         Number of samples that were used, and number of samples that were left out.
     condition : float
-        Ratio of the largest to the smallest singular value of the scaled Jacobian.
+        Ratio of the largest to the smallest singular value of the Jacobian with respect to the coordinates.
     undetermined : tuple of dict
-        Directions in the coordinates along which the residuals do not change: weights by parameter name.
+        Directions in the coordinates along which the residuals do not change. Each direction has weights by parameter
+        name; weights up to 0.1 are left out.
     evaluations : int
-        Number of evaluations of the residuals.
+        Number of evaluations of the residuals in all starts, without those for the Jacobian.
 
     Examples
     --------

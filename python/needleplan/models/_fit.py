@@ -7,7 +7,8 @@ The covariance of u is the estimator of Newey and West (Econometrica 55 (1987) 7
     C = (J'J)^-1 S (J'J)^-1,    S = sum over lags |k| <= m of (1 - |k|/(m+1)) sum_i J_i r_i r_(i+k) J_(i+k)'
 
 The estimator stays valid if neighbouring noise samples are correlated, as after a sensor's filter. The 95 % intervals
-are u +- t sd, transformed to p. They are therefore asymmetric for parameters with a logarithmic scale.
+are u +- t sd, clipped to the range and transformed to p. They are therefore asymmetric for parameters with a
+logarithmic scale.
 """
 
 from __future__ import annotations
@@ -61,22 +62,25 @@ def fit(
     free : sequence of str, optional
         Names of the parameters to estimate. The default is all parameters that the model declares free.
     bounds : mapping of str to (float, float), optional
-        Narrower ranges by parameter name.
+        Ranges by parameter name, which replace the declared ranges. Names that are not in `free` have no effect.
     smooth : callable, optional
         Filter that is applied to the simulated output before the comparison. Use the filter that the sensor applied to
         the measured signal, such as a moving average.
     mask : callable, optional
-        Function from a record to the samples to use, bool of shape (samples,).
+        Function from a record to the samples to use, bool of shape (samples,). Samples whose measurement is not finite
+        are never used.
     starts : int
-        Number of starts. Further starts are drawn around the first one; the fit with the smallest residual wins.
+        Number of starts, at least one. Further starts are drawn at random around the first; `fit` returns the result
+        with the smallest residual.
     spread : float
         Standard deviation of the further starts, in coordinates.
     seed : int
         Seed of the further starts.
     lags : int, optional
-        m, the number of lags in the covariance. The default, 3 n^(1/3), covers the moving averages of force sensors.
+        m, the number of lags in the covariance. The default, 3 n^(1/3) for a record of n samples, covers the moving
+        averages of force sensors.
     max_evaluations : int
-        Limit of the evaluations of the residuals for each start.
+        Limit of the evaluations of the residuals for each start, without those for the Jacobian.
 
     Returns
     -------
@@ -86,9 +90,9 @@ def fit(
     Raises
     ------
     DataError
-        If the records are too short, constant, or lack a column.
+        If there is no record, or the records are too short, are constant, contain no motion, or lack a column.
     ModelError
-        If `free` names an unknown parameter.
+        If `free` is empty or names an unknown parameter.
 
     Examples
     --------
@@ -182,7 +186,7 @@ class _Problem:
         return self.inside(np.array([what.coordinate(value) for what, value in zip(self.what, values, strict=True)]))
 
     def inside(self, coordinates: Array) -> Array:
-        """Return the nearest coordinates strictly within the bounds."""
+        """Return the coordinates, clipped to lie strictly within the bounds, shape (p,)."""
         low, high = self.bounds
         margin = 1e-6 * (high - low)
         return np.clip(coordinates, low + margin, high - margin)
@@ -259,7 +263,7 @@ class _Problem:
         return covariance, condition, undetermined
 
     def _score_covariance(self, jacobian: Array, residual: Array, lags: int | None) -> Array:
-        """Return S of Newey and West, the sum for all records, with the correction for the number of parameters."""
+        """Return S of Newey and West, summed over the records and corrected for p fitted parameters, shape (p, p)."""
         total: Array = np.zeros((len(self.free), len(self.free)))
         end = 0
         for mask in self.masks:

@@ -2,7 +2,7 @@
 
 The planner uses arcs to the left and to the right. A `SteeredModel` gives the curvature of the path for any roll
 angle. For each side this module finds the roll angle at which the path does not leave the plane, and the curvature at
-that angle. The planner uses the mean of the two curvatures. The module needs no knowledge of the model's effects.
+that angle. The planner uses the mean of the two curvatures.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ class InPlane:
     depth_mm : Array
         Inserted length, shape (n,), as all arrays below.
     left_per_mm, right_per_mm : Array
-        Curvature to the left and to the right, both positive.
+        Curvature to the left and to the right; neither is negative.
     roll_left_rad, roll_right_rad : Array
         Roll angle of the base at which the path stays in the plane; 0 and pi for an ideal needle.
     lag_rad : Array
-        Angle by which the tip lags behind the base while the base rotates.
+        Largest angle by which the tip lags behind the base while the base rotates.
     along_mm : Array
         Distance covered in x for each path length if the bevel is flipped halfway.
     heading_rad, elevation_rad : float
-        Direction of the path at the entry relative to the assumed direction.
+        Angles from the assumed to the modelled direction of the path at the entry, in the plane and out of the plane.
 
     Examples
     --------
@@ -72,11 +72,14 @@ class InPlane:
 
     @property
     def curvature_per_mm(self) -> Array:
-        """Curvature that the planner uses: the mean of both sides, shape (n,)."""
+        """Curvature that the planner uses: the mean of both sides, but at least 1e-5/mm; shape (n,)."""
         return np.maximum((self.left_per_mm + self.right_per_mm) / 2, _LEAST_PER_MM)
 
     def roll_rad(self, bevel: int, depth_mm: float) -> float:
-        """Return the roll angle of the base for a bevel of the plan, +1 (left) or -1 (right), at an inserted length."""
+        """Return the roll angle (rad) of the base for a bevel side of the plan, +1 (left) or -1 (right), at a depth.
+
+        The angle is interpolated in `depth_mm` and constant beyond both ends.
+        """
         rolls = self.roll_left_rad if bevel > 0 else self.roll_right_rad
         return float(np.interp(depth_mm, self.depth_mm, rolls))
 
@@ -103,7 +106,7 @@ def in_plane(model: Model, deepest_mm: float, velocity_mm_s: float = 5.0) -> InP
     Raises
     ------
     ModelError
-        If the model is not a `SteeredModel`, or its path cannot bend to both sides.
+        If the model is not a `SteeredModel`, or the path bends to the wrong side at a depth or does not bend at all.
 
     Examples
     --------
@@ -136,9 +139,10 @@ def in_plane(model: Model, deepest_mm: float, velocity_mm_s: float = 5.0) -> InP
 
 
 def _rolled(model: SteeredModel, depth: Array, velocity_mm_s: float, wanted_rad: float) -> tuple[Array, Array]:
-    """Return curvature (1/mm) and roll angle (rad) at which the path bends to one side in the plane, for each depth.
+    """Find, for each depth, the roll angle at which the path bends to one side and stays in the plane.
 
-    `wanted_rad` is the roll angle of an ideal needle for this side: 0 (left) or pi (right).
+    Return the curvature at that angle (1/mm) and the angle (rad), shape (n,) each. `wanted_rad` is the roll angle of an
+    ideal needle for this side: 0 (left) or pi (right).
     """
     roll = np.full(depth.size, wanted_rad)
 
@@ -158,7 +162,7 @@ def _motion(depth: Array, velocity_mm_s: float, roll: Array) -> Motion:
 
 
 def _along(left: Array, right: Array, depth: Array) -> Array:
-    """For each path length in `depth`, return the distance covered in x if the bevel is flipped halfway."""
+    """Return the distance covered in x (mm) for each path length in `depth`, with a bevel flip halfway; shape (n,)."""
     bend = (left + right) / 2
     turned = np.concatenate([[0.0], np.cumsum((bend[1:] + bend[:-1]) / 2 * np.diff(depth))])
     found = []

@@ -1,9 +1,9 @@
 """Confidence intervals that do not rest on the linearisation of a fit.
 
 `profile_intervals` holds one parameter at a series of values and refits the others. The interval contains the values
-with a sufficiently small sum of squares. With correlated noise the sum of squares grows too fast; it is therefore
-divided by the ratio of the reported variance to the variance for white noise (Chandler and Bate, Biometrika 94 (2007)
-167).
+for which the sum of squares has not increased too much. With correlated noise the sum of squares grows too fast. Its
+increase is therefore divided by the ratio of the reported variance to the variance for white noise, if the ratio is
+above 1 (Chandler and Bate, Biometrika 94 (2007) 167).
 
 `bootstrap_intervals` adds resampled blocks of residuals to the fitted output and refits (Kuensch, Annals of Statistics
 17 (1989) 1217). Both functions work in the coordinates of the fit, so that an interval never leaves the parameter's
@@ -28,8 +28,8 @@ from needleplan.signals import Array, Record
 
 __all__ = ["FitOptions", "Intervals", "bootstrap_intervals", "profile_intervals"]
 
-# The search for the end of an interval doubles its distance from the estimate up to 2^20 times this number, in the
-# coordinates of the fit.
+# The search for the end of an interval stops at the distance _FURTHEST * 2^20 from the estimate, in the coordinates of
+# the fit.
 _FURTHEST = 12
 
 
@@ -49,11 +49,12 @@ class Intervals:
     Parameters
     ----------
     estimates : dict of str to Estimate
-        Estimates by parameter name. A parameter whose interval reaches a bound of its range is not identified.
+        Estimates by parameter name. A parameter is identified if its interval is narrower than 4 in the coordinate of
+        the fit and does not reach a bound of the declared range.
     refits : int
         Number of refits.
     failed : int
-        Number of refits that did not converge and were left out.
+        Number of refits that did not converge. The bootstrap leaves them out; the profile uses their sums of squares.
 
     Examples
     --------
@@ -82,7 +83,7 @@ def profile_intervals(
     level: float = 0.95,
     **options: Unpack[FitOptions],
 ) -> Intervals:
-    """Return profile-likelihood intervals of fitted parameters.
+    """Compute profile-likelihood intervals of fitted parameters.
 
     Parameters
     ----------
@@ -138,7 +139,7 @@ def bootstrap_intervals(
     seed: int = 0,
     **options: Unpack[FitOptions],
 ) -> Intervals:
-    """Return block-bootstrap intervals of all fitted parameters.
+    """Compute block-bootstrap intervals of all fitted parameters.
 
     Parameters
     ----------
@@ -165,7 +166,7 @@ def bootstrap_intervals(
     Raises
     ------
     DataError
-        If `runs` or `block` is out of range, or if more than half of the refits fail.
+        If `runs` is below 20, `block` is longer than a record, or more than half of the refits fail.
 
     Examples
     --------
@@ -273,7 +274,10 @@ class _Profile:
         return _with_ends(found, name, values[0], values[1], found.estimates[name].sd)
 
     def _end(self, excess: Callable[[float], float], centre: float, step: float, limit: float) -> float:
-        """Return the coordinate beyond which the sum of squares exceeds the allowed one, or the bound of the range."""
+        """Return the coordinate at which the sum of squares exceeds the allowed one, or `limit` if there is none.
+
+        `limit` is the bound of the range on this side; the sign of `step` gives the side.
+        """
         from scipy.optimize import brentq
 
         before, reach = centre, abs(step)
@@ -288,7 +292,7 @@ class _Profile:
         return limit
 
     def _white_sd(self, name: str, centre: float, dof: int) -> float:
-        """Return the standard deviation for white noise, from the curvature of the profile; 0 if unknown."""
+        """Return the coordinate's standard deviation for white noise, from the profile's curvature; 0 if unknown."""
         what = self.found.model.parameters()[name]
         index = self.found.free.index(name)
         step = math.sqrt(self.found.covariance[index, index])

@@ -162,7 +162,10 @@ def _parameters_of(kind: type) -> dict[str, Parameter]:
 
 
 def parameter_section(kind: type) -> str:
-    """Return the numpydoc section `Parameters` of a class to which `dataclass` has not been applied yet."""
+    """Return the numpydoc section `Parameters` of a class to which `dataclass` has not been applied yet.
+
+    The section is empty if the class has no fields to list.
+    """
     declared: dict[str, Any] = {}
     for base in reversed(kind.__mro__[1:]):
         if dataclasses.is_dataclass(base):

@@ -2,8 +2,8 @@
 
 Residuals of filtered sensors are correlated, and tests for independent samples would reject every model. An
 autoregression is therefore fitted to each record first (order by Akaike's criterion). Mean, trends and normality are
-tested on its innovations, with the regressors filtered in the same way (Prais and Winsten). The whiteness test uses the
-unfiltered residuals.
+tested on the innovations of the autoregression, with the regressors filtered in the same way (Cochrane and Orcutt). The
+whiteness test uses the unfiltered residuals.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Finding:
     statistic : float
         Test statistic; NaN if the test was not possible.
     p_value : float or None
-        p-value; None if the test was not possible.
+        p-value; None if the test was not possible, 1 if its regression was singular (the statistic is then NaN).
     says : str
         The result in words.
 
@@ -69,7 +69,7 @@ class Finding:
 
 
 def residual_findings(found: Fit, records: Sequence[Record]) -> tuple[Finding, ...]:
-    """Return the tests of the residuals of a fit.
+    """Test the residuals of a fit.
 
     Parameters
     ----------
@@ -82,12 +82,12 @@ def residual_findings(found: Fit, records: Sequence[Record]) -> tuple[Finding, .
     -------
     tuple of Finding
         Whiteness, zero mean, trends with depth and velocity, dependence on direction, and normality. If the data do not
-        allow a test (too few samples, no change of direction), its p-value is None and its text gives the reason.
+        allow a test (too few samples, no change of direction), the p-value is None and the text gives the reason.
 
     Raises
     ------
     DataError
-        If `records` and the residuals of the fit have different lengths.
+        If the number or the lengths of `records` are not those of the residuals of the fit.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def residual_findings(found: Fit, records: Sequence[Record]) -> tuple[Finding, .
 
 
 def findings_of(residuals: Sequence[Array], motions: Sequence[Motion], unit: str) -> tuple[Finding, ...]:
-    """Return the tests of given residuals.
+    """Test given residuals.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def findings_of(residuals: Sequence[Array], motions: Sequence[Motion], unit: str
     Returns
     -------
     tuple of Finding
-        The tests of `residual_findings`.
+        The results of the same tests as in `residual_findings`.
 
     Examples
     --------
@@ -168,7 +168,7 @@ def ljung_box(residuals: Sequence[Array], lags: int | None = None) -> tuple[floa
     residuals : sequence of Array
         Residuals of each record, shape (samples,).
     lags : int, optional
-        Number of lags. The default is 20, but at most a fifth of the shortest record.
+        Number of lags, at least 1. The default is 20, but at most a fifth of the shortest record.
 
     Returns
     -------
@@ -263,7 +263,10 @@ def _normality(left: Sequence[Array], filters: Sequence[Array]) -> Finding:
 
 
 def _autoregression(values: Array) -> Array:
-    """Return the coefficients of an autoregression (Yule and Walker); Akaike's criterion chooses the order."""
+    """Fit an autoregression (Yule and Walker), of the order that Akaike's criterion chooses.
+
+    Return the coefficients, shape (order,), for the lags 1, 2, ...
+    """
     from scipy.linalg import solve_toeplitz
 
     n = values.size
@@ -294,7 +297,10 @@ def _filtered(values: Array, weights: Array) -> Array:
 def _slope(
     left: Sequence[Array], others: Sequence[Array], values: Sequence[Array], filters: Sequence[Array]
 ) -> tuple[float, float, float]:
-    """Regress the residuals on `values` and `others`, all of them filtered; return slope, t and p for `values`."""
+    """Regress the residuals on `values` and `others`, all of them filtered; return slope, t and p for `values`.
+
+    If the regression is singular, slope and t are NaN and p is 1.
+    """
     from scipy import stats
 
     bring: Callable[[Sequence[Array]], Array] = lambda rows: np.concatenate(  # noqa: E731

@@ -1,6 +1,6 @@
 """Simulation of any model along a sampled motion.
 
-`simulate` chooses one of four integrators by the base class of the model.
+`simulate` chooses one of four integrators.
 
 | model | integrator |
 |---|---|

@@ -30,7 +30,8 @@
     value = 0.31
     unit = "N"
 
-A parameter that is missing in the file has the model's default value. `unit` must be the unit that the model declares.
+A parameter that is missing in the file has the model's default value; a parameter without a default must be present.
+`unit` must be the unit that the model declares.
 """
 
 from __future__ import annotations
@@ -136,7 +137,10 @@ def _parameters_of(what: type[Model] | Effect) -> Rule:
 
 
 def _options_of(kind: type[Model]) -> Rule:
-    """Return the rule for the table of a model's options: its fields that are not parameters."""
+    """Return the rule for the table of a model's options, which are the fields that are not parameters.
+
+    Raises TypeError if a model file cannot hold the type of a field.
+    """
     hints = get_type_hints(kind)
     rules: dict[str, Rule] = {}
     for name in _options(kind):
@@ -224,7 +228,7 @@ class ModelFile:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> ModelFile:
-        """Read a model file. Raises ModelError with every mistake of the file."""
+        """Read a model file. Raises ModelError with every mistake, or if the file cannot be read."""
         return cls.from_toml(text_of(path, ModelError), os.fspath(path))
 
     @classmethod
@@ -299,6 +303,6 @@ def _options(kind: type[Model]) -> list[str]:
 
 
 def _required(kind: type[Model], names: Mapping[str, object]) -> dict[str, str]:
-    """Return those of the names that are fields without a default, as the argument `required` of `Keyed`."""
+    """Return the names whose fields have no default, as the argument `required` of `Keyed`."""
     needed = (each for each in fields(kind) if each.default is MISSING and each.default_factory is MISSING)
     return {each.name: "" for each in needed if each.name in names}

@@ -8,7 +8,7 @@
 | `march` | an insertion step by step, in tissue that remembers the path of the tip |
 | `tip_path_mm` | the path of the tip in closed form |
 | `radius_from_axial_mm` | the radius of curvature from the axial force at the base |
-| `TipPath`, `SpatialBeam`, `InsertionForce` | members of the family of models |
+| `TipPath`, `SpatialBeam`, `InsertionForce` | models for `simulate` and `fit` |
 
 The deflection u is positive toward the push of the bevel.
 """

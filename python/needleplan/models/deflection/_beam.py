@@ -3,15 +3,15 @@
 Lengths are in mm, angles in rad, moduli in GPa and the density in kg/m3, as in material tables. Stiffnesses are in N
 mm2 (1 GPa = 1000 N/mm2). The unit of mass that is consistent with N, mm and s is the tonne: 1 kg/m3 = 1e-12 t/mm3.
 
-All four variants of `AxialTerms` are one equation. u > 0 is toward the push of the bevel. x runs from the base (0) past
-the entry point (l1 = L - depth) to the tip (L)::
+The four variants of `AxialTerms` are cases of one equation. u > 0 is toward the push of the bevel. x runs from the base
+(0) past the entry point (l1 = L - depth) to the tip (L)::
 
     EI u'''' + N(x) u'' + b u' + kf (u - path) = 0     in the tissue, x > l1
     EI u'''' + N(l1) u''                       = 0     outside
     EI u''(L) = M,   EI u'''(L) = -(P + s u'(L)),   u and u' given at the base, u to u''' continuous at l1
     N(x) = N_tip + c (L - max(x, l1))
 
-Source: sections 5.2 and 5.3 of the thesis. Its deflection w is -u for positive Fc.
+Source: sections 5.2 and 5.3 of the thesis. The deflection w of the thesis is -u for positive Fc.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ _RANGES = {
 class NeedleShaft:
     """Geometry and material of a straight needle with a bevelled tip, hollow or solid.
 
-    The constructor raises ModelError, with all mistakes, for numbers out of range.
+    The constructor raises ModelError, with all mistakes, for numbers out of range and for an inner diameter that is not
+    less than the outer diameter.
 
     Parameters
     ----------
@@ -136,9 +137,9 @@ class AxialTerms(StrEnum):
     PRINTED = "printed"
     """(5.6) and (5.8) as printed: EI u'''' + kf u - c u' = 0, EI u'''(L) = -(Fc cos a + Fc sin a u'(L)).
 
-    Both signs are wrong. The friction pushes forward, and the tip force follows the slope of the tip in the wrong
-    sense, which makes the cantilever unstable at Fc = 2 EI/(L^2 sin a). (The sign of Fc itself is that of a push toward
-    the bevel; (5.3) has the opposite sign.)
+    The signs of the terms with u' are wrong. The friction pushes forward, and the tip force follows the slope of the
+    tip in the wrong sense, which makes the cantilever unstable at Fc = 2 EI/(L^2 sin a). (A positive Fc pushes toward
+    the bevel here; (5.3) has the opposite sign.)
     """
 
     FIXED = "fixed"
@@ -245,8 +246,9 @@ class Beam:
     ) -> Beam:
         """Return the coefficients for a needle in a tissue; the arguments broadcast.
 
-        `cutting_force_n` is Fc, normal to the bevel face. `bevel` is +1 if it pushes toward u > 0, and -1 otherwise.
-        Raises ModelError if a depth is not between 0 and the length of the needle, or a number is not finite.
+        `cutting_force_n` is Fc, normal to the bevel face. `bevel` is +1 if Fc pushes toward u > 0, and -1 otherwise.
+        Raises ModelError if a depth is not between 0 and the length of the needle, or a depth, force or velocity is not
+        finite.
         """
         depth, force, velocity, side, moment = np.broadcast_arrays(
             *(np.asarray(each, float) for each in (depth_mm, cutting_force_n, velocity_mm_s, bevel, tip_moment_n_mm))
@@ -280,7 +282,7 @@ class Beam:
         return Beam(*(np.broadcast_to(each, self.shape).reshape(-1) for each in vars(self).values()))
 
     def rows(self, chosen: NDArray[np.intp]) -> Beam:
-        """Return the insertions of a flat beam with the indices `chosen`."""
+        """Return the beam with only the insertions of the indices `chosen`. The beam must be flat (see `flat`)."""
         return Beam(*(each[chosen] for each in vars(self).values()))
 
 

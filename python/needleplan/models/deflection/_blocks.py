@@ -26,8 +26,8 @@ def solve_blocks(diagonal: Blocks, lower: Blocks, upper: Blocks, loads: Sequence
     """Return both unknowns of every block, shape (n, systems) each.
 
     `diagonal` has n blocks, `lower` and `upper` have n - 1. `lower[i]` couples block i + 1 to the unknowns of block i,
-    `upper[i]` couples block i to the unknowns of block i + 1. The unknowns of a singular system are infinite, NaN or
-    very large.
+    `upper[i]` couples block i to the unknowns of block i + 1. Fewer than 48 systems: raises NumPy's LinAlgError if one
+    of them is singular. More systems: the unknowns of a singular system are infinite, NaN or very large.
     """
     systems = loads[0].shape[1]
     if systems < _FEW:

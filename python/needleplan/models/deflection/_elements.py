@@ -5,8 +5,8 @@ integrated by parts::
 
     int EI v'' u'' - N v' u' + (b + c) v u' + kf v u  +  v (N - s) u'|_L  =  kf int v path + v P|_L + v' M|_L
 
-All elements of an insertion have the same length h, up to a given maximum. A fixed number of elements would be much too
-short just after the entry, where rounding errors grow with (depth/h)^4. The unknowns are u and h u' at the nodes.
+All elements of an insertion have the same length h, up to a given maximum. If their number were fixed, the elements
+would be so short just after the entry that rounding errors would dominate. The unknowns are u and h u' at the nodes.
 Insertions with the same number of elements are solved together.
 
 The part outside of the tissue is a clamped beam under a constant axial load N. With z = N l^2/EI and the Stumpff
@@ -185,8 +185,9 @@ def solve_uniform(
     """Return the shapes of all insertions in the flat `beam`, with `count` elements each.
 
     `path_mm`, shape (insertions, count + 1), is the path that was cut, at the nodes and linear between them; None is
-    the straight line. With `anchoring` mu > 0, the last value of the path is unknown and is mu times the deflection of
-    the tip. The base may have a deflection and a slope. At a buckling load the deflection is infinite or NaN.
+    the straight line. With `anchoring` mu > 0, the last value of `path_mm` is ignored: there the path is mu times the
+    deflection of the tip, which is unknown. `base_mm` and `base_slope_rad` are deflection and slope of the base. At a
+    buckling load the equations are singular, see `solve_blocks`.
     """
     flat = beam.flat()
     h = flat.depth_mm / count

@@ -52,12 +52,13 @@ class ExactShape:
     def at(self, behind_tip_mm: ArrayLike) -> Array:
         """Return the deflection (mm) at a distance behind the tip.
 
-        For several insertions the distance must broadcast to their shape, else ModelError is raised.
+        If the beam has several insertions, `behind_tip_mm` must broadcast to their shape. Raises ModelError if
+        broadcasting gives another shape.
         """
         return self._derivative(np.asarray(behind_tip_mm, float), 0)
 
     def slope_at(self, behind_tip_mm: ArrayLike) -> Array:
-        """Return the slope (rad) at a distance behind the tip."""
+        """Return the slope (rad) at a distance behind the tip. Shapes and errors are those of `at`."""
         return self._derivative(np.asarray(behind_tip_mm, float), 1)
 
     def _derivative(self, behind: Array, order: int) -> Array:
@@ -125,7 +126,10 @@ def _roots(flat: Beam) -> tuple[Array, tuple[Array, Array]]:
 
 
 def _basis(x: Array, depth: Array, p: Array, waves: tuple[Array, Array]) -> Array:
-    """Return the four functions and their derivatives 0 to 3 at x from the entry point, shape (4, 4, insertions)."""
+    """Return the derivatives 0 to 3 of the four functions at x from the entry point, shape (4, 4, insertions).
+
+    The first axis is the function, the second the order of the derivative.
+    """
     values = np.empty((4, 4, x.size))
     for start, (distance, rate, q) in enumerate(((x, -p, waves[0]), (depth - x, p, waves[1]))):
         size, angle = np.exp(-p * distance), q * distance

@@ -1,7 +1,7 @@
 """An insertion step by step, and the radius of curvature from the axial force at the base.
 
-**March.** The tip cuts the path that the needle behind it follows. The path is stored in tissue coordinates (X = x -
-l1) with one node for each step, so that the elements of the inserted part lie on the nodes. The newest node is the
+**March.** The tip cuts the path, and the rest of the needle follows it. The path is stored in tissue coordinates (X = x
+- l1) with one node for each step; the nodes of the elements coincide with the nodes of the path. The newest node is the
 present position of the tip, which is an unknown of the same equations (implicit).
 
 **Radius.** The axial force is F = F0 + vf v l + Fc sin a. F0 is an offset (Coulomb friction, the remainder of the
@@ -10,10 +10,10 @@ face. The steady radius is EI lam/(Fc cos a), so that::
 
     R = EI^(3/4) kf^(1/4) tan(a) / (sqrt(2) (F - F0 - vf v l)) g
 
-g is the effect of the base at small depths; it is about one for lam l > 1.
+The factor g describes the effect of the base at small depths; g is about 1 for lam l > 1.
 
-Fc is a small difference of large numbers. The thesis has no F0, and with F0 = 0 its forces give a quarter of its radii.
-F0 must be identified, and its standard deviation propagates to the radius.
+Fc is a small difference of large numbers. The thesis has no F0: with F0 = 0, the forces of the thesis give a quarter of
+the radii of the thesis. F0 must be identified, and the standard deviation of F0 propagates to the radius.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ __all__ = ["AxialOffset", "CutPath", "cutting_force_n", "finite_depth_factor", "
 
 @dataclass(frozen=True)
 class CutPath:
-    """Result of `march` at the depths of the tip, shape (..., steps + 1) each."""
+    """Result of `march` at every depth of the tip, shape (..., steps + 1); `depth_mm` has the shape (steps + 1,)."""
 
     depth_mm: Array
     tip_mm: Array
@@ -43,7 +43,7 @@ class CutPath:
     """Deflection of the point `behind_tip_mm` behind the tip, by the depth of the tip."""
 
     last_shape: Array
-    """Deflection of the inserted needle after the last step, at the nodes of `depth_mm`."""
+    """Deflection (mm) of the inserted needle after the last step, at the distances `depth_mm` from the entry point."""
 
 
 def march(
@@ -62,12 +62,12 @@ def march(
 ) -> CutPath:
     """Insert a needle in steps of `step_mm` with a given force on the bevel face.
 
-    `cutting_force_n`, shape (..., steps + 1), is Fc at the depths 0, 1, ..., steps; the first value has no effect.
-    `bevel` is +1 or -1 at the same depths; a change is a flip. Let the force grow from zero: at very small depths a
-    force moves the tip of the unguided needle by millimetres. `anchoring` is mu, the share of the tip's path that the
-    tissue keeps; Foundation.ANCHORED keeps none. The error is of order step^2 if the force grows with the square of the
-    depth, and of order step if it jumps. Raises ModelError for a step that is not positive or an `anchoring` out of [0,
-    1].
+    `cutting_force_n`, shape (..., steps + 1), is Fc after 0, 1, ..., steps steps; the first value has no effect.
+    `velocity_mm_s` and `bevel` (+1 or -1; a change is a flip) broadcast to this shape. Let the force grow from zero: at
+    very small depths a force moves the tip of the unguided needle by millimetres. `anchoring` is mu, the share of the
+    tip's path that the tissue keeps; it counts as 0 for Foundation.ANCHORED. The error is of order step^2 if the force
+    grows with the square of the depth, and of order step if the force jumps. Raises ModelError for a step that is not
+    positive, fewer than two forces, or an `anchoring` outside of [0, 1].
     """
     force = np.atleast_1d(np.asarray(cutting_force_n, float))
     steps = force.shape[-1] - 1
@@ -160,9 +160,9 @@ def finite_depth_factor(
 ) -> Array:
     """Return g, the ratio of the local radius to the steady radius, of the shape of `depth_mm`.
 
-    The force is zero up to the depth `straight_start_mm` and then constant. `depth_mm` may have any shape. Its values
-    must be at least two steps beyond the straight start, and two steps short of the length of the needle. All depths
-    are computed by one march without axial terms. Raises ModelError for other depths.
+    The force is zero up to the depth `straight_start_mm` and then constant. All depths are computed by one march
+    without axial terms. Raises ModelError for a depth that is less than two steps beyond the straight start or less
+    than two steps short of the length of the needle.
     """
     depth = np.asarray(depth_mm, float)
     lowest, highest = straight_start_mm + 2 * step_mm, needle.length_mm - 2 * step_mm

@@ -40,9 +40,9 @@ __all__ = ["FreePath", "circle_push_n", "flip_jump", "side_slip", "steady_radius
 
 @dataclass(frozen=True)
 class FreePath:
-    """State of the tip at a depth; advances step by step at constant cost.
+    """State of the tip at one depth, from which `advanced` computes the next at constant cost.
 
-    `push_n` is P at the depth. `once_n_mm` and `twice_n_mm2` are its first and second integral from the entry.
+    `push_n` is P at this depth. `once_n_mm` and `twice_n_mm2` are the first and second integral of P from the entry.
     """
 
     needle: NeedleShaft
@@ -109,10 +109,10 @@ def tip_path_mm(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLike,
 
 
 def steady_radius_mm(needle: NeedleShaft, tissue: ElasticTissue, push_n: float, axial_n: float = 0.0) -> float:
-    """Return the radius EI lam/P (mm) of the circle for a constant lateral force; infinite for zero force.
+    """Return the radius EI lam/P (mm) of the circle for a constant lateral force P; infinite for P = 0.
 
     `axial_n` is a constant compression N, which changes the radius by the factor 1 + N/(8 EI lam^2) to first order.
-    Raises ModelError if N reaches the buckling load of the embedded needle, 2 sqrt(EI kf).
+    Raises ModelError if P is not 0 and N reaches the buckling load of the embedded needle, 2 sqrt(EI kf).
     """
     bending, spring = needle.bending_stiffness_n_mm2, tissue.stiffness_n_mm2
     if push_n == 0:
@@ -129,7 +129,10 @@ def steady_radius_mm(needle: NeedleShaft, tissue: ElasticTissue, push_n: float, 
 
 
 def circle_push_n(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLike, radius_mm: float) -> Array:
-    """Return the lateral force (N) for a circle that is tangent at the entry; it rises over a length of about 1/lam."""
+    """Return the lateral force (N) at every depth that makes the path a circle, tangent at the entry.
+
+    The force rises over a length of about 1/lam. The result has the shape of `depth_mm`.
+    """
     lam = tissue.decay_1_mm(needle)
     angle = lam * np.asarray(depth_mm, float)
     rise = 1 - np.exp(-angle) * (np.cos(angle) + np.sin(angle))

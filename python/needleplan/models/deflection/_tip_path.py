@@ -35,8 +35,8 @@ __all__ = ["InsertionForce", "SpatialBeam", "TipPath"]
 class TipPath(SelfIntegratingModel):
     """Lateral position of the tip, or of a tracked point behind it, by the law of `tip_path_mm`.
 
-    The state is x1 (N mm2) and x2 (N mm). With the depth s, m = 1 - mu, P = side Fc cos(a) cos(angle) (1 - (1 + s/e)
-    exp(-s/e)) and the length e over which the force rises after the entry::
+    The state is x1 (N mm2) and x2 (N mm). s is the depth, v the velocity, a the bevel angle, e the length over which
+    the force rises after the entry, and m = 1 - mu. With P = side Fc cos(a) cos(base angle) (1 - (1 + s/e) exp(-s/e))::
 
         x1' = v x2,   x2' = v (P - 2 lam^2 m x1 - 2 lam m x2)
         y = offset + slope s + (2 lam/kf) (P + mu (2 lam x2 + 2 lam^2 x1))/g
@@ -102,12 +102,12 @@ class TipPath(SelfIntegratingModel):
 
     @property
     def decay_1_mm(self) -> float:
-        """Lam = (kf/4EI)^(1/4), 1/mm."""
+        """Decay constant lam = (kf/4EI)^(1/4), 1/mm."""
         return math.sqrt(math.sqrt(self.stiffness / (4 * self.bending)))
 
     @property
     def curvature_1_mm(self) -> float:
-        """Curvature P/(EI lam g) of the path far behind the entry, signed by `side`."""
+        """Curvature P/(EI lam g) of the path far beyond the entry with the base at angle 0, signed by `side`."""
         bend = self.bending * self.decay_1_mm * self.depth_factor
         return self.side * self.cutting_force * math.cos(self.bevel) / bend
 
@@ -140,7 +140,7 @@ class TipPath(SelfIntegratingModel):
         return np.stack([in_tissue * state[1], in_tissue * force])
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states, shape (2, samples), by Kutta's rule in Python floats: ten times as fast as NumPy."""
+        """Return the states, shape (2, samples), by Kutta's method in Python floats, ten times as fast as NumPy."""
         middle, lost, lam = motion.between(0.5), 1 - self.anchoring, self.decay_1_mm
         near, far = 2 * lam**2 * lost, 2 * lam * lost
         speed, half = (np.where(each.depth_mm >= 0, each.velocity_mm_s, 0.0) for each in (motion, middle))
@@ -179,8 +179,8 @@ class TipPath(SelfIntegratingModel):
 class SpatialBeam(SpatialBicycle):
     """Path in space of a bevel tip at the end of a beam, in tissue that remembers the path.
 
-    For f = 0 the model is the bicycle. As in `TipPath`, the force on the tip rises with the depth s as 1 - (1 + s/e)
-    exp(-s/e).
+    As in `TipPath`, the force on the tip, and with it the curvature, rises with the depth s as 1 - (1 + s/e) exp(-s/e).
+    For f = 0 the model is a bicycle whose curvature rises in this way.
 
     Examples
     --------
@@ -223,12 +223,12 @@ class SpatialBeam(SpatialBicycle):
         return cls(float(push / (needle.bending_stiffness_n_mm2 * lam)), felt_mm=1 / lam)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature toward the bevel, which rises behind the entry; shape (2, ...)."""
+        """Return the curvature (1/mm) along n and b, shape (2, ...), which rises with the depth."""
         reach = np.maximum(motion.depth_mm, 0.0) / self.rise_mm
         return np.asarray(super().bend_per_mm(motion, roll_rad) * (1 - (1 + reach) * np.exp(-reach)))
 
     def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:
-        """Return the position of the tip, shape (3, ...)."""
+        """Return the position of the tip (mm), shape (3, ...)."""
         kn, kb = whole.bend_per_mm(motion, state[9])
         tangent, normal = state[3:6], state[6:9]
         lead = np.append(1.0, whole.entry(motion)[1])
@@ -270,10 +270,10 @@ class InsertionForce(Model):
         return np.zeros(0)
 
     def derivative(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the empty rates, shape (0,)."""
+        """Return the empty rates, shape (0, ...)."""
         return state
 
     def output(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return F (N), shape (...)."""
+        """Return the axial force F (N), shape (...)."""
         viscous = self.friction * motion.velocity_mm_s * motion.depth_mm
         return np.asarray(self.offset + viscous + self.cutting_force * math.sin(self.bevel))

@@ -24,9 +24,11 @@ __all__ = ["AddedEffect", "AugmentedModel", "with_effect", "without_effect"]
 
 @dataclass(frozen=True)
 class AddedEffect:
-    """An effect with the values of all its parameters.
+    """An effect with parameter values, as part of a model.
 
-    `estimates` holds the fitted values with intervals. `found_by` is the digest of the diagnosis that found the effect.
+    `values` contains at least every free parameter. `estimates` holds the fitted values with intervals. `found_by` is
+    the digest of the diagnosis that found the effect. The constructor raises ModelError if a value is missing, unknown
+    or out of range.
     """
 
     name: str
@@ -73,7 +75,7 @@ class AugmentedModel(SelfIntegratingModel):
 
     @cached_property
     def whole(self) -> Model:
-        """The base model with all effects applied; the base model itself if all amplitudes are 0."""
+        """The base model with all effects applied whose amplitude is not 0."""
         model = self.base
         for each in self.effects:
             model = effect_named(each.name).apply(model, each.values) if each.values[SIZE] else model
@@ -81,7 +83,7 @@ class AugmentedModel(SelfIntegratingModel):
 
     @cached_property
     def plant(self) -> Model:
-        """The model without the effects of the sensor; its output is the true quantity, not the measured one."""
+        """The model without the effects of the sensor, which gives the true quantity instead of the measured one."""
         own = tuple(each for each in self.effects if effect_named(each.name).enters is not Enters.SENSOR)
         return AugmentedModel(self.base, own) if own else self.base
 
@@ -94,7 +96,7 @@ class AugmentedModel(SelfIntegratingModel):
         return self.whole.derivative(state, motion)
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the measured quantity, shape (...)."""
+        """Return the measured quantity in the shape of `Model.output`."""
         return self.whole.output(state, motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:

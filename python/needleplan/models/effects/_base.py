@@ -61,10 +61,10 @@ class Reach:
 
     @classmethod
     def of(cls, motions: Sequence[Motion]) -> Reach:
-        """Return the ranges that several motions cover together.
+        """Return the ranges that several motions cover together, with the duration of the longest motion.
 
-        The lower limit of the speed is the 5 % quantile of the samples that move. The duration is that of the longest
-        motion.
+        The lower limit of the speed is the 5 % quantile of the samples that are faster than 2 % of the largest speed.
+        If nothing moves, both limits are 1 mm/s.
         """
         speeds = np.concatenate([np.abs(each.velocity_mm_s) for each in motions])
         moving = speeds[speeds > 0.02 * speeds.max()] if speeds.max() > 0 else np.ones(1)
@@ -106,7 +106,7 @@ class Effect(ABC):
     """Whether the effect delays the measurement, as the calibrated sensor lag does."""
 
     def suits(self, model: Model) -> bool:  # noqa: ARG002
-        """Whether the effect can be added to a model. Default: to any model of its channel."""
+        """Return whether the effect can be added to a model of its channel. Default: True."""
         return True
 
     @abstractmethod
@@ -126,12 +126,10 @@ class Effect(ABC):
         reach: Reach,  # noqa: ARG002
         scale: float,  # noqa: ARG002
     ) -> list[dict[str, float]]:
-        """Return further start values of a fit around `values`; a smaller `scale` (at most 1) gives closer ones.
+        """Return further start values of a fit around `values`; a smaller `scale` (at most 1) gives closer values.
 
-        Default: none.
-
-        Override this method for strongly nonlinear effects, which may have several local optima between two grid
-        points.
+        Default: none. Override this method for strongly nonlinear effects, which may have several local optima between
+        two grid points.
         """
         return []
 
@@ -139,8 +137,8 @@ class Effect(ABC):
         """Return the sensitivity of the output to the amplitude at every point of the grid, shape (samples, len(grid)).
 
         For an output of the shape (axes, samples) the rows of the axes follow one another: (axes * samples, len(grid)).
-        Default: the difference quotient of two simulations, with and without the effect. Its amplitude is that of the
-        grid point or, if the point has none, a thousandth of the typical amplitude.
+        Default: the difference quotient of two simulations, with and without the effect. The effect has the amplitude
+        of the grid point or, if the point has none, a thousandth of the typical amplitude.
         """
         plain = simulate(model, motion).output
         small = 1e-3 * self.parameters[SIZE].typical
@@ -213,7 +211,7 @@ class Memoryless(Term):
 
 @dataclass(frozen=True)
 class WithTerm(SelfIntegratingModel):
-    """A model with an additional term. The state is that of the model, followed by the internal state of the term."""
+    """A model with an additional term. The internal state of the term follows the state of the model."""
 
     base: Model
     term: Term

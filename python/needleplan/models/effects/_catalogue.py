@@ -31,7 +31,7 @@ def _speeds(reach: Reach) -> np.ndarray:
 def _breaths(reach: Reach) -> list[dict[str, float]]:
     """Return the search grid of breathing motions.
 
-    Some of the motions are small enough to show only at rest. Others are large enough to reverse the motion of the
+    Some of the motions are so small that they show only at rest. Others are large enough to reverse the motion of the
     needle relative to the tissue while the needle advances.
     """
     slowest = max(reach.speed_mm_s[0], 1e-2)
@@ -53,8 +53,8 @@ _STEEPEST = 0.65
 def _other_breaths(values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:
     """Return variants of a breathing motion with other amplitudes, frequencies and phases.
 
-    At scale 1 there are also variants with other dwells. A change of frequency alone does not change the phase at the
-    middle of a trial. If the amplitude is 0, there are no variants.
+    At scale 1 there are also variants with other dwells. A change of frequency alone keeps the phase at the middle of
+    the longest trial. If the amplitude is 0, there are no variants.
     """
     if not values[SIZE]:
         return []

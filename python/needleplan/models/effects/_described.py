@@ -54,7 +54,7 @@ class _Described(Effect):
     """Classes of models that the effect can be added to; if empty, any model."""
 
     def suits(self, model: Model) -> bool:
-        """Whether the effect can be added to a model, or to the model that it wraps."""
+        """Return whether the effect can be added to `model` or to a model that `model` wraps."""
         inner = model
         while not isinstance(inner, self.beside) and hasattr(inner, "base"):
             inner = inner.base
@@ -131,7 +131,10 @@ class WrapEffect(_Described):
         return parameters_of(self.wrapper)
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
-        """Return the wrapped model; the model itself if the amplitude is 0."""
+        """Return `model` with the wrapper around it or, if it does not suit, around a model inside of it.
+
+        Returns `model` itself if the amplitude is 0.
+        """
         if not values.get(SIZE, 0.0):
             return model
         if self.beside and not isinstance(model, self.beside):
@@ -140,7 +143,7 @@ class WrapEffect(_Described):
         return made
 
     def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
-        """Return the sensitivity to the amplitude, shape (samples, len(grid)).
+        """Return the sensitivity to the amplitude, of the shape of `Effect.columns`.
 
         Breathing motions around a `ShaftAndTip` are computed together, which is faster.
         """
@@ -155,9 +158,9 @@ class WrapEffect(_Described):
         return np.asarray((gained / np.array([[each[SIZE]] for each in grid])).T)
 
     def _inside(self, model: Model, values: Mapping[str, float]) -> Model:
-        """Return a copy of `model`, which wraps another model, with this effect wrapped around the innermost model.
+        """Return a copy of `model` in which this effect is wrapped around the outermost suitable model inside `model`.
 
-        Raises ModelError if the effect cannot be added to `model`.
+        Raises ModelError if there is no suitable model inside.
         """
         if not self.suits(model):
             wanted = " or ".join(each.name for each in self.beside)
@@ -168,12 +171,12 @@ class WrapEffect(_Described):
 
 
 def presliding_of(model: Model) -> float:
-    """Return the travel over which friction reverses in a model (mm); 0.05 if the model does not define it."""
+    """Return the travel (mm) over which friction reverses in a model; 0.05 if the model does not define this travel."""
     return _of_base(model, "presliding_mm") or 0.05
 
 
 def _of_base(model: Model, name: str) -> float | None:
-    """Return the value of a parameter of a model or of the models that it wraps; None if all of them lack it."""
+    """Return a parameter of a model or, if the model lacks it, of the models inside; None if all of them lack it."""
     while not hasattr(model, name) and hasattr(model, "base"):
         model = model.base
     value = getattr(model, name, None)

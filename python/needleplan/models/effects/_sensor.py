@@ -1,9 +1,9 @@
 """Effects of the force sensor and of the mass attached to it; they change the measured force but not the needle.
 
 **Delay.** A pure delay has no finite-dimensional state. `Lagging` approximates it by 256 first-order lags in series,
-each with a 256th of the delay. A step at the input reaches the output after the delay, spread over a standard deviation
-of a sixteenth of the delay (Erlang distribution; MacDonald, Time Lags in Biological Models, 1978). With fewer lags,
-the fit would mistake this spread for the sensor's own filter.
+each with a 256th of the delay. A step at the input reaches the output after the delay. The step is spread out with a
+standard deviation of a sixteenth of the delay (Erlang distribution; MacDonald, Time Lags in Biological Models, 1978).
+With fewer lags, a fit would mistake this spread for the sensor's own filter.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Bias(Memoryless):
 
 @dataclass(frozen=True, kw_only=True)
 class Drift(Memoryless):
-    """A linear drift of the sensor's zero from the beginning of each trial."""
+    """A linear drift of the sensor's zero from the time 0 of each trial."""
 
     name: ClassVar[str] = "drift"
     size: float = parameter("N/s", -1, 1, "rate of the zero", typical=1e-3)
@@ -55,7 +55,7 @@ class Drift(Memoryless):
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalDrift(Memoryless):
-    """An exponential drift of the sensor's zero while the sensor warms up, from the beginning of each trial."""
+    """An exponential drift of the sensor's zero while the sensor warms up, from the time 0 of each trial."""
 
     name: ClassVar[str] = "thermal_drift"
     size: float = parameter("N", -20, 20, "final shift of the zero", typical=0.01)
@@ -155,13 +155,14 @@ class Lagging(SelfIntegratingModel):
         return np.concatenate([self.base.derivative(own, motion), (before - stages) / self._lag_s])
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the delayed output; the output of the base if the amplitude is 0."""
+        """Return the delayed output; the output of the base model if the amplitude is 0."""
         return np.asarray(state[-1]) if self.size else self.base.output(state[:-_STAGES], motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the states, shape (n + 256, samples).
 
-        The stages are exact for a force that is linear between evenly spaced samples.
+        The stages are exact for a force that is linear between evenly spaced samples. For uneven samples they are
+        computed on a finer even grid and interpolated.
         """
         states = simulate(self.base, motion, start[:-_STAGES]).states
         force = np.asarray(self.base.output(states, motion), float)

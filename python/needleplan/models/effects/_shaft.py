@@ -226,7 +226,7 @@ def _read_only(values: Array) -> Array:
 
 
 def _filled(depth_mm: Array) -> Array:
-    """Return the share of each cell that the shaft fills, shape (cells, ...), without cells that it never reaches."""
+    """Return the share of each cell that the shaft fills, shape (cells, ...), up to the cell of the largest depth."""
     count = math.ceil(min(max(1.0, float(np.max(depth_mm)) / _CELL_MM), _CELLS))
     edges = (np.arange(count) * _CELL_MM).reshape((-1,) + (1,) * np.ndim(depth_mm))
     return np.asarray(np.clip((depth_mm - edges) / _CELL_MM, 0.0, 1.0))
@@ -255,7 +255,7 @@ def _pushed(state: Array) -> Array:
 class Puncture(PathTerm):
     """A membrane that deforms until it breaks.
 
-    The force grows as exp((L - depth)/bulge) and decays fast after the break. It acts on the first pass only.
+    The force grows as exp((L - depth)/bulge) and decays fast after the break. Later passes of the tip meet no force.
     """
 
     name: ClassVar[str] = "puncture"

@@ -1,7 +1,7 @@
-"""Effects of the path of a tip. Each is a model that wraps another model and changes one property of it.
+"""Effects of the path of a tip. Each effect is a model that wraps another model and changes one of its properties.
 
-`Altered` effects change the curvature, the entry or the roll. `Shifted` effects change the position; they are effects
-of the tracker, and of tissue that moves together with the whole path.
+`Altered` effects change the curvature, the entry or the roll. `Shifted` effects change the position, because of the
+tracker, or because the tissue moves together with the whole path.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ class Altered(SteeredModel):
         return self.base.entry(motion)
 
     def following(self, roll_rad: Array, motion: Motion) -> Array:
-        """Return the roll (rad) that the base of the needle imposes on the tip in the base model."""
+        """Return `following` of the base model: the roll (rad) that the rear end of the needle imposes on the tip."""
         return self.base.following(roll_rad, motion)
 
     def rolls(self, motion: Motion, start_rad: float) -> Array:
-        """Return the roll (rad) of the tip in the base model at every sample."""
+        """Return the roll (rad) of the tip in the base model at every sample, shape (samples,)."""
         return self.base.rolls(motion, start_rad)
 
     def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:
@@ -76,12 +76,15 @@ class Shifted(Altered):
         """Return the shift for amplitude 1, shape (3, ...)."""
 
     def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:
-        """Return the position of the tip in the base model plus the shift, mm."""
+        """Return the position of the tip in the base model plus the shift (mm), shape (3, ...)."""
         return np.asarray(self.base.shown(state, motion, whole) + self.size * self.shift(state, motion))
 
 
 def direction_yz(angle_rad: float, like: Array) -> Array:
-    """Return the unit vector perpendicular to the x axis at `angle_rad` from y toward z, shape (3, ...) as `like`."""
+    """Return the unit vector perpendicular to x at `angle_rad` from y toward z, repeated for the shape of `like`.
+
+    The result has the shape (3, ...) if `like` has the shape (...).
+    """
     one = np.ones_like(np.asarray(like, float))
     return np.array([0 * one, np.cos(angle_rad) * one, np.sin(angle_rad) * one])
 
@@ -100,7 +103,7 @@ class CurvatureLayer(Altered):
     depth_mm: float = parameter("mm", 0.5, 1000, "depth at which the layer begins")
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature of the base, times 1 + size in the layer."""
+        """Return the curvature (1/mm) of the base model, in the layer times 1 + size."""
         inside = np.clip((motion.depth_mm - self.depth_mm) / _EDGE_MM + 0.5, 0.0, 1.0)
         return np.asarray(self.base.bend_per_mm(motion, roll_rad) * (1 + self.size * inside))
 
@@ -112,7 +115,7 @@ class SpeedCurvature(Altered):
     size: float = parameter("", -0.9, 2, "relative change of the curvature for each 5 mm/s", typical=0.05)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature of the base, times 1 + size (v / 5 mm/s - 1)."""
+        """Return the curvature (1/mm) of the base model times 1 + size (|v| / 5 mm/s - 1)."""
         share = np.abs(np.asarray(motion.velocity_mm_s)) / _USUAL_MM_S - 1
         return np.asarray(self.base.bend_per_mm(motion, roll_rad) * (1 + self.size * share))
 
@@ -125,25 +128,25 @@ class EntryRupture(Altered):
     length_mm: float = parameter("mm", 0.2, 30, "length over which the change decays")
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature of the base, times 1 + size exp(-depth / length)."""
+        """Return the curvature (1/mm) of the base model times 1 + size exp(-depth / length)."""
         share = np.exp(-np.maximum(motion.depth_mm, 0) / self.length_mm)
         return np.asarray(self.base.bend_per_mm(motion, roll_rad) * (1 + self.size * share))
 
 
 @dataclass(frozen=True, kw_only=True)
 class TwistedNeedle(Altered):
-    """A rotational backlash between base and tip that grows with the inserted length (see `Torsion`)."""
+    """A rotational backlash between rear end and tip that grows with the inserted length (see `Torsion`)."""
 
     size: float = parameter("rad/mm", 0, 0.1, "lag of the tip per inserted length", typical=1e-3)
 
     def following(self, roll_rad: Array, motion: Motion) -> Array:
-        """Return `roll_rad`, clipped to the backlash around the roll that the base imposes."""
+        """Return `roll_rad`, clipped to the backlash on both sides of the roll that the base model gives."""
         lag = self.size * np.maximum(motion.depth_mm, 0.0)
         base = self.base.following(roll_rad, motion)
         return np.asarray(np.clip(roll_rad, base - lag, base + lag))
 
     def rolls(self, motion: Motion, start_rad: float) -> Array:
-        """Return the roll of the tip at every sample."""
+        """Return the roll (rad) of the tip at every sample, shape (samples,), from `start_rad` at the first sample."""
         base = self.base.rolls(motion, start_rad)
         lag = self.size * np.maximum(motion.depth_mm, 0.0)
         pairs = zip(base[1:].tolist(), lag[1:].tolist(), strict=True)
@@ -152,13 +155,13 @@ class TwistedNeedle(Altered):
 
 @dataclass(frozen=True, kw_only=True)
 class PreBend(Altered):
-    """A needle that was bent before the insertion: the additional curvature rotates with the base."""
+    """A needle that was bent before the insertion: the additional curvature rotates with the rear end of the needle."""
 
     size: float = parameter("1/mm", -0.02, 0.02, "curvature of the bent needle", typical=1e-4)
     direction_rad: float = parameter("rad", -20, 20, "direction of the bend, from the bevel", typical=0.3)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature of the base model plus the curvature of the bent needle."""
+        """Return the curvature (1/mm) of the base model plus the curvature of the bent needle, shape (2, ...)."""
         angle = np.asarray(motion.angle_rad) + self.direction_rad
         return np.asarray(
             self.base.bend_per_mm(motion, roll_rad) + self.size * np.array([np.cos(angle), np.sin(angle)])
@@ -179,7 +182,7 @@ class Sagging(Altered):
     fading_mm: float = parameter("mm", 5, 1e4, "inserted length over which the curvature decays")
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature of the base model plus the curvature caused by the weight."""
+        """Return the curvature (1/mm) of the base model plus the curvature caused by the weight, shape (2, ...)."""
         down = np.exp(-np.maximum(motion.depth_mm, 0.0) / self.fading_mm) + 0 * np.asarray(roll_rad, float)
         aside = np.array([0 * down, -down])
         return np.asarray(self.base.bend_per_mm(motion, roll_rad) + self.size * aside)
@@ -218,7 +221,7 @@ class CoilOffset(Shifted):
 
 @dataclass(frozen=True, kw_only=True)
 class CoilBehind(Shifted):
-    """A tracker coil behind the tip on the path; the position was set to zero while the tip was at the entry."""
+    """A tracker coil on the path behind the tip; the tracker was set to zero while the tip was at the entry."""
 
     size: float = parameter("mm", -30, 30, "distance of the coil behind the tip", typical=1.0)
 
@@ -256,7 +259,7 @@ class TrackerDistortion(Shifted):
 
 @dataclass(frozen=True, kw_only=True)
 class DriftingTissue(Shifted):
-    """Tissue that drifts sideways together with the needle, from the beginning of each trial."""
+    """Tissue that drifts sideways together with the needle, from the time 0 of each trial."""
 
     size: float = parameter("mm/s", -2, 2, "speed of the drift", typical=0.01)
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
@@ -276,9 +279,9 @@ class BreathingTarget(Shifted):
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return cos(pi f t + phase / 2)^4 times the unit vector of the motion (Lujan et al., Med.
+        """Return cos(pi f t + phase / 2)^4 times the unit vector of the motion, shape (3, ...).
 
-        Phys. 26 (1999) 715).
+        Source: Lujan et al., Med. Phys. 26 (1999) 715.
         """
         wave = np.cos(np.pi * self.frequency_hz * np.asarray(motion.time_s) + self.phase_rad / 2) ** 4
         return np.asarray(wave * direction_yz(self.direction_rad, motion.depth_mm))

@@ -1,8 +1,8 @@
 """Catalogue of the effects of the path of the tip, and the registry of all effects by name.
 
-The registry holds the effects of this package, and the plug-ins that other packages declare under the entry point
-`needleplan.effects`. An entry point names an instance of a subclass of `Effect`, or a subclass whose constructor takes
-no arguments.
+The registry holds the effects of this package, the plug-ins that other packages declare under the entry point
+`needleplan.effects`, and the effects of registered files. An entry point names an instance of a subclass of `Effect`,
+or a subclass whose constructor takes no arguments.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ GROUP = "needleplan.effects"
 def known_effects() -> dict[str, Effect]:
     """Return all effects by name, including plug-ins and registered files.
 
-    Raises ModelError if a plug-in is not an effect, or if another effect has its name.
+    Raises ModelError if a plug-in is not an `Effect` with the parameter `size`, or has the name of another effect.
     """
     found = {each.name: each for each in (*FORCE_EFFECTS, *TIP_EFFECTS)}
     for point in metadata.entry_points(group=GROUP):
@@ -141,8 +141,9 @@ def known_effects() -> dict[str, Effect]:
 def register_file(path: str) -> Effect:
     """Execute a Python file, register the effect that the file defines as `EFFECT`, and return the effect.
 
-    `EFFECT` is an object or a class. The effect is registered in this process only. Raises ModelError if the file
-    cannot be executed, defines no effect, uses the name of another effect, or does not allow the amplitude 0.
+    `EFFECT` is an instance or a subclass of `Effect`. The effect is registered in this process only. Raises ModelError
+    if the file cannot be read or executed, or if `EFFECT` is missing, lacks the parameter `size`, has the name of
+    another effect, or does not allow the amplitude 0.
     """
     found: list[Mistake] = []
     try:

@@ -36,7 +36,7 @@ class SlowTurning(SelfIntegratingModel):
 
     @cached_property
     def slow(self) -> ShaftAndTip:
-        """The base with the longer travel, at most the largest allowed one; the base itself if the amplitude is 0."""
+        """The base model with the longer travel, clipped to its range; the base model itself if the amplitude is 0."""
         longest = self.base.parameters()["presliding_mm"].upper
         travel = min(self.base.presliding_mm + self.size, longest)
         return self.base.with_values(presliding_mm=travel) if self.size else self.base
@@ -46,11 +46,11 @@ class SlowTurning(SelfIntegratingModel):
         return self.base.initial_state(motion)
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates."""
+        """Return the rate of change of the state, shape (1, ...)."""
         return self.slow.derivative(state, motion)
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the force."""
+        """Return the axial force (N), shape (...)."""
         return self.slow.output(state, motion)
 
     def shaft_n(self, state: Array, motion: Motion) -> Array:
@@ -62,7 +62,7 @@ class SlowTurning(SelfIntegratingModel):
         return self.slow.tip_n(state, motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states."""
+        """Return the states, shape (1, samples)."""
         return self.slow.integrate(motion, start)
 
 
@@ -70,9 +70,8 @@ class SlowTurning(SelfIntegratingModel):
 class GivingTissue(SelfIntegratingModel):
     """A model in compliant tissue, which moves with the needle by up to `size` (Kelvin and Voigt).
 
-    Friction, represented by z from -1 to 1, displaces the tissue: lag u' = size z - u. Shaft and tip slide relative to
-    the tissue with the velocity v - u', which also drives the bristle of the base. The state is that of the model,
-    followed by u (mm).
+    The bristle z of the base model, from -1 to 1, represents the friction. Friction displaces the tissue by u (mm):
+    lag u' = size z - u. The velocity relative to the tissue, v - u', drives the bristle. The state is (z, u).
     """
 
     base: ShaftAndTip | SlowTurning
@@ -95,7 +94,7 @@ class GivingTissue(SelfIntegratingModel):
         return np.concatenate([self.base.derivative(state[:1], sliding), np.asarray(tissue)[None]])
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the force."""
+        """Return the axial force (N), shape (...)."""
         return self.base.output(state[:1], motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:

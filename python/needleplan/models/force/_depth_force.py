@@ -5,9 +5,9 @@
     z' = l (beta - sigma0 z / g(l)),        g(l) = f1 + f2 exp(-alpha l)
     f  = sigma0 z l + sign(l') l { sigma1 exp(-alpha l) (beta - sigma0 z / g(l)) + sigma2 }
 
-**Corrections to the print.** Eq. 2.1 has lost a dot. It belongs to the argument of the sign: with sign(l), which is
-always +1, the force of a retraction would not become negative, in contradiction to Figs. 2.7 and 2.9. The first term is
-sigma0 z l; with sigma0 z, the statements of the text about sigma0 and sigma1 would not hold.
+**Corrections to the print.** Eq. 2.1 prints sign(l) instead of sign(l'). With sign(l), which is always +1, the force of
+a retraction would not become negative, in contradiction to Figs. 2.7 and 2.9. The first term is sigma0 z l; with sigma0
+z, the statements of the text about sigma0 and sigma1 would not hold.
 
 At rest the sign keeps its last value (`Motion.direction`). The model has no relaxation: z also changes during a dwell,
 because its input is l and not l'.
@@ -57,7 +57,7 @@ class DepthForce(LinearStateModel):
     """Abstract base class of the force-depth models, which differ only in the free parameters.
 
     If g(l) is not positive at some depth, z is unstable there. The constructor accepts such parameters, because a fit
-    may try them. `proper` is False for such parameters.
+    may try them; `proper` is False then.
     """
 
     channel: ClassVar[Channel] = Channel.FORCE
@@ -74,7 +74,7 @@ class DepthForce(LinearStateModel):
 
     @property
     def proper(self) -> bool:
-        """Whether g(l) > 0 for all l >= 0. Otherwise the force grows without bound."""
+        """Whether g(l) > 0 for all l >= 0. Otherwise z is unstable and the simulated force becomes NaN."""
         return self.f1 > 0 and self.f1 + self.f2 > 0
 
     def g(self, depth_mm: Array) -> Array:
@@ -92,11 +92,11 @@ class DepthForce(LinearStateModel):
         return np.asarray(depth * self.beta), np.asarray(depth * self.sigma0 / self.g(depth))
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the axial force (N), positive if it resists insertion."""
+        """Return the axial force (N), shape (...), positive if it resists insertion."""
         return self._force(state, motion.depth_mm, motion.direction)
 
     def output_as_printed(self, state: Array, motion: Motion) -> Array:
-        """Return the force (N) of eq. 2.1 as printed, with sign(l): this force is never negative on retraction."""
+        """Return the axial force (N) of eq. 2.1 as printed, shape (...): with sign(l), which ignores the direction."""
         return self._force(state, motion.depth_mm, np.sign(motion.depth_mm))
 
     def _force(self, state: Array, depth: Array, sign: Array) -> Array:
@@ -109,8 +109,9 @@ class DepthForce(LinearStateModel):
 class ForceModel1(DepthForce):
     """Force-depth model I (eqs. 2.1, 2.2): beta is fixed, the other parameters are identified.
 
-    The thesis calls beta0 "a normalized constant" and prints no value. Any value gives the same forces. With the
-    default, f1, f2 and sigma0 have the magnitude of the values that the thesis prints for Model II.
+    The thesis calls beta0 "a normalized constant" and prints no value. Every value permits the same forces, because the
+    other parameters scale with it. With the default, f1, f2 and sigma0 have the magnitude of the values that the thesis
+    prints for Model II.
 
     Examples
     --------
@@ -131,8 +132,8 @@ class ForceModel1(DepthForce):
 class ForceModel2(DepthForce):
     """Force-depth model II (eqs. 2.3, 2.4): f2 and alpha are fixed at the values of Model I, beta is identified.
 
-    Up to the scale of z, Model II is Model I with a fixed alpha and a free ratio f2 / f1. It cannot represent more than
-    Model I. Its smaller errors in the thesis are due to the estimator.
+    Up to the scale of z, Model II is Model I with a fixed alpha and a free ratio f2 / f1. Model II cannot represent
+    more than Model I; the smaller errors of Model II in the thesis are due to the estimator.
 
     Examples
     --------
@@ -153,17 +154,17 @@ class ForceModel2(DepthForce):
 
 
 def steady_state(model: DepthForce, depth_mm: Array) -> Array:
-    """Return the equilibrium of z at each depth, of the shape of `depth_mm`."""
+    """Return the equilibrium of z at every depth in `depth_mm`, in the same shape; NaN where g is not positive."""
     return np.asarray(model.beta * model.g(depth_mm) / model.sigma0)
 
 
 def insertion_asymptote(model: DepthForce, depth_mm: Array) -> Array:
-    """Return the force (N) of an insertion after z has settled, of the shape of `depth_mm`."""
+    """Return the force (N) of an insertion with z in equilibrium, at every depth in `depth_mm`; NaN where g <= 0."""
     return np.asarray((model.beta * model.g(depth_mm) + model.sigma2) * depth_mm)
 
 
 def retraction_asymptote(model: DepthForce, depth_mm: Array) -> Array:
-    """Return the force (N) of a retraction after z has settled, of the shape of `depth_mm`."""
+    """Return the force (N) of a retraction with z in equilibrium, at every depth in `depth_mm`; NaN where g <= 0."""
     return np.asarray((model.beta * model.g(depth_mm) - model.sigma2) * depth_mm)
 
 
@@ -187,7 +188,10 @@ def regauged_state(state: Array, c: float) -> Array:
 
 
 def with_gauge(model: _Force, beta: float) -> _Force:
-    """Return the model with the given beta (1/(mm s)) and the same forces. Raises ModelError as `regauged` does."""
+    """Return the model with the given beta (1/(mm s)) and the same forces.
+
+    Raises ModelError if beta is not positive, or a parameter would leave its range.
+    """
     if not beta > 0:
         raise ModelError(Mistake("beta", f"{beta}", "must be positive"), model.name)
     return regauged(model, model.beta / beta)

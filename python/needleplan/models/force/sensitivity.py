@@ -61,7 +61,8 @@ def force(z: float, values: Values, depth_mm: float, direction: float) -> Row:
 def exponential_step(z: float, values: Values, depth_mm: float, step_s: float) -> Row:
     """Return z after the time `step_s` at the constant depth `depth_mm`, and its derivatives.
 
-    The step is exact, and bounded for any length.
+    The step is exact. If g is positive, z stays bounded for any `step_s`. Raises ZeroDivisionError if g is zero, and
+    OverflowError if an exponential overflows.
     """
     sigma0, _, _, f1, f2, alpha, beta = values
     fading = exp(-alpha * depth_mm)

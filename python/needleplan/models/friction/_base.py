@@ -43,8 +43,7 @@ class Profile(StrEnum):
     """
 
     CONSTANT = "constant"
-    """The total normal force Fn does not depend on the length. The thesis uses this with Fn = 1 N for Models I and II.
-    """
+    """The total normal force Fn does not depend on the length. The thesis uses Fn = 1 N for Models I and II."""
 
     UNIFORM = "uniform"
     """fn = f: the normal force is proportional to the inserted length."""
@@ -57,7 +56,10 @@ class Profile(StrEnum):
 
 
 def normal_length_mm(profile: Profile, length_mm: Array, ramp_mm: float) -> Array:
-    """Return Fn/f (mm) for inserted lengths of any shape; 1 for the constant profile, which has no f."""
+    """Return Fn/f (mm), total normal force divided by plateau, for every inserted length in `length_mm`, in its shape.
+
+    For the constant profile, which has no plateau, the result is 1 without a unit.
+    """
     length = np.asarray(length_mm, float)
     if profile is Profile.CONSTANT:
         return np.ones_like(length)
@@ -69,7 +71,7 @@ def normal_length_mm(profile: Profile, length_mm: Array, ramp_mm: float) -> Arra
 
 
 def intensity(profile: Profile, position_mm: Array, length_mm: Array | float, ramp_mm: float) -> Array:
-    """Return fn/f at positions from the entry, zero outside of (0, length). The arguments broadcast.
+    """Return fn/f at positions from the entry, zero outside of [0, length]. The arguments broadcast.
 
     The constant profile does not define a distribution; it is treated as uniform.
     """
@@ -97,9 +99,9 @@ def choice(kind: type[_Choice], value: object, key: str, model: str) -> _Choice:
 
 @dataclass(frozen=True, kw_only=True)
 class Friction(Model):
-    """Abstract base class of friction along the inserted shaft, positive on insertion.
+    """Abstract base class of friction along the inserted shaft; the force is positive on insertion.
 
-    The symbols are those of chapter 3 of the thesis.
+    The symbols are those of chapter 3 of the thesis. The constructor also raises ModelError for an unknown `profile`.
     """
 
     channel: ClassVar[Channel] = Channel.FORCE
@@ -120,7 +122,7 @@ class Friction(Model):
         return np.asarray(np.clip(motion.depth_mm, 0.0, self.thickness_mm))
 
     def plateau_n_mm(self) -> float:
-        """Return f (N/mm), the largest normal force per length; for the constant profile, the total force (N)."""
+        """Return the plateau f (N/mm) of the normal force per length; for the constant profile, the total force (N)."""
         reference = np.asarray(self.reference_mm)
         return self.normal_force_n / float(normal_length_mm(self.profile, reference, self.ramp_mm))
 
@@ -145,7 +147,7 @@ class StribeckFriction(Friction):
     gamma: float = constant("", 0.1, 4, "exponent of the speed in this transition", default=1.0)
 
     def level(self, motion: Motion) -> Array:
-        """Return the friction level g(v) of (3.2), shape (...)."""
+        """Return g(v) of (3.2), the friction coefficient at the velocity of the motion, shape (...)."""
         speed = np.abs(motion.velocity_mm_s)
         power = speed if self.gamma == 1 else speed**self.gamma
         return np.asarray(self.mu_c + (self.mu_s - self.mu_c) * np.exp(-self.alpha * power))

@@ -38,8 +38,8 @@ def distributed(model: LuGre, motion: Motion, profile: Profile, spacing_mm: floa
     motion : Motion
         The motion.
     profile : Profile
-        Distribution of the normal force: UNIFORM, RIGHT or ISOSCELES. If the model's own profile is CONSTANT, its total
-        force is distributed in this way at every length.
+        Distribution of the normal force; CONSTANT counts as UNIFORM. If the profile of `model` is CONSTANT, the total
+        force of `model` is distributed in this way at every length.
     spacing_mm : float
         Distance between bristles. The first bristle is half of this distance behind the tip.
 
@@ -91,7 +91,10 @@ def distributed(model: LuGre, motion: Motion, profile: Profile, spacing_mm: floa
 
 
 def _steps(model: LuGre, motion: Motion) -> tuple[Array, Array]:
-    """Return factor and summand of the bending for each interval, with the coefficients at its midpoint."""
+    """Return factor and summand (mm) of the bending for each interval, shape (samples - 1,) each.
+
+    The coefficients are those of the middle of the interval.
+    """
     middle = motion.between(0.5)
     rate = model.sigma0 * np.abs(middle.velocity_mm_s) / model.level(middle)
     decay = rate * motion.interval_s

@@ -71,9 +71,9 @@ class Beta(StrEnum):
 
 
 def beta_per_mm(profile: Profile, term: Beta, length_mm: Array, ramp_mm: float, exponent: float) -> Array:
-    """Return beta (1/mm) for inserted lengths of any shape.
+    """Return beta (1/mm) for every inserted length in `length_mm`, in its shape; lengths below 1 um count as 1 um.
 
-    `profile` must be RIGHT or ISOSCELES; `exponent` is lambda >= 0.
+    `profile` must be RIGHT or ISOSCELES; `exponent` is lambda >= 0. ABSOLUTE has the beta of TRANSPORT.
     """
     length = np.maximum(np.asarray(length_mm, float), _SHORTEST_MM)
     # Each branch is evaluated for lengths in its own range only, to avoid powers of negative numbers.
@@ -145,7 +145,7 @@ class LuGre(StribeckFriction, LinearStateModel):
         """Return the transport term of z'/z (1/s), shape (...)."""
 
     def coefficients(self, motion: Motion) -> tuple[Array, Array]:
-        """Return forcing (mm/s) and rate (1/s), shape (...) each."""
+        """Return forcing (mm/s) and rate (1/s), shape (...) each. Outside of the tissue the bending decays fast."""
         velocity = np.asarray(motion.velocity_mm_s, float)
         rate = self.sigma0 * np.abs(velocity) / self.level(motion) - self.transport_per_s(motion)
         inside = np.asarray(motion.depth_mm) > 0

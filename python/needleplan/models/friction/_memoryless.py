@@ -56,8 +56,8 @@ class QuasiStatic(StribeckFriction):
     """Model I, (3.9): the steady bending of bristles that enter at one end of the patch.
 
     F = {sign(v) g [1 - g/(sigma0 L) (1 - exp(-sigma0 L/g))] + sigma2 v} Fn. For L = 76 mm the bracket is above 0.99, so
-    that sigma0 is not identifiable from such a patch. The steady bending (3.7) solves (3.6) only for v > 0. For v < 0
-    it is the solution of transport with |v|, with the bristles entering at the other end.
+    that sigma0 is not identifiable from such a patch. The steady bending (3.7) solves (3.6) only for v > 0. For v < 0,
+    (3.7) is the solution of transport with |v|: the bristles enter at the other end.
 
     Examples
     --------
@@ -120,7 +120,7 @@ class ForceParts:
 
 
 def cutting_force(record: Record, friction: Friction, mass_kg: float) -> ForceParts:
-    """Return the cutting force of a trial: measured force minus friction minus inertia (thesis, 3.4.2).
+    """Separate the measured force of a trial into friction, inertia and cutting force (thesis, 3.4.2).
 
     The sensor accelerates the needle and its holder. The inertia is therefore mass times acceleration in the direction
     of insertion; at 0.05 Hz it is about 0.1 mN. (F = Fz + m a in the thesis has the opposite sensor axis.) The friction

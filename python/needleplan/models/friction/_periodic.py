@@ -23,7 +23,8 @@ _PRESLIDING = 0.01
 def steady(record: Record, skip_cycles: int = 1, phases: Sequence[str] = ()) -> NDArray[np.bool_]:
     """Return a mask of the samples to use in a friction fit, bool of shape (samples,).
 
-    These are the samples after the first `skip_cycles` cycles, and in one of the `phases` if any are given.
+    The mask contains the samples after the first `skip_cycles` cycles. If `phases` are given, it leaves out the samples
+    of all other phases.
 
     The first cycle contains effects that disappear with repetition: the path is cut, bubbles escape, and the unknown
     initial bending decays. Raises DataError for a phase that the record does not have, and if no sample is left.
@@ -43,10 +44,10 @@ def steady(record: Record, skip_cycles: int = 1, phases: Sequence[str] = ()) -> 
 
 
 def first_guess(records: Sequence[Record]) -> dict[str, float]:
-    """Return start values of the six parameters for a fit, from the forces at high and at low velocity.
+    """Return start values for a fit of `LumpedLuGre` by parameter name, from the forces at high and at low velocity.
 
     The values have the right order of magnitude for a normal force of 1 N. Raises DataError for records without
-    movement or without force.
+    movement, or without force at high velocity.
     """
     speed = np.concatenate([np.abs(record.motion().velocity_mm_s) for record in records])
     force = np.concatenate([np.abs(record["force_n"]) for record in records])

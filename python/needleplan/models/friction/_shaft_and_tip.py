@@ -68,7 +68,7 @@ _Turns = tuple[NDArray[np.intp], ...]
 
 
 def _steps(way: Array, back: Array, turns: _Turns, length_mm: float) -> tuple[Array, Array]:
-    """Return factor and summand of the recurrence of the bristle for every step."""
+    """Return factor and summand of the recurrence of the bristle for every step, in the shape of `way`."""
     e1 = np.exp(-np.abs(way) / length_mm)
     offset = np.sign(way) * (1 - e1)
     if back.size:
@@ -123,7 +123,7 @@ class ShaftAndTip(SelfIntegratingModel):
     presliding_mm: float = parameter("mm", 1e-3, 20, "travel over which friction reverses")
 
     def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the straight bristle, shape (1,)."""
+        """Return z = 0, the straight bristle, shape (1,)."""
         return np.zeros(1)
 
     def derivative(self, state: Array, motion: Motion) -> Array:

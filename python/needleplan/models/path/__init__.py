@@ -4,7 +4,7 @@
 |---|---|
 | `Bicycle`, `arc_step` | the path in a plane as a model, and one exact arc of it |
 | `TipFrame` | position and orientation of the tip in space; takes exact arcs |
-| `SteeredModel`, `SpatialBicycle` | the path in space as a model: the abstract family, and its plain member |
+| `SteeredModel`, `SpatialBicycle` | the path in space as a model: the abstract base class, and circular arcs |
 | `path_displacement` | displacement of a path in space by a small additional curvature |
 | `Torsion`, `dragged` | how far the tip lags behind the base when the needle is rotated |
 """

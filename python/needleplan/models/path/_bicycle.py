@@ -100,5 +100,5 @@ class Bicycle(SelfIntegratingModel):
         return np.array([start[0] + np.concatenate([[0.0], np.cumsum(sideways)]), heading])
 
     def output(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the lateral position, mm."""
+        """Return the lateral position (mm), shape (...)."""
         return np.asarray(state[0])

@@ -46,22 +46,31 @@ class SteeredModel(SelfIntegratingModel):
 
     @abstractmethod
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature along n and b, shape (2, ...), for roll angles of the tip, shape (...)."""
+        """Return the curvature (1/mm) along n and b, shape (2, ...), for roll angles of the tip, shape (...)."""
 
     @abstractmethod
     def entry(self, motion: Motion) -> tuple[Array, Array]:
         """Return the entry point (mm), shape (3,), and the slopes of the path along y and z there (rad), shape (2,)."""
 
     def following(self, roll_rad: Array, motion: Motion) -> Array:
-        """Return the roll that the base imposes on a tip at `roll_rad`, shape (...). Default: the angle of the base."""
+        """Return the roll (rad), shape (...), that the base imposes on a tip with the roll `roll_rad`.
+
+        Default: the angle of the base.
+        """
         return np.asarray(motion.angle_rad + 0 * roll_rad)
 
     def rolls(self, motion: Motion, start_rad: float) -> Array:  # noqa: ARG002
-        """Return the roll of the tip at every sample, shape (samples,)."""
+        """Return the roll (rad) of the tip at every sample, shape (samples,). Default: the angle of the base.
+
+        `start_rad` is the roll at the first sample.
+        """
         return motion.angle_rad
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return the state at the first sample, shape (10,), after an insertion with its angle and velocity."""
+        """Return the state at the first sample, shape (10,).
+
+        The needle was inserted to this depth with the angle and the velocity of this sample.
+        """
         first = motion[:1]
         place, slopes = self.entry(first)
         tangent = np.array([1.0, *slopes]) / np.sqrt(1 + slopes @ slopes)
@@ -90,13 +99,13 @@ class SteeredModel(SelfIntegratingModel):
         return self._arcs(start, bend, np.diff(np.maximum(motion.depth_mm, 0.0)), roll)
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the position of the tip, mm, shape (3, ...)."""
+        """Return the measured position (mm), shape (3, ...)."""
         return self.shown(state, motion, self)
 
     def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:  # noqa: ARG002
-        """Return the position, mm, shape (3, ...).
+        """Return the measured position (mm), shape (3, ...), for a state of the model `whole`.
 
-        `whole` is the model with all effects; it gives the curvature and the entry.
+        `whole` is the model with all effects, from which curvature and entry are taken.
         """
         return np.asarray(state[:3])
 
@@ -142,10 +151,10 @@ class SpatialBicycle(SteeredModel):
     entry_z_mm: float = parameter("mm", -1e4, 1e4, "entry point, z", default=0.0, typical=0.03)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:  # noqa: ARG002
-        """Return the curvature toward the bevel, shape (2, ...)."""
+        """Return the curvature (1/mm) along n and b, shape (2, ...), which is directed toward the bevel."""
         return self.curvature_per_mm * np.array([np.cos(roll_rad), np.sin(roll_rad)])
 
     def entry(self, motion: Motion) -> tuple[Array, Array]:  # noqa: ARG002
-        """Return the entry point and the slopes from the parameters."""
+        """Return the entry point (mm) and the slopes (rad) at the entry from the parameters."""
         place = np.array([self.entry_x_mm, self.entry_y_mm, self.entry_z_mm])
         return place, np.array([self.heading_y_rad, self.heading_z_rad])

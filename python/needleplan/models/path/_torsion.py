@@ -7,9 +7,9 @@ base by::
     lag = tau L2 (L1 + L2 / 2) / GJ
 
 After a reversal the tip stands still until the base has rotated back by twice the lag: a backlash of half-width `lag`.
-To bring tip and base to the same angle, rotate the base beyond it by the lag and then back by the lag. The largest lag
-of the thesis, 4.22 degrees for an 18 gauge needle, would need about a hundred times the torque that its axial friction
-suggests. The value of the thesis is an upper bound and not a prediction.
+To bring tip and base to the same angle, rotate the base beyond this angle by the lag and then back by the lag. The
+largest lag of the thesis, 4.22 degrees for an 18 gauge needle, would need about a hundred times the torque that the
+axial friction of this needle suggests. The value of the thesis is an upper bound and not a prediction.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ def dragged(tip_rad: float, base_rad: float, lag_rad: float) -> float:
 @dataclass(frozen=True)
 class Torsion:
     """Torsional lag between base and tip.
+
+    The constructor raises ModelError unless the stiffness is positive and the torque is not negative.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Joint identification of tissue stiffness, tissue damping and friction from the force of a periodic motion.
 
-This is the alternative to a slow observer. Nothing is tuned: amplitude and lag of the tissue follow from two parameters
-with intervals, and records of several amplitudes and frequencies are used together. The start values come from the
-data: the friction from the measured force, the stiffness from the opening of the friction-velocity loop. A coarse fit
-to thinned records chooses among the starts; the final fit uses all samples.
+The joint identification is the alternative to a slow observer. Nothing is tuned: stiffness and damping, with intervals,
+determine amplitude and lag of the tissue. Records of several amplitudes and frequencies are used together. The start
+values come from the data: the friction from the measured force, the stiffness from the opening of the friction-velocity
+loop. A coarse fit to thinned records chooses among the starts; the final fit uses all samples.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _COARSE = 25
 def tissue_start(record: Record) -> LumpedOnTissue:
     """Return a model with start values for a fit, from the magnitudes of force and velocity in a record.
 
-    The stiffness also follows from a tuned slow observer, if the record allows the tuning. Raises DataError if a column
-    is missing, the force is zero, or the needle is at rest.
+    The stiffness also depends on the lag of a tuned slow observer, if the record allows the tuning. Raises DataError if
+    a column is missing, the force is zero, or the needle is at rest.
     """
     motion, force = record.motion(), record["force_n"]
     frequency = dominant_frequency_hz(motion.time_s, motion.depth_mm)
@@ -94,7 +94,7 @@ def fit_on_tissue(
     Raises
     ------
     DataError
-        If a record is unusable.
+        If there is no record, or `fit` or `tissue_start` cannot use a record.
 
     Examples
     --------
@@ -127,7 +127,7 @@ def fit_on_tissue(
 
 
 def tissue_lag_rad(model: LumpedOnTissue, record: Record, frequency_hz: float) -> float:
-    """Return the phase lag (rad) of the velocity relative to the tissue behind the velocity of the needle.
+    """Return the phase lag (rad) behind the velocity of the needle of the needle's velocity relative to the tissue.
 
     The first cycle is left out, but at most half of the record.
     """
@@ -139,7 +139,10 @@ def tissue_lag_rad(model: LumpedOnTissue, record: Record, frequency_hz: float) -
 
 
 def lag_with_sd(found: Fit, record: Record, frequency_hz: float) -> tuple[float, float]:
-    """Return the lag of the fitted tissue and its standard deviation (rad), to first order in the parameters."""
+    """Return `tissue_lag_rad` of a fit and the standard deviation of this lag (rad), to first order in the parameters.
+
+    Raises TypeError unless the fitted model is a `LumpedOnTissue`.
+    """
     model = found.model
     if not isinstance(model, LumpedOnTissue):
         raise TypeError(f"`found` must be a fit of LumpedOnTissue, not of {type(model).__name__}")

@@ -39,7 +39,7 @@ class MovingTissue(SelfIntegratingModel):
     """Abstract base class of friction on tissue that a spring and a damper hold.
 
     The state is the bristle, the displacement u (mm) and the velocity u' (mm/s) of the tissue. The output is the
-    friction on the needle. A member defines the friction model (`friction`), and may define a faster `law`.
+    friction on the needle. A subclass defines the friction model (`friction`), and may define a faster `law`.
 
     Examples
     --------
@@ -58,7 +58,7 @@ class MovingTissue(SelfIntegratingModel):
         """Return the friction model; the velocity of its motion is relative to the tissue."""
 
     def law(self, motion: Motion) -> FrictionLaw:
-        """Return the friction law that computes with Python floats. Default: `PointwiseLaw`, which is slow."""
+        """Return the friction law in Python floats, for the integration. Default: `PointwiseLaw`, which is slow."""
         return PointwiseLaw(self.friction(), motion)
 
     def relative(self, state: Array, motion: Motion) -> Motion:
@@ -69,7 +69,7 @@ class MovingTissue(SelfIntegratingModel):
     def initial_state(self, motion: Motion) -> Array:
         """Return the state with a straight bristle and undisplaced tissue, shape (3,).
 
-        The velocity of the tissue is the one at which its damping balances the friction.
+        At the velocity of the tissue, the damping of the tissue balances the friction.
         """
         law = self.law(motion)
         velocity = float(np.atleast_1d(motion.velocity_mm_s)[0])
@@ -98,18 +98,18 @@ class MovingTissue(SelfIntegratingModel):
 
 
 class PointwiseLaw:
-    """Friction law that calls any friction model with one linear state; slow, and the reference for `LuGreLaw`."""
+    """Friction law that evaluates any friction model with one linear state; slow, and the reference for `LuGreLaw`."""
 
     def __init__(self, friction: LinearStateModel, motion: Motion) -> None:
         self._friction, self._motion = friction, motion
 
     def coefficients(self, sample: int, w_mm_s: float) -> tuple[float, float]:
-        """Return the forcing (unit of the bristle per second) and the rate (1/s) of the bristle."""
+        """Return forcing (unit of the bristle per second) and rate (1/s) for a velocity relative to the tissue."""
         forcing, rate = self._friction.coefficients(self._at(sample, w_mm_s))
         return float(forcing), float(rate)
 
     def force(self, sample: int, w_mm_s: float, bending: float, bending_rate: float) -> float:  # noqa: ARG002
-        """Return the friction on the needle (N)."""
+        """Return the friction on the needle (N) for a state `bending` of the bristle; `bending_rate` is not used."""
         return float(self._friction.output(np.array([bending]), self._at(sample, w_mm_s)))
 
     def _at(self, sample: int, w_mm_s: float) -> Motion:
@@ -121,7 +121,9 @@ class PointwiseLaw:
 
 @dataclass(frozen=True, kw_only=True)
 class LumpedOnTissue(StribeckFriction, MovingTissue):
-    """Model II on Kelvin-Voigt tissue: the alternative to a slow observer.
+    """Model II (`LumpedLuGre`) on tissue that a spring and a damper hold.
+
+    A fit of this model gives the motion of the tissue without the slow observer of the thesis.
 
     Examples
     --------
@@ -140,17 +142,19 @@ class LumpedOnTissue(StribeckFriction, MovingTissue):
     sigma1: float = parameter("s/mm", 1e-5, 1e3, "damping of the bristles")
 
     def friction(self) -> LumpedLuGre:
-        """Return Model II."""
+        """Return Model II with the parameters of this model."""
         return LumpedLuGre(**{each.name: getattr(self, each.name) for each in fields(LumpedLuGre)})
 
     def law(self, motion: Motion) -> FrictionLaw:
-        """Return the friction in Python floats."""
+        """Return the friction law of Model II along a motion."""
         return LuGreLaw(self.friction(), motion)
 
 
 @dataclass(frozen=True, kw_only=True)
 class AveragedOnTissue(StribeckFriction, MovingTissue):
-    """Models III-A and III-B on Kelvin-Voigt tissue; `AveragedLuGre` explains `profile` and `beta`.
+    """Models III-A and III-B (`AveragedLuGre`) on tissue that a spring and a damper hold.
+
+    `AveragedLuGre` explains `profile` and `beta`, and which of their values the friction model refuses.
 
     Examples
     --------
@@ -171,17 +175,17 @@ class AveragedOnTissue(StribeckFriction, MovingTissue):
     beta: Beta = Beta.TRANSPORT
 
     def friction(self) -> AveragedLuGre:
-        """Return Model III."""
+        """Return Model III with the parameters of this model and the corrected output equation."""
         chosen = {each.name: getattr(self, each.name) for each in fields(AveragedLuGre) if each.name != "form"}
         return AveragedLuGre(**chosen, form=OutputForm.CONSISTENT)
 
     def law(self, motion: Motion) -> FrictionLaw:
-        """Return the friction in Python floats."""
+        """Return the friction law of Model III along a motion."""
         return LuGreLaw(self.friction(), motion)
 
 
 class LuGreLaw:
-    """Friction law of LuGre models with the consistent output; equals `PointwiseLaw` but is fifty times as fast."""
+    """Friction law of LuGre models with the consistent output: `PointwiseLaw`, but fifty times as fast."""
 
     coefficients: Callable[[int, float], tuple[float, float]]
     force: Callable[[int, float, float, float], float]

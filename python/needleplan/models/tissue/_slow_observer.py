@@ -58,7 +58,7 @@ class SlowObserver:
     `projection` is None unless the status is COMPENSATED. `alphas` (1/s) and `gaps_mm_s`, shape (40,), are the curve
     G(alpha1); `gaps_mm_s` is empty if the status is TOO_FEW_CROSSINGS. `upward` and `downward` are the numbers of
     rising and falling zero crossings. `gap_sd_mm_s` is the standard deviation of G at the tuned alpha1, from the
-    scatter of the crossings; it is infinite if there is only one rising or only one falling crossing.
+    scatter of the crossings. It is infinite without compensation, and for only one rising or only one falling crossing.
     """
 
     status: TuningStatus

@@ -34,7 +34,11 @@ _FARTHEST_MM_S = 1e5
 
 
 class FrictionLaw(Protocol):
-    """A friction model that computes with Python floats; `w_mm_s` is the velocity relative to the tissue."""
+    """A friction model with one bristle that computes with Python floats, at a sample of a motion.
+
+    `w_mm_s` is the velocity of the needle relative to the tissue. `bending` is the state of the bristle, `bending_rate`
+    the rate of change of this state per second.
+    """
 
     def coefficients(self, sample: int, w_mm_s: float) -> tuple[float, float]:
         """Return the forcing (unit of the bristle per second) and the rate (1/s) of the bristle."""
