@@ -69,12 +69,12 @@ class Diagnosis:
         All rounds with scores, fits and alternatives.
     effects
         The named effects with estimates, 95 % intervals, RMS and share of the gap.
-    detection_limits
-        For each effect, the smallest amplitude that would have been named.
+    detection_limits, gates
+        For each effect, the smallest amplitude that would have been named; the thresholds of the verdict.
     localisation, described
         Where the gap is; the shape of an unexplained gap, None if no gap is unexplained.
-    digest
-        SHA-256 of model, recordings and result.
+    remarks, digest
+        Remarks on recordings and calibration; SHA-256 of model, recordings and result.
 
     Examples
     --------
@@ -112,7 +112,7 @@ class Diagnosis:
 
     @property
     def lacks_data(self) -> bool:
-        """Whether an effect fits, but the verdict is AMBIGUOUS because data are missing (`checked.lacks`)."""
+        """Whether an effect was accepted, but the verdict is AMBIGUOUS and data are missing (`checked.lacks`)."""
         return self.verdict is Verdict.AMBIGUOUS and self.selection.joint is not None and bool(self.checked.lacks)
 
     @property
@@ -127,14 +127,14 @@ class Diagnosis:
 
     @property
     def base(self) -> Model:
-        """The base model with the mean of its calibrated parameters, fitted jointly with `effects` if there are any."""
+        """The base model with its mean calibrated parameters, which were fitted jointly with `effects`, if any."""
         if not self.effects:
             return self.calibration.model
         return mean_model([trial.model for trial in self._trials], self.calibration.free)
 
     @property
     def _trials(self) -> tuple[CalibratedTrial, ...]:
-        """The training trials with the calibrated base model, fitted jointly with `effects` if there are any."""
+        """The training trials with the calibrated base model, which was fitted jointly with `effects`, if any."""
         joint = self.selection.joint
         return joint.trials if joint and self.effects else self.calibration.training
 
@@ -169,12 +169,12 @@ class Diagnosis:
         return with_effect(self.base, [replace(each.added, found_by=self.digest) for each in self.effects])
 
     def estimates(self) -> dict[str, Estimate]:
-        """Return the free parameters of the base model: mean over the training trials, with its 95 % interval.
+        """Return the free parameters of the base model: the mean over the training trials and its 95 % interval.
 
         Returns
         -------
         dict of str to Estimate
-            One estimate for each free parameter.
+            One estimate for each free parameter; with one training trial, its interval is the whole range.
         """
         trials = self._trials
         found = {}
@@ -227,7 +227,7 @@ def diagnose(
     DataError
         If the recordings are not usable; the message lists all mistakes.
     ModelError
-        If no effect is known for the channel of the model, or the model already has effects.
+        If the channel of the model cannot be diagnosed or has no effects, or the model already has effects.
 
     Examples
     --------

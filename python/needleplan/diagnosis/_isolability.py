@@ -5,8 +5,8 @@ sensitivity of one effect and b the sensitivities of another effect at all of it
 
     imitated = max over b of (a'b)^2 / (a'a b'b)
 
-with a at the grid point that has the median energy. If the result is 1, no number of such trials separates the two
-effects.
+with a at the grid point that has the median energy among the visible grid points. If `imitated` is 1, no number of such
+trials separates the two effects.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Isolability:
 
 
 def isolability(calibration: Calibration, library: Library, heterogeneity_sd: float) -> Isolability:
-    """Return which effects imitate each other in the motions of the training trials."""
+    """Compute how far the effects of `library` imitate each other in the motions of the training trials."""
     trials = calibration.training
     entries = library.entries([trial.motion for trial in trials])
     parts, raw = [], np.zeros(entries[-1].last)

@@ -1,7 +1,7 @@
 """The verdict of a diagnosis, and the estimates of the named effects.
 
-The output is almost linear in an effect's amplitude, so the interval of the amplitude is that of the linearised fit.
-Intervals of depths, times and speeds are those of the profile likelihood: the parameter is moved and all others are
+The output is almost linear in an effect's amplitude, so the interval of the amplitude comes from the linearised fit.
+The intervals of depths, times and speeds come from the profile likelihood: the parameter is moved and all others are
 refitted, until twice the log-likelihood has dropped by 3.84.
 """
 
@@ -100,7 +100,7 @@ class Verdict(StrEnum):
     """There is a gap, and no known effect explains it."""
 
     IMPLAUSIBLE = "implausible"
-    """The amplitude of the best effect is at its bound."""
+    """The amplitude of an accepted effect is at a bound of its range."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class DiagnosisDecision:
 def decide(selection: Selection, gates: Gates, *, detection_limit: float) -> DiagnosisDecision:
     """Return the verdict with its reason.
 
-    A quarter of the effects have a detection limit above `detection_limit`, which is in units of the noise RMS.
+    `detection_limit` is the upper quartile of the detection limits of all visible effects, in units of the noise RMS.
     """
     last, first = selection.rounds[-1], selection.rounds[0]
     alternative = first.alternatives[0]
@@ -185,7 +185,7 @@ def decide(selection: Selection, gates: Gates, *, detection_limit: float) -> Dia
 
 
 def _matches_prediction(other: HeldOutValidation) -> bool:
-    """Return whether the achieved held-out gain is close to the predicted gain."""
+    """Return whether the achieved held-out gain agrees with the predicted gain, to 30 % or four standard deviations."""
     return bool(
         abs(other.achieved - other.predicted)
         < max(_PREDICTION_TOLERANCE * other.predicted, 4 * math.sqrt(other.predicted))
@@ -233,7 +233,7 @@ def _explained(selection: Selection) -> float | None:
 
 
 def reject_if_worse(decision: DiagnosisDecision, selection: Selection, calibration: Calibration) -> DiagnosisDecision:
-    """Return UNKNOWN if the effects leave a larger residual than the base model alone, else the given decision."""
+    """Return UNKNOWN if the named effects increase the residual RMS by more than 10 %, else the given decision."""
     if not decision.named or selection.joint is None:
         return decision
     alone, both = _residual_rms(calibration.training), _residual_rms(selection.joint.trials)
@@ -253,7 +253,7 @@ def _residual_rms(trials: Sequence[CalibratedTrial]) -> float:
 
 
 def limit_to_data(decision: DiagnosisDecision, checked: CheckedData) -> DiagnosisDecision:
-    """Return AMBIGUOUS if effects are named although data are missing (`checked.lacks`), else the given decision."""
+    """Return AMBIGUOUS in place of NAMED or INCOMPLETE if data are missing (`checked.lacks`), else the decision."""
     if decision.verdict not in (Verdict.NAMED, Verdict.INCOMPLETE) or not checked.lacks:
         return decision
     fits = "fits" if len(decision.named) == 1 else "fit"
@@ -263,7 +263,7 @@ def limit_to_data(decision: DiagnosisDecision, checked: CheckedData) -> Diagnosi
 
 
 def estimate_effects(selection: Selection) -> tuple[FittedEffect, ...]:
-    """Return the unambiguous effects, completed by 95 % intervals, RMS and share of the gain."""
+    """Return the unambiguous effects of the joint fit, each with 95 % intervals, RMS and share of the gain."""
     joint = selection.joint
     if joint is None:
         return ()
@@ -281,7 +281,7 @@ def estimate_effects(selection: Selection) -> tuple[FittedEffect, ...]:
 
 
 def _parameter_estimate(joint: JointFit, index: int, name: str) -> Estimate:
-    """Return a parameter of effect number `index` with its standard deviation and 95 % interval."""
+    """Return a parameter of effect number `index` with its standard deviation and its final 95 % interval."""
     what, value = joint.effects[index].effect.parameters[name], joint.effects[index].values[name]
     sd = joint.sd(index, name) if what.free else 0.0
     if not what.free or name in (SIZE, DIRECTION):
@@ -344,7 +344,7 @@ def _half_sample_step_mm(joint: JointFit, depth_mm: float) -> float:
 
 
 def _profile_end(joint: JointFit, index: int, name: str, sign: int) -> float:
-    """Return the lower (`sign` -1) or upper (`sign` +1) end of the 95 % interval of the profile likelihood."""
+    """Return the lower (`sign` -1) or upper (`sign` +1) end of the 95 % interval of the profile likelihood, clipped."""
     fitted = joint.effects[index]
     what, value = fitted.effect.parameters[name], fitted.values[name]
     centre = what.coordinate(value)

@@ -60,9 +60,9 @@ _HOMOGENEOUS = np.zeros(1)
 
 
 def validate(joint: JointFit, calibration: Calibration, before: JointFit | None = None) -> HeldOutValidation | None:
-    """Compare a fit with the earlier fit `before` (default: the base model alone) on the held-out trials.
+    """Compare a fit with an earlier fit on the held-out trials; return None if there are none.
 
-    Returns None if there are no held-out trials.
+    `before` is the earlier fit; the default is the base model alone.
     """
     if not calibration.held_out:
         return None
@@ -107,7 +107,7 @@ def validate(joint: JointFit, calibration: Calibration, before: JointFit | None 
 
 
 def _with_heterogeneity_of(trial: CalibratedTrial, like: CalibratedTrial) -> WhitenedTrial:
-    """Return a whitened trial with the heterogeneity modes of `like`, a trial of the same motion."""
+    """Return the whitened trial with the heterogeneity modes of `like`, a trial of the same motion."""
     return replace(trial.whitened, modes=like.whitened.modes, variances=like.whitened.variances)
 
 
@@ -157,9 +157,11 @@ def winning_alternative(
 ) -> AlternativeModel | None:  # fmt: skip
     """Return the first alternative that wins against effects with the given gains; None if no alternative wins.
 
-    An alternative with at most one more degree of freedom wins unless the effects lead by `lead`. An alternative with
-    more degrees of freedom wins only if it leads by `gates.lead` and explains clearly more. `held_out_difference` is
-    the held-out gain of all effects minus that of the best one; it counts against validated alternatives.
+    An alternative with at most one degree of freedom more than the effects wins unless the effects lead by `lead`. The
+    gains compared are the combined gain of the alternative and the BIC gain of the effects; if the alternative was
+    validated, `held_out_difference` (the held-out gain of all effects minus that of the best effect) is added to the
+    latter. Any alternative wins if its BIC gain leads by more than `gates.lead` and the likelihood gain of the effects
+    is below the share `gates.share_of_alternative` of its likelihood gain.
     """
     for alternative in alternatives:
         simple = alternative.degrees_of_freedom <= degrees_of_freedom + 1
@@ -178,7 +180,7 @@ def winning_alternative(
 
 
 def smooth_sensitivities(trials: Sequence[CalibratedTrial]) -> list[Array]:
-    """Return per trial all bases whose `beside_effects` is True, as columns of one whitened array, shape (n, df)."""
+    """Return one whitened array per trial, shape (n, df), with all bases whose `beside_effects` is true."""
     found = [basis for basis in smooth_bases(trials).values() if basis.beside_effects]
     raw = [np.column_stack(each) for each in zip(*(basis.functions for basis in found), strict=True)]
     return [trial.whiten(each) for trial, each in zip(trials, raw, strict=True)]
@@ -190,7 +192,10 @@ def smooth_bases(trials: Sequence[CalibratedTrial]) -> Mapping[str, SmoothBasis]
 
 
 def score_alternatives(likelihood: JointLikelihood, trials: Sequence[CalibratedTrial]) -> tuple[AlternativeModel, ...]:
-    """Return all alternatives with their gains over the model of `likelihood`, the largest BIC gain first."""
+    """Return all alternatives with their gains over the model of `likelihood`, the largest BIC gain first.
+
+    If this model contains effects, the bases that compete with the first effect only are left out.
+    """
     bic_penalty = float(np.log(likelihood.samples))
     found = []
     with_effects = likelihood.blocks[0].shared.shape[1] > 0
@@ -207,7 +212,7 @@ def score_alternatives(likelihood: JointLikelihood, trials: Sequence[CalibratedT
 
 
 def _best_step(likelihood: JointLikelihood, trials: Sequence[CalibratedTrial], bic_penalty: float) -> AlternativeModel:
-    """Return the best step in time: one that is common to all trials, or one in a single trial."""
+    """Return the step in time with the largest BIC gain, either common to all trials or in a single trial."""
     begins = [
         float(trial.motion.time_s[0] + max(EARLIEST_STEP_S, _EARLIEST_STEP_SHARE * np.ptp(trial.motion.time_s)))
         for trial in trials
@@ -236,7 +241,7 @@ def _best_step(likelihood: JointLikelihood, trials: Sequence[CalibratedTrial], b
 def _best_period(
     likelihood: JointLikelihood, trials: Sequence[CalibratedTrial], bic_penalty: float
 ) -> AlternativeModel:
-    """Return the best sine wave along the position; a screw or a gear may cause one."""
+    """Return the best sine wave along the depth, as a screw or a gear of the stage may cause it."""
     lengths = np.geomspace(0.6, 25.0, 60)
     parts = []
     for trial in trials:
@@ -293,9 +298,11 @@ def refit_alternatives(
     calibration: Calibration,
     base: JointLikelihood,
 ) -> tuple[AlternativeModel, ...]:
-    """Return all alternatives, the largest combined gain first; those that resemble the effect of `best` are refitted.
+    """Fit the alternatives that resemble the effect of `best` like effects, and return all alternatives.
 
-    `seen` is the validation of that effect. Channels other than the force are returned unchanged.
+    These are a step in time that is common to all trials, and the square of the pushing force, which is added to the
+    given alternatives. The result is sorted by the combined gain, the largest first. `seen` is the validation of
+    `best`. For channels other than the force, the given alternatives are returned unchanged.
     """
     if calibration.given.channel is not Channel.FORCE:
         return tuple(alternatives)
@@ -311,7 +318,10 @@ def _refit_step(
     calibration: Calibration,
     base: JointLikelihood,
 ) -> AlternativeModel:
-    """Return the alternative refitted and validated like an effect if it is a common step in time, else unchanged."""
+    """Refit and validate a step in time that is common to all trials; return other alternatives and weak steps as is.
+
+    A step is weak if its gain is below half of the gain of `best`.
+    """
     if alternative.time_s is None or alternative.likelihood_gain < _LIKENESS * best.likelihood_gain:
         return alternative
     joint = fit_jointly([_step_at(alternative.time_s)], calibration, base, best.trials)
@@ -337,7 +347,7 @@ def _refit_step(
 
 
 def _held_out_difference(joint: JointFit, seen: HeldOutValidation | None, calibration: Calibration) -> float:
-    """Return the held-out gain of an alternative minus that of the effect; 0 without held-out trials."""
+    """Return the held-out gain of the alternative `joint` minus that of the validation `seen`; 0 if not validated."""
     there = validate(joint, calibration) if seen else None
     return there.likelihood_gain - seen.likelihood_gain if there and seen else 0.0
 
@@ -347,9 +357,9 @@ def _step_at(time_s: float) -> FittedEffect:
 
 
 def _best_step_time_s(joint: JointFit, times_s: Array, heterogeneity_sds: Array) -> float:
-    """Return that one of `times_s` (s) at which the step of a joint fit fits best.
+    """Return the time among `times_s` (s) at which the step of a joint fit fits best.
 
-    The base model is kept as fitted with the step, because calibrated alone it would imitate a large step.
+    The base model stays as it was fitted with the step. Calibrated without the step, it would imitate a large step.
     """
     step = joint.effects[0]
     sensitivities = [trial.whiten(np.asarray(trial.motion.time_s[:, None] >= times_s, float)) for trial in joint.trials]
@@ -367,7 +377,7 @@ def _best_step_time_s(joint: JointFit, times_s: Array, heterogeneity_sds: Array)
 def _refit_square(
     best: JointFit, seen: HeldOutValidation | None, calibration: Calibration, base: JointLikelihood
 ) -> AlternativeModel | None:
-    """Return the squared pushing force as a fitted alternative; None unless it resembles the effect of `best`."""
+    """Fit and validate the squared pushing force as an alternative; return None if it does not resemble `best`."""
     named = np.concatenate([effects_output(best.effects, trial.model, trial.motion) for trial in best.trials])
     plain = np.concatenate([simulate(trial.model, trial.motion).output for trial in best.trials])
     square = np.maximum(plain, 0.0) ** 2

@@ -61,7 +61,7 @@ _PRIOR_SD = 0.7
 
 
 def unusual_lag_s(calibration: Calibration) -> float:
-    """Return the median calibrated lag (s) of the training trials if it far exceeds the usual sensor lag, else 0."""
+    """Return the median calibrated lag (s) of the training trials if it exceeds twice the usual sensor lag, else 0."""
     usual_lag_s = channel_description(calibration.given.channel).usual_lag_s
     found = float(np.median([trial.lag_s for trial in calibration.training]))
     return found if usual_lag_s > 0 and found > UNUSUAL_LAG_FACTOR * usual_lag_s else 0.0
@@ -80,7 +80,7 @@ class CalibratedTrial:
     """Output of the calibrated base model with the fixed effects, before the sensor lag, shape (axes * samples,)."""
 
     predicted: Array
-    """`output` as the sensor with its lag shows it, shape (axes * samples,)."""
+    """`output` after the sensor lag, shape (axes * samples,)."""
 
     whitened: WhitenedTrial
     rows: Array
@@ -91,7 +91,10 @@ class CalibratedTrial:
     """Derivative of the whitened reading with respect to the lag (1/s), shape (n,); zero in the rows of priors."""
 
     def whiten(self, values: Array) -> Array:
-        """Apply the sensor lag to changes of the output and whiten them, shape (n, ...); zero in the rows of priors."""
+        """Return changes of the output after sensor lag and whitening, shape (n, ...); zero in the rows of priors.
+
+        `values` are the changes before the sensor lag, shape (axes * samples, ...).
+        """
         taps = lag_taps(self.motion, self.lag_s)
         read = values if taps is not None else lagged(values, self.motion, self.lag_s)
         count = int(self.rows.sum())
@@ -125,10 +128,11 @@ class Calibration:
     """Base model with the mean parameters of the training trials."""
 
     given: Model
+    """Base model before the calibration."""
 
 
 def check_needle(checked: CheckedData, model: Model) -> CheckedData:
-    """Return the data with `Lack.NEEDLE` added if the readings are far larger or smaller than the model predicts.
+    """Return the data, with `Lack.NEEDLE` added if the RMS of the readings is a factor of 5 off the model's prediction.
 
     Calibration would hide that the recordings are of another needle than the model.
     """
@@ -149,7 +153,8 @@ def calibrate(
 ) -> Calibration:
     """Calibrate all free parameters of `model` to each trial separately.
 
-    With `modes` false, the heterogeneity of the tissue is ignored.
+    The held-out trials start from the mean model of the training trials. With `modes` false, the heterogeneity of the
+    tissue is ignored.
     """
     free = tuple(name for name, what in model.parameters().items() if what.free)
     trials = [calibrate_trial(model, record, noise, free, modes=modes) for record in training]
@@ -159,7 +164,10 @@ def calibrate(
 
 
 def mean_model(models: Sequence[Model], free: Sequence[str]) -> Model:
-    """Return a model whose free parameters have the mean fit coordinate of all `models`."""
+    """Return the first of `models` with its `free` parameters replaced by the mean over all models.
+
+    The mean is taken in fit coordinates.
+    """
     first = models[0]
     what = first.parameters()
     return first.with_values(**{
@@ -183,8 +191,9 @@ def calibrate_trial(
     """Calibrate `model` to one trial (Levenberg-Marquardt on whitened residuals) and linearise it at the result.
 
     `whole` adds fixed effects to the base model. The prior of the parameters is centred at `about`, by default `model`.
-    Parameters in `hold` keep their value in `model`; the lag keeps `start_lag_s` if `hold` contains `LAG`. After a last
-    step of negligible length, the sensitivities are not computed again.
+    Parameters in `hold`, and the channel's `linear_parameters`, keep their value in `model`. The lag starts at
+    `start_lag_s` and stays there if `hold` contains `LAG`; for a channel without lag it is 0. After a last step of
+    negligible length, the sensitivities are not computed again.
     """
     description = channel_description(model.channel)
     usual_lag_s = max(description.usual_lag_s, 1e-9)
@@ -293,7 +302,10 @@ def calibrate_trial(
 
 
 def lagged(force: Array, motion: Motion, lag_s: float) -> Array:
-    """Return an output after a first-order sensor lag; the shape is (samples, ...) or (axes * samples, ...)."""
+    """Return an output, shape (samples, ...) or (axes * samples, ...), after a first-order sensor lag.
+
+    A negative lag is a lead.
+    """
     if len(force) > len(motion):
         axes = np.moveaxis(force.reshape(-1, len(motion), *force.shape[1:]), 0, -1)
         return np.moveaxis(lagged(axes, motion, lag_s), -1, 0).reshape(force.shape)
@@ -313,7 +325,10 @@ def lagged(force: Array, motion: Motion, lag_s: float) -> Array:
 
 
 def lag_taps(motion: Motion, lag_s: float) -> Array | None:
-    """Return the lag as weights of the present and past samples, shape (taps,); None if the sampling is uneven."""
+    """Return the lag as weights of the present and past samples, shape (taps,).
+
+    Returns None if the lag is not 0 and the sampling is uneven.
+    """
     h = motion.interval_s
     step = float(np.median(h))
     if lag_s == 0:
@@ -366,7 +381,10 @@ def _whitened_modes(raw: Array, motion: Motion, lag: float, noise: SensorNoise, 
 
 
 def calibration_remarks(model: Model, calibration: Calibration) -> list[str]:
-    """Return remarks on the calibrated base model: parameters at a bound or far from the model file, long lags."""
+    """Return remarks on the calibrated base model, each for the user of the diagnosis.
+
+    They report parameters at a bound of their range or a factor of 5 off their value in `model`, and a lag over 0.03 s.
+    """
     found = []
     for name in calibration.free:
         what, given, now = model.parameters()[name], getattr(model, name), getattr(calibration.model, name)

@@ -78,7 +78,10 @@ class CatalogueEntry:
         return self.count > 2 and any(SIZE in each for each in self.grid)
 
     def bounds(self) -> dict[str, tuple[float, float]]:
-        """Return the slightly enlarged range of the grid by parameter, without angles, because they are periodic."""
+        """Return the search range of each parameter, which is slightly larger than the range of the grid.
+
+        The amplitude, angles (which are periodic), and parameters without a range are left out.
+        """
         names = [
             name for name, what in self.effect.parameters.items()
             if name != SIZE and what.unit != "rad" and any(name in each for each in self.grid)
@@ -107,7 +110,7 @@ class Library:
     _kept: dict[tuple[str, str], Array] = field(default_factory=dict, repr=False)
 
     def entries(self, motions: Sequence[Motion]) -> tuple[CatalogueEntry, ...]:
-        """Return the entries of all effects that suit the model; their grids span the ranges that the motions cover."""
+        """Return the entries of all effects that suit `nominal`, with grids over the ranges that the motions cover."""
         reach = Reach.of(motions)
         found: list[CatalogueEntry] = []
         first = 0
@@ -121,8 +124,8 @@ class Library:
     def sensitivities(self, model: Model, motion: Motion, entries: Sequence[CatalogueEntry]) -> Array:
         """Return the sensitivity of the output to the amplitude of each candidate, shape (axes * samples, m).
 
-        They are computed for the nominal model unless `model` is far from it, so that data sets of one needle use the
-        same cached values. The returned array is read-only.
+        The sensitivities are those of the nominal model with parameters multiplied by powers of two, to be near
+        `model`. Data sets of one needle therefore use the same cached values. The returned array is read-only.
         """
         near = _rounded_model(model, self.nominal)
         rows = motion.time_s, motion.depth_mm, motion.velocity_mm_s, motion.angle_rad
@@ -141,7 +144,7 @@ class Library:
 
 
 def _rounded_model(model: Model, nominal: Model) -> Model:
-    """Return the nominal model with free parameters multiplied by powers of two, to be near their values in `model`."""
+    """Return `nominal` with its free parameters multiplied by powers of two, to be near their values in `model`."""
     values = {}
     for name, what in model.parameters().items():
         given, nominal_value = getattr(model, name), getattr(nominal, name)
@@ -266,9 +269,9 @@ class _ScoredEntries:
 
 
 def allowed_amplitudes(amplitudes: Array, entries: Sequence[CatalogueEntry]) -> Array:
-    """Return the amplitudes, shape (t, m), clipped to the bounds of each effect.
+    """Return the amplitudes for each heterogeneity and candidate, shape (t, m), clipped to the bounds of each effect.
 
-    The amplitude of a nonlinear effect is set to 0 if it is far from the amplitude at which its sensitivity holds.
+    The amplitude of a nonlinear effect is set to 0 if it is far from the amplitude at which the sensitivity holds.
     """
     found = np.array(amplitudes, float)
     for each in entries:
@@ -310,7 +313,10 @@ def find_detection_limits(
     entries: Sequence[CatalogueEntry],
     noise_rms: float,
 ) -> tuple[DetectionLimit, ...]:
-    """Return the detection limit of each effect; `raw` holds the sensitivities before whitening by trial."""
+    """Return the detection limit of each effect.
+
+    `raw` and `sensitivities` hold one array per trial: the sensitivities before and after whitening.
+    """
     scores = likelihood.scores(sensitivities)
     curvature = scores.curvature[likelihood.best]
     samples = sum(map(len, raw))
@@ -339,7 +345,11 @@ def whitened_sensitivities(
     entries: Sequence[CatalogueEntry],
     about: Model | None = None,
 ) -> list[Array]:
-    """Return the whitened sensitivities of all candidates for the calibrated model or `about`, one array per trial."""
+    """Return the whitened sensitivities of all candidates, one array per trial, shape (n, m).
+
+    They are computed for the model `about`, by default the calibrated model. The candidate of a lag effect has the
+    sensitivity of the calibrated lag.
+    """
     model = about or calibration.model
     sensitivities = [trial.whiten(library.sensitivities(model, trial.motion, entries)) for trial in trials]
     for each in entries:
@@ -356,9 +366,9 @@ def chance_probability(
     bic_gain: float,
     seed: int,
 ) -> float:
-    """Return the probability that data without an effect reach a BIC gain, from a Gumbel distribution.
+    """Return the probability that data without an effect reach `bic_gain` with any candidate.
 
-    The distribution is fitted to simulated data sets.
+    A Gumbel distribution is fitted to the largest BIC gains of 200 simulated data sets without an effect.
     """
     bic_penalty = likelihood.bic_penalty
     penalty, signs = np.full(sensitivities[0].shape[1], np.inf), np.zeros(sensitivities[0].shape[1])

@@ -160,8 +160,8 @@ def splines(values: Array, low: float, high: float, count: int) -> Array:
 def tissue_modes(model: Model, motion: Motion) -> Array:
     """Return the change of the axial force by each heterogeneity mode at standard deviation 1, shape (samples, modes).
 
-    Shaft friction and tip force vary separately if the model has the methods `shaft_n` and `tip_n`; a missing one is
-    replaced by the whole force.
+    Shaft friction and tip force vary separately if the model has the methods `shaft_n` and `tip_n`. If one of these
+    methods is missing, the whole force replaces its result.
     """
     run = simulate(model, motion)
     mean, at_tip = _along_path(np.asarray(motion.depth_mm, float).tobytes())
@@ -224,9 +224,9 @@ def force_bases(trials: Sequence[SimulatedTrial]) -> dict[str, SmoothBasis]:
 def turn_time_errors(predicted: Array, motion: Motion) -> Array:
     """Return the change of the force by timing errors of one standard deviation, shape (samples, 2 * reversals).
 
-    Each reversal has one error of its time and one of its duration, because velocity is assumed constant between
-    samples. At a reversal the force changes by the whole friction within one or two samples, so a timing error of a
-    millisecond changes it by many times the noise.
+    Each reversal has one error of its time and one of its duration, because the velocity is assumed constant between
+    samples. At a reversal the force changes by the whole friction within one or two samples: a timing error of a
+    millisecond changes the force by many times the noise.
     """
     slope = np.gradient(predicted, motion.time_s)
     curve = np.gradient(slope, motion.time_s)
@@ -240,7 +240,10 @@ def turn_time_errors(predicted: Array, motion: Motion) -> Array:
 
 
 def _near_turns(motion: Motion) -> Array:
-    """Return a mask of the samples near a change of direction or the start or end of a dwell, shape (samples,)."""
+    """Return a mask of the samples near a reversal or the first movement, shape (samples,).
+
+    A dwell without reversal does not count.
+    """
     fastest = float(np.abs(motion.velocity_mm_s).max())
     sign = np.sign(np.where(np.abs(motion.velocity_mm_s) < _TURN_SPEED_SHARE * fastest, 0.0, motion.velocity_mm_s))
     turned = np.concatenate([[False], np.diff(np.where(sign == 0, motion.direction, sign)) != 0])
@@ -250,7 +253,8 @@ def _near_turns(motion: Motion) -> Array:
 def _force_powers(trial: SimulatedTrial, scale: float) -> Array:
     """Return powers of the pushing and pulling force divided by `scale`, shape (samples, 4).
 
-    They are zero near reversals, because there they would compensate timing errors.
+    The columns are push, push^2, push^3 and pull^2. All are zero near reversals, where powers would compensate timing
+    errors.
     """
     force = np.where(_near_turns(trial.motion), 0.0, trial.output / scale)
     push, pull = np.maximum(force, 0), np.maximum(-force, 0)
@@ -337,7 +341,7 @@ def _add_basis(found: dict[str, SmoothBasis], name: str, axis: GapAxis, columns:
 
 
 def _curvature(model: Model) -> float:
-    """Return the magnitude of the path's curvature (1/mm)."""
+    """Return the magnitude of the path's curvature (1/mm); 0.001 for a model without this parameter."""
     return abs(float(getattr(model, "curvature_per_mm", 1e-3)))
 
 

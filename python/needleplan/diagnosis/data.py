@@ -2,8 +2,8 @@
 
     y[k] = sum_j weights[j] y[k - 1 - j] + sd e[k],        e white with variance 1
 
-The order minimises the BIC for the noise record. An autoregression of that order also approximates the filter and the
-quantisation of a sensor.
+The order minimises the BIC for the noise records of one axis, and the AIC for those of several axes. An autoregression
+of that order also approximates the filter and the quantisation of a sensor.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Lack(StrEnum):
 
 @dataclass(frozen=True)
 class CheckedData:
-    """Recordings by role, and remarks on them. `lacks` maps each kind of missing data to the reason why it matters."""
+    """Usable recordings by role, with remarks. `lacks` maps each kind of missing data to the reason why it matters."""
 
     training: tuple[Record, ...]
     held_out: tuple[Record, ...]
@@ -87,8 +87,10 @@ class CheckedData:
 def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
     """Return the recordings by role, with the missing data.
 
-    Raises DataError with all mistakes if a diagnosis is impossible: no training trial, a missing column, too few
-    samples, uneven sampling, different sampling rates, or a constant channel.
+    Noise records that are too short, or do not match the trials, are left out. Raises DataError, with all mistakes, if
+    a diagnosis is impossible: there is no training trial; a trial lacks a column, is too short, shallow or constant, or
+    is sampled unevenly; a noise record lacks a column, is constant, moves, or contains NaN; or the sampling rates
+    differ.
     """
     roles = {role: tuple(each for each in recordings if each.role is role) for role in Role}
     training, held_out, noise = roles[Role.TRAIN], roles[Role.HOLDOUT], roles[Role.NOISE]
@@ -190,7 +192,7 @@ def _noise_mistakes(record: Record, channel: Channel) -> list[Mistake]:
 
 
 def _foreign_noise(training: Sequence[Record], noise: Sequence[Record], channel: Channel) -> str:
-    """Return the reason if the noise records do not match the trials' sensor, else an empty text."""
+    """Return why the noise records do not match the training trials; an empty text if they match."""
     for name in channel.columns:
         quiet, busy = (float(np.median([scatter(each[name]) for each in part])) for part in (noise, training))
         if quiet > 0 and busy > 0 and not 1 / _NOISE_RATIO < busy / quiet < _NOISE_RATIO:
@@ -353,8 +355,8 @@ def combine_axes(axes: Sequence[SensorNoise]) -> SensorNoise:
 def fit_axes(rows: Sequence[Sequence[Array]]) -> SensorNoise:
     """Fit noise with common weights and separate standard deviations to axes; `rows` holds the recordings by axis.
 
-    The order minimises the AIC, not the BIC, because a low order underestimates slow noise, which smooth functions
-    would then fit.
+    The order minimises the AIC instead of the BIC: too low an order underestimates slow noise, which smooth functions
+    would then fit. A single axis is fitted by `fit_noise`, with the BIC.
     """
     if len(rows) == 1:
         return fit_noise(rows[0])

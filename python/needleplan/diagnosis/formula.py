@@ -98,7 +98,7 @@ class Formula:
     """Ratio of `likelihood_gain` to the gain of the best smooth alternative, at most 1."""
 
     transfer: float | None
-    """Ratio of achieved to predicted gain on the held-out trials; None without held-out trials."""
+    """Ratio of achieved to predicted gain on the held-out trials; None without held-out trials or predicted gain."""
 
     alike: tuple[str, ...]
     """Expressions of other products that fit nearly as well as the first product."""
@@ -133,7 +133,8 @@ def grammar(
 
     A product is a power of depth or time, or the force, times a function of speed; or a wave along the depth, alone or
     times depth; or a step. Each product exists with and without the sign of the velocity. With `fine_waves` the
-    wavelengths are as close as the depth range resolves. `steps_mm` and `steps_s` are depths and times of steps.
+    wavelengths are as close as the depth range resolves, and waves times depth are left out. `steps_mm` and `steps_s`
+    are depths and times of steps.
     """
     one: _Term = ("1", lambda u: np.ones_like(u.depth_mm), 0)
     amounts: list[_Term] = [
@@ -164,9 +165,10 @@ def find_formula(
     smooth_gain: float,
     products: Sequence[Product],
 ) -> Formula | None:
-    """Return a formula of the most significant products; None if no product has the BIC gain that an effect needs.
+    """Return a formula of at most three products; None if no product has the BIC gain that an effect needs.
 
-    `smooth_gain` is the likelihood gain of the best smooth alternative.
+    The product with the largest BIC gain is added first. `smooth_gain` is the likelihood gain of the best smooth
+    alternative.
     """
     sensitivities = [trial.whiten(_product_values(products, trial)) for trial in trials]
     bic_penalties = np.array([1 + each.places for each in products]) * float(np.log(likelihood.samples))
@@ -204,7 +206,7 @@ def find_formula(
 
 
 def _transfer(found: Formula, held_out: Sequence[CalibratedTrial]) -> float | None:
-    """Return the ratio of achieved to predicted gain on the held-out trials; None without held-out trials or gain."""
+    """Return `Formula.transfer`, from the held-out trials."""
     if not held_out:
         return None
     likelihood = JointLikelihood([trial.whitened for trial in held_out])
@@ -250,7 +252,7 @@ class GapDescription:
     curves: Curves
     sparse: Formula | None
     rms: float
-    """RMS (N) of the formula in the training data; without a formula, RMS of the curves at visited nodes."""
+    """RMS (N) of the formula in the training data; without a formula, of the curves at visited nodes; 1 if it is 0."""
 
     @property
     def unit(self) -> str:

@@ -1,12 +1,12 @@
 """Where the gap is: bins of its energy, change points, and curves along an axis.
 
 Smooth functions are fitted to the residual with the base model projected out, and the energy of the fit is divided into
-bins. Without a gap the coefficients are independent and normal; random draws give the distribution of the largest bin
-of an axis.
+bins. Without a gap the coefficients are independent and normal; random draws of them give the distribution of the
+largest standardised energy of the bins of an axis.
 
 A curve is a Gaussian process with a squared-exponential correlation. Its amplitude and correlation length maximise the
 likelihood, with the base model projected out. Outside the visited range, and in ranges in which the base model absorbs
-the gap, the uncertainty band of the curve is that of the prior.
+the gap, the uncertainty band of the curve widens to that of the prior.
 """
 
 from __future__ import annotations
@@ -86,13 +86,15 @@ class MotionPhase(StrEnum):
 
     RETRACTION = "retraction"
     ROTATED = "after a rotation"
+    """The first millimetres of travel after a rotation."""
 
 
 @dataclass(frozen=True)
 class Bin:
     """A part of an axis, with its share of the gap's energy.
 
-    The p-value is the probability that, without a gap, the largest bin of the axis has at least this share.
+    The energy is standardised by the mean and the standard deviation that it has without a gap. The p-value is the
+    probability that, without a gap, the largest standardised energy on the axis is at least that of this bin.
     """
 
     axis: str
@@ -131,7 +133,7 @@ class Localisation:
 
 
 def localise(likelihood: JointLikelihood, trials: Sequence[CalibratedTrial], *, seed: int = 0) -> Localisation:
-    """Return where the model of `likelihood` leaves a gap in `trials`; `seed` is that of the random draws."""
+    """Locate the gap that the model of `likelihood` leaves in `trials`; `seed` initialises the random draws."""
     smooth, residual, rows = _projected(likelihood, trials)
     left, singular, _ = np.linalg.svd(smooth, full_matrices=False)
     kept = left[:, singular > 1e-6 * singular[0]]
@@ -148,7 +150,11 @@ def localise(likelihood: JointLikelihood, trials: Sequence[CalibratedTrial], *, 
 
 
 def motion_phases(motion: Motion) -> Array:
-    """Return the value of `MotionPhase` at each sample, as an array of str, shape (samples,)."""
+    """Return the value of `MotionPhase` at each sample, as an array of str, shape (samples,).
+
+    Where several phases apply, a dwell has priority over the travel after a rotation, which has priority over that
+    after a change of direction.
+    """
     speed = np.abs(motion.velocity_mm_s)
     still = speed <= _REST_SPEED_SHARE * max(float(speed.max()), 1e-12)
     found = np.where(motion.direction > 0, MotionPhase.ADVANCE.value, MotionPhase.RETRACTION.value).astype(object)
@@ -275,7 +281,7 @@ class Curve:
     mean: Array
     sd: Array
     inside: NDArray[np.bool_]
-    """Whether the motions visited each node; at other nodes `sd` is that of the prior."""
+    """Whether each node lies in the visited range; at other nodes `sd` approaches that of the prior."""
 
 
 @dataclass(frozen=True)
@@ -319,7 +325,10 @@ def curves_along(axis: GapAxis, likelihood: JointLikelihood, trials: Sequence[Ca
 
 
 def axis_values(axis: GapAxis, motion: Motion, force: Array) -> Array:
-    """Return the value of an axis variable at each sample, shape (samples,); `force` is the base model's output."""
+    """Return the value of an axis variable at each sample, shape (samples,); `force` is the base model's output.
+
+    Values of DWELL are the time since the needle came to rest, 0 in motion. PERIOD and ANGLE have the depth.
+    """
     if axis is GapAxis.TIME:
         return np.asarray(motion.time_s - motion.time_s[0], float)
     if axis is GapAxis.SPEED:
@@ -352,7 +361,7 @@ def _hats(values: Array, places: Array) -> Array:
 def _posterior(
     matrix: Array, target: Array, places: Array, ways: int, span: float, noise_sd: float
 ) -> tuple[float, Array, Array, float]:
-    """Return likelihood gain, mean and covariance at the nodes, and prior amplitude, for the most probable prior."""
+    """Return likelihood gain, mean and covariance at the nodes, and prior amplitude, for the prior that fits best."""
     best: tuple[float, Array, Array, float] | None = None
     distance = (places[:, None] - places) / span
     one = np.eye(len(target))

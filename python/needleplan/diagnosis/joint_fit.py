@@ -84,7 +84,7 @@ class HeldOutValidation:
     before_rms: float
     after_rms: float
     floor_rms: float
-    """RMS of the sensor noise; like the residual RMS before and with the effects, in the channel's unit."""
+    """RMS of the sensor noise; `before_rms` and `after_rms` are the residual RMS before and with the effects."""
 
     shrink: float
     """Share of the residual energy above the noise that the effects remove; NaN if there is no such energy."""
@@ -94,7 +94,7 @@ class HeldOutValidation:
 
     whiteness_before: float
     whiteness_after: float
-    """p-value of the Ljung-Box test on the whitened residuals with the effects, as `whiteness_before` without."""
+    """p-value of the Ljung-Box test on the whitened residuals with the effects; `whiteness_before` without them."""
 
     @property
     def transfer(self) -> float:
@@ -167,7 +167,7 @@ def model_with_effects(effects: Sequence[FittedEffect], model: Model) -> Model:
 def recalibrated_trials(
     effects: Sequence[FittedEffect], calibration: Calibration, trials: Sequence[CalibratedTrial]
 ) -> tuple[CalibratedTrial, ...]:
-    """Return the trials with the base model recalibrated to each trial, the effects held at their values."""
+    """Return the trials with the base model recalibrated to each trial, while the effects keep their values."""
     return tuple(
         calibrate_trial(
             trial.model, trial.record, calibration.noise, calibration.free,
@@ -316,7 +316,7 @@ def _allowed(
 def _moved(
     effects: Sequence[FittedEffect], coordinates: Sequence[tuple[int, str]], move: Array
 ) -> tuple[FittedEffect, ...]:
-    """Return the effects with each coordinate moved by `move`, clipped to bounds and largest step."""
+    """Return the effects with each coordinate moved by `move`; values and logarithmic steps are clipped."""
     changed = [dict(each.values) for each in effects]
     for (index, name), step in zip(coordinates, move, strict=True):
         what = effects[index].effect.parameters[name]
@@ -335,7 +335,8 @@ def transfers(validation: HeldOutValidation, gates: Gates) -> bool:
     """Return whether the held-out trials confirm the effects: whether the achieved gain exceeds a threshold.
 
     The achieved gain of a true effect is normal with mean `predicted` and variance 4 `predicted`. The threshold is the
-    smaller of a fixed share of the predicted gain and the 1 % quantile of that distribution, but not negative.
+    smaller of a fixed share of the predicted gain and the 1 % quantile of that distribution, but at least 0. If
+    `predicted` is below 2, the threshold is -4.
     """
     if validation.predicted < _LEAST_PREDICTED:
         return validation.achieved > -_MOST_HARM
@@ -344,9 +345,9 @@ def transfers(validation: HeldOutValidation, gates: Gates) -> bool:
 
 
 def is_nonzero(joint: JointFit, which: int) -> bool:
-    """Return whether the 95 % interval of an effect's amplitude excludes zero, with its other parameters held.
+    """Return whether the 95 % interval of an effect's amplitude excludes zero.
 
-    They are held because the depth or time of an effect with amplitude zero is undefined.
+    The effect's depth, time or speed is held, because it is undefined for the amplitude zero.
     """
     kept = [row for row, (index, name) in enumerate(joint.coordinates) if index != which or name in (SIZE, DIRECTION)]
     # Scaled by the standard deviations, so that an undetermined parameter does not hide a well determined one.

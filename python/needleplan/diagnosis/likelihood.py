@@ -95,7 +95,7 @@ class Gates:
     """Gain that a further effect needs, as a share of the gain of the first effect."""
 
     further_elsewhere: float = 0.005
-    """As `further`, for an effect of another family than the first that the held-out trials confirm.
+    """As `further`, for an effect that the held-out trials confirm and that is not of the first effect's family.
 
     `further` is larger because errors in the formula of the first effect resemble effects of its family.
     """
@@ -112,7 +112,7 @@ class Gates:
 
 
 def at_depth(depth_mm: Array, places: Array, rows: Array) -> Array:
-    """Interpolate `rows`, functions on the uniform grid `places`, linearly at depths; return shape (samples, m)."""
+    """Interpolate `rows`, functions on the uniform grid `places`, linearly at depths, clipped; shape (samples, m)."""
     at = (depth_mm - places[0]) / (places[1] - places[0])
     left = np.clip(at.astype(int), 0, len(places) - 2)
     share = np.clip(at - left, 0.0, 1.0)[:, None]
@@ -236,8 +236,8 @@ class _Trial:
     def against(self, plain: Array, moved: Array, rows: slice = slice(None)) -> tuple[Array, Array]:
         """Return two products of sensitivities s: root J'W s, and [G r]'W s with J projected out.
 
-        The shapes are (t, q, m) and (t, g + 1, m). `plain` is `known`'s, `moved` the modes' product with s. `rows`
-        selects heterogeneities.
+        The shapes are (t, q, m) and (t, g + 1, m). `plain` is the product of `known` with s, `moved` is the product of
+        the modes with s, and `rows` selects heterogeneities.
         """
         q = self.root.shape[1]
         # All heterogeneities in one matrix product, which is faster than one product each.

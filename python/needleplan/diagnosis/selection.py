@@ -52,7 +52,7 @@ class Selection:
     """The effects of `joint`; the gains of each effect are those over the fit without this effect."""
 
     validation: HeldOutValidation | None
-    """Validation of all accepted effects together, compared with the base model alone."""
+    """Validation of all accepted effects together, compared with the base model alone; None if there is none."""
 
     detection_limits: tuple[DetectionLimit, ...]
     at_prior: tuple[CalibratedTrial, ...] = ()
@@ -73,7 +73,10 @@ class Selection:
 
 
 def select_effects(calibration: Calibration, library: Library, gates: Gates, *, seed: int = 0) -> Selection:
-    """Add effects one at a time until no further effect passes all gates; then compare each with its alternatives."""
+    """Add effects one at a time until no further effect passes all gates; then compare each with its alternatives.
+
+    This is repeated from other first effects, and the set with the clearly largest combined gain is returned.
+    """
     base = JointLikelihood([trial.whitened for trial in calibration.training])
     entries = library.entries([trial.motion for trial in calibration.training])
     sensitivities = whitened_sensitivities(calibration, library, calibration.training, entries)
@@ -138,10 +141,10 @@ def _grow(search: Search, begin: SelectionRound | None = None) -> tuple[list[Sel
 
 
 def _other_starts(search: Search, first: SelectionRound, found: _EffectSet | None) -> Iterator[SelectionRound]:
-    """Yield variants of the first round that take another effect first.
+    """Yield variants of the first round that take another effect first; none without a set or a tie.
 
-    Yields an effect only if its gain together with a second effect is at least that of the set found so far. One effect
-    can imitate two others: a warming sensor resembles a bias and a drift.
+    An effect is taken only if its gain together with a second effect is at least the gain of the set found so far. One
+    effect can imitate two others: a warming sensor resembles a bias and a drift.
     """
     if not found and first.outcome is not RoundOutcome.TIE:
         return
@@ -159,7 +162,10 @@ def _other_starts(search: Search, first: SelectionRound, found: _EffectSet | Non
 
 
 def _settle(search: Search, rounds: Sequence[SelectionRound], last: SelectionRound) -> _EffectSet | None:
-    """Return the set of effects after pruning and replacement; None if `rounds` is empty or the set is refuted."""
+    """Return the set of effects after pruning and replacement; None if `rounds` is empty or the set is refuted.
+
+    The set is refuted if the held-out trials refute its first effect alone and do not confirm the whole set.
+    """
     if not rounds:
         return None
     joint, effects, beaten = _prune(search, rounds)
@@ -242,7 +248,7 @@ def _is_beaten(search: Search, joint: JointFit, member: FittedEffect, index: int
 
 
 def _best_replacement(search: Search, joint: JointFit, index: int) -> tuple[JointFit, tuple[FittedEffect, ...]]:
-    """Return the joint fit with the best effect in position `index`, and the effects that do as well in its place."""
+    """Return the joint fit with the best effect at position `index`, and the other effects that do as well there."""
     rest = search.without(joint, index)
     names = {each.effect.name for each in joint.effects}
     least = _REPLACEMENT_SHARE * (total_bic_gain(joint, search.base) - total_bic_gain(rest, search.base))
@@ -298,8 +304,8 @@ def total_bic_gain(joint: JointFit, base: JointLikelihood) -> float:
 def _trials_at_prior(calibration: Calibration) -> tuple[CalibratedTrial, ...]:
     """Return the training trials, recalibrated with those parameters held at their priors that calibration moved far.
 
-    Such a parameter may imitate an effect and hide its score; with the parameter at its prior, the effect is visible.
-    Returns an empty tuple if calibration moved no parameter far.
+    The sensor lag counts as such a parameter. A parameter far from its prior may imitate an effect; with the parameter
+    at its prior, the effect is visible. Returns an empty tuple if calibration moved no parameter far.
     """
     given, now = calibration.given, calibration.model
     far = {

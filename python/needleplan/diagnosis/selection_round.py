@@ -94,7 +94,11 @@ class SelectionRound:
 
 
 def explains_as_well(best: JointFit, other: JointFit, lead: float) -> bool:
-    """Return whether `other` explains the data as well as `best`: within `lead`, or better in the training data."""
+    """Return whether `other` explains the data as well as `best`.
+
+    This is so if the combined gain of `other` is less than `lead` behind, or if `other` is not refuted and its BIC gain
+    in training is more than `lead` ahead.
+    """
     fits_better = not other.refuted and other.newest.bic_gain > best.newest.bic_gain + lead
     return bool(other.combined_gain > best.combined_gain - lead or fits_better)
 
@@ -218,7 +222,7 @@ def run_round(search: Search, taken: JointFit | None, first_gain: float) -> Sele
 
 
 def _is_confirmed(best: JointFit, needed: float) -> bool:
-    """Return whether the newest effect is of another family than the first and the held-out trials confirm it."""
+    """Return whether the held-out trials clearly confirm the newest effect, and its family is not that of the first."""
     first, seen = best.effects[0].effect, best.validation
     return (
         seen is not None and not best.refuted
@@ -231,8 +235,8 @@ def _least_contested(
 ) -> tuple[list[JointFit], tuple[str, ...]]:
     """Return the fits in the order of the round, and the names of the tied effects.
 
-    If the best effects tie, a third effect that ties with none is moved to the front, because the tied effects may
-    differ beside it; the names are then empty. Without such an effect, the order does not change.
+    If the best effects tie, a third effect that ties with none and passes the gates is moved to the front, because the
+    tied effects may differ beside it; the names are then empty. Without such an effect, the order does not change.
     """
     tied = _tied(search, ranked, screened)
     least = search.gates.further * max(first_gain, ranked[0].newest.likelihood_gain)
@@ -269,10 +273,10 @@ def _tied(search: Search, ranked: Sequence[JointFit], screened: Sequence[FittedE
 
 
 def _at_other_optima(search: Search, taken: JointFit | None, ranked: list[JointFit], needed: float) -> list[JointFit]:
-    """Return the fits; if the first is refuted, it is replaced by another local optimum that is not.
+    """Return the fits, with the first one replaced by another local optimum of the same effect if it is refuted.
 
     For example, a breathing motion that shows only in a short dwell fits at several frequencies; the held-out trials
-    choose among them. Without a better optimum, the fits do not change.
+    choose among them. If they refute all optima, or the effect has no further optima, the fits do not change.
     """
     best = ranked[0]
     each = next(each for each in search.entries if each.effect is best.newest.effect)
@@ -333,8 +337,8 @@ def _fit_candidates(
 ) -> list[JointFit]:
     """Return one joint fit per effect, the largest BIC gain first.
 
-    All `certain` starts are fitted. Starts in `screened`, which are sorted by gain, are skipped if they are far behind
-    the best fit so far.
+    All `certain` starts are fitted, and at most four of `screened`, which are sorted by gain; those far behind the best
+    fit so far are skipped. A lag effect whose total lag is usual for the sensor is left out.
     """
     usual_lag_s = channel_description(search.calibration.given.channel).usual_lag_s
     before = taken.likelihood_gain if taken else 0.0

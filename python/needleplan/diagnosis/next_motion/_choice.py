@@ -20,9 +20,9 @@ _FLOOR_MM = -10.0
 
 
 def limits_of(found: Diagnosis, *, fastest_mm_s: float = 0.0) -> Limits | None:
-    """Return limits that span the recorded depths; None if these leave no room for a motion.
+    """Return limits that span the recorded depths, from -10 mm at the least; None if they leave no room for a motion.
 
-    The largest speed is `fastest_mm_s`; if that is 0, the largest recorded speed, but at least 15 mm/s.
+    The largest speed is `fastest_mm_s`. If `fastest_mm_s` is 0, it is the largest recorded speed, but at least 15 mm/s.
     """
     motions = [trial.motion for trial in (*found.calibration.training, *found.calibration.held_out)]
     top = min(float(each.depth_mm.min()) for each in motions)

@@ -82,7 +82,10 @@ class Exploring(NextMotion):
 
 
 def exploring(found: Diagnosis, axis: GapAxis, tried: Sequence[Tried], role: Role) -> Exploring | None:
-    """Return the most informative motion for a gap along an axis; None if the channel has no basis for the axis."""
+    """Return the most informative motion for a gap along an axis; None if the channel has no basis for the axis.
+
+    Motions that are longer than 45 s and longer than every recording are left out, unless no motion would remain.
+    """
     known = found.joint.trials if found.effects and found.joint else found.calibration.training
     longest = max(_LONGEST_S, *(float(np.ptp(trial.motion.time_s)) for trial in known))
     tried = [each for each in tried if float(np.ptp(each[1].time_s)) <= longest] or tried
@@ -138,7 +141,10 @@ def _columns(found: Diagnosis, axis: GapAxis, trials: Sequence[CalibratedTrial])
 
 
 def _inseparable_axis(axis: GapAxis, trials: Sequence[CalibratedTrial]) -> GapAxis | None:
-    """Return the other one of the axes time and depth if all trials correlate them closely, else None."""
+    """Return depth for the axis time, and time for the axis depth, if they are closely correlated in all trials.
+
+    Returns None otherwise, and for other axes.
+    """
     other = {GapAxis.TIME: GapAxis.DEPTH, GapAxis.DEPTH: GapAxis.TIME}.get(axis)
     both = [np.corrcoef(trial.motion.time_s, trial.motion.depth_mm)[0, 1] for trial in trials]
     return other if other and min(both) > _ALIKE else None

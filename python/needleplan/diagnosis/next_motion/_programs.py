@@ -126,7 +126,10 @@ _Moves = Sequence[Insert | Rotate | Dwell]
 
 
 def programs(channel: Channel, limits: Limits) -> tuple[Program, ...]:
-    """Return the candidate motions for a channel: insertions with rotations for the tip, without for the force."""
+    """Return the candidate motions for a channel.
+
+    For the tip, these are insertions, most of them with rotations. For the force, these are insertions and retractions.
+    """
     made = _steered(limits) if channel is Channel.TIP else _axial(limits)
     return tuple(Program(name, about, tuple(moves), limits) for name, about, moves in made)
 
@@ -223,7 +226,10 @@ def _legs(limits: Limits, *stops: _Stop) -> list[Insert | Rotate | Dwell]:
 
 
 def _pecks(limits: Limits, in_mm: float, out_mm: float, speed: float, part: float) -> list[Insert | Rotate | Dwell]:
-    """Return insertions by `in_mm` and retractions by `out_mm` in turn, up to a share `part` of the depth."""
+    """Return insertions by `in_mm` and retractions by `out_mm` in turn, up to a share `part` of the largest depth.
+
+    There are at most 40 moves. `speed` is the share of the largest speed.
+    """
     depth = max(limits.shallowest_mm, 0.0)
     found: list[Insert | Rotate | Dwell] = []
     velocity = round(speed * limits.fastest_mm_s, 3)

@@ -50,6 +50,8 @@ class Revealing(NextMotion):
     """Geometric mean of the ratios of new to present detection limits."""
 
     repeated_shrinks_to: float
+    """As `shrinks_to`, if the last training motion were repeated instead."""
+
     considered: tuple[tuple[str, float], ...]
     """Name and geometric mean ratio of each program, as `shrinks_to`."""
 
@@ -122,7 +124,7 @@ def _largest(effect: Effect) -> float:
 def _shares(now: Array, more: Array) -> Array:
     """Return the ratios of new to present detection limits, shape (effects,).
 
-    `now` and `more` are the present information and that of the new trial. The ratio is 1 if both are zero.
+    `now` is the present information, `more` that of the new trial. The ratio is at least 0.01, and 1 if both are zero.
     """
     total = now + more
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -148,7 +148,10 @@ class AlternativeEffect:
 def separating(
     found: Diagnosis, alternatives: Sequence[AlternativeEffect], tried: Sequence[Tried], role: Role
 ) -> Separating:
-    """Return the motion with the largest probability of a decision between at least two effects."""
+    """Return the motion with the largest probability of a decision between the possible effects, at least two.
+
+    Among almost equal probabilities, the motion with the largest smallest separation wins.
+    """
     all_ = [*alternatives, *_close_behind(found, alternatives)]
     every = [separations_by(found, all_, motion) for _, motion in tried]
     made = [(*each, _among(alternatives, pairs)) for each, pairs in zip(tried, every, strict=True)]
@@ -169,7 +172,11 @@ def separating(
 
 
 def alternatives_of(found: Diagnosis) -> tuple[AlternativeEffect, ...]:
-    """Return the possible effects, the best first: those tied in the decisive round, else those near its best."""
+    """Return at most four possible effects, the best first; none if no round is decisive.
+
+    These are the effects that tied in the decisive round or, without a tie, those near the best effect of this round.
+    If only one effect is possible and the verdict is AMBIGUOUS, `NOTHING` is added.
+    """
     round_ = _deciding(found)
     if round_ is None:
         return ()
@@ -264,7 +271,11 @@ def _unfitted(name: str, bic_gain: float, effects: tuple[FittedEffect, ...], fou
 
 
 def _synonyms(made: Sequence[Sequence[Separation]], lead: float) -> tuple[Synonyms, ...]:
-    """Return the pairs that no motion separates within `_MOST_TRIALS` trials, as either effect may be true."""
+    """Return the pairs that no motion separates within `_MOST_TRIALS` trials.
+
+    The number of trials of a motion is the larger of the two numbers that are needed if one or the other effect is
+    true. Pairs with `NOTHING` are left out.
+    """
     needed: dict[tuple[str, str], float] = {}
     for pairs in made:
         for pair in pairs:
@@ -293,7 +304,10 @@ def _least(pairs: Sequence[Separation]) -> float:
 def _resolves(
     alternatives: Sequence[AlternativeEffect], pairs: Sequence[Separation], synonyms: Sequence[Synonyms]
 ) -> float:
-    """Return the mean probability of a decision, weighted by the present probability of each effect."""
+    """Return the mean probability of a decision, weighted by the present probability of each effect.
+
+    The probability of a decision for a true effect is that of its least separable pair; `synonyms` are left out.
+    """
     best = max(each.combined_gain for each in alternatives)
     weights = np.array([np.exp((each.combined_gain - best) / 2) for each in alternatives])
     left = _separable(pairs, synonyms)
