@@ -1,4 +1,4 @@
-"""Every exception that needleplan raises on purpose.
+"""The public exceptions of needleplan; other modules define subclasses of them for special cases.
 
 ::
 
@@ -21,7 +21,8 @@
         │   └── ChecksumError   the bytes of a policy table have changed since the file was written
         └── OutputError         a file cannot be written
 
-An `InputError` carries all mistakes that were found, not only the first.
+An `InputError` carries all mistakes that were found, not only the first. Wrong calls of internal functions raise
+Python's own exceptions, such as TypeError.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class Mistake:
 
 
 class NeedleplanError(Exception):
-    """Root of all exceptions that needleplan raises on purpose.
+    """Root of the public exceptions of needleplan.
 
     Examples
     --------
