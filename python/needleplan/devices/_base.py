@@ -1,8 +1,8 @@
 """The interfaces of stage, force sensor and tracker, and their samples.
 
-A device is opened by its address (`udp://192.168.1.10:5005`), used as a context manager, and read with a deadline. Each
-sample has a time and a sequence number, and is returned once. If the device reports a problem, the sample is not GOOD.
-If the device cannot be used any more, its methods raise DeviceFault with the cause.
+A device is opened by its address (`udp://192.168.1.10:5005`), used as a context manager, and read with a timeout. Each
+sample has a time and a sequence number, and is returned once. If the device reports a problem, the sample is not GOOD,
+and its `notes` name the problem. If the device cannot be used any more, its methods raise DeviceFault with the cause.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ class Stamp:
     """Arrival time and number of a sample.
 
     - `received_ns` is the time of arrival on the monotonic clock of this machine.
-    - `sequence` is the number that the device gave the sample.
-    - `lost` is the number of samples lost immediately before it.
-    - `device_time_s` is the time on the clock of the device, or None.
+    - `sequence` is the number of the sample, from the device or, if the device sends no numbers, from its driver.
+    - `lost` is the number of samples lost immediately before this sample.
+    - `device_time_s` is the time of the sample on the clock of the device; None if the device sends no time.
     """
 
     received_ns: int
@@ -86,7 +86,7 @@ class PoseSample:
     """The pose of a tracked coil: position in mm, and a unit quaternion (w, x, y, z), in the frame of the tracker.
 
     The roll of a coil with five degrees of freedom is arbitrary. Position and quaternion are NaN if the health is
-    MISSING. `error_mm` is the fit error that the tracker reports.
+    MISSING. `error_mm` is the fit error that the tracker reports, NaN if it reports none.
     """
 
     stamp: Stamp
@@ -134,13 +134,13 @@ class Stage(Device):
 
     @abstractmethod
     def stop(self) -> None:
-        """Stop both axes at once. It may be called at any time, also during a fault."""
+        """Stop both axes at once. `stop` may be called at any time, also during a fault. Raises DeviceFault."""
 
     def heartbeat(self) -> None:
         """Tell the watchdog of the stage that the controller is running. The stage stops if heartbeats cease.
 
-        In an insertion only the guard calls it (`control.safety.GuardedStage.tick`); a program without a guard calls it
-        in its control loop. It does nothing if the stage has no watchdog. Raises DeviceFault.
+        In an insertion, only the guard calls `heartbeat` (in `control.safety.GuardedStage.tick`). A program without a
+        guard calls `heartbeat` in its control loop. A stage without a watchdog does nothing. Raises DeviceFault.
         """
 
     @abstractmethod

@@ -1,6 +1,6 @@
 """Links, which carry bytes to and from a device: UDP, TCP, serial ports, and links within one process.
 
-A link is used as a context manager, and read with a deadline. Datagram links (UDP) deliver whole datagrams, stream
+A link is used as a context manager, and read with a timeout. Datagram links (UDP) deliver whole datagrams, stream
 links (TCP, serial) deliver bytes as they arrive. The protocols are in other modules, which do no input or output.
 """
 
@@ -30,7 +30,7 @@ class Link(Closing):
 
     @abstractmethod
     def receive(self, timeout_s: float) -> bytes:
-        """Return one datagram or the available bytes; b"" after `timeout_s`. Raises LinkClosed."""
+        """Return the next datagram, or the available bytes of a stream; b"" after `timeout_s`. Raises LinkClosed."""
 
     @abstractmethod
     def close(self) -> None:
@@ -45,13 +45,13 @@ class MemoryLink(Link):
         self._closed = False
 
     def send(self, data: bytes) -> None:
-        """Send `data` to the other end."""
+        """Send `data` to the other end. Raises LinkClosed if this end is closed."""
         if self._closed:
             raise LinkClosed("this end of the link is closed")
         self._outgoing.put(bytes(data))
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next message from the other end; b"" after `timeout_s`. Raises LinkClosed."""
+        """Return the next message from the other end; b"" after `timeout_s`. Raises LinkClosed if an end is closed."""
         if self._closed:
             raise LinkClosed("this end of the link is closed")
         try:
@@ -84,6 +84,7 @@ class UdpLink(Link):
     """Datagrams to and from one peer. Datagrams from other senders are dropped and counted in `unknown_senders`.
 
     `connect` is not called on the socket, because the operating system would then drop these datagrams uncounted.
+    Raises AddressError if the host is unknown, DeviceFault if the local port cannot be used.
     """
 
     def __init__(self, host: str, port: int, local_port: int = 0, local_host: str = "") -> None:
@@ -102,7 +103,7 @@ class UdpLink(Link):
         return int(self._socket.getsockname()[1])
 
     def send(self, data: bytes) -> None:
-        """Send one datagram."""
+        """Send one datagram. Raises LinkClosed."""
         try:
             self._socket.sendto(data, self.peer)
         except OSError as error:
@@ -133,7 +134,10 @@ class UdpLink(Link):
 
 
 class TcpLink(Link):
-    """A connection to a TCP server."""
+    """A connection to a TCP server, which must accept it within `timeout_s`.
+
+    Raises AddressError if the host is unknown, DeviceFault if the server cannot be reached.
+    """
 
     def __init__(self, host: str, port: int, timeout_s: float = 3.0) -> None:
         _, self.peer = _resolve(host, port, socket.SOCK_STREAM)
@@ -195,7 +199,8 @@ _GONE = (
 class SerialLink(Link):
     """A serial port with 8 data bits, no parity, 1 stop bit, and no handshake.
 
-    It also works on a pseudo-terminal, because it does not use the modem control lines, which a pseudo-terminal lacks.
+    The link also works on a pseudo-terminal, because it does not use the modem control lines, which a pseudo-terminal
+    lacks. Raises AddressError if `baud` is not positive, DeviceFault if the port is missing or cannot be opened.
     """
 
     def __init__(self, path: str, baud: int = 9600) -> None:

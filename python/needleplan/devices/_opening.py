@@ -1,7 +1,7 @@
 """Addresses of devices, and opening the link that an address names.
 
 An address is `udp://host:port`, `tcp://host:port` or `serial:///dev/ttyUSB0?baud=9600`. Options follow the question
-mark, as in `udp://192.168.1.1:49152?slot=2`; an unknown option is a mistake, and the message suggests a known one.
+mark, as in `udp://192.168.1.1:49152?slot=2`. An unknown option is a mistake; the message names the known options.
 """
 
 from __future__ import annotations
@@ -23,7 +23,11 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class Address:
-    """The parts of a device address: `host` and `port` of a network device, or `path` of a serial port."""
+    """The parts of a device address.
+
+    A network device has `host` and `port`; the path of a tracker address `igtl://` is the name of the tracked device. A
+    serial port has only a `path`.
+    """
 
     scheme: str
     host: str = ""
@@ -51,7 +55,10 @@ class Address:
         return cls(parts.scheme, parts.hostname or "", port, parts.path, options)
 
     def network(self, default_port: int | None = None) -> tuple[str, int]:
-        """Return host and port. Raises AddressError if either is missing or a path follows the port."""
+        """Return host and port; the port is `default_port` if the address has none.
+
+        Raises AddressError if the host or the port is missing, the port is not from 1 to 65535, or a path follows.
+        """
         port = default_port if self.port is None else self.port
         if not self.host:
             raise AddressError(Mistake("address", str(self), f"must name a host: {self.scheme}://host:port"))
@@ -64,7 +71,7 @@ class Address:
         return self.host, port
 
     def option(self, name: str, read: Callable[[str], _T], default: _T) -> _T:
-        """Return the option `name` converted by `read`, or `default` if it is absent.
+        """Return the option `name` converted by `read`, or `default` if the address has no such option.
 
         Raises AddressError if `read` raises ValueError or KeyError.
         """
@@ -77,7 +84,7 @@ class Address:
             raise AddressError(Mistake(name, self.options[name], rule), str(self)) from error
 
     def only(self, known: Collection[str]) -> None:
-        """Raise AddressError, with a suggestion, if the address has an option that is not in `known`."""
+        """Raise AddressError, with the known options and a suggestion, if an option is not in `known`."""
         mistakes = []
         for name in self.options:
             if name not in known:
@@ -109,9 +116,12 @@ def require_called_heartbeat(address: Address) -> None:
 def open_link(address: str | Address, default_port: int | None = None) -> Link:
     """Open the link of an address.
 
-    The forms are `udp://host:port[?local_port=n]`, `tcp://host:port[?timeout_s=3]` and
-    `serial:///dev/ttyUSB0[?baud=9600]`. The caller must first remove the options that belong to the device. Raises
-    AddressError if the address is wrong, DeviceFault if the link cannot be opened.
+    - `udp://host:port[?local_port=n]`: `local_port` is the receiving port of this machine, by default any free port.
+    - `tcp://host:port[?timeout_s=3]`: `timeout_s` is the longest time (s) to connect, by default 3.
+    - `serial:///dev/ttyUSB0[?baud=9600]`: `baud` is the speed of the line, by default 9600.
+
+    If the address has no port, `default_port` is used. The caller must first remove the options that belong to the
+    device. Raises AddressError if the address is wrong, DeviceFault if the link cannot be opened.
     """
     parsed = Address.parse(address) if isinstance(address, str) else address
     if parsed.scheme not in _OPENERS:

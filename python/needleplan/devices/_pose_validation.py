@@ -20,7 +20,8 @@ _Quaternion = tuple[float, float, float, float]
 class PoseValidator:
     """Base class that converts the poses of one tool to samples and compares each pose with the previous one.
 
-    A sample with notes is SUSPECT. The subclass of each protocol also checks the status fields and times of its poses.
+    A sample with notes is SUSPECT. The subclass of each protocol also checks status fields and times, and stores each
+    sample in `last`.
     """
 
     def __init__(self) -> None:
@@ -45,9 +46,10 @@ class PoseValidator:
         notes: tuple[str, ...],
         most_step_mm: float,
     ) -> PoseSample:
-        """Return the sample of a pose. It gets a note if the position is more than `most_step_mm` from the last pose.
+        """Return the sample of a pose; with a note if the position is more than `most_step_mm` from the last one.
 
-        The quaternions q and -q describe the same rotation; the sample gets the one closer to the last quaternion.
+        The quaternions q and -q describe the same rotation; the sample gets the quaternion closer to the last one.
+        After a MISSING sample, the pose is not compared.
         """
         last = None if self.last is None or self.last.health is Health.MISSING else self.last
         if last is not None:

@@ -47,7 +47,7 @@ class Source(StrEnum):
 
 
 ReadDevice = Callable[[Source, SampledDevice, float], Sample | None]
-"""Function that reads one sample of a device, with a timeout in s; that of the guard also validates the sample."""
+"""Function that reads one sample of a device with a timeout (s). The function of the guard also validates it."""
 
 
 def read_directly(_: Source, device: SampledDevice, timeout_s: float) -> Sample | None:
@@ -72,7 +72,7 @@ class Station(Closing):
     def feed(self, read: ReadDevice = read_directly) -> Feed:
         """Return the stream of samples, which calls `read` for each sample.
 
-        It is a TurnFeed if the clock is a VirtualClock, else a ThreadedFeed.
+        The stream is a TurnFeed if the clock is a VirtualClock, else a ThreadedFeed.
         """
         return TurnFeed(self, read) if isinstance(self.clock, VirtualClock) else ThreadedFeed(self, read)
 
@@ -94,7 +94,8 @@ class Feed(Closing):
 class TurnFeed(Feed):
     """Feed for simulated time: reads the devices in turn, because waiting for one device advances the common clock.
 
-    It waits for the stage, which has the highest sample rate, and then reads all available samples of the others.
+    The feed waits for the stage, which has the highest sample rate, and then reads all available samples of the other
+    devices.
     """
 
     def __init__(self, station: Station, read: ReadDevice = read_directly) -> None:

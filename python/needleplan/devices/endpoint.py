@@ -44,7 +44,7 @@ class Endpoint(Closing):
 
     @abstractmethod
     def say(self, data: bytes) -> None:
-        """Send bytes to the client although it has not asked for them."""
+        """Send bytes to the client without a request."""
 
     @abstractmethod
     def _serve(self) -> None:

@@ -1,8 +1,9 @@
 """Simulated force sensor and tracker of `needleplan lab`, each in its own process and with a real device's protocol.
 
-The plant (the simulated needle and tissue) runs in another process. It sends each measured value as a datagram over a
-local socket and never waits: a value that the sensor's process does not receive in time is dropped. A force sensor that
-receives no values repeats its last value. `simulation.lab_processes` starts these processes and contains the plant.
+The plant (the simulated needle and tissue) runs in another process. The plant sends each sample as a datagram over a
+local socket and never waits: a sample that the sensor's process does not receive in time is dropped. A force sensor
+that receives no samples for 0.1 s repeats its last measurement. `simulation.lab_processes` starts these processes and
+contains the plant.
 """
 
 from __future__ import annotations
@@ -101,7 +102,8 @@ class Failed:
 class Served:
     """Last message of a device process to its parent.
 
-    It holds the number of ticks, the number of late ticks (`overruns`), and the largest delay of a tick (s).
+    The message contains the number of ticks, the number of late ticks (`overruns`), and the largest delay of a tick
+    (s); zeros from a sensor.
     """
 
     ticks: int = 0
@@ -124,7 +126,7 @@ def place_or_report(parent: Connection, place: Callable[[], _PlacedDevice]) -> _
 def call_at_end(parent: Connection, end: Callable[[], None]) -> None:
     """Arrange that `end` is called when the parent sends a message, when the parent has ended, or on SIGTERM.
 
-    Ctrl-C (SIGINT) is ignored from then on.
+    This process ignores Ctrl-C (SIGINT) from then on. `end` may be called more than once.
     """
     # Ctrl-C reaches all processes of a terminal; only the parent process decides whether the others end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -169,9 +171,9 @@ class FeedSender:
 class FeedReader(Closing):
     """Receives measured values from the plant over the socket `end`, in its own thread.
 
-    It calls `receive` with the numbers of each sample, and `on_silence` after 0.1 s without a sample. A ForceSample is
-    sent as three forces (N) and three torques (N mm). A PoseSample is sent as frame number, quaternion (w, x, y, z),
-    position (mm) and error (mm); quaternion, position and error are NaN if the coil is not visible.
+    The thread calls `receive` with the numbers of each sample, and `on_silence` after each 0.1 s without a sample. A
+    ForceSample is sent as three forces (N) and three torques (N mm). A PoseSample is sent as frame number, quaternion
+    (w, x, y, z), position (mm) and error (mm); quaternion, position and error are NaN if the coil is not visible.
     """
 
     def __init__(
@@ -209,7 +211,10 @@ class FeedReader(Closing):
 
 
 def serve_force(parent: Connection, places: LabPlaces, feed: socket.socket) -> None:
-    """Run the simulated force sensor in this process until the parent ends it; `feed` delivers the wrenches."""
+    """Run the simulated force sensor in this process until the parent ends it; `feed` delivers the wrenches.
+
+    If a port cannot be opened, `Failed` is sent to the parent and the function returns.
+    """
     wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     box = NetFtBox(lambda _: wrench)
 
@@ -234,7 +239,10 @@ def serve_force(parent: Connection, places: LabPlaces, feed: socket.socket) -> N
 
 
 def serve_tracker(parent: Connection, places: LabPlaces, feed: socket.socket) -> None:
-    """Run the simulated tracker, with one coil, in this process until the parent ends it; `feed` delivers the poses."""
+    """Run the simulated tracker, with one coil, in this process until the parent ends it; `feed` delivers the poses.
+
+    If the line cannot be opened, `Failed` is sent to the parent and the function returns.
+    """
     nan = math.nan
     received = now = (0.0, nan, nan, nan, nan, nan, nan, nan, nan)
     tool = SimulatedTool(TOOL, lambda _: ((now[1], now[2], now[3], now[4]), (now[5], now[6], now[7])))

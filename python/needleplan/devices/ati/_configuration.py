@@ -1,7 +1,7 @@
 """Configuration of an ATI sensor box, read by HTTP: the units of force and torque, and the counts per unit.
 
-Both depend on the active configuration of the box (for example a million counts per newton, or one count per pound).
-They are read at every start, never assumed. An unknown unit or an impossible factor raises ConfigurationError.
+Units and factors depend on the active configuration of the box (for example a million counts per newton, or one count
+per pound), so they are read at every start. An unknown unit or an impossible factor raises ConfigurationError.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ class Configuration:
 
 
 def parse_configuration(xml: bytes, source: str = "") -> Configuration:
-    """Return the configuration in the page `netftapi2.xml`.
+    """Return the configuration in `xml`, the page `netftapi2.xml`.
 
-    Raises ConfigurationError with all missing and wrong values.
+    Raises ConfigurationError with all missing and wrong values, or if `xml` is not plain XML.
     """
     if b"<!DOCTYPE" in xml or b"<!ENTITY" in xml:
         raise ConfigurationError("must be plain XML, without a document type", source)
@@ -83,7 +83,7 @@ def parse_configuration(xml: bytes, source: str = "") -> Configuration:
 
 
 def fetch_configuration(host: str, port: int = 80, slot: int | None = None, timeout_s: float = 2.0) -> Configuration:
-    """Read the configuration of the box at `host`; `slot` is one of its 16 configurations, None the active one.
+    """Read the configuration `slot` (0 to 15) of the box at `host`; if `slot` is None, the active configuration.
 
     Raises DeviceFault if the page cannot be read, ConfigurationError if its values cannot be used.
     """

@@ -1,8 +1,8 @@
 """Force sensor ATI Net F/T or Ethernet Axia.
 
 The box sends records only to the client that requested them last, until this client stops the stream. If the box
-reports a problem, the sample is SUSPECT. If the sensor cannot be used any more, every read raises DeviceFault until
-`start` is called; a person must decide this, because the bias may be lost.
+reports a passing problem, the sample is SUSPECT. If the sensor cannot be used any more, every read raises DeviceFault
+until `start` is called. Only a person may decide to call `start`, because the bias may be lost.
 """
 
 from __future__ import annotations
@@ -101,7 +101,10 @@ _SETTLING_S = 1.0  # time (s), over all attempts, in which the force must become
 
 
 class NetFt(ForceSensor):
-    """Force sensor that is read by RDT over `link`; `configure` is called to read the configuration of the box."""
+    """Force sensor that is read by RDT over `link`; the function `configure` returns the configuration of the box.
+
+    The constructor calls `start` and raises its errors.
+    """
 
     def __init__(
         self,
@@ -126,6 +129,12 @@ class NetFt(ForceSensor):
     @classmethod
     def open(cls, address: str, *, limits: ForceLimits | None = None) -> NetFt:
         """Open `udp://host[:49152][?http_port=80&slot=2]` and start the stream.
+
+        The options are:
+
+        - `http_port`: port of the configuration page, by default 80.
+        - `slot`: configuration to read, from 0 to 15, by default the active one.
+        - `local_port`: receiving port of this machine, by default any free port.
 
         Raises AddressError if the address is wrong, ConfigurationError if the configuration of the box cannot be used,
         DeviceFault if the box does not answer.
@@ -167,7 +176,8 @@ class NetFt(ForceSensor):
     def start(self) -> None:
         """Read the configuration, request the stream (up to three times), and wait for the first record.
 
-        Raises ConfigurationError if the configuration cannot be used, DeviceFault if no record arrives.
+        Raises ConfigurationError if the configuration cannot be used, DeviceFault if the configuration cannot be read
+        or no record arrives.
         """
         self._fault = None
         self._malformed = 0
@@ -191,7 +201,8 @@ class NetFt(ForceSensor):
     def read(self, timeout_s: float) -> ForceSample | None:
         """Return the next sample, or None after `timeout_s`.
 
-        Raises DeviceFault if the sensor cannot be used, and then at every call until `start`.
+        Raises DeviceFault if the sensor cannot be used, and then at every call until `start`. Raises LinkClosed if the
+        link is closed.
         """
         if self._closed:
             raise LinkClosed("the force sensor is closed")
@@ -240,11 +251,15 @@ class NetFt(ForceSensor):
         raise DeviceFault(f"bias failed: the box still reports {max(map(abs, mean_n)):.3g} N")
 
     def reset_latch(self) -> None:
-        """Clear the threshold condition that is latched in the box."""
+        """Clear the threshold condition that is latched in the box. Raises LinkClosed."""
         self._link.send(encode_request(RdtCommand.RESET_LATCH))
 
     def check_configuration(self) -> None:
-        """Read the configuration again. Raises DeviceFault if it has changed since the last `start`."""
+        """Read the configuration again.
+
+        Raises DeviceFault if the configuration has changed since the last `start`, and then `read` raises it too.
+        Raises DeviceFault or ConfigurationError if the configuration cannot be read or used.
+        """
         now = self._configure()
         if now != self._configuration:
             raise self._give_up(f"its configuration has changed from {self._configuration} to {now}")
@@ -260,8 +275,8 @@ class NetFt(ForceSensor):
     def _look(self, purpose: str, strict: bool = True) -> tuple[list[float], list[float]]:
         """Read `bias_samples` successive samples and return mean and standard deviation (N) of each force component.
 
-        If `strict`, all samples must be GOOD; another one restarts the series. Raises DeviceFault if a sample is
-        missing or no series is completed.
+        If `strict`, a sample that is not GOOD restarts the series. Raises DeviceFault if a sample is missing or no
+        series is completed.
         """
         forces_n: list[tuple[float, float, float]] = []
         why: tuple[str, ...] = ()

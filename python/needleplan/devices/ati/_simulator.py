@@ -1,7 +1,7 @@
 """A simulated ATI Net F/T box with selectable faults; it sends the same bytes as a real box.
 
-`NetFtBox` has neither socket nor clock. `BoxLink` connects a client to it within one process on a virtual clock;
-`NetFtServer` offers it by UDP and HTTP in real time. The wrench is a function of time.
+`NetFtBox` has neither socket nor clock. `BoxLink` connects a client to the box within one process on a virtual clock;
+`NetFtServer` offers the box by UDP and HTTP in real time. The wrench is a function of time.
 """
 
 from __future__ import annotations
@@ -242,7 +242,7 @@ _NANO = 1_000_000_000
 
 
 class BoxLink(Link):
-    """Connects a client to `box` within one process; `receive` advances `clock`, and the box measures meanwhile."""
+    """Connects a client to `box` within one process; while `receive` advances `clock`, the box measures."""
 
     def __init__(self, box: NetFtBox, clock: VirtualClock) -> None:
         self.box, self._clock = box, clock

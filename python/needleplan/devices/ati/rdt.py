@@ -48,6 +48,8 @@ class RdtCommand(IntEnum):
     """Start a stream with one record in each datagram, at the configured rate."""
 
     START_BUFFERED = 0x0003
+    """Start a stream with several records in each datagram."""
+
     START_MULTI_UNIT = 0x0004
     RESET_LATCH = 0x0041
     """Clear the latched threshold condition."""
@@ -92,7 +94,7 @@ def encode_records(records: Iterable[RdtRecord]) -> bytes:
 
 
 def decode_records(datagram: bytes) -> list[RdtRecord]:
-    """Return the 1 to 40 records of a datagram. Raises ProtocolError for a wrong length."""
+    """Return the records of a datagram. Raises ProtocolError unless the length fits 1 to 40 records."""
     count, rest = divmod(len(datagram), _RECORD.size)
     if rest or not 0 < count <= MOST_RECORDS:
         raise ProtocolError(
@@ -132,9 +134,10 @@ _AXIA_SUSPECT = {3, 27}
 
 
 def read_status(status: int, product: str) -> tuple[RdtSeverity, tuple[str, ...]]:
-    """Return the severity of a status word and the names of the bits that are set; unknown bits are named by number.
+    """Return the severity of a status word and the names of its set bits; unknown bits are named by number.
 
-    `product` is the product name in the configuration: the bits of the Ethernet Axia have other meanings.
+    The error bit 31 is named only if no other bit is set. `product` is the product name in the configuration, because
+    the bits have other meanings for the Ethernet Axia.
     """
     if not status:
         return RdtSeverity.HEALTHY, ()
@@ -186,8 +189,8 @@ class RdtCounts:
 class RdtArrival:
     """Result of the validation of a record.
 
-    `order` is its position, `lost` the number of records lost before it, and `frozen` the number of records in
-    succession without a new measurement.
+    `order` is the position of the record, `lost` the number of records lost before the record, and `frozen` the number
+    of records in succession without a new measurement.
     """
 
     order: RdtOrder
@@ -210,7 +213,7 @@ class StreamWatch:
     _missing: dict[int, None] = field(default_factory=dict)
 
     def see(self, record: RdtRecord, now_ns: int) -> RdtArrival:
-        """Validate the next record, which was received at `now_ns`, and update `counts`."""
+        """Validate the next record, received at `now_ns`; update `counts`, and return the result."""
         last = self._last
         if last is None:
             return self._accept(record, now_ns, 0)

@@ -1,4 +1,4 @@
-"""The state that the drives report for their axes: its request by SYNC messages and its validation."""
+"""Requests for the states of both axes by SYNC messages, and validation of the reported states."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class _Motion:
 class Cia402Axis:
     """State of one axis; validates each received frame of its drive.
 
-    `slack_s` is the longest time (s) for which an axis in motion may not approach its target.
+    After `slack_s` (s) without approaching its target, an axis in motion counts as stuck.
     """
 
     def __init__(self, setup: AxisSetup, name: str, slack_s: float) -> None:
@@ -78,7 +78,7 @@ class Cia402Axis:
         self.has_status = self.has_velocity = False
 
     def begin(self, target: float, velocity: float, position: float, now_ns: int) -> None:
-        """Record that a motion from `position` to `target` has begun."""
+        """Record that a motion from `position` to `target` (mm or rad) at `velocity` (1/s) has begun."""
         self._motion, self.stopped, self.position = _Motion(target, velocity), False, position
         # An axis that reverses continues in its old direction for a while.
         speed, limits = abs(self.velocity), self.setup.limits
@@ -136,7 +136,7 @@ class Cia402Axis:
         return ""
 
     def _wrong_step(self, before: float, since_ns: int | None, now_ns: int) -> str:
-        """Return a problem if the step of the position is larger than the highest permitted speed allows, else ""."""
+        """Return a problem if the position has changed by more than the highest permitted speed allows, else ""."""
         limits = self.setup.limits
         step = abs(self.position - before)
         if since_ns is None or step <= limits.margin + limits.fastest * (now_ns - since_ns) / 1e9:
@@ -167,7 +167,8 @@ _MOST_OPEN = 8  # largest number of rounds whose answers may still arrive
 class Rounds:
     """Requests the positions of both `axes` in rounds: one SYNC message, then the answers of both drives.
 
-    The next round begins only when the present one is complete, or is counted as lost because an answer is missing.
+    The next round begins only when the present one is complete, or is counted as lost because an answer is missing
+    after four SYNC intervals.
     """
 
     def __init__(self, bus: CanBus, axes: Sequence[Cia402Axis], timing: DriveTiming) -> None:
@@ -175,14 +176,14 @@ class Rounds:
         self._sync_ns, self._silence_s = round(timing.sync_s * _NANO), timing.silence_s
         self._number = self._lost = 0
         self.asked_ns: int | None = None
-        """Time of the SYNC of the present round, or None if no round is in progress."""
+        """Time (ns) of the SYNC of the present round, or None if no round is in progress."""
 
         self._due_ns = self._answered_ns = 0
         self._open: deque[int] = deque(maxlen=_MOST_OPEN)
 
     @property
     def earliest_ns(self) -> int | None:
-        """Time of the earliest SYNC to which an arriving answer may belong, or None; answers may be late."""
+        """Time (ns) of the earliest SYNC to which an arriving answer may belong, or None; answers may be late."""
         return self._open[0] if self._open else None
 
     def begin_anew(self) -> None:
@@ -200,7 +201,7 @@ class Rounds:
             axis.expect()
 
     def ask(self) -> None:
-        """Send a SYNC to begin a new round if it is due. Raises LinkClosed."""
+        """Send a SYNC if a new round is due; count an incomplete round as lost. Raises LinkClosed."""
         now_ns = self._clock.now_ns()
         if self.asked_ns is None:
             if now_ns < self._due_ns:

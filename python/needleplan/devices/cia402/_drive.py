@@ -73,7 +73,7 @@ class CanBus(Closing):
         return put
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Send one frame. Raises LinkClosed if the bus is closed or disconnected, or off after too many errors."""
+        """Send one frame. Raises LinkClosed if the bus is closed, disconnected, or off because of too many errors."""
         if self._closed:
             raise LinkClosed(f"{self.name} is closed")
         try:
@@ -110,9 +110,10 @@ _NEXT = {
 
 
 class Cia402Drive:
-    """The drive of one axis. Each method but `quick_stop` waits for the answers of the drive. Raises DeviceFault.
+    """The drive of one axis. Each method but `quick_stop` waits for the answers of the drive.
 
-    `heartbeat` is called before each request, so that the watchdog of the other drive does not expire during the wait.
+    Each method raises DeviceFault if the drive does not answer or the bus cannot be used. `heartbeat` is called before
+    each request, so that the watchdog of the other drive does not expire during the wait.
     """
 
     def __init__(
@@ -145,15 +146,15 @@ class Cia402Drive:
 
     @property
     def state(self) -> Cia402State | None:
-        """State of the drive, from its statusword, which is requested at each access; None if it is unknown."""
+        """State of the drive; each access requests the statusword. None if the statusword encodes no state."""
         return state_of(self.read(Entry.STATUSWORD))
 
     def configure(self, master: int, silence_s: float, heartbeat_s: float) -> None:
         """Disable the drive and write its mode, limits, PDOs and heartbeats.
 
-        The drive will quick-stop if it receives no heartbeat of the node `master` for `silence_s`, and send its own
-        every `heartbeat_s`. Raises DeviceFault if the drive rejects a setting, because a drive without a working
-        watchdog must not be enabled.
+        The drive will stop if it receives no heartbeat of the node `master` for `silence_s`, and will send heartbeats
+        every `heartbeat_s`. Raises DeviceFault if the drive rejects or ignores a setting, because a drive without a
+        working watchdog must not be enabled.
         """
         setup, limits, node = self.setup, self.setup.limits, self.setup.node
         self._node.nmt.state = "PRE-OPERATIONAL"
@@ -202,7 +203,10 @@ class Cia402Drive:
         self.write(Entry.CONTROLWORD, Control.DISABLE_VOLTAGE)
 
     def enable(self) -> None:
-        """Bring the drive to OPERATION ENABLED, with the present position as its target, so that nothing moves."""
+        """Bring the drive to OPERATION ENABLED, with the present position as its target, so that nothing moves.
+
+        Raises DeviceFault if the drive is in FAULT or does not reach the state within `change_s`.
+        """
         self.write(Entry.TARGET_POSITION, self.read(Entry.POSITION))
         deadline = Deadline(self.bus.clock, self.change_s)
         while (state := self.state) is not Cia402State.ENABLED:
@@ -216,7 +220,10 @@ class Cia402Drive:
                 self.bus.clock.sleep(_POLL_S)
 
     def move(self, position: float, velocity: float) -> None:
-        """Begin a motion to `position`, which replaces the present motion; wait until the drive accepts the target."""
+        """Begin a motion to `position`, which replaces the present motion; wait until the drive accepts the target.
+
+        Raises DeviceFault if the drive leaves OPERATION ENABLED or does not accept the target within `change_s`.
+        """
         self.write(Entry.TARGET_POSITION, self.setup.counts(position))
         self.write(Entry.PROFILE_VELOCITY, self.setup.speed(velocity))
         # The rising edge of controlword bit 4 starts the motion; the drive acknowledges it by statusword bit 12.

@@ -30,7 +30,7 @@ class Motor:
         return self.speed == 0 and (self._braking is not None or self.counts == self._target)
 
     def shown(self, backwards: bool) -> float:
-        """Return the position (counts) that the encoder reports; if `backwards`, it counts in the wrong direction."""
+        """Return the position (counts) that the encoder reports; if `backwards`, the encoder counts in reverse."""
         return 2 * self._start - self.counts if backwards else self.counts
 
     def begin(self, now_ns: int, target: float, fastest: float, stuck: bool = False) -> None:
@@ -40,7 +40,7 @@ class Motor:
         self._fastest = fastest
 
     def halt(self, now_ns: int, quick: bool) -> None:
-        """Decelerate to rest, with the deceleration of a quick stop if `quick`."""
+        """Decelerate to rest, with the quick-stop deceleration if `quick`, else with the normal one."""
         self.advance(now_ns)
         self._braking = self._quick if quick else self._ramp
 

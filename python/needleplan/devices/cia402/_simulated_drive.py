@@ -85,7 +85,7 @@ _ENTRIES = {(entry.index, entry.subindex): entry for entry in Cia402Entry}
 
 
 class SimulatedDrive:
-    """One simulated drive at the node number of `setup`; the caller of `tick` advances its time."""
+    """One simulated drive at the node number of `setup`; the owner must call `tick` regularly."""
 
     def __init__(self, bus: CanBus, setup: AxisSetup) -> None:
         self.bus, self.setup, self.clock = bus, setup, bus.clock
@@ -141,7 +141,7 @@ class SimulatedDrive:
         self._send(Service.EMERGENCY, _EMERGENCY.pack(code, register, bytes(5)))
 
     def press_stop(self) -> None:
-        """Activate the safe torque off, as an emergency stop does: the motor stops and the drive reports no fault."""
+        """Activate the safe torque off, as an emergency stop does: the motor stops without a fault of the drive."""
         with self._lock:
             self.faults.torque_off = True
             self._unpowered()
@@ -346,7 +346,7 @@ class SimulatedDrives(Closing):
         return f"canopen://{self.channel}?interface={self.interface}"
 
     def close(self) -> None:
-        """Stop the drives and disconnect from the bus."""
+        """End the simulation thread and disconnect from the bus; the drives are not stopped first."""
         if not self._stopping.is_set():
             self._stopping.set()
             self._thread.join()

@@ -29,9 +29,9 @@ _NANO = 1_000_000_000
 class CanopenStage(Stage):
     """Stage that commands two drives on `bus`; `node` is the node number of this controller.
 
-    `heartbeat` sends a heartbeat. A command also sends heartbeats before its requests, because it may last longer than
-    the watchdog time of the other drive. `read` sends no heartbeat, so that the drives also stop if the control loop
-    fails while another thread continues to read.
+    A command also sends heartbeats before its requests, because it may last longer than the watchdog time of the other
+    drive. `read` sends no heartbeat, so that the drives also stop if the control loop fails while another thread
+    continues to read. The constructor calls `start` and raises its errors.
     """
 
     def __init__(self, bus: CanBus, setup: DrivesSetup, *, node: int = 127, timing: DriveTiming | None = None) -> None:
@@ -59,8 +59,13 @@ class CanopenStage(Stage):
     def open(cls, address: str, *, timing: DriveTiming | None = None, clock: Clock | None = None) -> CanopenStage:
         """Open `canopen://can0?setup=drives.toml` and enable both drives.
 
-        Further options: `interface` (default `socketcan`; any interface of python-can), `bitrate`, `node` (node number
-        of this controller, default 127), `watchdog_s` (default 0.04).
+        The options are:
+
+        - `setup`: path of the setup file of both drives; required.
+        - `interface`: interface of python-can, by default `socketcan`.
+        - `bitrate`: bit rate of the bus (bit/s), by default that of the interface.
+        - `node`: node number of this controller, by default 127.
+        - `watchdog_s`: time without a heartbeat after which a drive stops, by default that of `timing` (0.04 s).
 
         Raises AddressError if the address is wrong, ConfigurationError if the setup is wrong or `canopen` is not
         installed, and DeviceFault if the bus or a drive cannot be used.
@@ -92,7 +97,8 @@ class CanopenStage(Stage):
     def start(self) -> None:
         """Configure both drives, reset faults if their causes are gone, and enable the drives; nothing moves.
 
-        The constructor calls it. After a fault only a person may decide to call it again. Raises DeviceFault.
+        The constructor calls `start`. After a fault, only a person may decide to call it again. Raises DeviceFault if a
+        drive cannot be configured or enabled.
         """
         with self._lock:
             self._fault, self._running = None, False
@@ -113,17 +119,18 @@ class CanopenStage(Stage):
             self._running = True
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin a motion to a depth. Raises DeviceFault."""
+        """Begin a motion to a depth. Raises DeviceFault if a value is beyond its limit or the drive refuses."""
         self._move(0, depth_mm, velocity_mm_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin a rotation of the needle base to a roll angle. Raises DeviceFault."""
+        """Begin a rotation of the needle base to a roll angle. Raises DeviceFault as `insert`."""
         self._move(1, roll_rad, velocity_rad_s)
 
     def stop(self) -> None:
         """Stop both axes by a quick stop; the next motion command of an axis enables its drive again.
 
-        Raises DeviceFault if a drive does not acknowledge the stop; its watchdog then stops it.
+        Raises DeviceFault if a drive does not acknowledge the stop. A drive that receives no heartbeats stops by
+        itself.
         """
         if self._closed:
             raise LinkClosed("the stage is closed")
@@ -143,7 +150,7 @@ class CanopenStage(Stage):
             raise self._give_up(faults[0])
 
     def heartbeat(self) -> None:
-        """Send a heartbeat if `timing.heartbeat_s` has passed since the last one. Raises DeviceFault if that fails."""
+        """Send a heartbeat if `timing.heartbeat_s` has passed since the last one. Raises DeviceFault if this fails."""
         if self._closed:
             raise LinkClosed("the stage is closed")
         try:
@@ -173,7 +180,7 @@ class CanopenStage(Stage):
                     self._guarded(frame)
 
     def close(self) -> None:
-        """Stop both axes, switch off the power stages, and disconnect from the bus."""
+        """Stop both axes, switch off the power stages, and disconnect from the bus. Closing again does nothing."""
         if self._closed:
             return
         with contextlib.suppress(DeviceFault):
@@ -214,7 +221,10 @@ class CanopenStage(Stage):
         axis.enabled(axis.setup.position(drive.read(Cia402Entry.POSITION)))
 
     def _step(self) -> StageSample | None:
-        """Return the sample if both drives have answered. Else send the next SYNC if it is due, and return None."""
+        """Return the sample if both drives have answered. Else send the next SYNC if it is due, and return None.
+
+        Raises DeviceFault if a drive reports a fault or is silent.
+        """
         self._drain()
         if (sample := self._rounds.sample()) is not None:
             return sample

@@ -63,7 +63,7 @@ class AxisLimits:
     """Deceleration of a quick stop."""
 
     margin: float
-    """Displacement up to which measurement noise is assumed: no motion, no jump, no wrong direction is detected."""
+    """Largest displacement (mm or rad) that is taken for noise, not for a motion, a jump or a wrong direction."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,8 @@ class AxisSetup(ConfigTable, ABC, error=ConfigurationError):
     """Abstract setup of one axis. Lengths are in mm (insertion) or rad (roll), times in s."""
 
     node: int = ruled(Integer(1, 126))
+    """CANopen node number of the drive."""
+
     counts_per_turn: int = ruled(Integer(1, 1 << 24))
     """Encoder counts per turn of the motor, with all four edges of the encoder signals counted."""
 

@@ -94,8 +94,8 @@ class PlusFaults:
 class PlusDevice:
     """The simulated PLUS server. If `on_request`, it sends poses only after a request; if `refuse`, it denies requests.
 
-    Like PLUS, it sends messages with header version 1 until it receives a message with a higher version. Then it sends
-    this version, at most `version`.
+    Like PLUS, the server sends messages with header version 1 until it receives a message with a higher version. Then
+    it sends messages with this version, at most with `version`. `queries` lists the kinds of all received messages.
     """
 
     tools: Sequence[TrackedTool]
@@ -208,9 +208,9 @@ class PlusLink(Link):
             self._coming.append(reply)
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return all bytes that have arrived. If there are none, advance the clock until bytes arrive or `timeout_s`.
+        """Return all bytes that have arrived, or b"" after `timeout_s`.
 
-        Returns b"" after `timeout_s`.
+        If no bytes have arrived, the clock advances until bytes arrive, at most by `timeout_s`.
         """
         self._check()
         end_ns = self._clock.now_ns() + round(timeout_s * _NANO)

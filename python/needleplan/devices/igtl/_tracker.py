@@ -63,8 +63,9 @@ class IgtlTracker(Tracker):
     """Receives over `link` the poses of the device `name`, or of the tool with that name in TDATA or QTDATA.
 
     If `ask`, the tracker requests TDATA or QTDATA from the server: at most one message every `interval_ms`, in the
-    coordinate system `coordinates` (empty: the server chooses). If `rate_hz` is not 0, lost frames are counted from the
-    times of the received frames.
+    coordinate system `coordinates` (empty: the server chooses). `rate_hz` is the frame rate, from which lost frames are
+    counted; 0: they are not counted. The constructor calls `start` and raises its errors; raises ConfigurationError if
+    `ask` is combined with another `kind`.
     """
 
     def __init__(
@@ -99,9 +100,16 @@ class IgtlTracker(Tracker):
     def open(cls, address: str, *, limits: IgtlPoseLimits | None = None) -> IgtlTracker:
         """Open `igtl://host[:18944]/NeedleToTracker` and wait for the first pose.
 
-        Options: `message` (transform, position, tdata, qtdata), `ask` (yes or no), `interval_ms`, `coordinates`,
-        `rate_hz`, `timeout_s` of the connection. Raises AddressError if the address is wrong, ConfigurationError if
-        the server does not send this device, DeviceFault if the server cannot be reached.
+        The options are:
+
+        - `message`: transform (the default), position, tdata or qtdata.
+        - `ask`: yes to request TDATA or QTDATA from the server, by default no.
+        - `interval_ms`, `coordinates`: with `ask`, shortest time (ms) between messages, and coordinate system.
+        - `rate_hz`: frame rate, from which lost frames are counted, by default 0 (not counted).
+        - `timeout_s`: longest time (s) to connect, by default 3.
+
+        Raises AddressError if the address is wrong, ConfigurationError if the server does not send this device,
+        DeviceFault if the server cannot be reached.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "igtl":
@@ -128,8 +136,9 @@ class IgtlTracker(Tracker):
     def start(self) -> None:
         """Restart after a fault and wait for the first pose.
 
-        Raises ConfigurationError if no pose of the device arrives within `limits.start_s`, and DeviceFault. If the
-        connection is lost, `start` cannot restore it: open a new tracker.
+        Raises ConfigurationError if no pose of the device arrives within `limits.start_s`, DeviceFault if the server
+        refuses the request, sends damaged messages, or has disconnected. `start` cannot restore a lost connection: open
+        a new tracker.
         """
         self._fault: DeviceFault | None = None
         # Poses of all kinds are decoded, so that the message of a failed start can name the devices that were received.
@@ -215,9 +224,9 @@ class IgtlTracker(Tracker):
         return sample
 
     def _among(self, message: IgtlMessage) -> tuple[IgtlPose | None, str]:
-        """Return pose and status of the tracked tool in a TDATA or QTDATA message; (None, "") if it is missing.
+        """Return pose and status of the tracked tool in a TDATA or QTDATA message; (None, "") without this tool.
 
-        Raises DeviceFault if several tools have its name.
+        Raises DeviceFault if several tools have the name of the tracked tool.
         """
         tools = _MANY[self.kind](message.content)
         short = self.name.encode()[:_NAME_BYTES].decode(errors="ignore")

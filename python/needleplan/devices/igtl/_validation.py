@@ -44,7 +44,7 @@ class IgtlPoseValidator(PoseValidator):
         """Return the sample of a new frame, or None if the frame is repeated.
 
         `pose` is None if the tool is not in the frame. `timestamp` is in units of 2**-32 s, 0 if unknown. `status` is
-        the status of the tool that the server reports, or "". Raises DeviceFault if `timestamp` goes back.
+        the status of the tool that the server reports, or "". Raises DeviceFault if `timestamp` goes back, also to 0.
         """
         if timestamp and timestamp == self._timestamp:
             return None

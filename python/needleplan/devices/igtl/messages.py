@@ -121,7 +121,11 @@ def stamp_of(time_s: float) -> int:
 
 
 def encode_message(message: IgtlMessage) -> bytes:
-    """Return the bytes of `message`. Raises InputError if a name is too long, or if version 1 has metadata."""
+    """Return the bytes of `message`.
+
+    Raises InputError if a name is too long, if there are too many metadata, or if a message of version 1 has metadata
+    or a message number.
+    """
     if message.version < 2 and (message.metadata or message.message_id):
         raise InputError(Mistake("version", str(message.version), "must be 2 for metadata and message numbers"))
     body = message.content if message.version < 2 else _extended(message)
@@ -139,7 +143,7 @@ def decode_header(data: bytes) -> Header:
 
 
 def decode_body(header: Header, body: bytes) -> IgtlMessage:
-    """Return the message with the given header and body. Raises ProtocolError for a wrong checksum or length."""
+    """Return the message with the given header and body. Raises ProtocolError if checksum or lengths are wrong."""
     if len(body) != header.body_bytes or crc64(body) != header.crc:
         raise ProtocolError(f"OpenIGTLink: {header.kind} {header.device!r} has a wrong checksum")
     if header.version < 2:
@@ -155,7 +159,10 @@ def decode_body(header: Header, body: bytes) -> IgtlMessage:
 
 
 def padded(text: str, length: int, what: str) -> bytes:
-    """Return `text` in UTF-8, padded with zeros to `length` bytes. Raises InputError for `what` if it is longer."""
+    """Return `text` in UTF-8, padded with zeros to `length` bytes.
+
+    Raises InputError, which names `what`, if the text is longer or contains a zero.
+    """
     data = text.encode()
     if len(data) > length or b"\0" in data:
         raise InputError(Mistake(what, text, f"must have at most {length} bytes, none of them zero"))

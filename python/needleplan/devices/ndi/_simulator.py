@@ -1,8 +1,8 @@
 """A simulated NDI Aurora with selectable faults; it sends the same bytes as a real Aurora.
 
-`AuroraDevice` does no input or output: it receives bytes and returns its replies. `AuroraLink` connects a client to it
-within one process on a virtual clock; `needleplan.devices.endpoint` offers it at a TCP port or pseudo-terminal. The
-poses of the coils are functions of time.
+`AuroraDevice` does no input or output: it receives bytes and returns its replies. `AuroraLink` connects a client to the
+device within one process on a virtual clock; `needleplan.devices.endpoint` offers the device at a TCP port or
+pseudo-terminal. The poses of the coils are functions of time.
 """
 
 from __future__ import annotations
@@ -79,7 +79,10 @@ class AuroraFaults:
 
 @dataclass
 class AuroraDevice:
-    """The simulated Aurora with its tools. Frame numbers come from `count` if it is given, else from the clock."""
+    """The simulated Aurora with its tools; `commands` lists the received commands.
+
+    Frame numbers come from the function `count`, or from `clock` and `rate_hz` if `count` is None.
+    """
 
     tools: Sequence[SimulatedTool]
     clock: Clock = field(default_factory=SystemClock)

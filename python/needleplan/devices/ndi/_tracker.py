@@ -34,9 +34,10 @@ class NdiTool:
 
 
 def wake(conversation: NdiConversation) -> None:
-    """Initialise the device. If it does not answer on a serial line, first reset it by a serial break at 9600 baud.
+    """Initialise the device. If the device is still tracking, stop tracking first.
 
-    Raises DeviceFault without an answer.
+    If the device does not answer on a serial line, reset it by a serial break at 9600 baud first. Raises DeviceFault
+    without an answer.
     """
     serial = isinstance(conversation.link, SerialLink)
     try:
@@ -59,8 +60,8 @@ def wake(conversation: NdiConversation) -> None:
 def set_speed(conversation: NdiConversation, baud: int) -> None:
     """Change the speed of the device and of the serial port to `baud`.
 
-    Raises ConfigurationError if the link or the device does not support this speed, DeviceFault if the device does not
-    answer at the new speed.
+    Raises ConfigurationError if the link is not a serial line or NDI has no code for `baud`, DeviceFault if the device
+    refuses the speed or does not answer at the new speed.
     """
     if not isinstance(conversation.link, SerialLink):
         raise ConfigurationError(Mistake("speed", str(baud), "only a serial line has a speed"))
@@ -79,7 +80,7 @@ def set_speed(conversation: NdiConversation, baud: int) -> None:
 def enable_tools(conversation: NdiConversation) -> list[NdiTool]:
     """Free the handles of removed tools, initialise and enable the connected tools, and return all enabled tools.
 
-    Raises DeviceFault.
+    Raises DeviceFault if the device refuses a command or does not answer, ProtocolError for an invalid reply.
     """
     for handle in _handles(conversation, _STALE):
         conversation.ask("PHF", f"{handle:02X}")
@@ -98,7 +99,7 @@ def enable_tools(conversation: NdiConversation) -> list[NdiTool]:
 def choose_tool(tools: list[NdiTool], wanted: str) -> NdiTool:
     """Return the tool with the serial number `wanted`, or the only tool if `wanted` is empty.
 
-    Raises ConfigurationError if not exactly one tool matches.
+    Raises ConfigurationError if no tool or several tools match.
     """
     there = ", ".join(f"{tool.serial or 'without number'} (handle {tool.handle:02X})" for tool in tools) or "none"
     found = [tool for tool in tools if wanted in ("", tool.serial)]
@@ -140,7 +141,10 @@ _TRANSIENT = (0x04, 0x05)  # error codes for a command that was damaged in trans
 
 @dataclass
 class NdiCounts:
-    """Numbers of samples, lost frames, repeated frames, damaged replies and refused commands since the opening."""
+    """Numbers of samples, lost frames, repeated frames, damaged replies and refused requests since the opening.
+
+    A refused request also counts as a damaged reply.
+    """
 
     samples: int = 0
     lost: int = 0
@@ -150,10 +154,11 @@ class NdiCounts:
 
 
 class NdiTracker(Tracker):
-    """Reads over `link` the poses of the tool with the serial number `tool`, or of the only tool if it is empty.
+    """Reads over `link` the poses of the tool with the serial number `tool`; if `tool` is "", of the only tool.
 
     `speed` is the baud rate to change to at the start (0: no change). Poses are requested by the command TX if `text`,
-    else by BX. If `beyond`, poses outside of the measurement volume are returned as SUSPECT, else as MISSING.
+    else by BX. If `beyond`, poses outside of the measurement volume are returned as SUSPECT, else as MISSING. The
+    constructor calls `start` and raises its errors.
     """
 
     def __init__(
@@ -182,10 +187,19 @@ class NdiTracker(Tracker):
 
     @classmethod
     def open(cls, address: str, *, limits: NdiPoseLimits | None = None) -> NdiTracker:
-        """Open `serial:///dev/ttyUSB0[?baud=9600&speed=115200]` or `tcp://host[:8765]` and start tracking.
+        """Open `serial:///dev/ttyUSB0[?baud=9600]` or `tcp://host[:8765][?timeout_s=3]` and start tracking.
 
-        Further options: `tool` (a serial number), `reply` (bx or tx), `beyond` (yes or no). Raises AddressError if the
-        address is wrong, ConfigurationError if the tool is missing, DeviceFault if no NDI device answers.
+        The options are:
+
+        - `baud`: present speed of the serial line, by default 9600.
+        - `timeout_s`: longest time (s) to connect by TCP, by default 3.
+        - `speed`: speed of a serial line after the start, by default unchanged.
+        - `tool`: serial number of the tool, by default that of the only tool.
+        - `reply`: bx (the default) for binary replies, tx for text replies.
+        - `beyond`: yes if poses outside of the measurement volume are returned as SUSPECT, by default no (MISSING).
+
+        Raises AddressError if the address is wrong, ConfigurationError if the tool or the speed cannot be chosen,
+        DeviceFault if no NDI device answers.
         """
         parsed = Address.parse(address)
         if parsed.scheme not in ("serial", "tcp"):
@@ -205,7 +219,11 @@ class NdiTracker(Tracker):
         return self._tool
 
     def start(self) -> None:
-        """Initialise the device and its tools, and start tracking. Raises DeviceFault, ConfigurationError."""
+        """Initialise the device and its tools, and start tracking; also restarts the tracker after a fault.
+
+        Raises DeviceFault if the device does not answer or refuses a command, ConfigurationError if the tool or the
+        speed cannot be chosen.
+        """
         self._fault: DeviceFault | None = None
         self._asked_ns: int | None = None
         self._received_ns = 0
@@ -223,7 +241,8 @@ class NdiTracker(Tracker):
     def read(self, timeout_s: float) -> PoseSample | None:
         """Return the next pose sample, or None after `timeout_s`.
 
-        Raises DeviceFault if the tracker cannot be used, and then at every call until `start`.
+        Raises DeviceFault if the tracker cannot be used, and then at every call until `start`. Raises LinkClosed if the
+        connection is closed.
         """
         if self._closed:
             raise LinkClosed("the tracker is closed")
@@ -304,7 +323,7 @@ class NdiTracker(Tracker):
         return frames
 
     def _damaged(self, why: str) -> None:
-        """Count an unusable reply; the next call requests the frame again."""
+        """Count an unusable reply, after which the frame is requested again; raises DeviceFault after too many."""
         self._asked_ns = None
         self._damaged_replies += 1
         self.counts.damaged += 1

@@ -44,7 +44,9 @@ class NdiPoseValidator(PoseValidator):
     def validate(self, frames: Frames, now_ns: int, took_s: float = 0.0) -> PoseSample | None:
         """Return the sample of a new frame, or None if the frame is repeated.
 
-        `took_s` is the time from the request to its reply. Raises DeviceFault if the tool or tracker cannot be used.
+        `took_s` is the time from the request to its reply. Raises DeviceFault if the tool is missing or disabled, if
+        the tracker reports a hardware failure or plugged tools, if frame numbers go back, or after `silence_s` without
+        a new frame.
         """
         self._check_system(frames.system_status)
         found = [tool for tool in frames.tools if tool.handle == self.handle]

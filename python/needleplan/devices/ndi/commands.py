@@ -178,7 +178,7 @@ class NdiConversation:
         self.link.send(encode_command(name, arguments))
 
     def receive(self, timeout_s: float) -> str | bytes | None:
-        """Return the next complete reply; None after `timeout_s`, or earlier if damaged bytes were discarded."""
+        """Return the next complete reply; None after `timeout_s`, or as soon as damaged bytes are discarded."""
         deadline = Deadline(self.clock, timeout_s)
         damaged = self.reader.damaged
         while True:
@@ -194,7 +194,7 @@ class NdiConversation:
         """Send a command and return the text of its reply.
 
         Replies that have already arrived belong to earlier commands and are discarded. Raises NdiRefused if the reply
-        is `ERRORxx`, DeviceFault without a reply.
+        is `ERRORxx`, DeviceFault if no text reply arrives within `timeout_s` (None: `reply_s`).
         """
         self.discard()
         self.send(name, arguments)
@@ -220,7 +220,7 @@ class NdiConversation:
 
     @staticmethod
     def refuse(command: str, reply: str) -> None:
-        """Raise NdiRefused if `reply` is `ERRORxx`; `command` is named in its message."""
+        """Raise NdiRefused, with `command` in its message, if `reply` is `ERRORxx`; code 0 if xx is unreadable."""
         if reply.startswith("ERROR"):
             try:
                 code = int(reply[5:7], 16)

@@ -77,7 +77,7 @@ class NdiVisibility(StrEnum):
 
 @dataclass(frozen=True)
 class ToolFrame:
-    """One tool in one frame; quaternion (w, x, y, z), position and error are NaN unless the tool is VALID."""
+    """One tool in one frame; quaternion (w, x, y, z), position and error are NaN unless `visibility` is VALID."""
 
     handle: int
     visibility: NdiVisibility
@@ -90,7 +90,7 @@ class ToolFrame:
 
 @dataclass(frozen=True)
 class Frames:
-    """One reply to TX or BX."""
+    """Content of one reply to TX or BX: the tools, and the system status word."""
 
     tools: tuple[ToolFrame, ...]
     system_status: int

@@ -1,8 +1,8 @@
 """The robot side of the protocol, without socket and clock: the state machine and the monitoring of the drives.
 
-The robot obeys one controller in one session. It stops if it receives nothing from the controller while it moves, if a
-drive or the emergency stop reports a fault, or if an axis is not at its commanded position. Faults latch: after the
-cause is gone, RESET and then ENABLE permit motion again. The robot then waits for a new motion command.
+The robot obeys one controller in one session. The robot stops if it receives nothing from the controller during a
+motion, if a drive or the emergency stop reports a fault, or if an axis is not at its commanded position. Faults latch:
+after the cause is gone, RESET and then ENABLE permit motion again. The robot then waits for a new motion command.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class RobotLimits:
 
 @dataclass
 class RobotCounts:
-    """Numbers of datagrams that the robot did not execute, by reason."""
+    """Numbers of datagrams by problem; one datagram may have several problems."""
 
     malformed: int = 0
     other_versions: int = 0
@@ -183,7 +183,7 @@ class _Session:
 
 
 class RobotMachine:
-    """A robot that moves `drive`. The caller of `tick` increments `overruns` when it calls too late."""
+    """A robot that moves `drive`. The caller of `tick` counts its own late calls in `overruns`."""
 
     def __init__(self, drive: RobotDrive, limits: RobotLimits | None = None, axes: DriveLimits | None = None) -> None:
         self.drive = drive
@@ -207,7 +207,7 @@ class RobotMachine:
         return None if self._session is None else self._session.peer
 
     def receive(self, datagram: bytes, sender: Peer, now_ns: int) -> bytes:
-        """Execute a received datagram and return the answer to its sender; b"" if it gets no answer."""
+        """Execute a received datagram and return the answer to its sender; b"" if the datagram gets no answer."""
         self._now_ns = now_ns
         try:
             command = decode(datagram)
@@ -232,9 +232,10 @@ class RobotMachine:
         return self._encode(head, command.kind, result)
 
     def tick(self, now_ns: int) -> tuple[bytes, Peer] | None:
-        """Advance the drives to `now_ns`, and stop them on a fault or a missing heartbeat.
+        """Advance the drives to `now_ns`, and stop them on a fault, or if the controller is silent during a motion.
 
-        Return the status datagram and its recipient, or None without a session.
+        End the session if the controller is silent for `release_s`. Return the status datagram and its recipient, or
+        None without a session.
         """
         self._now_ns = now_ns
         before, state = self._last, self.drive.advance(now_ns / _NANO)

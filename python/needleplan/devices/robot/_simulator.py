@@ -126,9 +126,9 @@ class RobotServer:
         return f"udp://{self.host}:{self.port}"
 
     def run(self) -> None:
-        """Call `tick` at every interval and answer datagrams, until `stop` or `close`.
+        """Call `machine.tick` at every interval and answer datagrams, until `stop` or `close`.
 
-        A tick that begins more than one interval late is counted as an overrun.
+        A tick that begins more than one interval late is counted as an overrun, and the missed ticks are omitted.
         """
         due_s = time.monotonic()
         while not self._stopping.is_set():
@@ -244,7 +244,7 @@ class RobotNetwork:
         self._put(self._coming, self.to_robot, datagram, peer)
 
     def pass_until(self, end_ns: int, inbox: deque[bytes] | None = None) -> None:
-        """Advance the clock to `end_ns`, or until `inbox` has a datagram; deliver the datagrams due by then."""
+        """Advance the clock to `end_ns`, or until `inbox` has a datagram; meanwhile run the robot and its network."""
         while not inbox:
             now_ns = self.clock.now_ns()
             waiting = [queue[0][0] for queue in (self._coming, self._going) if queue]

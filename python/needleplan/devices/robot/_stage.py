@@ -42,8 +42,8 @@ _REASONS = {
 class RobotTiming:
     """Times of a session with the robot, in s.
 
-    - `silence_s`: while it moves, the robot stops by itself after this time without a datagram from the controller.
-    - `valid_s`: time after sending within which a motion command must arrive; the robot refuses it if it is later.
+    - `silence_s`: while the robot moves, it stops by itself after this time without a datagram from the controller.
+    - `valid_s`: time after sending within which a motion command must arrive; the robot refuses a later command.
     - `again_s`: time without an answer after which a command is sent again.
     - `answer_s`: longest time for which HELLO, RESET, ENABLE and STOP are sent again.
     - `lost_s`: time without a status after which the stage raises DeviceFault.
@@ -60,7 +60,8 @@ class RobotStage(Stage):
     """Stage that commands a robot over `link`.
 
     Only commands and `heartbeat` reset the watchdog of the robot. `read` sends nothing, so that the robot also stops if
-    the control loop fails while another thread continues to read.
+    the control loop fails while another thread continues to read. The constructor takes control of the robot; raises
+    DeviceFault if this fails.
     """
 
     def __init__(
@@ -89,7 +90,9 @@ class RobotStage(Stage):
     def open(cls, address: str, *, timing: RobotTiming | None = None) -> RobotStage:
         """Open `udp://host[:5005][?watchdog_s=0.03&valid_s=0.03&local_port=n]` and take control.
 
-        Raises AddressError if the address is wrong, DeviceFault if the robot does not answer or has another controller.
+        `watchdog_s` is `silence_s` of RobotTiming, `valid_s` has the same name there. `local_port` is the receiving
+        port of this machine, by default any free port. Raises AddressError if the address is wrong, DeviceFault if the
+        robot does not answer, has another controller, or is in a fault that stays.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "udp":
@@ -126,7 +129,8 @@ class RobotStage(Stage):
     def start(self) -> None:
         """Take control in a new session, reset a fault if its cause is gone, and enable the robot; nothing moves.
 
-        The constructor calls it. After a fault only a person may decide to call it again. Raises DeviceFault.
+        The constructor calls `start`. After a fault, only a person may decide to call it again. Raises DeviceFault if
+        the robot refuses a step or does not answer within `timing.answer_s`.
         """
         timing = self.timing
         if self._greeted:
@@ -144,17 +148,20 @@ class RobotStage(Stage):
         self._conversation.received_ns = self._clock.now_ns()
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin a motion to a depth. Raises DeviceFault if the robot refuses or does not answer."""
+        """Begin a motion to a depth. Raises DeviceFault if a value is invalid, or the robot refuses or is silent.
+
+        If the robot is silent, the axes are stopped, because the command may have arrived.
+        """
         self._move(RobotKind.INSERT, depth_mm, velocity_mm_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin a rotation of the needle base to a roll angle. Raises DeviceFault if the robot refuses or is silent."""
+        """Begin a rotation of the needle base to a roll angle. Stops and raises as `insert`."""
         self._move(RobotKind.ROTATE, roll_rad, velocity_rad_s)
 
     def stop(self) -> None:
         """Stop both axes; the command is sent again until the robot answers or `timing.answer_s` has passed.
 
-        Raises DeviceFault without an answer; the watchdog of the robot then stops the axes.
+        Raises DeviceFault if the robot refuses or does not answer. A robot that receives nothing stops by its watchdog.
         """
         if self._closed:
             raise LinkClosed("the robot is closed")
@@ -187,7 +194,7 @@ class RobotStage(Stage):
                     return None
 
     def close(self) -> None:
-        """Stop, release control, and close the link."""
+        """Stop, release control, and close the link. Closing again does nothing."""
         if not self._closed:
             self._closed = True
             self._leave()

@@ -30,7 +30,7 @@ _WINDOW_NS = 5_000_000_000  # length of a window of RobotClock, which uses the p
 
 @dataclass
 class StatusCounts:
-    """Numbers of received and lost statuses and of unusable datagrams in this session."""
+    """Numbers of received and lost statuses and of discarded datagrams in this session."""
 
     received: int = 0
     lost: int = 0
@@ -67,9 +67,9 @@ class StatusWatch:
 class RobotClock:
     """Lower bound of the present time on the robot's clock, and the round-trip time of a datagram.
 
-    A datagram carries the robot's time when it was sent; its transmission time is unknown and is taken as zero, so the
-    bound is too low by the transmission time. The datagram with the shortest transmission in the last 5 to 10 s is
-    used. Older datagrams are not used, because the two clocks drift apart.
+    A datagram contains the robot's time of sending. The unknown transmission time is taken as zero, so the bound is too
+    low by the transmission time. The datagram with the shortest transmission in the last 5 to 10 s is used. Older
+    datagrams are not used, because the two clocks drift apart.
     """
 
     def __init__(self) -> None:
@@ -105,8 +105,9 @@ _GONE = (Result.OLD_SESSION, Result.BUSY)  # results that mean that the robot no
 class RobotConversation:
     """One session with a robot over `link`.
 
-    Any thread that waits dispatches the received datagrams for all threads. It appends each status to `statuses`, with
-    the number of statuses lost before it and its time of arrival, and passes each answer to the waiting command.
+    Any thread that waits dispatches the received datagrams for all threads: it passes each answer to the waiting
+    command, and appends each status to `statuses` as (status, number of statuses lost before it, time of arrival in
+    ns).
     """
 
     def __init__(self, link: Link, clock: Clock, session: int, again_s: float, silence_s: float) -> None:
@@ -135,7 +136,7 @@ class RobotConversation:
         """Send a command repeatedly until it is answered or `within_s` has passed; return its result and its number.
 
         The result is None without an answer. The robot refuses a `timely` command that arrives after `within_s`. Raises
-        OtherVersion, DeviceFault and LinkClosed.
+        OtherVersion or DeviceFault if the robot speaks another version of the protocol, and LinkClosed.
         """
         with self._counting:
             self._number = number = self._number % (_WRAP - 1) + 1
@@ -167,11 +168,11 @@ class RobotConversation:
                 return None
 
     def heartbeat(self, within_s: float) -> None:
-        """Send a heartbeat, which the robot ignores if it arrives after `within_s`."""
+        """Send a heartbeat, which the robot ignores if it arrives after `within_s`. Raises LinkClosed."""
         self._send(RobotKind.ALIVE, 0, self.robot_clock.at(self._clock.now_ns()) + round(within_s * 1e9))
 
     def pump(self, timeout_s: float) -> bool:
-        """Wait for one datagram and dispatch it; return whether a datagram arrived."""
+        """Wait for a datagram for `timeout_s`, at most `again_s`; dispatch it, and return whether one arrived."""
         with self._receiving:
             data = self.link.receive(min(timeout_s, self._again_s))
             if data:
@@ -179,7 +180,7 @@ class RobotConversation:
         return bool(data)
 
     def _catch_up(self) -> None:
-        """Dispatch all received datagrams, so that the clock of the robot is up to date."""
+        """Dispatch all received datagrams (at most 2000), so that `robot_clock` is up to date."""
         for _ in range(_KEPT):
             if not self.pump(0):
                 return

@@ -1,8 +1,8 @@
 """The needleplan robot protocol, version 1: the messages and their bytes.
 
 docs/reference/robot-protocol.md describes all fields. Each side has its own monotonic clock, and the clocks are not
-synchronised. Each side sends received times back to their sender, which can so measure the round-trip time on its own
-clock. The deadline of a command is a time on the clock of the robot.
+synchronised. Each datagram repeats the sending time of the last received datagram, so that each side can measure the
+round-trip time on its own clock. The deadline of a command is a time on the clock of the robot.
 
 A datagram is a little-endian structure of fixed size. In every version the first six bytes have the same meaning, and
 the last four bytes are the CRC-32 of all bytes before them (the same CRC-32 as in zlib, Ethernet and MATLAB's
@@ -53,10 +53,10 @@ class RobotKind(IntEnum):
 
     STOP = 0x05
     ALIVE = 0x06
-    """Heartbeat. The robot does not answer it, but the next status contains its time of sending."""
+    """Heartbeat. The robot sends no answer, but repeats the sending time of the heartbeat in the next status."""
 
     RESET = 0x07
-    """Changes from FAULT to DISABLED if the cause is gone."""
+    """Changes the state from FAULT to DISABLED if the cause is gone."""
 
     GOODBYE = 0x08
     """Stops and disables the robot, and releases control."""
@@ -75,7 +75,7 @@ class Result(IntEnum):
     OLD_SESSION = 2
     WRONG_VERSION = 3
     LATE = 4
-    """The command arrived after its deadline, or it has no deadline although its kind needs one."""
+    """The command arrived after its deadline, or has no deadline although its kind needs one."""
 
     SUPERSEDED = 5
     """A later command (with a higher number) arrived before this command."""
@@ -96,7 +96,7 @@ class RobotState(IntEnum):
 
 
 class Fault(IntFlag):
-    """Causes of a stop; a set bit stays set until RESET."""
+    """Causes of a stop, with texts in `NAMES_OF_FAULTS`; a set bit stays set until RESET."""
 
     WATCHDOG = 0x01
     ESTOP = 0x02
@@ -126,8 +126,8 @@ class Head:
     - `sent_ns` is the time of sending on the clock of the sender.
     - `echo_ns` is `sent_ns` of the last datagram received from the other side, or 0 before the first one.
     - `held_us` is the time (us) from the arrival of that datagram to the sending of this datagram.
-    - `number` is, in a command, the number of the command, which stays the same when the command is sent again; in an
-      answer, the number of its command; in a status, the number of the last accepted command.
+    - `number` is the number of the command: in an answer, of the answered command; in a status, of the last accepted
+      command. A command that is sent again keeps its number.
     """
 
     session: int
@@ -143,7 +143,7 @@ class RobotCommand:
     """A datagram of the controller.
 
     `deadline_ns` is the latest time of execution on the clock of the robot; HELLO, STOP and GOODBYE need no deadline.
-    While it moves, the robot stops if it receives nothing for `silence_us`; 0 selects the default of the robot.
+    While the robot moves, it stops if it receives nothing for `silence_us`; 0 selects the default of the robot.
     """
 
     head: Head
@@ -210,7 +210,7 @@ class OtherVersion(ProtocolError):
 
 
 def encode(message: RobotMessage) -> bytes:
-    """Return the bytes of the datagram of a message. Raises ProtocolError if a number does not fit into its field."""
+    """Return the datagram of a message. Raises ProtocolError if a number does not fit into its field."""
     kind, fields = _fields(message)
     head = message.head
     try:
