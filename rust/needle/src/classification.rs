@@ -1,5 +1,6 @@
 //! The outcome of every step: it continues, or it ends at the target, in an obstacle or outside the workspace.
 
+use ppvi::StopFlag;
 use ppvi::lattice::{Shape, Shift, Transition, outcome};
 
 use crate::regions::TissueRegions;
@@ -15,6 +16,7 @@ pub(crate) struct Classifier<'a> {
     points: Vec<u8>,
     /// Outcome code of each grid point that is absorbing, otherwise 0, `[i][j]`.
     absorbing: Vec<u8>,
+    stop: StopFlag,
 }
 
 impl<'a> Classifier<'a> {
@@ -26,7 +28,7 @@ impl<'a> Classifier<'a> {
             _ => 0,
         });
         let absorbing = absorbing.collect();
-        Classifier { setup, shape, regions, points, absorbing }
+        Classifier { setup, shape, regions, points, absorbing, stop: StopFlag::current() }
     }
 
     /// Writes the codes of the steps with heading index `k` that arrive with bevel index `bevel` to
@@ -36,6 +38,7 @@ impl<'a> Classifier<'a> {
         let mut scan = ColumnScan::new(&self.setup.workspace);
         let mut column = vec![0u8; ny];
         for (i, codes) in plane.chunks_exact_mut(ny).enumerate() {
+            self.stop.check();
             if self.regions.region_of.is_empty() {
                 self.mark_column(&mut scan, 0, (i, k, bevel), codes);
             } else {

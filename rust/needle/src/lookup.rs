@@ -1,7 +1,7 @@
 //! Look-ups of poses in a solved table.
 
 use ppvi::lattice::Shape;
-use ppvi::{Error, Result};
+use ppvi::{Error, Result, StopFlag};
 use rayon::prelude::*;
 
 use crate::bicycle::Bicycle;
@@ -101,9 +101,11 @@ impl TableGrid {
         let n = poses.len();
         let mut answers = Answers { actions: vec![0; n], values: vec![0.0; n], success: vec![0.0; n] };
         const BLOCK: usize = 4096;
+        let stop = StopFlag::current();
         let outputs = answers.actions.par_chunks_mut(BLOCK).zip(answers.values.par_chunks_mut(BLOCK));
         let outputs = outputs.zip(answers.success.par_chunks_mut(BLOCK)).zip(poses.par_chunks(BLOCK)).enumerate();
         let first_bad = outputs.filter_map(|(block, (((actions, values), success), poses))| {
+            stop.check();
             for (row, pose) in poses.iter().enumerate() {
                 let Some(index) = self.index(Pose::of(*pose)) else {
                     return Some(block * BLOCK + row);

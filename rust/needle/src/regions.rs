@@ -1,7 +1,7 @@
 //! The grid points grouped by the curvature of the needle there, and the steps of each group.
 
 use ppvi::lattice::{Region, Shape, Shift};
-use ppvi::{Error, Result};
+use ppvi::{Error, Result, StopFlag};
 
 use crate::bicycle::Bicycle;
 use crate::setup::Setup;
@@ -30,7 +30,9 @@ impl TissueRegions {
         }
         let mut radii: Vec<f64> = Vec::new();
         regions.region_of.reserve(shape.nx * shape.ny);
+        let stop = StopFlag::current();
         for (i, j) in (0..shape.nx).flat_map(|i| (0..shape.ny).map(move |j| (i, j))) {
+            stop.check();
             let place = [i as f64 * setup.spacing[0], j as f64 * setup.spacing[1]];
             let needle = setup.tissues.needle_at(setup.needle, place);
             let known = radii.iter().position(|radius| *radius == needle.radius);

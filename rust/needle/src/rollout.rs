@@ -5,7 +5,7 @@
 //! steps. Every run has its own random stream, so results do not depend on the number of threads.
 
 use ppvi::lattice::{LatticeMdp, Shape, outcome};
-use ppvi::{Error, Result};
+use ppvi::{Error, Result, StopFlag};
 use rand::SeedableRng;
 use rand::rand_core::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -94,7 +94,8 @@ impl<'a> Executor<'a> {
     /// them start after start.
     ///
     /// # Errors
-    /// [`Error::Parameter`] names the first start that the table does not contain.
+    /// [`Error::Parameter`] names the first start that the table does not contain, and `runs` if the results
+    /// do not fit into the memory.
     pub fn rollout(
         &self,
         starts: &[[f64; 4]],
@@ -106,12 +107,18 @@ impl<'a> Executor<'a> {
         for (row, start) in starts.iter().enumerate() {
             self.check(*start, row)?;
         }
-        let total = starts.len() * runs;
+        let mut results = Vec::new();
+        let total = starts.len().saturating_mul(runs);
+        if results.try_reserve_exact(total).is_err() {
+            return Err(Error::parameter("runs", runs, "must be so few that their results fit into the memory"));
+        }
+        let stop = StopFlag::current();
         let run = |index: usize| {
             let mut random = noise.then(|| stream(seed, index as u64));
-            self.run(Pose::of(starts[index / runs]), max_steps, random.as_mut(), |_, _| {})
+            self.run(Pose::of(starts[index / runs]), max_steps, random.as_mut(), &stop, |_, _| {})
         };
-        Ok((0..total).into_par_iter().with_min_len(64).map(run).collect())
+        results.par_extend((0..total).into_par_iter().with_min_len(64).map(run));
+        Ok(results)
     }
 
     /// Runs one execution and records its poses and actions; with tip noise if `seed` is given.
@@ -122,7 +129,7 @@ impl<'a> Executor<'a> {
         self.check(start, 0)?;
         let (mut poses, mut actions) = (vec![Pose::of(start)], Vec::new());
         let mut random = seed.map(|seed| stream(seed, 0));
-        let run = self.run(Pose::of(start), max_steps, random.as_mut(), |action, pose| {
+        let run = self.run(Pose::of(start), max_steps, random.as_mut(), &StopFlag::current(), |action, pose| {
             actions.push(action);
             poses.push(pose);
         });
@@ -144,6 +151,7 @@ impl<'a> Executor<'a> {
         start: Pose,
         max_steps: u32,
         mut random: Option<&mut Xoshiro256PlusPlus>,
+        stop: &StopFlag,
         mut record: impl FnMut(u8, Pose),
     ) -> Run {
         let costs = &self.setup.costs;
@@ -153,6 +161,7 @@ impl<'a> Executor<'a> {
             if run.event.is_some() {
                 break;
             }
+            stop.check();
             let action = match self.execution {
                 Execution::Nearest => self.grid.index(pose).map_or(0, |index| self.policy[index]),
                 Execution::Greedy => self.greedy_action(pose),

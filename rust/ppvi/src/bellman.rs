@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use crate::mdp::Mdp;
 use crate::proper::proper_states;
 use crate::solution::{Report, Solution};
+use crate::stop::StopFlag;
 use crate::termination::{Certificate, Status};
 
 /// States that one task of a parallel pass backs up.
@@ -43,9 +44,13 @@ impl Check {
 /// # Panics
 /// If `values`, `next` and `policy` do not have one element per state.
 pub fn bellman_operator(mdp: &impl Mdp, values: &[f64], next: &mut [f64], policy: &mut [u32]) -> Check {
+    let stop = StopFlag::current();
     let chunks = next.par_chunks_mut(CHUNK).zip(policy.par_chunks_mut(CHUNK)).enumerate();
     chunks
-        .map(|(chunk, (next, policy))| check_chunk(mdp, values, chunk * CHUNK, policy, |i, v| next[i] = v))
+        .map(|(chunk, (next, policy))| {
+            stop.check();
+            check_chunk(mdp, values, chunk * CHUNK, policy, |i, v| next[i] = v)
+        })
         .reduce(|| Check { residual: 0.0, max_value: 0.0 }, Check::join)
 }
 
@@ -54,9 +59,13 @@ pub fn bellman_operator(mdp: &impl Mdp, values: &[f64], next: &mut [f64], policy
 /// # Panics
 /// If `values` and `policy` do not have one element per state.
 pub fn greedy(mdp: &impl Mdp, values: &[f64], policy: &mut [u32]) -> Check {
+    let stop = StopFlag::current();
     let chunks = policy.par_chunks_mut(CHUNK).enumerate();
     chunks
-        .map(|(chunk, policy)| check_chunk(mdp, values, chunk * CHUNK, policy, |_, _| ()))
+        .map(|(chunk, policy)| {
+            stop.check();
+            check_chunk(mdp, values, chunk * CHUNK, policy, |_, _| ())
+        })
         .reduce(|| Check { residual: 0.0, max_value: 0.0 }, Check::join)
 }
 
@@ -84,8 +93,11 @@ fn check_chunk(
 /// Returns the start values V0: [`Mdp::absorbing_value`] for absorbing states, infinity for improper states (searched
 /// for with discount 1 only), and [`Mdp::start_value`] for all others.
 pub fn initial_values(mdp: &impl Mdp) -> Vec<f64> {
-    let start = mdp.start_value();
-    let value = |state| if mdp.actions(state) == 0 { mdp.absorbing_value(state) } else { start };
+    let (start, stop) = (mdp.start_value(), StopFlag::current());
+    let value = |state| {
+        stop.check();
+        if mdp.actions(state) == 0 { mdp.absorbing_value(state) } else { start }
+    };
     let mut values: Vec<f64> = (0..mdp.states()).map(value).collect();
     if mdp.discount() == 1.0 {
         for (value, proper) in values.iter_mut().zip(proper_states(mdp)) {

@@ -13,6 +13,7 @@
 use std::ops::Range;
 
 use crate::pattern::{Class, Dictionary, Source, Values};
+use crate::stop::StopFlag;
 
 /// Largest number of blocks: [`List::reads`] has one bit for each block.
 pub(crate) const MOST_BLOCKS: usize = 128;
@@ -55,13 +56,14 @@ const FIXED: u32 = u32::MAX;
 
 impl Block {
     /// Compiles block number `number`. A block has `1 << log_size` states, and the last block may have fewer.
-    pub fn new(source: Source, number: usize, log_size: u32) -> Self {
+    pub fn new(source: Source, number: usize, log_size: u32, stop: &StopFlag) -> Self {
         let begin = number << log_size;
         let states = begin..source.classes.len().min((number + 1) << log_size);
         let mut dictionary = Dictionary::new();
         let mut spans: Vec<Range<i64>> = Vec::new();
         let mut patterns = Vec::with_capacity(states.len());
         for state in states {
+            stop.check();
             if source.classes[state] != Class::Active {
                 patterns.push(FIXED);
                 continue;

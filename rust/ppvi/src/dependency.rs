@@ -23,6 +23,7 @@ use std::ops::Range;
 
 use crate::mdp::Mdp;
 use crate::partition::{Partition, group};
+use crate::stop::StopFlag;
 
 /// The maps SDP and PDP. A *pair* (p, p') means that p' depends on p. Pairs are numbered by p, then by p'.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -48,7 +49,9 @@ impl Dependencies {
         let labels = partition.labels();
         let (mut sources, mut readers) = (Vec::new(), Vec::new());
         let mut last_reader = vec![u32::MAX; partition.count()];
+        let stop = StopFlag::current();
         for state in (0..partition.count()).flat_map(|p| partition.members(p)) {
+            stop.check();
             each_successor(mdp, *state as usize, |next| {
                 let source = labels[next];
                 if std::mem::replace(&mut last_reader[source as usize], *state) != *state {
@@ -170,7 +173,9 @@ fn each_successor(mdp: &impl Mdp, state: usize, mut visit: impl FnMut(usize)) {
 /// Calls `visit(state, successor)` once for every pair, even if several entries of the rows have this successor.
 fn each_edge(mdp: &impl Mdp, mut visit: impl FnMut(usize, usize)) {
     let mut seen: Vec<usize> = Vec::new();
+    let stop = StopFlag::current();
     for state in 0..mdp.states() {
+        stop.check();
         seen.clear();
         each_successor(mdp, state, |next| seen.push(next));
         seen.sort_unstable();

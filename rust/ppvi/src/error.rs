@@ -47,6 +47,9 @@ pub enum Error {
         /// The limit that is exceeded.
         rule: &'static str,
     },
+    /// The work was abandoned because its [`StopFlag`](crate::StopFlag) was raised.
+    #[error("stopped")]
+    Stopped,
 }
 
 /// Result of a fallible function of this crate.

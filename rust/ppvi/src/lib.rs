@@ -37,7 +37,7 @@
 //! threads.
 //!
 //! A solve that reaches a limit or is interrupted is not an error: [`Status`] says how it ended. Invalid input is an
-//! [`Error`] that names the place of the mistake.
+//! [`Error`] that names the place of the mistake. [`StopFlag`] abandons any long work from another thread.
 
 #![cfg_attr(doctest, doc = include_str!("../README.md"))]
 
@@ -56,6 +56,7 @@ pub mod priority;
 pub mod proper;
 pub mod queue;
 pub mod solution;
+pub mod stop;
 pub mod tabular;
 pub mod tabular_sweep;
 pub mod termination;
@@ -70,6 +71,7 @@ pub use prioritized::{PrioritizedOptions, prioritized};
 pub use priority::Priority;
 pub use proper::proper_states;
 pub use solution::{Report, Solution};
+pub use stop::StopFlag;
 pub use tabular::TabularMdp;
 pub use tabular_sweep::tabular_sweep;
 pub use termination::{Certificate, Observer, Progress, Status, StopRule};

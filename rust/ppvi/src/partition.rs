@@ -5,6 +5,7 @@
 //! because most of the transition probability then stays inside a block.
 
 use crate::error::{Error, Result};
+use crate::stop::StopFlag;
 
 /// A label for every state, and the members of every label in index order.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -73,7 +74,9 @@ impl Partition {
             ));
         }
         let mut labels = Vec::with_capacity(states);
+        let stop = StopFlag::current();
         for state in 0..states {
+            stop.check();
             let [i, j] = place(state);
             if i >= points[0] || j >= points[1] {
                 return Err(Error::parameter("place", format!("[{i}, {j}] for state {state}"), "must lie on the grid"));

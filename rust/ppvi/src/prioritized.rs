@@ -34,6 +34,7 @@ use crate::partition::Partition;
 use crate::priority::{Priority, PriorityEntry, PriorityTable, h1, h2};
 use crate::queue::IndexedMaxQueue;
 use crate::solution::Solution;
+use crate::stop::StopFlag;
 use crate::termination::{Certificate, LimitMonitor, Observer, Progress, Status, StopRule};
 
 /// Options of the prioritized solver.
@@ -136,6 +137,7 @@ struct Run<'m, M> {
     max_value: f64,
     values: Vec<f64>,
     active: ActiveStates,
+    stop: StopFlag,
     /// Values of the partition before its current processing.
     before: Vec<f64>,
     seen: Vec<bool>,
@@ -168,6 +170,7 @@ impl<'m, M: Mdp> Run<'m, M> {
             max_value: 0.0,
             values,
             active,
+            stop: StopFlag::current(),
             before: Vec::new(),
             seen: vec![false; partition.count()],
             order: Vec::new(),
@@ -260,6 +263,7 @@ impl<'m, M: Mdp> Run<'m, M> {
 
     /// The initial priority HP0 of a partition: the largest residual of its states, as rank and residual.
     fn entry_of_partition(&mut self, p: usize) -> PriorityEntry {
+        self.stop.check();
         let states = self.active.of(p);
         self.backups += states.len() as u64;
         let residual = |&s: &u32| h1(self.mdp.backup(s as usize, &self.values).0, self.values[s as usize]);

@@ -23,6 +23,7 @@
 
 use crate::dependency::StateDependents;
 use crate::mdp::Mdp;
+use crate::stop::StopFlag;
 use crate::tabular::ROW_SUM_TOLERANCE;
 
 /// Number of sweeps before the reverse graph is built.
@@ -45,11 +46,13 @@ pub fn proper_states(mdp: &impl Mdp) -> Vec<bool> {
 
 /// The least Y for the X given by `allowed`.
 fn ending_states(mdp: &impl Mdp, dependents: &mut Option<StateDependents>, allowed: &[bool]) -> Vec<bool> {
+    let stop = StopFlag::current();
     let mut reached: Vec<bool> = (0..mdp.states()).map(|state| allowed[state] && mdp.actions(state) == 0).collect();
     let mut missing: Vec<u32> = (0..mdp.states()).filter(|&s| allowed[s] && !reached[s]).map(|s| s as u32).collect();
     for _ in 0..SWEEPS {
         let before = missing.len();
         missing.retain(|&state| {
+            stop.check();
             let enters = may_enter(mdp, state as usize, allowed, &reached);
             reached[state as usize] = enters;
             !enters
@@ -62,6 +65,7 @@ fn ending_states(mdp: &impl Mdp, dependents: &mut Option<StateDependents>, allow
     let dependents = dependents.get_or_insert_with(|| StateDependents::new(mdp));
     let mut frontier: Vec<u32> = (0..mdp.states()).filter(|&state| reached[state]).map(|state| state as u32).collect();
     while let Some(next) = frontier.pop() {
+        stop.check();
         for &state in dependents.sds(next as usize) {
             let at = state as usize;
             if !reached[at] && allowed[at] && may_enter(mdp, at, allowed, &reached) {

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::mdp::Mdp;
+use crate::stop::StopFlag;
 
 /// Largest difference between one and the sum of the probabilities of a row.
 pub const ROW_SUM_TOLERANCE: f64 = 1e-9;
@@ -86,8 +87,12 @@ impl<'a> TabularMdp<'a> {
             discount,
         };
         mdp.check_arrays()?;
-        match (0..mdp.states()).into_par_iter().with_min_len(4096).find_map_first(|state| mdp.check_state(state).err())
-        {
+        let stop = StopFlag::current();
+        let mistake = |state| {
+            stop.check();
+            mdp.check_state(state).err()
+        };
+        match (0..mdp.states()).into_par_iter().with_min_len(4096).find_map_first(mistake) {
             Some(error) => Err(error),
             None => Ok(mdp),
         }
@@ -106,7 +111,9 @@ impl<'a> TabularMdp<'a> {
         let (mut action_offsets, mut row_offsets) = (vec![0], vec![0]);
         let (mut successors, mut probabilities, mut stage_costs) = (Vec::new(), Vec::new(), Vec::new());
         let mut has_end = false;
+        let stop = StopFlag::current();
         for state in 0..states {
+            stop.check();
             if mdp.actions(state) == 0 && mdp.absorbing_value(state) != 0.0 {
                 // An absorbing state of this value: one action of this cost that ends the execution.
                 successors.push(states as u32);

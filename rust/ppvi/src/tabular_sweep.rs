@@ -24,6 +24,7 @@ use crate::mdp::Mdp;
 use crate::pattern::{Class, Source, Values};
 use crate::proper::proper_states;
 use crate::solution::Solution;
+use crate::stop::StopFlag;
 use crate::tabular::TabularMdp;
 use crate::termination::{LimitMonitor, Observer, Progress, Status, StopRule};
 use crate::waves::{ResidualBoundTracker, Task, waves};
@@ -76,9 +77,10 @@ pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer
     let classes = classify(mdp);
     let log_size = (LEAST_LOG_SIZE..).find(|&log| states.div_ceil(1 << log) <= MOST_BLOCKS).unwrap_or(LEAST_LOG_SIZE);
     let source = Source { mdp, classes: &classes };
+    let stop = StopFlag::current();
     let blocks: Vec<Block> = (0..states.div_ceil(1 << log_size))
         .into_par_iter()
-        .map(|number| Block::new(source, number, log_size))
+        .map(|number| Block::new(source, number, log_size, &stop))
         .collect();
     let values = initial_values(&classes);
     let mut sweeps = Sweeps::new(&blocks, discount, states);
@@ -151,9 +153,13 @@ impl<'b> Sweeps<'b> {
     /// Updates every list whose residual may reach the threshold. Returns the largest change.
     fn pass(&mut self, values: &Shared, threshold: f64) -> f64 {
         let mut largest = 0.0f64;
+        let stop = StopFlag::current();
         for wave in &self.waves {
             let due: Vec<Task> = wave.iter().copied().filter(|&task| self.tracker.bound(task) >= threshold).collect();
-            let update = |task: &Task| self.blocks[task.block].update(task.side, self.discount, values);
+            let update = |task: &Task| {
+                stop.check();
+                self.blocks[task.block].update(task.side, self.discount, values)
+            };
             let changes: Vec<f64> = match due.len() {
                 0 | 1 => due.iter().map(update).collect(),
                 _ => due.par_iter().map(update).collect(),
@@ -209,7 +215,9 @@ fn largest(values: &Shared) -> f64 {
 /// Writes the greedy policy, and returns the exact check of all states.
 fn check(blocks: &[Block], discount: f64, values: &Shared, policy: &mut [u32], log_size: u32) -> Check {
     let none = Check { residual: 0.0, max_value: 0.0 };
+    let stop = StopFlag::current();
     let checks = blocks.par_iter().zip(policy.par_chunks_mut(1 << log_size)).map(|(block, policy)| {
+        stop.check();
         let mut check = none;
         block.each_backup(discount, values, |state, backup, action| {
             let value = values.get(state);

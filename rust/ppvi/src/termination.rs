@@ -19,6 +19,7 @@ use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use crate::error::{Error, Result};
+use crate::stop::StopFlag;
 
 /// Largest threshold, as a part of the smallest stage cost c. A residual near c proves nothing, and the residual of
 /// V = 0 is equal to c.
@@ -144,16 +145,18 @@ pub struct LimitMonitor<'a> {
     rule: StopRule,
     started: Instant,
     observer: Option<Observer<'a>>,
+    stop: StopFlag,
 }
 
 impl<'a> LimitMonitor<'a> {
     /// Starts the clock.
     pub fn start(rule: StopRule, observer: Option<Observer<'a>>) -> Self {
-        LimitMonitor { rule, started: Instant::now(), observer }
+        LimitMonitor { rule, started: Instant::now(), observer, stop: StopFlag::current() }
     }
 
     /// Reports progress, and returns a status if the callback or a limit ends the solve now.
     pub fn check(&mut self, progress: &Progress) -> Option<Status> {
+        self.stop.check();
         if let Some(observer) = &mut self.observer
             && observer(progress).is_break()
         {

@@ -14,6 +14,7 @@ use crate::lattice::real::Real;
 use crate::lattice::sector::{PassInputs, Sector};
 use crate::lattice::store::{StagingBuffer, TableWriter};
 use crate::lattice::terminal_mask::TerminalMask;
+use crate::stop::StopFlag;
 
 /// Inputs and outputs of the sweep of a sector.
 pub(crate) struct SweepContext<'a, T: Copy> {
@@ -22,6 +23,8 @@ pub(crate) struct SweepContext<'a, T: Copy> {
     pub halo: &'a Halo<T>,
     /// If present, the sweep writes all values to it, and the better actions unless there is a policy.
     pub table: Option<TableWriter<'a>>,
+    /// Checked at every column.
+    pub stop: &'a StopFlag,
 }
 
 /// Results of a sweep.
@@ -70,7 +73,7 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
     sector: &mut Sector<T>,
     context: SweepContext<'_, T>,
 ) -> Swept {
-    let SweepContext { inputs: PassInputs { noise, costs, .. }, terminal_mask, halo, mut table } = context;
+    let SweepContext { inputs: PassInputs { noise, costs, .. }, terminal_mask, halo, mut table, stop } = context;
     let count = sector.arc.count;
     let mut values = halo.strip_buffer(count);
     let mut staging = StagingBuffer::new(count);
@@ -81,6 +84,7 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
         sector.convolved.fill(costs.outside());
     }
     for u in (0..sector.extent[0]).rev() {
+        stop.check();
         let place = sector.place(u);
         let pieces = terminal_mask.pieces(place);
         reads.clear();

@@ -11,6 +11,7 @@ use crate::lattice::real::Real;
 use crate::lattice::sector::{PassInputs, Sector};
 use crate::lattice::store::{Store, TableWriter};
 use crate::lattice::terminal_mask::TerminalMask;
+use crate::stop::StopFlag;
 
 /// The state of an iteration; with a policy its passes evaluate that, without they take the better action.
 pub(crate) struct Engine<'a, T: Copy> {
@@ -123,10 +124,11 @@ impl<'a, T: Vectorized> Engine<'a, T> {
             arcs.map(|_| None).collect()
         };
         let results = changes.par_iter_mut().zip(kept);
+        let stop = &StopFlag::current();
         let all = sectors.par_iter_mut().zip(&*halos).zip(*terminal_masks).zip(tables).zip(results);
         let chosen = all.filter(|((((sector, _), _), _), _)| chosen(sector));
         chosen.for_each(|((((sector, halo), terminal_mask), table), (change, kept))| {
-            let swept = backup::sweep(sector, SweepContext { inputs, terminal_mask, halo, table });
+            let swept = backup::sweep(sector, SweepContext { inputs, terminal_mask, halo, table, stop });
             *change = Change { during: swept.change, since: 0.0 };
             *kept = keep.then_some(swept.largest);
         });

@@ -9,6 +9,7 @@ use crate::lattice::plane::{Plane, copy};
 use crate::lattice::terminal_mask::{TerminalMask, terminal_masks};
 use crate::memory::filled;
 use crate::partition::Partition;
+use crate::stop::StopFlag;
 
 /// A Markov decision process on a lattice; [`crate::lattice`] has the mathematics.
 #[derive(Debug, Clone)]
@@ -90,7 +91,9 @@ impl LatticeMdp {
     /// Outcome codes in table layout.
     pub fn outcome_table(&self) -> Vec<u8> {
         let Shape { nx, ny, headings } = self.parts.shape;
-        let states = (0..nx * ny).flat_map(|p| (0..headings * 2).map(move |plane| (p / ny, p % ny, plane)));
+        let stop = StopFlag::current();
+        let points = (0..nx * ny).inspect(|_| stop.check());
+        let states = points.flat_map(|p| (0..headings * 2).map(move |plane| (p / ny, p % ny, plane)));
         states.map(|(i, j, plane)| self.outcome(i, j, plane / 2, plane % 2)).collect()
     }
 
@@ -138,9 +141,11 @@ fn gather_outcomes(
 ) -> Result<Vec<u8>> {
     let Shape { nx, ny, headings } = shape;
     let mut outcomes = filled(0u8, headings * 2 * nx * ny);
+    let stop = StopFlag::current();
     outcomes.par_chunks_mut(nx * ny).enumerate().try_for_each_init(
         || vec![0u8; nx * ny],
         |plane, (row, to)| {
+            stop.check();
             let (k, bevel) = (row / 2, row % 2);
             write_outcomes(k, bevel, plane);
             // Not `Iterator::max`, which the compiler does not vectorise.

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use crate::lattice::direction::{Arc, Direction};
 use crate::lattice::parts::{LANES, LatticeParts, outcome};
 use crate::memory::filled;
+use crate::stop::StopFlag;
 
 /// Grid points `first .. end` of a column that are in one region.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,7 +56,9 @@ fn terminal_mask(parts: &LatticeParts, outcomes: &[u8], arc: Arc) -> TerminalMas
     let strips = length.div_ceil(LANES);
     let strip = arc.count * 2 * LANES;
     let mut codes = filled(outcome::OUTSIDE, places * strips * strip);
+    let stop = StopFlag::current();
     codes.par_chunks_exact_mut(strips * strip).enumerate().for_each(|(place, column)| {
+        stop.check();
         for (plane, (q, bevel)) in arc.planes().enumerate() {
             let start = shape.plane(arc.heading(q, shape.headings), bevel) + place * length;
             let (whole, rest) = outcomes[start..start + length].as_chunks::<LANES>();
