@@ -1,4 +1,4 @@
-"""Fits for the deflection: curvature of one record and of several, and parameters from the axial force."""
+"""Fits for `identify deflection`: curvature of each record, mean of several, and parameters from the axial force."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ _FORCE_N = 0.05
 
 
 def beyond(record: Record, skip_mm: float) -> Array:
-    """Return the samples that count, shape (samples,): moving in, at a new largest depth, deeper than `skip_mm`."""
+    """Return a mask of the samples to be fitted, shape (samples,).
+
+    Fitted are samples deeper than `skip_mm` at which the needle moves in and is as deep as never before.
+    """
     motion = record.motion()
     deepest = np.maximum.accumulate(motion.depth_mm)
     return np.asarray((motion.velocity_mm_s > 0) & (motion.depth_mm >= deepest) & (motion.depth_mm > skip_mm))
@@ -32,28 +35,29 @@ def beyond(record: Record, skip_mm: float) -> Array:
 
 @dataclass(frozen=True)
 class PathFit:
-    """A record with its fitted path; `curvature` is positive if the path bends to +y at angle 0 of the base."""
+    """A record with its fitted path. `curvature` (1/mm) is positive if the path bends to +y at roll angle 0."""
 
     record: Record
     fit: Fit
     curvature: Estimate
     turned: bool
-    """Whether the base was turned within the record, so that the stiffness kf was fitted too."""
+    """Whether the cosine of the roll angle changes by more than 0.5 in the record; the stiffness kf is then fitted."""
 
     counts: Array
     """Mask of the fitted samples, shape (samples,)."""
 
     @property
     def model(self) -> TipPath:
-        """The fitted path."""
+        """The fitted path law."""
         assert isinstance(self.fit.model, TipPath)
         return self.fit.model
 
 
 def path_fit(record: Record, start: TipPath, skip_mm: float) -> PathFit:
-    """Return the fit of curvature, slope and offset to one record, and of kf if the base was turned.
+    """Fit cutting force (and thus curvature), slope and offset to one record, and kf too if the base was turned.
 
-    Raises DataError if fewer than 10 mm or 5 samples lie beyond `skip_mm`, or the lateral position is constant.
+    `start` holds the fixed parameters. The samples that `beyond` selects and whose y_mm is finite are fitted. Raises
+    DataError if they are fewer than 5 or cover less than 10 mm, if y_mm is constant, or if a column is missing.
     """
     motion, measured = record.motion(), record["y_mm"]
     counts = np.logical_and(beyond(record, skip_mm), np.isfinite(measured))
@@ -80,9 +84,10 @@ def path_fit(record: Record, start: TipPath, skip_mm: float) -> PathFit:
 def depth_factor(path: PathFit, needle: NeedleShaft, tissue: ElasticTissue) -> tuple[float, float]:
     """Return the depth factor g of a record and its standard deviation.
 
-    g is the ratio of the radius of a needle of finite length in its tissue to the radius by the path law. The needle,
-    with all axial terms, is simulated through the depths of the record, and the path law is fitted to the result. The
-    rise of the cutting force at the entry is unknown: mean and standard deviation are over four assumed rises.
+    g is the radius of the path of a needle of finite length, divided by the radius from the path law. The insertion of
+    the needle, with all axial terms, is simulated over the depths of the record, and the path law is fitted to the
+    simulated path. The rise of the cutting force at the entry is unknown: the simulation is made for four assumed
+    rises, and mean and standard deviation of the four factors are returned.
     """
     counted = path.record["depth_mm"][path.counts]
     depth = np.linspace(0.0, min(float(counted.max()), 0.95 * needle.length_mm), 81)
@@ -108,10 +113,10 @@ def depth_factor(path: PathFit, needle: NeedleShaft, tissue: ElasticTissue) -> t
 
 
 def mean_of(estimates: Sequence[Estimate]) -> tuple[Estimate, float, float | None]:
-    """Return the weighted mean with its 95 % interval, the chi-square of the scatter and its p-value.
+    """Return the weighted mean with its 95 % interval, the chi-square of the scatter, and the p-value of the latter.
 
-    If the scatter exceeds what the standard deviations predict, the interval is widened by Birge's ratio. The p-value
-    of a single estimate is None.
+    If the scatter exceeds the prediction from the standard deviations, the interval is widened by Birge's ratio. A
+    single estimate is returned unchanged, with chi-square 0 and p-value None.
     """
     if len(estimates) == 1:
         return estimates[0], 0.0, None
@@ -135,7 +140,10 @@ def _within(model: TipPath, cutting_force: float, slope: float, offset: float) -
 
 
 def _curvature(result: Fit) -> Estimate:
-    """Return the signed curvature Fc cos a/(EI lam) with its interval; lam is proportional to kf^(1/4)."""
+    """Return the signed curvature Fc cos a/(EI lam) of a fit with its 95 % interval.
+
+    lam is proportional to kf^(1/4), so the error of kf contributes if kf was fitted.
+    """
     model = result.model
     assert isinstance(model, TipPath)
     force, value = result.estimates["cutting_force"], model.curvature_1_mm
@@ -153,7 +161,9 @@ def _curvature(result: Fit) -> Estimate:
     return Estimate(value, relative * abs(value), low, high, "1/mm", relative < 1)
 
 
+# Half width of a 95 % interval in standard deviations.
 _NORMAL = float(stats.norm.ppf(0.975))
+# Number of iterations of the stiffness kf and the depth factor g, which depends on kf.
 _ROUNDS = 6
 
 
@@ -166,12 +176,12 @@ def axial_estimates(
     skip_mm: float,
     offset: AxialOffset | None,
 ) -> tuple[dict[str, Estimate], Fit]:
-    """Return the estimates from the axial force, and their fit.
+    """Fit the axial force, and return the estimates by name and the fit.
 
     Without an `offset`, the estimates are friction and axial_offset. With a measured `offset`, they are friction,
-    cutting_force and stiffness. `cutting_force` is the estimate from the deflection at the assumed stiffness kf, and
-    `factor` returns the depth factor g and its standard deviation for a kf. Raises DataError for records that cannot
-    be fitted.
+    cutting_force and stiffness. `cutting_force` and `curvature` are the estimates from the deflection at the assumed
+    stiffness kf; `factor` returns the depth factor g and its standard deviation for a kf. Samples above `skip_mm` are
+    left out. Raises DataError if the records cannot be fitted.
     """
     start = InsertionForce(0.0 if offset is None else offset.value_n, 1e-5, abs(cutting_force.value), path.bevel)
     free = ["friction", "offset" if offset is None else "cutting_force"]
@@ -188,7 +198,11 @@ def axial_estimates(
 def _stiffness(
     path: TipPath, force: Estimate, curvature: Estimate, factor: Callable[[float], tuple[float, float]]
 ) -> Estimate:
-    """Return kf = 4 EI (Fc cos a/(EI g |curvature|))^4; its relative error is four times that of the fraction."""
+    """Return the stiffness kf = 4 EI (Fc cos a/(EI g |curvature|))^4, clipped to the limits of the parameter.
+
+    The relative error of kf is four times the relative error of the fraction. If the force is not positive or the
+    curvature is 0, the value is NaN and not identified.
+    """
     bend, limits = abs(curvature.value), path.parameters()["stiffness"]
     if force.value <= 0 or bend == 0:
         return Estimate(math.nan, math.inf, 0.0, math.inf, "N/mm2", identified=False)

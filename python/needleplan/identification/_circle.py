@@ -38,10 +38,11 @@ class CircleMethod(StrEnum):
 
 @dataclass(frozen=True)
 class Circle:
-    """A circle or straight line, passed in the order of the fitted points.
+    """A circle or straight line with a direction of travel, which is the order of the fitted points.
 
-    `curvature_per_mm` is positive if the path bends to the left (from +x towards +y). `point_mm` is on the circle, and
-    `heading_rad` is the heading of the tangent there, from +x. `rms_mm` is the root mean square distance of the points.
+    `curvature_per_mm` is positive if the path bends to the left (from +x towards +y). `point_mm` is a point of the
+    circle, and `heading_rad` the heading of the tangent at this point, from +x. `rms_mm` is the root mean square
+    distance of the fitted points from the circle.
     """
 
     curvature_per_mm: float
@@ -56,21 +57,25 @@ class Circle:
 
     @property
     def center_mm(self) -> tuple[float, float]:
-        """Centre (mm); infinite for a straight line."""
+        """Centre (mm); infinite or NaN for a straight line."""
         reach = 1 / self.curvature_per_mm if self.curvature_per_mm else float("inf")
         x, y = self.point_mm
         return (x - reach * float(np.sin(self.heading_rad)), y + reach * float(np.cos(self.heading_rad)))
 
     def distances(self, points_mm: Array) -> Array:
-        """Return the signed distances (mm) of points (n, 2), positive to the left of the path, shape (n,)."""
+        """Return the signed distances (mm) of points, shape (n, 2), from the circle: positive to the left of the path.
+
+        The result has shape (n,).
+        """
         return arc_distance(points_mm, *self.point_mm, self.heading_rad, self.curvature_per_mm)
 
 
 def arc_distance(points_mm: Array, x_mm: float, y_mm: float, heading_rad: float, curvature_per_mm: float) -> Array:
-    """Return the signed distances of points (n, 2) from a circle through (x, y) with the given heading, shape (n,).
+    """Return the signed distances (mm) of points from a circle that passes (x, y) with the given heading.
 
-    Distances are positive to the left of the path. The formula d = 2 P / (1 + sqrt(1 - 2 k P)) with P = v - k (u^2 +
-    v^2) / 2, u along the heading and v to its left, is exact for every curvature k, including zero.
+    `points_mm` has shape (n, 2), the result (n,). Distances are positive to the left of the path. The formula d = 2 P /
+    (1 + sqrt(1 - 2 k P)) with P = v - k (u^2 + v^2) / 2, u along the heading and v to the left, is exact for every
+    curvature k, including zero.
     """
     away = points_mm - np.array([x_mm, y_mm])
     along = away @ np.array([np.cos(heading_rad), np.sin(heading_rad)])
@@ -80,9 +85,9 @@ def arc_distance(points_mm: Array, x_mm: float, y_mm: float, heading_rad: float,
 
 
 def fit_circle(points_mm: Array, method: CircleMethod = CircleMethod.GEOMETRIC) -> Circle:
-    """Return the circle fitted to points (n, 2) in mm, in their order along the path.
+    """Return the circle fitted to points in mm, shape (n, 2), in their order along the path.
 
-    Raises DataError for fewer than 3 points, numbers that are not finite, or points that all coincide.
+    Raises DataError for another shape, fewer than 3 points, numbers that are not finite, or points that all coincide.
     """
     points = checked_points(points_mm)
     middle = points.mean(axis=0)
@@ -102,7 +107,10 @@ def fit_circle(points_mm: Array, method: CircleMethod = CircleMethod.GEOMETRIC) 
 
 
 def checked_points(points_mm: Array) -> Array:
-    """Return the points as an array (n, 2). Raises DataError for fewer than 3, not finite, or coincident points."""
+    """Return the points as a float array of shape (n, 2).
+
+    Raises DataError for another shape, fewer than 3 points, numbers that are not finite, or points that all coincide.
+    """
     points = np.asarray(points_mm, float)
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
         raise DataError(Mistake("points_mm", f"shape {points.shape}", "must have the shape (n, 2), n at least 3"))
@@ -146,7 +154,10 @@ def _algebraic(points: Array, method: CircleMethod) -> tuple[float, float, float
 
 
 def _geometric(points: Array, start: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """Return the geometric fit: minimise over curvature, lateral shift and turn, starting from an algebraic fit."""
+    """Return curvature, point (x, y) and heading of the geometric fit.
+
+    Curvature, lateral shift and turn are optimised, starting from the algebraic fit `start`.
+    """
     from scipy.optimize import least_squares
 
     curvature, x, y, heading = start

@@ -6,9 +6,9 @@ The noise of samples at positions s_i is modelled as a stationary process plus w
 
 The correlation length l, the white fraction w and the kernel k (Matern, smoothness 1/2, 3/2 or 5/2) are unknown. A
 record of a few correlation lengths does not determine them, and intervals at their point estimates are too narrow.
-They are therefore integrated out: given l, w and k, the parameters have a Student distribution around the generalised
-least-squares estimate (prior 1/sigma). The distributions are mixed with weights proportional to the restricted
-likelihood (Harville, Biometrika 61 (1974) 383) times a prior::
+l, w and k are therefore integrated out: given l, w and k, the parameters have a Student distribution around the
+generalised least-squares estimate (prior 1/sigma). The distributions are mixed with weights proportional to a prior
+times the restricted likelihood (Harville, Biometrika 61 (1974) 383)::
 
     |V|^-1/2 |J' V^-1 J|^-1/2 (r' P r)^(-(n - p)/2)
 
@@ -61,9 +61,11 @@ _KERNELS: tuple[tuple[float, Callable[[Array], Array]], ...] = (
 class Marginal:
     """Distribution of p parameters with the noise integrated out: a mixture of m Student distributions.
 
-    `weights` (m,) sum to one; `centres` (m, p) and the scale matrices `covariances` (m, p, p) belong to the Student
-    distributions, and `dof` is their common number of degrees of freedom. `correlation` is the median correlation
-    length, in the unit of the positions (0 for white noise), and `all_white` the probability of white noise.
+    - `weights`: weights of the distributions, shape (m,); the sum is one
+    - `centres`, `covariances`: centres, shape (m, p), and scale matrices, shape (m, p, p), of the distributions
+    - `dof`: number of degrees of freedom of all distributions
+    - `correlation`: median correlation length in the unit of the positions; 0 means white noise
+    - `all_white`: probability that the noise is white
     """
 
     weights: Array
@@ -121,11 +123,12 @@ class Marginal:
 def marginalise(
     residual: Array, jacobian: Array, position: Array, *, correlated: bool = True, correlation: float | None = None
 ) -> Marginal:
-    """Return the distribution of the parameters of residual = jacobian @ parameters + noise.
+    """Return the distribution of the parameters in the model residual = jacobian @ parameters + noise.
 
-    `residual` has the shape (n,), `jacobian` (n, p), `position` (n,) in any unit and order. With `correlated` False the
-    noise is white. `correlation` is a known correlation length in the unit of the positions. Raises DataError for fewer
-    than p + 3 samples, and for samples that are all at one position.
+    `residual` has the shape (n,), `jacobian` (n, p), and `position` (n,), in any unit and order. If `correlated` is
+    False, the noise is white. `correlation` is the correlation length in the unit of the positions, or None if unknown.
+    Raises DataError for fewer than p + 3 samples, if all samples have the same position, and if `correlation` is not a
+    positive number.
     """
     samples, parameters = jacobian.shape
     if samples < parameters + 3:
@@ -157,7 +160,10 @@ def marginalise(
 
 
 def _candidates(place: Array, correlation: float | None) -> Sequence[tuple[float, float, Callable[[Array], Array]]]:
-    """Return correlation length, prior probability and kernel of all candidates except white noise."""
+    """Return correlation length, prior probability and kernel of each candidate for correlated noise.
+
+    `place` holds increasing positions. Raises DataError if the known length `correlation` is not positive and finite.
+    """
     rest = 1 - _ALL_WHITE
     if correlation is not None:
         if not 0 < correlation < np.inf:
@@ -169,7 +175,10 @@ def _candidates(place: Array, correlation: float | None) -> Sequence[tuple[float
 
 
 class _Points:
-    """Generalised least squares for all m candidates of the noise at once, on whitened data; the first axis is m."""
+    """Generalised least squares for all m candidates of the noise at once, on whitened data.
+
+    The first axis of every array is the candidate. `cells` holds prior probability and correlation length of each.
+    """
 
     def __init__(self, residual: Array, jacobian: Array, logdet: Array, cells: Sequence[tuple[float, float]]) -> None:
         self.prior, self.lengths = (np.array(each) for each in zip(*cells, strict=True))

@@ -13,7 +13,7 @@ from needleplan.signals import Record
 
 __all__ = ["Drop", "force_drops", "has_retraction", "starting_force"]
 
-# Initial value of beta, which fixes the scale of z.
+# Initial value of beta, which is not fitted: it fixes the scale of the state z.
 _BETA = 0.02
 
 # Initial value of sigma0 / g, 1/(mm s); the thesis identified 0.04 to 0.14, and g is smaller near the surface.
@@ -41,22 +41,23 @@ class Drop:
 def force_drops(record: Record, *, least_n: float, within_mm: float = 5.0) -> tuple[Drop, ...]:
     """Return the drops of the axial force during insertion, in the order of depth.
 
-    A drop extends from a peak with a prominence of at least `least_n` to the minimum before the next such peak. Samples
-    at which the needle is not deeper than before are ignored.
+    A drop begins at a peak with a prominence of at least `least_n`. It ends at the smallest force before the next such
+    peak, at most `within_mm` deeper than the peak. Samples are ignored if the needle is not deeper than in all samples
+    before, or if depth or force is not finite.
 
     Parameters
     ----------
     record
         Record with depth_mm and force_n.
     least_n
-        Least amplitude (N) of a drop. Use several standard deviations of the sensor noise.
+        Smallest amplitude (N) of a drop. Use several standard deviations of the sensor noise.
     within_mm
-        Largest depth (mm) between peak and minimum.
+        Largest increase of the depth (mm) from the peak to the end of the drop.
 
     Raises
     ------
     DataError
-        A threshold is not above 0.
+        `least_n` or `within_mm` is not above 0, or the record lacks depth_mm or force_n.
     """
     from scipy.signal import find_peaks
 
@@ -81,7 +82,10 @@ def force_drops(record: Record, *, least_n: float, within_mm: float = 5.0) -> tu
 
 
 def has_retraction(records: Sequence[Record]) -> bool:
-    """Return whether a record has a retraction by more than a tenth of its insertion."""
+    """Return whether one of the records contains a retraction.
+
+    A retraction counts if the depth decreases, in total, by more than a tenth of its total increase.
+    """
     for record in records:
         motion = record.motion()
         change = np.diff(motion.depth_mm)
@@ -91,11 +95,11 @@ def has_retraction(records: Sequence[Record]) -> bool:
 
 
 def starting_force(records: Sequence[Record]) -> ForceModel1:
-    """Return initial parameters of Model I from the closed forms for deep and shallow insertion.
+    """Return initial parameters of Model I, from closed forms of the force f over the depth l.
 
-    At large depth, f / l is beta g + sigma2 during insertion and beta g - sigma2 during retraction; without a
-    retraction, f / l during retraction is taken as 0. Near the surface, f / l is sigma1 beta + sigma2. Raises DataError
-    for records without force or motion.
+    At large depth, f / l is beta g + sigma2 during insertion and beta g - sigma2 during retraction; near the surface,
+    f / l is sigma1 beta + sigma2. Without a retraction, f / l during retraction is assumed to be 0. If no sample has a
+    force and a depth above 0, fixed values are returned. Raises DataError if a record lacks force or motion.
     """
     ratio, depth, inward = [], [], []
     for record in records:

@@ -21,12 +21,12 @@ class Identification:
     """Result of the identification of a model from records.
 
     - `kind`: force, friction, tissue-motion, deflection or curvature.
-    - `model`: model for a model file; None if nothing could be identified.
-    - `estimates`: parameters with their intervals, by name.
+    - `model`: the identified model; None if nothing could be identified.
+    - `estimates`: estimated parameters with their intervals, by name.
     - `scores`: further numbers as (name, value, unit), such as ("RMSE on held-out trials", 0.012, "N").
     - `findings`: results of tests, for example on the residuals.
     - `remarks`: sentences about the data, and about parameters that the data do not determine.
-    - `draw`: function that draws the figure.
+    - `draw`: function that draws data, model and residuals on a figure.
     """
 
     kind: str
@@ -45,7 +45,7 @@ class Identification:
 
 @dataclass(frozen=True)
 class Trials:
-    """Records by their role, with remarks from reading them and about records that are left out."""
+    """Records by their role, with the remarks of their reading and a remark about noise records that are not used."""
 
     train: tuple[Record, ...]
     holdout: tuple[Record, ...]
@@ -54,7 +54,10 @@ class Trials:
 
 
 def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False) -> Trials:
-    """Return records by their role. Raises DataError if none has the role train."""
+    """Return the records by their role. Raises DataError if no record has the role train.
+
+    If `noise_is_used` is False, a remark states that the records of noise are left out.
+    """
     train, holdout, noise = (
         tuple(each for each in records if each.role is role) for role in (Role.TRAIN, Role.HOLDOUT, Role.NOISE)
     )
@@ -68,7 +71,10 @@ def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False) ->
 
 
 def averaged(samples: int) -> str:
-    """Return the remark about the assumed average of the force sensor; a wrong one biases the bristle parameters."""
+    """Return the remark that the force sensor is assumed to average this number of samples.
+
+    The remark is needed because a wrong number biases the bristle parameters.
+    """
     if samples == 1:
         return "assumed: the force sensor does not average"
     return f"assumed: the force sensor averages {samples} samples; if not, give its number with --average"

@@ -45,12 +45,15 @@ __all__ = [
 class Recipe:
     """Settings of the passes; the defaults suit forces in N.
 
+    A coordinate is a transformed parameter, usually its logarithm.
+
     - `variances`: measurement variance R of each pass, in the squared unit of the channel.
     - `spreads`: initial standard deviation of a coordinate in each pass, in units of ln(`factor`).
     - `factor`: factor by which an initial parameter may be wrong.
     - `walk`: variance that a coordinate gains per sample.
-    - `settle`: number of masked samples after a reversal; one sample before it is masked too. 0 masks none.
-    - `reach`: largest distance of a coordinate from its first initial value, in units of ln(`factor`).
+    - `settle`: number of masked samples after a reversal of the motion; above 0, the sample before the reversal is
+      masked too.
+    - `reach`: largest distance of a coordinate from its value at the start of the first pass, in units of ln(`factor`).
     - `limit`: largest change of a coordinate in one sample.
 
     Raises DataError if `variances` is empty or `spreads` has another length.
@@ -74,6 +77,8 @@ class FilterStatus(StrEnum):
     """Outcome of the passes."""
 
     DONE = "done"
+    """All passes were completed."""
+
     DIVERGED = "diverged"
     """A state or a parameter stopped being finite."""
 
@@ -82,13 +87,13 @@ class FilterStatus(StrEnum):
 class FilterRun:
     """Result of the passes.
 
-    - `model`: the identified model, or the initial one if the filter diverged.
-    - `tracks`: the tracks of the last pass, one per record, up to the record at which the filter diverged.
-    - `innovation_rmse`: root mean square of the used innovations, one per completed pass, in the unit of the channel.
-    - `replay_mae`: mean absolute error of the open loop (the model after the pass, simulated along all records), one
-      per completed pass, in the unit of the channel. A filter that follows the data has small innovations even with
-      wrong parameters; the open loop reveals them.
-    - `counts`: number of samples by their use, over all passes.
+    - `model`: the identified model, or the initial model if the filter diverged.
+    - `tracks`: the tracks of the last pass, one for each record up to the record at which the filter diverged.
+    - `innovation_rmse`: for each completed pass, root mean square of the used innovations, in the unit of the channel.
+    - `replay_mae`: for each completed pass, mean absolute error of the open loop (the model after the pass, simulated
+      along all records), in the unit of the channel. The innovations of a filter may be small although its parameters
+      are wrong; the open loop reveals wrong parameters.
+    - `counts`: number of samples for each kind of use, over all passes.
     """
 
     model: Model
@@ -112,9 +117,10 @@ def identify_by_passes(
     *,
     smooth: MovingAverage | None = None,
 ) -> FilterRun:
-    """Filter all records in several passes, starting from the parameters of `model`.
+    """Identify a model by filtering all records in several passes, starting from the parameters of `model`.
 
-    The covariance continues from record to record within a pass, and is reset between passes.
+    The covariance continues from record to record within a pass, and is reset between passes. The passes end early if
+    the filter diverges.
 
     Parameters
     ----------
@@ -170,11 +176,11 @@ def identify_by_passes(
 
 @dataclass(frozen=True)
 class Track:
-    """Results of a filter along one record; every array has the shape (samples,).
+    """Results of a filter along one record. Every array has the shape (samples,).
 
-    `values` has the lower limit, the estimate and the upper limit of every free parameter: the estimate -+ 3 standard
-    deviations in coordinates, transformed to the unit of the parameter. `state` is the same for the first state of the
-    model, or None if there is no state. `used` marks the samples that corrected the estimate.
+    `values` maps each free parameter to lower limit, estimate and upper limit, in the unit of the parameter. The limits
+    are 3 standard deviations from the estimate in the coordinates of the filter. `state` holds the same for the first
+    state of the model, or is None if the model has no state. `used` marks the samples that corrected the estimate.
     """
 
     time_s: Array
@@ -187,16 +193,19 @@ class Track:
     state: tuple[Array, Array, Array] | None
 
     def innovation_rmse(self, rows: NDArray[np.bool_] | None = None) -> float:
-        """Return the root mean square of the used innovations, of all rows or of those selected; NaN for none."""
+        """Return the root mean square of the used innovations; NaN if there are none.
+
+        `rows` is a mask of the samples to include, shape (samples,); None includes all.
+        """
         chosen = self.innovation[self.used if rows is None else self.used & rows]
         return float(np.sqrt(np.mean(chosen**2))) if chosen.size else float("nan")
 
 
 def feed(filtered: JointFilter, record: Record, settle: int = 0) -> list[FilterStep]:
-    """Filter one record and return the result of each sample, up to the first divergence.
+    """Filter one record and return the result of each sample. Ends at the sample at which the filter diverges.
 
-    If `settle` is not 0, the sample before each reversal is masked too; an online filter cannot do that. Raises
-    DataError for a record without motion, or without the channel of the model.
+    If `settle` is not 0, the sample before each reversal is masked, which an online filter cannot do. The filter itself
+    masks the samples after a reversal. Raises DataError if the record lacks the motion or the channel of the model.
     """
     motion = record.motion()
     measured = record[filtered.channel]
@@ -213,7 +222,7 @@ def feed(filtered: JointFilter, record: Record, settle: int = 0) -> list[FilterS
 
 
 def track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Track:
-    """Return the results of a record as arrays; they are shorter than the record if the filter diverged."""
+    """Return the results `steps` of a record as arrays, which are shorter than the record if the filter diverged."""
     n = len(steps)
     x, sd = np.array([each.x for each in steps]), np.array([each.x_sd for each in steps])
     # [lower, estimate, upper] by [sample] by [parameter]
@@ -230,9 +239,9 @@ def track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Tra
 
 
 def replay(model: Model, record: Record, *, smooth: MovingAverage | None = None) -> Array:
-    """Return the output of the model in the open loop along a record, shape (samples,).
+    """Simulate the model along the motion of a record (open loop), and return the output, shape (samples,).
 
-    `smooth` is the moving average of the sensor, applied to the output.
+    `smooth` is the moving average of the sensor, applied to the output; None applies none.
     """
     output = simulate(model, record.motion()).output
     return output if smooth is None else smooth.apply(output)

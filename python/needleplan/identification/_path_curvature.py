@@ -1,10 +1,10 @@
 """Curvature of a needle path from tracked points, with an interval whose coverage was measured.
 
 The path is a chain of tangent arcs: from the entry pose with curvature k_1 up to the first edge, then k_2 up to the
-second edge, and so on. A path without edges is one circle. The distances of the points from the path are fitted by
-plain least squares. Their noise has an unknown correlation along the path, which `_correlated_noise` integrates out;
-the intervals come from there. The parameter is the curvature, not the radius: errors of the curvature are symmetric,
-and zero is an ordinary value.
+second edge, and so on. A path without edges is one circle. The path is fitted by minimising the squared distances of
+the points. The noise of the distances has an unknown correlation along the path; `_correlated_noise` integrates over
+this correlation and computes the intervals. The parameter is the curvature, not the radius, because errors of the
+curvature are symmetric and zero is an ordinary value.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class PathForm(StrEnum):
     """The entry pose is unknown and fitted too (3 parameters for one arc)."""
 
     TANGENT = "tangent"
-    """The path starts at the pose `entry` (1 parameter for one arc); biased if that pose is wrong."""
+    """The path starts at the given pose `entry` (1 parameter for one arc); a wrong pose biases the result."""
 
 
 class TrackerNoise(StrEnum):
@@ -55,7 +55,7 @@ class TrackerNoise(StrEnum):
 
 @dataclass(frozen=True)
 class CurvatureChange:
-    """Difference of the curvatures (1/mm) of two neighbouring segments, with its 95 % interval."""
+    """Curvature (1/mm) of a segment minus the curvature of the segment before, with 95 % interval."""
 
     value_per_mm: float
     low_per_mm: float
@@ -68,9 +68,10 @@ class CurvatureChange:
 class Curvature:
     """Curvature (1/mm) of a path or segment, positive to the left, with standard deviation and 95 % interval.
 
-    `rms_mm` is the root mean square distance of the points from the whole path, and `correlation_mm` the median
-    correlation length of their errors (0 for white noise). The segment extends from `low_mm` to `high_mm` along the
-    path and has `samples` points.
+    - `rms_mm`: root mean square distance of all points from the fitted path, also outside of the segment
+    - `correlation_mm`: median correlation length of the distances along the path; 0 means white noise
+    - `samples`: number of points of the segment
+    - `low_mm`, `high_mm`: positions along the path at which the segment begins and ends
     """
 
     curvature_per_mm: float
@@ -145,7 +146,8 @@ def arc_curvature(
     Raises
     ------
     DataError
-        There are too few points, points that are not finite, or no entry for the form TANGENT.
+        There are too few points, points that are not finite or all coincide, no entry for the form TANGENT, or a
+        correlation length that is not positive.
 
     Examples
     --------
@@ -188,7 +190,8 @@ def path_curvature(
     Raises
     ------
     DataError
-        As for `arc_curvature`; or the edges do not increase inside the path, or a segment has fewer than 5 points.
+        As for `arc_curvature`; or `position_mm` is not one finite number for each point, the edges do not increase
+        inside the path, or a segment has fewer than 5 points.
     """
     from scipy.optimize import least_squares
 
@@ -222,7 +225,10 @@ def path_curvature(
 
 
 def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
-    """Return the heterogeneity of the curvatures of several paths. Raises DataError for fewer than two paths."""
+    """Test whether several paths have the same curvature, and return their mean and heterogeneity.
+
+    Raises DataError for fewer than two paths.
+    """
     from scipy import stats
 
     if len(paths) < 2:
@@ -246,7 +252,11 @@ def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
 
 
 class _Path:
-    """A chain of tangent arcs and its distances from points; unknowns: shift and turn at the entry, curvatures."""
+    """A chain of tangent arcs, and the distances of given points from it as a function of the unknowns.
+
+    The unknowns are the curvatures of the segments; for the form FREE, they follow lateral shift and turn at the entry.
+    Raises DataError for wrong positions, edges or segments, and if the form TANGENT has no entry.
+    """
 
     def __init__(
         self,
@@ -327,7 +337,10 @@ def _segment(path: _Path, said: Marginal, base: Array, first: int, number: int, 
 
 
 def _along(points: Array, place: tuple[float, float], heading: float, bend: float) -> Array:
-    """Return the distances along a circle from `place` to the perpendicular feet of points, shape (n,)."""
+    """Return the positions of points along a circle, shape (n,): arc lengths (mm) from `place` to their projections.
+
+    `place` is a point of the circle, `heading` the heading at this point, and `bend` the curvature (1/mm).
+    """
     away = points - np.array(place)
     along = away @ np.array([np.cos(heading), np.sin(heading)])
     across = away @ np.array([-np.sin(heading), np.cos(heading)])

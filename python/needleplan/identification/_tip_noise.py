@@ -4,7 +4,8 @@ In a plan, every insertion step of length delta = 2 pi R / N is followed by an i
 0, +-1, +-2 ... steps of alpha = 2 pi / N, with variance s^2. The headings of replicates without rotation diverge with
 the variance s^2 / delta per length. The estimate uses heading increments between depths: they are independent for a
 random walk, and differences of the entry cancel. The variance of the tracker is subtracted. Of all distributions over
-heading steps with the estimated variance, the one of largest entropy is used: the discrete Gaussian p_k ~ exp(-c k^2).
+heading steps with the estimated variance, the distribution of largest entropy is used: the discrete Gaussian
+p_k ~ exp(-c k^2).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ __all__ = ["NoiseStatus", "TipNoise", "headings_at", "probabilities_of", "tip_no
 # Largest number of probabilities that a scenario can hold: P(0) to P(+-7).
 _TERMS = 8
 
-# Degrees of freedom (heading increments) from which the noise counts as identified.
+# Number of degrees of freedom from which the noise counts as identified, if there are at least 3 replicates.
 _ENOUGH = 10
 
 # Decimals to which the probabilities are rounded.
@@ -35,22 +36,25 @@ class NoiseStatus(StrEnum):
     """Outcome of an identification of the tip noise."""
 
     IDENTIFIED = "identified"
+    """At least 3 replicates and 10 degrees of freedom."""
+
     FEW_REPLICATES = "few_replicates"
-    """Identified, but the interval of the standard deviation spans more than a factor of about two."""
+    """Identified from fewer replicates or degrees of freedom, with a wide interval."""
 
     NOT_SEPARABLE = "not_separable"
-    """The noise of the tracker alone explains the scatter."""
+    """The interval contains zero: the noise of the tracker alone can explain the scatter."""
 
     TOO_WIDE = "too_wide"
-    """The scatter exceeds eight probabilities: use fewer headings, which makes the heading steps coarser."""
+    """Eight probabilities cannot represent the scatter or a limit of its interval: use fewer headings."""
 
 
 @dataclass(frozen=True)
 class TipNoise:
     """Noise of the heading per insertion step: standard deviation with 95 % interval, and `[motion] tip_noise`.
 
-    `probabilities` are P(0), P(+-1) ...; `low` and `high` are the probabilities at the ends of the interval. `degrees`
-    is the number of degrees of freedom, and `says` a sentence for the user.
+    `probabilities` are P(0), P(+-1) ... for the estimated standard deviation `sd_rad`; `low` and `high` are the
+    probabilities for `low_rad` and `high_rad`. If the status is TOO_WIDE, all three are (1.0,). `degrees` is the number
+    of degrees of freedom, and `says` is a sentence for the user.
     """
 
     status: NoiseStatus
@@ -73,7 +77,7 @@ class TipNoise:
 def tip_noise(
     headings_rad: Array, depths_mm: Array, *, headings: int, radius_mm: float, measurement_sd_rad: float = 0.0
 ) -> TipNoise:
-    """Return the tip noise from the headings of replicates at common depths.
+    """Estimate the tip noise from the headings of replicates at common depths.
 
     Parameters
     ----------
@@ -86,7 +90,7 @@ def tip_noise(
     radius_mm
         Radius R of the needle path in the scenario.
     measurement_sd_rad
-        Standard deviation of a measured heading.
+        Standard deviation of the measurement error of a heading.
 
     Raises
     ------
@@ -125,10 +129,10 @@ def tip_noise(
 
 
 def probabilities_of(sd_rad: float, step_rad: float) -> tuple[float, ...]:
-    """Return P(0), P(+-1) ... of the discrete Gaussian with a standard deviation, for `[motion] tip_noise`.
+    """Return P(0), P(+-1) ... of the discrete Gaussian with standard deviation `sd_rad`, for `[motion] tip_noise`.
 
-    There are at most eight rounded probabilities, and P(0) + 2 (P(+-1) + ...) = 1. Raises DataError if eight
-    probabilities cannot represent the standard deviation.
+    `step_rad` is a heading step. There are at most eight probabilities, rounded to six decimals, and P(0) + 2 (P(+-1) +
+    ...) = 1. Raises DataError if eight probabilities cannot represent the standard deviation.
     """
     from scipy.optimize import brentq
 
@@ -157,11 +161,12 @@ def probabilities_of(sd_rad: float, step_rad: float) -> tuple[float, ...]:
 
 
 def headings_at(records: Sequence[Record], depths_mm: Array, window_mm: float) -> tuple[Array, float]:
-    """Return headings (rad) of tracked tips in the xy plane, shape (trials, depths), and their standard deviation.
+    """Return headings (rad) of tracked tips in the xy plane, shape (trials, depths), and their standard error (rad).
 
-    The heading at a depth is the slope of a straight line fitted to the points within half of `window_mm`. The records
-    need x_mm (or depth_mm) and y_mm. The standard deviation comes from the residuals of the lines; it is too small if
-    the errors of the tracker are correlated. Raises DataError if windows overlap, or one has fewer than 4 points.
+    The heading at a depth is the direction of a straight line fitted to the points in a window of width `window_mm`
+    around the depth. The records need y_mm and x_mm (or depth_mm). The standard error, one number for all headings,
+    comes from the residuals of the lines; it is too small if the errors of the tracker are correlated. Raises DataError
+    if windows overlap, a window has fewer than 4 points or no extent in x, or a column is missing.
     """
     from scipy import stats
 

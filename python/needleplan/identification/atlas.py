@@ -23,7 +23,7 @@ __all__ = ["Atlas", "Match", "combination_of", "shipped_atlases"]
 
 _FOLDER = Path(__file__).parent.parent / "atlases"
 
-# Largest relative difference of the speeds of trials that are one combination.
+# Largest relative difference between the speed of a trial and the median speed of the trials of one combination.
 _ONE_SPEED = 0.2
 
 
@@ -35,10 +35,10 @@ class _AtlasTable(ConfigTable, error=ModelError, schema="needleplan.atlas/1"):
 
 @dataclass(frozen=True)
 class Match:
-    """The combination of an atlas that is nearest to a needle, a tissue and a speed.
+    """A combination of an atlas that matches a search.
 
-    `velocity_ratio` is its speed over the requested speed. Force-depth models hold for one speed: the farther the ratio
-    is from 1, the less the prediction says about the requested speed.
+    `velocity_ratio` is the speed of the combination divided by the requested speed, or 1 if no speed was requested.
+    Force-depth models hold for one speed: the farther the ratio is from 1, the less reliable is the prediction.
     """
 
     combination: Combination
@@ -47,7 +47,11 @@ class Match:
 
 @dataclass(frozen=True)
 class Atlas:
-    """Identified combinations. Raises ModelError if two have the same needle, tissue and speed."""
+    """Identified combinations of needle, tissue and speed.
+
+    Raises ModelError if two combinations have the same needle, tissue and speed. Case and repeated spaces of the names
+    do not matter.
+    """
 
     combinations: tuple[Combination, ...] = ()
     title: str = ""
@@ -64,9 +68,9 @@ class Atlas:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
-        """Read an atlas file, or the shipped atlas by its name, `published`: chapter 2 of the thesis.
+        """Read an atlas file, or a shipped atlas by its name, such as `published` (chapter 2 of the thesis).
 
-        Raises ModelError with every mistake of the file: key, value and rule.
+        Raises ModelError if the file cannot be read, or with every mistake of the file: key, value and rule.
         """
         source = os.fspath(path)
         read = parse_toml(text_of(path, ModelError, _FOLDER, "atlas"), _AtlasTable, source)
@@ -76,18 +80,18 @@ class Atlas:
             raise ModelError(error.mistakes, source) from None
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the atlas, whole or not at all. Raises OutputError."""
+        """Write the atlas file atomically. Raises OutputError if it cannot be written."""
         combinations = [each.raw(commented=True) for each in self.combinations]
         document = {"schema": _AtlasTable.schema, "title": self.title, "combination": combinations}
         write_whole(path, toml_text(document).encode())
 
     def with_combination(self, combination: Combination) -> Atlas:
-        """Return the atlas with a combination, which replaces one of the same needle, tissue and speed."""
+        """Return a copy of the atlas with `combination` added; it replaces those that `like` finds."""
         kept = [each for each in self.combinations if each not in self.like(combination)]
         return Atlas((*kept, combination), self.title)
 
     def like(self, combination: Combination) -> tuple[Combination, ...]:
-        """Return the combinations of the same needle, tissue and speed: one or none."""
+        """Return the combinations with the same needle, the same tissue and the same speed (relative 1e-6)."""
         alike = self.search(needle=combination.needle, tissue=combination.tissue)
         return tuple(
             each for each in alike if math.isclose(each.velocity_mm_s, combination.velocity_mm_s, rel_tol=1e-6)
@@ -95,7 +99,10 @@ class Atlas:
         )  # fmt: skip
 
     def search(self, *, needle: str | None = None, tissue: str | None = None) -> tuple[Combination, ...]:
-        """Return the combinations whose names contain the given texts; case and repeated spaces do not matter."""
+        """Return the combinations whose needle and tissue contain the given texts. None and an empty text match all.
+
+        Case and repeated spaces do not matter.
+        """
         wanted = (_folded(needle or ""), _folded(tissue or ""))
         return tuple(
             each for each in self.combinations
@@ -105,7 +112,11 @@ class Atlas:
     def matches(
         self, *, needle: str | None = None, tissue: str | None = None, velocity_mm_s: float | None = None
     ) -> tuple[Match, ...]:
-        """Return the combinations that `search` finds; with a speed, the nearest one of each needle and tissue."""
+        """Return the combinations that `search` finds as matches.
+
+        If a speed is given, only the combination with the nearest speed is returned for each pair of needle and tissue.
+        Raises ModelError if the speed is not positive.
+        """
         found = self.search(needle=needle, tissue=tissue)
         if velocity_mm_s is None:
             return tuple(Match(each, 1.0) for each in found)
@@ -114,10 +125,11 @@ class Atlas:
         return tuple(each for each in nearest if each)
 
     def nearest(self, needle: str, tissue: str, velocity_mm_s: float) -> Match | None:
-        """Return the combination of this needle and tissue with the nearest speed, by ratio; None if there is none.
+        """Return the combination of this needle and tissue with the nearest speed, by ratio of the speeds.
 
-        Nothing is interpolated: parameters of neighbouring speeds need not lie on the same branch of the optimum.
-        Raises ModelError for a speed that is not positive.
+        Returns None if there is no combination of this needle and tissue. Parameters are not interpolated, because
+        those of neighbouring speeds may belong to different local optima. Raises ModelError if the speed is not
+        positive.
         """
         if not (math.isfinite(velocity_mm_s) and velocity_mm_s > 0):
             raise ModelError(Mistake("velocity_mm_s", f"{velocity_mm_s}", "must be a positive number"))
@@ -130,15 +142,16 @@ class Atlas:
 
 
 def shipped_atlases() -> list[str]:
-    """Return the names of the atlases that come with the package; `Atlas.read` accepts them."""
+    """Return the names of the atlases that come with the package. `Atlas.read` accepts such a name."""
     return shipped_names(_FOLDER)
 
 
 def combination_of(found: Identification, records: Sequence[Record], needle: str, tissue: str) -> Combination:
     """Return an identified axial force as a combination for an atlas.
 
-    The speed is the median speed of the insertions, the depth their largest. Raises DataError for records without an
-    insertion or with different speeds, ModelError if nothing was identified and for an empty name.
+    Only the training records count: speed is the median of their insertion speeds, depth their largest depth. Raises
+    DataError if a record has no insertion or its speed differs by more than 20 % from the median, and ModelError if no
+    force-depth model was identified or a name is empty.
     """
     model = found.model
     if not isinstance(model, DepthForce):
@@ -164,7 +177,7 @@ def combination_of(found: Identification, records: Sequence[Record], needle: str
 
 
 def _speeds(records: Sequence[Record]) -> Iterator[float]:
-    """Yield the median speed (mm/s) of the insertion of each trial."""
+    """Yield the median speed (mm/s) of the insertion of each trial. Raises DataError if a trial has no insertion."""
     for record in records:
         velocity = record.motion().velocity_mm_s
         inward = velocity[velocity > 0]

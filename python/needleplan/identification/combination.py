@@ -32,7 +32,7 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["Combination", "CombinationTable", "ForcePrediction"]
 
-# Relative excess over the identified speed from which a prediction counts as outside of the identification.
+# Relative excess over the identified speed above which a prediction counts as outside of the identification.
 _SPEED_TOLERANCE = 0.1
 
 _MODELS: dict[str, type[DepthForce]] = {each.name: each for each in (ForceModel1, ForceModel2)}
@@ -42,7 +42,7 @@ _MODELS: dict[str, type[DepthForce]] = {each.name: each for each in (ForceModel1
 class ForcePrediction:
     """The axial force along a motion, computed without a force sensor; arrays have the shape (samples,).
 
-    `outside` marks samples that the identification does not cover: deeper, or more than 10 % faster.
+    `outside` marks samples deeper than the identification, or more than 10 % faster.
     """
 
     motion: Motion
@@ -92,12 +92,16 @@ class CombinationTable(ConfigTable, key="combination", error=ModelError, between
 
 @dataclass(frozen=True)
 class Combination:
-    """A needle in a tissue at a speed, with the identified model.
+    """A needle in a tissue at a speed, with the identified model of the axial force.
 
-    `depth_mm` is the depth of the identification. `intervals` holds the known 95 % intervals of parameters. `mae_n` is
-    the mean absolute error (N) of the open loop on the data, or None. `source` names the origin of the numbers and
-    `digests` the data files. The parameters hold for the speed of the identification, because the model does not
-    contain the speed. Raises ModelError with all mistakes.
+    - `velocity_mm_s`: speed of the identification; the model holds for this speed only.
+    - `depth_mm`: largest depth of the identification.
+    - `source`: text on the origin of the numbers.
+    - `intervals`: 95 % intervals of parameters by name, as far as known.
+    - `mae_n`: mean absolute error (N) of the simulated force on the data, or None if unknown.
+    - `digests`: digests of the data files.
+
+    Raises ModelError with all mistakes if a value violates a rule.
     """
 
     needle: str
@@ -120,14 +124,17 @@ class Combination:
 
     @classmethod
     def of(cls, read: CombinationTable) -> Self:
-        """Return the combination of a table of a file."""
+        """Return the combination that a table of an atlas file describes."""
         return cls(
             read.needle, read.tissue, read.velocity_mm_s, read.depth_mm, read.model(**read.parameters), read.source,
             read.intervals, read.mae_n, read.digests,
         )  # fmt: skip
 
     def raw(self, *, commented: bool = False) -> dict[str, Any]:
-        """Return the table of a file, with the units of the parameters as comments if `commented`."""
+        """Return the contents of the table in an atlas file. Keys without a value are left out.
+
+        If `commented`, each parameter has its unit as a comment.
+        """
         known = self.model.parameters()
         values = self.model.values()
         raw = {
@@ -152,7 +159,7 @@ class Combination:
         return f"{self.needle} in {self.tissue} at {self.velocity_mm_s:g} mm/s"
 
     def predict(self, motion: Motion) -> ForcePrediction:
-        """Return the force along `motion`, which begins at the surface with an undisturbed tissue."""
+        """Return the force along `motion`. The tissue is assumed to be undisturbed at the start of the motion."""
         fast = np.abs(motion.velocity_mm_s) > (1 + _SPEED_TOLERANCE) * self.velocity_mm_s
         deep = motion.depth_mm > self.depth_mm * (1 + 1e-9)
         return ForcePrediction(motion, simulate(self.model, motion).output, np.asarray(fast | deep))

@@ -1,4 +1,4 @@
-"""`identify curvature`: curvature of each insertion from its tracked tip, agreement of trials, change with depth."""
+"""`identify curvature`: curvature of each insertion from tip positions, agreement of trials, change with depth."""
 
 from __future__ import annotations
 
@@ -32,13 +32,16 @@ __all__ = ["CurvatureTrial", "identify", "insertion_of"]
 # Number of points per segment below which a trial is not divided into segments.
 _POINTS_A_SEGMENT = 10
 
-# Distance (mm) above the greatest depth from which later samples count as drawn back and are left out.
+# Retraction (mm) from the greatest depth beyond which samples are left out.
 _BACK = 1.0
 
 
 @dataclass(frozen=True)
 class CurvatureTrial:
-    """One insertion: points (n, 2) in mm, curvature of the whole path and of each segment, changes between segments."""
+    """One insertion: points in mm, shape (n, 2), curvature of the whole path and of each segment, and changes.
+
+    `segments` and `changes` are empty if the path was not divided.
+    """
 
     name: str
     points_mm: Array
@@ -81,7 +84,7 @@ def identify(
     Returns
     -------
     Identification
-        The model is a `Bicycle`. The estimate `curvature_per_mm` (1/mm) is the mean over the trials.
+        The model is a `Bicycle`. The estimate `curvature_per_mm` (1/mm) is the mean over the training trials.
 
     Raises
     ------
@@ -117,7 +120,11 @@ def insertion_of(
     noise: TrackerNoise = TrackerNoise.CORRELATED,
     correlation_mm: float | None = None,
 ) -> CurvatureTrial:
-    """Return the curvature of one trial; parameters as for `identify`. Raises DataError with the name of the trial."""
+    """Return the curvature of one trial. The parameters are those of `identify`.
+
+    A trial with fewer than 10 points per segment is not divided; a remark says so. Raises DataError, with the name of
+    the trial, if a column is missing or the points cannot be used.
+    """
     points, motion, remarks = _points(record, plane, skip_mm)
     options = {"noise": noise, "correlation_mm": correlation_mm}
     try:
@@ -136,7 +143,10 @@ def insertion_of(
 
 
 def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, Motion, list[str]]:
-    """Return the points (n, 2) of the insertion, their motion, and remarks about samples that are left out."""
+    """Return the points (mm), shape (n, 2), of the insertion, their motion, and remarks about samples left out.
+
+    Raises DataError if the lateral position is constant or fewer than 2 samples are left.
+    """
     along = record["x_mm"] if "x_mm" in record.columns else record["depth_mm"]
     across = record["y_mm" if plane == "xy" else "z_mm"]
     depth = record.columns.get("depth_mm", along)
@@ -212,12 +222,15 @@ def _findings(found: Sequence[CurvatureTrial], together: Heterogeneity | None) -
 
 
 def _distances(insertion: CurvatureTrial) -> Array:
-    """Return the signed distances of the points from their circle (mm), shape (n,)."""
+    """Return the signed distances (mm) of the points from the circle fitted to them, shape (n,)."""
     return fit_circle(insertion.points_mm).distances(insertion.points_mm)
 
 
 def _validated(held: CurvatureTrial, estimate: Estimate, together: Heterogeneity | None) -> Finding:
-    """Test the curvature of a held-out trial against the estimate, the errors of both and the scatter of trials."""
+    """Test whether the curvature of a held-out trial agrees with the estimate.
+
+    The test accounts for the errors of both curvatures and for the scatter between trials.
+    """
     variance = held.whole.sd_per_mm**2 + estimate.sd**2 + (together.between_sd_per_mm**2 if together else 0.0)
     score = (held.whole.curvature_per_mm - estimate.value) / float(np.sqrt(variance))
     p_value = float(2 * stats.norm.sf(abs(score)))

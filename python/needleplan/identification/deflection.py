@@ -10,7 +10,7 @@ therefore has three steps:
    interval contains the unknown rise of the force at the entry, which changes Fc by a tenth at 80 mm. kf itself is
    identified only if the base was turned within a record (a flip), or from the axial force with a *given* offset.
 3. From an axial force, the friction vf follows from the increase with depth times velocity, and the offset F0 is the
-   rest after the subtraction of Fc. F0 is as accurate as kf allows: Fc is proportional to kf^(1/4).
+   rest after the subtraction of Fc. An error of kf also affects F0, because Fc is proportional to kf^(1/4).
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def identify(
     tracked_mm: float = 0.0,
     skip_mm: float = 20.0,
 ) -> Identification:
-    """Identify curvature, cutting force, F0 and kf as far as the records determine them.
+    """Identify curvature and cutting force and, if the records determine them, kf, F0 and friction.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def identify(
     tissue
         Stiffness and density of friction of the tissue. The default is the soft gel of chapter 5.
     axial_offset
-        F0, measured with the same needle without a bevel, if known.
+        F0, measured with the same needle without a bevel; None if unknown.
     tracked_mm
         Distance (mm) of the tracked point behind the tip.
     skip_mm
@@ -151,7 +151,10 @@ def _paths(records: Sequence[Record], start: TipPath, skip_mm: float) -> tuple[l
 
 
 def _model(paths: Sequence[PathFit], start: TipPath, curvature: Estimate) -> TipPath:
-    """Return the path with the given curvature, and with the mean slope and offset of the records."""
+    """Return the path law with the given curvature, and with the mean slope and offset of the records.
+
+    The cutting force is clipped to the limits of the parameter.
+    """
     side = 1.0 if curvature.value >= 0 else -1.0
     limits = start.parameters()["cutting_force"]
     force = abs(curvature.value) * start.bending * start.decay_1_mm * start.depth_factor / math.cos(start.bevel)
@@ -162,7 +165,10 @@ def _model(paths: Sequence[PathFit], start: TipPath, curvature: Estimate) -> Tip
 
 
 def _force(model: TipPath, curvature: Estimate, factor_error: float) -> Estimate:
-    """Return the cutting force Fc = EI lam g |curvature|/cos a, with the error of g in its interval."""
+    """Return the cutting force Fc = EI lam g |curvature|/cos a (N). `factor_error` is the relative error of g.
+
+    The interval contains the error of g.
+    """
     scale = model.bending * model.decay_1_mm * model.depth_factor / math.cos(model.bevel)
     value, own = abs(curvature.value) * scale, (curvature.high - curvature.low) / 2 * scale
     reach = math.hypot(own, float(stats.norm.ppf(0.975)) * factor_error * value)
@@ -244,7 +250,7 @@ def _what_it_rests_on(
 def _draw(
     figure: Figure, paths: Sequence[PathFit], axial: Fit | None, records: Sequence[Record], skip_mm: float
 ) -> None:
-    """Draw measured and fitted deflection, the residual, and measured and fitted axial force if there is one."""
+    """Draw measured and fitted deflection, the residual, and, if `axial` is given, measured and fitted axial force."""
     panels = figure.subplots(3 if axial else 2, 1, sharex=True, squeeze=False)[:, 0]
     for path, colour in zip(paths, _COLOURS * len(paths), strict=False):
         motion, y = path.record.motion(), path.record["y_mm"]

@@ -1,4 +1,4 @@
-"""`identify force`: axial force by depth from insertions, by a least-squares fit and a joint filter for comparison."""
+"""`identify force`: a model of the axial force over depth, by a least-squares fit, and a joint filter to compare."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 __all__ = ["fit_force", "identify", "settled"]
 
-# Largest depth (mm) of the records below which a force-depth model is refused.
+# Largest depth (mm) of all records up to which a force-depth model is refused.
 _LEAST_DEPTH_MM = 5.0
 
-# Least drop of the force, relative to its range, and largest depth (mm) of the drop, for a remark about a puncture.
-# The force peak of the model itself falls over 5 mm and more.
+# A remark reports a puncture if the force drops by this share of its range within this increase of the depth (mm).
+# After a force peak of the model itself, the force falls over 5 mm or more.
 _DROP, _DROP_MM = 0.15, 2.0
 
 # Lower bound of f1 in units of -f2: g at the surface is at least 1 % of g at large depth.
@@ -52,12 +52,13 @@ def identify(
     start
         Initial model. The default is a Model I with parameters from the data. A Model II keeps its f2 and alpha.
     average
-        Number of samples that the force sensor averages; 1 for none. The model is averaged in the same way, and samples
-        around reversals are masked.
+        Number of samples that the force sensor averages; 1: no average. The simulated force is averaged in the same
+        way, and samples around reversals are masked.
     starts
         Number of starting points of the fit.
     filtered
-        Whether the joint filter runs too, from the same initial model. It is skipped if that model is not proper.
+        Whether the joint filter runs too, from the same initial model. The filter is skipped if the initial model is
+        not proper.
 
     Returns
     -------
@@ -94,7 +95,10 @@ def identify(
 
 
 def _punctures(train: Sequence[Record], samples: int) -> list[str]:
-    """Return a remark for every trial in which the force drops faster than the model allows."""
+    """Return a remark for every trial in which the force drops faster than in the model, as at a puncture.
+
+    `samples` is the number of samples that the force sensor averages.
+    """
     remarks = []
     for record in train:
         inward = record.select(np.asarray(np.logical_and(settled(record, samples), record.motion().direction > 0)))
@@ -113,11 +117,11 @@ def _punctures(train: Sequence[Record], samples: int) -> list[str]:
 
 
 def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage, starts: int = 4) -> Fit:
-    """Return the least-squares fit from `begin` and further starting points; `sensor` averages the output.
+    """Return the least-squares fit from `begin` and further starting points; `starts` is their number.
 
-    If the fit of Model I converges to g = 0 at the surface, no bound of a single parameter stops it there. The fit is
-    then repeated with f2 instead of beta as the fixed scale of z, where f1 > -f2 is such a bound. The result is a
-    Model II in which alpha was fitted too.
+    `sensor` averages the simulated force. If a fit of Model I converges to g = 0 at the surface, it is repeated with f2
+    fixed instead of beta: then the bound f1 > -f2 of the single parameter f1 keeps g above 0. The result is a Model II
+    in which alpha was fitted too.
     """
     mask = partial(settled, samples=sensor.samples)
 
@@ -135,7 +139,10 @@ def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage,
 
 
 def settled(record: Record, samples: int) -> Array:
-    """Return the mask (samples,) of samples away from reversals, where the sensor's average mixes both directions."""
+    """Return a mask, shape (samples,), that is False near reversals, because the average there mixes both directions.
+
+    Masked are the sample before a reversal and `samples` samples after it; nothing is masked if `samples` is 1.
+    """
     direction = record.motion().direction
     keep = np.ones(direction.size, bool)
     if samples > 1:
@@ -198,7 +205,7 @@ def _halves(found: Fit, train: Sequence[Record]) -> tuple[float, float]:
 
 
 def _limits(found: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]:
-    """Return remarks about parameters that the data do not determine."""
+    """Return remarks about parameters that the data do not determine, the fixed scale, and different speeds."""
     remarks = [
         f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
         for name, each in found.estimates.items()
@@ -235,7 +242,7 @@ def _limits(found: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]
 def _draw(figure: Figure, *, model: DepthForce, records: Sequence[Record], sensor: MovingAverage,
     counts: Callable[[Record], Array],
 ) -> None:  # fmt: skip
-    """Draw force over depth for every trial, and the residuals of the samples that are not masked below."""
+    """Draw the force over depth of every trial, and, in a panel below, the residuals of the samples not masked."""
     figure.set_layout_engine("constrained")
     above, below = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.4, 1]})
     seen: set[str] = set()

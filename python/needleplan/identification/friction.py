@@ -41,17 +41,18 @@ def identify(
     models: Sequence[str] = (),
     smooth: Callable[[Array], Array] | None = None,
 ) -> Identification:
-    """Identify a friction model from records of a needle that moves in tissue; choose it by Schwarz' criterion (BIC).
+    """Fit friction models to records of a needle that moves in tissue, and choose one by Schwarz' criterion (BIC).
 
     Parameters
     ----------
     records
         Trials with time_s, depth_mm and force_n, and velocity_mm_s if measured. Trials with the role holdout validate
-        the models. Without any, the last cycle validates, and the chosen model is fitted again to all cycles.
+        the models. Without such trials, the last cycle of each trial validates, and the chosen model is fitted again to
+        all cycles.
     thickness_mm
-        Thickness of the tissue; a needle that passes through it has a constant contact length.
+        Thickness of the tissue. After the tip has left the tissue, the contact length is this thickness.
     skip_cycles
-        Number of cycles that are masked at the beginning of each trial.
+        Number of cycles that are masked at the beginning of each training trial; fewer if a trial has too few cycles.
     phases
         Phases of the trials that are used; all if empty.
     exponents
@@ -98,7 +99,10 @@ def identify(
 
 
 def _skipped(train: Sequence[Record], skip_cycles: int, remarks: list[str]) -> int:
-    """Return the number of cycles to skip: fewer than `skip_cycles` if the shortest trial has fewer."""
+    """Return the number of cycles to skip: at most one less than the shortest trial has.
+
+    Appends a remark if this is less than `skip_cycles`.
+    """
     fewest = min(int(cycles(record.motion()).max()) for record in train)
     if fewest >= skip_cycles:
         return skip_cycles
@@ -172,7 +176,10 @@ def _limits(scores: Sequence[Score], final: Fit) -> list[str]:
 
 
 def traded(found: Fit) -> float:
-    """Return the share of the variance of sigma2 that mu_c and alpha explain; 0 if they were not fitted together."""
+    """Return the share, 0 to 1, of the variance of sigma2 that mu_c and alpha explain.
+
+    Returns 0 if the three were not fitted together, and 1 if their covariance is not finite.
+    """
     if not {"sigma2", "mu_c", "alpha"} <= set(found.free):
         return 0.0
     rows = [found.free.index(name) for name in ("sigma2", "mu_c", "alpha")]
@@ -186,7 +193,7 @@ def traded(found: Fit) -> float:
 
 
 def _draw(figure: Figure, records: Sequence[Record], scores: Sequence[Score], mask: Callable[[Record], Array]) -> None:
-    """Draw the first record with the best model of each kind, and the residual of the best model below."""
+    """Draw force over velocity of the first record with the best model of each kind, and the best model's residual."""
     record, shown = records[0], _one_a_kind(scores)
     counts = mask(record)
     motion = record.motion()
@@ -210,7 +217,7 @@ def _draw(figure: Figure, records: Sequence[Record], scores: Sequence[Score], ma
 
 
 def _one_a_kind(scores: Sequence[Score]) -> list[Score]:
-    """Return the best score of each kind of model, best first."""
+    """Return the best score of each kind of model, best first, for at most four kinds."""
     kinds: dict[str, Score] = {}
     for each in scores:
         kinds.setdefault(each.candidate.label.split(",")[0], each)

@@ -16,10 +16,10 @@ from needleplan.signals import Array, Record, cycles
 
 __all__ = ["EXPONENTS", "Candidate", "Mask", "Score", "candidates", "effective_samples", "fit_all", "rmse_n", "split"]
 
-# Values of lambda in the thesis.
+# Default values of lambda, the exponent of the models III: those of the thesis.
 EXPONENTS = (0.5, 1.5, 2.5, 5.0)
 
-# Range (mm) of the inserted length above which models that depend on it are fitted.
+# Range (mm) of the inserted length above which the models "II, Fn(L)" and III-A are candidates.
 _VARYING_MM = 1.0
 
 Mask = Callable[[Record], Any]
@@ -27,7 +27,7 @@ Mask = Callable[[Record], Any]
 
 @dataclass(frozen=True)
 class Candidate:
-    """An initial model and the names of its fitted parameters."""
+    """A model with initial parameters, and the names of the parameters that are fitted."""
 
     label: str
     model: Friction
@@ -36,9 +36,9 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Score:
-    """A fitted candidate with its held-out RMSE (N) and Schwarz' criterion.
+    """A fitted candidate with its RMSE (N) on held-out samples and Schwarz' criterion `bic`.
 
-    `bic` uses the number of effective samples (`effective_samples`); only differences between candidates are
+    `bic` uses the effective number of samples (`effective_samples`). Only differences of `bic` between candidates are
     meaningful.
     """
 
@@ -55,11 +55,13 @@ def candidates(
     models: Sequence[str] = (),
     **patch: float,
 ) -> list[Candidate]:
-    """Return the candidates: Karnopp, I, II, and III-B for each lambda; "II, Fn(L)" and III-A if the length varies.
+    """Return the candidate models with initial parameters estimated from the records.
 
-    `patch` sets constants of the models by name, such as thickness_mm. `models` restricts the labels. sigma0 of Model I
-    is fixed, because a contact length of many g/sigma0 does not determine it. Raises DataError for records without
-    motion or force.
+    The candidates are Karnopp, I, II and, for each value of lambda in `exponents`, III-B. If the inserted length varies
+    by more than 1 mm, "II, Fn(L)" and, for each lambda, III-A are added. If `models` is not empty, only candidates are
+    returned whose label without lambda is in `models`. `patch` sets constants of all models by name, such as
+    thickness_mm. sigma0 of Model I is not fitted, because the data hardly depend on it if the contact length is many
+    times g/sigma0. Raises DataError for records without motion or force.
     """
     guess: dict[str, Any] = dict(first_guess(records))
     static = {name: value for name, value in guess.items() if name != "sigma1"}
@@ -92,7 +94,10 @@ def fit_all(
     held_mask: Mask,
     smooth: Callable[[Array], Array] | None = None,
 ) -> list[Score]:
-    """Return all candidates fitted to `train` and scored on `held_out`, by increasing BIC; `smooth` filters outputs."""
+    """Fit all candidates to `train`, compute their RMSE on `held_out`, and return the scores by increasing BIC.
+
+    `mask` selects the samples of `train`, `held_mask` those of `held_out`. `smooth` filters the outputs of the models.
+    """
     fits = [fit(each.model, train, free=each.free, mask=mask, smooth=smooth) for each in chosen]
     best = min(fits, key=lambda each: each.rmse)
     count = effective_samples(best.residuals)
@@ -108,10 +113,11 @@ def _bic(found: Fit, count: float) -> float:
 
 
 def effective_samples(residuals: Sequence[Array]) -> float:
-    """Return the effective number of independent samples, n / (1 + 2 sum of the autocorrelations of the residuals).
+    """Return the effective number of independent samples, summed over the records and at least 2.
 
-    The sum ends before the first negative autocorrelation (Geyer's initial positive sequence, one lag at a time).
-    Masked samples are NaN.
+    A record with n samples counts n / (1 + 2 c), where c is the sum of the autocorrelations of its residuals up to the
+    first negative one (Geyer's initial positive sequence, one lag at a time). NaN marks masked samples, which are
+    left out.
     """
     worth = 0.0
     for residual in residuals:
@@ -130,7 +136,10 @@ def effective_samples(residuals: Sequence[Array]) -> float:
 
 
 def rmse_n(model: Any, records: Sequence[Record], mask: Mask, smooth: Callable[[Array], Array] | None = None) -> float:
-    """Return the RMSE (N) of a model over the samples that `mask` selects; NaN if there are none."""
+    """Return the RMSE (N) of the simulated force over the samples that `mask` selects; NaN if it selects none.
+
+    `smooth` filters the simulated force.
+    """
     errors = []
     for record in records:
         output = simulate(model, record.motion()).output
@@ -141,11 +150,11 @@ def rmse_n(model: Any, records: Sequence[Record], mask: Mask, smooth: Callable[[
 
 
 def _last_cycle(record: Record, last: bool, mask: Mask) -> Array:
-    """Return the selected samples of the last cycle, or of the cycles before it."""
+    """Return a mask of the samples that `mask` selects in the last cycle if `last`, else in all earlier cycles."""
     passed = cycles(record.motion())
     return np.asarray(mask(record) & ((passed == passed.max()) == last))
 
 
 def split(mask: Mask) -> tuple[Mask, Mask]:
-    """Return one mask for all cycles but the last, and one for the last cycle."""
+    """Split `mask` into two: one that selects its samples in all cycles but the last, and one for the last cycle."""
     return partial(_last_cycle, last=False, mask=mask), partial(_last_cycle, last=True, mask=mask)

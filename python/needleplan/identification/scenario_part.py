@@ -27,7 +27,7 @@ _POINTS_A_WINDOW = 4
 
 @dataclass(frozen=True)
 class PathPiece:
-    """Mean curvature (1/mm) of all insertions in the piece of the path from x = `low_mm` on, with 95 % interval."""
+    """Mean curvature (1/mm) over all insertions, with 95 % interval, of the piece of the path from x = `low_mm` on."""
 
     curvature_per_mm: float
     low_per_mm: float
@@ -39,7 +39,8 @@ class PathPiece:
 class ScenarioPart:
     """A scenario with the identified needle and tip noise, and remarks on the identification.
 
-    `noise` is None for a single insertion, from which no noise can be estimated.
+    `noise` is the estimated tip noise; None for a single insertion, which does not determine noise. The scenario keeps
+    its own tip noise if `noise` is None or not `ok`.
     """
 
     scenario: Scenario
@@ -48,7 +49,7 @@ class ScenarioPart:
     remarks: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """Return the tables [needle], [[needle.layer]] and [motion] of the scenario file."""
+        """Return the lines of the tables [needle], [[needle.layer]] and [motion] of the scenario file."""
         tables = {"needle": raw_of(self.scenario.needle), "motion": raw_of(self.scenario.motion)}
         return toml_text(tables).strip().splitlines()
 
@@ -56,13 +57,13 @@ class ScenarioPart:
 def scenario_part(
     records: Sequence[Record], scenario: Scenario, *, layers: int = 1, plane: str = "xy", skip_mm: float = 0.0
 ) -> ScenarioPart:
-    """Return the scenario with the curvature and the heading scatter of repeated insertions without rotation.
+    """Identify curvature and tip noise from repeated insertions without rotation, and set them in a scenario.
 
-    `records`, `plane` and `skip_mm` are used as in `curvature.identify`. x is along the insertion, with the entry at
-    x = 0. With several `layers`, the range of x that all insertions cover is cut into equal parts with one radius each;
-    the last part has no end. The noise refers to the scenario's headings and to the radius of the whole path. Raises
-    DataError for unusable records and if a part of the path may be straight, ScenarioError if the identified values
-    violate a rule of the scenario.
+    `records`, `plane` and `skip_mm` are used as in `curvature.identify`; x is along the insertion, with the entry at
+    x = 0. The range of x that all insertions cover is cut into `layers` equal parts, 1 to 10, with one radius each. The
+    last layer extends to the end of the workspace. The tip noise is computed for the number of headings of the scenario
+    and the radius of the whole path. Raises DataError if records or `layers` cannot be used or a part of the path may
+    be straight, and ScenarioError if the identified values violate a rule of the scenario.
     """
     used = [record for record in records if record.role is not Role.NOISE]
     if not used:
@@ -93,14 +94,17 @@ def scenario_part(
 
 
 def _pieces(paths: Sequence[Array], edges_mm: Array) -> tuple[PathPiece, ...]:
-    """Return the pieces between edges in x."""
+    """Return one piece for each layer, with the mean curvature over the paths. `edges_mm` are the inner layer edges."""
     found = [path_curvature(path, _along(path, edges_mm))[0] for path in paths]
     starts = [0.0, *edges_mm.tolist()]
     return tuple(_mean(each, start) for each, start in zip(zip(*found, strict=True), starts, strict=True))
 
 
 def _mean(trials: Sequence[Curvature], low_mm: float) -> PathPiece:
-    """Return the mean of a piece over trials. Raises DataError if its interval contains a straight path."""
+    """Return the mean curvature of one piece over the trials; `low_mm` is the x at which the piece begins.
+
+    Raises DataError if the interval of the mean contains 0.
+    """
     if len(trials) == 1:
         only = trials[0]
         piece = PathPiece(only.curvature_per_mm, only.low_per_mm, only.high_per_mm, low_mm)
@@ -145,7 +149,10 @@ def _noise(
 
 
 def _windows(paths: Sequence[Array], ends_mm: tuple[float, float]) -> int:
-    """Return the number of windows (2 or more) in which every path has enough points for a heading."""
+    """Return the largest number of windows, 3 to 6, of which each has more than 4 points of every path.
+
+    Returns 2 if there is no such number.
+    """
     for windows in range(_MOST_WINDOWS, 2, -1):
         counts = [np.histogram(path[:, 0], windows, ends_mm)[0].min() for path in paths]
         if min(counts) > _POINTS_A_WINDOW:

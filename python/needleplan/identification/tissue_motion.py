@@ -42,10 +42,10 @@ _LATE_S = 0.01
 # Least number of samples for a velocity without delay.
 _FEWEST = 15
 
-# Ratio of amplitudes or of frequencies below which they count as equal.
+# Ratio of the largest to the smallest amplitude (or frequency) below which all count as equal.
 _SAME = 1.25
 
-# Relative reduction of the RMSE by moving tissue below which the finding says that it is hardly needed.
+# Relative reduction of the RMSE by a moving tissue below which the finding says that moving tissue is hardly needed.
 _NEEDED = 0.05
 
 # Initial time (s) that the figure leaves out.
@@ -54,7 +54,7 @@ _SKIPPED_S = 1.0
 
 @dataclass(frozen=True)
 class Excitation:
-    """Dominant sine of the motion of a record."""
+    """Frequency and amplitude of the dominant sine in the motion of a record."""
 
     frequency_hz: float
     amplitude_mm: float
@@ -77,11 +77,12 @@ def identify(
         Trials with time_s, depth_mm and force_n. The velocity is computed from the depth, without a delay; a column
         velocity_mm_s is only compared with it. Trials with the role holdout validate the model.
     average
-        Number of samples that the force sensor averages (5 in the thesis); 1 for none.
+        Number of samples that the force sensor averages (5 in the thesis); 1: no average.
     starts
         Number of starting points of the fit.
     marker
-        Column with the displacement (mm) along the needle of a sensor in the tissue; its lag is reported too.
+        Name of a column with the displacement (mm), along the needle, of a sensor in the tissue. The lag computed from
+        it is reported too. None: no such column.
 
     Returns
     -------
@@ -91,7 +92,8 @@ def identify(
     Raises
     ------
     DataError
-        No trial has the role train, a column is missing, or a record is too short or has no motion.
+        No trial has the role train, a column is missing, a force is not finite, or a record is too short or has no
+        motion.
     """
     trials = trials_by_role(records)
     remarks = list(trials.remarks)
@@ -137,7 +139,11 @@ def _tuned(record: Record) -> SlowObserver:
 
 
 def _prepared(record: Record, remarks: list[str]) -> Record:
-    """Return the record with a velocity without delay; append remarks about the given velocity and the depth."""
+    """Return the record with a velocity computed from the depth without delay, in the column velocity_mm_s.
+
+    Appends remarks about a delayed given velocity and a noisy depth. Raises DataError if the record is too short, its
+    depth is constant, or a force is not finite.
+    """
     time, depth, trial = record["time_s"], record["depth_mm"], record.trial or "the record"
     if not np.ptp(depth) > 0:
         raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest identifies nothing"), record.trial)
@@ -191,7 +197,10 @@ def _observed(tuned: SlowObserver, excitation: Excitation) -> list[tuple[str, fl
 
 
 def _marked(record: Record, excitation: Excitation, marker: str | None) -> list[tuple[str, float, str]]:
-    """Return the lag of the relative velocity of needle and marker, the reference of the thesis."""
+    """Return a score: the lag (deg) of the velocity of the needle relative to the marker, the reference of the thesis.
+
+    Returns an empty list without a marker.
+    """
     if marker is None:
         return []
     seen = np.isfinite(record[marker])
@@ -225,7 +234,7 @@ def _agreement(tuned: SlowObserver, excitation: Excitation, lag: float, lag_sd: 
 
 
 def _moves(found: Fit, rigid: Fit) -> Finding:
-    """Return how much the RMSE decreases if the tissue may move."""
+    """Return the finding on how much the RMSE decreases if the tissue may move."""
     gain = 1 - found.rmse / rigid.rmse if rigid.rmse > 0 else 0.0
     says = f"moving tissue reduces the RMSE from {1e3 * rigid.rmse:.1f} to {1e3 * found.rmse:.1f} mN"
     if gain < _NEEDED:
@@ -234,7 +243,7 @@ def _moves(found: Fit, rigid: Fit) -> Finding:
 
 
 def _limits(found: Fit, tuned: SlowObserver, excitations: Sequence[Excitation]) -> list[str]:
-    """Return remarks about parameters that the records do not determine, and records that would."""
+    """Return remarks about parameters that the records do not determine, and about records that would help."""
     remarks = [
         f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
         for name, each in found.estimates.items()
@@ -258,7 +267,11 @@ def _limits(found: Fit, tuned: SlowObserver, excitations: Sequence[Excitation]) 
 
 
 def _draw(figure: Figure, record: Record, model: LumpedOnTissue, projection: Projection | None, average: int) -> None:
-    """Draw the force over the velocity of the needle, relative to the fitted tissue, and of the slow observer."""
+    """Draw the force over three velocities, one in each panel.
+
+    They are the velocity of the needle, its velocity relative to the fitted tissue, and, if `projection` is given, the
+    velocity from the slow observer.
+    """
     motion, force = record.motion(), record["force_n"]
     done = simulate(model, motion)
     simulated = MovingAverage(average).apply(done.output)
