@@ -52,7 +52,7 @@ __all__ = [
     "TableError",
 ]
 
-# Number of characters of a wrong value that a message shows; the rest is cut off
+# Largest number of characters of a wrong value in a message; a longer value is cut off and ends in "…".
 _LONGEST_VALUE = 60
 
 
@@ -95,7 +95,10 @@ class LinkClosed(DeviceFault):
 
 
 class MotionRefused(DeviceFault):
-    """A motion command was not executed, and nothing was sent to the stage; `causes` holds the names of the causes."""
+    """A motion command was refused before it was sent to the stage.
+
+    `what` describes the motion; `causes` holds the names of the causes.
+    """
 
     def __init__(self, what: str, causes: Sequence[str]) -> None:
         self.what, self.causes = what, tuple(causes)

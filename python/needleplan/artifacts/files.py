@@ -1,4 +1,4 @@
-"""Digest of an artefact, version of the program, checks of output paths, and atomic writing of files."""
+"""Digest of an artefact, version of needleplan, checks of output paths, and atomic writing of files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Parent:
     name : str
         Name that a report shows, such as the name of a file or trial.
     digest : str
-        Digest of the file; empty if unknown.
+        Digest of the artefact, as `digest` returns it; empty if unknown.
 
     Examples
     --------
@@ -51,9 +51,9 @@ def version() -> str:
 
 
 def require_different(inputs: Iterable[str | os.PathLike[str]], outputs: Sequence[str | os.PathLike[str]]) -> None:
-    """Raise OutputError if an output file would overwrite an input file or another output file.
+    """Raise OutputError if an output path is the same file as an input path or another output path.
 
-    Devices and pipes, such as `/dev/null`, may be named several times.
+    Paths of existing devices, pipes and folders, such as `/dev/null`, may be given several times.
     """
     taken = {_place(path): f"replace {os.fspath(path)}, which is an input file" for path in inputs}
     for path in outputs:
@@ -64,9 +64,10 @@ def require_different(inputs: Iterable[str | os.PathLike[str]], outputs: Sequenc
 
 
 def require_new(paths: Iterable[str | os.PathLike[str]], option: str = "--force") -> None:
-    """Raise OutputError if one of the files exists; the message names the command-line option that overwrites it.
+    """Raise OutputError if one of the paths is an existing file or folder.
 
-    An existing device or pipe does not raise.
+    Existing devices and pipes are accepted. `option` is the command-line option that allows overwriting, named in the
+    message.
     """
     there = [os.fspath(path) for path in paths if Path(path).is_file() or Path(path).is_dir()]
     rule = f"exists already; {option} overwrites it"
@@ -83,7 +84,7 @@ def _place(path: str | os.PathLike[str]) -> Path:
 def require_writable(path: str | os.PathLike[str]) -> None:
     """Raise OutputError if the folder of `path` is missing or write-protected, or `path` is a folder.
 
-    Called before a long computation, so that its result is not lost at the end.
+    Call this before a long computation, so that its result is not lost when it is written.
     """
     folder = Path(path).parent
     for wrong, reason in (
@@ -98,8 +99,8 @@ def require_writable(path: str | os.PathLike[str]) -> None:
 def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> None:
     """Write `chunks` to `path` atomically: at any moment, `path` is the complete old file or the complete new file.
 
-    The bytes are written to a temporary file in the same folder, flushed to the disk, and the file is then renamed. A
-    device or pipe is written directly. Raises OutputError if writing fails, and removes the temporary file.
+    The bytes are written to a temporary file in the same folder and flushed to the disk; the temporary file is then
+    renamed, or removed if writing fails. A device or pipe is written directly. Raises OutputError if writing fails.
     """
     try:
         target = Path(path).resolve()

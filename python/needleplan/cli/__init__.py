@@ -19,9 +19,10 @@ _MESSAGE = "needleplan: interrupted"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return the exit code.
+    """Run the command that `arguments` describe, and return the exit code; 130 after Ctrl-C.
 
-    Without `arguments`, it reads `sys.argv` and installs a handler of Ctrl-C for the whole process.
+    If `arguments` is None, the arguments are those of the process (`sys.argv[1:]`); a handler of Ctrl-C is then
+    installed, and Ctrl-C ends the process. Raises SystemExit for `--help`, `--version` and wrong usage.
     """
     interrupt = _Interrupt() if arguments is None else None
     try:
@@ -44,9 +45,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 class _Interrupt:
-    """Handler of Ctrl-C.
+    """Handler of Ctrl-C, installed by the constructor unless the process ignores Ctrl-C already.
 
-    The first Ctrl-C raises KeyboardInterrupt, so that files are closed; the second ends at once.
+    The first Ctrl-C raises KeyboardInterrupt, so that files are closed; the second ends the process at once. A forked
+    child process is ended at once by the first Ctrl-C.
     """
 
     def __init__(self) -> None:
@@ -59,7 +61,7 @@ class _Interrupt:
             sys.excepthook = self._uncaught
 
     def end(self) -> None:
-        """Restore the default of the system, because Python would print a traceback for Ctrl-C while it ends."""
+        """Let Ctrl-C end the process without Python: Python would print a traceback for Ctrl-C during its shutdown."""
         if self._caught:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
 
@@ -70,19 +72,28 @@ class _Interrupt:
         raise KeyboardInterrupt
 
     def _unraisable(self, what: sys.UnraisableHookArgs) -> None:
-        """End the process if Python cannot raise the interrupt, because it came in a destructor or a callback."""
+        """End the process if KeyboardInterrupt was raised in a destructor or callback, where Python cannot pass it on.
+
+        Other exceptions are reported as usual.
+        """
         if what.exc_type is KeyboardInterrupt:
             self.exit()
         sys.__unraisablehook__(what)
 
     def _uncaught(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        """End the process if C code reports the interrupt, as numpy's `import_array` does during its import."""
+        """End the process without traceback if the uncaught exception is the KeyboardInterrupt of Ctrl-C.
+
+        C code, such as `import_array` of numpy, may report the exception here. Others are reported as usual.
+        """
         if self.received and issubclass(kind, KeyboardInterrupt):
             self.exit()
         sys.__excepthook__(kind, error, trace)
 
     def exit(self) -> Never:
-        """End the process at once with exit code 130. After `sys.exit`, the signal could still end the interpreter."""
+        """Print "interrupted" (not in a forked child) and end the process at once with exit code 130.
+
+        `sys.exit` is not used, because a further Ctrl-C during the shutdown could change the exit code.
+        """
         if os.getpid() == self._process:
             os.write(2, f"{_MESSAGE}\n".encode())
         os._exit(_INTERRUPTED)

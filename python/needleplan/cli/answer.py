@@ -1,4 +1,4 @@
-"""Output of the commands: the answer on standard output, progress, remarks and errors on standard error."""
+"""Output of the commands: the answer on standard output; progress, remarks and errors on standard error."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 SUMMARY_LINES = 5
-"""Number of lines, including the title, that a command prints without `--verbose`."""
+"""Largest number of lines, including the title, that `print_first` prints without `--verbose`."""
 
 _DELAY_S = 1.0  # time after which a command begins to show its progress
 
@@ -37,7 +37,7 @@ _shown: Working | None = None
 
 
 def set_quiet(quiet: bool) -> None:
-    """Switch the output of `note` and `working` off or on."""
+    """Switch the output of `note` and `working` off if `quiet`, else on."""
     global _quiet
     _quiet = quiet
 
@@ -51,13 +51,13 @@ def note(text: str) -> None:
 
 
 def complain(text: str) -> int:
-    """Print on standard error why the answer is no, and return the exit code 1."""
+    """Print `text`, the reason why the answer is no, on standard error, and return the exit code 1."""
     print(f"needleplan: {text}", file=sys.stderr)
     return 1
 
 
 def print_json(record: Mapping[str, object] | Sequence[object]) -> None:
-    """Print a record or a list as JSON, one entry a line. NaN and infinity become null."""
+    """Print a record or a list as JSON, with one entry on each line. NaN and infinity become null."""
     plain = _plain(record)
     if isinstance(plain, dict):
         entries, brackets = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in plain.items()], "{}"
@@ -69,14 +69,17 @@ def print_json(record: Mapping[str, object] | Sequence[object]) -> None:
 def print_summary(
     options: argparse.Namespace, title: str, lines: Mapping[str, str], more: Mapping[str, str] | None = None
 ) -> None:
-    """Print a title and named lines, and with `--verbose` also the lines of `more`."""
+    """Print a title and the lines of `lines`, each with its name; with `--verbose` also the lines of `more`."""
     print(title)
     for name, text in {**lines, **(more or {} if options.verbose else {})}.items():
         print(f"  {name:<12} {text}")
 
 
 def print_first(options: argparse.Namespace, lines: Sequence[str]) -> None:
-    """Print all lines with `--verbose`, otherwise at most `SUMMARY_LINES` including the number of omitted lines."""
+    """Print all lines with `--verbose`, otherwise at most `SUMMARY_LINES` lines.
+
+    If lines are omitted, the last printed line states their number.
+    """
     if not options.verbose and len(lines) > SUMMARY_LINES:
         left = len(lines) - SUMMARY_LINES + 1
         lines = [*lines[: SUMMARY_LINES - 1], f"  ... {left} more lines with --verbose"]
@@ -104,13 +107,13 @@ class Working:
         self._timer.start()
 
     def __call__(self, text: str, fraction: float | None = None) -> None:
-        """Show a description of the present work, and its finished fraction (0 to 1) unless that is None."""
+        """Change the shown description of the present work and its finished fraction, 0 to 1 (None: unknown)."""
         with self._lock:
             self._text, self._fraction = text, fraction
             self._update()
 
     def say(self, text: str) -> bool:
-        """Print a line above the progress and return True; return False without printing if no progress is shown."""
+        """Print a line above the progress and return True. Without a shown progress, print nothing and return False."""
         with self._lock:
             if self._display is None:
                 return False
@@ -152,7 +155,10 @@ class Working:
 
 @contextmanager
 def working(options: argparse.Namespace, text: str) -> Iterator[Callable[..., None]]:
-    """Yield a function that shows progress: on a terminal as `Working`, otherwise or with `--quiet` or `--json` not."""
+    """Yield a function that shows progress: a `Working` that begins with `text`.
+
+    With `--quiet` or `--json`, or if standard error is not a terminal, the function does nothing.
+    """
     global _shown
     if _quiet or getattr(options, "json", False) or not sys.stderr.isatty():
         yield lambda *_: None

@@ -1,4 +1,4 @@
-"""The force atlas on the command line: `identify force --atlas` stores in it, `info` lists and searches it."""
+"""The force atlas on the command line: `identify force --atlas` stores a result, `info` lists and searches an atlas."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ def add_search(parser: argparse.ArgumentParser) -> None:
 
 
 def is_atlas(file: str) -> bool:
-    """Return whether `info` should read `file` as an atlas: a TOML file, or the name of a shipped atlas."""
+    """Return whether `info` reads `file` as an atlas: its name ends in `.toml`, or is the name of a shipped atlas.
+
+    An existing file and a name with another ending are not names of shipped atlases.
+    """
     if file.endswith(".toml") or Path(file).suffix or Path(file).exists():
         return file.endswith(".toml")
     from needleplan.identification.atlas import shipped_atlases
@@ -43,9 +46,10 @@ def is_atlas(file: str) -> bool:
 
 
 def require_atlas(options: argparse.Namespace) -> Atlas | None:
-    """Return the atlas of the option `--atlas`, empty if its file is new; None without the option.
+    """Return the atlas of the option `--atlas`; an empty atlas if the file does not exist, None without the option.
 
-    Raises InputError for contradicting options, and OutputError if the file cannot be written.
+    Raises InputError if `--needle` and `--tissue` are missing or given without `--atlas`, or the kind is not force, and
+    OutputError if the atlas file cannot be written or is also another input or output file.
     """
     from needleplan.artifacts import require_different, require_writable
     from needleplan.identification.atlas import Atlas
@@ -70,9 +74,9 @@ def require_atlas(options: argparse.Namespace) -> Atlas | None:
 def store(
     atlas: Atlas, found: Identification, records: Sequence[Record], options: argparse.Namespace
 ) -> dict[str, Any]:
-    """Write the atlas with the result added, and return its record for `--json`.
+    """Add an identified force to the atlas, write the atlas, and return the added entry for `--json`.
 
-    Raises OutputError if the atlas already has this combination and the user does not allow to replace it.
+    Raises OutputError if the atlas already has this combination of needle, tissue and speed, unless `--force` is given.
     """
     from needleplan.identification.atlas import combination_of
 
@@ -88,7 +92,7 @@ def store(
 
 
 def require_no_search(options: argparse.Namespace) -> None:
-    """Raise InputError if options that search an atlas are given, because the file is not an atlas."""
+    """Raise InputError if options that search an atlas are given. Called if the file is not an atlas."""
     given = {"--needle": options.needle, "--tissue": options.tissue, "--velocity": options.velocity}
     mistakes = [
         Mistake(name, f"{value}", "is an option for an atlas, a .toml file")
@@ -100,7 +104,10 @@ def require_no_search(options: argparse.Namespace) -> None:
 
 
 def run_info(options: argparse.Namespace) -> int:
-    """List or search an atlas and return the exit code: 1 if no combination matches, else 0."""
+    """Print the combinations of an atlas that match the search options; without options, all combinations.
+
+    Returns the exit code: 1 if no combination matches, else 0.
+    """
     from needleplan.identification.atlas import Atlas
 
     atlas = Atlas.read(options.table)

@@ -46,7 +46,10 @@ def _run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
 
 
 def _mark_files(parser: argparse.ArgumentParser, file: object, folder: object) -> None:
-    """Mark the arguments for which shtab completes files or folders, by their metavars, such as FILE or DIR."""
+    """Mark the arguments of `parser` and its commands whose metavar, such as FILE or DIR, means a file or folder.
+
+    `file` and `folder` are the markers of shtab; shtab then completes files or folders for these arguments.
+    """
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for each in action.choices.values():

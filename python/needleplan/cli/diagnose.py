@@ -62,7 +62,7 @@ def add_to(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code."""
+    """Run the command and return the exit code: 0 if no effect is missing or it was named, else 1."""
     from needleplan.diagnosis import Verdict
     from needleplan.models.effects import register_file
     from needleplan.reports.diagnosis import FILES, diagnose_files, write_folder
@@ -93,7 +93,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:
-    """Return the scenario of `--scenario`, or None; checked before the long computation begins. Raises InputError."""
+    """Return the scenario of `--scenario`, or None without the option. Called before the long computation.
+
+    Raises InputError if the speed is not positive, the model does not describe a path, or a file is wrong.
+    """
     from needleplan.models import ModelFile
     from needleplan.reports.diagnosis.corrected_plan import require_path
     from needleplan.scenario import Scenario

@@ -65,7 +65,7 @@ def add_to(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code."""
+    """Run the command and return the exit code: 0, or 1 if nothing could be identified."""
     from needleplan.recording import read_records
 
     known = knowledge(options)
@@ -108,7 +108,10 @@ def _draw(found: Identification, file: str) -> None:
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:
-    """Return the scenario of `--scenario`, or None. Raises InputError if options contradict each other."""
+    """Return the scenario of `--scenario`, or None without the option.
+
+    Raises InputError if the kind is not curvature, or an option that requires `--scenario` is given without it.
+    """
     from needleplan.scenario import Scenario
 
     if options.scenario is None:
@@ -133,7 +136,7 @@ def _part(scenario: Scenario, records: Sequence[Record], options: argparse.Names
 
 
 def _identifier(kind: str) -> Any:
-    """Return the module with the function `identify` for a kind. Raises InputError if there is no such module."""
+    """Return the module that identifies `kind` by its function `identify`. Raises InputError if it does not exist."""
     name = f"needleplan.identification.{kind.replace('-', '_')}"
     try:
         return importlib.import_module(name)
@@ -203,7 +206,10 @@ def _record(
 
 
 def _part_lines(part: ScenarioPart | None) -> Iterator[str]:
-    """Yield the printed lines: radii of the pieces, remarks, and the identified tables; nothing if `part` is None."""
+    """Yield the printed lines on the scenario: radii of the pieces, remarks and identified tables.
+
+    Yields nothing if `part` is None.
+    """
     if part is None:
         return
     yield "scenario"
@@ -217,7 +223,7 @@ def _part_lines(part: ScenarioPart | None) -> Iterator[str]:
 
 
 def _part_record(part: ScenarioPart | None, output: str | None) -> dict[str, Any]:
-    """Return the JSON record of the identified values of the scenario; empty if `part` is None."""
+    """Return the JSON record of the identified values of the scenario, under the key `scenario`; {} for None."""
     if part is None:
         return {}
     noise = {"status": part.noise.status, "sd_rad": part.noise.sd_rad} if part.noise else None

@@ -16,7 +16,10 @@ __all__ = ["add_knowledge", "knowledge"]
 
 @dataclass(frozen=True)
 class _Option:
-    """One option: its keyword argument of `identify`, the kinds that accept the option, and its argparse settings."""
+    """One option: its name, the keyword argument of `identify` that it sets, and the kinds that accept it.
+
+    `help` is the help text; `reads` holds further arguments of `add_argument`.
+    """
 
     flag: str
     keyword: str
@@ -61,7 +64,10 @@ def add_knowledge(parser: argparse.ArgumentParser) -> None:
 
 
 def knowledge(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the keyword arguments of `identify`. Raises InputError for an option that the kind does not accept."""
+    """Return the keyword arguments of `identify` that the given options set.
+
+    Raises InputError if the kind does not accept an option, or a value is not finite or otherwise wrong.
+    """
     given = [each for each in _OPTIONS if getattr(options, each.keyword) is not None]
     wrong = [
         Mistake(each.flag, "", f"is for {' and '.join(each.kinds)}, not for {options.kind}")

@@ -39,7 +39,7 @@ _ROTATION_DEG_S = math.degrees(3.0)  # default speed of the needle's rotation
 
 
 def _degrees(text: str) -> float:
-    """Return an angle or a speed, given as text in rad or rad/s, in degrees or degrees/s."""
+    """Convert the text of an angle (rad) or speed (rad/s) to degrees or degrees/s."""
     return math.degrees(float(text))
 
 
@@ -115,7 +115,10 @@ def add_to(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code."""
+    """Run the command and return the exit code.
+
+    0: target reached; 1: not reached, or the recording is incomplete; 2: refused, or a device failed; 130: stopped.
+    """
     from needleplan.planning import PolicyTable
     from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station
 
@@ -152,7 +155,10 @@ def run(options: argparse.Namespace) -> int:
 def _insert(
     table: PolicyTable, station: Station, setup: RunSetup, options: argparse.Namespace
 ) -> tuple[InsertionReport, str]:
-    """Run the insertion, and return its report and a text that describes the gaps of the recording (empty if none)."""
+    """Run the insertion; return its report and a text on the gaps of the recording.
+
+    The text is empty if nothing is missing in the recording or nothing is recorded.
+    """
     from needleplan.cli.insert_view import view
     from needleplan.control import Insertion, Listener, RunRecorder
     from needleplan.control.safety import Watchdog
@@ -186,7 +192,7 @@ def _insert(
 
 @contextmanager
 def _stopped_by_signals(insertion: Insertion) -> Iterator[None]:
-    """Stop the insertion on Ctrl-C (SIGINT) and on SIGTERM."""
+    """Within the context, stop the insertion on Ctrl-C (SIGINT) and on SIGTERM. Restores the handlers at the end."""
     names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "asked to end"}
     before = {number: signal.signal(number, lambda n, _: insertion.stop(names[signal.Signals(n)])) for number in names}
     try:
@@ -207,7 +213,11 @@ def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
 
 
 def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any:
-    """Check the options, and return a function that returns the setup of the run for the opened devices."""
+    """Check the options, and return a function that takes the opened devices and returns the setup of the run.
+
+    For a simulated lab, the function takes missing values (torsion, needle length, registration) from the lab.
+    `wanted` is the pose of `--start`, or None. Raises InputError.
+    """
     from needleplan.control import Options, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.estimation.registration import Registration
@@ -240,7 +250,10 @@ def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any
 
 
 def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
-    """Raise InputError for values that the guard or the loop would otherwise refuse after the needle is in place."""
+    """Raise InputError for options that are not finite, not positive or outside of the limits of the run.
+
+    Without this check, the guard or the loop would refuse them only after the devices are opened.
+    """
     mistakes = []
     for name, most, unit in (
         ("speed", limits.insertion_velocity_mm_s, "mm/s"),

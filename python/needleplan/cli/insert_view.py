@@ -44,7 +44,7 @@ class PlainView(Listener):
         )
 
     def event(self, event: RunEvent) -> None:
-        """Print an event if the user must know of it."""
+        """Print an event whose name is in `_TOLD`: table swapped, replan refused, paused, resumed, fault, or stop."""
         if event.name in _TOLD:
             self._say(f"{event.name.replace('_', ' ')}: {event.text}" + (f" ({event.cause})" if event.cause else ""))
 
@@ -53,7 +53,7 @@ class PlainView(Listener):
 
 
 class LiveView(PlainView):
-    """Listener that shows the current values on a terminal, and events above them."""
+    """Listener that shows a table of the current values on a terminal, and the lines of events above the table."""
 
     def __init__(self, live: Live, table: PolicyTable, options: Options) -> None:
         self._live = live
@@ -65,7 +65,7 @@ class LiveView(PlainView):
         self._table, self._line = table, np.empty((0, 2))
 
     def sample(self, sample: Sample) -> None:
-        """Store a sample, and update the terminal if the last update is at least 0.1 s old."""
+        """Store a sample, and update the terminal: first 1 s after the start, then at most every 0.1 s."""
         self._samples[type(sample)] = sample
         self._now_ns = max(self._now_ns, sample.stamp.received_ns)
         if time.monotonic() >= self._due_s:
@@ -74,11 +74,11 @@ class LiveView(PlainView):
             self._live.update(self.rows(), refresh=True)
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Store the estimate of the tip."""
+        """Store the estimated tip; `time_ns` and `path_mm` are not used."""
         self._tip = tip
 
     def step(self, step: ExecutedStep) -> None:
-        """Store a decision. The first decision also determines the planned path."""
+        """Store a decision. At the first decision, also compute the planned path from its pose."""
         if self._step is None:
             self._line = drawn(self._table.path(step.pose), self._table)
         self._step = step
@@ -125,7 +125,7 @@ class LiveView(PlainView):
 def view(table: PolicyTable, options: Options, command: argparse.Namespace) -> Iterator[Listener]:
     """Yield a listener that shows a run on standard error: `LiveView` on a terminal, otherwise `PlainView`.
 
-    With `--quiet`, and on a terminal with `--json`, the listener shows nothing.
+    The listener shows nothing with `--quiet`, nor with `--json` if standard error is a terminal.
     """
     terminal = sys.stderr.isatty()
     if command.quiet or (terminal and command.json):

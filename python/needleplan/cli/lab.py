@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["add_to", "run"]
 
 _PORTS = ("robot_port", "force_port", "http_port", "tracker_port")
-# time (s) between two checks whether processes of the lab have ended
+# Time (s) between two checks whether processes of the lab have ended.
 _LOOK_S = 0.1
 
 
@@ -69,7 +69,7 @@ def add_to(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code."""
+    """Run the command and return the exit code: 1 if all processes of the lab have ended by themselves, else 0."""
     from needleplan.devices.robot import RobotLimits
     from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
     from needleplan.simulation import Experiment
@@ -103,7 +103,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
-    """Return the setup in which the needle is at the start of an insertion by the table and has its curvature."""
+    """Return the setup of the experiment with the needle at the start of an insertion by the table of `--table`.
+
+    The needle gets the curvature that the table was planned with. The start is the pose of `--start`, or the best
+    entry.
+    """
     from needleplan.planning import PolicyTable
     from needleplan.simulation import simulated_station
 
@@ -115,7 +119,7 @@ def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
 
 @contextmanager
 def _ended_by_signals() -> Iterator[threading.Event]:
-    """Yield an event that is set by Ctrl-C (SIGINT), SIGTERM and SIGHUP."""
+    """Yield an event that Ctrl-C (SIGINT), SIGTERM and SIGHUP set. Restores the signal handlers at the end."""
     ending = threading.Event()
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, lambda *_: ending.set()) for number in numbers}
@@ -127,7 +131,7 @@ def _ended_by_signals() -> Iterator[threading.Event]:
 
 
 def _started(start: Callable[[], RealTimeLab]) -> RealTimeLab:
-    """Return a started lab whose processes ignore Ctrl-C, because they inherit the blocked signal."""
+    """Call `start` while SIGINT is blocked, and return the lab: its processes inherit the block and ignore Ctrl-C."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         return start()
@@ -136,7 +140,10 @@ def _started(start: Callable[[], RealTimeLab]) -> RealTimeLab:
 
 
 def _serve(lab: RealTimeLab, ending: threading.Event, duration_s: float | None) -> bool:
-    """Wait for `ending` or the end of the duration, and report ended processes; return whether all have ended."""
+    """Wait until `ending` is set, the duration is over, or all processes have ended; report each ended process.
+
+    Returns whether all processes have ended by themselves. `duration_s` None means no limit.
+    """
     end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
     while not ending.wait(_LOOK_S) and time.monotonic() < end_s:
         for name, how in lab.newly_ended().items():

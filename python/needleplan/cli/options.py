@@ -42,7 +42,7 @@ def add_table(parser: argparse.ArgumentParser) -> None:
 
 
 def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: bool = True) -> None:
-    """Declare the options for printing the answer: `--json`, `--verbose` and `--quiet`."""
+    """Declare `--quiet`, and, if `json` or `verbose`, the options `--json` or `--verbose`."""
     if json:
         parser.add_argument("--json", action="store_true", help="print the answer as JSON")
     if verbose:
@@ -55,13 +55,13 @@ def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: b
 def add_output(
     parser: argparse.ArgumentParser, metavar: str, what: str, *, required: bool = False, force: str = "--force"
 ) -> None:
-    """Declare the option for the main output, and the option that allows overwriting it."""
+    """Declare `--output`, and the option `force` that allows overwriting files. `what` is the help text."""
     parser.add_argument("-o", "--output", required=required, metavar=metavar, help=what)
     _add_force(parser, force)
 
 
 def add_figure(parser: argparse.ArgumentParser, what: str, *, force: str = "--force") -> None:
-    """Declare the option for a figure, and the option that allows overwriting it."""
+    """Declare `--figure`, and the option `force` that allows overwriting files. `what` names the drawn things."""
     parser.add_argument("--figure", metavar="FILE", help=f"draw {what} (.png, .pdf or .svg)")
     _add_force(parser, force)
 
@@ -73,7 +73,7 @@ def _add_force(parser: argparse.ArgumentParser, name: str) -> None:
 
 
 def add_start(parser: argparse.ArgumentParser) -> None:
-    """Declare the option for the pose at which an execution begins."""
+    """Declare `--start`, the pose at which an execution begins."""
     parser.add_argument(
         "--start",
         metavar="X,Y,DEG[,BEVEL]",
@@ -83,7 +83,7 @@ def add_start(parser: argparse.ArgumentParser) -> None:
 
 
 def add_greedy(parser: argparse.ArgumentParser) -> None:
-    """Declare the option that makes decisions from interpolated values."""
+    """Declare `--greedy`, which makes decisions from values interpolated at the true pose."""
     parser.add_argument(
         "--greedy",
         action="store_true",
@@ -92,12 +92,16 @@ def add_greedy(parser: argparse.ArgumentParser) -> None:
 
 
 def add_edge(parser: argparse.ArgumentParser) -> None:
-    """Declare the option for the edge at which the needle enters."""
+    """Declare `--edge`, the edge of the workspace at which the needle enters."""
     parser.add_argument("--edge", choices=EDGES, default="left", help="edge of the workspace to enter at (left)")
 
 
 def start_pose(text: str) -> tuple[float, ...]:
-    """Return (x_mm, y_mm, heading_rad), followed by the bevel if the text contains it. Raises PoseError."""
+    """Return (x_mm, y_mm, heading_rad), followed by the bevel if the text contains a bevel.
+
+    Raises PoseError if the text is not 3 or 4 finite numbers, the bevel is not -1 or 1, or the heading is beyond 360
+    degrees.
+    """
     found = _split(text)
     bevel = found[3] if len(found) == 4 else 1
     if len(found) not in (3, 4) or abs(bevel) != 1:
@@ -108,9 +112,10 @@ def start_pose(text: str) -> tuple[float, ...]:
 
 
 def numbers(option: str, text: str, *counts: int, form: str = "") -> list[float]:
-    """Return the comma-separated finite numbers of an option's value. Raises InputError if their count is wrong.
+    """Return the comma-separated numbers in `text`, the value of an option.
 
-    `counts` are the allowed counts; `form` describes the value in the message.
+    `counts` are the allowed counts; `form` describes the value in the message. Raises InputError if the count is wrong
+    or a number is not finite.
     """
     found = _split(text)
     if len(found) not in counts:
@@ -120,7 +125,7 @@ def numbers(option: str, text: str, *counts: int, form: str = "") -> list[float]
 
 
 def _split(text: str) -> list[float]:
-    """Return the numbers between commas; an empty list if a word is not a finite number."""
+    """Return the comma-separated numbers in `text`, or an empty list if one of them is not a finite number."""
     try:
         found = [float(word) for word in text.split(",")]
     except ValueError:
@@ -129,16 +134,17 @@ def _split(text: str) -> list[float]:
 
 
 def require_outputs(options: argparse.Namespace, inputs: Iterable[str | None], *outputs: str | None) -> None:
-    """Raise OutputError if an output cannot be written; commands call this before their work begins.
+    """Raise OutputError if an output cannot be written. Commands call this before their work begins.
 
     Parameters
     ----------
     options
-        Options of the command. The option `figure`, if the command has it, is an output too.
+        Options of the command. If the command has an option `figure`, its value is an output too and must end in .png,
+        .pdf or .svg.
     inputs
-        Files that the command reads. No output may replace one of these files.
+        Files that the command reads; None is ignored. No output may replace one of these files.
     outputs
-        Files that the command writes. They must not exist unless the user allows to overwrite them.
+        Files that the command writes; None is ignored. They must not exist, unless the user allows overwriting.
 
     """
     from needleplan.artifacts import require_different, require_writable
@@ -156,7 +162,7 @@ def require_outputs(options: argparse.Namespace, inputs: Iterable[str | None], *
 
 
 def require_free(options: argparse.Namespace, files: Iterable[str | os.PathLike[str]]) -> None:
-    """Raise OutputError if one of the files exists and the user does not allow to overwrite it."""
+    """Raise OutputError if one of the files exists, unless the user allows overwriting."""
     from needleplan.artifacts import require_new
 
     if not options.overwrite:

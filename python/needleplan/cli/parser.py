@@ -1,4 +1,4 @@
-"""Argument parser with suggestions for misspelt words, whole numbers, and old spellings of options."""
+"""Argument parser that suggests words for misspelt ones; reading of whole numbers; old spellings of options."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Parser(argparse.ArgumentParser):
     """
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse arguments. If an option is unknown, print the usage and exit with code 2."""
+        """Parse arguments. Exit with code 2 if an option is unknown, or if commands exist and no argument is given."""
         given = sys.argv[1:] if args is None else list(args)
         if self._commands() and not given:
             self.print_help()
@@ -37,7 +37,10 @@ class Parser(argparse.ArgumentParser):
         return any(isinstance(action, argparse._SubParsersAction) for action in self._actions)
 
     def _require_known(self, given: Sequence[str]) -> None:
-        """Exit with an error if an option is unknown; argparse would first report seemingly missing arguments."""
+        """Exit with an error if an option is unknown.
+
+        Called before argparse parses, because argparse would report missing arguments first.
+        """
         for word in given:
             if word == "--" or (not word.startswith("-") and self._commands()):
                 return
@@ -88,16 +91,16 @@ def add_old_spelling(
     *,
     convert: Callable[[str], Any] = str,
 ) -> None:
-    """Accept the old spelling of an option, which the help does not show, and print the new spelling when it is used.
+    """Accept an old spelling of an option. The help does not show it; its use prints the new spelling.
 
     Parameters
     ----------
     parser
         The parser, in which the option `new` is already declared.
     old, new
-        The two spellings.
+        The two spellings, such as `--seeds` and `--runs`.
     convert
-        Converts the text given to the old option to the value of the new option.
+        Converts the text that follows the old spelling to the value of the option.
 
     """
     dest = parser._option_string_actions[new].dest

@@ -23,14 +23,14 @@ UNREACHABLE_SUCCESS = 0.001
 """Success probability of the best entry below which the target counts as unreachable."""
 
 _NOISY_PATHS = 40  # number of executions with noise in the figure
-_DETERRENT = 10  # ratio of the cost of a failure to the cost of crossing the workspace, below which a hint is printed
+_DETERRENT = 10  # ratio of failure cost to the cost of crossing the workspace, up to which a hint is printed
 
 
 @dataclass(frozen=True)
 class Replaced:
-    """Replacement of a radius of the scenario by an identified radius.
+    """Record that an identified radius replaced a radius of the scenario.
 
-    `place` names the needle or the tissue, `found` is the identified curvature, and `file` its model file.
+    `place` names the needle or the tissue, `found` is the identified curvature, and `file` is the model file.
     """
 
     place: str
@@ -38,7 +38,7 @@ class Replaced:
     file: str
 
     def record(self) -> dict[str, Any]:
-        """Return the JSON record of the replacement."""
+        """Return the JSON record of the replacement. Limits of the interval are None if there is no interval."""
         low, high = self.found.interval_mm
         found = {"radius_mm": self.found.radius_mm, "interval_mm": [_finite(low), _finite(high)]}
         return {"place": self.place, **found, "kind": self.found.kind, "model": self.file, "digest": self.found.digest}
@@ -72,7 +72,7 @@ def add_to(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code."""
+    """Run the command and return the exit code: 1 if not converged or the target is unreachable, else 0."""
     from needleplan.scenario import Scenario
 
     scenario, identified = with_identified(Scenario.read(options.scenario), options)
@@ -113,7 +113,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _giving_up(scenario: Scenario) -> str:
-    """Return a hint for the user if failures cost so little that the plan may choose to fail, else an empty text."""
+    """Return a hint if a failure may cost less than the way to the target: with a discount, or low failure costs.
+
+    Otherwise returns an empty text.
+    """
     objective = scenario.objective
     way_through = objective.insertion_per_mm * scenario.workspace.width_mm + objective.rotation
     if objective.discount == 1 and min(objective.collision, objective.exit) > _DETERRENT * way_through:
@@ -171,9 +174,10 @@ def _draw(table: PolicyTable, best: Entry, file: str) -> None:
 
 
 def with_identified(scenario: Scenario, options: argparse.Namespace) -> tuple[Scenario, list[Replaced]]:
-    """Return the scenario with the radii of the model files in the options, and a list of the replacements.
+    """Replace radii by those of the model files in `--needle` and `--tissue`; return the scenario and the replacements.
 
-    Raises InputError if an option or a model file is invalid.
+    Prints a remark on each replacement. Raises InputError if an option or a model file is wrong, or the scenario does
+    not permit a radius.
     """
     files = [("", options.needle)] if options.needle else []
     for each in options.tissue:

@@ -1,4 +1,4 @@
-"""The program: it parses the command line, runs the command and returns the exit code.
+"""Parse the command line, run the command and return the exit code.
 
 Exit codes: 0 done; 1 the job ran and the answer is no; 2 the input is wrong. As in shells, the exit code is 130 after
 an interrupt, and 141 if the program that reads the output has ended.
@@ -35,7 +35,11 @@ _WRONG_INPUT, _NOBODY_READS = 2, 141
 
 
 def run_command(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return the exit code; None: the arguments are `sys.argv`. Raises KeyboardInterrupt."""
+    """Parse `arguments` (None: `sys.argv[1:]`), run the command, and return the exit code.
+
+    Prints InputError and OSError on standard error and returns 2. Raises SystemExit for `--help`, `--version` and wrong
+    usage, and KeyboardInterrupt after Ctrl-C.
+    """
     options = make_parser().parse_args(arguments)
     set_quiet(getattr(options, "quiet", False))
     try:
@@ -55,7 +59,7 @@ def run_command(arguments: Sequence[str] | None = None) -> int:
 
 
 def make_parser() -> Parser:
-    """Return the parser of all commands."""
+    """Return the parser of the whole program, with all commands."""
     parser = Parser(
         prog="needleplan",
         description="Plan, execute and diagnose the steering of flexible bevel-tip needles. Not a medical device.",
@@ -72,7 +76,7 @@ def make_parser() -> Parser:
 
 
 class _Version(argparse.Action):
-    """Action that prints the version; the version is looked up only then, because this takes time."""
+    """Action of `--version`: looks up the version, which takes time, prints it, and exits."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from needleplan.artifacts import version
@@ -82,5 +86,5 @@ class _Version(argparse.Action):
 
 
 def _drop_output() -> None:
-    """Discard buffered output, so that the interpreter does not report an error when it ends."""
+    """Redirect standard output to the null device, so that flushing it at the end of the process does not fail."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -66,7 +66,7 @@ def add_to(commands: Any) -> None:
 
 
 def run_info(options: argparse.Namespace) -> int:
-    """Show a recording and return the exit code."""
+    """Show a recording and return the exit code 0. With `--events`, print its events instead."""
     from needleplan.recording import Recording
 
     with working(options, "verifying"):
@@ -102,7 +102,7 @@ def run_info(options: argparse.Namespace) -> int:
 
 
 def run_recover(options: argparse.Namespace) -> int:
-    """Recover a recording and return the exit code."""
+    """Recover a recording and return the exit code: 1 if bytes are damaged or messages are missing, else 0."""
     from needleplan.recording import recover
 
     require_outputs(options, [options.recording], options.output)
@@ -122,7 +122,7 @@ def run_recover(options: argparse.Namespace) -> int:
 
 
 def run_export(options: argparse.Namespace) -> int:
-    """Export a recording and return the exit code."""
+    """Export a recording and return the exit code 0."""
     from needleplan.recording import Recording
     from needleplan.recording.export import FORMATS as WRITERS
 
@@ -136,7 +136,7 @@ def run_export(options: argparse.Namespace) -> int:
 
 
 def _require_export(options: argparse.Namespace) -> None:
-    """Raise OutputError if the output cannot be written, or if it is a recording (even with `--force`)."""
+    """Raise OutputError if the output cannot be written. A recording is never overwritten, even with `--force`."""
     from needleplan.recording.export import require_no_recording
 
     if Path(options.output).is_dir() and options.to in FOLDERS:
@@ -147,7 +147,7 @@ def _require_export(options: argparse.Namespace) -> None:
 
 
 def run_replay(options: argparse.Namespace) -> int:
-    """Replay an insertion and return the exit code."""
+    """Replay an insertion and return the exit code: 1 if decisions or commands differ from the recorded ones, else 0."""
     from needleplan.control import replay
     from needleplan.planning import PolicyTable
     from needleplan.recording import Recording

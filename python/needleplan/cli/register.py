@@ -1,4 +1,4 @@
-"""`needleplan register`: determine the offset from coil to tip, and the transformation from tracker to plan."""
+"""`needleplan register`: determine the offset from coil to tip, and the transform from tracker to plan coordinates."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def add_to(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code."""
+    """Run the command and return the exit code: 1 if no registration could be determined, else 0."""
     from needleplan.estimation.registration import register_needle
 
     target = _target(options.target)

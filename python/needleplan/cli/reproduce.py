@@ -55,7 +55,7 @@ def add_to(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code."""
+    """Run the command and return the exit code 0, also if results differ from the published ones."""
     from needleplan.reports.chapters import Effort, Request, reproduce
     from needleplan.reports.comparison import Agreement
 
@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _lines(comparisons: Iterable[Comparison]) -> Iterator[str]:
-    """Yield the lines of a table for every section. Reasons shared by several rows are numbered below the table."""
+    """Yield the lines of a table for every section. A reason shared by several rows is printed once below the table."""
     for section, group in groupby(comparisons, key=lambda each: "/".join(each.id.split("/")[:2])):
         rows = list(group)
         shared = [reason for reason, times in Counter(row.reason for row in rows).items() if reason and times > 1]

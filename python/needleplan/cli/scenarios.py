@@ -42,7 +42,7 @@ def add_to(commands: Any) -> None:
 
 
 def _run_scenarios(options: argparse.Namespace) -> int:
-    """List the shipped scenarios and return the exit code."""
+    """List the shipped scenarios and return the exit code 0."""
     from needleplan.scenario import Scenario, shipped
 
     rows: list[dict[str, Any]] = []
@@ -61,7 +61,7 @@ def _run_scenarios(options: argparse.Namespace) -> int:
 
 
 def _run_new(options: argparse.Namespace) -> int:
-    """Write a scenario file and return the exit code."""
+    """Write a scenario file and return the exit code 0. Raises InputError if the name is not printable or empty."""
     from needleplan.artifacts import write_whole
     from needleplan.scenario import Scenario, template
 

@@ -42,7 +42,7 @@ def add_to(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code."""
+    """Run the command and return the exit code 0. Raises InputError."""
     from needleplan.recording import write_records
     from needleplan.simulation import Experiment, record_run, run_experiment
 

@@ -49,7 +49,7 @@ def _add_path(commands: Any) -> None:
 
 
 def _run_path(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code."""
+    """Run `path` and return the exit code: 1 if the path does not reach the target, else 0."""
     start = start_pose(options.start) if options.start is not None else None
     from needleplan.planning import Outcome, PolicyTable, Pose
 
@@ -115,7 +115,7 @@ def _add_evaluate(commands: Any) -> None:
 
 
 def _run_evaluate(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code."""
+    """Run `evaluate` and return the exit code: 1 if no execution reached the target, else 0."""
     start = start_pose(options.start) if options.start is not None else None
     from needleplan.planning import PolicyTable
 
@@ -171,7 +171,7 @@ def _add_entry(commands: Any) -> None:
 
 
 def _run_entry(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code."""
+    """Run `entry` and return the exit code: 1 if the target is unreachable, else 0."""
     from needleplan.planning import PolicyTable
 
     table = PolicyTable.read(options.table)
@@ -203,7 +203,7 @@ def _add_info(commands: Any) -> None:
 
 
 def _run_info(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code."""
+    """Run `info` and return the exit code: 1 if a checksum is wrong or no atlas entry matches, else 0."""
     if is_atlas(options.table):
         return run_info(options)
     require_no_search(options)

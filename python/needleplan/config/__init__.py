@@ -5,16 +5,16 @@ whose keys are relative to the value::
 
     read : Raw -> Value + [Mistake]
 
-The rule of a table is the product of the rules of its fields. It reports the mistakes of all fields, each under the
-key of its field. It also reports unknown keys, missing keys, and the mistakes of rules *between* fields, which are
-checked if all their fields could be read. The rule of a list of tables is the product over its entries. `Given` makes
-the rule of a field depend on the value of another field. Reading is one recursion, and no mistake hides another.
+The rule of a table applies the rules of its fields and reports the mistakes of all fields, each under the key of its
+field. It also reports unknown keys, missing keys, and the mistakes of rules *between* fields; a rule between fields is
+checked if all its fields could be read. The rule of a list of tables applies the rule of the table to each entry.
+`Given` makes the rule of a field depend on the value of an earlier field.
 
 A table is a frozen dataclass (`ConfigTable`) with one rule per field (`ruled`). Its constructor checks the same rules
-as a file. `parse_toml` reads a text, `toml_text` writes one; for every document d without dates,
+as a file. `parse_toml` reads a text, `toml_text` writes a text; for every document d without dates and NaN,
 ``tomllib.loads(toml_text(d)) == d``.
 
-The package knows nothing of scenarios, models or devices.
+The package does not depend on scenarios, models or devices.
 """
 
 from needleplan.config._rules import (

@@ -36,8 +36,9 @@ __all__ = [
 class Violation(Exception):
     """Raised if a value violates a rule.
 
-    The key of each mistake is the path within the value; it is empty if the value has no parts. `partial` is the part
-    of the value that obeys its rules, or None.
+    `mistakes` is a list of mistakes, or the text of the one rule that `value` violates. The key of each mistake is the
+    path within the value; the key is empty if the value as a whole is wrong. `partial` is a list of tables in which
+    each wrong table is None; without such a list, it is None.
     """
 
     def __init__(self, mistakes: str | Sequence[Mistake], value: object = None, partial: object = None) -> None:
@@ -51,12 +52,15 @@ class Rule(Protocol):
     """Rule that checks one value of a file, or an argument of a constructor, and converts it to its stored form."""
 
     def read(self, value: object) -> Any:
-        """Return the value in its stored form. Raises Violation."""
+        """Return the value in its stored form. Raises Violation if the value breaks the rule."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number in a range, stored as a float. Truth values and NaN are refused; infinity is refused if `finite`."""
+    """A number in a range, stored as a float. NaN is refused, as are truth values and, if `finite`, infinity.
+
+    `above` is an excluded lower limit; `at_least` and `at_most` are included limits. A limit of None does not apply.
+    """
 
     unit: str = ""
     above: float | None = None
@@ -85,7 +89,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Integer:
-    """A whole number in a range, written without a decimal point; `odd` excludes even numbers."""
+    """A whole number from `at_least` to `at_most`, without a decimal point. If `odd`, even numbers are refused."""
 
     at_least: int
     at_most: int
@@ -158,12 +162,12 @@ class Texts:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of several names: of the members of an enumeration, or of the keys of a mapping, whose value is stored."""
+    """One of several names. `among` is an enumeration, whose member is stored, or a mapping, whose value is stored."""
 
     among: type[StrEnum] | Mapping[str, Any]
 
     def read(self, value: object) -> Any:
-        """Return the member of the enumeration, or the value of the mapping. Raises Violation."""
+        """Return the member or the mapped value with the name `value`. Raises Violation if no name equals `value`."""
         known = self._known
         if isinstance(value, str) and value in known:
             return known[value]
@@ -180,7 +184,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two values of the same rule, `[x, y]`."""
+    """Two numbers, `[x, y]`, each read by `rule`."""
 
     rule: Number | Integer
 
@@ -228,7 +232,10 @@ class Maybe:
 
 
 def shown(value: object, depth: int = 3) -> str:
-    """Return the value in TOML syntax, for messages. Lists nested deeper than `depth` levels are shown as `[...]`."""
+    """Return the value in TOML syntax, for messages.
+
+    Tables are shown as `{...}`, lists nested deeper than `depth` levels as `[...]`.
+    """
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -242,8 +249,8 @@ def shown(value: object, depth: int = 3) -> str:
 def closest(value: object, names: Iterable[str], cutoff: float = 0.6) -> str:
     """Return the name in `names` that is most similar to `value`, or an empty text if no name is similar.
 
-    A name that differs by one letter comes first. `cutoff` is the smallest accepted similarity by `difflib`, from 0 to
-    1, of the other names.
+    Names that differ by one letter take precedence (`_is_one_letter_off`). Other names need a similarity of at least
+    `cutoff`, from 0 to 1, as computed by `difflib`. Returns an empty text if `value` is not a text.
     """
     if not isinstance(value, str):
         return ""
@@ -259,14 +266,14 @@ def suggestion(value: object, names: Iterable[str]) -> str:
 
 
 def sequence(value: object) -> list[object] | None:
-    """Return a list, tuple or array as a list; None for any other value."""
+    """Return a list, tuple or NumPy array as a list. Returns None for any other value."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     return list(value) if isinstance(value, list | tuple) else None
 
 
 def plain(value: object) -> object:
-    """Return a NumPy or Python number as a Python number; None for any other value, also for truth values."""
+    """Return a real NumPy or Python number as int or float. Returns None for any other value and for truth values."""
     if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -275,9 +282,9 @@ def plain(value: object) -> object:
 
 
 def _is_one_letter_off(value: str, name: str) -> bool:
-    """Return whether one letter was replaced, added or left out; `difflib` calls `_x__` and `____` half similar.
+    """Return whether `value` becomes `name` if one letter is replaced, added or removed.
 
-    Names of fewer than four letters are never meant: `x` would be one letter off `y`.
+    Returns False if both have fewer than four letters, or one has fewer than three: `x` is not a misspelt `y`.
     """
     longer = max(len(value), len(name))
     start = _common_letters(value, name)
@@ -286,7 +293,7 @@ def _is_one_letter_off(value: str, name: str) -> bool:
 
 
 def _common_letters(a: str, b: str) -> int:
-    """Return how many letters are the same at the start of both texts."""
+    """Return the length of the common prefix of two texts."""
     return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(a, b, strict=False)))
 
 

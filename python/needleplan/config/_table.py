@@ -1,4 +1,4 @@
-"""Tables: frozen dataclasses with one rule per field, read from the tables of a file or built by a constructor."""
+"""Tables: frozen dataclasses with one rule per field, built from the tables of a file or by a constructor."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ _T = TypeVar("_T", bound="ConfigTable")
 def ruled(
     rule: Rule | Given, default: object = MISSING, *, factory: Any = MISSING, key: str = "", about: str = ""
 ) -> Any:
-    """Declare a field whose values are read by `rule`.
+    """Declare a field of a `ConfigTable` whose values are read by `rule`.
 
-    `key` is the key in a file if it differs from the name of the field. `about` is the comment in commented files.
+    The field is optional if `default` or `factory` (a function that returns the default) is given. `key` is the key in
+    a file if it differs from the name of the field. `about` is the comment in commented files.
     """
     metadata = {"rule": rule, "key": key, "about": about}
     if factory is not MISSING:
@@ -45,9 +46,10 @@ def ruled(
 
 @dataclass(frozen=True)
 class Given:
-    """The rule of a field whose form depends on the value of an earlier field, such as the parameters of a `kind`.
+    """Makes the rule of a field depend on the value of an earlier field, such as the parameters on the `kind`.
 
-    The field is not read if the earlier field has a mistake.
+    `field` is the name of the earlier field; `rule` returns the rule for its value. If the earlier field has a mistake
+    or is None, the dependent field is not read.
     """
 
     field: str
@@ -58,13 +60,15 @@ class Given:
 class ConfigTable:
     """Base class of TOML tables as frozen dataclasses.
 
-    Every field is declared by `ruled`. The constructor and the reading of a file check the same rules. Class arguments:
+    Every field is declared by `ruled`. The constructor and the reading of a file check the same rules; the constructor
+    raises `error` with all mistakes. Class arguments:
 
     - `key`: name of the table in messages and headers, such as `needle.layer`
-    - `error`: exception that reports the mistakes
+    - `error`: exception class that reports the mistakes
     - `schema`: value of the key `schema`, if the table is the top level of a file
-    - `between`: rules between fields. The parameters of such a function are names of fields. It yields mistakes and is
-      called if all these fields could be read.
+    - `between`: functions that check fields against each other. The parameters of each function are named like the
+      fields that the function receives, for example `(workspace, target)`; it returns the mistakes that it finds. A
+      function is not called if one of its fields could not be read; in a list of tables, a wrong table is None.
     """
 
     key: ClassVar[str] = ""
@@ -92,15 +96,18 @@ class ConfigTable:
             raise self.error(list(under(self.key, broken.mistakes))) from None
 
     def contradictions(self) -> Iterable[Mistake]:
-        """Return the mistakes of the table as a whole, with keys relative to it; called if all fields are valid."""
+        """Return the mistakes of the table as a whole, with keys relative to the table. Subclasses may override this.
+
+        Called after the fields are set, if no field and no function in `between` has found a mistake.
+        """
         return ()
 
 
 def examine(kind: type[ConfigTable], raw: Mapping[str, object]) -> tuple[dict[str, Any], list[Mistake]]:
-    """Return the values of the fields, defaults included, and all mistakes of a raw table.
+    """Return the values of the fields by name, defaults included, and all mistakes of a raw table.
 
-    `raw` maps the keys of a file to raw values. Keys of mistakes are relative to the table. Fields with mistakes have
-    no value, except lists of tables: their broken entries are None.
+    `raw` maps the keys of a file to raw values. Keys of mistakes are relative to the table. A field with a mistake has
+    no value, except a list of tables: there, each wrong table is None.
     """
     known = {key_of(each): each for each in fields(kind)}
     keys = [*known, "schema"] if kind.schema else list(known)
@@ -140,14 +147,18 @@ def examine(kind: type[ConfigTable], raw: Mapping[str, object]) -> tuple[dict[st
 
 
 def build(kind: type[_T], raw: Mapping[str, object]) -> _T:
-    """Return the dataclass instance for a raw table. Raises Violation with all mistakes, keys relative to the table."""
+    """Return the instance of `kind` for a raw table. Raises Violation with all mistakes, keys relative to the table."""
     made = object.__new__(kind)  # __post_init__ would check all rules a second time
     _fill(made, raw)
     return made
 
 
 def under(key: str, mistakes: Iterable[Mistake]) -> Iterator[Mistake]:
-    """Yield the mistakes with `key` in front of their keys: with `a`, key `b` becomes `a.b`, and ` 1.b` `a 1.b`."""
+    """Yield the mistakes with `key` put in front of the key of each mistake.
+
+    For `key` "a", the key "b" becomes "a.b". A key that begins with a space is joined without a dot: " 1.b" becomes
+    "a 1.b".
+    """
     for each in mistakes:
         dot = "." if key and each.key and not each.key.startswith(" ") else ""
         yield Mistake(f"{key}{dot}{each.key}", each.value, each.rule)
@@ -155,12 +166,12 @@ def under(key: str, mistakes: Iterable[Mistake]) -> Iterator[Mistake]:
 
 @dataclass(frozen=True)
 class Subtable:
-    """A table within a table. If it is missing and has no default, it is read as an empty table."""
+    """Rule for a table within a table. A missing table without a default is read as an empty table."""
 
     kind: type[ConfigTable]
 
     def read(self, value: object) -> Any:
-        """Return the table. Raises Violation."""
+        """Return the table as an instance of `kind`. Raises Violation."""
         if isinstance(value, self.kind):
             return value
         if not isinstance(value, Mapping):
@@ -170,13 +181,19 @@ class Subtable:
 
 @dataclass(frozen=True)
 class TableList:
-    """Tables under the header `[[key]]`, at most `at_most`; keys of mistakes hold the number and name of the table."""
+    """Rule for a list of tables with the header `[[key]]`; `at_most` limits their number.
+
+    Keys of mistakes contain the number of the table, from 1, and the name if the table has one.
+    """
 
     kind: type[ConfigTable]
     at_most: int | None = None
 
     def read(self, value: object) -> tuple[Any, ...]:
-        """Return the tables as a tuple. Raises Violation, with a partial tuple in which broken tables are None."""
+        """Return the tables as a tuple.
+
+        Raises Violation. If single tables are wrong, its `partial` is the tuple with None for each wrong table.
+        """
         entries, header = sequence(value), f"[[{self.kind.key}]]"
         if entries is None or not all(isinstance(each, self.kind | Mapping) for each in entries):
             raise Violation(f"must be tables, each below its own {header}", value)
@@ -202,14 +219,15 @@ class TableList:
 
 @dataclass(frozen=True)
 class Keyed:
-    """A table whose keys and rules are known only at run time; it is stored as a dict with the keys of the file.
+    """Rule for a table whose keys and rules are known only at run time; the table is stored as a dict.
 
-    Keys in `required` must be present. If `others` is given, this rule reads all keys that are not in `rules`.
+    `rules` maps keys to the rules that read their values. `others` is the rule for all other keys; if None, other keys
+    are mistakes.
     """
 
     rules: Mapping[str, Rule]
     required: Mapping[str, str] = field(default_factory=dict)
-    """Keys that must be present, each with an explanation for messages, which may be empty."""
+    """Maps each key that must be present to an explanation for messages, which may be empty."""
 
     others: Rule | None = None
 
@@ -255,12 +273,15 @@ class _PartialParentTable(_ParentTable):
 
 @dataclass(frozen=True)
 class ParentList:
-    """The parents of an artefact: tables `[[parent]]` with name and digest, which may be missing if `partial`."""
+    """Rule for the parents of an artefact: tables `[[parent]]` with the keys `name` and `digest`.
+
+    If `partial`, each of the two keys may be missing and is then stored as an empty text.
+    """
 
     partial: bool = False
 
     def read(self, value: object) -> tuple[Parent, ...]:
-        """Return the parents. Raises Violation."""
+        """Return the parents as a tuple. Raises Violation."""
         entries = sequence(value)
         if entries is not None and all(isinstance(each, Parent) for each in entries):
             return tuple(entries)  # type: ignore[arg-type]
@@ -269,7 +290,7 @@ class ParentList:
 
 
 def key_of(of: Field[Any]) -> str:
-    """Return the key that a field of a table has in a file."""
+    """Return the key under which a field of a table is stored in a file."""
     return str(of.metadata["key"] or of.name)
 
 

@@ -24,9 +24,10 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 def text_of(
     path: str | os.PathLike[str], error: type[InputError], shipped: Path | None = None, noun: str = "file"
 ) -> str:
-    """Return the text of the file `path`; if it does not exist, of the file with this name in the folder `shipped`.
+    """Return the text of the file `path`, or, if it does not exist, of the shipped file with this name.
 
-    Raises `error` if neither file exists, or if it is not UTF-8. `noun` names the kind of file in the message.
+    `shipped` is the folder of the shipped TOML files; their names are given without `.toml`. `noun` names the kind of
+    file in the message. Raises `error` if neither file exists, or the file cannot be read or is not UTF-8.
     """
     source, names = os.fspath(path), shipped_names(shipped)
     try:
@@ -44,17 +45,20 @@ def text_of(
 
 
 def shipped_names(folder: Path | None) -> list[str]:
-    """Return the sorted names, without `.toml`, of the TOML files in a folder of the package; empty for None."""
+    """Return the sorted names, without `.toml`, of the TOML files in `folder`; an empty list if `folder` is None."""
     return sorted(file.stem for file in folder.glob("*.toml")) if folder else []
 
 
 def read_toml(path: str | os.PathLike[str], kind: type[_T]) -> _T:
-    """Return the table in a file. Raises `kind.error` with all mistakes of the file."""
+    """Return the table in a file. Raises `kind.error` if the file cannot be read, or with all mistakes of the file."""
     return parse_toml(text_of(path, kind.error), kind, os.fspath(path))
 
 
 def parse_toml(text: str, kind: type[_T], source: str = "") -> _T:
-    """Return the table in a text. Raises `kind.error` with all mistakes; `source` names the text in the message."""
+    """Return the table in a TOML text. `source` names the text in messages.
+
+    Raises `kind.error` if the text is not TOML, or with all mistakes, a wrong schema included.
+    """
     raw = raw_toml(text, kind.error, source)
     mistakes: list[Mistake] = []
     if kind.schema and raw.get("schema") != kind.schema:
@@ -72,7 +76,7 @@ def parse_toml(text: str, kind: type[_T], source: str = "") -> _T:
 
 
 def raw_toml(text: str, error: type[InputError], source: str = "") -> dict[str, Any]:
-    """Return the parsed text, without checking its values. Raises `error` if the text is not TOML."""
+    """Return the parsed TOML text without checking its values. Raises `error` if the text is not TOML."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as wrong:
@@ -81,16 +85,17 @@ def raw_toml(text: str, error: type[InputError], source: str = "") -> dict[str, 
 
 @dataclass(frozen=True)
 class Commented:
-    """A value or a table with a comment, which is written at the end of its line."""
+    """A value or a table, and a comment that is written at the end of the line of the value or header."""
 
     value: Any
     comment: str
 
 
 def raw_of(table: object, *, commented: bool = False) -> dict[str, Any]:
-    """Return a table as the dict of a file, without None and empty lists of tables; the schema is first.
+    """Return the contents of a table by key, as a TOML file stores them, the schema first.
 
-    If `commented`, values whose field has a text `about` are wrapped in `Commented` with this text.
+    Fields that are None or empty lists of tables are left out. If `commented`, values whose field has a text `about`
+    are wrapped in `Commented` with this text.
     """
     raw: dict[str, Any] = {}
     if isinstance(table, ConfigTable) and table.schema:
@@ -106,10 +111,10 @@ def raw_of(table: object, *, commented: bool = False) -> dict[str, Any]:
 
 
 def toml_text(document: Mapping[str, Any], header: str = "") -> str:
-    """Return the text of a TOML file that reads back as `document`; `header` becomes comment lines above it.
+    """Return the text of a TOML file that reads back as `document`. The lines of `header` come first, as comments.
 
-    Within a table, values are written before tables; otherwise the order is kept. A blank line precedes every table,
-    except tables within a list of tables. Raises TypeError for a value that TOML cannot represent.
+    Within a table, values are written before tables; otherwise the order is kept. A blank line precedes every header,
+    except a single `[table]` within a list of tables. Raises TypeError for a value that TOML cannot represent.
     """
     head = [f"# {line}".rstrip() for line in header.splitlines()]
     return "\n".join([*head, *_lines(document, "", False)]) + "\n"

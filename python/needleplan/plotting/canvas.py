@@ -43,15 +43,15 @@ BLUE, SKY, GREEN, ORANGE, VERMILLION = "#0072B2", "#56B4E9", "#009E73", "#E69F00
 
 
 class Extent(Protocol):
-    """Size of a workspace (mm)."""
+    """Protocol: size of a workspace in mm."""
 
     @property
     def width_mm(self) -> float:
-        """Size along x."""
+        """Size along x (mm)."""
 
     @property
     def height_mm(self) -> float:
-        """Size along y."""
+        """Size along y (mm)."""
 
 
 _FORMATS = ("png", "pdf", "svg")
@@ -73,7 +73,10 @@ _NOTEBOOK_DPI = 80
 
 
 def sheet(workspace: Extent, panels: int) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its `panels` axes, side by side, or stacked if the workspace is flat."""
+    """Return a figure and its `panels` axes: one below the other if the workspace is flat, else side by side.
+
+    Flat means: more than 2.2 times as wide as high.
+    """
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -95,7 +98,7 @@ def axes_or_new(axes: Axes | None, workspace: Extent) -> Axes:
 
 
 def _sheet_size(workspace: Extent, panels: int) -> tuple[float, float, int]:
-    """Return width and height (inches) of a figure, and its number of rows."""
+    """Return width (inches), height (inches) and number of rows of a figure of `panels` panels."""
     if workspace.width_mm > _FLAT * workspace.height_mm:
         height = 7.2 / min(workspace.width_mm / workspace.height_mm, _FLATTEST) + 0.9
         return 7.6, panels * height, panels
@@ -113,7 +116,10 @@ def stack(panels: int) -> tuple[Figure, list[Axes]]:
 
 
 def axes_in_mm(axes: Axes, workspace: Extent) -> None:
-    """Set labels, limits (mm) and equal scales of axes. A very flat workspace is stretched in y, as the label says."""
+    """Set labels, limits (mm) and equal scales of axes.
+
+    A workspace more than 6 times as wide as high is stretched in y; the label of the x axis states the factor.
+    """
     stretch = workspace.width_mm / workspace.height_mm / _FLATTEST
     axes.set_aspect(max(stretch, 1))
     axes.set_xlabel(f"x (mm); y stretched {stretch:.2g} times" if stretch > 1 else "x (mm)")
@@ -123,12 +129,12 @@ def axes_in_mm(axes: Axes, workspace: Extent) -> None:
 
 
 def tall(workspace: Extent) -> bool:
-    """Return whether the workspace is drawn with equal scales."""
+    """Return whether `axes_in_mm` draws the workspace with equal scales, not stretched in y."""
     return workspace.width_mm / workspace.height_mm <= _FLATTEST
 
 
 def title(axes: Axes, text: str) -> None:
-    """Write the title of a panel above its left end."""
+    """Write the title of a panel above the axes, left-aligned."""
     axes.set_title(text, loc="left", fontsize=10)
 
 
@@ -161,7 +167,10 @@ def require_drawable(path: str | os.PathLike[str]) -> None:
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write the figure as PNG (200 dots per inch), PDF or SVG, depending on the file name. Raises OutputError."""
+    """Write the figure as PNG (200 dots per inch), PDF or SVG, depending on the ending of the file name.
+
+    Raises OutputError for another ending, or if the file cannot be written.
+    """
     import matplotlib as mpl
 
     require_drawable(path)

@@ -10,12 +10,12 @@ if TYPE_CHECKING:
 
 __all__ = ["caption"]
 
-# number of letters per inch of figure width after which a caption is wrapped
+# Largest number of letters of a caption's line per inch of figure width; longer lines are wrapped.
 _LETTERS_PER_INCH = 18.0
 
 
 def caption(figure: Figure, text: str) -> None:
-    """Write `text` below all panels in lines that fit the figure, and increase the height of the figure for it."""
+    """Write `text` below all panels, wrapped to the width of the figure, and make the figure higher by these lines."""
     lines = textwrap.wrap(text, int(figure.get_figwidth() * _LETTERS_PER_INCH))
     figure.set_figheight(figure.get_figheight() + 0.15 * len(lines))
     figure.supxlabel("\n".join(lines), x=0.01, ha="left", fontsize=8)

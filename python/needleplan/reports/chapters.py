@@ -27,21 +27,21 @@ _MOST_RUNS = 10_000
 
 
 class Effort(StrEnum):
-    """How much a chapter computes."""
+    """Amount of computation: grids and numbers of executions of a chapter."""
 
     QUICK = "quick"
-    """Coarse grids and few executions (about half a minute), to show that everything runs."""
+    """Coarse grids and few executions (about half a minute), to check that everything runs."""
 
     DEFAULT = "default"
     """Grids and numbers of executions as published (minutes)."""
 
     FULL = "full"
-    """Also finer grids than published (hours)."""
+    """The published grids and finer ones (hours)."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What a chapter computes and where it writes."""
+    """What a chapter computes, and the folder for its files."""
 
     folder: Path | None
     """Folder for figures and results; if None, nothing is written."""
@@ -54,14 +54,17 @@ class Request:
     """Whether to repeat the experiments of section 6.5 in the lab twin instead of computing chapter 6."""
 
     runs: int | None = None
-    """Insertions for each hidden effect of the diagnosis study; if None, `effort` determines the number."""
+    """Number of insertions for each hidden effect in the chapter `diagnosis`; if None, `effort` determines it."""
 
 
 class Chapter(Protocol):
-    """The functions that a chapter's module must have."""
+    """Protocol: the functions that the module of a chapter must have."""
 
     def run(self, request: Request) -> list[Comparison]:
-        """Compute the chapter, write its files, and return the comparisons with the published results."""
+        """Compute the chapter and return the comparisons with the published results.
+
+        Writes the files of the chapter if `request.folder` is given.
+        """
 
     def files(self, request: Request) -> Sequence[str]:
         """Return the names of the files that `run` writes into the folder."""
@@ -78,21 +81,23 @@ def reproduce(
     *,
     require_new: Callable[[Sequence[Path]], None] | None = None,
 ) -> list[Comparison]:
-    """Compute chapters, write their files, and return their comparisons.
+    """Compute chapters, write their files if a folder is given, and return the comparisons of all chapters.
 
     Parameters
     ----------
     names
         Names of the chapters; if empty, all installed chapters are computed.
     request
-        What to compute and where to write. The folder is created if it does not exist.
+        What to compute, and the folder for the files. The folder is created if it does not exist.
     require_new
-        Called with the paths of all files that will be written, before the computation starts.
+        Called before the computation with the paths of all files that will be written; may raise an exception if one
+        of them exists. None: existing files are overwritten. Not called without a folder.
 
     Raises
     ------
     InputError
-        If no chapter is installed, a name is unknown, or an option does not apply to the chapters.
+        If no chapter is installed, a name is unknown, `experiments` or `runs` does not apply to the chapters, or `runs`
+        is not from 1 to 10,000.
     OutputError
         If the folder cannot be created or a file in it cannot be written.
 
@@ -111,7 +116,7 @@ def reproduce(
 
 
 def _require(names: Sequence[str], request: Request, found: Mapping[str, object]) -> None:
-    """Raise InputError if a chapter is unknown or an option does not apply to the chapters."""
+    """Raise InputError if no chapter is installed, a chapter is unknown, or an option is wrong or does not apply."""
     if not found:
         rule = "no chapter is installed: install the package needleplan_thesis, which is part of needleplan's wheel"
         raise InputError(Mistake("CHAPTER", "", rule))

@@ -1,4 +1,4 @@
-"""Comparison of published results with computed ones."""
+"""Comparison of published results with computed results."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Agreement(StrEnum):
     """The computation needs an input that was not published; `Comparison.reason` names it."""
 
     OURS = "ours"
-    """A computed result without a published counterpart, listed as context for other results."""
+    """The result was not published; the computed result is listed as context for other results."""
 
     MET = "met"
     """The result reaches a goal of this project."""
@@ -41,10 +41,10 @@ class Agreement(StrEnum):
 
 @dataclass(frozen=True)
 class Comparison:
-    """A published number or statement, and the computed one (`ours`).
+    """A published number or statement (`published`) beside the computed number or statement (`ours`).
 
-    `id` has the form chapter/section/quantity and is unique in a chapter. `unit` applies to both numbers. `reason`
-    explains a difference in a sentence without a full stop; it may be empty.
+    Either is None if it does not exist. `id` has the form chapter/section/quantity and is unique in a chapter. `unit`
+    applies to both numbers. `reason` explains a difference in a sentence without a full stop; it may be empty.
     """
 
     id: str
@@ -56,16 +56,17 @@ class Comparison:
 
     @property
     def ratio(self) -> float | None:
-        """Ratio of computed to published value; None unless both are numbers and the published number is not zero."""
+        """Ratio of computed to published number; None if one is missing or a text, or the published number is zero."""
         if isinstance(self.published, str) or isinstance(self.ours, str) or not self.published or self.ours is None:
             return None
         return self.ours / self.published
 
 
 def measured(identity: str, published: float, ours: float, unit: str, reason: str) -> Comparison:
-    """Return the comparison of two numbers: reproduced if equal, same order within a factor of three, else differs.
+    """Return the comparison of two numbers.
 
-    `reason` explains the difference; it is ignored if the numbers are equal.
+    The verdict is `REPRODUCED` if the numbers are equal, `SAME_ORDER` if both are positive and differ by at most a
+    factor of three, else `DIFFERS`. `reason` explains the difference; it is ignored if the numbers are equal.
     """
     if ours == published:
         return Comparison(identity, published, ours, unit, Agreement.REPRODUCED)

@@ -22,10 +22,10 @@ _FLAT = 2.2
 def insertion_figure(
     table: PolicyTable, report: InsertionReport, true_tip_mm: tuple[float, float, float] | None = None
 ) -> Figure:
-    """Return a matplotlib figure of an insertion.
+    """Return a matplotlib figure of an insertion: planned and executed path, and deviation and force over path length.
 
-    `table` is the policy table at the start of the insertion. `true_tip_mm` is the true final position of the tip; if
-    None, it is not drawn.
+    `table` is the policy table at the start of the insertion. `true_tip_mm` is the true final position of the tip in
+    mm, (x, y, z); if None, it is not drawn. Dotted lines mark the steps at which a new policy table was used.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure

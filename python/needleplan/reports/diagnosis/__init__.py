@@ -1,4 +1,4 @@
-"""Files of a diagnosis: reads a model file and data files, writes the diagnosis into a folder."""
+"""Read the input files of a diagnosis, and write a diagnosis into a folder: report, model, next motion, scenario."""
 
 from needleplan.reports.diagnosis.corrected_plan import CorrectedPlan, along_mm, corrected_plan
 from needleplan.reports.diagnosis.effect_file import effect_file_text

@@ -20,7 +20,7 @@ __all__ = ["CorrectedPlan", "along_mm", "corrected_plan", "corrected_plan_lines"
 
 # Torque per length (N) below which the torsional lag of the needle is ignored.
 _NOTHING_N = 1e-12
-# Rotation (rad) up to which an angle is not reported, because robots do not resolve it.
+# Angle (rad) up to which a correction is not reported, because robots do not resolve it.
 _TURNED_RAD = 1e-4
 
 
@@ -28,8 +28,8 @@ _TURNED_RAD = 1e-4
 class CorrectedPlan:
     """A scenario for the diagnosed tissue, and the corrections that the robot needs.
 
-    `bends` gives the roll angle at which the needle bends to the left or right. `torsion` compensates the lag of the
-    tip's roll behind the base; None if there is no lag.
+    `bends` holds, by inserted length, the roll angles at which the needle bends to the left and right. `torsion` is the
+    torsion that makes the tip's roll lag behind the base, to be compensated; None if the lag is negligible.
     """
 
     scenario: Scenario
@@ -43,11 +43,14 @@ class CorrectedPlan:
 
     @property
     def turned_rad(self) -> float:
-        """Rotation (rad) of the bevel directions at the entry from their nominal angles, mean of left and right."""
+        """Mean deviation (rad) of the roll angles at the entry from their nominal values, 0 (left) and pi (right)."""
         return (self.bends.roll_rad(1, 0.0) + self.bends.roll_rad(-1, 0.0) - math.pi) / 2
 
     def options(self) -> dict[str, str]:
-        """Return the values of the options that `needleplan insert` needs, by option."""
+        """Return the command-line options that `needleplan insert` needs: option name to value, as text.
+
+        `--torsion` is left out if the lag is negligible, `--roll-left-deg` if `turned_rad` is at most 1e-4 rad.
+        """
         found = {}
         if self.torsion:
             found["--torsion"] = f"{self.torsion.stiffness_n_mm2:.6g},{self.torsion.torque_per_length_n:.6g}"
@@ -76,10 +79,11 @@ def corrected_plan(
     velocity_mm_s
         Speed of the insertions.
     stiffness_n_mm2, shaft_mm
-        Torsional stiffness and length of the needle; they convert a lag of the tip into a torque per length.
+        Torsional stiffness (N mm^2) and length (mm) of the needle, which convert a lag of the tip's roll into a torque
+        per length.
     places
-        Depths and positions along x (mm), as returned by `along_mm`; by default those of a needle that is rotated half
-        of the time.
+        Depths and positions along x (mm), as returned by `along_mm`. None: computed for a needle whose bevel is flipped
+        halfway.
 
     Returns
     -------
@@ -89,9 +93,9 @@ def corrected_plan(
     Raises
     ------
     ModelError
-        If the model does not describe the path of the tip.
+        If the model does not describe the path of the tip in space, or its path cannot bend to both sides.
     ScenarioError
-        If the scenario does not permit the curvature.
+        If the scenario does not permit the curvature, for example because of too many layers with different radii.
     """
     size = scenario.workspace
     deepest = math.ceil(1.1 * math.hypot(size.width_mm, size.height_mm))
@@ -109,9 +113,10 @@ def corrected_plan(
 
 
 def along_mm(records: tuple[Record, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Return depths (mm) and, at each depth, the mean position of the tip along x (mm) in the recordings.
+    """Return depths (mm) and, for each depth, the mean distance (mm) that the tip has advanced along x since depth 0.
 
-    Both arrays have shape (n,). Raises ModelError if a recording does not reach into the tissue.
+    The mean is over the recordings. The depths end where the shallowest recording ends. Both arrays have shape (n,).
+    Raises ModelError if a recording does not reach into the tissue.
     """
     deepest = min(float(np.nanmax(each["depth_mm"])) for each in records)
     if not deepest > 0:
@@ -126,7 +131,10 @@ def along_mm(records: tuple[Record, ...]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _torsion(bends: InPlane, stiffness_n_mm2: float, shaft_mm: float) -> Torsion | None:
-    """Return the torsion whose lag fits the model's lag in the first half of the depth; None if it is negligible."""
+    """Return the torsion whose lag fits the lag of the model in the shallower half of the depths.
+
+    Returns None if the fitted torque per length is negative or negligible.
+    """
     depth = bends.depth_mm
     shape = depth * (shaft_mm - depth / 2) / stiffness_n_mm2
     near = depth <= depth[-1] / 2
@@ -144,10 +152,11 @@ def require_path(channel: Channel) -> None:
 def write_scenario(
     found: Diagnosis, scenario: Scenario, folder: str, velocity_mm_s: float
 ) -> tuple[str, CorrectedPlan]:
-    """Write `scenario.toml` into a folder; return its path and the corrected plan.
+    """Write `scenario.toml` into a folder, and return the path of the file and the corrected plan.
 
-    The scenario is computed from `Diagnosis.model`: the base model with the named effects, or the calibrated base model
-    alone. The first line of the file states which of them. Raises ModelError, ScenarioError and OutputError.
+    The corrected plan is computed from `Diagnosis.model`: the base model with the named effects, or the calibrated base
+    model if no effect is named. The first line of the file states whether effects are included. Raises ModelError and
+    ScenarioError as `corrected_plan` and `along_mm`, and OutputError if the file cannot be written.
     """
     require_path(found.given.channel)
     what = corrected_plan(found.model, scenario, velocity_mm_s=velocity_mm_s, places=along_mm(found.checked.training))
@@ -157,14 +166,14 @@ def write_scenario(
 
 
 def _said(found: Diagnosis) -> str:
-    """Return a sentence that states whether the scenario includes the named effects."""
+    """Return a sentence for the file and for the user: which effects the curvature of the scenario includes."""
     if found.verdict is Verdict.NAMED:
         return f"Curvature with the named effects: {', '.join(found.names)}."
     return f"Curvature calibrated to these recordings, without effects (verdict: {found.verdict})."
 
 
 def corrected_plan_lines(found: Diagnosis, what: CorrectedPlan) -> Iterator[str]:
-    """Yield lines of text on the scenario and on the corrections that the robot needs."""
+    """Yield lines of text about the scenario and the corrections that the robot needs."""
     yield f"  plan: {_said(found)}"
     layers = len(what.scenario.needle.layers)
     yield f"  plan: radius {what.scenario.needle.curvature_radius_mm:.4g} mm" + f", layers behind it: {layers}" * bool(

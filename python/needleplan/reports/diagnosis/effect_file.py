@@ -8,16 +8,16 @@ from needleplan.diagnosis import Curve, Curves, Formula, GapAxis, GapDescription
 
 __all__ = ["effect_file_text"]
 
-# Name of each axis in the file.
+# Name of each axis in the texts of the file.
 _AXES = {
     GapAxis.TIME: "time", GapAxis.DEPTH: "depth", GapAxis.SPEED: "speed", GapAxis.FORCE: "force",
     GapAxis.DWELL: "time at rest", GapAxis.PERIOD: "depth", GapAxis.ANGLE: "angle",
 }  # fmt: skip
 
-# Expression of each axis variable in `drawn`; `depth_mm` for other axes.
+# Expression in `drawn` for the variable of an axis; for an axis that is not listed: `depth_mm`.
 _VARIABLES = {GapAxis.TIME: "time_s", GapAxis.SPEED: "abs(velocity_mm_s)", GapAxis.FORCE: "force_n"}
 
-# Factor in `drawn` that selects a way of moving.
+# Factor in `drawn` that is 1 while the needle moves in this way, else 0; for a way not listed: 1 at rest.
 _WAYS = {"advance": "(sign > 0)", "retraction": "(sign < 0)", "any": "1.0"}
 
 
@@ -95,7 +95,10 @@ EFFECT = TermEffect(
 
 
 def effect_file_text(described: GapDescription, name: str = "my_effect") -> str:
-    """Return Python source of an effect with the shape of a gap: its formula or, without one, a table of its curves."""
+    """Return Python source of the effect `name` with the shape of a gap.
+
+    The source contains the formula of the gap if one was found, else a table of its curves.
+    """
     axis, curves, formula, rms = described.axis, described.curves, described.sparse, described.rms
     if formula is not None:
         expression = " + ".join(f"{each.factor / rms!r} * {each.text}" for each in formula.terms)

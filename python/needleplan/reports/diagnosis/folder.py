@@ -29,7 +29,8 @@ def diagnose_files(
 ) -> tuple[Diagnosis, ModelFile, Library]:
     """Read a model file and data files, and return the diagnosis, the model file and the library of effects.
 
-    Raises ModelError and DataError.
+    `accept_units` accepts implausible sizes, such as depths in metres. `seed` is the seed of the simulated data behind
+    the p-values. Raises ModelError for a wrong model file and DataError for data that cannot be used.
     """
     file = ModelFile.read(model)
     records = read_records(list(data), accept_units=accept_units)
@@ -42,9 +43,12 @@ def write_folder(
 ) -> tuple[str, ...]:
     """Write a diagnosis into a folder, which is created if needed, and return the paths of all written files.
 
-    Always writes `diagnosis.json` and `report.html`. Writes `model.toml` if the verdict is NAMED, or if effects were
-    found and `merge_anyway` is set; `next_motion.toml` if a further motion is proposed; and `effect_to_name.py` for an
-    unexplained gap. Raises OutputError.
+    - `diagnosis.json` and `report.html`: always
+    - `next_motion.toml`: if a further motion is proposed
+    - `model.toml`: if the verdict is NAMED, or if effects were found and `merge_anyway` is set
+    - `effect_to_name.py`: if a gap is left unexplained and described
+
+    Raises OutputError if the folder cannot be created or a file cannot be written.
     """
     place = Path(folder)
     try:

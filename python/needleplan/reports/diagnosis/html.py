@@ -1,4 +1,4 @@
-"""HTML text of a self-contained page and its elements: no script, no request, one heading of first order."""
+"""HTML text of a self-contained page and its elements. A page has no scripts, loads no files and has one `h1`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ a { color: #00527f; }
 
 
 def page(title: str, body: Iterable[str]) -> str:
-    """Return the HTML text of a page; `title` is also its first heading."""
+    """Return the HTML text of a page. `title` is also the first heading; `body` holds the HTML text of the elements."""
     return "\n".join([
         "<!DOCTYPE html>",
         '<html lang="en">',
@@ -84,7 +84,7 @@ def table(caption: str, columns: Sequence[str], rows: Iterable[Sequence[str | fl
 
 
 def picture(svg: str, alternative: str, caption: str = "") -> str:
-    """Return the HTML text of an SVG figure; `alternative` describes it for readers who cannot see it."""
+    """Return the HTML text of the figure `svg`. `alternative` describes the figure for readers who cannot see it."""
     data = base64.b64encode(svg.encode()).decode("ascii")
     below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
     return f'<figure><img src="data:image/svg+xml;base64,{data}" alt="{escape(alternative)}">{below}</figure>'

@@ -34,7 +34,10 @@ _WIDTH = 117
 
 
 def motion_text(next_: NextMotion, model: Model) -> str:
-    """Return the text of an experiment file with the motion, in tissue with the properties of `model`."""
+    """Return the text of an experiment file with the motion.
+
+    The curvature and cutting force of the simulated tissue are those of `model`, or 0 if `model` has none.
+    """
     program, limits = next_.program, next_.program.limits
     document = {
         "schema": "needleplan.experiment/1",
@@ -58,7 +61,7 @@ def motion_text(next_: NextMotion, model: Model) -> str:
 
 
 def next_motion_document(next_: NextMotion) -> dict[str, object]:
-    """Return the entry of a motion in `diagnosis.json` as a dictionary of JSON values."""
+    """Return the entry of the next motion in `diagnosis.json`, as a dictionary of JSON values."""
     found: dict[str, object] = {
         "name": next_.program.name,
         "about": next_.program.about,
@@ -112,7 +115,7 @@ def _pair(each: Separation) -> dict[str, object]:
 
 
 def _move(move: Dwell | Insert | Rotate) -> dict[str, float]:
-    """Return the entries of a move's TOML table."""
+    """Return the keys and values of the TOML table of a move."""
     if isinstance(move, Dwell):
         return {"dwell_s": float(move.seconds)}
     if isinstance(move, Insert):

@@ -32,12 +32,15 @@ __all__ = [
 _STYLE: Any = {"font.size": 9, "axes.linewidth": 0.8, "svg.fonttype": "path", "svg.hashsalt": "needleplan"}
 # Number of lags (samples) of the autocorrelation.
 _LAGS = 40
-# Half of the largest number of bars in the figure of candidates.
+# Half of the largest number of bars in `candidates_figure`.
 _MOST = 12
 
 
 def trial_figure(trace: TrialTrace, unit: str, axes_names: Sequence[str]) -> str:
-    """Return an SVG figure of one trial: measured and modelled output, residual, and depth, over time."""
+    """Return an SVG figure of one trial over time: measured and modelled output, residual, and depth.
+
+    `axes_names` names the rows of the output; `unit` is their unit.
+    """
     rows = len(trace.measured)
     figure, panels = _sheet(2 * rows + 1, 1, (7.4, 1.4 + 2.8 * rows), _Margins(top=0.3, between=0.12), sharex=True)
     time = trace.motion.time_s
@@ -69,7 +72,10 @@ def trial_figure(trace: TrialTrace, unit: str, axes_names: Sequence[str]) -> str
 
 
 def gap_figure(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> str:
-    """Return an SVG figure of the residual RMS without and with the effects, as bars, and of the noise RMS."""
+    """Return an SVG figure of bars: the residual RMS without and with effects, for training and held-out trials.
+
+    A dotted line marks the noise RMS.
+    """
     groups = [(name, [each for each in traces if each.held_out is out]) for name, out in
               (("training", False), ("held out", True))]  # fmt: skip
     groups = [(name, part) for name, part in groups if part]
@@ -93,9 +99,9 @@ def gap_figure(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> str
 
 
 def map_figure(traces: Sequence[TrialTrace]) -> str:
-    """Return an SVG figure of the whitened residual by depth, and of its energy by depth and phase of motion.
+    """Return an SVG figure of the whitened residual by depth, and of its mean square by depth and phase of motion.
 
-    Both are drawn without the effects and, if there are any, with them.
+    The first two panels show the model before adding effects. If effects were added, two more show the model after.
     """
     from matplotlib.colors import LogNorm
 
@@ -141,7 +147,10 @@ def _residual_panel(ax: Axes, traces: Sequence[TrialTrace], *, after: bool) -> N
 
 
 def candidates_figure(found: Diagnosis) -> str:
-    """Return an SVG figure of the largest BIC gains of effects and alternatives in the first round, as bars."""
+    """Return an SVG figure of bars: the largest BIC gains of effects and alternatives in the first round.
+
+    Nonparametric alternatives are hatched. Gains below -10 are drawn as -10.
+    """
     step = found.selection.rounds[0]
     fitted = {each.newest.name: each.newest.bic_gain for each in step.ranked}
     rows = [(each.effect.name, fitted.get(each.effect.name, each.bic_gain), True) for each in step.screened]
@@ -165,7 +174,10 @@ def candidates_figure(found: Diagnosis) -> str:
 
 
 def correlation_figure(traces: Sequence[TrialTrace]) -> str:
-    """Return an SVG figure of the autocorrelation of the whitened residual, with the 99 % band of white noise."""
+    """Return an SVG figure of the autocorrelation of the whitened residual, with the 99 % band of white noise.
+
+    The first panel shows the model before adding effects; if effects were added, a second shows the model after.
+    """
     both = traces[0].left_after is not None
     figure, panels = _sheet(1, 1 + both, (7.4 if both else 4.2, 2.2), _Margins(top=0.25, between=0.2), sharey=True)
     for ax, after in zip(panels, (False, True), strict=False):
@@ -180,7 +192,7 @@ def correlation_figure(traces: Sequence[TrialTrace]) -> str:
 
 
 def isolability_figure(matrix: Isolability) -> str:
-    """Return an SVG figure of the matrix of shares in which effects imitate each other."""
+    """Return an SVG figure of a matrix: the share of each effect (row) that every other effect (column) imitates."""
     names, count = matrix.effects, len(matrix.effects)
     words = 0.058 * max(map(len, names))
     margins = _Margins(left=0.4 + words, bottom=0.45 + 0.87 * words)
@@ -200,7 +212,7 @@ def isolability_figure(matrix: Isolability) -> str:
 
 
 def motion_figure(motion: Motion) -> str:
-    """Return an SVG figure of the depth over time."""
+    """Return an SVG figure of the depth of a motion over time."""
     figure, (ax,) = _sheet(1, 1, (7.4, 1.9))
     ax.plot(motion.time_s, motion.depth_mm, color=BLUE, lw=1.2)
     ax.set(xlabel="time (s)", ylabel="depth (mm)")
@@ -209,9 +221,10 @@ def motion_figure(motion: Motion) -> str:
 
 
 def course_figure(described: GapDescription, unit: str) -> str:
-    """Return an SVG figure of the unexplained gap along its axis.
+    """Return an SVG figure of the unexplained gap along the axis on which the gap depends.
 
-    Each curve has a band of +-2 standard deviations and is drawn within the visited range.
+    Each curve has a band of +-2 standard deviations and is drawn only within the range that the recordings visit.
+    `unit` is the unit of the gap.
     """
     figure, (ax,) = _sheet(1, 1, (7.4, 2.4))
     for curve, colour in zip(described.curves.curves, (BLUE, ORANGE, VERMILLION, GREY), strict=False):
@@ -232,7 +245,7 @@ def _rms(rows: Sequence[Any]) -> float:
 
 @dataclass(frozen=True)
 class _Margins:
-    """Margins (inches) around and between panels; fixed, because automatic layout would double the drawing time."""
+    """Margins (inches) around and between panels, fixed because automatic layout would double the drawing time."""
 
     left: float = 0.75
     right: float = 0.1
@@ -272,14 +285,14 @@ def _sheet(
 
 
 def _aligned(panels: Sequence[Axes]) -> None:
-    """Align the axis labels of panels vertically."""
+    """Place the y labels of all panels 0.55 inch to the left of the axes, so that they line up."""
     for ax in panels:
         figure = ax.figure
         ax.yaxis.set_label_coords(-0.55 / (ax.get_position().width * float(figure.bbox.width) / figure.dpi), 0.5)
 
 
 def _plain(value: float, _: float | None = None) -> str:
-    """Return a tick label as plain text, because matplotlib's mathtext is slow."""
+    """Return the tick label of a value as plain text, because mathtext of matplotlib is slow."""
     return f"{value:g}".replace("-", "\N{MINUS SIGN}")
 
 

@@ -17,16 +17,16 @@ from needleplan.signals import UNITS
 
 __all__ = ["report_of"]
 
-# Largest p-value of a part of an axis that is listed.
+# Largest p-value with which a part of the recordings (a depth range, a phase, a trial ...) is listed.
 _SMALL = 0.05
 # Largest number of listed parts.
 _MOST = 12
-# p-value below which only this bound is shown, because simulated data do not resolve it.
+# p-value below which only "below 1e-06" is shown, because simulated data do not resolve smaller values.
 _SMALLEST_P = 1e-6
 
 
 def report_of(found: Diagnosis, file: ModelFile, library: Library, next_: NextMotion | None) -> str:
-    """Return the HTML text of `report.html`."""
+    """Return the HTML text of `report.html`. Without a next motion (`next_` is None) the report lacks this section."""
     channel = found.given.channel
     unit = UNITS[channel.columns[0]]
     traces = traces_of(found)
@@ -180,7 +180,7 @@ def _candidates(found: Diagnosis) -> Iterator[str]:
 
 
 def _chance(p_value: float | None) -> float | str | None:
-    """Return a p-value as it is, but as a bound in words if it is below `_SMALLEST_P`."""
+    """Return `p_value`, or a text such as "below 1e-06" if it is smaller than `_SMALLEST_P`."""
     return f"below {_SMALLEST_P:g}" if p_value is not None and p_value < _SMALLEST_P else p_value
 
 
@@ -242,7 +242,7 @@ def _provenance(found: Diagnosis, file: ModelFile) -> Iterator[str]:
 
 
 def _added(found: Diagnosis) -> str:
-    """Return the explanation of "after" in figures and tables."""
+    """Return words that say which effects the model "after" contains, for captions."""
     if found.effects:
         return "with the named effects"
     if not found.lacks_data or found.joint is None:

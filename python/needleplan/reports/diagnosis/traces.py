@@ -1,4 +1,4 @@
-"""Measured and modelled output of every trial, for figures."""
+"""Measured and modelled output and residuals of every trial, for figures."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ __all__ = ["TrialTrace", "correlation", "gap_map", "traces_of"]
 
 # Number of depth bins of the map.
 _DEPTHS = 10
-# Least number of samples of a bin; bins with fewer are NaN.
+# Number of samples below which the mean square of a bin is NaN.
 _FEWEST = 5
 
 
 @dataclass(frozen=True)
 class TrialTrace:
-    """One trial, without and with the effects (before, after).
+    """Measured and modelled outputs of one trial, with the model before and after adding effects.
 
-    Outputs have shape (axes, samples). `sample` is the sample index of each value of the whitened residuals (`left_`).
+    `measured`, `before` and `after` have shape (axes, samples). `left_before` and `left_after` are the whitened
+    residuals, shape (n,); `sample` holds the sample index of each of their values.
     """
 
     trial: str
@@ -32,7 +33,10 @@ class TrialTrace:
     measured: Array
     before: Array
     after: Array | None
-    """Output with the named effects, or the best effect if data for a name are missing; None without effects."""
+    """Output of the model with the named effects.
+
+    If data for naming are missing, output with the best effects. None if there are no effects.
+    """
 
     left_before: Array
     left_after: Array | None
@@ -54,8 +58,9 @@ def traces_of(found: Diagnosis) -> tuple[TrialTrace, ...]:
 def gap_map(traces: Sequence[TrialTrace], *, after: bool) -> tuple[tuple[MotionPhase, ...], Array, Array]:
     """Return phases of motion, edges of depth bins (mm), and the mean square of the whitened residual in each bin.
 
-    The mean square has shape (phases, depths); it is 1 for noise alone and NaN in bins with few samples. Phases that do
-    not occur are omitted.
+    The mean square has shape (phases, depth bins). It is 1 for noise alone and NaN in a bin with fewer than 5 samples.
+    A phase without any bin of 5 samples is left out. If `after`, the residuals of the model with effects are used, or,
+    if no effects were added, the residuals before.
     """
     deepest = max(float(each.motion.depth_mm.max()) for each in traces)
     edges = np.linspace(min(0.0, *(float(each.motion.depth_mm.min()) for each in traces)), deepest, _DEPTHS + 1)
@@ -73,7 +78,10 @@ def gap_map(traces: Sequence[TrialTrace], *, after: bool) -> tuple[tuple[MotionP
 
 
 def correlation(traces: Sequence[TrialTrace], lags: int, *, after: bool) -> tuple[Array, float]:
-    """Return the autocorrelation of the whitened residual at lags 1 to `lags`, and the 99 % bound of white noise."""
+    """Return the autocorrelation of the whitened residuals at lags 1 to `lags`, and the 99 % bound of white noise.
+
+    The autocorrelation of all trials together has shape (lags,). `after` selects the residuals as in `gap_map`.
+    """
     rows = [each.left_after if after and each.left_after is not None else each.left_before for each in traces]
     products = np.array([sum(float(row[lag:] @ row[:-lag]) for row in rows) for lag in range(1, lags + 1)])
     samples = sum(map(len, rows))

@@ -1,4 +1,4 @@
-"""Sentences of the report: title, answer and advice."""
+"""Sentences of the report: title, result and advice."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def title_of(found: Diagnosis) -> str:
 
 
 def answer(found: Diagnosis, unit: str) -> Iterator[str]:
-    """Yield paragraphs that state the result; `unit` is the unit of the channel."""
+    """Yield paragraphs that state the result of the diagnosis. `unit` is the unit of the diagnosed channel."""
     decision, noise = found.decision, found.calibration.noise.rms
     yield f"Verdict: {decision.verdict}. {_begun(decision.because)}."
     for each in found.effects:
@@ -80,7 +80,7 @@ def _begun(text: str) -> str:
 
 
 def advice(found: Diagnosis) -> Iterator[str]:
-    """Yield sentences on what to do next, followed by the remarks on the data."""
+    """Yield sentences: missing data, then recommended next steps, then the remarks of the diagnosis."""
     for why in found.checked.lacks.values():
         yield f"Missing data: {why}."
     match found.verdict:
