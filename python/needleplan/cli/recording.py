@@ -147,7 +147,7 @@ def _require_export(options: argparse.Namespace) -> None:
 
 
 def run_replay(options: argparse.Namespace) -> int:
-    """Replay an insertion and return the exit code: 1 if decisions or commands differ from the recorded ones, else 0."""
+    """Replay an insertion and return the exit code: 1 if decisions or commands differ from the recording, else 0."""
     from needleplan.control import replay
     from needleplan.planning import PolicyTable
     from needleplan.recording import Recording
