@@ -143,7 +143,7 @@ def write_records(records: Sequence[Record], path: PathLike) -> str:
     OutputError
         The suffix is not one of these three, or the file cannot be written.
     DataError
-        There is no trial, or two trials have the same name.
+        There is no trial, two trials have the same name, or a name in a CSV file would have a line break.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """The description of a run (session), and the unfinished file of a recording.
 
-The file consists of short chunks that can be read independently. A chunk has its length and the CRC32 of its records.
+The file consists of short chunks that can be read independently. Each chunk stores its length and a CRC32 checksum.
 The session and the definitions of the channels are repeated every 10 s, so that a damaged chunk does not make the rest
 unreadable. The file has no index until it is finished (`_recovery.py`), because an index would use more and more memory
 during the run.
@@ -207,7 +207,10 @@ class Journal:
         return number
 
     def add(self, channel: int, sequence: int, wall_ns: int, data: bytes) -> None:
-        """Add a message to the present chunk; if `_REPEAT_NS` has passed, add session and definitions before it."""
+        """Add a message to the present chunk.
+
+        Session and definitions are added before the message if a channel is new or the last definitions are 10 s old.
+        """
         if wall_ns >= self._repeat_ns:
             self._add_definitions(wall_ns)
             self._repeat_ns = wall_ns + _REPEAT_NS

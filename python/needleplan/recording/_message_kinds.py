@@ -124,9 +124,9 @@ class Packed(MessageKind):
     name : str
         Name of the message type, `package/msg/Name`.
     fields : tuple of Field
-        The fields, ordered by type: int64, uint64, float64, int32, uint32, uint8 or bool, string.
+        The fields, ordered by size: first int64, uint64, float64; then int32, uint32; then uint8, bool; then string.
     row : callable, optional
-        Returns the values of the fields for one sample; without it, a value is a mapping by field name.
+        Returns the values of the fields for one value; if None, a value is a mapping by field name.
 
     Raises
     ------
@@ -171,7 +171,7 @@ class Packed(MessageKind):
         return ("\n".join(lines) + "\n").encode()
 
     def encode(self, value: Any) -> bytes:
-        """Return the message in little-endian CDR."""
+        """Return the message in little-endian CDR; zero characters are removed from texts."""
         values = self.row(value) if self.row else [value[each.name] for each in self.fields]
         numbers: list[Any] = []
         texts: list[str] = []
@@ -258,7 +258,7 @@ class Json(MessageKind):
     name : str
         Name of the message type.
     properties : mapping
-        `properties` of its JSON schema.
+        The entry `properties` of the JSON schema.
 
     Examples
     --------
@@ -279,7 +279,7 @@ class Json(MessageKind):
         return json.dumps({"title": self.name, "type": "object", "properties": dict(self.properties)}).encode()
 
     def encode(self, value: Any) -> bytes:
-        """Return the JSON text of `value` as UTF-8. Raises TypeError if `value` is not a mapping."""
+        """Return the JSON text of `value`. Raises TypeError if `value` is not a mapping or has no JSON form."""
         plain = _plain(value)
         if not isinstance(plain, dict):
             raise TypeError(f"must be a mapping, not {type(value).__name__}")

@@ -71,7 +71,7 @@ class RecordingChannel:
         self._count = 0
 
     def put(self, time_ns: int, value: Any) -> bool:
-        """Record a value; never raises, and does not block unless the recorder has `WhenFull.WAIT`.
+        """Record a value; never raises, and waits only if the queue is full and the recorder has `WhenFull.WAIT`.
 
         Parameters
         ----------
@@ -83,7 +83,7 @@ class RecordingChannel:
         Returns
         -------
         bool
-            False if the value is lost.
+            False if the value is lost, because the queue is full, or the recorder is closed or has failed.
 
         """
         self._count += 1

@@ -46,7 +46,8 @@ class WhenFull(StrEnum):
     """Count the message as lost and return at once; for runs in real time."""
 
     WAIT = "wait"
-    """Wait until the queue has space; for simulated runs, which produce messages faster than a disk can write them."""
+    """Wait until the queue has space, or until writing fails (then the message is lost); for simulated runs, which
+    produce messages faster than a disk can write them."""
 
 
 @dataclass(frozen=True)
@@ -64,13 +65,13 @@ class RecorderStatus:
     queued : int
         Number of messages in the queue.
     behind_s : float
-        Upper bound on the age of the oldest unwritten message, s; about 0.02 in normal operation.
+        Upper bound on the age of the oldest unwritten message, s; about 0.02 in normal operation, 0 when closed.
     overflowed : mapping of str to int
         Number of messages lost by topic, because the queue was full or the writer had failed.
     refused : int
-        Number of messages that could not be encoded.
+        Number of messages that could not be encoded or had an impossible time.
     refusal : str
-        Reason why the first of these messages could not be encoded.
+        Reason why the first of these messages was refused.
 
     Examples
     --------

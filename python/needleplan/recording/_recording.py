@@ -222,6 +222,7 @@ class Recording:
         -------
         dict of str to ndarray
             One array of shape (messages,) for each field, and `time_s`, the time since the start of the recording.
+            Without messages, only `time_s`.
 
         Raises
         ------
@@ -253,6 +254,11 @@ class Recording:
         bool
             False for JSON messages.
 
+        Raises
+        ------
+        KeyError
+            The recording lacks the topic.
+
         """
         return isinstance(self.kinds[topic], Packed)
 
@@ -262,17 +268,18 @@ class Recording:
         The trial has the times of the force sensor, else of the stage, else of the tracker; other columns are
         interpolated to them. Force and torque are the components along and about the session's `force_axis`. Positions
         are in the frame of the tracker. If several topics have one kind, the first in alphabetical order is used.
+        Topics with fewer than two samples are ignored.
 
         Returns
         -------
         Record
-            The trial. Samples with a health other than good are NaN; samples with repeated or decreasing times are left
-            out. The notes count both.
+            The trial. The numbers of samples that are not good are NaN; samples with repeated or decreasing times are
+            left out. The notes count both.
 
         Raises
         ------
         DataError
-            The recording has no samples of any of the three kinds, or their times do not overlap.
+            The recording has no topic of the three kinds with two samples, or their times do not overlap.
 
         """
         kinds = (FORCE.name, STAGE.name, POSE.name)

@@ -106,7 +106,10 @@ _AGREE = 5.0  # ratio of velocity to change of depth per time above which (or be
 
 
 def questionable_units(record: Record) -> list[Mistake]:
-    """Return a mistake for every column with implausible values; records of noise may have arbitrarily small values."""
+    """Return a mistake for every column with implausible values; of the three positions, only for the widest.
+
+    If there is none, velocity and depth are compared. Records of noise may have arbitrarily small values.
+    """
     found = []
     quiet = record.role is Role.NOISE
     for name, allowed in _SPANS.items():
@@ -136,7 +139,7 @@ def _out_of_range(name: str, size: float, unit: str, allowed: _Range, quiet: boo
 def _agreement(record: Record) -> list[Mistake]:
     """Return a mistake if velocity and change of depth per time disagree in unit or sign.
 
-    They are compared by the slope of a regression, which is robust against noise in the depth.
+    Both are compared by the slope of a regression, which is robust against noise in the depth.
     """
     if not {"depth_mm", "velocity_mm_s"} <= record.columns.keys() or len(record) < 5:
         return []

@@ -30,7 +30,7 @@ __all__ = ["FORMATS", "require_no_recording", "write_csv", "write_hdf5", "write_
 def write_csv(recording: Recording, path: PathLike) -> tuple[str, ...]:
     """Write the trial of a recording to a CSV file, and return the notes of the trial.
 
-    Raises DataError and OutputError.
+    Raises DataError if the recording has no trial, OutputError if the file cannot be written or `path` is a recording.
     """
     require_no_recording(path)
     trial = recording.trial()
@@ -42,7 +42,8 @@ def write_hdf5(recording: Recording, path: PathLike) -> tuple[str, ...]:
     """Write the trial and all channels of a recording to an HDF5 file, and return the notes of the trial.
 
     The group `/trial_0001` holds the trial, which `needleplan identify` reads. `/trial_0001/channels/<topic>` holds the
-    columns of a topic as recorded; JSON messages are texts in the dataset `json`. Raises DataError and OutputError.
+    columns of a topic as recorded; JSON messages are texts in the dataset `json`. Raises DataError if the recording has
+    no trial, OutputError if the file cannot be written or `path` is a recording.
     """
     import h5py
 
@@ -67,7 +68,8 @@ def write_hdf5(recording: Recording, path: PathLike) -> tuple[str, ...]:
 def write_parquet(recording: Recording, path: PathLike, *, overwrite: bool = False) -> tuple[str, ...]:
     """Write a folder with one Parquet file for each topic, and return the number of rows of each topic as texts.
 
-    If `overwrite`, the folder may exist; only files with the same names are replaced. Raises OutputError.
+    If `overwrite`, the folder may exist; only files with the same names are replaced. Raises OutputError if the package
+    pyarrow is not installed, or if the folder exists or cannot be written; DataError if a message is damaged.
     """
     arrow = _optional("pyarrow", path)
     parquet = _optional("pyarrow.parquet", path)
@@ -96,7 +98,7 @@ class _NewFolder:
     """Context manager that gives a temporary folder, which gets its final name at the end of the block.
 
     If the folder exists and may be overwritten, the new files are moved into it. After an exception the temporary
-    folder is removed. Raises OutputError.
+    folder is removed. Raises OutputError if the folder exists and may not be overwritten, or cannot be written.
     """
 
     def __init__(self, path: PathLike, overwrite: bool) -> None:
@@ -159,7 +161,8 @@ def write_rosbag(recording: Recording, path: PathLike, *, overwrite: bool = Fals
     Forces become geometry_msgs/WrenchStamped (N, N m), poses geometry_msgs/PoseStamped (m), samples of the stage
     sensor_msgs/JointState (insertion in m, roll in rad), and other messages std_msgs/String with JSON. Tracker samples
     without a pose are left out and counted in the remarks. If `overwrite`, the folder may exist; only files with the
-    same names are replaced. Raises OutputError, also if the package rosbags is not installed.
+    same names are replaced. Raises OutputError if the package rosbags is not installed, or if the folder exists or
+    cannot be written; DataError if a message is damaged.
     """
     rosbag2 = _optional("rosbags.rosbag2", path)
     typesys = _optional("rosbags.typesys", path)

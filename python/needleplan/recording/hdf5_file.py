@@ -1,7 +1,8 @@
 """HDF5 files of trials: one dataset for each column, in the root of the file or in one group for each trial.
 
-If the root contains several trials, it needs the column `trial`. A group has the attributes `trial` and `role`. Texts
-are UTF-8 strings. needleplan writes groups; MATLAB reads a column with `h5read(file, '/trial_0001/force_n')`.
+If the root contains several trials, the root needs the column `trial`. A group may have the attributes `trial` and
+`role`. Texts are UTF-8 strings. needleplan writes groups; MATLAB reads a column with
+`h5read(file, '/trial_0001/force_n')`.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ _MOST_NUMBERS = 200_000_000  # largest accepted length of a dataset, in entries
 
 
 def parse_hdf5(content: bytes, source: str) -> list[Table]:
-    """Return one table for each group of an HDF5 file, or one table for the datasets in its root. Raises DataError."""
+    """Return one table for each group of an HDF5 file, or one table for the datasets in its root.
+
+    Raises DataError if the file is damaged or empty, has both groups and datasets in its root, or has a wrong column.
+    """
     import h5py
 
     try:
@@ -45,7 +49,7 @@ def parse_hdf5(content: bytes, source: str) -> list[Table]:
 
 
 def to_hdf5(records: Sequence[Record]) -> bytes:
-    """Return the bytes of an HDF5 file with the records; reading it returns equal records."""
+    """Return an HDF5 file with the columns, phases, names and roles of the records; the notes are not stored."""
     import h5py
 
     image = io.BytesIO()

@@ -115,8 +115,8 @@ def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
 def definitions_of(content: bytes, known: Definitions) -> None:
     """Add the schemas, channels and session in the records of a chunk to `known`, unless they are already known.
 
-    A topic has one channel. A second channel of the same topic is ignored: the definitions at the end of the file have
-    no checksum, so its number may be damaged.
+    A topic has one channel. A second channel of the same topic is ignored, because its number may be damaged: the
+    definitions at the end of the file have no checksum.
     """
     for opcode, body in _records(content):
         if opcode == Opcode.SCHEMA:
@@ -198,7 +198,7 @@ def _unpacked(compression: bytes, stored: bytes, size: int) -> bytes | None:
 
 
 def _skipped(data: Any, at: int) -> int | None:
-    """Return the offset of the end of the record at the offset `at`; None if it is a chunk or not plausible."""
+    """Return the offset of the end of the record at the offset `at`; None if the record is a chunk or damaged."""
     if data[at : at + len(MCAP0_MAGIC) + 1] == MCAP0_MAGIC:
         return len(data)
     if at + _HEAD.size > len(data):

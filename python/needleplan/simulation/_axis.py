@@ -48,7 +48,10 @@ class Trapezoid:
     def to(
         cls, goal: float, top_velocity: float, acceleration: float, *, begin_s: float, position: float, velocity: float
     ) -> Trapezoid:
-        """Return the profile from a position and velocity to `goal`, at most at `top_velocity`; it may reverse."""
+        """Return the profile from a position and velocity to `goal`, at most at `top_velocity`.
+
+        The profile reverses if the axis moves away from the goal or cannot stop before the goal.
+        """
         made = cls(begin_s, position, velocity)
         stops_at = position + velocity * abs(velocity) / (2 * acceleration)
         sign = math.copysign(1.0, goal - stops_at)

@@ -116,7 +116,7 @@ class _Anything:
 
 
 def _inside(file: str, mistakes: Sequence[Mistake]) -> Iterator[Mistake]:
-    """Yield the mistakes of `file` with keys for the file that refers to it; the value is `file` if there is none."""
+    """Yield the mistakes of `file` for a message about the referring file; a missing value becomes `file`."""
     for each in mistakes:
         yield Mistake(f" {each.key}".rstrip(), each.value or file, each.rule)
 
@@ -199,7 +199,8 @@ class _ExperimentTable(
 class Experiment:
     """Setup, program of moves and seed of a run of the lab twin.
 
-    `scenario` is the scenario that was planned, or None; `digest` is the digest of the experiment file.
+    `scenario` is the scenario that was planned, or None; `digest` is the digest of the experiment file. Raises
+    ExperimentError if a move does not fit the robot, or if the seed is negative.
     """
 
     setup: Setup

@@ -1,7 +1,7 @@
 """Forces along the needle: shaft friction, compliant tissue, cutting, and membranes.
 
-The physics of friction and tissue is in `models`. Here it is simulated step by step, because the depths are not known
-in advance. The normal force of the friction is read from a table with a spacing of 0.01 mm.
+The physics of friction and tissue is in `models`. This module simulates the forces step by step, because the depths are
+not known in advance. The normal force of the friction is read from a table with a spacing of 0.01 mm.
 """
 
 from __future__ import annotations
@@ -76,7 +76,10 @@ class ShaftForce:
             next(self._steps)
 
     def step(self, interval_s: float, velocity_mm_s: float, depth_mm: float) -> None:
-        """Simulate a time step to the given velocity, relative to tissue that is not dragged, and the given depth."""
+        """Simulate a time step, at whose end the needle has the given depth and velocity.
+
+        The velocity is relative to tissue that is not dragged.
+        """
         if self._law is None:
             return
         sample = self._law.sample(depth_mm)
@@ -114,7 +117,8 @@ class TipForce:
     """Force on the tip (N): cutting force, and the force of each membrane until it is punctured.
 
     The tip compresses the tissue by 0.1 mm and then cuts. The force remains while the needle is at rest, and vanishes
-    when the needle has been pulled back by 0.1 mm. The force of a membrane rises over the membrane's own stretch.
+    when the needle has been pulled back by 0.1 mm. The force of a membrane rises over the membrane's own stretch, and
+    drops to 0 at the puncture.
     """
 
     def __init__(self, layers: Sequence[SimulatedLayer]) -> None:

@@ -123,9 +123,7 @@ class _SampleQueue(Generic[_Sample]):
     def read(self, timeout_s: float) -> _Sample | None:
         """Return the oldest unread sample; if there is none, advance the time to the next one, at most by `timeout_s`.
 
-        Returns None if there is no sample then.
-
-        Raises DeviceFault if the device is closed.
+        Returns None if there is still no sample. Raises DeviceFault if the device is closed.
         """
         self.require_open()
         lab = self._lab
@@ -199,7 +197,8 @@ class SimulatedForceSensor(_SampleQueue[ForceSample], ForceSensor):
     def bias(self) -> None:
         """Set the zero to the last measured force and torque; without a sample, first advance the time by at most 1 s.
 
-        Unread samples, which have the old zero, are dropped and counted as lost.
+        Unread samples, which have the old zero, are dropped and counted as lost. Raises DeviceFault if the sensor is
+        closed.
         """
         self.require_open()
         lab = self._lab
@@ -222,7 +221,8 @@ def open_lab(url: str, clock: VirtualClock | None = None) -> Lab:
     """Open a lab by its address: `sim://insertion`, `sim://folder/mine.toml?seed=3` or `sim:///absolute/mine.toml`.
 
     The devices of the lab are `stage`, `force_sensor` and `tracker`; the program of the experiment is not run. Without
-    `clock` the lab has its own clock. Raises ExperimentError if the address or the file is invalid.
+    `seed` in the address, the seed is that of the experiment. Without `clock`, the lab has its own clock. Raises
+    ExperimentError if the address or the file is invalid.
     """
     parts = urlsplit(url)
     mistakes = []

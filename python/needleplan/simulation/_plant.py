@@ -177,7 +177,7 @@ class Plant:
     def seen_behind(self, distance_mm: float) -> TipFrame:
         """Return the frame of the needle at a distance (mm) behind the tip, as a noise-free tracker shows it.
 
-        It differs from the true frame only if the model of the path has effects that only the tracker shows.
+        This frame differs from the true frame only if the model of the path has effects that only the tracker shows.
         """
         true = self.frame_behind(distance_mm)
         if not self._model:
@@ -222,7 +222,7 @@ class Plant:
         return bend * self.curvature_factor
 
     def _aside(self, tip: TipFrame, roll_rad: float) -> tuple[float, float]:
-        """Return the curvatures (1/mm) along n and b by a pre-bent needle and its weight, or those of a model."""
+        """Return the curvatures (1/mm) along n and b, caused by pre-bend and weight of the needle or by the model."""
         if self._model:
             n, b = self._model.bend(roll_rad, *self._moving_now())
             return n * self.curvature_factor, b * self.curvature_factor

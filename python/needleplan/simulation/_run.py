@@ -49,7 +49,7 @@ class Run:
 
         Depth and angle are the encoder values at the times of the force samples. The columns x, y and z contain the
         positions of the tracker frames, and NaN between the frames. Force and torque are shifted by two samples, which
-        compensates the delay of the sensor's moving average.
+        compensates the delay of the sensor's moving average; their last two values are NaN.
         """
         time = np.array([each.stamp.device_time_s for each in self.forces], float)
         every = len(self.stage) // len(self.forces)

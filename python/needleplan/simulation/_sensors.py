@@ -60,7 +60,7 @@ class TrackerReading:
         self._missing = 0
 
     def sample(self, stamp: Stamp, coil: TipFrame) -> PoseSample:
-        """Return the pose sample that the tracker shows for the true frame of the coil; without a pose in a dropout."""
+        """Return the sample that the tracker shows for the true frame of the coil; MISSING during a dropout."""
         effects, keep = self._effects, self._keep
         fresh = math.sqrt(1 - keep * keep)
         self._drift = [keep * old + fresh * new for old, new in zip(self._drift, self._drift_draws.next(), strict=True)]

@@ -58,7 +58,11 @@ class SimulatedEntry(ConfigTable, key="entry", error=ExperimentError):
 
 @dataclass(frozen=True)
 class SimulatedTissue(ConfigTable, key="tissue", error=ExperimentError):
-    """The tissue outside of layers. Without `curvature_per_mm`, the needle has the curvature of the scenario."""
+    """The tissue between the surface and the first layer, with a membrane at the surface.
+
+    The fields have the same meaning as those of SimulatedLayer. Without `curvature_per_mm`, the needle has the
+    curvature of the plan.
+    """
 
     curvature_per_mm: float | None = ruled(Maybe(_BEND), None)
     cutting_n: float = ruled(_FORCE, 0.0)
@@ -157,11 +161,15 @@ BETWEEN = (_layers_increase, _robot_holds, _shaft_reaches, _entry_is_reached)
 class Setup:
     """Needle, tissue, robot and effects of a lab twin.
 
-    If neither the tissue nor a layer has a curvature, the needle has the curvature of the plan: `plan_curvature_per_mm`
-    (positive to the left), or the local curvature of `scenario` if that is not uniform. `friction` is Model II or III
-    of chapter 3, or None. `path` is a model of the path of the tip and replaces all curvatures. `force` is a model of
-    the axial force and is added to the other forces. Raises ExperimentError if the parts contradict each other, and
-    ModelError if `path` or `force` is not such a model.
+    A layer without a curvature has the curvature of the tissue. If the tissue has none either, the needle has the
+    curvature of the plan: `plan_curvature_per_mm` (positive to the left), or the local curvature of `scenario` if the
+    scenario is not uniform.
+
+    - `friction`: Model II or III of chapter 3 of the thesis, or None.
+    - `path`: model of the path of the tip, which replaces all curvatures, or None.
+    - `force`: model of an axial force, which is added to the other forces, or None.
+
+    Raises ExperimentError if the parts contradict each other, and ModelError if `path` or `force` is not such a model.
     """
 
     plan_curvature_per_mm: float = 0.0

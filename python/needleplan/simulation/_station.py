@@ -31,7 +31,7 @@ class SimulatedStation(Station):
     """Registration with the offset of the coil; tracker frame and plan frame are the same."""
 
     torsion: Torsion | None
-    """Torsional lag of the simulated needle; None if the tip turns exactly with the base."""
+    """Model of the torsional lag of the simulated needle; None if the tip turns exactly with the base."""
 
     needle_length_mm: float
 
@@ -64,8 +64,9 @@ def open_insertion_station(robot: str, force: str, tracker: str, table: PolicyTa
     """Open the three devices of an insertion, real or simulated, at their addresses.
 
     If all three addresses are the same `sim://[EXPERIMENT][?seed=N]`, a simulated lab is opened in which the needle
-    enters at `start`, and the result is a SimulatedStation. Raises AddressError if an address is invalid or the
-    addresses cannot be used together, and the errors of `open_station`.
+    enters at `start`, and the result is a SimulatedStation. By default, the experiment is `steering` and the seed is
+    that of the experiment. Raises AddressError if an address is invalid or the addresses cannot be used together,
+    ExperimentError if the experiment is invalid, and the errors of `open_station`.
     """
     if not are_simulated(robot, force, tracker):
         return open_station(robot, force, tracker)

@@ -59,7 +59,7 @@ class PlantDrive(RobotDrive):
         self._time_s: float | None = None
 
     def advance(self, time_s: float) -> RobotDriveState:
-        """Simulate the plant up to a time (s), and return the state of the axes."""
+        """Simulate the plant up to a time (s), at most for 0.05 s, and return the state of the axes."""
         lab, plant = self._lab, self._lab.plant
         passed_s = 0.0 if self._time_s is None else time_s - self._time_s
         self._time_s = time_s
@@ -105,7 +105,8 @@ def serve_robot(
 ) -> None:  # fmt: skip
     """Run the process of the robot, which simulates the plant in real time, until the parent ends it.
 
-    Sends `Ready` with its address after the first measured value, or `Failed`, and at its end `Served` to the parent.
+    Sends to the parent: `Ready` with the address of the robot after the first sample, or `Failed` if the port cannot be
+    opened; at the end `Served`.
     """
     forces, poses = FeedSender(to_force), FeedSender(to_tracker)
     begun = False
