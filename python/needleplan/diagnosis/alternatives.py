@@ -157,11 +157,10 @@ def winning_alternative(
 ) -> AlternativeModel | None:  # fmt: skip
     """Return the first alternative that wins against effects with the given gains; None if no alternative wins.
 
-    An alternative with at most one degree of freedom more than the effects wins unless the effects lead by `lead`. The
-    gains compared are the combined gain of the alternative and the BIC gain of the effects; if the alternative was
-    validated, `held_out_difference` (the held-out gain of all effects minus that of the best effect) is added to the
-    latter. Any alternative wins if its BIC gain leads by more than `gates.lead` and the likelihood gain of the effects
-    is below the share `gates.share_of_alternative` of its likelihood gain.
+    An alternative with at most one degree of freedom more than the effects wins if its combined gain exceeds `bic_gain`
+    - `lead`. For a validated alternative, `held_out_difference` (the held-out gain of all effects minus that of the
+    best effect) is added to `bic_gain`. Any alternative wins if its BIC gain exceeds `bic_gain` + `gates.lead` and
+    `likelihood_gain` is below the share `gates.share_of_alternative` of its likelihood gain.
     """
     for alternative in alternatives:
         simple = alternative.degrees_of_freedom <= degrees_of_freedom + 1
@@ -298,9 +297,9 @@ def refit_alternatives(
     calibration: Calibration,
     base: JointLikelihood,
 ) -> tuple[AlternativeModel, ...]:
-    """Fit the alternatives that resemble the effect of `best` like effects, and return all alternatives.
+    """Fit two alternatives like effects if they resemble the effect of `best`, and return all alternatives.
 
-    These are a step in time that is common to all trials, and the square of the pushing force, which is added to the
+    The two are a step in time that is common to all trials, and the square of the pushing force, which is added to the
     given alternatives. The result is sorted by the combined gain, the largest first. `seen` is the validation of
     `best`. For channels other than the force, the given alternatives are returned unchanged.
     """

@@ -74,13 +74,14 @@ class CatalogueEntry:
 
     @property
     def has_local_optima(self) -> bool:
-        """Whether fits may end in local optima: the effect is nonlinear in its amplitude and another parameter."""
+        """Whether fits may end in local optima: nonlinear in the amplitude, and at least two other parameters."""
         return self.count > 2 and any(SIZE in each for each in self.grid)
 
     def bounds(self) -> dict[str, tuple[float, float]]:
         """Return the search range of each parameter, which is slightly larger than the range of the grid.
 
-        The amplitude, angles (which are periodic), and parameters without a range are left out.
+        Left out are the amplitude, angles (which are periodic), parameters that are not on the grid, and parameters of
+        the scale LINEAR with one grid value.
         """
         names = [
             name for name, what in self.effect.parameters.items()

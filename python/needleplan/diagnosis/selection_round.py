@@ -59,7 +59,7 @@ class RoundOutcome(StrEnum):
 
     ACCEPTED = "accepted"
     WEAK = "weak"
-    """The best effect does not reach the required BIC gain, or its amplitude may be zero."""
+    """No effect could be fitted, or the best does not reach the required BIC gain, or its amplitude may be zero."""
 
     CHANCE = "chance"
     """Simulated data without an effect reach the same BIC gain too often."""

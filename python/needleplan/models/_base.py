@@ -36,7 +36,7 @@ __all__ = ["Channel", "LinearStateModel", "Model", "SelfIntegratingModel"]
 
 
 class Channel(StrEnum):
-    """The measured quantity that a model predicts. The value is the name of the record's column.
+    """The measured quantity that a model predicts. The value is the name of a record's column, except for TIP.
 
     Examples
     --------
@@ -108,7 +108,7 @@ class Model(ABC):
 
     @abstractmethod
     def initial_state(self, motion: Motion) -> Array:
-        """Return the state at rest before the first sample of `motion`, shape (n,)."""
+        """Return the state at the first sample of `motion`, shape (n,), for a start from rest."""
 
     @abstractmethod
     def derivative(self, state: Array, motion: Motion) -> Array:

@@ -62,7 +62,7 @@ def fit(
     free : sequence of str, optional
         Names of the parameters to estimate. The default is all parameters that the model declares free.
     bounds : mapping of str to (float, float), optional
-        Ranges by parameter name, which replace the declared ranges. Names that are not in `free` have no effect.
+        Narrower ranges by parameter name. Names that are not in `free` have no effect.
     smooth : callable, optional
         Filter that is applied to the simulated output before the comparison. Use the filter that the sensor applied to
         the measured signal, such as a moving average.

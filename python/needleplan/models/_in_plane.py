@@ -106,7 +106,7 @@ def in_plane(model: Model, deepest_mm: float, velocity_mm_s: float = 5.0) -> InP
     Raises
     ------
     ModelError
-        If the model is not a `SteeredModel`, or the path bends to the wrong side at a depth or does not bend at all.
+        If the model is not a `SteeredModel`, or the curvature to one side is negative at a depth or zero everywhere.
 
     Examples
     --------

@@ -166,7 +166,7 @@ def bootstrap_intervals(
     Raises
     ------
     DataError
-        If `runs` is below 20, `block` is longer than a record, or more than half of the refits fail.
+        If `runs` is below 20, `block` is below 1 or longer than a record, or more than half of the refits fail.
 
     Examples
     --------

@@ -84,7 +84,8 @@ _Entry = tuple[float, Estimate | None]
 class _ParameterRule:
     """Rule for the table of one parameter: value, unit and, if the parameter was identified, its estimate.
 
-    If `ordered`, an interval that does not contain the value is refused; effect tables may contain such intervals.
+    If `ordered`, an interval that does not contain the value is refused, and so is a negative sd. Effect tables may
+    contain both.
     """
 
     what: Parameter

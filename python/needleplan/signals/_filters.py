@@ -202,7 +202,7 @@ class AverageStream:
         self._last: deque[float] = deque(maxlen=samples)
 
     def push(self, value: float) -> float:
-        """Process one sample and return the mean of the last samples."""
+        """Process one sample and return the mean of the last `samples` samples, or of all if there are fewer."""
         self._last.append(value)
         return sum(self._last) / len(self._last)
 
@@ -242,7 +242,7 @@ class VelocityRecord:
 
 
 def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:
-    """Return the velocity of a measured position, without delay; `time_s` and `position_mm` have the shape (samples,).
+    """Estimate the velocity of a measured position without delay; `time_s` and `position_mm` have the shape (samples,).
 
     The method is POLYNOMIAL if the position noise is below 0.02 mm and the sampling intervals are even to 2 %, and
     SMOOTHER otherwise. The process noise of the smoother corresponds to the jerk of the dominant sine in the record,

@@ -113,7 +113,7 @@ class HighGainObserver:
 
 
 class ObserverStream:
-    """A running observer. `position` and `velocity` are the latest estimates; `position` is None before a sample."""
+    """A running observer. `position` and `velocity` are the latest estimates, None and 0 before the first sample."""
 
     def __init__(self, observer: HighGainObserver) -> None:
         self._eps, self._t = observer.epsilon, observer.interval_s

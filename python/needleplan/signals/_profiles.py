@@ -26,9 +26,10 @@ _MOVING = 0.05
 
 
 class Start(StrEnum):
-    """Where a sinusoidal motion begins. The upper sign holds for a motion that moves in first.
+    """Where a sinusoidal motion begins.
 
-    The motion begins at rest. A start at full speed would add a step of 3 to 4 N, from the damping of the bristles.
+    The motion begins at rest. A start at full speed would add a step of 3 to 4 N, from the damping of the bristles. In
+    the formulas below, the upper sign holds for a motion that moves in first.
     """
 
     END = "end"
@@ -114,9 +115,10 @@ def lspb(
     """Return a motion through `depths_mm` that comes to rest at each depth.
 
     `velocities_mm_s` are the positive speeds of the segments, one fewer than the depths. `blend_s` is the duration of
-    each acceleration and deceleration. `dwells_s` are the times at rest at each depth except the first (default: 0).
-    The motion is sampled at `rate_hz`; the last sample is at or just after the end. Raises DataError, with all
-    mistakes, for wrong counts, numbers out of range, or successive depths that are equal.
+    each acceleration and deceleration, which is less on a segment too short for its speed. `dwells_s` are the times at
+    rest at each depth except the first (default: 0). The motion is sampled at `rate_hz`; the last sample is at or just
+    after the end. Raises DataError, with all mistakes, for wrong counts, numbers out of range, or successive depths
+    that are equal.
     """
     dwells = [0.0] * len(velocities_mm_s) if dwells_s is None else list(dwells_s)
     _require(depths_mm, velocities_mm_s, dwells, blend_s, rate_hz)

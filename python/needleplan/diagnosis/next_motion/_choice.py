@@ -34,11 +34,12 @@ def limits_of(found: Diagnosis, *, fastest_mm_s: float = 0.0) -> Limits | None:
 
 
 def next_motion(found: Diagnosis, limits: Limits | None = None) -> NextMotion | None:
-    """Return the motion to measure next; None if no question is open, the depth range is too small, or none helps.
+    """Return the motion to measure next.
 
-    For tied effects, the motion separates them. If effects may be hidden, it lowers the detection limits. For an
-    unexplained gap, it gives most information on the gap along its axis. Candidates are `programs` within `limits`, by
-    default those of `limits_of`.
+    For tied effects, the motion separates them. If effects may be hidden, the motion lowers the detection limits. For
+    an unexplained gap, the motion gives most information on the gap along its axis. Candidates are `programs` within
+    `limits`, by default those of `limits_of`. Returns None if no question is open, the depth range is too small, or no
+    motion helps.
     """
     alternatives = alternatives_of(found)
     axis = found.decision.axis

@@ -129,7 +129,7 @@ class TipPath(SelfIntegratingModel):
         return np.asarray(self.side * self.cutting_force * math.cos(self.bevel) * np.cos(motion.angle_rad) * risen)
 
     def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the state at the entry, shape (2,)."""
+        """Return the state at the entry, x1 = x2 = 0, shape (2,)."""
         return np.zeros(2)
 
     def derivative(self, state: Array, motion: Motion) -> Array:

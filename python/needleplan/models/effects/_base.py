@@ -165,7 +165,7 @@ class Term(ABC):
 
     @abstractmethod
     def initial(self, motion: Motion) -> Array:
-        """Return the internal state before the first sample, shape (k,)."""
+        """Return the internal state at the first sample, shape (k,), for a start from rest."""
 
     @abstractmethod
     def rate(self, state: Array, motion: Motion) -> Array:

@@ -91,7 +91,7 @@ class Inertia(Term):
     size: float = parameter("kg", 0, 100, "mass that the sensor accelerates", typical=0.1)
 
     def initial(self, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the smoothed velocity before the first sample, 0, shape (1,)."""
+        """Return 0, the smoothed velocity at the first sample (mm/s), shape (1,)."""
         return np.zeros(1)
 
     def rate(self, state: Array, motion: Motion) -> Array:

@@ -189,8 +189,8 @@ class LumpedLuGre(LuGre):
 class AveragedLuGre(LuGre):
     """Models III-A (profile `RIGHT`) and III-B (profile `ISOSCELES`, the default): psi = zeta^exponent along the patch.
 
-    `beta` and `form` select the printed equations or the corrected ones. The constructor raises ModelError for another
-    profile, and for a `beta` that does not apply to the profile.
+    `beta` and `form` select the printed equations or the corrected ones. The constructor also raises ModelError for
+    another profile, for an unknown `beta` or `form`, and for a `beta` that does not apply to the profile.
 
     Examples
     --------

@@ -127,7 +127,7 @@ def fit_on_tissue(
 
 
 def tissue_lag_rad(model: LumpedOnTissue, record: Record, frequency_hz: float) -> float:
-    """Return the phase lag (rad) behind the velocity of the needle of the needle's velocity relative to the tissue.
+    """Return the phase lag (rad) of the sliding velocity (needle minus tissue) behind the velocity of the needle.
 
     The first cycle is left out, but at most half of the record.
     """

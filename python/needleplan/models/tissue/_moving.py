@@ -69,7 +69,7 @@ class MovingTissue(SelfIntegratingModel):
     def initial_state(self, motion: Motion) -> Array:
         """Return the state with a straight bristle and undisplaced tissue, shape (3,).
 
-        At the velocity of the tissue, the damping of the tissue balances the friction.
+        The tissue moves with the velocity at which the damping of the tissue balances the friction.
         """
         law = self.law(motion)
         velocity = float(np.atleast_1d(motion.velocity_mm_s)[0])

@@ -45,7 +45,7 @@ class TuningStatus(StrEnum):
     """A slow observer that closes the loop was found."""
 
     NO_COMPENSATION = "no_compensation"
-    """G does not change its sign: no slow observer closes the loop. Use the velocity of the fast observer."""
+    """G does not become positive as alpha1 grows: no slow observer closes the loop. Use the fast observer."""
 
     TOO_FEW_CROSSINGS = "too_few_crossings"
     """The force does not cross zero at least once in each direction."""

@@ -84,7 +84,7 @@ def stepping(
     new_bent = new_forcing = new_rate = 0.0
 
     def balance(tried: float) -> float:
-        """Return the sum of the forces on the tissue for the velocity `tried` at the end of the step."""
+        """Return resisting minus driving force on the tissue (N) for the velocity `tried` at the end of the step."""
         nonlocal new_bent, new_forcing, new_rate, force
         relative = velocity - tried
         new_forcing, new_rate = coefficients(sample, relative)
