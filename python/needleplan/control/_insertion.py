@@ -1,4 +1,4 @@
-"""The insertion loop: in each step, it looks up the action for the estimated tip in the table and carries it out.
+"""The insertion loop, which looks up the action for the estimated tip in the table and carries the action out.
 
 If the needle need not stop, the decision is made shortly before the end of a step, for the predicted pose at the end of
 the step. Before a rotation the needle stops, the tracker observes the tip again, and the decision is made for the pose

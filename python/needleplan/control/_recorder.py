@@ -90,8 +90,8 @@ class RunRecorder(Listener, Closing):
     """Listener that writes a run to the file `path`. Raises OutputError if the file cannot be opened.
 
     Samples are stored in the order in which the loop received them; a replay depends on this order. On simulated time
-    the recorder waits for the disk. On real time it drops messages if the disk is too slow, and counts them in its
-    status.
+    the recorder waits for the disk. On real time the recorder drops messages if the disk is too slow, and counts the
+    dropped messages in its status.
     """
 
     def __init__(

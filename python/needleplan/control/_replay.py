@@ -1,4 +1,4 @@
-"""Replay: the loop runs on recorded samples, and its decisions and commands are compared with the recorded ones.
+"""Replay: the loop runs on recorded samples, and the new decisions and commands are compared with the recorded ones.
 
 The devices return the recorded samples on a virtual clock, in the order in which the loop received them. The stage
 accepts every command and compares it with the recorded command. Decisions are compared in the same way.
@@ -50,7 +50,7 @@ _Sample = TypeVar("_Sample", StageSample, ForceSample, PoseSample)
 
 
 class _Tape(Generic[_Sample]):
-    """Queue of the recorded samples of one device that have not been read yet."""
+    """Queue of the unread recorded samples of one device."""
 
     def __init__(self, clock: VirtualClock, samples: list[tuple[int, _Sample]]) -> None:
         self._clock = clock

@@ -42,7 +42,7 @@ class ScenarioGeometry:
         return float(self.scenario.radius_mm(x_mm, y_mm))
 
     def step_mm(self, x_mm: float, y_mm: float) -> float:
-        """Return the length (mm) of a step from a point, over which the heading turns by one interval of the table."""
+        """Return the length (mm) of a step from a point; each step turns the heading by one interval of the table."""
         return 2 * math.pi * self.radius_mm(x_mm, y_mm) / self.scenario.motion.headings
 
     def clamped(self, x_mm: float, y_mm: float) -> tuple[float, float]:
@@ -161,10 +161,10 @@ class Approach:
         return scene.target_distance_mm(pose.x_mm, pose.y_mm) <= reach
 
     def beside(self, pose: Pose) -> tuple[Pose, float] | None:
-        """Return start pose and length (mm) of a last step beside the target, with the bevel that comes nearer to it.
+        """Return start pose and length (mm) of a last step that ends beside the target, for the better of both bevels.
 
-        Returns None if the target is not near, if the step would reduce the distance to its centre by less than 0.1 mm,
-        or if the step would leave the workspace or touch an obstacle.
+        Returns None if the target is not near, if the step would bring the tip nearer to the centre by less than 0.1
+        mm, or if the step would leave the workspace or touch an obstacle.
         """
         if not self.near(pose):
             return None

@@ -148,7 +148,7 @@ class TcpLink(Link):
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def send(self, data: bytes) -> None:
-        """Send all of `data`."""
+        """Send all of `data`. Raises LinkClosed."""
         try:
             self._socket.settimeout(None)
             self._socket.sendall(data)
@@ -216,7 +216,7 @@ class SerialLink(Link):
 
     @property
     def baud(self) -> int:
-        """Speed of the line, bit/s."""
+        """Speed of the line, bit/s. Setting a speed raises LinkClosed if the port does not accept the speed."""
         return int(self._port.baudrate)
 
     @baud.setter
@@ -228,14 +228,14 @@ class SerialLink(Link):
             raise LinkClosed(f"serial://{self.path}: {baud} baud: {error}") from error
 
     def send_break(self, seconds: float = 0.25) -> None:
-        """Send a serial break of `seconds`, which resets some devices."""
+        """Send a serial break of `seconds`, which resets some devices. Raises LinkClosed."""
         try:
             self._port.send_break(seconds)
         except _GONE as error:
             raise LinkClosed(f"serial://{self.path}: {error}") from error
 
     def send(self, data: bytes) -> None:
-        """Send all of `data`."""
+        """Send all of `data`. Raises LinkClosed."""
         try:
             self._port.write(data)
         except _GONE as error:

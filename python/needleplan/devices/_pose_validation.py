@@ -46,10 +46,11 @@ class PoseValidator:
         notes: tuple[str, ...],
         most_step_mm: float,
     ) -> PoseSample:
-        """Return the sample of a pose; with a note if the position is more than `most_step_mm` from the last one.
+        """Return the sample of a pose: GOOD without `notes`, else SUSPECT.
 
-        The quaternions q and -q describe the same rotation; the sample gets the quaternion closer to the last one.
-        After a MISSING sample, the pose is not compared.
+        The sample gets a further note if its position is more than `most_step_mm` from the last position. The
+        quaternions q and -q describe the same rotation; the sample gets the quaternion closer to the last one. Without
+        a last pose, or if the last sample is MISSING, nothing is compared.
         """
         last = None if self.last is None or self.last.health is Health.MISSING else self.last
         if last is not None:

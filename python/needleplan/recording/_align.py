@@ -23,7 +23,7 @@ _GAP_INTERVALS = 5
 def align(
     record: Record, other: Record, columns: Sequence[str] | None = None, *, longest_gap_s: float | None = None
 ) -> Record:
-    """Return a record with columns of another record, interpolated linearly to its times.
+    """Return `record` with columns of `other`, interpolated linearly to the times of `record`.
 
     Nothing is extrapolated: samples of `record` outside of the time span of `other` are left out. Interpolation does
     not average, so smooth the columns of a faster sensor before aligning them.
@@ -43,7 +43,7 @@ def align(
     Returns
     -------
     Record
-        The samples of `record` within the time span of `other`. Its notes count the samples left out and those in gaps.
+        The samples of `record` within the time span of `other`. The notes count the samples left out and those in gaps.
 
     Raises
     ------

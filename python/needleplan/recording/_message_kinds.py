@@ -212,7 +212,7 @@ class Packed(MessageKind):
 
     @classmethod
     def from_schema(cls, name: str, schema: bytes) -> Packed:
-        """Return the kind that the schema in a file describes; it decodes messages written by other versions.
+        """Return the kind that the schema in a file describes, also for messages written by other versions.
 
         Parameters
         ----------

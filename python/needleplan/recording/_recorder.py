@@ -91,9 +91,9 @@ class RecordingChannel:
 
 
 class Recorder:
-    """Writes a recording. Close it, or use it in a `with` statement.
+    """Writes a recording. Call `close` at the end, or use the recorder in a `with` statement.
 
-    Until it is closed, the file has the suffix `.partial`.
+    Until the recorder is closed, the file has the suffix `.partial`.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class Recorder:
         topic : str
             Name, such as `/force`; must begin with `/`.
         kind : MessageKind
-            Encoding of its values.
+            Encoding of the values.
 
         Returns
         -------

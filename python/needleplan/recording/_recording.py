@@ -40,7 +40,7 @@ class RecordedMessage:
     time_ns : int
         Time on the monotonic clock of the recording machine, ns.
     sequence : int
-        Number of the message within its topic, counted from 1; a gap is a lost message.
+        Number of the message within its topic, counted from 1; a gap means lost or refused messages.
     values : dict
         The fields of the message by name.
 
@@ -66,7 +66,7 @@ class Recording:
     path : Path
         The file.
     session : Session
-        Description of the run: title, digests of the files it used, clocks.
+        Description of the run: title, digests of the files that the run used, clocks.
     counts : mapping of str to int
         Number of messages by topic.
     kinds : mapping of str to MessageKind
@@ -266,9 +266,9 @@ class Recording:
         """Return the samples of force sensor, stage and tracker as one trial, in the columns of the data files.
 
         The trial has the times of the force sensor, else of the stage, else of the tracker; other columns are
-        interpolated to them. Force and torque are the components along and about the session's `force_axis`. Positions
-        are in the frame of the tracker. If several topics have one kind, the first in alphabetical order is used.
-        Topics with fewer than two samples are ignored.
+        interpolated to these times. Force and torque are the components along and about the session's `force_axis`.
+        Positions are in the frame of the tracker. If several topics have one kind, the first in alphabetical order is
+        used. Topics with fewer than two samples are ignored.
 
         Returns
         -------

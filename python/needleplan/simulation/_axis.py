@@ -2,8 +2,8 @@
 
 The axis is a double integrator with feed-forward of the profile's acceleration. The gains place three poles at the
 bandwidth w: a = a_ref + 3 w (v_ref - v) + 3 w^2 (x_ref - x) + w^3 int (x_ref - x). Between ticks the acceleration is
-constant and is integrated exactly. The servo measures only the encoder position, and its velocity is a filtered
-difference. A profile that starts at rest is `signals.lspb` with the blend time velocity / acceleration.
+constant and is integrated exactly. The servo measures only the encoder position; the measured velocity is a filtered
+difference of positions. A profile that starts at rest is `signals.lspb` with the blend time velocity / acceleration.
 """
 
 from __future__ import annotations

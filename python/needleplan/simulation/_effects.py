@@ -36,13 +36,14 @@ class Effects(ConfigTable, key="effects", error=ExperimentError):
     """Exponent p of rate-dependent tissue: the curvature is proportional to (speed / 5 mm/s)^p."""
 
     pre_bend_per_mm: float = _amplitude("1/mm", 0.1, signed=True)
-    """Curvature of a pre-bent needle, perpendicular to the curvature caused by the bevel; it rolls with the tip."""
+    """Curvature of a pre-bent needle. Its direction is perpendicular to that of the bevel and rolls with the tip."""
 
     sag_per_mm: float = _amplitude("1/mm", 0.1, signed=True)
-    """Downward curvature at the entry caused by the needle's weight; it is proportional to the length outside."""
+    """Downward curvature at the entry, caused by the weight of the needle. The curvature decreases in proportion to the
+    length outside of the tissue."""
 
     heading_noise_rad_sqrt_mm: float = _amplitude("rad/sqrt(mm)", 0.1)
-    """Standard deviation of the heading after 1 mm of path, in the plane and out of it. It grows with the square root
+    """Standard deviation of the heading after 1 mm of path, in the plane and out of it; proportional to the square root
     of the path length."""
 
     torsional_friction_n: float = _amplitude("N mm/mm", 10)

@@ -31,7 +31,7 @@ _CONTACT_MM = 0.1
 class DepthLaw:
     """A friction model for single numbers instead of arrays.
 
-    Its sample number is the depth in steps of 0.01 mm, or -1 outside of the tissue.
+    A sample number is the depth in steps of 0.01 mm, or -1 outside of the tissue.
     """
 
     def __init__(self, friction: LuGre, deepest_mm: float) -> None:

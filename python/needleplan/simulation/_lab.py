@@ -1,6 +1,6 @@
 """The lab twin: a plant with its sensors, accessible as three devices.
 
-Time is simulated. It advances when a program advances the clock of the lab, sleeps on this clock, or waits for a
+Time is simulated. Time advances when a program advances the clock of the lab, sleeps on this clock, or waits for a
 sample: `read` returns the oldest unread sample; if there is no sample, time advances until there is one, at most by
 `timeout_s`. All devices share the clock. Each device keeps the unread samples of the last two seconds. The next sample
 contains the number of older samples that were lost.
@@ -159,7 +159,7 @@ class _SampleQueue(Generic[_Sample]):
 
 
 class SimulatedStage(_SampleQueue[StageSample], Stage):
-    """Stage that moves the two axes of the simulated robot; it has one sample per servo tick."""
+    """Stage that moves the two axes of the simulated robot, with one sample per servo tick."""
 
     def __init__(self, lab: Lab) -> None:
         super().__init__(lab, lab.plant.setup.robot.servo_hz)

@@ -1,4 +1,4 @@
-"""The path that the tip cuts; it is the channel in which the shaft follows.
+"""The path that the tip cuts, which is the channel in which the shaft follows.
 
 Lengths along the path begin at the surface. In fresh tissue the tip follows arcs with the local curvature, in the
 direction of its bevel. When the needle is pulled back, the tip returns along its channel. When the needle is inserted

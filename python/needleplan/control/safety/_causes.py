@@ -21,7 +21,7 @@ class Severity(StrEnum):
     """The motion stops; the order RESUME continues the run when the cause is gone."""
 
     FAULT = "fault"
-    """The motion stops, and the cause is latched: when it is gone, a person must reset and enable the guard."""
+    """The motion stops, and the cause is latched: when the cause is gone, a person must reset and enable the guard."""
 
 
 class Cause(StrEnum):
@@ -74,7 +74,7 @@ class Cause(StrEnum):
     NO_MOTION = "no_motion"
     """An axis has moved less than a tenth of its way within `motion_s` after its command."""
     STILL_MOVING = "still_moving"
-    """The stage moves without a command; after a stop, it may move for `motion_s`."""
+    """The stage moves without a command, later than `motion_s` after the last stop."""
     LOOP_LATE = "loop_late"
     """The loop has not called `tick` within `loop_age_s`, or a command blocks the guard."""
     CLOCK_MISMATCH = "clock_mismatch"

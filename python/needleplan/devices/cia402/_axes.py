@@ -78,7 +78,7 @@ class Cia402Axis:
         self.has_status = self.has_velocity = False
 
     def begin(self, target: float, velocity: float, position: float, now_ns: int) -> None:
-        """Record that a motion from `position` to `target` (mm or rad) at `velocity` (1/s) has begun."""
+        """Record that a motion has begun from `position` to `target` (mm or rad) at `velocity` (mm/s or rad/s)."""
         self._motion, self.stopped, self.position = _Motion(target, velocity), False, position
         # An axis that reverses continues in its old direction for a while.
         speed, limits = abs(self.velocity), self.setup.limits
@@ -233,7 +233,7 @@ class Rounds:
         return StageSample(stamp, insertion.position, insertion.velocity, roll.position, moving)
 
     def silent(self) -> str:
-        """Return a message with the drives that have not answered for too long; "" if there are none."""
+        """Return a message that names the drives that have been silent for `silence_s`; "" if there are none."""
         now_ns = self._clock.now_ns()
         silent_s = (now_ns - self._answered_ns) / _NANO
         if silent_s <= self._silence_s or self.asked_ns is None or now_ns <= self.asked_ns + self._sync_ns:

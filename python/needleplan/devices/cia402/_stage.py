@@ -123,7 +123,7 @@ class CanopenStage(Stage):
         self._move(0, depth_mm, velocity_mm_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin a rotation of the needle base to a roll angle. Raises DeviceFault as `insert`."""
+        """Begin a rotation of the needle base to a roll angle. Raises DeviceFault in the same cases as `insert`."""
         self._move(1, roll_rad, velocity_rad_s)
 
     def stop(self) -> None:

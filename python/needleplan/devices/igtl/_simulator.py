@@ -1,7 +1,7 @@
 """A simulated PLUS server with selectable faults; it sends the same bytes as a real PLUS server.
 
-`PlusDevice` generates the bytes. `PlusLink` connects a client to it within one process on a virtual clock; `PlusServer`
-offers it at a TCP port.
+`PlusDevice` generates the bytes. `PlusLink` connects a client to the device within one process on a virtual clock;
+`PlusServer` offers the device at a TCP port.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _BEGAN_S = 1_700_000_000.0  # time of the simulated server at its start, s since
 class TrackedTool:
     """A simulated tool. `pose` returns position (mm) and quaternion (w, x, y, z) at a time in s.
 
-    `name` is the name of its transform. A `status` other than OK means that the tool is not visible.
+    `name` is the name of the tool's transform. A `status` other than OK means that the tool is not visible.
     """
 
     name: str

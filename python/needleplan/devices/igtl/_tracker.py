@@ -104,7 +104,8 @@ class IgtlTracker(Tracker):
 
         - `message`: transform (the default), position, tdata or qtdata.
         - `ask`: yes to request TDATA or QTDATA from the server, by default no.
-        - `interval_ms`, `coordinates`: with `ask`, shortest time (ms) between messages, and coordinate system.
+        - `interval_ms`: with `ask`, shortest time (ms) between messages, by default 0.
+        - `coordinates`: with `ask`, coordinate system of the poses, by default chosen by the server.
         - `rate_hz`: frame rate, from which lost frames are counted, by default 0 (not counted).
         - `timeout_s`: longest time (s) to connect, by default 3.
 
@@ -134,7 +135,7 @@ class IgtlTracker(Tracker):
         )  # fmt: skip
 
     def start(self) -> None:
-        """Restart after a fault and wait for the first pose.
+        """Request the poses if `ask`, and wait for the first pose; also restarts the tracker after a fault.
 
         Raises ConfigurationError if no pose of the device arrives within `limits.start_s`, DeviceFault if the server
         refuses the request, sends damaged messages, or has disconnected. `start` cannot restore a lost connection: open
@@ -166,8 +167,8 @@ class IgtlTracker(Tracker):
     def read(self, timeout_s: float) -> PoseSample | None:
         """Return the next pose sample, or None after `timeout_s`.
 
-        Raises DeviceFault if no new pose arrives for `limits.silence_s` or the messages are damaged, and then at every
-        call until `start`.
+        Raises DeviceFault if no new pose arrives for `limits.silence_s`, the server cannot be used any more, or the
+        link is closed, and then at every call until `start`.
         """
         if self._closed:
             raise LinkClosed("the tracker is closed")

@@ -41,7 +41,8 @@ class IgtlPose:
     """A pose with position (mm) and unit quaternion (w, x, y, z).
 
     `distortion` measures how much the received matrix or quaternion deviates from a rotation: 0 for an exact rotation,
-    NaN if it cannot be converted to a rotation. `oriented` is False if only a position was received.
+    NaN if no rotation can be computed (the quaternion is then the identity). `oriented` is False if only a position was
+    received.
     """
 
     position_mm: tuple[float, float, float]

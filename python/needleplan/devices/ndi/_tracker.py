@@ -34,10 +34,11 @@ class NdiTool:
 
 
 def wake(conversation: NdiConversation) -> None:
-    """Initialise the device. If the device is still tracking, stop tracking first.
+    """Initialise the device by the command INIT.
 
-    If the device does not answer on a serial line, reset it by a serial break at 9600 baud first. Raises DeviceFault
-    without an answer.
+    If the device refuses INIT, because it is still tracking, stop tracking and repeat INIT. If the device does not
+    answer on a serial line, reset the device by a serial break at 9600 baud and repeat INIT. Raises DeviceFault if INIT
+    still fails.
     """
     serial = isinstance(conversation.link, SerialLink)
     try:

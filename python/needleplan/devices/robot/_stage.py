@@ -155,7 +155,7 @@ class RobotStage(Stage):
         self._move(RobotKind.INSERT, depth_mm, velocity_mm_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin a rotation of the needle base to a roll angle. Stops and raises as `insert`."""
+        """Begin a rotation of the needle base to a roll angle. Raises DeviceFault in the same cases as `insert`."""
         self._move(RobotKind.ROTATE, roll_rad, velocity_rad_s)
 
     def stop(self) -> None:
