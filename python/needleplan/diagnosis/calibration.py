@@ -383,7 +383,7 @@ def _whitened_modes(raw: Array, motion: Motion, lag: float, noise: SensorNoise, 
 def calibration_remarks(model: Model, calibration: Calibration) -> list[str]:
     """Return remarks on the calibrated base model, each for the user of the diagnosis.
 
-    They report parameters at a bound of their range or a factor of 5 off their value in `model`, and a lag over 0.03 s.
+    Reported are parameters at a bound of the range or a factor of 5 off the value in `model`, and a lag over 30 ms.
     """
     found = []
     for name in calibration.free:

@@ -348,8 +348,8 @@ def whitened_sensitivities(
 ) -> list[Array]:
     """Return the whitened sensitivities of all candidates, one array per trial, shape (n, m).
 
-    They are computed for the model `about`, by default the calibrated model. The candidate of a lag effect has the
-    sensitivity of the calibrated lag.
+    The sensitivities are computed for the model `about`, by default the calibrated model. The candidate of a lag effect
+    has the sensitivity of the calibrated lag.
     """
     model = about or calibration.model
     sensitivities = [trial.whiten(library.sensitivities(model, trial.motion, entries)) for trial in trials]

@@ -1,7 +1,7 @@
 """Description of a gap that no effect explains: its curves, and a sparse formula found by greedy selection.
 
-The formula is a sum of products of elementary terms. It describes the gap, but states no cause. Products that fit
-nearly as well are listed too.
+The formula is a sum of products of elementary terms. The formula describes the gap, but states no cause. Products that
+fit nearly as well are listed too.
 """
 
 from __future__ import annotations

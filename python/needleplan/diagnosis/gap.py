@@ -4,9 +4,9 @@ Smooth functions are fitted to the residual with the base model projected out, a
 bins. Without a gap the coefficients are independent and normal; random draws of them give the distribution of the
 largest standardised energy of the bins of an axis.
 
-A curve is a Gaussian process with a squared-exponential correlation. Its amplitude and correlation length maximise the
-likelihood, with the base model projected out. Outside the visited range, and in ranges in which the base model absorbs
-the gap, the uncertainty band of the curve widens to that of the prior.
+A curve is a Gaussian process with a squared-exponential correlation. The amplitude and the correlation length of this
+process maximise the likelihood, with the base model projected out. Outside the visited range, and in ranges in which
+the base model absorbs the gap, the uncertainty band of the curve widens to that of the prior.
 """
 
 from __future__ import annotations

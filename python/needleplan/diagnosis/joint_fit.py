@@ -373,7 +373,7 @@ def amplitude_interval(covariance: Array, joint: JointFit, which: int) -> tuple[
     """Return the linearised 95 % interval of an amplitude.
 
     An amplitude with a direction is a vector with two normally distributed components, even if the direction is
-    undetermined. Its interval holds the lengths of all vectors inside the confidence ellipse of the components.
+    undetermined. The interval holds the lengths of all vectors inside the confidence ellipse of the components.
     """
     each = joint.effects[which]
     amplitude, unit = each.values[SIZE], each.effect.parameters[SIZE].typical

@@ -75,7 +75,8 @@ class Selection:
 def select_effects(calibration: Calibration, library: Library, gates: Gates, *, seed: int = 0) -> Selection:
     """Add effects one at a time until no further effect passes all gates; then compare each with its alternatives.
 
-    This is repeated from other first effects, and the set with the clearly largest combined gain is returned.
+    The search is repeated from other first effects. A set found in this way is returned only if the set contains
+    several effects and leads in combined gain by more than `gates.lead`.
     """
     base = JointLikelihood([trial.whitened for trial in calibration.training])
     entries = library.entries([trial.motion for trial in calibration.training])

@@ -96,8 +96,8 @@ class SelectionRound:
 def explains_as_well(best: JointFit, other: JointFit, lead: float) -> bool:
     """Return whether `other` explains the data as well as `best`.
 
-    This is so if the combined gain of `other` is less than `lead` behind, or if `other` is not refuted and its BIC gain
-    in training is more than `lead` ahead.
+    The result is True if the combined gain of `other` is less than `lead` behind, or if `other` is not refuted and the
+    BIC gain of `other` in training is more than `lead` ahead.
     """
     fits_better = not other.refuted and other.newest.bic_gain > best.newest.bic_gain + lead
     return bool(other.combined_gain > best.combined_gain - lead or fits_better)
@@ -163,7 +163,7 @@ class Search:
 def run_round(search: Search, taken: JointFit | None, first_gain: float) -> SelectionRound:
     """Look for one more effect beside the effects of `taken` and return the round.
 
-    `first_gain` is the likelihood gain of the first effect.
+    `first_gain` is the likelihood gain of the first effect; it is not used if `taken` is None.
     """
     gates = search.gates
     likelihood = taken.likelihood if taken else search.base

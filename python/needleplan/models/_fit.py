@@ -7,8 +7,8 @@ The covariance of u is the estimator of Newey and West (Econometrica 55 (1987) 7
     C = (J'J)^-1 S (J'J)^-1,    S = sum over lags |k| <= m of (1 - |k|/(m+1)) sum_i J_i r_i r_(i+k) J_(i+k)'
 
 The estimator stays valid if neighbouring noise samples are correlated, as after a sensor's filter. The 95 % intervals
-are u +- t sd, clipped to the range and transformed to p. They are therefore asymmetric for parameters with a
-logarithmic scale.
+are u +- t sd, clipped to the range and transformed to p. For parameters with a logarithmic scale the intervals are
+therefore asymmetric.
 """
 
 from __future__ import annotations

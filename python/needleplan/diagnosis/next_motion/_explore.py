@@ -1,8 +1,9 @@
 """The motion that gives most information on an unexplained gap along its axis.
 
 The gap is modelled as a smooth function along the axis: a sum of basis functions b with independent normal
-coefficients. Their standard deviation s maximises the likelihood of the data. Let M = b'W b be the normal matrix of the
-recordings so far and M' that of one more trial, both with the base model projected out. That trial contributes
+coefficients. The standard deviation s of the coefficients maximises the likelihood of the data. Let M = b'W b be the
+normal matrix of the recordings so far and M' that of one more trial, both with the base model projected out. That trial
+contributes
 
     log2 det(1 + s^2 (M + M')) / det(1 + s^2 M) / 2        bits
 

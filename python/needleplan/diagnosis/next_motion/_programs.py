@@ -128,7 +128,8 @@ _Moves = Sequence[Insert | Rotate | Dwell]
 def programs(channel: Channel, limits: Limits) -> tuple[Program, ...]:
     """Return the candidate motions for a channel.
 
-    For the tip, these are insertions, most of them with rotations. For the force, these are insertions and retractions.
+    The motions for the tip are insertions, most of them with rotations. The motions for the force insert and retract
+    the needle without rotation.
     """
     made = _steered(limits) if channel is Channel.TIP else _axial(limits)
     return tuple(Program(name, about, tuple(moves), limits) for name, about, moves in made)

@@ -1,9 +1,9 @@
 """The motion that separates effects that explain the data equally well (T-optimal design, Hunter and Reiner).
 
-Suppose that the first of two effects is true. Its model then predicts one more trial of a motion. The second effect can
-explain part of that prediction, after recalibration of the base model and a change of the second effect's parameters
-within their uncertainty. The whitened energy D of the unexplained part is the expected growth of the first effect's
-lead in BIC gain; the variance of the growth is 4 D.
+Suppose that the first of two effects is true. The model with the first effect then predicts one more trial of a motion.
+The second effect can explain part of that prediction, after recalibration of the base model and a change of the second
+effect's parameters within their uncertainty. The whitened energy D of the unexplained part is the expected growth of
+the first effect's lead in BIC gain; the variance of the growth is 4 D.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Synonyms:
     first: str
     second: str
     trials: int | None
-    """Number of trials of the best motion that would separate the effects; None if more than 1000 would be needed."""
+    """Number of trials of the best motion that would separate the effects; None if at least 1000 would be needed."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def separating(
 ) -> Separating:
     """Return the motion with the largest probability of a decision between the possible effects, at least two.
 
-    Among almost equal probabilities, the motion with the largest smallest separation wins.
+    Among motions with almost equal probabilities, the one that separates its least separable pair best is returned.
     """
     all_ = [*alternatives, *_close_behind(found, alternatives)]
     every = [separations_by(found, all_, motion) for _, motion in tried]
@@ -174,8 +174,8 @@ def separating(
 def alternatives_of(found: Diagnosis) -> tuple[AlternativeEffect, ...]:
     """Return at most four possible effects, the best first; none if no round is decisive.
 
-    These are the effects that tied in the decisive round or, without a tie, those near the best effect of this round.
-    If only one effect is possible and the verdict is AMBIGUOUS, `NOTHING` is added.
+    The possible effects are those that tied in the decisive round or, without a tie, those near the best effect of this
+    round. If only one effect is possible and the verdict is AMBIGUOUS, `NOTHING` is added.
     """
     round_ = _deciding(found)
     if round_ is None:

@@ -6,8 +6,8 @@ the positive root of::
     a^3 - 4 (kf/EI) a - (b/EI)^2 = 0,      m = (a - b/(EI sqrt(a)))/2,   n = (a + b/(EI sqrt(a)))/2
 
 u is a sum of exp(-p x) {cos, sin}(q1 x), with x from the entry point, and exp(-p y) {cos, sin}(q2 y), with y from the
-tip. These functions never exceed one. Outside, u is a cubic, clamped at the base. Its two coefficients are eliminated
-analytically, which reduces the 6 x 6 system of the two sub-beams to 4 x 4.
+tip. These functions never exceed one. Outside, u is a cubic, clamped at the base. The two coefficients of the cubic are
+eliminated analytically, which reduces the 6 x 6 system of the two sub-beams to 4 x 4.
 
 The result has ten correct digits for depths above a quarter of 1/lam. At a fortieth of 1/lam it has eight, because the
 four functions are then nearly dependent. Axial load (`AxialTerms.CONSISTENT`) has no such solution; use

@@ -40,7 +40,7 @@ class CutPath:
     tip_mm: Array
     tip_slope_rad: Array
     tracked_mm: Array
-    """Deflection of the point `behind_tip_mm` behind the tip, by the depth of the tip."""
+    """Deflection (mm) of the point at the distance `behind_tip_mm` behind the tip."""
 
     last_shape: Array
     """Deflection (mm) of the inserted needle after the last step, at the distances `depth_mm` from the entry point."""

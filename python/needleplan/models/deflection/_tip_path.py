@@ -46,9 +46,10 @@ class TipPath(SelfIntegratingModel):
     retraction without rotation, y returns along the same values. y > 0 is toward the push of the bevel, for side +1 and
     the base at 0.
 
-    **Identifiability.** Beside offset and slope, a record determines one number, the curvature Fc cos(a)/(EI lam);
-    these three are free. kf, EI and mu change the same number. They can be freed by name, but only a flip in the record
-    separates kf from Fc. The entry region would separate them too, but no model is valid there; mask it.
+    **Identifiability.** Beside offset and slope, a record determines one number, the curvature Fc cos(a)/(EI lam).
+    Offset, slope and Fc are therefore free. kf, EI and mu, which change the same number, can be freed by name, but only
+    a flip in the record separates kf from Fc. The entry region would separate kf from Fc too, but no model is valid
+    there: mask this region.
 
     Examples
     --------

@@ -58,7 +58,7 @@ class SlowObserver:
     `projection` is None unless the status is COMPENSATED. `alphas` (1/s) and `gaps_mm_s`, shape (40,), are the curve
     G(alpha1); `gaps_mm_s` is empty if the status is TOO_FEW_CROSSINGS. `upward` and `downward` are the numbers of
     rising and falling zero crossings. `gap_sd_mm_s` is the standard deviation of G at the tuned alpha1, from the
-    scatter of the crossings. It is infinite without compensation, and for only one rising or only one falling crossing.
+    scatter of the crossings; infinite unless compensated, and for only one rising or only one falling crossing.
     """
 
     status: TuningStatus
@@ -77,8 +77,8 @@ class SlowObserver:
     def lag_sd_rad(self, frequency_hz: float) -> float:
         """Return the standard deviation (rad) of the lag at a frequency, to first order; infinite without compensation.
 
-        The standard deviation follows from the scatter of the zero crossings of the force. It does not contain the bias
-        that friction causes in all crossings.
+        The standard deviation follows from the scatter of the zero crossings of the force, without the bias that
+        friction causes in all crossings.
         """
         if self.projection is None or self.alpha1 is None:
             return np.inf

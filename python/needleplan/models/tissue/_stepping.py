@@ -73,9 +73,9 @@ def stepping(
     """Return a generator that integrates step by step, for motions that are not known in advance.
 
     The generator receives the sample (an index for `law`), the length of the step (s) and the velocity of the needle at
-    the end of the step. It yields bristle state, tissue displacement (mm), tissue velocity (mm/s) and force on the
-    needle (N). All four are NaN if the motion has diverged. `velocity` is the velocity of the needle at sample 0, and
-    `start` is the state at sample 0. `k`, `c` and `m` are stiffness, damping and mass of the tissue.
+    the end of the step. The generator yields bristle state, tissue displacement (mm), tissue velocity (mm/s) and force
+    on the needle (N). All four are NaN if the motion has diverged. `velocity` is the velocity of the needle at sample
+    0, and `start` is the state at sample 0. `k`, `c` and `m` are stiffness, damping and mass of the tissue.
     """
     coefficients, friction = law.coefficients, law.force
     bent, moved, speed = start
