@@ -21,9 +21,9 @@ __all__ = ["FilterSample", "FilterStep", "JointFilter", "SampleUse", "ScalarKalm
 
 @dataclass(frozen=True, slots=True)
 class FilterSample:
-    """One measurement: time (s), depth (mm), value (unit of the channel), velocity (mm/s), angle of the base (rad).
+    """One measurement: time (s), depth (mm), value (unit of the channel), velocity (mm/s), roll angle (rad).
 
-    A missing `value` is NaN. A missing velocity is computed from the difference to the previous sample.
+    A missing `value` is NaN. If the velocity is None, it is computed from the difference to the previous sample.
     """
 
     time_s: float
@@ -38,13 +38,16 @@ class SampleUse(StrEnum):
 
     USED = "used"
     MASKED = "masked"
-    """Not used: next to a reversal, where the average of the sensor mixes both directions, or masked by the caller."""
+    """Not used: shortly after a reversal, at rest after a motion, or masked by the caller.
+
+    After a reversal, the average of the sensor mixes both directions.
+    """
 
     MISSING = "missing"
     """Not used: the value is not finite."""
 
     DIVERGED = "diverged"
-    """Not used: the estimate stopped being finite, at this sample or before."""
+    """Not used: the estimate is not finite, since this sample or an earlier one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +70,8 @@ class FilterStep:
 class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
     """Extended Kalman filter with a scalar measurement; the caller evaluates the nonlinear functions.
 
-    The prediction of filterpy is linear, F x, and is replaced here. Its update has the Joseph form, which keeps P
-    symmetric and positive.
+    filterpy predicts linearly, F x; this class replaces the prediction by a given state. The update of filterpy is in
+    Joseph form, which keeps P symmetric and positive.
     """
 
     def __init__(self, x: Array, covariance: Array, walk: Array, variance: float) -> None:
@@ -78,7 +81,7 @@ class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         self.R = np.array([[variance]])
 
     def predict_x(self, u: Any = 0) -> None:
-        """Set x to the given prediction."""
+        """Set x to `u`, the predicted state. filterpy calls this within `predict`."""
         self.x = u
 
     def advance(self, x: Array, change: Array) -> None:
@@ -97,7 +100,9 @@ class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
 
 
 class JointFilter:
-    """Extended Kalman filter of the state and the free parameters of a model, from one sample at a time.
+    """Extended Kalman filter of the state and the free parameters of a model. It takes one sample at a time.
+
+    `counts` holds the number of samples for each `SampleUse`.
 
     Parameters
     ----------
@@ -114,18 +119,18 @@ class JointFilter:
     state_sd
         Standard deviation of the initial state.
     settle
-        Number of masked samples after a reversal, where the average of the sensor contains samples from before the
-        reversal. Samples at rest after a motion are masked too. With 0, no sample is masked.
+        Number of masked samples after a reversal, for which the average of the sensor contains samples from before the
+        reversal. If it is above 0, samples at rest after a motion are masked too.
     reach
-        Largest distance of a coordinate from its first initial value.
+        Largest distance of a coordinate from its value at the first sample of the first pass.
     limit
-        Largest change of a coordinate in one sample: R is raised for a sample that would exceed it. Without `reach`
-        and `limit`, a coordinate can move to where the output no longer depends on it, and does not return.
+        Largest change of a coordinate in one sample: R is raised for a sample that would exceed this change. Without
+        `reach` and `limit`, a coordinate can reach values at which the output does not depend on it, and stay there.
 
     Raises
     ------
     DataError
-        A variance or a standard deviation is negative, or `variance` is 0.
+        A variance or a standard deviation is negative or NaN, or `variance` is 0.
     """
 
     def __init__(
@@ -177,19 +182,19 @@ class JointFilter:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the joint vector, shape (n, n)."""
+        """Covariance of the joint vector, shape (n, n). Raises DataError before the first sample."""
         return self._filter().P
 
     @property
     def model(self) -> Model:
-        """The model with the current estimate of its parameters."""
+        """The model with the current estimates of its parameters. Raises DataError before the first sample."""
         return self._joint.model(self.x)
 
     def update(self, sample: FilterSample, *, masked: bool = False) -> FilterStep:
-        """Predict to the time of a sample, and correct with its value unless it is masked or missing.
+        """Take a sample: predict to its time, correct with its value, and return the result.
 
-        Raises DataError if the time does not increase, or time, depth or velocity is not finite; the filter is then
-        unchanged.
+        A masked or missing value does not correct, and after a divergence nothing is predicted. Raises DataError if the
+        time does not increase, or time, depth or velocity is not finite; the filter is then unchanged.
         """
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return self._take(sample, masked)
@@ -208,14 +213,20 @@ class JointFilter:
         return self._correct(sample.value, now, masked or self._to_settle > 0 or at_rest)
 
     def restart(self, *, variance: float, sd: float | Sequence[float]) -> None:
-        """Begin a new pass with the estimated parameters, a new R and new initial standard deviations."""
+        """Begin a new pass from the estimated parameters, with a new R and new initial standard deviations.
+
+        Raises DataError before the first sample.
+        """
         self._start = self.model
         self._variance = variance
         self._sd = np.broadcast_to(np.asarray(sd, float), self._sd.shape)
         self._forget()
 
     def next_record(self) -> None:
-        """Begin a new record: parameters and their covariance continue, the state returns to its initial value."""
+        """Begin a new record: parameters and their covariance continue, the state returns to its initial value.
+
+        Raises DataError before the first sample.
+        """
         n = self._joint.states
         self._start, covariance = self.model, self.covariance[n:, n:]
         self._forget()

@@ -39,14 +39,14 @@ class JointSystem(ABC):
     """The joint system of a model and its free parameters; abstract.
 
     `start` is the model with the fixed parameters, `free` are the names of the estimated parameters, and `states` is
-    the number of states, which precede the parameters in x.
+    the number of states, which precede the coordinates in x. Call `initial` first: it may set `states`.
     """
 
     def __init__(self, model: Model, free: Sequence[str] | None = None) -> None:
-        """Fix all other parameters at their values in `model`.
+        """Estimate the parameters named in `free`, and fix all others at their values in `model`.
 
-        The default of `free` is all parameters that the model declares as free. Raises ModelError if `free` names a
-        parameter that the model does not have.
+        If `free` is None, all parameters are estimated that the model declares as free. Raises ModelError if `free`
+        names a parameter that the model does not have.
         """
         known = model.parameters()
         names = tuple(name for name, what in known.items() if what.free) if free is None else tuple(free)
@@ -59,11 +59,11 @@ class JointSystem(ABC):
 
     @abstractmethod
     def initial(self, model: Model, motion: Motion) -> Array:
-        """Return x before the first sample of `motion`, shape (states + free,), with the parameters of `model`."""
+        """Return x before the first sample of `motion`, with the parameters of `model`: shape (states + free,)."""
 
     @abstractmethod
     def predict(self, x: Array, before: Motion, after: Motion) -> tuple[Array, Array]:
-        """Return x at the instant `after`, given x at `before`, and its derivative with respect to x, shape (n, n)."""
+        """Return x at the instant `after`, shape (n,), and its derivative by x at `before`, shape (n, n)."""
 
     @abstractmethod
     def measure(self, x: Array, motion: Motion) -> tuple[float, Array]:
@@ -71,10 +71,10 @@ class JointSystem(ABC):
 
     @abstractmethod
     def values(self, x: Array) -> dict[str, float]:
-        """Return the values of the free parameters in their units, for any finite x."""
+        """Return the values of the free parameters at x by name, in their units."""
 
     def model(self, x: Array) -> Model:
-        """Return the model at x, with every parameter clipped to its range."""
+        """Return the model with the parameters at x, each clipped to its range."""
         known = self.start.parameters()
         kept = {
             name: float(np.clip(value, known[name].lower, known[name].upper))
@@ -84,16 +84,19 @@ class JointSystem(ABC):
 
 
 class NumericJointSystem(JointSystem):
-    """The joint system of any model: one step of `simulate`, derivatives by central differences."""
+    """The joint system of any model. `simulate` predicts one step; derivatives are central differences."""
 
     def __init__(self, model: Model, free: Sequence[str] | None = None, *, difference: float = 1e-5) -> None:
-        """`difference` is the step of the differences: absolute for coordinates, relative for states."""
+        """Use differences of the width `difference`: absolute for coordinates, relative for states.
+
+        The other arguments are those of `JointSystem`.
+        """
         super().__init__(model, free)
         self._difference = difference
         self._what = [model.parameters()[name] for name in self.free]
 
     def initial(self, model: Model, motion: Motion) -> Array:
-        """Return the initial state of the model and the coordinates of its parameters."""
+        """Return the initial state of the model and the coordinates of its parameters. Sets `states`."""
         state = model.initial_state(motion)
         self.states = state.size
         known = model.values()
@@ -139,19 +142,20 @@ class NumericJointSystem(JointSystem):
 
 
 class JointForce(JointSystem):
-    """The joint system of a force-depth model in closed form, in coordinates in which it cannot become unstable.
+    """The joint system of a force-depth model in closed form, in coordinates that keep the model stable.
 
     The coordinates are the logarithms of the parameters, except f2, which may be negative, and f1::
 
         f2 = 0.02 u          f1 = max(0, -f2) + exp(u)
 
-    Therefore g(l) = f1 + f2 exp(-alpha l) is positive at every depth for all coordinates. The bristle deflection z
-    takes an exponential step, which is bounded for any step size. With both, the filter converges from starts that are
-    wrong by a factor of six. Without them, as the thesis reports for f2(0) = -0.01, "the filter tended to be unstable".
+    If f1 is free, g(l) = f1 + f2 exp(-alpha l) is therefore positive at every depth for all coordinates. The bristle
+    deflection z takes an exponential step, which is bounded for any step size. With these two measures, the filter
+    converges from initial parameters that are wrong by a factor of six. Without them, as the thesis reports for
+    f2(0) = -0.01, "the filter tended to be unstable".
     """
 
     def __init__(self, model: DepthForce, free: Sequence[str] | None = None) -> None:
-        """Raises ModelError if g(l) is not positive at some depth, or `free` names an unknown parameter."""
+        """Take the arguments of `JointSystem`. Raises ModelError also if g(l) of `model` is not positive everywhere."""
         super().__init__(model, free)
         if not model.proper:
             raise ModelError(Mistake("f1", f"{model.f1:g}", "f1 and f1 + f2 must be positive"), model.name)
@@ -165,7 +169,7 @@ class JointForce(JointSystem):
         return np.array([0.0, *(self._coordinate(model, name) for name in self.free)])
 
     def predict(self, x: Array, before: Motion, after: Motion) -> tuple[Array, Array]:
-        """Return the next x and its derivative; the depth is constant during the step, at its middle."""
+        """Return the next x and its derivative. During the step, the depth is fixed at the mean of both depths."""
         z, *coordinates = x.tolist()
         values, slopes, floor_moves = self._natural(coordinates)
         middle = (float(before.depth_mm) + float(after.depth_mm)) / 2
@@ -195,7 +199,7 @@ class JointForce(JointSystem):
         return log(value - floor)
 
     def _natural(self, coordinates: list[float]) -> tuple[Values, list[float], bool]:
-        """Return all seven parameters, d(value)/du of the free ones, and whether f1 depends on f2."""
+        """Return all seven parameters, d(value)/du of the free parameters, and whether f1 depends on f2."""
         values, slopes = self._fixed.copy(), []
         for place, u in zip(self._places, coordinates, strict=True):
             bounded = min(max(u, -_FURTHEST), _FURTHEST)

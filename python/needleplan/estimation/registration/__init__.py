@@ -1,4 +1,4 @@
-"""Registration: distance from coil to tip, and rigid motion from the frame of the tracker to the frame of the plan."""
+"""Registration: distance from coil to tip, and rigid motion from tracker coordinates to plan coordinates."""
 
 from needleplan.estimation.registration._measurements import Points, Poses, read_points, read_poses
 from needleplan.estimation.registration._needle import Registered, register_needle

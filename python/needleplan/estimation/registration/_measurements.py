@@ -2,8 +2,9 @@
 
 - Poses: `x_mm, y_mm, z_mm, qw, qx, qy, qz` in the frame of the tracker, one row per frame. A row without numbers is a
   frame in which the coil was not visible.
-- Points: `name, tracker_x_mm, tracker_y_mm, tracker_z_mm, plan_x_mm, plan_y_mm, plan_z_mm`. If the tip of the needle
-  touched the points, the tracker columns hold the coil, and `qw, qx, qy, qz` its rotation.
+- Points: `tracker_x_mm, tracker_y_mm, tracker_z_mm, plan_x_mm, plan_y_mm, plan_z_mm`, and optionally `name`. If the
+  points were touched with the tip of the needle, the tracker columns hold the position of the coil, and the further
+  columns `qw, qx, qy, qz` its rotation.
 """
 
 from __future__ import annotations
@@ -40,9 +41,10 @@ _UNIT = 0.01
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses of a coil: positions (n, 3), unit quaternions (n, 4) with w first, and their lines in the file.
+    """Poses of a coil: positions, shape (n, 3), and unit quaternions with w first, shape (n, 4).
 
-    `missing` is the number of rows without a pose.
+    `lines` holds the line of each pose in the file, `missing` the number of rows without a pose, and `digest` the
+    digest of the file.
     """
 
     positions_mm: Array
@@ -54,9 +56,10 @@ class Poses:
 
 @dataclass(frozen=True)
 class Points:
-    """Pairs of points: names, points in the frame of the tracker (n, 3) and in the frame of the plan (n, 3).
+    """Pairs of points: coordinates in the frames of the tracker and of the plan, shape (n, 3) each.
 
-    If there are `quaternions` (n, 4), the tracker points are positions of the coil while the tip was at the point.
+    If `quaternions`, shape (n, 4), are given, `tracker_mm` holds positions of the coil while the tip touched the
+    points. `names` holds the name of each point, or its line in the file; `digest` is the digest of the file.
     """
 
     names: tuple[str, ...]
@@ -67,7 +70,10 @@ class Points:
 
 
 def read_poses(path: str | os.PathLike[str]) -> Poses:
-    """Read the poses of a pivoting needle from a CSV file. Raises DataError with the mistakes of the file."""
+    """Read the poses of a pivoting needle from a CSV file.
+
+    Raises DataError if the file cannot be read, or with at most ten of its mistakes.
+    """
     content, source = _content(path), os.fspath(path)
     table = _Table(content, source, _POSE, ())
     numbers = np.array([[row[name] for name in _POSE] for row in table.rows])
@@ -86,7 +92,7 @@ def read_poses(path: str | os.PathLike[str]) -> Poses:
 
 
 def read_points(path: str | os.PathLike[str]) -> Points:
-    """Read pairs of points from a CSV file. Raises DataError with the mistakes of the file."""
+    """Read pairs of points from a CSV file. Raises DataError like `read_poses`."""
     content, source = _content(path), os.fspath(path)
     table = _Table(content, source, (*_TRACKER, *_PLAN), _QUATERNION)
     given = [name for name in _QUATERNION if name in table.columns]
@@ -110,7 +116,10 @@ def read_points(path: str | os.PathLike[str]) -> Points:
 
 
 class _Table:
-    """The rows of a CSV file; all columns except `name` hold numbers."""
+    """The rows of a CSV file: numbers in the columns `needed` and `optional`; an empty cell is NaN.
+
+    Other columns are ignored, except `name`. Raises DataError for mistakes in the header or the cells.
+    """
 
     def __init__(self, content: bytes, source: str, needed: tuple[str, ...], optional: tuple[str, ...]) -> None:
         _, rows = rows_of_cells(content, source)

@@ -25,7 +25,7 @@ _FEW_POSES = 100
 # Spread of the directions (rad) below which a remark warns of a biased offset.
 _NARROW_RAD = math.radians(10)
 
-# Ratio of the FRE of the best reflection to the FRE below which a remark reports a wrong sign of an axis.
+# Ratio, FRE of the best reflection to FRE of the fit, below which a remark reports a wrong sign of an axis.
 _MIRRORED = 0.5
 
 
@@ -33,8 +33,9 @@ _MIRRORED = 0.5
 class Registered:
     """Outcome of `register_needle`: the fits, the registration, and remarks about the data.
 
-    `registration`, `motion` and `outlier` are None if the poses do not determine the offset of the coil; the remarks
-    then give the reason. `names` are the names of the points.
+    If the poses do not determine the offset of the coil, `registration`, `motion` and `outlier` are None, and the
+    remarks give the reason. `outlier` is also None if no pair of points contradicts the others. `names` are the names
+    of the points.
     """
 
     pivot: Pivot
@@ -55,8 +56,8 @@ def register_needle(
 ) -> Registered:
     """Register a needle from a file of poses and a file of points.
 
-    Raises DataError for files with mistakes, and for collinear points. Poses that do not determine the coil raise no
-    error: the result then has no registration.
+    If the poses do not determine the offset of the coil, the result has no registration, and nothing is raised. Raises
+    DataError for files with mistakes, fewer than 3 points and collinear points.
     """
     poses, points = read_poses(poses_file), read_points(points_file)
     pivot = calibrate_axis(poses.positions_mm, _axes(poses.quaternions))

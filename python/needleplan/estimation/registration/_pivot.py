@@ -33,7 +33,7 @@ __all__ = ["Pivot", "PivotStatus", "calibrate_axis", "calibrate_pivot"]
 # Number of poses below which the tip is not determined.
 LEAST_POSES = 10
 
-# Root mean square angle (rad) of the least rotated direction below which the tip is not determined.
+# Root mean square rotation (rad) about the axis with the least rotation, below which the tip is not determined.
 LEAST_SPREAD_RAD = math.radians(5)
 
 # Probability that any pose is reported as an outlier if all poses have the same noise.
@@ -44,9 +44,13 @@ class PivotStatus(StrEnum):
     """Whether the poses determine the tip."""
 
     DETERMINED = "determined"
+    """The poses determine the tip."""
+
     TOO_FEW_POSES = "too few poses"
+    """There are fewer than 10 poses."""
+
     TOO_LITTLE_ROTATION = "too little rotation"
-    """The needle was not swung around a cone: the poses do not contain the distance along its axis."""
+    """The needle was rotated by less than 5 degrees about one axis, so the distance to the tip is not determined."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,9 @@ class Pivot:
     - `pivot_mm`: position of the tip in the frame of the tracker, shape (3,).
     - `tip_sd_mm`: standard deviation of `tip_mm` for independent errors of the poses, same shape.
     - `rms_mm`: root mean square distance between `pivot_mm` and the tips computed from the poses.
-    - `outliers`: indices of poses whose distance exceeds what the noise of the others explains; they are not excluded.
+    - `poses`: number of poses.
+    - `outliers`: indices of poses whose tips are farther from `pivot_mm` than the noise of the other poses explains.
+      These poses are not excluded.
     """
 
     status: PivotStatus
@@ -67,7 +73,7 @@ class Pivot:
     rms_mm: float
     poses: int
     spread_rad: float
-    """Root mean square angle of rotation about the axis with the least rotation."""
+    """Root mean square rotation (rad) of the poses about the axis with the least rotation."""
 
     condition: float
     """Condition number of the linear equations: ratio of their largest to their smallest singular value."""
@@ -81,7 +87,7 @@ class Pivot:
 
     @property
     def interval_mm(self) -> tuple[Array, Array]:
-        """Lower and upper limit of the 95 % interval of `tip_mm`, each with its shape."""
+        """Lower and upper limit of the 95 % interval of `tip_mm`, each with the shape of `tip_mm`."""
         from scipy import stats
 
         degrees = max(3 * self.poses - len(self.tip_mm) - 3, 1)
@@ -93,7 +99,8 @@ def calibrate_axis(positions_mm: Array, axes: Array) -> Pivot:
     """Return the distance of the tip along the axis of a coil with 5 degrees of freedom, from poses about a fixed tip.
 
     `positions_mm` and `axes` have the shape (n, 3); the axes are normalised here. The distance is negative if the axes
-    point away from the tip. Raises DataError for arrays of other shapes, and for axes of length zero.
+    point away from the tip. Raises DataError for arrays of other shapes, numbers that are not finite, and axes of
+    length zero.
     """
     positions, directions = rows_of(positions_mm, "positions_mm"), rows_of(axes, "axes")
     lengths = np.linalg.norm(directions, axis=1, keepdims=True)
@@ -106,8 +113,8 @@ def calibrate_axis(positions_mm: Array, axes: Array) -> Pivot:
 def calibrate_pivot(positions_mm: Array, rotations: Rotation) -> Pivot:
     """Return the tip in the frame of a sensor with 6 degrees of freedom, from poses about a fixed tip.
 
-    `positions_mm` has the shape (n, 3); the n `rotations` turn the frame of the sensor to that of the tracker. Raises
-    DataError for arrays of other shapes.
+    `positions_mm` has the shape (n, 3); the n `rotations` turn the frame of the sensor to the frame of the tracker.
+    Raises DataError for arrays of other shapes and positions that are not finite.
     """
     positions = rows_of(positions_mm, "positions_mm")
     matrices = np.atleast_3d(rotations.as_matrix())
@@ -117,7 +124,10 @@ def calibrate_pivot(positions_mm: Array, rotations: Rotation) -> Pivot:
 
 
 def _solve(positions: Array, turned: Array) -> Pivot:
-    """Solve turned @ tip - pivot = -position for (tip, pivot) by least squares; `turned` has the shape (n, 3, k)."""
+    """Solve turned @ tip - pivot = -position for (tip, pivot) by least squares, and return the result.
+
+    `turned` has the shape (n, 3, k), where k is the number of unknowns of the tip.
+    """
     from scipy import stats
 
     count, _, unknowns = turned.shape

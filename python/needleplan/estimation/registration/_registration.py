@@ -1,4 +1,4 @@
-"""The registration of a needle: distance from coil to tip, motion from tracker frame to plan frame, and its file."""
+"""The registration of a needle (coil to tip, tracker frame to plan frame) and the registration file."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ __all__ = ["CoilPose", "Registration"]
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-# Largest distance (mm) between a point moved by the stored frame and moved by the fit of the stored points.
+# Largest accepted difference (mm), per coordinate, between points moved by the stored frame and by a fit to the points.
 _SAME_FRAME_MM = 1e-3
 
 
 class CoilPose(NamedTuple):
-    """A coil in the frame of the plan: position (mm) and the unit direction of the needle there, towards the tip."""
+    """A coil in the frame of the plan: position (mm), and unit direction of the needle at the coil, towards the tip."""
 
     position_mm: Vector
     direction: Vector
@@ -54,7 +54,10 @@ def _made_by() -> str:
 
 
 def _frame_fits_points(frame: _Frame, point: tuple[_Point | None, ...]) -> Iterator[Mistake]:
-    """Yield a mistake if the frame is not the fit of the points, as after an edit of the file by hand."""
+    """Yield a mistake if the stored frame is not the fit of the points, for example after an edit of the file.
+
+    Also yields the mistakes of points that cannot be fitted. Does nothing if there is no point or a point is wrong.
+    """
     pairs = [(each.tracker_mm, each.plan_mm) for each in point if each]
     if len(pairs) < max(len(point), 1):
         return
@@ -106,13 +109,17 @@ class _RegistrationFile(
 
 @dataclass(frozen=True)
 class Registration:
-    """Distance from coil to tip, and the rigid motion from the tracker's frame to the frame of the plan.
+    """Distance from coil to tip, and the rigid motion from the frame of the tracker to the frame of the plan.
 
-    The plan has x along the insertion, y lateral to the left, and z out of its plane. `quaternion` (w, x, y, z) and
-    `translation_mm` transform a point from the tracker's frame to the frame of the plan. The z axis of the coil is
-    parallel to the needle; `coil_axis` is +1 if it points to the tip, else -1. `points` are the pairs (tracker, plan)
-    from which the frame was fitted. Raises DataError with all mistakes; each mistake names the key that is used in the
-    file.
+    In the frame of the plan, x is along the insertion, y lateral to the left, and z out of the plane.
+
+    - `quaternion` (w, x, y, z), `translation_mm`: rotation, then translation, of a point from tracker to plan
+    - `coil_offset_mm`, `coil_offset_sd_mm`: distance from coil to tip, and its standard deviation
+    - `coil_axis`: +1 if the z axis of the coil, which is parallel to the needle, points to the tip, else -1
+    - `pivot_rms_mm`, `pivot_poses`: residual and number of poses of the pivot calibration
+    - `points`: pairs (tracker, plan) of points to which the motion was fitted
+
+    Raises DataError with all mistakes; the key of a mistake is the key in the file.
     """
 
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -136,7 +143,7 @@ class Registration:
             object.__setattr__(self, name, value)
 
     def place(self, position_mm: Vector, quaternion: tuple[float, float, float, float]) -> CoilPose:
-        """Return the coil in the plan frame, from its position and quaternion (w, x, y, z) in the tracker frame."""
+        """Return the coil in the plan frame. Position (mm) and quaternion (w, x, y, z) are in the tracker frame."""
         at = _turned(self._matrix, position_mm)
         shift = self.translation_mm
         direction = _turned(self._matrix, _axis(quaternion))
@@ -156,7 +163,10 @@ class Registration:
 
     @property
     def fre_mm(self) -> float:
-        """Root mean square distance of the points from their partners; NaN without points."""
+        """Fiducial registration error: root mean square distance of the moved points from their partners.
+
+        NaN without points.
+        """
         return self.motion.fre_mm if self.motion else math.nan
 
     def tre_mm(self, target_mm: Vector) -> float:
@@ -168,26 +178,29 @@ class Registration:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a registration file. Raises DataError with every mistake of the file: key, value and rule."""
+        """Read a registration file. Raises DataError if it cannot be read, or with every mistake: key, value, rule."""
         return cls.from_toml(text_of(path, DataError), os.fspath(path))
 
     @classmethod
     def from_toml(cls, content: str, source: str = "") -> Self:
-        """Return the registration of the text of a file. Raises DataError with every mistake of the text."""
+        """Return the registration that the text of a registration file describes. `source` names it in messages.
+
+        Raises DataError with every mistake of the text.
+        """
         return cls(**_values(parse_toml(content, _RegistrationFile, source)))
 
     def to_toml(self) -> str:
-        """Return the text of a registration file that reads back as exactly this."""
+        """Return the text of a registration file that reads back as exactly this registration."""
         filled = {key: value for key, value in self._raw().items() if value != []}
         return toml_text({"schema": _RegistrationFile.schema, **filled})
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write a registration file, whole or not at all. Raises OutputError."""
+        """Write a registration file atomically. Raises OutputError if it cannot be written."""
         write_whole(path, self.to_toml().encode())
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the text of the file; artefacts made with the registration name it as their parent."""
+        """SHA-256 of the text of the file. Artefacts made with the registration store this digest as a parent."""
         return digest(self.to_toml())
 
     @cached_property
@@ -195,7 +208,7 @@ class Registration:
         return _matrix(self.quaternion)
 
     def _raw(self) -> dict[str, Any]:
-        """Return the tables of the file."""
+        """Return the tables of the registration file as dictionaries."""
         return {
             "title": self.title,
             "made_by": self.made_by,
@@ -213,7 +226,7 @@ class Registration:
 
 
 def _values(file: _RegistrationFile) -> dict[str, Any]:
-    """Return the fields of the registration that a file holds."""
+    """Return the fields of `Registration` with the values of a file."""
     return {
         "quaternion": file.frame.quaternion,
         "translation_mm": file.frame.translation_mm,
@@ -246,7 +259,7 @@ def _turned(matrix: tuple[Vector, Vector, Vector], vector: Vector) -> Vector:
 
 
 def _axis(quaternion: tuple[float, float, float, float]) -> Vector:
-    """Return the z axis rotated by a quaternion (w, x, y, z), which is normalised here."""
+    """Return the z axis rotated by a quaternion (w, x, y, z) of any length but zero."""
     w, x, y, z = quaternion
     size = w * w + x * x + y * y + z * z
     return (2 * (x * z + w * y) / size, 2 * (y * z - w * x) / size, (w * w - x * x - y * y + z * z) / size)

@@ -1,4 +1,4 @@
-"""Rigid registration of two frames from pairs of points, its error, and its worst pair."""
+"""Rigid registration of two frames from pairs of points, its error, and the pair that contradicts the others most."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RigidMotion:
     """A rigid motion b = R a + t from one frame to another, fitted to pairs of points.
 
     `fre_mm` is the fiducial registration error: the root mean square distance of the moved points from their partners.
-    It does not measure the error at other places; `tre_mm` does.
+    For the error at other places, use `tre_mm`. `centre_mm` is the mean of the points of the first frame.
     """
 
     rotation: Rotation
@@ -37,7 +37,7 @@ class RigidMotion:
     """Distance of each moved point from its partner, shape (n,)."""
 
     mirrored_fre_mm: float
-    """`fre_mm` of the best reflection; much smaller than `fre_mm` if one axis of one frame has the wrong sign."""
+    """FRE of the best motion with a reflection: much smaller than `fre_mm` if an axis of a frame has the wrong sign."""
 
     centre_mm: Array
     moments_mm2: Array
@@ -57,15 +57,15 @@ class RigidMotion:
 
     @property
     def fle_mm(self) -> float:
-        """Fiducial localisation error: root mean square error of a point, from FRE^2 = (1 - 2/n) FLE^2."""
+        """Fiducial localisation error: RMS error (mm) of a measured point, estimated by FRE^2 = (1 - 2/n) FLE^2."""
         return float(self.fre_mm / np.sqrt(1 - 2 / self.points))
 
     def tre_mm(self, target_mm: Array, fle_mm: float | None = None) -> float:
-        """Return the expected root mean square error at a target of the first frame, to first order.
+        """Return the expected root mean square error (mm) at a target in the first frame, to first order.
 
-        The default of `fle_mm` is the estimate from the points. Source: Fitzpatrick et al., IEEE Trans. Medical
-        Imaging 17 (1998) 694, TRE^2 = FLE^2 / n (1 + 1/3 sum_k d_k^2 / f_k^2), where d_k is the distance of the target,
-        and f_k the root mean square distance of the points, from principal axis k.
+        If `fle_mm` is None, the property `fle_mm` is used. Source: Fitzpatrick et al., IEEE Trans. Medical Imaging 17
+        (1998) 694, TRE^2 = FLE^2 / n (1 + 1/3 sum_k d_k^2 / f_k^2), where d_k is the distance of the target, and f_k
+        the root mean square distance of the points, from principal axis k.
         """
         size = self.fle_mm if fle_mm is None else fle_mm
         along = self.axes @ (np.asarray(target_mm, float) - self.centre_mm)
@@ -75,7 +75,10 @@ class RigidMotion:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A pair that contradicts the others: its index, its distance from their fit, and the p-value of that distance."""
+    """A pair of points that contradicts the other pairs: its index, its distance from the fit of the others, p-value.
+
+    The p-value is the probability of such a distance for this pair alone.
+    """
 
     number: int
     distance_mm: float
@@ -83,9 +86,10 @@ class Outlier:
 
 
 def register(first_mm: Array, second_mm: Array) -> RigidMotion:
-    """Return the rigid motion that moves points (n, 3) to their partners (n, 3), by least squares (Kabsch algorithm).
+    """Return the rigid motion that moves points to their partners, both of shape (n, 3), by least squares (Kabsch).
 
-    The result is never a reflection. Raises DataError for fewer than 3 pairs and for collinear points.
+    The result is never a reflection. Raises DataError for other shapes, numbers that are not finite, fewer than 3 pairs
+    and collinear points.
     """
     from scipy.spatial.transform import Rotation
 
@@ -117,11 +121,12 @@ def register(first_mm: Array, second_mm: Array) -> RigidMotion:
 
 
 def worst_pair(first_mm: Array, second_mm: Array) -> Outlier | None:
-    """Return the pair that contradicts the others, or None if there is none at the 1 % level.
+    """Return the pair that contradicts the others most, or None if none does at the 1 % level.
 
-    Each pair is tested against the fit of the other pairs, which it cannot distort: the ratio of its squared distance
-    to the residual variance of the others has the distribution F(3, 3 (n - 1) - 6). The level holds for all pairs
-    together (Bonferroni). Fewer than four pairs cannot be tested. Raises DataError like `register`.
+    Each pair is tested against the fit of the other pairs: the ratio of its squared distance to the residual variance
+    of the others has the distribution F(3, 3 (n - 1) - 6). The level holds for all pairs together (Bonferroni). Fewer
+    than four pairs are not tested, and neither is a pair without which the points are collinear. Raises DataError like
+    `register`.
     """
     from scipy import stats
 

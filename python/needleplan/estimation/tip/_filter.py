@@ -1,9 +1,9 @@
 """The tip filter: an extended Kalman filter along the path of the needle.
 
 The state is the path at the coil: position, direction and curvature. It advances with the inserted length, bends
-according to the stored roll of that part of the channel, and is corrected by the poses of the coil. The tip is
-predicted from there to the end of the channel along arcs; its standard deviations grow because that part was not
-measured. A late pose corrects the path at the position that the coil had when the pose was measured.
+according to the roll that is stored for this part of the channel, and is corrected by the poses of the coil. The tip is
+predicted from the coil to the end of the channel along arcs; the standard deviations grow, because this part of the
+path was not measured. A late pose corrects the path at the position that the coil had when the pose was measured.
 `docs/explanation/tip-estimation.md` has the equations.
 """
 
@@ -54,10 +54,10 @@ _SPACING_MM = 0.25
 # Distance (mm) behind the deepest position of the coil within which a pose still corrects the state.
 _SAME_PLACE_MM = 0.05
 
-# Longest piece (mm) of one prediction step: a longer one would have the covariance of its chord.
+# Longest piece (mm) of one prediction step: in a longer piece, the covariance of a straight chord is too inaccurate.
 _LONGEST_MM = 5.0
 
-# Distance (mm) at which a curvature that depends on the place is evaluated.
+# Step (mm) along the path at which a planned curvature that depends on the place is evaluated.
 _LOOKED_UP_MM = 1.0
 
 # Measurement matrix: position plus drift, heading, elevation.
@@ -69,7 +69,7 @@ class TipFilter:
     """Estimates the tip from stage samples and poses, one at a time.
 
     Call `predict` with every stage sample and `update` with every pose; `tip` is the estimate at the newest stage
-    sample.
+    sample. `counts` holds the number of poses for each `PoseUse`.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class TipFilter:
     planned_per_mm
         Curvature of the plan (1/mm): a positive number, or a function of x_mm and y_mm.
     settings
-        Standard deviations and limits.
+        Standard deviations and limits; None means `TipSettings()`.
 
     Raises
     ------
@@ -117,7 +117,10 @@ class TipFilter:
         self._lost = False
         self._cached: TipEstimate | None = None
         self.nis = math.nan
-        """Normalised squared innovation of the last pose, chi-squared with 5 degrees of freedom."""
+        """Normalised squared innovation of the last used or outlying pose, chi-squared with 5 degrees of freedom.
+
+        NaN before the first such pose.
+        """
         self.counts = dict.fromkeys(PoseUse, 0)
 
     @classmethod
@@ -128,13 +131,13 @@ class TipFilter:
         entry: tuple[float, float, float],
         settings: TipSettings | None = None,
     ) -> Self:
-        """Return a filter that expects the curvature of a scenario, which may depend on the place."""
+        """Return a filter whose planned curvature is that of a scenario with its layers and tissues."""
         if scenario.uniform:
             return cls(registration, entry, 1 / scenario.needle.curvature_radius_mm, settings)
         return cls(registration, entry, lambda x_mm, y_mm: 1 / float(scenario.radius_mm(x_mm, y_mm)), settings)
 
     def predict(self, sample: StageSample) -> None:
-        """Take a stage sample; one that is not GOOD, not finite, or not newer than the last one is ignored."""
+        """Take a stage sample. A sample is ignored if it is not GOOD, not finite, or not newer than the last one."""
         now, depth, roll = sample.stamp.received_ns, sample.depth_mm, sample.roll_rad
         if sample.health is not Health.GOOD or not math.isfinite(depth + roll + sample.velocity_mm_s):
             return
@@ -154,20 +157,20 @@ class TipFilter:
                 del self._past[bisect_right(self._past, self._at, key=lambda each: each[0]) :]
 
     def update(self, sample: PoseSample) -> PoseUse:
-        """Take a pose, and return how it was used."""
+        """Take a pose, and return how the filter used it."""
         use = self._take(sample)
         self.counts[use] += 1
         return use
 
     @property
     def tip(self) -> TipEstimate:
-        """The tip at the newest stage sample. Raises DataError before the first one."""
+        """The tip at the newest stage sample. Raises DataError before the first stage sample."""
         if self._cached is None:
             self._cached = self._estimate()
         return self._cached
 
     def tip_state(self) -> tuple[Array, Array]:
-        """Return state and covariance of the tip, shape (10,) and (10, 10), in the order of `tip._path`.
+        """Return state, shape (10,), and covariance, shape (10, 10), of the tip; `tip._path` defines the state.
 
         Raises DataError before the first stage sample.
         """
@@ -180,7 +183,7 @@ class TipFilter:
         return state, covariance
 
     def _begin(self, at_mm: float) -> None:
-        """Set state and covariance at the length `at_mm` from the entry and its standard deviations."""
+        """Set state and covariance at the path length `at_mm`, from the entry pose and its standard deviations."""
         settings = self.settings
         x, y, heading = self._entry
         self._state = np.array([x, y, 0, heading, 0, 1, 0, 0, 0, 0], float)
@@ -223,7 +226,7 @@ class TipFilter:
         return PoseUse.USED if used else PoseUse.OUTLIER
 
     def _correct(self, sample: PoseSample) -> bool:
-        """Correct the state with a pose; return False for an outlier."""
+        """Correct the state with a pose, and return True. For an outlier, do nothing and return False."""
         settings = self.settings
         position, direction = self.registration.place(sample.position_mm, sample.quaternion)
         level = math.hypot(direction[0], direction[1])
@@ -256,7 +259,11 @@ class TipFilter:
         self._covariance[rows, rows] += (1 - keep**2) * self.settings.wander_sd_mm**2
 
     def _depth_at(self, time_ns: int) -> float:
-        """Return the stage depth (mm) at a time: interpolated, or briefly extrapolated after the last sample."""
+        """Return the stage depth (mm) at a time, interpolated between stage samples.
+
+        After the last sample, the depth is extrapolated for at most `_AHEAD_S`; before the oldest stored sample, its
+        depth is returned.
+        """
         last_ns, last_mm, velocity = self._stage[-1]
         if time_ns >= last_ns:
             return last_mm + velocity * min((time_ns - last_ns) / _NANO, _AHEAD_S)
@@ -269,7 +276,10 @@ class TipFilter:
         return after_mm
 
     def _path_at(self, length_mm: float) -> tuple[float, Array, Array]:
-        """Return length, state and covariance of the path: predicted beyond the coil, from stored states behind it."""
+        """Return `length_mm`, and state and covariance of the path at this path length.
+
+        In front of the coil they are predicted from the coil, behind it from the nearest stored state before.
+        """
         at, state, covariance = self._at, self._state, self._covariance
         if length_mm < at:
             number = max(bisect_right(self._past, length_mm, key=lambda each: each[0]) - 1, 0)
@@ -277,7 +287,10 @@ class TipFilter:
         return self._onwards(at, state, covariance, length_mm)
 
     def _onwards(self, at: float, state: Array, covariance: Array, until_mm: float) -> tuple[float, Array, Array]:
-        """Return length, state and covariance after the prediction to `until_mm`."""
+        """Predict from the path length `at` to `until_mm`; return `until_mm`, state and covariance there.
+
+        If `until_mm` is smaller, the path is extrapolated backwards as a straight line.
+        """
         assert self._channel is not None
         if until_mm < at:
             # Before the first stored state the path is extrapolated as a straight line.
@@ -292,7 +305,7 @@ class TipFilter:
         return until_mm, state, covariance
 
     def _parts(self, piece: ChannelPiece) -> list[ChannelPiece]:
-        """Return a piece cut into parts that are short enough for one prediction step."""
+        """Cut a piece into equal parts that are short enough for one prediction step, and return the parts."""
         longest = _LOOKED_UP_MM if callable(self._planned) else _LONGEST_MM
         if piece.length_mm <= longest or not piece.fresh:
             return [piece]

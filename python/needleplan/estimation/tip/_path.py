@@ -4,8 +4,8 @@ The state of a point of the path has the shape (10,): position (3), heading and 
 curvature to the planned curvature, difference between the roll of the bevel and the roll of the base, drift of the
 tracker (3). With the roll phi of the bevel, the tangent turns by k cos(phi) to the left and by k sin(phi) upwards per
 length. Heading and elevation are angles to a fixed plane, whereas the roll of a needle without twist is measured from
-a direction that is transported along the path (Bishop's frame). The two differ by -sin(elevation) d(heading), which the
-roll of the state contains.
+a direction that is transported along the path (Bishop's frame). Per change d(heading), the roll relative to the fixed
+plane changes by -sin(elevation) d(heading); the roll in the state contains this change.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ WANDER = slice(7, 10)
 SIZE = 10
 
 # Columns on which the next state depends nonlinearly, and the steps of their central differences.
-_VARIED = (  # Columns of the state; 0 to 2 hold the position.
+_VARIED = (
     HEADING,
     ELEVATION,
     FACTOR,
@@ -60,17 +60,17 @@ _PIECE_MM = 0.5
 # Change of the roll (rad) below which the roll counts as constant.
 _SAME_RAD = 1e-3
 
-# Distance (mm) behind the end of the channel from which the tip follows the channel on the way in again ...
+# Distance (mm) behind the end of the channel above which an advancing tip follows the existing channel.
 _REJOIN_MM = 0.05
 
-# ... unless its roll differs from the roll of the channel by more than this angle (rad): then it cuts a new one.
+# Difference (rad) between the roll of the base and of the existing channel above which the tip cuts a new channel.
 _REJOIN_RAD = 0.5
 
 
 class ChannelPiece(NamedTuple):
-    """A piece of the path: its length, the means of cos and sin of the roll, and the rotation of the base at its start.
+    """A piece of the path: length, means of cos and sin of the roll, and the rotation of the base (rad) in the piece.
 
-    `fresh` is False on the straight line before the surface, where the path does not bend.
+    `fresh` is False for the straight line in front of the surface, on which the path does not bend.
     """
 
     length_mm: float
@@ -81,7 +81,10 @@ class ChannelPiece(NamedTuple):
 
 
 class CutChannel:
-    """The channel that the tip has cut: the roll of the base as a function of the path length from the surface."""
+    """The channel that the tip has cut: the roll of the base as a function of the path length from the surface.
+
+    `length_mm` is the path length at the tip, `cut_mm` the length of the channel.
+    """
 
     def __init__(self, length_mm: float, roll_rad: float) -> None:
         self.length_mm = length_mm
@@ -97,7 +100,7 @@ class CutChannel:
     def move(self, length_mm: float, roll_rad: float) -> float | None:
         """Move the tip to a path length, with the base at a roll.
 
-        Return the length at which the tip left the old channel for a new one, or None.
+        Returns the path length at which the tip began to cut a new channel beside the old one, or None if it did not.
         """
         begin = self.length_mm
         left_at = None
@@ -116,7 +119,7 @@ class CutChannel:
         return left_at
 
     def pieces(self, begin_mm: float, end_mm: float) -> Iterator[ChannelPiece]:
-        """Yield the pieces of the path between two lengths; the path is extrapolated beyond its end."""
+        """Yield the pieces of the path between two path lengths. Beyond the channel, its last roll continues."""
         if begin_mm < 0:
             before = min(end_mm, 0.0) - begin_mm
             yield ChannelPiece(before, 0.0, 0.0, 0.0, fresh=False)
@@ -150,14 +153,17 @@ class CutChannel:
 
 
 def tangent(state: Array) -> Array:
-    """Return the unit tangent of the path, shape (3,)."""
+    """Return the unit tangent of the path at a state, shape (3,)."""
     heading, elevation = float(state[HEADING]), float(state[ELEVATION])
     level = math.cos(elevation)
     return np.array([level * math.cos(heading), level * math.sin(heading), math.sin(elevation)])
 
 
 def along(states: Array, piece: ChannelPiece, planned_per_mm: float) -> Array:
-    """Return states (n, 10) after a piece of the path; exact for a constant roll and any length."""
+    """Return the states, shape (n, 10), at the end of a piece of the path that begins at `states`.
+
+    The result is exact for a constant roll and any length.
+    """
     heading, elevation, factor, roll = (states[:, column] for column in _VARIED)
     bend = factor * planned_per_mm if piece.fresh else np.zeros(len(states))
     cos_r, sin_r = np.cos(roll), np.sin(roll)
@@ -185,7 +191,7 @@ def along(states: Array, piece: ChannelPiece, planned_per_mm: float) -> Array:
 def moved(
     state: Array, covariance: Array, piece: ChannelPiece, planned_per_mm: float, settings: TipSettings
 ) -> tuple[Array, Array]:
-    """Return state (10,) and covariance (10, 10) after a piece of the path."""
+    """Return state, shape (10,), and covariance, shape (10, 10), at the end of a piece of the path."""
     if piece.turned_rad:
         covariance = covariance.copy()
         covariance[ROLL, ROLL] += settings.roll_sd_sqrt_rad**2 * piece.turned_rad
