@@ -245,7 +245,10 @@ class Insertion(Closing):
         return self._driver.goal_mm - self._needle.path_mm
 
     def _pose_at_goal(self) -> Pose:
-        """Return the predicted pose of the tip at the end of the present insertion."""
+        """Return the predicted pose of the tip at the end of the present insertion.
+
+        A pose that is at most half a cell outside the workspace is moved to the edge.
+        """
         tip, bevel = self._needle.tip, self._needle.bevel
         left = self._remaining_mm()
         x, y, heading = tip.x_mm, tip.y_mm, tip.heading_rad

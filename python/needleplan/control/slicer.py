@@ -46,7 +46,7 @@ class SlicerView(Listener):
             self._server.show_force(sample.force_n)
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Show the tip and, if it has moved at least 0.5 mm, the executed path."""
+        """Show the tip and, if it is at least 0.5 mm from the last shown point of the executed path, this path."""
         place = (tip.x_mm, tip.y_mm, tip.z_mm)
         half = tip.heading_rad / 2
         self._server.show_tip(place, (math.cos(half), 0.0, 0.0, math.sin(half)))

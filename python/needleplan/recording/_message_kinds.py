@@ -187,7 +187,10 @@ class Packed(MessageKind):
         return data
 
     def decode(self, data: bytes) -> dict[str, Any]:
-        """Return the values by field name; a `uint8` with choices is returned as the name of its value."""
+        """Return the values by field name; a `uint8` with choices becomes a name.
+
+        Raises DataError if `data` is damaged.
+        """
         try:
             mark, *numbers = self._numbers.unpack_from(data)
             if mark != _LITTLE_ENDIAN:

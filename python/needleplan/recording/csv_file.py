@@ -83,7 +83,8 @@ _PRECISION = ".17g"  # format of numbers: 17 digits, so that reading returns ide
 def parse_csv(content: bytes, source: str) -> Table:
     """Return the rows of a CSV file as a table.
 
-    Raises DataError with all mistakes in the header or, if there are none, with the first mistakes in the rows.
+    Raises DataError if `content` is not UTF-8 text with a header and rows; with all mistakes in the header or, if there
+    are none, with the first mistakes in the rows.
     """
     lines, rows = rows_of_cells(content, source)
     if not lines:

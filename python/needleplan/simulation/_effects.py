@@ -36,7 +36,7 @@ class Effects(ConfigTable, key="effects", error=ExperimentError):
     """Exponent p of rate-dependent tissue: the curvature is proportional to (speed / 5 mm/s)^p."""
 
     pre_bend_per_mm: float = _amplitude("1/mm", 0.1, signed=True)
-    """Curvature of a pre-bent needle. Its direction is perpendicular to that of the bevel and rolls with the tip."""
+    """Curvature of a pre-bent needle, perpendicular to the curvature caused by the bevel, also when the tip rolls."""
 
     sag_per_mm: float = _amplitude("1/mm", 0.1, signed=True)
     """Downward curvature at the entry, caused by the weight of the needle. The curvature decreases in proportion to the

@@ -59,7 +59,7 @@ class DepthLaw:
 
 
 class ShaftForce:
-    """Friction on the shaft (N, positive if it resists insertion), and the tissue displacement that it causes (mm)."""
+    """Friction on the shaft (N, positive if it resists insertion), and the displacement (mm) of the dragged tissue."""
 
     def __init__(self, friction: LuGre | None, deepest_mm: float, compliance_mm_n: float, relaxation_s: float) -> None:
         self.force_n = 0.0

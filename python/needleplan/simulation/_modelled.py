@@ -85,7 +85,7 @@ class ModelledPath:
         self, frame: TipFrame, roll_rad: float, time_s: float, depth_mm: float, velocity_mm_s: float, base_rad: float,
         *, shown: bool,
     ) -> Vector:  # fmt: skip
-        """Return the displacement (mm) of the tip from its path by moving tissue.
+        """Return the displacement (mm) of the tip from the path, caused by moving tissue.
 
         If `shown`, the displacement includes the effects that only the tracker shows.
         """

@@ -362,7 +362,7 @@ class GuardedStage(Stage):
             return self._clock.now_ns()
 
     def _detect_end(self, sample: StageSample, now_ns: int) -> None:
-        """End a repeated stop if the stage rests; end a retraction if it rests at its goal or after `motion_s`."""
+        """If the stage rests, end a repeated stop, and a retraction that has reached its goal or lasted `motion_s`."""
         self._repeated_stop.observe(sample)
         goal = self._motion.depth
         if self._retracting and goal is not None and not sample.moving:

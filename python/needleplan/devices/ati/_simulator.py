@@ -129,7 +129,7 @@ class NetFtBox:
         self._bias = (0, 0, 0, 0, 0, 0)
 
     def step(self, time_s: float) -> list[bytes]:
-        """Measure the wrench at `time_s`, and return the datagrams that the box sends to `client` (may be none)."""
+        """Measure the wrench at `time_s` unless frozen, and return the datagrams for `client`, if any."""
         if not self.faults.freeze:
             self.ft_sequence = (self.ft_sequence + self.settings.divisor) % _WRAP
             self._counts = self._measure(time_s)
@@ -251,13 +251,16 @@ class BoxLink(Link):
         self._closed = False
 
     def send(self, data: bytes) -> None:
-        """Send a request to the box."""
+        """Send a request to the box. Raises LinkClosed after `close`."""
         if self._closed:
             raise LinkClosed("the link to the box is closed")
         self.box.request(data, _HERE)
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next datagram from the box; b"" after `timeout_s`. Advances the clock."""
+        """Advance the clock, and return the next datagram from the box; b"" after `timeout_s`.
+
+        Raises LinkClosed after `close`.
+        """
         if self._closed:
             raise LinkClosed("the link to the box is closed")
         end_ns = self._clock.now_ns() + round(timeout_s * _NANO)

@@ -136,7 +136,10 @@ class Cia402Drive:
         self._ask(entry, "write", lambda: self._node.sdo.download(*entry.value[:2], entry.packing.pack(value)))
 
     def read(self, entry: Entry) -> int:
-        """Request an entry of the object dictionary and return its value."""
+        """Request an entry of the object dictionary and return its value.
+
+        Raises DeviceFault also if the value has a wrong size.
+        """
         data = self._ask(entry, "read", lambda: self._node.sdo.upload(*entry.value[:2]))
         if len(data) != entry.packing.size:
             raise DeviceFault(

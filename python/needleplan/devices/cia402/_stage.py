@@ -129,8 +129,8 @@ class CanopenStage(Stage):
     def stop(self) -> None:
         """Stop both axes by a quick stop; the next motion command of an axis enables its drive again.
 
-        Raises DeviceFault if a drive does not acknowledge the stop. A drive that receives no heartbeats stops by
-        itself.
+        Raises DeviceFault if a drive does not acknowledge the stop, LinkClosed after `close`. A drive that receives no
+        heartbeats stops by itself.
         """
         if self._closed:
             raise LinkClosed("the stage is closed")
@@ -150,7 +150,10 @@ class CanopenStage(Stage):
             raise self._give_up(faults[0])
 
     def heartbeat(self) -> None:
-        """Send a heartbeat if `timing.heartbeat_s` has passed since the last one. Raises DeviceFault if this fails."""
+        """Send a heartbeat if `timing.heartbeat_s` has passed since the last one.
+
+        Raises DeviceFault if the heartbeat cannot be sent, LinkClosed after `close`.
+        """
         if self._closed:
             raise LinkClosed("the stage is closed")
         try:

@@ -202,7 +202,7 @@ class PlusLink(Link):
         self._closed = False
 
     def send(self, data: bytes) -> None:
-        """Send bytes to the device."""
+        """Send bytes to the device. Raises LinkClosed after `close` or `unplug`."""
         self._check()
         if reply := self.device.answer(data):
             self._coming.append(reply)
@@ -210,7 +210,8 @@ class PlusLink(Link):
     def receive(self, timeout_s: float) -> bytes:
         """Return all bytes that have arrived, or b"" after `timeout_s`.
 
-        If no bytes have arrived, the clock advances until bytes arrive, at most by `timeout_s`.
+        If no bytes have arrived, the clock advances until bytes arrive, at most by `timeout_s`. Raises LinkClosed after
+        `close` or `unplug`.
         """
         self._check()
         end_ns = self._clock.now_ns() + round(timeout_s * _NANO)

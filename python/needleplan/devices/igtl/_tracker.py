@@ -168,7 +168,7 @@ class IgtlTracker(Tracker):
         """Return the next pose sample, or None after `timeout_s`.
 
         Raises DeviceFault if no new pose arrives for `limits.silence_s`, the server cannot be used any more, or the
-        link is closed, and then at every call until `start`.
+        connection is lost, and then at every call until `start`. Raises LinkClosed after `close`.
         """
         if self._closed:
             raise LinkClosed("the tracker is closed")

@@ -248,7 +248,7 @@ class AuroraLink(Link):
         self._closed = False
 
     def send(self, data: bytes) -> None:
-        """Send bytes to the device."""
+        """Send bytes to the device. Raises LinkClosed after `close` or `unplug`."""
         self._check()
         self.say(self.device.answer(data))
 
@@ -259,7 +259,10 @@ class AuroraLink(Link):
             self._coming.append((due_ns, data))
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next bytes from the device; b"" after `timeout_s`. Advances the clock."""
+        """Advance the clock, and return the next bytes from the device; b"" after `timeout_s`.
+
+        Raises LinkClosed after `close` or `unplug`.
+        """
         self._check()
         end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
         if self._coming and self._coming[0][0] <= end_ns:

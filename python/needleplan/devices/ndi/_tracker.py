@@ -274,7 +274,8 @@ class NdiTracker(Tracker):
     def _exchange(self, deadline: Deadline) -> Frames | None:
         """Request a frame unless a request is pending, and return the reply.
 
-        Return None if the reply has not arrived by the deadline, or is damaged.
+        Return None if the reply is damaged, or has not arrived by the deadline or within `gap_s`. Raises DeviceFault if
+        no reply arrives within `reply_s`, if too many replies are damaged, or if the device has reset itself.
         """
         now_ns = self._clock.now_ns()
         if self._asked_ns is None:

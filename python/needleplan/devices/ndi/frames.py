@@ -141,7 +141,7 @@ def parse_bx(message: bytes) -> Frames:
 
 
 def encode_bx(frames: Frames) -> bytes:
-    """Return the bytes of a complete reply to BX."""
+    """Return the bytes of a complete reply to BX; a tool that is UNOCCUPIED is sent as DISABLED."""
     body = bytearray([len(frames.tools)])
     for tool in frames.tools:
         body += bytes([tool.handle, _CODES.get(tool.visibility, _CODES[NdiVisibility.DISABLED])])

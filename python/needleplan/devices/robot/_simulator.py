@@ -286,12 +286,15 @@ class RobotLink(Link):
         self._closed = False
 
     def send(self, data: bytes) -> None:
-        """Send a datagram to the robot."""
+        """Send a datagram to the robot. Raises LinkClosed after `close`."""
         self._require_open()
         self._network.send(data, self._peer)
 
     def receive(self, timeout_s: float) -> bytes:
-        """Return the next datagram; b"" after `timeout_s`. Advances the clock of the network."""
+        """Advance the clock of the network, and return the next datagram; b"" after `timeout_s`.
+
+        Raises LinkClosed after `close`.
+        """
         self._require_open()
         self._network.pass_until(self._network.clock.now_ns() + round(timeout_s * _NANO), self._inbox)
         return self._inbox.popleft() if self._inbox else b""

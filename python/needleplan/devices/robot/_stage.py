@@ -161,7 +161,8 @@ class RobotStage(Stage):
     def stop(self) -> None:
         """Stop both axes; the command is sent again until the robot answers or `timing.answer_s` has passed.
 
-        Raises DeviceFault if the robot refuses or does not answer. A robot that receives nothing stops by its watchdog.
+        Raises DeviceFault if the robot refuses or does not answer, LinkClosed after `close`. A robot that receives
+        nothing stops by its watchdog.
         """
         if self._closed:
             raise LinkClosed("the robot is closed")
@@ -178,7 +179,8 @@ class RobotStage(Stage):
     def read(self, timeout_s: float) -> StageSample | None:
         """Return the next sample, or None after `timeout_s`.
 
-        Raises DeviceFault if the robot reports a fault or is silent, and then at every call until `start`.
+        Raises DeviceFault if the robot reports a fault or is silent, and then at every call until `start`. Raises
+        LinkClosed after `close`.
         """
         if self._closed:
             raise LinkClosed("the robot is closed")

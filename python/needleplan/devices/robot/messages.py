@@ -73,6 +73,8 @@ class Result(IntEnum):
     """Another controller has the robot."""
 
     OLD_SESSION = 2
+    """The session of the command has ended, or was never accepted."""
+
     WRONG_VERSION = 3
     LATE = 4
     """The command arrived after its deadline, or has no deadline although its kind needs one."""
