@@ -1,4 +1,4 @@
-"""Map a function over tasks in several processes; Ctrl-C ends all of them without a traceback."""
+"""Map a function over tasks in several processes, which Ctrl-C ends without a traceback."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ _Result = TypeVar("_Result")
 def map_in_processes(
     function: Callable[[_Task], _Result], tasks: Sequence[_Task], processes: int, chunk: int = 1
 ) -> Iterator[_Result]:
-    """Yield `function(task)` for every task, in the order of the tasks."""
+    """Yield `function(task)` for every task, in the order of the tasks.
+
+    If `processes` is 1, the function is called in this process. Otherwise each process takes `chunk` tasks at a time.
+    """
     if processes == 1:
         yield from map(function, tasks)
         return

@@ -10,8 +10,8 @@ Use `needleplan.identification.identify_by_passes` for identification.
 - *The exponents of Q.* The thesis prints 0.05 * 10^(+3 to +15). One step of sigma1 would have a standard deviation of
   7e6, although sigma1 is 2.5, and the +-3 sigma bands of Fig. 2.5 could not be drawn. The default assumes that a minus
   sign was lost: negative exponents give plausible steps.
-- *The order of triggering.* Either all three filters process every sample, each from the z of the previous sample (z
-  would otherwise advance three times), or one filter in turn processes each sample.
+- *The order of triggering.* Either all three filters process every sample, or the filters take turns, one filter a
+  sample. If all three do, each starts from the z of the previous sample, because z would otherwise advance three times.
 - *P0.* The thesis calls it "large". Either (5 theta)^2, because the starting values are within +-500 %, or a constant
   of up to 10^15, as in the text.
 - *P0 and Q of z.* The thesis gives no values.
@@ -38,7 +38,7 @@ TABLE_2_1: Mapping[type[DepthForce], tuple[dict[str, int], ...]] = {
     ForceModel1: ({"f2": 5, "sigma0": 9}, {"f1": 15, "sigma1": 15}, {"alpha": 5, "sigma2": 15}),
     ForceModel2: ({"sigma0": 9}, {"f1": 15, "sigma1": 15}, {"beta": 3, "sigma2": 15}),
 }
-"""By model and filter: its parameters and the printed exponents n of their process variances, Q = 0.05 diag(10^n)."""
+"""For each model and filter, the parameters with the printed exponents n of their process variances 0.05 * 10^n."""
 
 
 class Exponents(StrEnum):
@@ -55,15 +55,19 @@ class Trigger(StrEnum):
     """Which filters process a sample."""
 
     ALL_IN_SEQUENCE = "all_in_sequence"
+    """Every filter processes every sample."""
+
     ONE_IN_TURN = "one_in_turn"
+    """One filter processes each sample; the filters take turns."""
 
 
 @dataclass(frozen=True)
 class BankSettings:
     """Choices that the text of the thesis leaves open; see the module docstring.
 
-    `initial_variance` is the P0 of the parameters; None means (5 theta)^2. `filters` replaces the parameters per filter
-    of Table 2.1. `state_sd` and `state_walk` are the initial standard deviation and the process variance of z.
+    - `initial_variance`: initial variance P0 of each parameter; None means (5 theta)^2
+    - `state_sd`, `state_walk`: initial standard deviation and process variance of z
+    - `filters`: parameters and exponents of each filter, in the form of `TABLE_2_1`; None means that table
     """
 
     exponents: Exponents = Exponents.NEGATIVE
@@ -81,7 +85,8 @@ class BankSettings:
 class BankRun:
     """Result of the bank: status, final parameters, and the estimates at every sample.
 
-    `values` may lie outside the bounds of the model. `track` has +-3 sigma limits and ends where the bank diverged.
+    The final parameters `values` may lie outside the bounds of the model. `track` has +-3 sigma limits; it ends before
+    the sample at which the bank diverged.
     """
 
     status: FilterStatus
@@ -92,7 +97,7 @@ class BankRun:
 def run_bank(model: DepthForce, record: Record, settings: BankSettings | None = None) -> BankRun:
     """Run the bank of filters over a record, starting from the parameters of `model`.
 
-    Raises DataError if the record lacks force or motion.
+    A divergence ends the run and is reported by the status. Raises DataError if the record lacks force or motion.
     """
     settings = settings or BankSettings()
     definition = settings.filters or TABLE_2_1[type(model)]
@@ -113,7 +118,7 @@ def run_bank(model: DepthForce, record: Record, settings: BankSettings | None = 
 
 
 _Sample = tuple[float, float, float, list[float], list[float]]
-"""Predicted force (N), innovation (N), its standard deviation, estimates of (z, parameters), their deviations."""
+"""Predicted force, innovation and its standard deviation (N); estimates of z and the parameters; their deviations."""
 
 
 class _Bank:

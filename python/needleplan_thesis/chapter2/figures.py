@@ -27,7 +27,7 @@ _START_FACTOR = 2.0
 
 
 def draw_figures(identified: list[IdentifiedForce], folder: Path) -> None:
-    """Draw all figures of the chapter into `folder`. Raises OutputError."""
+    """Draw all figures of the chapter into `folder`. Raises OutputError if a file cannot be written."""
     fast, slow, stiff, _, thin = identified
     models = {"I": ForceModel1(**fast.published.model.values()), "II": fast.published.model}
     runs = {name: _bank(model, fast.record) for name, model in models.items()}

@@ -9,7 +9,7 @@ The force of a simulated record is the sum of
 - Model II with the published parameters, along the LSPB profile (80 mm, blends of 0.5 s, 200 Hz);
 - bumps due to air bubbles (section 2.5.2) at fixed depths, about one per 4 mm: Gaussian in depth with a width of 1.5
   mm, normally distributed heights, the same in insertion and retraction, with the sign of the velocity;
-- white noise of 4.2 mN; the sensor's moving average over five samples leaves 1.9 mN of it.
+- white noise of 4.2 mN, which the moving average of the sensor over five samples reduces to 1.9 mN.
 
 No fitted model contains the bumps. Their standard deviation is an assumption: 10 mN for needle A and 8 mN for needle B.
 Relative to the smaller forces of needle B, 8 mN is more, because the text calls needle B more susceptible. The bumps
@@ -118,7 +118,10 @@ _SPACING_MM, _WIDTH_MM = 4.0, 1.5
 
 
 def insertion_record(published: PublishedForce, seed: int, *, bubbles: bool = True) -> Record:
-    """Return a simulated record of an insertion and a retraction, as in the module docstring; `bubbles` adds bumps."""
+    """Simulate an insertion and a retraction as the module docstring describes, and return the record.
+
+    Without `bubbles`, the force has no bumps.
+    """
     random = np.random.default_rng([seed, round(10 * published.velocity_mm_s)])
     motion = insertion_cycles(published.depth_mm, published.velocity_mm_s)
     force = simulate(published.model, motion).output
@@ -138,9 +141,10 @@ def insertion_record(published: PublishedForce, seed: int, *, bubbles: bool = Tr
 
 
 def corners(model: DepthForce, factor: float, count: int, seed: int = 0) -> Iterator[DepthForce]:
-    """Yield `count` starting models: each free parameter but f2 is multiplied by `factor` or its inverse, at random.
+    """Yield `count` starting models, whose free parameters are `factor` times too large or too small, at random.
 
-    Of f1, only the distance from its bound (g > 0) is multiplied. The starts of section 2.5.2 are within +-500 %.
+    f2 is not changed. Of f1, only the distance from its lower bound (g > 0) is multiplied. Values are clipped to the
+    ranges of the parameters. The starting values of section 2.5.2 are wrong by up to +-500 %.
     """
     joint = JointForce(model)
     x = joint.initial(model, insertion_cycles(1.0, 1.0))

@@ -135,14 +135,14 @@ def identified_forces() -> list[IdentifiedForce]:
 
 
 def table_2_3_and_open_loops(identified: list[IdentifiedForce]) -> list[Comparison]:
-    """Compare the identified parameters with those of the record, and the open-loop errors with the published ones."""
+    """Compare identified parameters with those that generated the record, and open-loop errors with published ones."""
     return [*(row for loop in identified for row in _parameters(loop)), *(_error(loop) for loop in identified)]
 
 
 def robust_starts(count: int) -> list[Comparison]:
-    """Count the starts that end with an open-loop error below 10 mN, on records without bubbles.
+    """Count the starts from which the joint filter ends with an open-loop error below 10 mN.
 
-    There are `count` starts per parameter set, with values wrong by a factor of six.
+    There are `count` starts for each parameter set, with values wrong by a factor of six. The records have no bubbles.
     """
     good = 0
     for number, each in enumerate(PUBLISHED_FORCES):

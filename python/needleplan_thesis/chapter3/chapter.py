@@ -71,6 +71,7 @@ def run(request: Request) -> list[Comparison]:
 
 
 _COLOURS = (VERMILLION, ORANGE, GREEN, BLUE, BLACK)
+# Length w (mm) of the ramps of the normal force.
 _RAMP_MM = 2.5
 
 
@@ -106,7 +107,7 @@ def draw_profiles(file: Path) -> None:
 
 
 def draw_loops(fits: Sequence[CaseFits], file: Path) -> None:
-    """Draw Fig. 3.5: Model III-B for each lambda (case 1), and all models (cases 2 and 4)."""
+    """Draw Fig. 3.5, friction over velocity: Model III-B for each lambda (case 1), and all models (cases 2 and 4)."""
     from matplotlib.figure import Figure
 
     by_case = {each.case: each for each in fits}

@@ -43,7 +43,7 @@ class Generator(StrEnum):
 
 
 def generated(case: int, generator: Generator, motion: Motion) -> Array:
-    """Return the friction (N) of a case and a motion without noise, shape (samples,)."""
+    """Return the friction (N) that `generator` gives for a case and a motion, without noise, shape (samples,)."""
     if generator is Generator.DISTRIBUTED:
         return distributed(model_ii(case), motion, Profile.ISOSCELES)
     if generator is Generator.II:
@@ -67,7 +67,7 @@ def recorded(motion: Motion, force_n: Array, seed: int, noise_n: float = NOISE_N
 
 
 def periodic(case: int, generator: Generator, rate_hz: float, seed: int) -> Record:
-    """Return a simulated record of four cycles of a case of Table 3.1, with noise."""
+    """Simulate four cycles of a case of Table 3.1 with noise, and return the record."""
     motion = passing_through(case, rate_hz=rate_hz)
     return recorded(motion, generated(case, generator, motion), seed)
 
@@ -80,9 +80,10 @@ _KINDS = ("Karnopp", "I", "II", "III-B")
 
 @dataclass(frozen=True)
 class CaseFits:
-    """The fits of one case: by model (`fits`), and of Model III-B by lambda (`exponents`).
+    """The fits of one case.
 
-    `fits` contains Model III-B with its best lambda.
+    `fits` holds one fit for each model, by label; Model III-B has its best lambda. `exponents` holds the fits of Model
+    III-B by lambda.
     """
 
     case: int
@@ -93,11 +94,11 @@ class CaseFits:
 
     @property
     def exponent(self) -> float:
-        """The lambda with the smallest RMSE."""
+        """The lambda of Model III-B with the smallest RMSE."""
         return min(self.exponents, key=lambda each: self.exponents[each].rmse)
 
     def errors(self, label: str) -> Errors:
-        """Return the RMSE (mN) of a fitted model after the first cycle."""
+        """Return the RMSE (mN), after the first cycle, of the fitted model with this label."""
         return errors_mn(self.fits[label].model, self.record)
 
 
@@ -130,6 +131,6 @@ def fit_case(case: int, generator: Generator, rate_hz: float, exponents: Sequenc
 def fit_cases(
     generator: Generator, rate_hz: float, exponents: Sequence[float], note: Callable[[str], None], seed: int = 0
 ) -> list[CaseFits]:
-    """Simulate and fit all cases of Table 3.1."""
+    """Simulate and fit all cases of Table 3.1, and return the fits. The seed of a case is `seed` plus its number."""
     note(f"friction: data from {generator}")
     return [fit_case(case, generator, rate_hz, exponents, seed + case) for case in CASES]

@@ -45,7 +45,10 @@ _CASES = "cases 1 and 2 are needles A and B in tissue A, by Fig. 3.6 and Table 3
 
 @dataclass(frozen=True)
 class InsideRecord:
-    """A record with the tip inside the tissue, the true friction and cutting force (N), and a mask of major cutting."""
+    """A record with the tip inside the tissue, with the true friction and cutting force (N).
+
+    `major` is a mask of major cutting: the samples at which the tip cuts fresh tissue.
+    """
 
     case: int
     profile: str
@@ -66,12 +69,15 @@ class InsideRecord:
 
 
 def inside(case: int, profile: str, hidden: bool = True, rate_hz: float = 200.0, seed: int = 0) -> InsideRecord:
-    """Simulate four cycles about the middle of the phantom.
+    """Simulate four cycles about the middle of the phantom, and return the record.
 
-    The motion begins with an insertion (profile `solid`) or a retraction (`dashed`), as in Fig. 3.4(b). `hidden` adds:
-    cutting of fresh tissue, 0.10 N + 0.01 N s/mm * v; minor cutting during insertion, 60 mN for 1 s, at random times
-    with a mean rate of 0.15 per second; 20 air bubbles at fixed depths, with a width of 1.5 mm and a standard deviation
-    of 50 mN; and 15 mN of noise.
+    The motion begins with an insertion (profile `solid`) or a retraction (`dashed`), as in Fig. 3.4(b). `hidden` adds
+    to the friction of Model III-B:
+
+    - major cutting, of fresh tissue: 0.10 N + 0.01 N s/mm times the velocity
+    - minor cutting during insertion: 60 mN for 1 s, at random times with a mean rate of 0.15 per second
+    - 20 air bubbles at random depths, with a width of 1.5 mm and a standard deviation of 50 mN
+    - noise of 15 mN
     """
     motion = sinusoid(
         offset_mm=_MIDDLE_MM, amplitude_mm=_AMPLITUDE_MM, frequency_hz=CASES[case].frequency_hz, rate_hz=rate_hz,
@@ -97,8 +103,8 @@ def inside(case: int, profile: str, hidden: bool = True, rate_hz: float = 200.0,
 def predictors(case: int) -> dict[str, Friction]:
     """Return the models with the printed parameters, by label.
 
-    Models I and II occur with the normal force Fn of the middle of the stroke and with Fn = 1 N. Model II also occurs
-    with Fn as a function of the inserted length L.
+    Models I and II are returned twice: with the normal force Fn at the middle of the stroke, and with Fn = 1 N. Model
+    II is also returned with Fn as a function of the inserted length L.
     """
     three = model_iii_b(case)
     middle = Motion.sampled(np.arange(2.0), np.full(2, _MIDDLE_MM))
@@ -115,7 +121,7 @@ def predictors(case: int) -> dict[str, Friction]:
 
 
 def prediction(folder: Path | None, note: Callable[[str], None], rate_hz: float) -> list[Comparison]:
-    """Compare Table 3.6 with computed errors with and without hidden effects, and check the estimated cutting force.
+    """Compare Table 3.6 with errors computed with and without hidden effects, and list errors of the cutting force.
 
     Draws Fig. 3.6 if a folder is given.
     """
@@ -165,7 +171,7 @@ def _rows(
 
 
 def _cutting(insertion: InsideRecord, friction: Friction) -> Comparison:
-    """Compare the estimated cutting force (measured - friction - inertia) with the simulated one."""
+    """Return the RMS error of the estimated cutting force, measured - friction - inertia, during major cutting."""
     mass = NEEDLE_MASS_KG[CASES[insertion.case].needle]
     parts = cutting_force(insertion.record, friction, mass)
     error = (parts.cutting_n - insertion.cutting_n)[insertion.major]

@@ -147,7 +147,7 @@ def model_iii_b(case: int, exponent: float = 5.0) -> AveragedLuGre:
 
 
 def passing_through(case: int, cycles: float = 4.0, rate_hz: float = 200.0) -> Motion:
-    """Return the periodic motion of a case. In the middle of the stroke the tip is 50 mm beyond the phantom."""
+    """Return the periodic motion of a case. At the middle of the stroke, the tip is 50 mm beyond the phantom."""
     each = CASES[case]
     return sinusoid(
         offset_mm=THICKNESS_MM + _PROTRUSION_MM, amplitude_mm=each.amplitude_mm, frequency_hz=each.frequency_hz,
@@ -184,7 +184,7 @@ TABLE_3_6 = {
 
 
 def pooled_mn(errors: Errors) -> float:
-    """Return the total RMSE (mN) that follows from those of both speed ranges.
+    """Return the total RMSE (mN) that follows from the RMSE of the low and of the high speed range.
 
     A sinusoidal motion is below half of its top speed (|cos| < 1/2) for a third of the time.
     """

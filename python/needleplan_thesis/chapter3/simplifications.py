@@ -31,7 +31,7 @@ _REFERENCE = "rms deviation from the distributed model with the same parameters,
 
 
 def peaks() -> list[Comparison]:
-    """Return the largest forces of Models II and III-B, case 1, which the thesis does not print."""
+    """List the largest forces of Models II and III-B, case 1. The thesis does not print them."""
     rows = []
     for label, model in (("II", model_ii(1)), ("III-B", model_iii_b(1))):
         motion = passing_through(1, cycles=2)
@@ -45,7 +45,10 @@ def peaks() -> list[Comparison]:
 
 
 def averaging(note: Callable[[str], None], rate_hz: float) -> list[Comparison]:
-    """Compare lumped and averaged models with the distributed model: constant patch, and tip inside the tissue."""
+    """Compare lumped and averaged models with the distributed model.
+
+    Two motions are used: with a constant contact length (needle through the tissue), and with the tip inside.
+    """
     note("friction: lumped models compared with the distributed model")
     rows = []
     for case, each in CASES.items():
@@ -77,7 +80,7 @@ def _with(model: AveragedLuGre, beta: Beta) -> AveragedLuGre:
 
 
 def _compared(case: int, motion: Motion, profile: Profile, models: Mapping[str, LuGre]) -> list[Comparison]:
-    """Compare `models` with the distributed model; all must have the same parameters."""
+    """Return the RMS deviations of `models` from the distributed model. All models must have the same parameters."""
     exact = distributed(next(iter(models.values())), motion, profile)
     rows = []
     for name, model in models.items():
@@ -92,7 +95,10 @@ _RATE_HZ = 200.0
 
 
 def velocity_lag(note: Callable[[str], None]) -> list[Comparison]:
-    """Identify Model II (case 1) from signals with 4 mN of noise and four combinations of delays; list the biases."""
+    """Identify Model II (case 1) from signals with 4 mN of noise and four combinations of delays.
+
+    Returns the biases of the identified parameters.
+    """
     note("friction: bias due to the delay of the velocity")
     truth, motion = model_ii(1), passing_through(1, cycles=3, rate_hz=_RATE_HZ)
     observer = HighGainObserver.critically_damped(40.0, 1 / _RATE_HZ)
@@ -141,7 +147,11 @@ _TISSUES = {
 
 @dataclass(frozen=True)
 class _Loop:
-    """Velocities (mm/s) and force (N) after the first cycle, for one tissue."""
+    """Velocities (mm/s) and force (N) after the first cycle, for one tissue; all are filtered by the fast observer.
+
+    `needle` is the velocity of the needle, `observed` that of the slow observer, `relative` the true velocity of the
+    needle relative to the tissue.
+    """
 
     name: str
     needle: Array
@@ -174,7 +184,7 @@ def deforming_tissue(folder: Path | None, note: Callable[[str], None]) -> list[C
 
 
 def opening(force: Array, velocity: Array) -> float:
-    """Return the distance between the two branches of a loop at zero force, divided by the top speed."""
+    """Return the width of a hysteresis loop: velocity between its two branches at zero force, over the top speed."""
     before = np.flatnonzero(np.sign(force[:-1]) != np.sign(force[1:]))
     share = force[before] / (force[before] - force[before + 1])
     crossing = velocity[before] + share * (velocity[before + 1] - velocity[before])

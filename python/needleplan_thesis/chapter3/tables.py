@@ -31,7 +31,7 @@ _SIGMA0 = "a patch of 76 mm is 50 to 2000 times g/sigma0: sigma0 changes the for
 
 
 def parameters(fits: Sequence[CaseFits]) -> list[Comparison]:
-    """Compare parameters of Models I, II and III-B with Tables 3.2 to 3.4, identified from data of Model III-B."""
+    """Compare the parameters of Tables 3.2 to 3.4 with those identified from data of Model III-B."""
     speed = CASES[4].top_speed_mm_s
     rows = [
         Comparison(
@@ -63,7 +63,10 @@ def _row(identity: str, printed: PrintedParameter, fits: CaseFits, label: str, n
 
 
 def recovered(fits: Sequence[CaseFits]) -> list[Comparison]:
-    """Compare the lambda of the smallest error with the published value; the reasons list the errors of all lambdas."""
+    """Compare the lambda of the smallest error with the published lambda.
+
+    The reason of each comparison lists the errors of all lambdas.
+    """
     rows = []
     for each in fits:
         errors = {exponent: 1e3 * found.rmse for exponent, found in each.exponents.items()}
@@ -105,7 +108,10 @@ def errors(fits: Sequence[CaseFits]) -> list[Comparison]:
 
 
 def orders(every: Sequence[Sequence[CaseFits]]) -> list[Comparison]:
-    """Compare the ranking of the models by total error, for each generator."""
+    """Compare the ranking of the models by total error with the printed ranking, for each generator and case.
+
+    For the first generator, also compare the Karnopp model with Model I at the values of Table 3.2.
+    """
     rows = []
     for fits in every:
         for each in fits:

@@ -20,7 +20,7 @@ __all__ = ["FrictionLoop", "compensated", "draw_loops", "loop_rows"]
 # Initial part of a trial that is excluded from all errors (s).
 _SKIPPED_S = 1.0
 
-# Ratio of two errors below which the first one is clearly smaller.
+# Ratio of two errors below which the first error counts as clearly smaller.
 _CLEARLY = 0.8
 
 _TUNING = "the phantom is assumed; the thesis tunes by hand, the computation by the gap at zero force"
@@ -28,9 +28,12 @@ _TUNING = "the phantom is assumed; the thesis tunes by hand, the computation by 
 
 @dataclass(frozen=True)
 class FrictionLoop:
-    """A trial with the velocities of the fast and of the slow observer, and Model II fitted to each velocity.
+    """A trial with the velocities of the fast and of the slow observer, and Model II fitted with each velocity.
 
-    If the tuning finds no slow observer, `projection` is that of the thesis' observer.
+    - `tuned`: result of tuning the slow observer to the trial
+    - `projection`: fast and slow observer; if the tuning finds no slow observer, that of the thesis is used
+    - `fast_mm_s`, `slow_mm_s`: velocity v_f of the fast and v_s of the slow observer
+    - `over_fast_n`, `over_slow_n`: force of Model II fitted with v_f and with v_s
     """
 
     trial: PhantomTrial
@@ -53,12 +56,15 @@ class FrictionLoop:
 
     @property
     def vs_error(self) -> float:
-        """RMS error of v_s divided by the RMS of the true velocity against the tissue (after the fast observer)."""
+        """RMS error of v_s divided by the RMS of the true velocity.
+
+        The true velocity is that of the needle relative to the tissue, filtered by the fast observer.
+        """
         return self._error(self.slow_mm_s)
 
     @property
     def vf_error(self) -> float:
-        """RMS error of v_f (no compensation) divided by the RMS of the same true velocity as in `vs_error`."""
+        """RMS error of v_f, which has no compensation, divided by the RMS of the true velocity (see `vs_error`)."""
         return self._error(self.fast_mm_s)
 
     def _error(self, velocity: Array) -> float:
@@ -67,9 +73,9 @@ class FrictionLoop:
 
 
 def compensated(trial: PhantomTrial, slow_alpha1: float) -> FrictionLoop:
-    """Tune the slow observer to a trial, and fit Model II with each of the two velocities.
+    """Tune the slow observer to a trial, and fit Model II with the velocities of the fast and the slow observer.
 
-    `slow_alpha1` is used if the tuning finds no slow observer.
+    If the tuning finds no slow observer, a critically damped one with `slow_alpha1` (1/s) is used.
     """
     record = trial.record
     tuned = tune_slow_observer(record["time_s"], record["depth_mm"], record["force_n"])
@@ -82,7 +88,7 @@ def compensated(trial: PhantomTrial, slow_alpha1: float) -> FrictionLoop:
 
 
 def _fitted(record: Record, velocity: Array) -> Array:
-    """Fit Model II to the force of a record with a filtered velocity, as in the thesis; return its force (N)."""
+    """Fit Model II to the force of a record with a filtered velocity, as in the thesis; return the fitted force (N)."""
     seen = record.with_column("velocity_mm_s", velocity)
     first = tissue_start(record)
     names = ("sigma0", "sigma1", "sigma2", "mu_c", "mu_s", "alpha")
@@ -133,7 +139,7 @@ def loop_rows(loop: FrictionLoop, tuned: Tuned, figure: str) -> list[Comparison]
 
 
 def draw_loops(loop: FrictionLoop, tuned: Tuned, file: Path) -> None:
-    """Draw the friction against v_f and against v_s. In the first panel, 1/H maps the fit with v_s back to v_f."""
+    """Draw the friction over v_f and over v_s. In the first panel, 1/H maps the velocity of the fit back to v_f."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")

@@ -9,12 +9,12 @@ has passed through the phantom and oscillates by 40 mm at 0.1 Hz for four cycles
 
 - force at 200 Hz with 4 mN of noise after the average over five samples;
 - an encoder with steps of 1 micrometre;
-- three trackers in the tissue at 40 Hz with 0.1 mm of noise. Their displacements are 0.8, 0.6 and 1 times that of the
-  tissue at the shaft, because in the thesis sensor 3 moves most and sensor 2 least.
+- three trackers in the tissue at 40 Hz with 0.1 mm of noise. Their displacements are 0.8, 0.6 and 1 times the
+  displacement of the tissue at the shaft, because in the thesis sensor 3 moves most and sensor 2 least.
 
 Stiffness and damping are assumed. The values for gelatin give about the published lag of sensor 3 (10.13 degrees). The
-values for agar give about the published lag of the observer (2.99 degrees). Computed lags are therefore no evidence;
-only the errors of the methods are.
+values for agar give about the published lag of the observer (2.99 degrees). Computed lags are therefore no evidence
+about the tissues of the thesis; only the errors of the methods are evidence.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ SENSOR_LAG_DEG = 10.13
 
 @dataclass(frozen=True)
 class Tuned:
-    """A slow observer of the thesis, tuned by hand, and its H(z) at 0.1 Hz."""
+    """A slow observer of the thesis, tuned by hand: its parameters, and the printed attenuation and lag at 0.1 Hz."""
 
     phantom: str
     alpha1: float
@@ -72,7 +72,7 @@ AGAR = Tuned("agar", 22.0, 121.0, 0.19, 2.99)
 
 
 SHARES = (0.8, 0.6, 1.0)
-"""Displacements of the three sensors, relative to that of the tissue at the shaft."""
+"""Displacements of the three sensors, relative to the displacement of the tissue at the shaft."""
 
 # Standard deviations of the averaged force (N) and of the trackers (mm).
 _FORCE_SD_N = 0.004
@@ -83,15 +83,17 @@ _OUTSIDE_MM = 126.0
 
 # Number of samples of the force sensor's moving average.
 _AVERAGED = 5
+# Exponent lambda of the simulated Model III-B.
 _LAMBDA = 0.5
 
 
 @dataclass(frozen=True)
 class PhantomTrial:
-    """A simulated trial with its true velocity.
+    """A simulated trial with the true velocity of the needle.
 
-    `record` has the depth of the encoder and the averaged force; `relative_mm_s` is the true velocity against the
-    tissue; `sensors_mm`, shape (3, samples), are the positions of the trackers at `tracker_time_s`.
+    `record` has the depth of the encoder and the averaged force; `relative_mm_s` is the true velocity of the needle
+    relative to the tissue; `sensors_mm`, shape (3, samples), holds the measured displacements of the trackers at
+    `tracker_time_s`.
     """
 
     motion: Motion
@@ -102,7 +104,7 @@ class PhantomTrial:
 
     @property
     def lag_deg(self) -> float:
-        """True phase lag (degrees) of the velocity against the tissue behind the needle's, after the first cycle."""
+        """True phase lag (degrees), after the first cycle, of `relative_mm_s` behind the velocity of the needle."""
         settled = self.motion.time_s >= 1 / FREQUENCY_HZ
         time, velocity = self.motion.time_s[settled], self.motion.velocity_mm_s[settled]
         return float(np.degrees(lag_rad(FREQUENCY_HZ, time, self.relative_mm_s[settled], velocity)))
@@ -116,7 +118,7 @@ class Phantom:
     model: AveragedOnTissue
 
     def trial(self, cycles: float = 4.0, rate_hz: float = FORCE_HZ, amplitude_mm: float = AMPLITUDE_MM) -> PhantomTrial:
-        """Simulate a trial. The noise has a fixed seed, so that equal arguments give equal trials."""
+        """Simulate a trial and return it. The noise has a fixed seed, so equal arguments give equal trials."""
         motion = sinusoid(
             offset_mm=_OUTSIDE_MM, amplitude_mm=amplitude_mm, frequency_hz=FREQUENCY_HZ, cycles=cycles, rate_hz=rate_hz
         )

@@ -27,7 +27,7 @@ _DENSITY = 3.0
 # Standard deviation of the trackers (mm).
 _SD_MM = 0.1
 
-# Initial times (s) that comparisons and figures leave out, because the filter settles.
+# Initial times (s) that comparisons and figures leave out, because the tracker filter has not settled.
 _SKIPPED_S = 2.0
 _SETTLING_S = 0.5
 
@@ -43,7 +43,7 @@ class _Seen:
 
     @property
     def relative_mm_s(self) -> Array:
-        """Fast velocity of the needle minus that of each sensor, shape (3, samples): v_comp of the thesis."""
+        """Velocity of the needle (fast observer) minus the velocity of each sensor: v_comp, shape (3, samples)."""
         return np.asarray(self.fast_mm_s - self.tissue_mm_s)
 
 
@@ -57,7 +57,7 @@ def _seen(loop: FrictionLoop) -> _Seen:
 
 
 def sensor_rows(loop: FrictionLoop) -> list[Comparison]:
-    """Compare the lags with the published ones, and the slow observer with the sensors in the tissue."""
+    """Compare the lags with the published lags, and the slow observer with the sensors in the tissue."""
     seen = _seen(loop)
     counts = seen.time_s >= _SKIPPED_S
     relative = seen.relative_mm_s[:, counts]
@@ -139,7 +139,7 @@ _SECOND_AMPLITUDE_MM = 10.0
 def tissue_rows(
     phantoms: Sequence[Phantom], cycles: float, rate_hz: float, note: Callable[[str], None], *, both: bool
 ) -> list[Comparison]:
-    """Compare true, observed and fitted lag for each phantom; `both` adds fits to trials of two amplitudes at once."""
+    """Compare true, observed and fitted lag for each phantom. `both` adds a joint fit to trials of two amplitudes."""
     rows = []
     for phantom in phantoms:
         note(f"chapter 4: fitting {phantom.name}")

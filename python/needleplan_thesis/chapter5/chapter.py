@@ -49,10 +49,10 @@ def run(request: Request) -> list[Comparison]:
 
 
 def residual_n(force_n: float) -> float:
-    """Return the larger residual (N) of the end conditions (5.6) at L, with the coefficients of Table 5.1.
+    """Return the larger residual (N) of the two end conditions (5.6) at x = L, with the coefficients of Table 5.1.
 
     The conditions use the sign convention of the thesis, EI phi''' = Fc cos a - Fc sin a phi' and phi'' = 0, with
-    phi = (c3 x^3 + c2 x^2) Fc.
+    phi = (c3 x^3 + c2 x^2) Fc. `force_n` is the cutting force Fc. The moment is divided by L to obtain a force.
     """
     bending, length, alpha = NEEDLE.bending_stiffness_n_mm2, NEEDLE.length_mm, NEEDLE.bevel_angle_rad
     c3 = math.cos(alpha) / (6 * bending - 3 * length**2 * force_n * math.sin(alpha))
@@ -63,7 +63,7 @@ def residual_n(force_n: float) -> float:
 
 
 def singular_force_n() -> float:
-    """Return the force (N) at which the coefficients become infinite, 2 EI/(L^2 sin a)."""
+    """Return the force (N) at which the coefficients of Table 5.1 become infinite, 2 EI/(L^2 sin a)."""
     return 2 * NEEDLE.bending_stiffness_n_mm2 / (NEEDLE.length_mm**2 * math.sin(NEEDLE.bevel_angle_rad))
 
 

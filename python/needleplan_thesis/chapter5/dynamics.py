@@ -29,7 +29,7 @@ _POINTS, _WEIGHTS = (_POINTS + 1) / 2, _WEIGHTS / 2
 
 
 def _matrix(order: int, start: float = 0.0) -> Array:
-    """Return the integrals over [start, 1] of products of Hermite functions, or of their derivatives."""
+    """Return the integrals over [start, 1] of products of Hermite functions, differentiated `order` times."""
     values = hermite(start + (1 - start) * _POINTS, order)
     result: Array = (1 - start) * np.einsum("ig,jg,g->ij", values, values, _WEIGHTS)
     return result
@@ -51,7 +51,9 @@ class Vibration:
 def natural_frequencies_hz(
     needle: NeedleShaft, tissue: ElasticTissue, depth_mm: float, count: int = 3, *, element_mm: float = 2.0
 ) -> Array:
-    """Return the `count` lowest natural frequencies (Hz) of the needle at rest at a depth (0: the free cantilever).
+    """Return the `count` lowest natural frequencies (Hz), ascending, of the needle at rest at a depth.
+
+    At depth 0 the needle is a free cantilever.
 
     The unknowns are the curvatures at the element ends. Nodal displacements would lose ten digits of the lowest
     frequency with 100 elements, because the ratio of the largest to the smallest eigenvalue grows with the fourth power
@@ -79,11 +81,11 @@ def vibrate(
     damping_1_s: float = 0.0,
     element_mm: float = 2.0,
 ) -> Vibration:
-    """Simulate an insertion with inertia; the needle is at rest at the entry.
+    """Simulate an insertion with and without inertia. The needle is at rest at the entry.
 
     `tip_push_n`, shape (steps + 1,), is the lateral tip force P at the times 0, step, ... `damping_1_s` is the damping
     force per mass and velocity: 2 zeta omega for a mode of the angular frequency omega. Raises ModelError if the last
-    depth exceeds the length of the needle.
+    depth is not between 0 and the length of the needle.
     """
     from scipy.linalg import solve_banded
 
@@ -117,7 +119,10 @@ def vibrate(
 
 
 class _Mesh:
-    """Band matrices, shape (7, unknowns), of a clamped needle; the unknowns are u and h u' of the free nodes."""
+    """Band matrices, shape (7, unknowns), of a clamped needle.
+
+    The unknowns are u and h u' of the free nodes: u is the deflection, h the length of an element.
+    """
 
     def __init__(self, needle: NeedleShaft, tissue: ElasticTissue, element_mm: float) -> None:
         self.count = math.ceil(needle.length_mm / element_mm)

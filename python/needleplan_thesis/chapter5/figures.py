@@ -32,7 +32,10 @@ __all__ = ["figure_5_1", "figure_5_2"]
 
 
 def figure_5_1(folder: Path, step_mm: float) -> None:
-    """Draw Fig. 5.1: the needle at a depth of 80 mm, and the cutting force by depth that gives the estimated radius."""
+    """Draw Fig. 5.1: the needle at a depth of 80 mm, and the cutting force that the estimated radii require.
+
+    The force is drawn over depth, for both readings of the model and the two cases at 15 mm/s.
+    """
     from matplotlib.figure import Figure
 
     case = CASES[2]

@@ -49,7 +49,7 @@ NO_FORCE = "the cutting force by depth, which drives the model, was not publishe
 
 @dataclass(frozen=True)
 class DeflectionCase:
-    """A column of Table 5.2: tissue, velocity, errors of the path, and its measured and estimated radius.
+    """A column of Table 5.2: tissue, velocity, errors of the path, and measured and estimated radius of the path.
 
     `greatest_n` is the largest axial force (N), published for 15 mm/s only.
     """
@@ -81,7 +81,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """A row of Table 5.3: the factors by which kf (`stiffness`) and vf (`friction`) are wrong."""
+    """A row of Table 5.3: the factors by which kf (`stiffness`) and vf (`friction`) are multiplied."""
 
     name: str
     stiffness: float
@@ -137,7 +137,7 @@ class ForceProfile(StrEnum):
     """Constant from 5 mm on."""
 
     def of(self, depth_mm: Array) -> Array:
-        """Return the cutting force at each depth divided by that at 80 mm; the result has the shape of `depth_mm`."""
+        """Return the cutting force at each depth, divided by the force at 80 mm, in the shape of `depth_mm`."""
         if self is ForceProfile.QUADRATIC:
             return (depth_mm / END_MM) ** 2
         if self is ForceProfile.LINEAR:
@@ -161,9 +161,9 @@ def tip_force_n(axial_n: float, tissue: ElasticTissue, velocity_mm_s: float, off
 def coil_path(
     reading: Reading, tissue: ElasticTissue, velocity_mm_s: float, force_n: Array, step_mm: float
 ) -> tuple[Array, Array]:
-    """Return the depth and the deflection of the coil (mm) at every step.
+    """Return depth (mm), shape (steps + 1,), and deflection of the coil (mm), shape (..., steps + 1).
 
-    `force_n` has the cutting force at every step, shape (..., steps + 1).
+    `force_n` holds the cutting force at every step, in the shape of the deflection.
     """
     path = march(
         NEEDLE, tissue, force_n, step_mm, velocity_mm_s, terms=reading.terms, foundation=reading.foundation,
@@ -191,11 +191,11 @@ def required_force_n(
     *,
     behind_mm: float = 0.0,
 ) -> tuple[Array, Array]:
-    """Return the depths (mm, without 0) and the cutting force (N) at each that keeps a point of the needle on a circle.
+    """Return depths (mm, without 0), and the cutting forces (N) there that keep a point of the needle on a circle.
 
-    The circle has the given radius and is tangent at the entry; the point is `behind_mm` behind the tip. With
-    `Foundation.MEMORY` the cut path is also this circle. The force has an axial part, so the equation is nonlinear; it
-    is solved by the secant method.
+    The point is `behind_mm` behind the tip. The circle has the given radius (mm) and is tangent at the entry. With
+    `Foundation.MEMORY`, the cut path is the same circle. The force has an axial part, so the equation for the force is
+    nonlinear and is solved by the secant method.
     """
     depth = depths_mm(step_mm)[1:]
     steps = depth.size

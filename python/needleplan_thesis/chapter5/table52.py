@@ -44,9 +44,9 @@ def table52(step_mm: float) -> list[Comparison]:
 
 
 def arcs_apart_mm(case: DeflectionCase) -> tuple[float, float]:
-    """Return the largest distance (mm) between the arcs of the measured and the estimated radius.
+    """Return two largest distances (mm) between the arcs of the measured and the estimated radius.
 
-    Returns two values: for arcs tangent at the entry, and for arcs with the lateral offset that minimises the distance.
+    The first is for arcs tangent at the entry, the second for arcs with the lateral offset that minimises the distance.
     """
     depth = np.linspace(0, END_MM, 801)
     apart = _arc(case.estimated_mm, depth) - _arc(case.measured_mm, depth)
@@ -56,8 +56,8 @@ def arcs_apart_mm(case: DeflectionCase) -> tuple[float, float]:
 def missing_force_n(case: DeflectionCase, step_mm: float) -> float:
     """Return the part (N) of the largest axial force that the memory model does not explain.
 
-    The explained parts are the shaft friction vf and the cutting force that the estimated radius requires. NaN if no
-    axial force was published.
+    The explained parts are the shaft friction and the axial part of the cutting force that the estimated radius
+    requires. NaN if no axial force was published.
     """
     _, force = required_force_n(MEMORY, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm)
     friction = case.tissue.friction_n_s_mm2 * case.velocity_mm_s * END_MM
@@ -120,10 +120,11 @@ def _errors(case: DeflectionCase) -> list[Comparison]:
 
 
 def memory_path(case: DeflectionCase, offset_n: float, step_mm: float) -> tuple[Array, Array]:
-    """Return depth and deflection (mm) of the coil in the memory model, for an axial force without an offset F0.
+    """Return depth and deflection (mm) of the coil in the memory model.
 
-    The force grows with depth as a circular path requires. The largest axial force is known for 15 mm/s; the same force
-    on the bevel is assumed at 10 mm/s.
+    The cutting force at 80 mm follows from the largest axial force minus the offset F0 = `offset_n`; it grows with
+    depth as a circular path requires. The axial force was published for 15 mm/s only; the same cutting force is assumed
+    at 10 mm/s.
     """
     known = next(each for each in CASES if each.greatest_n and each.tissue == case.tissue)
     end = tip_force_n(known.greatest_n or 0.0, known.tissue, known.velocity_mm_s, offset_n)
@@ -133,7 +134,7 @@ def memory_path(case: DeflectionCase, offset_n: float, step_mm: float) -> tuple[
 
 
 def mean_offset_n(step_mm: float) -> float:
-    """Return the mean of `missing_force_n` (N) of the cases with a published axial force."""
+    """Return the mean of `missing_force_n` (N) over the cases with a published axial force."""
     return float(np.mean([missing_force_n(case, step_mm) for case in CASES if case.greatest_n]))
 
 

@@ -29,9 +29,10 @@ _SECTION = "ch5/Table 5.3"
 def radius_change(
     reading: Reading, case: DeflectionCase, changes: tuple[ParameterChange, ...], speed: float, step_mm: float
 ) -> list[float]:
-    """Return for each parameter change the ratio of the radius of the coil's path to that without a change.
+    """Return, for each parameter change, the ratio of the radius of the coil's path to the radius without the change.
 
-    The cutting force is the same for all; the printed estimated radius determines it. `speed` multiplies the velocity.
+    The cutting force is the same in all simulations: the one that the printed estimated radius requires. `speed`
+    multiplies the velocity in the simulations with a change.
     """
     _, force = required_force_n(reading, case.tissue, case.velocity_mm_s, case.estimated_mm, step_mm, behind_mm=0.0)
     force = np.concatenate([[0.0], force])

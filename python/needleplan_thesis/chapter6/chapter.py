@@ -45,9 +45,9 @@ def files(request: Request) -> tuple[str, ...]:
 
 
 def run(request: Request) -> list[Comparison]:
-    """Return the comparisons of the chapter, or only those of its experiments.
+    """Return the comparisons of the chapter, or, if `request.experiments`, those of the experiments in the lab twin.
 
-    Writes figures and tables if the request names a folder.
+    Writes figures and a CSV file if the request names a folder.
     """
     if request.experiments:
         return experiments(request.folder, request.note, _FEW if request.effort is Effort.QUICK else _SEEDS)
@@ -108,7 +108,7 @@ _OTHER_CORNERS = "the prototype treats cells at obstacles and at the border as s
 
 
 def prototype(note: Callable[[str], None], fine: bool, runs: int) -> list[Comparison]:
-    """Compare predicted cost and realised success with those of the prototype; `fine` adds the grids of 0.25 mm."""
+    """Compare predicted cost and realised success with the results of the prototype. `fine` adds grids of 0.25 mm."""
     four = Scenario.read("four_obstacles")
     scenario = replace(four, objective=replace(four.objective, collision=20_000.0, exit=10_000.0))
     comparisons = []

@@ -56,9 +56,10 @@ _LEAST_SUCCESS = 0.01
 
 @dataclass(frozen=True)
 class ExecutionRule:
-    """How a table is executed: by the policy of the nearest state, or greedily by interpolated values.
+    """How a table is executed: by the policy of the nearest state, or, if `greedy`, by interpolated values.
 
-    `arc_samples` is the number of points per arc that are tested for events; None means that of the scenario.
+    `arc_samples` is the number of points per arc that are tested for collision, exit and target; None means the number
+    in the scenario.
     """
 
     greedy: bool = False
@@ -71,9 +72,10 @@ class ExecutionRule:
 
 @dataclass(frozen=True)
 class EntryStudy:
-    """Predicted and realised success [n] and its 95 % interval [n, 2], by entry.
+    """Predicted and realised success of n entries.
 
-    `entries` [n, 4] are x_mm, y_mm, heading_rad and bevel.
+    `entries`, shape (n, 4), holds x_mm, y_mm, heading_rad and bevel. `predicted` and `realised` have shape (n,);
+    `interval`, shape (n, 2), is the 95 % interval of the realised success.
     """
 
     scenario: str
@@ -86,18 +88,21 @@ class EntryStudy:
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """Predicted minus realised success in percentage points, [n]."""
+        """Predicted minus realised success in percentage points, shape (n,)."""
         return 100 * (self.predicted - self.realised)
 
 
 def planned(scenario: Scenario, transition: Transition, spacing_mm: float, refinement: int = 1) -> PolicyTable:
-    """Plan `scenario` by sweeps on a square grid. Success is evaluated on a grid that is `refinement` times finer."""
+    """Plan `scenario` by sweeps on a square grid with the given spacing.
+
+    The success is evaluated on a grid that is `refinement` times finer.
+    """
     grid = Grid((spacing_mm, spacing_mm), transition, refinement)
     return plan(replace(scenario, grid=grid, solver=replace(scenario.solver, method=Method.SWEEP, partitions=None)))
 
 
 def choose_entries(table: PolicyTable) -> NDArray[np.float64]:
-    """Return the entries [n, 4] that the rule of this module gives for `table`."""
+    """Return the entries, shape (n, 4), that the rule of the module docstring selects with `table`."""
     scenario = table.scenario
     step = 2 * math.pi / scenario.motion.headings
     headings = [step * round(math.radians(degrees) / step) for degrees in _HEADINGS_DEG]
@@ -137,7 +142,7 @@ def execute(
 
 
 SCENARIOS = ("four_obstacles", "narrow_passage", "prostate", "brain")
-# Transition and spacing (mm) of the grid that has a goal and whose table determines the entries.
+# Transition and spacing (mm) of the grid whose table determines the entries, and to which the goals apply.
 _REFERENCE = (Transition.INTERPOLATED, 0.5)
 _RUNS = {Effort.QUICK: 1000, Effort.DEFAULT: 20_000, Effort.FULL: 20_000}
 _SPACINGS_MM = {Effort.QUICK: (1.0,), Effort.DEFAULT: (1.0, 0.5), Effort.FULL: (1.0, 0.5, 0.25)}
@@ -166,7 +171,10 @@ def predicted_and_realised(request: Request) -> list[Comparison]:
 
 
 def summary(study: EntryStudy) -> list[Comparison]:
-    """Return the mean and the maximum of |predicted - realised| as comparisons; some studies have goals for them."""
+    """Return mean and maximum of |predicted - realised| as comparisons, with a goal if the grid is the reference grid.
+
+    Greedy executions and executions with other arc samples have no goal.
+    """
     apart = np.abs(study.points)
     name = f"ch6/predicted less realised/{study.scenario}, {_grid(study)}, {study.execution}"
     differences = {"mean": float(apart.mean()), "max": float(apart.max())}
@@ -186,7 +194,7 @@ def summary(study: EntryStudy) -> list[Comparison]:
 
 
 def write_entries(path: Path, studies: list[EntryStudy]) -> None:
-    """Write a CSV line for every entry of every study. Raises OutputError."""
+    """Write a CSV file with a line for every entry of every study. Raises OutputError if it cannot be written."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(
@@ -227,7 +235,10 @@ def _of_scenario(name: str, request: Request) -> Iterator[EntryStudy]:
 
 
 def _predicted_finer(study: EntryStudy, table: PolicyTable) -> EntryStudy:
-    """Return `study` with the predicted success and the grid of `table`, which has the same policy on a finer grid."""
+    """Return `study` with predicted success and grid replaced by those of `table`.
+
+    `table` must have the same policy; its success was evaluated on a finer grid.
+    """
     predicted = table.lookup_many(study.entries).success.astype(np.float64)
     return replace(study, grid=table.scenario.grid, predicted=predicted)
 

@@ -1,6 +1,7 @@
 """Statements of section 6.4 about prioritized-partitioned value iteration, and Figs. 6.3 and 6.6.
 
-The figures show the order in which the partitions are processed, and the states that depend on a sample partition.
+The figures show the order in which the partitions are processed. Fig. 6.3 also shows the grid points whose states
+depend on a sample partition.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _ONE_SCENE = "one assumed scene, and times of this run; another scene may give a
 
 
 def statements(solves: Solves) -> list[Comparison]:
-    """Compare every statement with the solves of this run."""
+    """Compare every statement of section 6.4 with the solves of this run."""
     return [
         *_beats_plain(solves),
         _h2_beats_h1(solves),
@@ -169,7 +170,7 @@ _CYAN, _RED = "#00bcd4", "#d00000"
 
 
 def dependent_points(table: PolicyTable, partition: int) -> NDArray[np.bool_]:
-    """Return a mask [nx, ny] of the grid points with a state that can step into `partition`.
+    """Return a mask, shape (nx, ny), of the grid points with a state from which a step can lead into `partition`.
 
     These are the positions of SDP(p), the state dependents of a partition (Table 6.1 of the thesis), computed from the
     transition probabilities.
@@ -188,7 +189,7 @@ def dependent_points(table: PolicyTable, partition: int) -> NDArray[np.bool_]:
 
 
 def draw_dependents(axes: Axes, table: PolicyTable, partition: int) -> None:
-    """Outline `partition` in red, and colour the grid points from which a step can lead into it cyan."""
+    """Outline `partition` in red, and colour the points that `dependent_points` returns in cyan."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Rectangle
 

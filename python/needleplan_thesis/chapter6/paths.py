@@ -1,7 +1,8 @@
 """Figs. 6.4 and 6.5: plans with and without noise, and with other costs of insertion and rotation.
 
 The start is (0, 20) mm, the (0, 2) cm of the thesis. The scene of the thesis is not known. In the scene used here, the
-published heading of -30 degrees leads into an obstacle, so Fig. 6.4 is drawn with the nearest heading that does not.
+published heading of -30 degrees leads into an obstacle, so Fig. 6.4 is drawn with the nearest heading that has a
+predicted success of at least 0.75.
 Costs per centimetre in the thesis are divided by ten to give costs per millimetre. With the literal costs (collision
 200, exit 100, discount 0.95) a failure is cheaper than a detour. The figures therefore use a failure cost of 10,000
 without discount; the literal plans are drawn separately.
@@ -44,7 +45,7 @@ class Panel:
 
     @classmethod
     def of(cls, heading: str, table: PolicyTable, start: Sequence[float]) -> Panel:
-        """Return the panel of an execution of `table` from a pose; a missing bevel is the one with the lower cost."""
+        """Return the panel of an execution of `table` from a pose. A missing bevel is set to that of the lower cost."""
         return cls(heading, table, table.path(start))
 
     @property
@@ -59,7 +60,7 @@ class Panel:
 
     @property
     def success(self) -> float:
-        """Predicted probability of reaching the target."""
+        """Predicted probability of reaching the target from the start."""
         return self.table.lookup(*self.start).success
 
 
@@ -75,7 +76,10 @@ def ending(path: Path) -> str:
 
 
 def draw_panels(panels: Sequence[Panel], text: str, file: File) -> None:
-    """Draw the panels, each with noisy executions behind its path, and a caption; save the figure to `file`."""
+    """Draw the panels side by side, each with noisy executions behind its path, and save the figure to `file`.
+
+    `text` is the caption.
+    """
     figure, every = sheet(panels[0].table.scenario.workspace, len(panels))
     for axes, panel in zip(every, panels, strict=True):
         panel.table.rollout(panel.start, runs=_NOISY).plot(axes)
@@ -124,7 +128,7 @@ def paths(folder: File | None, note: Callable[[str], None]) -> list[Comparison]:
 
 
 def clearance_mm(panel: Panel) -> float:
-    """Return the smallest distance (mm) between path and obstacles."""
+    """Return the smallest distance (mm) between obstacles and path, whose poses are connected by straight lines."""
     obstacles = MultiPolygon([Polygon(each.polygon_mm) for each in panel.table.scenario.obstacles])
     distance: float = LineString(panel.path.poses[:, :2]).distance(obstacles)
     return distance

@@ -96,7 +96,7 @@ def phantom(folder: Path | None, note: Callable[[str], None], fine: bool) -> lis
 
 
 def miss_mm(panel: Panel) -> float:
-    """Return the smallest distance (mm) between the poses of a path and the edge of the target; negative inside it."""
+    """Return the smallest distance (mm) of the poses of a path from the rim of the target; negative inside."""
     target = panel.table.scenario.target
     x, y = target.center_mm
     return min(math.hypot(*(pose[:2] - (x, y))) for pose in panel.path.poses) - target.radius_mm

@@ -39,7 +39,7 @@ STATES = 1_176_120
 """Number of states that section 6.4 prints."""
 
 FORMULA_STATES = 1_152_000
-"""Number of states by the formula of section 6.2; Table 6.3 has the same for (6, 4), with every partition processed."""
+"""Number of states by the formula of section 6.2. Table 6.3 has the same for (6, 4), with all partitions processed."""
 
 OTHER_SCENE = "the thesis prints no coordinates of its obstacles; the scene is assumed"
 OTHER_MACHINE = (
@@ -146,9 +146,9 @@ SolverCase = tuple[tuple[int, int], Priority]
 
 @dataclass(frozen=True)
 class Solves:
-    """The policy tables of one scenario by each method: plain value iteration, PPVI, directional sweeps.
+    """The policy tables of one scenario by plain value iteration, PPVI and directional sweeps.
 
-    `partitioned` has the tables of PPVI by numbers of partitions and priority.
+    `partitioned` holds the tables of PPVI; its key is the number of partitions along x and y, and the priority.
     """
 
     plain: PolicyTable
@@ -194,7 +194,7 @@ def name_of(partitions: tuple[int, int], priority: str = "") -> str:
 
 
 def solving_seconds(stats: Stats) -> float:
-    """Return the time (s) that the thesis reports: solving and priorities, without geometry and evaluation."""
+    """Return the part of the time (s) that the thesis reports: solving and priorities, not geometry and evaluation."""
     return stats.seconds_solving + stats.seconds_priorities
 
 

@@ -28,18 +28,21 @@ SHAFT = Shaft(torsional_stiffness_n_mm2=1.5e4)
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """An effect that the plan does not contain; `hide(setup)` returns the lab with this effect."""
+    """An effect that the plan does not contain. `hide(setup)` returns the setup of a lab with this effect."""
 
     name: str
     title: str
     truth: str
-    """The true parameters as text; named as in the library of the diagnosis if it contains the effect."""
+    """The true parameters as text, in the terms of the diagnosis if its library contains the effect."""
 
     hide: Callable[[Setup], Setup]
 
 
 def laboratory(scenario: Scenario, entry: SimulatedEntry | None = None) -> Setup:
-    """Return a lab that bends as planned, with tracker noise of 0.1 mm and a small random walk of the heading."""
+    """Return the setup of a lab in which the needle bends as planned.
+
+    The tracker has noise of 0.1 mm, and the heading a small random walk.
+    """
     return Setup(
         plan_curvature_per_mm=1 / scenario.needle.curvature_radius_mm, scenario=scenario,
         entry=entry or SimulatedEntry(),
@@ -49,7 +52,10 @@ def laboratory(scenario: Scenario, entry: SimulatedEntry | None = None) -> Setup
 
 
 def _layers(pieces: Sequence[tuple[float, float]]) -> Callable[[Setup], Setup]:
-    """Return a `hide` that changes the curvature. `pieces` are pairs: start (mm along x), true / planned curvature."""
+    """Return a `hide` that changes the curvature along the path.
+
+    `pieces` are pairs: x at which the piece starts (mm), and the ratio of true to planned curvature.
+    """
 
     def hide(setup: Setup) -> Setup:
         assert setup.scenario is not None
@@ -132,7 +138,10 @@ _PROGRAMS: tuple[tuple[Role, float, tuple[tuple[float, float], ...]], ...] = (
 
 
 def recordings(setup: Setup, seed: int) -> list[Record]:
-    """Return five recorded insertions from the origin, at two speeds with one rotation each, and a noise record."""
+    """Return six records: five insertions from the entry of `setup`, and a noise record.
+
+    Each insertion has two speeds and one rotation in between. Three have the role train, two the role holdout.
+    """
     found = []
     for number, (role, roll, legs) in enumerate(_PROGRAMS):
         entry = replace(setup.entry, roll_rad=roll)
@@ -148,7 +157,7 @@ def recordings(setup: Setup, seed: int) -> list[Record]:
 
 
 def next_record(setup: Setup, moves: Sequence[Move], seed: int) -> Record:
-    """Return a training record of an insertion with the moves that a diagnosis proposes and a pause at the end."""
+    """Simulate the moves that a diagnosis proposes, with a pause at the end, and return the training record."""
     return _recorded(setup, (*moves, Move(dwell_s=1.0)), seed, Role.TRAIN)
 
 

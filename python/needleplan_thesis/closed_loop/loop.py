@@ -68,9 +68,12 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Round:
-    """Results of one round, with one insertion per seed.
+    """Results of one round, with one insertion for each seed.
 
-    `motions` are the names of the recorded next motions. `verdicts` has one more element: one per diagnosis.
+    - `verdicts`: verdict of each diagnosis, the first one and one after each recorded next motion
+    - `motions`: names of the recorded next motions
+    - `named`: effects that the last diagnosis names; empty if its verdict is not NAMED
+    - `before`, `after`: insertions by the first plan, and by the plan with the diagnosed model
     """
 
     hidden: str
@@ -85,7 +88,7 @@ class Round:
 
 
 def run_round(hidden: HiddenEffect, scenario: Scenario, seeds: Sequence[int]) -> Round:
-    """Run one round with an insertion per seed; the first seed also determines the recordings."""
+    """Run one round and return its results. Each seed gives one insertion; the first also gives the recordings."""
     found, motions = diagnosed(hidden, scenario, seeds[0])
     last = found[-1]
     wrong = corrected_plan(_base(scenario), scenario, velocity_mm_s=VELOCITY_MM_S)
@@ -108,7 +111,7 @@ def run_round(hidden: HiddenEffect, scenario: Scenario, seeds: Sequence[int]) ->
 
 
 def diagnosed(hidden: HiddenEffect, scenario: Scenario, seed: int) -> tuple[list[Diagnosis], tuple[str, ...]]:
-    """Return all diagnoses of a round, and the names of the next motions recorded between them."""
+    """Record and diagnose; return all diagnoses of a round, and the names of the next motions recorded in between."""
     setup = hidden.hide(laboratory(scenario))
     first = _RECORDED_FROM + _SEEDS_PER_ROUND * seed
     data = recordings(setup, first)
@@ -135,7 +138,7 @@ def _base(scenario: Scenario) -> SpatialBicycle:
 
 @lru_cache(maxsize=1)
 def _library(scenario: Scenario) -> Library:
-    """Return the library of effects, cached because all seeds share its computations for the motions."""
+    """Return the library of effects. It is cached, because it stores computations that all seeds share."""
     return Library(effects_of(Channel.TIP), _base(scenario))
 
 
@@ -165,7 +168,10 @@ _SHARING = 5
 def run_rounds(
     scenario: Scenario, hidden: Sequence[HiddenEffect], seeds: Sequence[int], processes: int = 1
 ) -> Iterator[Round]:
-    """Yield the rounds of all hidden effects in order. Up to five seeds share one round: recordings and diagnosis."""
+    """Yield the rounds of all hidden effects in order.
+
+    Up to five seeds form one round and share its recordings and diagnosis.
+    """
     groups = [tuple(seeds[first : first + _SHARING]) for first in range(0, len(seeds), _SHARING)]
     tasks = [(each.name, group) for each in hidden for group in groups]
     yield from map_in_processes(partial(_round, scenario), tasks, processes)

@@ -145,7 +145,7 @@ def percent(share: float) -> str:
 
 
 def in_percent(share: float | None) -> str:
-    """Format a reduction in percent; return a dash if it is None (no gap to reduce)."""
+    """Format a reduction in percent. Returns a dash for None, which means that there was no gap to reduce."""
     return "-" if share is None else f"{100 * share:.0f} %"
 
 

@@ -54,7 +54,7 @@ class InsertionStatistics:
 
 @dataclass(frozen=True)
 class ParameterMedians:
-    """A parameter of a named effect: medians over the rounds of its estimate and of its 95 % limits."""
+    """A parameter of a named effect: the medians, over the rounds, of estimate and 95 % limits."""
 
     value: float
     low: float
@@ -67,7 +67,8 @@ class EffectSummary:
     """Results for one hidden effect.
 
     `verdicts` counts the verdicts of the final diagnosis of each round, `named` the sets of named effects, `motions`
-    the recorded next motions. `parameters` are those of the most frequently named set of effects.
+    the recorded next motions. `parameters` holds the parameters of the most frequently named set of effects, by
+    "effect.parameter". `before`, `after` and `known` are the insertions of `Round`.
     """
 
     hidden: HiddenEffect
@@ -110,7 +111,10 @@ def _parameters(rounds: Sequence[Round], names: tuple[str, ...]) -> dict[str, Pa
 
 
 def reduction(before: float, after: float, floor: float = 0.0) -> float | None:
-    """Return the relative reduction from `before` to `after` of the part above `floor`; None if `before` has none."""
+    """Return the relative reduction, from `before` to `after`, of the part above `floor`.
+
+    Returns None if `before` does not exceed `floor`.
+    """
     return 1 - (after - floor) / (before - floor) if before - floor > _NO_GAP else None
 
 
@@ -118,7 +122,7 @@ def reduction(before: float, after: float, floor: float = 0.0) -> float | None:
 class OverallResult:
     """Results over all hidden effects: summed gaps of success, and median error (mm) of all insertions.
 
-    Each has three values: first plan, plan with the diagnosed model, and first plan without a hidden effect.
+    Both have three values: first plan, plan with the diagnosed model, and first plan in a lab without a hidden effect.
     """
 
     gap: tuple[float, float, float]

@@ -39,10 +39,10 @@ class Guidance(StrEnum):
 
 @dataclass(frozen=True)
 class SteeringCase:
-    """A scenario and its simulated lab, whose needle bends as planned except for the effects of the experiment.
+    """A scenario, and a lab in which the needle bends as planned except for the effects of the experiment.
 
-    `start` is x_mm, y_mm, heading_rad; None means the best entry. The bevel is the one with the lower cost. `servo_hz`,
-    the rate of the robot's servo, is below the twin's default because servo samples dominate the computing time.
+    `start` is x_mm, y_mm, heading_rad; None means the best entry. The bevel is that of the lower cost. `servo_hz` is
+    the rate of the robot's servo; it is lower than in other labs, because servo samples dominate the computing time.
     """
 
     name: str
@@ -64,7 +64,7 @@ class SteeringCase:
         return self.table.start(self.start) if self.start else self.table.best_entry().pose
 
     def station(self, seed: int, curvature_error: float = 0.0) -> SimulatedStation:
-        """Return the devices of a new lab; `curvature_error` is as in `SteeringTask`."""
+        """Return the devices of a new lab with this seed and this `curvature_error` (see `SteeringTask`)."""
         setup = self.experiment.setup
         effects = replace(setup.effects, curvature_error=curvature_error)
         setup = replace(setup, effects=effects, robot=replace(setup.robot, servo_hz=self.servo_hz))
@@ -73,7 +73,7 @@ class SteeringCase:
 
 @dataclass(frozen=True)
 class SteeringTask:
-    """One insertion. `curvature_error` is the relative deviation of the true curvature from the planned one."""
+    """One insertion. `curvature_error` is the relative deviation of the true curvature from the planned curvature."""
 
     case: SteeringCase
     guidance: Guidance

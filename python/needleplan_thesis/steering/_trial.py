@@ -26,11 +26,16 @@ __all__ = ["SteeringSummary", "SteeringTrial", "gap_closed", "run_all", "run_tri
 class SteeringTrial:
     """Result of an insertion; lengths in mm, positions in the plane of the plan.
 
-    `path_mm` [n, 3] is the true path of the tip. `error_mm` is the distance of its end from the centre of the target,
-    `deviation_mm` the largest distance of the path from the planned path. `seen_error_mm` and `seen_deviation_mm` are
-    the same lengths by the tip filter, NaN without feedback. `touched` names the first obstacle on the true path, or is
-    empty; `left` is True if the path left the workspace. `predicted` is the success probability of the plan. `outcome`
-    and `cause` are those that the control loop reports, empty without feedback.
+    - `path_mm`, `planned_mm`: true path of the tip, shape (n, 3), and path of the plan
+    - `turns_mm`: positions of the rotations, shape (turns, 2); empty without feedback
+    - `error_mm`: distance of the end of the true path from the centre of the target
+    - `out_of_plane_mm`, `deviation_mm`: largest distance of the true path from the plane and from the planned path
+    - `seen_error_mm`, `seen_deviation_mm`: error and deviation by the tip filter; NaN without feedback
+    - `touched`: name of the first obstacle on the true path, or empty
+    - `left`: whether the true path left the workspace
+    - `turns`, `replans`: number of rotations and of replans
+    - `predicted`: success probability of the plan
+    - `outcome`, `cause`: as reported by the control loop; empty without feedback
     """
 
     task: SteeringTask
@@ -74,7 +79,7 @@ class _Truth(Listener):
         self.path: list[tuple[float, float, float]] = []
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        """Record the true position if the tip is in the tissue."""
+        """Record the true position if the tip is in the tissue. The estimated tip is not used."""
         if path_mm >= 0:
             self.path.append(self._plant.tip().position_mm)
 
@@ -153,8 +158,9 @@ _RESAMPLED = 2000
 class SteeringSummary:
     """Statistics of many insertions of one kind; lengths in mm, intervals of 95 %.
 
-    `success` has a Wilson interval, means have bootstrap intervals. `failures` counts the failed insertions by reason;
-    `seeds` lists their seeds.
+    `success` has a Wilson interval, the mean error `error_mm` a bootstrap interval. `error_95_mm` is the 95th
+    percentile of the error. `deviation_mm`, `turns` and `replans` are means. `failures` counts the failed insertions by
+    reason; `seeds` lists the seeds of the failed insertions.
     """
 
     runs: int
@@ -173,7 +179,7 @@ class SteeringSummary:
 
 
 def summarized(trials: Sequence[SteeringTrial]) -> SteeringSummary:
-    """Return the statistics of at least one insertion."""
+    """Return the statistics of at least one insertion. All insertions must have the same plan."""
     errors = np.array([each.error_mm for each in trials])
     failed = [each for each in trials if not each.success]
     return SteeringSummary(

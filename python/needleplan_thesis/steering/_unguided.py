@@ -21,10 +21,11 @@ __all__ = ["Moves", "PathEnd", "aimed_at_target", "execute_moves", "path_end", "
 
 @dataclass(frozen=True)
 class PathEnd:
-    """The end of a path, relative to the target of a scenario.
+    """The end of a path relative to the target of a scenario, and the obstacles on the path.
 
-    `error_mm` is the distance from the centre of the target in the plane of the plan, `aside_mm` the distance from this
-    plane. `touched` names the first obstacle on the path, or is empty; `left` is True if the path left the workspace.
+    `error_mm` is the distance of the end from the centre of the target, in the plane of the plan; `aside_mm` is the
+    distance of the end from this plane. `touched` names the first obstacle on the path, or is empty; `left` is True if
+    the path left the workspace.
     """
 
     error_mm: float
@@ -34,7 +35,7 @@ class PathEnd:
 
     @property
     def distance_mm(self) -> float:
-        """Distance (mm) from the centre of the target in space."""
+        """Distance (mm) of the end from the centre of the target in space."""
         return math.hypot(self.error_mm, self.aside_mm)
 
 
@@ -75,7 +76,10 @@ class Moves:
 
 
 def planned_moves(table: PolicyTable, start: Pose) -> Moves:
-    """Return the moves of the planned path up to its point closest to the target centre, as in the control loop."""
+    """Return the moves along the planned path, which end at its point closest to the centre of the target.
+
+    The control loop stops at the same point.
+    """
     scene, path = ScenarioGeometry(table.scenario), table.path(start)
     lengths, bevels = [0.0], [start.bevel]
     for row, action in zip(path.poses[:-1].tolist(), path.actions.tolist(), strict=True):
@@ -99,9 +103,9 @@ def planned_moves(table: PolicyTable, start: Pose) -> Moves:
 
 
 def aimed_at_target(setup: Setup, table: PolicyTable, *, bending: bool) -> tuple[Setup, Moves]:
-    """Return the lab with the needle heading towards the target centre, and a single move of that distance.
+    """Return a setup with the needle heading towards the centre of the target, and one move of the distance to it.
 
-    If not `bending`, the needle of the returned lab does not bend.
+    If `bending` is False, the needle of the returned setup does not bend.
     """
     entry, (x, y) = setup.entry, table.scenario.target.center_mm
     heading = math.atan2(y - entry.y_mm, x - entry.x_mm)
@@ -121,8 +125,9 @@ def execute_moves(
 ) -> Array:
     """Execute the moves, and return the true path of the tip in the tissue (mm), shape (n, 3).
 
-    The torsional lag of the tip is compensated as in the control loop. `roll(bevel, depth_mm)` returns the roll (rad)
-    at which the needle bends to a bevel side; it is evaluated at the middle depth of a move.
+    The torsional lag of the tip is compensated as in the control loop, unless `torsion` is None. `roll(bevel,
+    depth_mm)` returns the roll (rad) at which the needle bends to a bevel side; `depth_mm` is the middle depth of a
+    move. By default, the roll is 0 to the left and pi to the right.
     """
     shaft_mm = plant.setup.shaft.length_mm
     path: list[tuple[float, float, float]] = []
