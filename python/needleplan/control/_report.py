@@ -127,7 +127,7 @@ class InsertionReport:
 class InsertionTrace(Listener):
     """Listener that collects estimates, forces, decisions and events for the report.
 
-    `force_axis` is the unit vector, in the frame of the sensor, along which the axial force is measured.
+    `force_axis` is the unit vector, in the frame of the sensor, in the direction of a positive axial force.
     """
 
     def __init__(self, force_axis: tuple[float, float, float]) -> None:

@@ -62,7 +62,8 @@ class ScenarioGeometry:
         """Return the point at which the table is looked up for a tip at the given point.
 
         Usually this is the given point. The table has no action at grid points in an obstacle. Therefore, if the grid
-        point nearest to the tip is in an obstacle, the nearest free corner of the tip's cell is returned.
+        point nearest to the tip is in an obstacle, the nearest corner of the tip's cell outside of all obstacles is
+        returned, if there is one.
         """
         (dx, dy), points = self.scenario.grid.spacing_mm, self.scenario.grid.points(self.scenario.workspace)
         corners = [
