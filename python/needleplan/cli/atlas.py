@@ -34,9 +34,9 @@ def add_search(parser: argparse.ArgumentParser) -> None:
 
 
 def is_atlas(file: str) -> bool:
-    """Return whether `info` reads `file` as an atlas: its name ends in `.toml`, or is the name of a shipped atlas.
+    """Return whether `info` reads `file` as an atlas: if it ends in `.toml`, or is the name of a shipped atlas.
 
-    An existing file and a name with another ending are not names of shipped atlases.
+    An existing file that does not end in `.toml` is never read as an atlas.
     """
     if file.endswith(".toml") or Path(file).suffix or Path(file).exists():
         return file.endswith(".toml")
@@ -48,8 +48,8 @@ def is_atlas(file: str) -> bool:
 def require_atlas(options: argparse.Namespace) -> Atlas | None:
     """Return the atlas of the option `--atlas`; an empty atlas if the file does not exist, None without the option.
 
-    Raises InputError if `--needle` and `--tissue` are missing or given without `--atlas`, or the kind is not force, and
-    OutputError if the atlas file cannot be written or is also another input or output file.
+    Raises InputError if `--needle` or `--tissue` is missing or given without `--atlas`, or the kind is not force, and
+    OutputError if the atlas file cannot be written, or is also a data file or another output file.
     """
     from needleplan.artifacts import require_different, require_writable
     from needleplan.identification.atlas import Atlas

@@ -57,7 +57,7 @@ _OPTIONS = (
 
 
 def add_knowledge(parser: argparse.ArgumentParser) -> None:
-    """Declare the options. The help of each option names the kinds that accept it."""
+    """Declare the options for known properties. The help of each option names the kinds that accept it."""
     group = parser.add_argument_group("known properties of needle, tissue and sensors")
     for each in _OPTIONS:
         group.add_argument(each.flag, help=f"{', '.join(each.kinds)}: {each.help}", dest=each.keyword, **each.reads)

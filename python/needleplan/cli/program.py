@@ -37,8 +37,9 @@ _WRONG_INPUT, _NOBODY_READS = 2, 141
 def run_command(arguments: Sequence[str] | None = None) -> int:
     """Parse `arguments` (None: `sys.argv[1:]`), run the command, and return the exit code.
 
-    Prints InputError and OSError on standard error and returns 2. Raises SystemExit for `--help`, `--version` and wrong
-    usage, and KeyboardInterrupt after Ctrl-C.
+    If the command raises InputError or OSError, prints the error and returns 2. Returns 141 if the program that reads
+    standard output has ended. Raises SystemExit for `--help`, `--version` and wrong usage, and KeyboardInterrupt after
+    Ctrl-C.
     """
     options = make_parser().parse_args(arguments)
     set_quiet(getattr(options, "quiet", False))

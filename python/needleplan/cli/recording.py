@@ -66,7 +66,7 @@ def add_to(commands: Any) -> None:
 
 
 def run_info(options: argparse.Namespace) -> int:
-    """Show a recording and return the exit code 0. With `--events`, print its events instead."""
+    """Show a recording and return the exit code 0. With `--events` and without `--json`, show only its events."""
     from needleplan.recording import Recording
 
     with working(options, "verifying"):

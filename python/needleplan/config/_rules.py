@@ -37,8 +37,8 @@ class Violation(Exception):
     """Raised if a value violates a rule.
 
     `mistakes` is a list of mistakes, or the text of the one rule that `value` violates. The key of each mistake is the
-    path within the value; the key is empty if the value as a whole is wrong. `partial` is a list of tables in which
-    each wrong table is None; without such a list, it is None.
+    path within the value; the key is empty if the value as a whole is wrong. If the value is a list of tables,
+    `partial` is a tuple of the tables in which each wrong table is None; otherwise `partial` is None.
     """
 
     def __init__(self, mistakes: str | Sequence[Mistake], value: object = None, partial: object = None) -> None:
@@ -57,7 +57,7 @@ class Rule(Protocol):
 
 @dataclass(frozen=True)
 class Number:
-    """A number in a range, stored as a float. NaN is refused, as are truth values and, if `finite`, infinity.
+    """Rule for a number in a range, stored as a float. Refuses NaN, truth values and, if `finite`, infinity.
 
     `above` is an excluded lower limit; `at_least` and `at_most` are included limits. A limit of None does not apply.
     """
@@ -89,7 +89,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Integer:
-    """A whole number from `at_least` to `at_most`, without a decimal point. If `odd`, even numbers are refused."""
+    """Rule for a whole number from `at_least` to `at_most`, without a decimal point. If `odd`, refuses even numbers."""
 
     at_least: int
     at_most: int
@@ -108,7 +108,7 @@ class Integer:
 
 @dataclass(frozen=True)
 class Sign:
-    """The whole number 1 or -1."""
+    """Rule for a sign: the whole number 1 or -1."""
 
     def read(self, value: object) -> int:
         """Return the sign. Raises Violation."""
@@ -120,7 +120,7 @@ class Sign:
 
 @dataclass(frozen=True)
 class Flag:
-    """A truth value."""
+    """Rule for a truth value."""
 
     def read(self, value: object) -> bool:
         """Return the truth value. Raises Violation."""
@@ -131,7 +131,7 @@ class Flag:
 
 @dataclass(frozen=True)
 class Text:
-    """A text of at most `at_most` characters that UTF-8 can encode. If `filled`, it must not consist of spaces only."""
+    """Rule for a text of at most `at_most` characters that UTF-8 can encode. If `filled`, refuses a blank text."""
 
     at_most: int = 1000
     filled: bool = False
@@ -147,7 +147,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Texts:
-    """A list of texts, each of which begins with `prefix`."""
+    """Rule for a list of texts that begin with `prefix`."""
 
     prefix: str = ""
 
@@ -162,7 +162,10 @@ class Texts:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of several names. `among` is an enumeration, whose member is stored, or a mapping, whose value is stored."""
+    """Rule for one of several names: the values of an enumeration or the keys of a mapping, `among`.
+
+    The member of the enumeration or the value of the mapping is stored.
+    """
 
     among: type[StrEnum] | Mapping[str, Any]
 
@@ -184,7 +187,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two numbers, `[x, y]`, each read by `rule`."""
+    """Rule for two numbers, `[x, y]`, each read by `rule`."""
 
     rule: Number | Integer
 
@@ -201,7 +204,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Numbers:
-    """A list of `count` finite numbers; if `unit_length`, their Euclidean norm must be 1 within 1e-6."""
+    """Rule for a list of `count` finite numbers. If `unit_length`, their Euclidean norm must be 1 within 1e-6."""
 
     count: int
     unit_length: bool = False
@@ -222,7 +225,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Maybe:
-    """A value that obeys `rule`, or None. In a file, a missing key means None."""
+    """Rule for a value that obeys `rule`, or None. In a file, a missing key means None."""
 
     rule: Rule
 

@@ -23,7 +23,8 @@ __all__ = ["FilterSample", "FilterStep", "JointFilter", "SampleUse", "ScalarKalm
 class FilterSample:
     """One measurement: time (s), depth (mm), value (unit of the channel), velocity (mm/s), roll angle (rad).
 
-    A missing `value` is NaN. If the velocity is None, it is computed from the difference to the previous sample.
+    A missing `value` is NaN. If the velocity is None, it is computed from the difference to the previous sample; it is
+    0 for the first sample.
     """
 
     time_s: float

@@ -67,7 +67,7 @@ class JointSystem(ABC):
 
     @abstractmethod
     def measure(self, x: Array, motion: Motion) -> tuple[float, Array]:
-        """Return the output at an instant, and its derivative with respect to x, shape (n,)."""
+        """Return the output at an instant, and the derivative of the output with respect to x, shape (n,)."""
 
     @abstractmethod
     def values(self, x: Array) -> dict[str, float]:

@@ -26,7 +26,7 @@ _FORCE_N = 0.05
 def beyond(record: Record, skip_mm: float) -> Array:
     """Return a mask of the samples to be fitted, shape (samples,).
 
-    Fitted are samples deeper than `skip_mm` at which the needle moves in and is as deep as never before.
+    A sample is fitted if the needle moves in, is deeper than `skip_mm`, and was never deeper in an earlier sample.
     """
     motion = record.motion()
     deepest = np.maximum.accumulate(motion.depth_mm)
@@ -113,7 +113,7 @@ def depth_factor(path: PathFit, needle: NeedleShaft, tissue: ElasticTissue) -> t
 
 
 def mean_of(estimates: Sequence[Estimate]) -> tuple[Estimate, float, float | None]:
-    """Return the weighted mean with its 95 % interval, the chi-square of the scatter, and the p-value of the latter.
+    """Return the weighted mean with its 95 % interval, chi-square of the scatter, and the p-value of this chi-square.
 
     If the scatter exceeds the prediction from the standard deviations, the interval is widened by Birge's ratio. A
     single estimate is returned unchanged, with chi-square 0 and p-value None.

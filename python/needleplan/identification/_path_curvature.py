@@ -252,7 +252,7 @@ def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
 
 
 class _Path:
-    """A chain of tangent arcs, and the distances of given points from it as a function of the unknowns.
+    """A chain of tangent arcs, and the distances of given points from the chain as a function of the unknowns.
 
     The unknowns are the curvatures of the segments; for the form FREE, they follow lateral shift and turn at the entry.
     Raises DataError for wrong positions, edges or segments, and if the form TANGENT has no entry.

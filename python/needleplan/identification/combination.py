@@ -42,7 +42,7 @@ _MODELS: dict[str, type[DepthForce]] = {each.name: each for each in (ForceModel1
 class ForcePrediction:
     """The axial force along a motion, computed without a force sensor; arrays have the shape (samples,).
 
-    `outside` marks samples deeper than the identification, or more than 10 % faster.
+    `outside` marks samples deeper than the identification, or faster than its speed by more than 10 %.
     """
 
     motion: Motion

@@ -145,7 +145,7 @@ def insertion_of(
 def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, Motion, list[str]]:
     """Return the points (mm), shape (n, 2), of the insertion, their motion, and remarks about samples left out.
 
-    Raises DataError if the lateral position is constant or fewer than 2 samples are left.
+    Raises DataError if no sample is complete, the lateral position is constant, or fewer than 2 samples are left.
     """
     along = record["x_mm"] if "x_mm" in record.columns else record["depth_mm"]
     across = record["y_mm" if plane == "xy" else "z_mm"]

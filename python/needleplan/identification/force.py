@@ -117,11 +117,11 @@ def _punctures(train: Sequence[Record], samples: int) -> list[str]:
 
 
 def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage, starts: int = 4) -> Fit:
-    """Return the least-squares fit from `begin` and further starting points; `starts` is their number.
+    """Return the best least-squares fit from `starts` starting points, the first of which is `begin`.
 
-    `sensor` averages the simulated force. If a fit of Model I converges to g = 0 at the surface, it is repeated with f2
-    fixed instead of beta: then the bound f1 > -f2 of the single parameter f1 keeps g above 0. The result is a Model II
-    in which alpha was fitted too.
+    `sensor` averages the simulated force. If a fit of Model I converges to g = 0 at the surface, the fit is repeated
+    with f2 fixed instead of beta: then the bound f1 > -f2 of the single parameter f1 keeps g above 0. The result is a
+    Model II in which alpha was fitted too.
     """
     mask = partial(settled, samples=sensor.samples)
 

@@ -111,7 +111,7 @@ def _skipped(train: Sequence[Record], skip_cycles: int, remarks: list[str]) -> i
 
 
 def _patch(train: Sequence[Record], final: Fit, thickness_mm: float) -> str:
-    """Return the remark about the assumed contact length, on which the parameters depend."""
+    """Return the remark about the assumed thickness and the inserted length, on which the parameters depend."""
     assert isinstance(final.model, Friction)
     lengths = np.concatenate([final.model.inserted_mm(record.motion()) for record in train])
     return (

@@ -267,10 +267,10 @@ def _limits(found: Fit, tuned: SlowObserver, excitations: Sequence[Excitation]) 
 
 
 def _draw(figure: Figure, record: Record, model: LumpedOnTissue, projection: Projection | None, average: int) -> None:
-    """Draw the force over three velocities, one in each panel.
+    """Draw measured and fitted force over velocity, in two or three panels with different velocities.
 
-    They are the velocity of the needle, its velocity relative to the fitted tissue, and, if `projection` is given, the
-    velocity from the slow observer.
+    The velocities are that of the needle, that of the needle relative to the fitted tissue, and, if `projection` is
+    given, that of the slow observer.
     """
     motion, force = record.motion(), record["force_n"]
     done = simulate(model, motion)

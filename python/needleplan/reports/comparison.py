@@ -15,16 +15,16 @@ class Agreement(StrEnum):
     """How well a computed result agrees with the published one."""
 
     REPRODUCED = "reproduced"
-    """The computed number equals the published one, or the published statement holds."""
+    """The computed number equals the published number within its accuracy, or the published statement holds."""
 
     SAME_ORDER = "same order"
     """The numbers agree within a factor of three; used if computer or geometry differ from the published ones."""
 
     DIFFERS = "differs"
-    """The numbers differ by more than a factor of three; `Comparison.reason` explains why."""
+    """The numbers differ by more than a factor of three, or have no ratio; `Comparison.reason` explains why."""
 
     NOT_REPRODUCED = "not reproduced"
-    """The published statement does not hold for the computed result."""
+    """The published statement does not hold for the computed result, or numbers differ that should be equal."""
 
     IMPOSSIBLE = "cannot be reproduced"
     """The computation needs an input that was not published; `Comparison.reason` names it."""

@@ -49,7 +49,7 @@ class HasCurvature(Protocol):
 
 @dataclass(frozen=True)
 class CurvaturePiece:
-    """A piece of the path with constant curvature (1/mm). `low_mm` is its distance along x from the entry."""
+    """A piece of the path with constant curvature (1/mm). `low_mm` is the distance along x from entry to piece."""
 
     low_mm: float
     curvature_per_mm: float
@@ -82,7 +82,7 @@ class Identified:
 
     @property
     def interval_mm(self) -> tuple[float, float]:
-        """Lower and upper limit of the radius (mm), with 95 % confidence; both NaN if there is no interval."""
+        """Lower and upper limit (mm) of the 95 % interval of the radius; both NaN if there is no interval."""
         return 1 / self.high_per_mm, 1 / self.low_per_mm
 
     def __str__(self) -> str:
@@ -103,7 +103,7 @@ def identified(file: ModelFile, source: str | os.PathLike[str] = "", velocity_mm
       (`needleplan.models.in_plane`), in pieces if it changes along the path.
 
     `source` is the name of the file in messages. Raises ModelError for other kinds, for a path that cannot bend to both
-    sides or becomes straight, and if the curvature is 0, not identified, or 0 lies in its interval.
+    sides or becomes straight, and if the curvature is 0, is not identified, or has an interval that contains 0.
     """
     from needleplan.models import Bicycle, Channel, SpatialBicycle, TipPath, in_plane
 
@@ -138,10 +138,10 @@ def identified(file: ModelFile, source: str | os.PathLike[str] = "", velocity_mm
 def pieces_of(along_mm: Array, curvature_per_mm: Array) -> tuple[CurvaturePiece, ...]:
     """Approximate a curvature profile by pieces of constant curvature and return them from the entry on.
 
-    `along_mm` holds increasing positions along x, `curvature_per_mm` the curvature at each of them, shape (n,) each.
-    Starting with the whole profile as one piece, a piece is split where the squared differences from the two means have
-    the smallest sum. A piece is not split if at most one sample differs from its median by more than 2 %, or if a part
-    would be shorter than 2 mm. The curvature of a piece is the mean of its samples.
+    `along_mm` holds increasing positions along x, `curvature_per_mm` the curvature at each position, shape (n,) each.
+    The profile is split repeatedly, each time where the squared differences from the means of both parts have the
+    smallest sum. A piece is not split if at most one of its samples differs by more than 2 % from their median, or if
+    a part would be shorter than 2 mm. The curvature of a piece is the mean of its samples.
     """
     return tuple(
         CurvaturePiece(
@@ -152,7 +152,7 @@ def pieces_of(along_mm: Array, curvature_per_mm: Array) -> tuple[CurvaturePiece,
 
 
 def within(pieces: Sequence[CurvaturePiece], along_mm: float) -> tuple[CurvaturePiece, ...]:
-    """Return the pieces that begin less than `along_mm` from the entry. Used to drop layers behind the workspace."""
+    """Return the pieces that begin less than `along_mm` from the entry. Drops layers that begin beyond a workspace."""
     return tuple(each for each in pieces if each.low_mm < along_mm)
 
 

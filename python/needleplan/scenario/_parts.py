@@ -59,7 +59,7 @@ class Transition(StrEnum):
     """The end is rounded to the nearest grid point, as in the thesis."""
 
     INTERPOLATED = "interpolated"
-    """The end is distributed over the four surrounding grid points with bilinear weights, which keeps its mean."""
+    """The end is distributed over the four surrounding grid points with bilinear weights, so the mean is exact."""
 
 
 class Method(StrEnum):
@@ -184,7 +184,7 @@ class Layer(ConfigTable, key="needle.layer", error=ScenarioError):
 
 @dataclass(frozen=True)
 class Needle(ConfigTable, key="needle", error=ScenarioError, between=(_increasing,)):
-    """The radius of the needle's arc in front of the first tissue layer, and the layers, whose radii replace it."""
+    """The needle: radius of its arc in front of the first tissue layer, and the layers, each with its own radius."""
 
     curvature_radius_mm: float = ruled(_LENGTH, about="radius of the arc that the needle follows without rotation")
     layers: tuple[Layer, ...] = ruled(TableList(Layer), (), key="layer")
@@ -194,7 +194,7 @@ class Needle(ConfigTable, key="needle", error=ScenarioError, between=(_increasin
 class Tissue(ConfigTable, key="tissue", error=ScenarioError):
     """A region in which the needle's arc has the given radius.
 
-    The region is a simple polygon that contains its boundary. It may reach beyond the workspace.
+    The region is a simple polygon, boundary included. The polygon may reach beyond the workspace.
     """
 
     polygon_mm: Points = ruled(_POLYGON, about="corners [x, y] of the region")
@@ -267,8 +267,8 @@ class Solver(ConfigTable, key="solver", error=ScenarioError):
     """The algorithm that computes the values, and its stopping rules.
 
     - `partitions`: number of partitions along x and y for `Method.PPVI`; None means 12 x 8, or fewer on a smaller grid
-    - `tolerance`: largest error of the values at which the solve ends, the lambda of the thesis. With a discount below
-      1, the solve ends at a Bellman residual below (1 - discount) * `tolerance`.
+    - `tolerance`: the solve ends when no value is wrong by more than this; the lambda of the thesis. With a discount
+      below 1, this is a Bellman residual below (1 - discount) * `tolerance`.
     - `max_sweeps`, `time_limit_s`: the solve also ends after so many sweeps or seconds; None means no such limit
     - `threads`: number of threads; None means all cores
     """

@@ -60,9 +60,10 @@ ORDER = (
 class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1", between=BETWEEN):
     """Anatomy, target, needle, tip noise, grid, objective and solver: everything that a plan depends on.
 
-    The position at which a step starts determines the radius of the step: if tissues contain the position, the last of
-    them in `tissues`; else the last layer of the needle that begins at or before the position; else the needle. The
-    plane has x along the insertion and y lateral, in mm. Headings are in rad from +x, counter-clockwise positive.
+    The radius of a step is the radius at the position where the step starts. If tissues contain the position, the last
+    of them in `tissues` gives the radius; otherwise the last layer of the needle that begins at or before the position;
+    otherwise the needle. The plane has x along the insertion and y lateral, in mm. Headings are in rad from +x,
+    counter-clockwise positive.
 
     Parameters
     ----------
@@ -228,7 +229,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
 
     @property
     def partitions(self) -> tuple[int, int]:
-        """Number of partitions along x and y: `solver.partitions`, or 12 x 8 without it, or fewer on a smaller grid."""
+        """Number of partitions along x and y: `solver.partitions`; if None, 12 x 8, or fewer on a smaller grid."""
         nx, ny = self.grid.points(self.workspace)
         return self.solver.partitions or (min(12, nx), min(8, ny))
 

@@ -103,7 +103,7 @@ class CaseFits:
 
 
 def errors_mn(model: Model, record: Record) -> Errors:
-    """Return the RMSE (mN) after the first cycle: at all speeds, below half of the top speed, and above it."""
+    """Return the RMSE (mN) after the first cycle: at all speeds, up to half of the top speed, and above it."""
     motion = record.motion()
     counts = steady(record)
     squared = 1e6 * (record["force_n"] - simulate(model, motion).output) ** 2

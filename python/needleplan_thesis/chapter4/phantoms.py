@@ -53,7 +53,7 @@ FAST = (40.0, 400.0)
 """Fast observer (pf of Figures 4.3 and 4.5): alpha1 (1/s), alpha2 (1/s^2)."""
 
 SENSOR_LAG_DEG = 10.13
-"""Published phase lag in gelatin (degrees): from the needle's velocity to its velocity relative to sensor 3."""
+"""Published phase lag in gelatin (degrees): of the needle's velocity relative to sensor 3, behind its own velocity."""
 
 
 @dataclass(frozen=True)

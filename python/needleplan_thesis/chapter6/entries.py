@@ -171,9 +171,9 @@ def predicted_and_realised(request: Request) -> list[Comparison]:
 
 
 def summary(study: EntryStudy) -> list[Comparison]:
-    """Return mean and maximum of |predicted - realised| as comparisons, with a goal if the grid is the reference grid.
+    """Return mean and maximum of |predicted - realised| as comparisons.
 
-    Greedy executions and executions with other arc samples have no goal.
+    They have goals if the study uses the reference grid and the default `ExecutionRule`.
     """
     apart = np.abs(study.points)
     name = f"ch6/predicted less realised/{study.scenario}, {_grid(study)}, {study.execution}"

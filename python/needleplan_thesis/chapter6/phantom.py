@@ -175,7 +175,7 @@ def _statements(panels: dict[str, Panel]) -> list[Comparison]:
 
 
 def _predictions(scenario: Scenario) -> list[Comparison]:
-    """Compare predicted and realised success from the best entry, for both transitions on the grid of the thesis."""
+    """Compare predicted and realised success from the best entry, for both transitions on the grid of `scenario`."""
     comparisons = []
     for transition in Transition:
         table = plan(replace(scenario, grid=replace(scenario.grid, transition=transition)))

@@ -69,7 +69,7 @@ TABLE_6_2 = (
 """Table 6.2 as printed. The parts of (12, 8) add up to 1805.6 (H1) and 1364.5 (H2), not to the printed totals."""
 
 TABLE_6_3 = {(6, 4): (24, 1_152_000), (12, 8): (91, 1_092_000), (24, 16): (332, 996_000)}
-"""Table 6.3: processed partitions and processed states, by (nx, ny)."""
+"""Table 6.3: processed partitions and processed states, by the number of partitions along x and y."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,10 @@ class Solves:
 
 
 def solve_all(thesis: Scenario, note: Callable[[str], None]) -> Solves:
-    """Solve `thesis` by all eight methods. All use one thread, so that their times are comparable."""
+    """Solve `thesis` in eight ways: value iteration, sweeps, and PPVI with the six settings of Table 6.2.
+
+    All use one thread, so that their times are comparable.
+    """
 
     def solved(method: Method, partitions: tuple[int, int] = (1, 1), priority: Priority = Priority.H1) -> PolicyTable:
         note(f"Tables 6.2 and 6.3: {method}" + (f", {partitions}, {priority}" if method is Method.PPVI else ""))

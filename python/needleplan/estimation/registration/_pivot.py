@@ -50,7 +50,7 @@ class PivotStatus(StrEnum):
     """There are fewer than 10 poses."""
 
     TOO_LITTLE_ROTATION = "too little rotation"
-    """The needle was rotated by less than 5 degrees about one axis, so the distance to the tip is not determined."""
+    """The root mean square rotation about some axis is below 5 degrees, so the distance to the tip is undetermined."""
 
 
 @dataclass(frozen=True)
@@ -96,11 +96,11 @@ class Pivot:
 
 
 def calibrate_axis(positions_mm: Array, axes: Array) -> Pivot:
-    """Return the distance of the tip along the axis of a coil with 5 degrees of freedom, from poses about a fixed tip.
+    """Determine the distance of the tip along the axis of a coil with 5 degrees of freedom, from poses about the tip.
 
-    `positions_mm` and `axes` have the shape (n, 3); the axes are normalised here. The distance is negative if the axes
-    point away from the tip. Raises DataError for arrays of other shapes, numbers that are not finite, and axes of
-    length zero.
+    `positions_mm` and `axes` have the shape (n, 3); the axes are normalised here. In the result, the distance is
+    negative if the axes point away from the tip. Raises DataError for arrays of other shapes, numbers that are not
+    finite, and axes of length zero.
     """
     positions, directions = rows_of(positions_mm, "positions_mm"), rows_of(axes, "axes")
     lengths = np.linalg.norm(directions, axis=1, keepdims=True)
@@ -111,7 +111,7 @@ def calibrate_axis(positions_mm: Array, axes: Array) -> Pivot:
 
 
 def calibrate_pivot(positions_mm: Array, rotations: Rotation) -> Pivot:
-    """Return the tip in the frame of a sensor with 6 degrees of freedom, from poses about a fixed tip.
+    """Determine the tip in the frame of a sensor with 6 degrees of freedom, from poses about the tip.
 
     `positions_mm` has the shape (n, 3); the n `rotations` turn the frame of the sensor to the frame of the tracker.
     Raises DataError for arrays of other shapes and positions that are not finite.

@@ -41,7 +41,7 @@ class TipSettings(ConfigTable, error=ModelError):
     """Correlation time of the drift: the time after which its autocorrelation is 1/e."""
 
     heading_sd_rad_sqrt_mm: float = _size("rad/sqrt(mm)", 0.2, 0.002)
-    """Random walk of the direction of the tip per root of the length of fresh path, in the plane and out of it."""
+    """Random walk of the direction of the tip, in the plane and out of the plane, per root of the new path length."""
 
     slip_sd_mm_sqrt_mm: float = _size("mm/sqrt(mm)", 1, 0.02)
     """Random walk of the difference between path length and stage depth, per root of the path length."""
@@ -71,7 +71,7 @@ class TipSettings(ConfigTable, error=ModelError):
     """Significance level of outliers: a pose is an outlier if so large an innovation is less probable than this."""
 
     lost_after: int = ruled(Integer(1, 10_000), 12)
-    """Number of outliers from which the status is LOST. Each agreeing pose reduces the count by one, down to zero."""
+    """Number of outliers from which the status is LOST. Each agreeing pose reduces the number by one, down to zero."""
 
     lost_sd_mm: float = _positive("mm", 1000, 3.0)
     """Standard deviation of the tip across the path, per axis, above which the status is LOST."""
@@ -87,7 +87,7 @@ class TipStatus(StrEnum):
     """No pose has been used yet: the estimate is computed from the assumed entry and the stage only."""
 
     TRACKING = "tracking"
-    """The estimate is up to date."""
+    """The last used pose is at most `coasting_s` old."""
 
     COASTING = "coasting"
     """The last used pose is older than `coasting_s`: the path is extrapolated, and the standard deviations grow."""
@@ -95,7 +95,7 @@ class TipStatus(StrEnum):
     LOST = "lost"
     """Outliers have reached `lost_after`, or the tip is more uncertain than `lost_sd_mm`. Do not use it for control.
 
-    After too many outliers, the status remains until as many poses agree.
+    If outliers were the cause, the status remains until agreeing poses have reduced the count of outliers to zero.
     """
 
 

@@ -77,7 +77,7 @@ def corrected_plan(
     scenario
         Scenario of the present plan.
     velocity_mm_s
-        Speed of the insertions.
+        Speed of the insertions (mm/s).
     stiffness_n_mm2, shaft_mm
         Torsional stiffness (N mm^2) and length (mm) of the needle, which convert a lag of the tip's roll into a torque
         per length.
