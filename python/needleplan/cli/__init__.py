@@ -14,6 +14,7 @@ from typing import Never
 
 __all__ = ["main"]
 
+# Exit code after Ctrl-C.
 _INTERRUPTED = 130
 _MESSAGE = "needleplan: interrupted"
 

@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
 def _scenario(options: argparse.Namespace) -> Scenario | None:
     """Return the scenario of `--scenario`, or None without the option. Called before the long computation.
 
-    Raises InputError if the speed is not positive, the model does not describe a path, or a file is wrong.
+    Raises InputError if the speed is not positive and finite, the model does not describe a path, or a file is wrong.
     """
     from needleplan.models import ModelFile
     from needleplan.reports.diagnosis.corrected_plan import require_path

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["add_to", "run"]
 
 _SIM, _RECORDING = "sim://", ".mcap"
+# Exit codes: refused before anything moved, or a device failed; stopped, for example by Ctrl-C.
 _REFUSED, _INTERRUPTED = 2, 130
 _OVERWRITE = "--overwrite"  # --force is the address of the force sensor
 _ROTATION_DEG_S = math.degrees(3.0)  # default speed of the needle's rotation
@@ -118,6 +119,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code.
 
     0: target reached; 1: not reached, or the recording is incomplete; 2: refused, or a device failed; 130: stopped.
+    Raises InputError (OutputError, AddressError and others) for wrong options and files.
     """
     from needleplan.planning import PolicyTable
     from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station

@@ -72,7 +72,10 @@ def add_to(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code: 1 if not converged or the target is unreachable, else 0."""
+    """Run the command and return the exit code: 1 if not converged or the target is unreachable, else 0.
+
+    Raises InputError (ScenarioError, OutputError and others) for wrong options and files.
+    """
     from needleplan.scenario import Scenario
 
     scenario, identified = with_identified(Scenario.read(options.scenario), options)
@@ -176,8 +179,8 @@ def _draw(table: PolicyTable, best: Entry, file: str) -> None:
 def with_identified(scenario: Scenario, options: argparse.Namespace) -> tuple[Scenario, list[Replaced]]:
     """Replace radii by those of the model files in `--needle` and `--tissue`; return the scenario and the replacements.
 
-    Prints a remark on each replacement. Raises InputError if an option or a model file is wrong, or the scenario does
-    not permit a radius.
+    Prints a remark on each replacement. Raises ScenarioError if an option is wrong or the scenario does not permit a
+    radius, and ModelError if a model file is wrong.
     """
     files = [("", options.needle)] if options.needle else []
     for each in options.tissue:

@@ -31,6 +31,7 @@ from needleplan.errors import InputError
 
 __all__ = ["make_parser", "run_command"]
 
+# Exit codes: an input is wrong or the output cannot be written; the program that reads the output has ended.
 _WRONG_INPUT, _NOBODY_READS = 2, 141
 
 

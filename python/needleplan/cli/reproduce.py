@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["add_to", "run"]
 
+# Widths of the columns for names and numbers (characters).
 _NAME, _NUMBER = 58, 14
 
 

@@ -66,7 +66,7 @@ class Method(StrEnum):
     """Algorithm that computes the optimal values."""
 
     SWEEP = "sweep"
-    """Gauss-Seidel sweeps over the lattice, ordered by heading; the fastest method."""
+    """Gauss-Seidel sweeps over the lattice, in the direction opposite to the needle's motion; the fastest method."""
 
     PPVI = "ppvi"
     """Prioritized-partitioned value iteration as in section 6.3 of the thesis."""
@@ -269,7 +269,8 @@ class Solver(ConfigTable, key="solver", error=ScenarioError):
     - `partitions`: number of partitions along x and y for `Method.PPVI`; None means 12 x 8, or fewer on a smaller grid
     - `tolerance`: the solve ends when no value is wrong by more than this; the lambda of the thesis. With a discount
       below 1, this is a Bellman residual below (1 - discount) * `tolerance`.
-    - `max_sweeps`, `time_limit_s`: the solve also ends after so many sweeps or seconds; None means no such limit
+    - `max_sweeps`, `time_limit_s`: the solve also ends after so many sweeps or seconds; None means 100,000 sweeps and
+      no time limit
     - `threads`: number of threads; None means all cores
     """
 

@@ -106,6 +106,7 @@ TABLE_2_2 = (
 """Table 2.2 as printed. Its columns contradict each other, which a comparison shows."""
 
 
+# Moving average of the force sensor, over five samples.
 SENSOR = MovingAverage(5)
 
 # Standard deviation of the bump heights by needle (N).

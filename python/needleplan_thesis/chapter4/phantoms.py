@@ -46,7 +46,9 @@ __all__ = [
     "Tuned",
 ]
 
+# Frequency and amplitude of the motion of the needle.
 FREQUENCY_HZ, AMPLITUDE_MM = 0.1, 40.0
+# Sampling rates of the force sensor and of the trackers.
 FORCE_HZ, TRACKER_HZ = 200.0, 40.0
 
 FAST = (40.0, 400.0)
@@ -67,6 +69,7 @@ class Tuned:
     lag_deg: float
 
 
+# The two slow observers of the thesis, as printed.
 GELATIN = Tuned("gelatin", 9.0, 20.25, 1.67, 12.36)
 AGAR = Tuned("agar", 22.0, 121.0, 0.19, 2.99)
 
@@ -150,6 +153,7 @@ def _mixed(stiffness: float, damping: float) -> AveragedOnTissue:
     )  # fmt: skip
 
 
+# Simulated phantoms; all parameters of the tissues are assumed.
 GELATIN_PHANTOM = Phantom("gelatin", _mixed(0.165, 0.02))
 AGAR_PHANTOM = Phantom("agar", _mixed(0.56, 0.02))
 VISCOUS = Phantom(

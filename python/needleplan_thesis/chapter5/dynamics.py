@@ -24,6 +24,7 @@ from needleplan.signals import Array
 
 __all__ = ["Vibration", "natural_frequencies_hz", "vibrate"]
 
+# Points and weights of Gauss quadrature on [0, 1].
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 _POINTS, _WEIGHTS = (_POINTS + 1) / 2, _WEIGHTS / 2
 
@@ -35,6 +36,7 @@ def _matrix(order: int, start: float = 0.0) -> Array:
     return result
 
 
+# Element matrices of bending stiffness and of mass (or foundation), without dimension.
 _BEND, _FULL = _matrix(2), _matrix(0)
 
 

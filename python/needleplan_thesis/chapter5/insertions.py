@@ -37,6 +37,7 @@ __all__ = [
     "tip_force_n",
 ]
 
+# The 22-gauge needle: outer and inner diameter and length (mm), bevel angle.
 NEEDLE = NeedleShaft(0.718, 0.413, 203.0, math.radians(24.8))
 # Printed second moment of area (m^4) and cross-sectional area (m^2) of the needle.
 SECOND_MOMENT_M4, AREA_M2 = 1.162e-14, 2.709e-7
@@ -69,8 +70,10 @@ class DeflectionCase:
         return 100 * abs(self.estimated_mm - self.measured_mm) / self.measured_mm
 
 
+# Tissues A and B: stiffness kf (N/mm^2) and density of friction vf (N s/mm^2).
 _A, _B = ElasticTissue(3.87e-3, 123.9e-6), ElasticTissue(7.65e-3, 166.7e-6)
 
+# The columns of Table 5.2.
 CASES = (
     DeflectionCase("A, 10 mm/s", _A, 10.0, 0.108, 0.374, 1357.6, 1165.5, None),
     DeflectionCase("B, 10 mm/s", _B, 10.0, 0.091, 0.201, 1495.9, 1292.7, None),
@@ -92,6 +95,7 @@ class ParameterChange:
         return ElasticTissue(self.stiffness * tissue.stiffness_n_mm2, self.friction * tissue.friction_n_s_mm2)
 
 
+# The rows of Table 5.3.
 CHANGES = (
     ParameterChange("kf +20 %", 1.2, 1.0),
     ParameterChange("kf -20 %", 0.8, 1.0),

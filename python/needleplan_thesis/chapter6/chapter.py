@@ -88,6 +88,7 @@ class PrototypeResult:
 
 
 _NEAREST, _INTERPOLATED = Transition.NEAREST, Transition.INTERPOLATED
+# Results of the prototype on grids that every effort computes (COARSE), and on grids of the full effort only (FINE).
 COARSE = (
     PrototypeResult(_NEAREST, 1.0, (1113, 4217, 5550, 1635, 2639), (1221, 4818, 5992, 1376, 3233),
              (0.912, 0.678, 0.569, 0.909, 0.812)),

@@ -144,6 +144,7 @@ def execute(
 SCENARIOS = ("four_obstacles", "narrow_passage", "prostate", "brain")
 # Transition and spacing (mm) of the grid whose table determines the entries, and to which the goals apply.
 _REFERENCE = (Transition.INTERPOLATED, 0.5)
+# Executions per entry, and grid spacings (mm), by effort.
 _RUNS = {Effort.QUICK: 1000, Effort.DEFAULT: 20_000, Effort.FULL: 20_000}
 _SPACINGS_MM = {Effort.QUICK: (1.0,), Effort.DEFAULT: (1.0, 0.5), Effort.FULL: (1.0, 0.5, 0.25)}
 # Refinement of the grid for a second evaluation of the predicted success.

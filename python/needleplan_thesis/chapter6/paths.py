@@ -108,6 +108,7 @@ def _legend() -> list[Line2D]:
     ]
 
 
+# Start of all executions: x and y (mm).
 _START_MM = (0.0, 20.0)
 
 # Smallest predicted success with which a heading is accepted for the start of Fig. 6.4.

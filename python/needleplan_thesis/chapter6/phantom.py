@@ -62,6 +62,7 @@ class PhantomExperiment:
     turns: int | None
 
 
+# All plans of section 6.5.
 EXPERIMENTS = (
     PhantomExperiment("6.7", 1.0, -5, 100.0, 1),
     PhantomExperiment("6.8a", 1.5, -5, 100.0, 1),
@@ -191,6 +192,7 @@ def _predictions(scenario: Scenario) -> list[Comparison]:
 
 
 _LAB_SECTION = "ch6/experiments"
+# Speeds of insertion and rotation in the lab twin.
 _VELOCITY_MM_S, _VELOCITY_RAD_S = 12.0, 3.14
 
 # Published distances (mm): largest deviation from the plan (Fig. 6.7), and end of the path beyond the rim (Fig. 6.8c).

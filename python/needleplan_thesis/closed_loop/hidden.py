@@ -23,6 +23,7 @@ _TRACKER_MM = 0.1
 # Rate of the servo (Hz), below the twin's default because the servo samples dominate the computing time.
 _SERVO_HZ = 400
 
+# Shaft of the needle in all labs of the study.
 SHAFT = Shaft(torsional_stiffness_n_mm2=1.5e4)
 
 
@@ -74,6 +75,7 @@ def _tilted(setup: Setup) -> Setup:
     return replace(setup, entry=replace(setup.entry, heading_rad=setup.entry.heading_rad + 0.04))
 
 
+# Pieces of the hidden effect `guiding_skin`: x (mm), and true / planned curvature.
 _SKIN = [(float(x), 0.4 + 0.6 * x / 20) for x in np.arange(0.0, 20.0, 2.0)] + [(20.0, 1.0)]
 
 NOTHING = HiddenEffect("nothing", "no hidden effect", "", lambda setup: setup)

@@ -40,6 +40,7 @@ from needleplan.signals import Array
 
 __all__ = ["TipFilter"]
 
+# Nanoseconds per second.
 _NANO = 1_000_000_000
 
 # Number of stored stage samples, for late poses: four seconds at 1 kHz.
@@ -226,7 +227,7 @@ class TipFilter:
         return PoseUse.USED if used else PoseUse.OUTLIER
 
     def _correct(self, sample: PoseSample) -> bool:
-        """Correct the state with a pose, and return True. For an outlier, do nothing and return False."""
+        """Set `nis`, and return whether the pose agrees with the state. An agreeing pose corrects the state."""
         settings = self.settings
         position, direction = self.registration.place(sample.position_mm, sample.quaternion)
         level = math.hypot(direction[0], direction[1])

@@ -37,6 +37,7 @@ __all__ = [
 # Columns of the state; 0 to 2 hold the position.
 HEADING, ELEVATION, FACTOR, ROLL = 3, 4, 5, 6
 WANDER = slice(7, 10)
+# Number of columns.
 SIZE = 10
 
 # Columns on which the next state depends nonlinearly, and the steps of their central differences.
