@@ -76,7 +76,7 @@ def store(
 ) -> dict[str, Any]:
     """Add an identified force to the atlas, write the atlas, and return the added entry for `--json`.
 
-    Raises OutputError if the atlas already has this combination of needle, tissue and speed, unless `--force` is given.
+    Raises OutputError if the atlas already has this combination of needle, tissue and speed and `--force` is not given.
     """
     from needleplan.identification.atlas import combination_of
 

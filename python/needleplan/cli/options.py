@@ -162,7 +162,7 @@ def require_outputs(options: argparse.Namespace, inputs: Iterable[str | None], *
 
 
 def require_free(options: argparse.Namespace, files: Iterable[str | os.PathLike[str]]) -> None:
-    """Raise OutputError if one of the files exists, unless the user allows overwriting."""
+    """Raise OutputError if one of the files exists and the user does not allow overwriting."""
     from needleplan.artifacts import require_new
 
     if not options.overwrite:

@@ -37,8 +37,8 @@ class Violation(Exception):
     """Raised if a value violates a rule.
 
     `mistakes` is a list of mistakes, or the text of the one rule that `value` violates. The key of each mistake is the
-    path within the value; the key is empty if the value as a whole is wrong. If the value is a list of tables,
-    `partial` is a tuple of the tables in which each wrong table is None; otherwise `partial` is None.
+    path within the value; the key is empty if the value as a whole is wrong. If single tables of a list are wrong,
+    `partial` is the tuple of the tables with None for each wrong table; otherwise `partial` is None.
     """
 
     def __init__(self, mistakes: str | Sequence[Mistake], value: object = None, partial: object = None) -> None:

@@ -35,8 +35,9 @@ def ruled(
 ) -> Any:
     """Declare a field of a `ConfigTable` whose values are read by `rule`.
 
-    The field is optional if `default` or `factory` (a function that returns the default) is given. `key` is the key in
-    a file if it differs from the name of the field. `about` is the comment in commented files.
+    The field is optional if `default` or `factory` (a function that returns the default) is given. Without them, a
+    missing `Subtable` or `Keyed` is read as an empty table, and any other missing field is a mistake. `key` is the key
+    in a file if it differs from the name of the field. `about` is the comment in commented files.
     """
     metadata = {"rule": rule, "key": key, "about": about}
     if factory is not MISSING:
@@ -181,7 +182,7 @@ class Subtable:
 
 @dataclass(frozen=True)
 class TableList:
-    """Rule for a list of tables with the header `[[key]]`; `at_most` limits their number.
+    """Rule for a list of tables with the header `[[key]]`. `at_most` limits their number; None means no limit.
 
     Keys of mistakes contain the number of the table, from 1, and the name if the table has one.
     """

@@ -199,7 +199,10 @@ class JointForce(JointSystem):
         return log(value - floor)
 
     def _natural(self, coordinates: list[float]) -> tuple[Values, list[float], bool]:
-        """Return all seven parameters, d(value)/du of the free parameters, and whether f1 depends on f2."""
+        """Return all seven parameters, d(value)/du of the free parameters, and whether f1 depends on f2.
+
+        Coordinates u beyond +-40 count as +-40.
+        """
         values, slopes = self._fixed.copy(), []
         for place, u in zip(self._places, coordinates, strict=True):
             bounded = min(max(u, -_FURTHEST), _FURTHEST)

@@ -41,7 +41,7 @@ class PathFit:
     fit: Fit
     curvature: Estimate
     turned: bool
-    """Whether the cosine of the roll angle changes by more than 0.5 in the record; the stiffness kf is then fitted."""
+    """Whether the cosine of the roll angle varies by more than 0.5 in the fitted samples; kf is then fitted too."""
 
     counts: Array
     """Mask of the fitted samples, shape (samples,)."""

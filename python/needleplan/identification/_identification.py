@@ -56,7 +56,7 @@ class Trials:
 def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False) -> Trials:
     """Return the records by their role. Raises DataError if no record has the role train.
 
-    If `noise_is_used` is False, a remark states that the records of noise are left out.
+    If there are records of noise and `noise_is_used` is False, a remark states that they are left out.
     """
     train, holdout, noise = (
         tuple(each for each in records if each.role is role) for role in (Role.TRAIN, Role.HOLDOUT, Role.NOISE)

@@ -115,9 +115,9 @@ def _bic(found: Fit, count: float) -> float:
 def effective_samples(residuals: Sequence[Array]) -> float:
     """Return the effective number of independent samples, summed over the records and at least 2.
 
-    A record with n samples counts n / (1 + 2 c), where c is the sum of the autocorrelations of its residuals up to the
-    first negative one (Geyer's initial positive sequence, one lag at a time). NaN marks masked samples, which are
-    left out.
+    A record with n samples counts n / (1 + 2 c), where c is the sum of the autocorrelations of its residuals from lag 1
+    to the last before the first negative one (Geyer's initial positive sequence, one lag at a time). A record with one
+    sample or with residuals of zero only counts n. NaN marks masked samples, which are left out.
     """
     worth = 0.0
     for residual in residuals:

@@ -160,7 +160,7 @@ def picture_html(workspace: Extent, draw: Callable[[Axes], object], text: str) -
 
 
 def require_drawable(path: str | os.PathLike[str]) -> None:
-    """Raise OutputError unless the file name ends in .png, .pdf or .svg."""
+    """Raise OutputError if the file name does not end in .png, .pdf or .svg."""
     if Path(path).suffix.lower().removeprefix(".") not in _FORMATS:
         rule = f"the name of a figure must end in {', '.join(f'.{each}' for each in _FORMATS)}"
         raise OutputError(Mistake("", "", rule), os.fspath(path))

@@ -75,7 +75,7 @@ def inside(case: int, profile: str, hidden: bool = True, rate_hz: float = 200.0,
     to the friction of Model III-B:
 
     - major cutting, of fresh tissue: 0.10 N + 0.01 N s/mm times the velocity
-    - minor cutting during insertion: 60 mN for 1 s, at random times with a mean rate of 0.15 per second
+    - minor cutting during insertion without major cutting: 60 mN for 1 s, at random times, on average 0.15 per second
     - 20 air bubbles at random depths, with a width of 1.5 mm and a standard deviation of 50 mN
     - noise of 15 mN
     """

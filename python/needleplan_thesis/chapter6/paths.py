@@ -76,7 +76,7 @@ def ending(path: Path) -> str:
 
 
 def draw_panels(panels: Sequence[Panel], text: str, file: File) -> None:
-    """Draw the panels side by side, each with noisy executions behind its path, and save the figure to `file`.
+    """Draw all panels in one figure, each with noisy executions behind its path, and save the figure to `file`.
 
     `text` is the caption.
     """

@@ -29,7 +29,8 @@ class SteeringTrial:
     - `path_mm`, `planned_mm`: true path of the tip, shape (n, 3), and path of the plan
     - `turns_mm`: positions of the rotations, shape (turns, 2); empty without feedback
     - `error_mm`: distance of the end of the true path from the centre of the target
-    - `out_of_plane_mm`, `deviation_mm`: largest distance of the true path from the plane and from the planned path
+    - `out_of_plane_mm`: largest distance of the true path from the plane of the plan
+    - `deviation_mm`: largest distance of the true path from the planned path, up to the length of the planned path
     - `seen_error_mm`, `seen_deviation_mm`: error and deviation by the tip filter; NaN without feedback
     - `touched`: name of the first obstacle on the true path, or empty
     - `left`: whether the true path left the workspace

@@ -143,7 +143,7 @@ def _torsion(bends: InPlane, stiffness_n_mm2: float, shaft_mm: float) -> Torsion
 
 
 def require_path(channel: Channel) -> None:
-    """Raise ModelError unless the channel is the position of the tip."""
+    """Raise ModelError if the channel is not the position of the tip."""
     if channel is not Channel.TIP:
         rule = "needs a model of the tip's path in space (spatial_bicycle or spatial_beam)"
         raise ModelError(Mistake("--scenario", "", rule))
