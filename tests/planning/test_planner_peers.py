@@ -126,3 +126,89 @@ def test_following_without_noise_stays_near_the_path(scenes: ModuleType, arcs: M
     follow = execute.following(path, scene.start, 5.0)
     runs = execute.policy(space, follow, 1.0, execute.Noise(5.0, 0.1), 2, 0)
     assert runs.success == 1.0
+
+
+@pytest.fixture(scope="module")
+def cells() -> ModuleType:
+    return importlib.import_module("rrt_cells")
+
+
+@pytest.fixture(scope="module")
+def reach() -> ModuleType:
+    return importlib.import_module("rrt_reach")
+
+
+@pytest.fixture(scope="module")
+def walled(scenes: ModuleType) -> Any:
+    """A scene whose target is behind a wall, so that the needle stays at x below 48 mm."""
+    wall = ((50.0, -5.0), (60.0, -5.0), (60.0, 155.0), (50.0, 155.0))
+    block = ((20.0, 55.0), (34.0, 55.0), (34.0, 69.0), (20.0, 69.0))
+    return scenes.Scene("wall", (wall, block), (100.0, 75.0), (0.0, 75.0, 0.1))
+
+
+def test_no_path_leads_through_a_wall(walled: Any, reach: ModuleType) -> None:
+    proof = reach.proof(walled)
+    assert proof["infeasible"]
+    assert len(proof["levels"]) == 1
+    assert proof["levels"][0]["left"] == 0
+
+
+def test_a_target_in_reach_is_never_called_infeasible(
+    walled: Any, scenes: ModuleType, arcs: ModuleType, execute: ModuleType, reach: ModuleType
+) -> None:
+    near = scenes.Scene("near", walled.obstacles, (38.0, 98.0), walled.start)
+    assert execute.measured(arcs.Space(near), [(1, 60.0)]).event == arcs.Event.TARGET
+    proof = reach.proof(near, grids=2)
+    assert not proof["infeasible"]
+    assert len(proof["levels"]) == 2
+
+
+def test_random_paths_stay_in_the_reachable_cells(
+    walled: Any, arcs: ModuleType, cells: ModuleType, reach: ModuleType
+) -> None:
+    grid, space, random = cells.grid(0), arcs.Space(walled), np.random.default_rng(3)
+    alive = [grid.free(walled)] * grid.headings
+    forward = reach.spread(grid, grid.containing(walled.start), alive)
+    backward = reach.spread(grid, forward, alive, backward=True)
+    poses, on, seen = np.tile(np.array(walled.start), (300, 1)), np.ones(300, dtype=bool), 0
+    for _ in range(14):
+        rest = np.full(300, grid.step_mm)
+        while (rest > 0).any():  # the bevel changes at random places
+            part = np.minimum(rest, random.exponential(3.0, 300))
+            bevel = random.choice([-1.0, 1.0], 300)
+            on &= space.events(poses, bevel, part)[0] == arcs.Event.NONE
+            poses = np.where(on[:, None], arcs.advance(poses, bevel, part), walled.start)
+            rest -= part
+        for pose in poses[on]:
+            here = grid.containing(tuple(pose))
+            assert any(a & b for a, b in zip(here, forward, strict=True))
+            assert any(a & b for a, b in zip(here, backward, strict=True))
+        seen += on.sum()
+    assert seen > 1000
+
+
+def test_cells_before_the_target_hold_every_last_step(walled: Any, arcs: ModuleType, cells: ModuleType) -> None:
+    grid, random = cells.grid(0), np.random.default_rng(4)
+    last = grid.before_target(walled)
+    angle = random.uniform(-np.pi, np.pi, 300)
+    rim = np.array(walled.target) + 3.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    backward = np.column_stack([rim, random.uniform(-np.pi, np.pi, 300)])
+    poses = arcs.advance(backward, random.choice([-1.0, 1.0], 300), random.uniform(0, grid.step_mm, 300))
+    poses[:, 2] += np.pi  # a path that is inserted the other way round
+    for pose in poses:
+        assert any(a & b for a, b in zip(grid.containing(tuple(pose)), last, strict=True))
+    assert sum(each.bit_count() for each in last) < 0.03 * grid.headings * grid.side**2
+
+
+def test_cells_are_packed_and_refined(walled: Any, cells: ModuleType) -> None:
+    coarse, fine = cells.grid(0), cells.grid(1)
+    free = coarse.unpacked(coarse.free(walled))
+    assert free[10, 75]
+    assert not free[27, 62]
+    assert not free[55].any()
+    assert coarse.packed(free) == coarse.free(walled)
+    start = coarse.containing(walled.start)
+    refined = coarse.refined(start)
+    assert len(refined) == fine.headings
+    assert sum(each.bit_count() for each in refined) == 8 * sum(each.bit_count() for each in start)
+    assert any(a & b for a, b in zip(refined, fine.containing(walled.start), strict=True))
