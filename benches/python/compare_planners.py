@@ -8,7 +8,8 @@ python benches/python/compare_planners.py --print FILE.json          # print a r
 
 Scenes (rrt_scenes.py): 150 x 150 mm, radius 50 mm, margin 2 mm, goal tolerance 3 mm. Both planners get the same start
 and the same polygons, which contain the margin; both choose the first bevel. rrt_arcs.py tests every path again, with
-exact arcs. Executions with noise are those of rrt_execute.py.
+exact arcs. Executions with noise are those of rrt_execute.py. rrt_reach.py tries to prove that a scene has no solution:
+on all its grids for the scenes that nobody solves, on the coarsest one for the others, where it must fail.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from typing import Any
 import machine
 import numpy as np
 import rrt_ompl
+import rrt_reach
 import rrt_report
 from rrt_arcs import Array, Event, Space
 from rrt_execute import Arc, Decide, Measured, Noise, following, measured, open_loop, policy, policy_arcs
@@ -34,7 +36,10 @@ import needleplan as npl
 from needleplan.scenario import Grid, Needle, Scenario, Solver, Target, TipMotion, Transition, Workspace
 
 TIP_NOISE = (0.466, 0.24, 0.027)
+# Headings of the tables with noise, whose cells are those of the noise, and of the first table without noise.
 HEADINGS = 60
+# Headings of the second table without noise, whose steps are half as long.
+FINER_HEADINGS = 120
 # Seeds of the RRT: three runs for each scene. The first that solves the scene gives the path.
 RRT_SEEDS = (1, 2, 3)
 # Seeds of the noise in the executions with noise.
@@ -47,7 +52,7 @@ def main() -> int:
     parser.add_argument("--only", type=int, nargs="+", metavar="INDEX", help="scenes to run; 0 to 2 are made by hand")
     parser.add_argument("--runs", type=int, default=2000, help="executions with noise")
     parser.add_argument("--spacing", type=float, default=0.5, help="spacing of the tables' grid in mm")
-    parser.add_argument("--limit", type=int, default=500_000, help="propagations of one RRT run")
+    parser.add_argument("--limit", type=int, default=200_000, help="propagations of one RRT run")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--figure", type=Path, metavar="FILE")
     parser.add_argument("--print", type=Path, metavar="FILE", help="print the report of an earlier run")
@@ -72,6 +77,7 @@ def main() -> int:
         "noise_seeds": NOISE_SEEDS,
         "tip_noise": TIP_NOISE,
         "headings": HEADINGS,
+        "finer_headings": FINER_HEADINGS,
         "scenes": results,
     }
     if options.json:
@@ -82,14 +88,16 @@ def main() -> int:
     return 0
 
 
-def problem(scene: Scene, tip_noise: tuple[float, ...], spacing_mm: float) -> Scenario:
-    """Return the scene as a scenario: shipped settings, except for the grid and one thread."""
+def problem(
+    scene: Scene, spacing_mm: float, tip_noise: tuple[float, ...] = (1.0,), headings: int = HEADINGS
+) -> Scenario:
+    """Return the scene as a scenario: shipped settings, except for the grid, the headings, and one thread."""
     return Scenario(
         Workspace(SIDE_MM, SIDE_MM),
         Target(scene.target, GOAL_TOLERANCE_MM),
         Needle(RADIUS_MM),
         obstacles=tuple(npl.Obstacle(polygon) for polygon in scene.inflated),
-        motion=TipMotion(headings=HEADINGS, tip_noise=tip_noise),
+        motion=TipMotion(headings=headings, tip_noise=tip_noise),
         grid=Grid(spacing_mm=(spacing_mm, spacing_mm), transition=Transition.INTERPOLATED),
         solver=Solver(threads=1),
         title=scene.name,
@@ -98,33 +106,39 @@ def problem(scene: Scene, tip_noise: tuple[float, ...], spacing_mm: float) -> Sc
 
 def _compared(scene: Scene, options: argparse.Namespace) -> dict[str, Any]:
     space = Space(scene)
-    table = _table(space, options)
-    rrt = _rrt(space, options)
-    return {"scene": scene.to_json(), "table": table, "rrt": rrt}
+    finer = _calm(space, options.spacing, FINER_HEADINGS)
+    result = {"scene": scene.to_json(), "table": _table(space, options), "finer": finer, "rrt": _rrt(space, options)}
+    solved = rrt_report.is_solved(result)
+    return result | {"proof": rrt_reach.proof(scene, grids=1 if solved else rrt_reach.GRIDS)}
 
 
 def _table(space: Space, options: argparse.Namespace) -> dict[str, Any]:
-    """Plan without and with noise; execute both tables."""
+    """Plan with noise; execute both this table and the one without noise."""
     scene = space.scene
-    calm, calm_s = _planned(problem(scene, (1.0,), options.spacing))
-    noisy, noisy_s = _planned(problem(scene, TIP_NOISE, options.spacing))
-    step_mm = calm.scenario.step_mm
-    begin = calm.start(scene.start)
-    arcs = policy_arcs(space, _decide(calm), begin.bevel, step_mm)
-    found = measured(space, arcs)
-    noise = Noise(step_mm, 2 * np.pi / HEADINGS, TIP_NOISE)
+    noisy, noisy_s = _planned(problem(scene, options.spacing, TIP_NOISE))
+    noise = Noise(noisy.scenario.step_mm, 2 * np.pi / HEADINGS, TIP_NOISE)
     start = noisy.start(scene.start)
     runs = policy(space, _decide(noisy), start.bevel, noise, options.runs, NOISE_SEEDS["policy"])
     return {
-        "status": str(calm.stats.status),
-        "seconds": calm_s,
+        **_calm(space, options.spacing, HEADINGS),
         "seconds_with_noise": noisy_s,
-        "success_at_start": float(calm.lookup(*begin).success),
-        "own_outcome": str(calm.path(begin).outcome),
-        **_path(found, arcs),
         "predicted_with_noise": float(noisy.lookup(*start).success),
         "realised_with_noise": runs.success,
         "turns_with_noise": float(runs.turns.mean()),
+    }
+
+
+def _calm(space: Space, spacing_mm: float, headings: int) -> dict[str, Any]:
+    """Plan without noise, and execute the table."""
+    table, seconds = _planned(problem(space.scene, spacing_mm, headings=headings))
+    begin = table.start(space.scene.start)
+    arcs = policy_arcs(space, _decide(table), begin.bevel, table.scenario.step_mm)
+    return {
+        "status": str(table.stats.status),
+        "seconds": seconds,
+        "success_at_start": float(table.lookup(*begin).success),
+        "own_outcome": str(table.path(begin).outcome),
+        **_path(measured(space, arcs), arcs),
     }
 
 

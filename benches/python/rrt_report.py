@@ -22,7 +22,7 @@ def text(record: Record) -> str:
     parts = ["# Policy tables beside a kinodynamic RRT", _heading(record)]
     parts += ["## Summary", "\n".join(_summary(record))]
     parts += ["## Is a solved scene certain?", _certain(record)]
-    parts += ["## Scenes that neither solved", _unsolved(record)]
+    parts += ["## Scenes that nobody solved", _unsolved(record)]
     parts += ["## Every scene", "\n".join(_paths(record)), "\n".join(_noise(record))]
     return "\n\n".join(parts)
 
@@ -30,6 +30,16 @@ def text(record: Record) -> str:
 def by_table(result: Result) -> bool:
     """Whether the policy without noise reaches the target, by the exact simulation."""
     return bool(result["table"]["event"] == "target")
+
+
+def by_finer(result: Result) -> bool:
+    """Whether the policy with the finer headings reaches the target without noise, by the exact simulation."""
+    return bool(result["finer"]["event"] == "target")
+
+
+def is_solved(result: Result) -> bool:
+    """Whether any planner reaches the target without noise."""
+    return by_table(result) or by_finer(result) or by_rrt(result)
 
 
 def by_rrt(result: Result) -> bool:
@@ -43,8 +53,9 @@ def _heading(record: Record) -> str:
     odds = ", ".join(f"{each:g}" for each in record["tip_noise"])
     return (
         f"{len(record['scenes'])} scenes of {SIDE_MM:g} x {SIDE_MM:g} mm, radius {RADIUS_MM:g} mm, margin "
-        f"{MARGIN_MM:g} mm, goal tolerance {GOAL_TOLERANCE_MM:g} mm. Tables: {record['headings']} headings, grid of "
-        f"{record['spacing_mm']:g} mm, interpolated, one thread. RRT: OMPL, {len(record['rrt_seeds'])} seeds, at most "
+        f"{MARGIN_MM:g} mm, goal tolerance {GOAL_TOLERANCE_MM:g} mm. Tables: {record['headings']} headings "
+        f"(a second one without noise: {record['finer_headings']}), grid of {record['spacing_mm']:g} mm, interpolated, "
+        f"one thread. RRT: OMPL, {len(record['rrt_seeds'])} seeds, at most "
         f"{record['limit']:,} propagations each; the figures of a path are those of the first seed that solves. "
         f"Noise: [{odds}] after each step, {record['runs']:,} executions. Times are processor times; RRT calls the "
         f"needle's model in Python.\n\n"
@@ -55,23 +66,25 @@ def _heading(record: Record) -> str:
 
 def _summary(record: Record) -> list[str]:
     results = record["scenes"]
-    both = [each for each in results if by_table(each) and by_rrt(each)]
+    both = [each for each in results if by_table(each) and by_finer(each) and by_rrt(each)]
     lines = [
-        "| | table | RRT |",
-        "|---|--:|--:|",
-        f"| solved, of {len(results)} | {sum(map(by_table, results))} | {sum(map(by_rrt, results))} |",
+        f"| | table | table, {record['finer_headings']} headings | RRT |",
+        "|---|--:|--:|--:|",
+        f"| solved, of {len(results)} | {sum(map(by_table, results))} | {sum(map(by_finer, results))} | "
+        f"{sum(map(by_rrt, results))} |",
     ]
     if both:
-        seconds = _median(both, "table", "seconds"), median(_search_s(each) for each in both)
+        times = [median(each[name]["seconds"] for each in both) for name in ("table", "finer")]
+        search = median(_search_s(each) for each in both)
         lines += [
-            f"| time, median, s | {seconds[0]:.2f} | {seconds[1]:.2f} |",
+            f"| time, median, s | {times[0]:.2f} | {times[1]:.2f} | {search:.2f} |",
             _row("length, median, mm", both, "length_mm", median, "{:.0f}"),
             _row("turns, median", both, "turns", median, "{:.0f}"),
             _row("clearance, median, mm", both, "clearance_mm", median, "{:.1f}"),
-            f"| success with noise, mean | {_mean(both, 'table', 'realised_with_noise')} (closed loop) | "
+            f"| success with noise, mean | {_mean(both, 'table', 'realised_with_noise')} (closed loop) | | "
             f"{_mean(both, 'rrt', 'open_loop')} (open loop), {_mean(both, 'rrt', 'following')} (following the path) |",
         ]
-        lines.append(f"\nAll rows but the first: the {len(both)} scenes that both solved.")
+        lines.append(f"\nAll rows but the first: the {len(both)} scenes that all three solved.")
     off = [each["table"]["predicted_with_noise"] - each["table"]["realised_with_noise"] for each in results]
     lines.append(
         f"Success of the table with noise, predicted minus realised, over all scenes: mean {100 * mean(off):+.1f} "
@@ -81,37 +94,54 @@ def _summary(record: Record) -> list[str]:
 
 
 def _certain(record: Record) -> str:
-    solved = [each for each in record["scenes"] if by_table(each) or by_rrt(each)]
-    broken = [each for each in solved if each["table"]["success_at_start"] < WANTED]
-    false = [each for each in record["scenes"] if each["table"]["success_at_start"] >= WANTED and not by_table(each)]
+    results = record["scenes"]
+    solved = [each for each in results if is_solved(each)]
+    broken = {name: [each for each in solved if _success(each, name) < WANTED] for name in ("table", "finer")}
     lines = [
-        f"Wanted: a scene that one of the planners solves has a table success of at least {WANTED:g} at its start, "
-        f"without noise. This holds for {len(solved) - len(broken)} of {len(solved)} scenes.",
+        f"Wanted: a scene that any of the planners solves has a table success of at least {WANTED:g} at its start, "
+        f"without noise. This holds for {len(solved) - len(broken['table'])} of {len(solved)} scenes with "
+        f"{record['headings']} headings, and for {len(solved) - len(broken['finer'])} with {record['finer_headings']}.",
     ]
-    if broken:
-        lines += ["", "| violation | table success | table's path | RRT |", "|---|--:|---|---|"]
-    for each in broken:
-        table, tries = each["table"], len(each["rrt"]["tries"])
-        lines.append(
-            f"| {each['scene']['name']} | {table['success_at_start']:.3f} | {table['event']} | "
-            f"{each['rrt']['solved']} of {tries} |"
-        )
-    names = ", ".join(each["scene"]["name"] for each in false) or "none"
-    lines += ["", f"Scenes with such a table success whose executed path fails: {names}."]
-    refuted = sum(each["rrt"]["refuted"] for each in record["scenes"])
-    lines.append(f"Paths of RRT that the exact test refuted: {refuted}.")
+    listed = [each for each in solved if each in broken["table"] or each in broken["finer"]]
+    if listed:
+        both = record["headings"], record["finer_headings"]
+        titles = " | ".join(f"{count} headings: success | path" for count in both)
+        lines += ["", f"| violation | {titles} | RRT |", "|---|--:|---|--:|---|---|"]
+    for each in listed:
+        cells = [f"{_success(each, name):.3f} | {each[name]['event']}" for name in ("table", "finer")]
+        rrt = each["rrt"]
+        lines.append(f"| {each['scene']['name']} | {' | '.join(cells)} | {rrt['solved']} of {len(rrt['tries'])} |")
+    false = [
+        each["scene"]["name"]
+        for each in results
+        if any(_success(each, name) >= WANTED and each[name]["event"] != "target" for name in ("table", "finer"))
+    ]
+    refuted = sum(each["rrt"]["refuted"] for each in results)
+    lines += [
+        "",
+        f"Scenes with such a table success whose executed path fails: {', '.join(false) or 'none'}.",
+        f"Paths of RRT that the exact test refuted: {refuted}.",
+    ]
     return "\n".join(lines)
 
 
+def _success(result: Result, name: str) -> float:
+    return float(result[name]["success_at_start"])
+
+
 def _unsolved(record: Record) -> str:
-    unsolved = [each for each in record["scenes"] if not by_table(each) and not by_rrt(each)]
-    if not unsolved:
-        return "None."
-    lines = ["| scene | table success | |", "|---|--:|---|"]
+    unsolved = [each for each in record["scenes"] if not is_solved(each)]
+    wrong = [each["scene"]["name"] for each in record["scenes"] if each["proof"]["infeasible"] and each not in unsolved]
+    lines = ["| scene | table success | solution | finest cells |", "|---|--:|---|---|"] if unsolved else ["None."]
     for each in unsolved:
-        proof = each.get("proof")
-        answer = proof["answer"] if proof else "open"
-        lines.append(f"| {each['scene']['name']} | {each['table']['success_at_start']:.3f} | {answer} |")
+        proof, success = each["proof"], each["table"]["success_at_start"]
+        answer = "none exists (proven)" if proof["infeasible"] else "open"
+        last = proof["levels"][-1]
+        cells = f"{last['cell_mm']:g} mm, {last['headings']} headings"
+        lines.append(f"| {each['scene']['name']} | {success:.3f} | {answer} | {cells} |")
+    lines.append(
+        f"\nSolved scenes that the coarsest grid calls infeasible (must be none): {', '.join(wrong) or 'none'}."
+    )
     return "\n".join(lines)
 
 
@@ -119,8 +149,9 @@ def _paths(record: Record) -> list[str]:
     lines = [
         "Without noise:",
         "",
-        "| scene | table | success | mm | turns | clearance | s | RRT | mm | turns | clearance | search s |",
-        "|---|---|--:|--:|--:|--:|--:|---|--:|--:|--:|--:|",
+        f"| scene | table | success | mm | turns | clearance | s | {record['finer_headings']} headings | "
+        "success | RRT | mm | turns | clearance | search s |",
+        "|---|---|--:|--:|--:|--:|--:|---|--:|---|--:|--:|--:|--:|",
     ]
     for each in record["scenes"]:
         table, rrt = each["table"], each["rrt"]
@@ -128,7 +159,8 @@ def _paths(record: Record) -> list[str]:
         other = _figures(rrt) if by_rrt(each) else " | | "
         lines.append(
             f"| {each['scene']['name']} | {table['event']} | {table['success_at_start']:.3f} | {mine} | "
-            f"{table['seconds']:.2f} | {rrt['solved']} of {len(rrt['tries'])} | {other} | {_search_s(each):.2f} |"
+            f"{table['seconds']:.2f} | {each['finer']['event']} | {_success(each, 'finer'):.3f} | "
+            f"{rrt['solved']} of {len(rrt['tries'])} | {other} | {_search_s(each):.2f} |"
         )
     return lines
 
@@ -158,13 +190,9 @@ def _search_s(result: Result) -> float:
     return float(median(each["search_s"] for each in result["rrt"]["tries"]))
 
 
-def _median(results: Sequence[Result], planner: str, key: str) -> float:
-    return float(median(each[planner][key] for each in results))
-
-
 def _row(name: str, results: Sequence[Result], key: str, of: Callable[[Any], float], form: str) -> str:
-    cells = [form.format(of([each[planner][key] for each in results])) for planner in ("table", "rrt")]
-    return f"| {name} | {cells[0]} | {cells[1]} |"
+    cells = [form.format(of([each[planner][key] for each in results])) for planner in ("table", "finer", "rrt")]
+    return f"| {name} | {' | '.join(cells)} |"
 
 
 def _mean(results: Sequence[Result], planner: str, key: str) -> str:
@@ -203,8 +231,9 @@ def _draw_scene(ax: Any, result: Result) -> None:
             ax.plot(*line.T[:2], color=colour, linewidth=1.2)
     ax.plot(*scene.target, "o", color="tab:green", markersize=4)
     ax.set(xlim=(-1, SIDE_MM + 1), ylim=(-1, SIDE_MM + 1), aspect="equal")
-    solved = {(True, True): "", (True, False): ": table only", (False, True): ": RRT only", (False, False): ": none"}
-    ax.set_title(scene.name + solved[by_table(result), by_rrt(result)], fontsize=7)
+    solved = {"table": by_table(result), "finer table": by_finer(result), "RRT": by_rrt(result)}
+    who = ", ".join(name for name, does in solved.items() if does) or "nobody"
+    ax.set_title(scene.name + ("" if all(solved.values()) else f": {who}"), fontsize=7)
     ax.set_axis_on()
     ax.set(xticks=[], yticks=[])
 
