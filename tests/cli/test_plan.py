@@ -60,6 +60,24 @@ def test_a_poor_plan_is_said_aloud() -> None:
     assert "giving up may cost less" in done.stderr
 
 
+def test_an_edge_beyond_the_last_multiple_of_the_spacing(scenario_file: Path, tmp_path: Path) -> None:
+    scenario_file.write_text(SMALL.replace("width_mm = 60.0", "width_mm = 60.5"))
+    done = needleplan("plan", scenario_file, "-o", "table.h5", "--edge", "right", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "x 60.5 mm" in done.stdout
+    done = needleplan("entry", "table.h5", "--edge", "right", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "x 60.5 mm" in done.stdout
+
+
+def test_an_edge_in_an_obstacle_is_told_after_the_table_is_written(scenario_file: Path, tmp_path: Path) -> None:
+    wall = "[[obstacle]]\npolygon_mm = [[-1, -1], [2, -1], [2, 41], [-1, 41]]\n[target]"
+    scenario_file.write_text(SMALL.replace("[target]", wall))
+    done = needleplan("plan", scenario_file, "-o", "table.h5", cwd=tmp_path)
+    refused(done, 'edge = "left": must have a position outside of all obstacles; choose another edge')
+    assert npl.PolicyTable.read(tmp_path / "table.h5").stats.status == "converged"
+
+
 def test_a_solve_cut_short_is_no_success(scenario_file: Path, tmp_path: Path) -> None:
     scenario_file.write_text(f"{SMALL}max_sweeps = 1\n")
     done = needleplan("plan", scenario_file, "-o", "table.h5", cwd=tmp_path)

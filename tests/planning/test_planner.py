@@ -136,5 +136,5 @@ def test_memory_is_compared_with_what_is_available(small: Scenario, monkeypatch:
     monkeypatch.setattr(planner, "available_bytes", lambda: needed)
     planner.require_memory(small)
     monkeypatch.setattr(planner, "available_bytes", lambda: needed - 1)
-    with pytest.raises(ScenarioError, match=r"needs about 6\.48 MB of memory; 6\.48 MB are available"):
+    with pytest.raises(ScenarioError, match=r"needs about 3\.6 MB of memory; 3\.6 MB are available"):
         planner.require_memory(small)

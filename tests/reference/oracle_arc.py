@@ -8,6 +8,7 @@ The radius of an arc is that of the place where it starts: of the last tissue po
 last layer with from_mm <= x, else of the needle. Its length is that radius times alpha.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,11 +52,11 @@ class Problem:
 
     @property
     def nx(self) -> int:
-        return round(self.width / self.dx) + 1
+        return math.ceil(self.width / self.dx - TOLERANCE_MM) + 1
 
     @property
     def ny(self) -> int:
-        return round(self.height / self.dy) + 1
+        return math.ceil(self.height / self.dy - TOLERANCE_MM) + 1
 
     @property
     def alpha(self) -> float:
@@ -124,8 +125,14 @@ def turned_by(
     )
 
 
-def point_event(problem: Problem, x: Floats, y: Floats) -> Kinds:
+def limits_from(problem: Problem, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """The largest x and y that a step from (x, y) may reach: the border, or the start if it is a grid point beyond."""
+    return np.maximum(x, problem.width), np.maximum(y, problem.height)
+
+
+def point_event(problem: Problem, x: Floats, y: Floats, limits: tuple[Floats, Floats] | None = None) -> Kinds:
     """What a true point is: EXIT before COLLISION before TARGET, else GOES_ON. Every test is closed."""
+    width, height = limits or (np.asarray(problem.width), np.asarray(problem.height))
     event = np.full(x.shape, GOES_ON, dtype=np.int8)
     distance = np.hypot(x - problem.target[0], y - problem.target[1])
     event[distance <= problem.target_radius + TOLERANCE_MM] = TARGET
@@ -135,8 +142,8 @@ def point_event(problem: Problem, x: Floats, y: Floats) -> Kinds:
         points = shapely.points(x.ravel()[near], y.ravel()[near])
         shapely.prepare(polygon)
         event.ravel()[near[shapely.dwithin(polygon, points, TOLERANCE_MM)]] = COLLISION
-    inside_x = (x >= -TOLERANCE_MM) & (x <= problem.width + TOLERANCE_MM)
-    inside_y = (y >= -TOLERANCE_MM) & (y <= problem.height + TOLERANCE_MM)
+    inside_x = (x >= -TOLERANCE_MM) & (x <= width + TOLERANCE_MM)
+    inside_y = (y >= -TOLERANCE_MM) & (y <= height + TOLERANCE_MM)
     event[~(inside_x & inside_y)] = EXIT
     return event
 
@@ -146,7 +153,7 @@ def follow_arc(problem: Problem, x: Floats, y: Floats, theta: Floats, bevel: Int
     event = np.full(x.shape, GOES_ON, dtype=np.int8)
     for sample in range(1, problem.samples + 1):
         x_end, y_end = arc_point(problem, x, y, theta, bevel, sample / problem.samples)
-        here = point_event(problem, x_end, y_end)
+        here = point_event(problem, x_end, y_end, limits_from(problem, x, y))
         event = np.where(event == GOES_ON, here, event)
     return event, x_end, y_end
 

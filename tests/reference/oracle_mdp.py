@@ -2,7 +2,8 @@
 
 It shares no code with the package. It exists to be read beside the definition and to be believed:
 
-* Grid points x = i*dx, y = j*dy, headings theta_k = k*alpha with alpha = 2*pi/headings, bevel b in {-1, +1}.
+* Grid points x = i*dx, y = j*dy that cover the workspace, headings theta_k = k*alpha with alpha = 2*pi/headings,
+  bevel b in {-1, +1}.
 * Action 0 inserts (b' = b), action 1 rotates and inserts (b' = -b). A step is an arc of length rho*alpha:
   x' = x + rho*b'*(sin(theta + b'*alpha) - sin(theta)),  y' = y - rho*b'*(cos(theta + b'*alpha) - cos(theta)),
   with the rho of the grid point (`radius_at`).
@@ -24,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 from oracle_arc import (
     BEVELS,
-    EXIT,
     FREE,
     GOAL,
     GOES_ON,
@@ -35,6 +35,7 @@ from oracle_arc import (
     Problem,
     bilinear_corners,
     follow_arc,
+    limits_from,
     nearest_index,
     point_event,
     radius_at,
@@ -73,8 +74,9 @@ class Solution:
 def build(problem: Problem) -> Mdp:
     """Follow the arc from every grid point, heading and new bevel."""
     x1, y1 = np.arange(problem.nx) * problem.dx, np.arange(problem.ny) * problem.dy
-    kind = point_event(problem, *np.broadcast_arrays(x1[:, None], y1[None, :]))
-    kind[kind == EXIT] = FREE  # a last grid line beyond the edge (width no multiple of dx) is an ordinary one
+    points = np.broadcast_arrays(x1[:, None], y1[None, :])
+    # The grid covers the workspace. A last grid line beyond the edge is the edge for the steps that start there.
+    kind = point_event(problem, *points, limits_from(problem, *points))
     theta, bevel = np.arange(problem.headings) * problem.alpha, np.array(BEVELS)
     grids = np.meshgrid(x1, y1, theta, bevel, indexing="ij")
     ending, x_end, y_end = follow_arc(problem, *grids)

@@ -91,11 +91,11 @@ def run(options: argparse.Namespace) -> int:
             )
         except ScenarioError as error:
             raise ScenarioError(error.mistakes, options.scenario) from None
-        tell("looking for the best entry")
-        best = table.best_entry(options.edge)
         if options.output:
             tell(f"writing {options.output}")
             table.write(options.output)
+        tell("looking for the best entry")
+        best = table.best_entry(options.edge)
         if options.figure:
             tell(f"drawing {options.figure}")
             _draw(table, best, options.figure)

@@ -201,10 +201,12 @@ def success_of(scenario: Scenario, lattice: _ppvi.Lattice, policy: NDArray[np.ui
         ))  # fmt: skip
         refined = np.ascontiguousarray(policy[nearest])
         found = compiled_call(ScenarioError, lattice_of(fine).success, policy=refined, threads=threads)["success"]
-        found = found[::times, ::times][: policy.shape[0], : policy.shape[1]]
-        # A coarse point beyond the last fine point lies outside the workspace, so its success is 0.
-        success = np.zeros(policy.shape, np.float32)
-        success[: found.shape[0], : found.shape[1]] = found
+        # A coarse point beyond the last fine point represents the border, as the last fine point does.
+        places = np.ix_(*(
+            np.minimum(np.arange(points) * times, most - 1)
+            for points, most in zip(policy.shape[:2], found.shape[:2], strict=True)
+        ))  # fmt: skip
+        success = found[places]
     np.minimum(success, 1, out=success)  # weights in single precision can sum to slightly more than one
     return success
 

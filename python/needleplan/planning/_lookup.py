@@ -225,6 +225,7 @@ class Lookups:
             policy=self.policy,
             success=self.success,
             spacing_mm=self.scenario.grid.spacing_mm,
+            size_mm=(self.scenario.workspace.width_mm, self.scenario.workspace.height_mm),
             poses=rows,
         )
 

@@ -34,6 +34,9 @@ __all__ = [
 # Largest size (rad) of a heading, so large that 2 pi in single precision is accepted. Larger ones are likely degrees.
 FULL_TURN_RAD = 2 * math.pi + 1e-6
 
+# Distance (mm) beyond the border up to which a grid point counts as on the border, because of rounding.
+_ROUNDING_MM = 1e-9
+
 _POSE_RULE = "a pose is x_mm, y_mm, heading_rad and bevel (-1 or +1)"
 
 
@@ -280,7 +283,8 @@ class Entry:
 def edge_poses(scenario: Scenario, edge: str, x_mm: float | None, y_mm: float | None) -> NDArray[np.float64]:
     """Return the poses [n, 4] on an edge that lead into the workspace, at every grid point or at the given position.
 
-    Headings lie within less than a quarter turn of the inward normal. Raises PoseError.
+    Grid points beyond the border are left out. Headings lie within less than a quarter turn of the inward normal.
+    Raises PoseError.
     """
     if edge not in list(Edge):
         names = ", ".join(f'"{name}"' for name in Edge)
@@ -305,7 +309,7 @@ def _along(
 ) -> NDArray[np.float64]:
     """Return the positions to search along an axis; `across` names the edge if the axis is perpendicular to it."""
     if position is None:
-        return points
+        return points[points <= size_mm + _ROUNDING_MM]
     if across:
         raise PoseError(Mistake(name, str(position), f'must not be given for the edge "{across}"'))
     try:

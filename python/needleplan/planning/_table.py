@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.artifacts import digest
-from needleplan.errors import InputError, Mistake, TableError
+from needleplan.errors import InputError, Mistake, PoseError, TableError
 from needleplan.planning import _table_file
 from needleplan.planning._drawing import draw_partition_order, draw_success
 from needleplan.planning._execution import Execution, Path, Rollouts
 from needleplan.planning._lookup import Lookups
-from needleplan.planning._poses import Edge, Entry, Pose, edge_poses, whole_number, wrapped
+from needleplan.planning._poses import Edge, Entry, Outcome, Pose, edge_poses, whole_number, wrapped
 from needleplan.plotting import axes_or_new, picture_html
 
 if TYPE_CHECKING:
@@ -177,12 +177,12 @@ class PolicyTable(Lookups):
         -------
         Entry
             The pose, its success probability and its expected cost. All headings that lead into the workspace are
-            searched.
+            searched. Positions in an obstacle are left out.
 
         Raises
         ------
         PoseError
-            If there is no such edge, or the position is not on it.
+            If there is no such edge, if the position is not on the edge, or if all positions are in obstacles.
 
         Examples
         --------
@@ -192,6 +192,10 @@ class PolicyTable(Lookups):
         x 0 mm, y 60 mm, heading -48 deg, bevel +1
         """
         poses = edge_poses(self.scenario, edge, x_mm, y_mm)
+        poses = poses[self.lattice.events(np.ascontiguousarray(poses[:, :2])) != Outcome.COLLISION]
+        if not len(poses):
+            rule = "must have a position outside of all obstacles; choose another edge or position"
+            raise PoseError(Mistake("edge", f'"{edge}"', rule))
         found = self.lookup_many(poses)
         success = np.round(found.success / _SUCCESS_STEP)
         inclination = np.abs(poses[:, 2] - Edge(edge).inward_rad)

@@ -22,7 +22,7 @@ from needleplan.config import (
     sequence,
 )
 from needleplan.errors import Mistake, ScenarioError
-from needleplan.scenario._polygon import Points, SimplePolygon
+from needleplan.scenario._polygon import TOLERANCE_MM, Points, SimplePolygon
 
 __all__ = [
     "Grid",
@@ -86,6 +86,14 @@ class Priority(StrEnum):
 
     BOUND = "bound"
     """An upper bound on the Bellman residual, accumulated from the value changes of the neighbouring partitions."""
+
+
+def _points(size_mm: float, spacing_mm: float) -> int:
+    """Return the smallest number of grid points whose last one is at `size_mm` or beyond, as the solver counts them."""
+    cells = size_mm / spacing_mm
+    whole = round(cells)
+    rounding = max(TOLERANCE_MM / spacing_mm, 1e-12 * whole)
+    return (whole if abs(cells - whole) <= rounding else math.ceil(cells)) + 1
 
 
 def _increasing(layers: tuple[Layer | None, ...]) -> Iterator[Mistake]:
@@ -239,12 +247,11 @@ class Grid(ConfigTable, key="grid", error=ScenarioError):
     )
 
     def points(self, workspace: Workspace) -> tuple[int, int]:
-        """Return the number of grid points along x, round(width / dx) + 1, and along y, round(height / dy) + 1."""
-        nx, ny = (
-            round(size / spacing) + 1
-            for size, spacing in zip((workspace.width_mm, workspace.height_mm), self.spacing_mm, strict=True)
-        )
-        return nx, ny
+        """Return the number of grid points 0, dx, 2 dx ... along x and y that cover the workspace.
+
+        If an extent is no multiple of the spacing, the last point lies beyond the border.
+        """
+        return _points(workspace.width_mm, self.spacing_mm[0]), _points(workspace.height_mm, self.spacing_mm[1])
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ fn run_on_a_table(name: &str) -> Result<()> {
     match name {
         "success" => drop(black_box(counted_success(lattice, &solved.policy)?)),
         "look_up" => {
-            let grid = TableGrid::new(lattice.shape(), [SPACING; 2])?;
+            let grid = TableGrid::new(lattice.shape(), [SPACING; 2], problem.setup().workspace.size)?;
             let table = Table { values: &solved.values, policy: &solved.policy, success: &solved.values };
             drop(black_box(counted_look_up(&grid, &scene::poses(50_000), &table)?));
         }

@@ -15,7 +15,7 @@ fn look_up(criterion: &mut Criterion) -> Result<()> {
     let solution = sweep::solve(problem.lattice(), scene::rule()?, None)?;
     // Any numbers will do for the probabilities.
     let table = Table { values: &solution.values, policy: &solution.policy, success: &solution.values };
-    let grid = TableGrid::new(problem.lattice().shape(), [1.0; 2])?;
+    let grid = TableGrid::new(problem.lattice().shape(), [1.0; 2], problem.setup().workspace.size)?;
     let poses = scene::poses(1 << 20);
     let mut group = criterion.benchmark_group("lookup");
     let mut next = poses.iter().cycle();

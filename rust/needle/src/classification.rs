@@ -5,13 +5,22 @@ use ppvi::lattice::{Shape, Shift, Transition, outcome};
 
 use crate::regions::TissueRegions;
 use crate::setup::Setup;
-use crate::workspace::{ColumnScan, Event, fill};
+use crate::workspace::{CLOSED_MM, ColumnScan, Event, Workspace, fill};
 
 /// Writes the outcome codes of a setup, one heading and bevel at a time.
 pub(crate) struct Classifier<'a> {
     setup: &'a Setup,
     shape: Shape,
     regions: &'a TissueRegions,
+    /// The workspace for steps from ordinary points and from points beyond the border, `[beyond in x][beyond in y]`.
+    ///
+    /// The last row and the last column of grid points lie beyond the border if the extent is no multiple of the
+    /// spacing. Positions in the last cell are interpolated between these points and the last ones inside. For steps
+    /// from a point beyond the border the border therefore passes through this point: it has the value of a point on
+    /// the border, and not that of a point outside.
+    workspaces: [[Workspace; 2]; 2],
+    /// Number of grid points inside the workspace along x and y.
+    inside: [usize; 2],
     /// Event at each grid point, or 0, `[i][j]`.
     points: Vec<u8>,
     /// Outcome code of each grid point that is absorbing, otherwise 0, `[i][j]`.
@@ -21,33 +30,41 @@ pub(crate) struct Classifier<'a> {
 
 impl<'a> Classifier<'a> {
     pub(crate) fn new(setup: &'a Setup, shape: Shape, regions: &'a TissueRegions) -> Self {
-        let points = classify_points(shape, setup);
+        let size = setup.workspace.size;
+        let ends = [(shape.nx - 1) as f64 * setup.spacing[0], (shape.ny - 1) as f64 * setup.spacing[1]];
+        let beyond = [0, 1].map(|axis| ends[axis] > size[axis] + CLOSED_MM);
+        let extent = |axis: usize, beyond: usize| if beyond == 1 { ends[axis] } else { size[axis] };
+        let workspaces = [0, 1].map(|x| [0, 1].map(|y| setup.workspace.resized([extent(0, x), extent(1, y)])));
+        let inside = [shape.nx - usize::from(beyond[0]), shape.ny - usize::from(beyond[1])];
+        let points = classify_points(shape, setup, &workspaces[usize::from(beyond[0])][usize::from(beyond[1])]);
         let absorbing = points.iter().map(|code| match *code {
             outcome::TARGET => outcome::AT_TARGET,
             outcome::COLLISION => outcome::AT_OBSTACLE,
             _ => 0,
         });
         let absorbing = absorbing.collect();
-        Classifier { setup, shape, regions, points, absorbing, stop: StopFlag::current() }
+        let stop = StopFlag::current();
+        Classifier { setup, shape, regions, workspaces, inside, points, absorbing, stop }
     }
 
     /// Writes the codes of the steps with heading index `k` that arrive with bevel index `bevel` to
     /// `plane[i * ny + j]`.
     pub(crate) fn write_outcomes(&self, k: usize, bevel: usize, plane: &mut [u8]) {
         let ny = self.shape.ny;
-        let mut scan = ColumnScan::new(&self.setup.workspace);
+        let mut scans = self.workspaces.each_ref().map(|pair| pair.each_ref().map(ColumnScan::new));
         let mut column = vec![0u8; ny];
         for (i, codes) in plane.chunks_exact_mut(ny).enumerate() {
             self.stop.check();
+            let scan = &mut scans[usize::from(i >= self.inside[0])];
             if self.regions.region_of.is_empty() {
-                self.mark_column(&mut scan, 0, (i, k, bevel), codes);
+                self.mark_column(scan, 0, (i, k, bevel), codes);
             } else {
                 let here = &self.regions.region_of[i * ny..][..ny];
                 for region in 0..self.regions.steps.len() {
                     if !here.contains(&(region as u8)) {
                         continue;
                     }
-                    self.mark_column(&mut scan, region, (i, k, bevel), &mut column);
+                    self.mark_column(scan, region, (i, k, bevel), &mut column);
                     let pairs = codes.iter_mut().zip(&column).zip(here);
                     let mine = pairs.filter(|(_, number)| usize::from(**number) == region);
                     mine.for_each(|((code, marked), _)| *code = *marked);
@@ -62,7 +79,7 @@ impl<'a> Classifier<'a> {
     /// Writes the outcomes of the steps from grid column `i` as if the whole column were of one region.
     fn mark_column(
         &self,
-        scan: &mut ColumnScan<'_>,
+        [scan, beyond]: &mut [ColumnScan<'_>; 2],
         region: usize,
         (i, k, bevel): (usize, usize, usize),
         codes: &mut [u8],
@@ -70,7 +87,12 @@ impl<'a> Classifier<'a> {
         let Setup { spacing, transition, .. } = self.setup;
         codes.fill(outcome::CONTINUES);
         for [dx, dy] in &self.regions.arcs[region][k][bevel] {
-            scan.mark(i as f64 * spacing[0] + dx, *dy, spacing[1], codes);
+            let x = i as f64 * spacing[0] + dx;
+            let (inner, last) = codes.split_at_mut(self.inside[1]);
+            scan.mark(x, *dy, spacing[1], inner);
+            if !last.is_empty() {
+                beyond.mark(x, self.inside[1] as f64 * spacing[1] + dy, spacing[1], last);
+            }
         }
         if *transition == Transition::Nearest {
             self.mark_landings(i, self.regions.steps[region].stencil[k][bevel], codes);
@@ -96,13 +118,13 @@ impl<'a> Classifier<'a> {
     }
 }
 
-/// The event at each grid point, or 0. Where an extent is not a multiple of the spacing, the last grid points lie
-/// outside the workspace; they are ordinary points, so their exit is not an event.
-fn classify_points(shape: Shape, setup: &Setup) -> Vec<u8> {
+/// The event at each grid point, or 0. `workspace` contains all grid points.
+fn classify_points(shape: Shape, setup: &Setup, workspace: &Workspace) -> Vec<u8> {
     let mut points = vec![0u8; shape.nx * shape.ny];
-    let mut scan = ColumnScan::new(&setup.workspace);
+    let mut scan = ColumnScan::new(workspace);
     for (i, column) in points.chunks_exact_mut(shape.ny).enumerate() {
         scan.mark(i as f64 * setup.spacing[0], 0.0, setup.spacing[1], column);
+        // Rounding can put the last point beyond the border by more than the tolerance of a large workspace.
         column.iter_mut().for_each(|code| *code = if *code == outcome::EXIT { 0 } else { *code });
     }
     points

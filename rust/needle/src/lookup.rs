@@ -5,6 +5,7 @@ use ppvi::{Error, Result, StopFlag};
 use rayon::prelude::*;
 
 use crate::bicycle::Bicycle;
+use crate::workspace::CLOSED_MM;
 
 /// Pose of the tip.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,16 +27,16 @@ impl Pose {
     }
 }
 
-/// The grid of a table: finds the entry nearest to a pose.
+/// The grid of a table: finds the entry nearest to a pose in the workspace.
 ///
 /// # Examples
 /// ```
 /// use needle::{Pose, TableGrid};
 /// use ppvi::lattice::Shape;
 ///
-/// let grid = TableGrid::new(Shape { nx: 4, ny: 3, headings: 8 }, [2.0, 1.0])?;
+/// let grid = TableGrid::new(Shape { nx: 4, ny: 3, headings: 8 }, [2.0, 1.0], [6.0, 2.0])?;
 /// assert_eq!(grid.index(Pose { x: 0.9, y: 0.4, heading: 0.0, bevel: -1.0 }), Some(0));
-/// assert_eq!(grid.index(Pose { x: 7.1, y: 0.0, heading: 0.0, bevel: -1.0 }), None);
+/// assert_eq!(grid.index(Pose { x: 6.1, y: 0.0, heading: 0.0, bevel: -1.0 }), None);
 /// # Ok::<(), ppvi::Error>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,31 +44,46 @@ pub struct TableGrid {
     shape: Shape,
     per_mm: [f64; 2],
     per_rad: f64,
+    /// Largest x and y of the workspace, mm, with the tolerance.
+    high: [f64; 2],
 }
 
 impl TableGrid {
-    /// Makes a grid from its shape and its spacing along x and y, mm.
+    /// Makes a grid from its shape, its spacing along x and y, mm, and the extent of the workspace, mm.
     ///
     /// # Errors
-    /// [`Error::Parameter`] for a spacing that is not positive and finite, or a shape without states.
-    pub fn new(shape: Shape, spacing: [f64; 2]) -> Result<Self> {
+    /// [`Error::Parameter`] for a spacing that is not positive and finite, a shape without states, or an extent that is
+    /// not positive or that the grid does not cover.
+    pub fn new(shape: Shape, spacing: [f64; 2], size: [f64; 2]) -> Result<Self> {
         if !spacing.iter().all(|s| *s > 0.0 && s.is_finite()) {
             return Err(Error::parameter("spacing_mm", format!("{spacing:?}"), "must be positive and finite"));
         }
         if shape.states() == 0 {
             return Err(Error::parameter("shape", format!("{shape:?}"), "must not be empty"));
         }
+        for (extent, (points, spacing)) in size.iter().zip([shape.nx, shape.ny].iter().zip(spacing)) {
+            // Less than a cell, for the rounding of large coordinates.
+            let covered = (*points as f64 - 0.75) * spacing;
+            if !(*extent > 0.0 && *extent <= covered) {
+                return Err(Error::parameter(
+                    "size_mm",
+                    format!("{size:?}"),
+                    "must be positive and covered by the grid",
+                ));
+            }
+        }
         let per_rad = 1.0 / Bicycle::new(1.0, shape.headings)?.heading_step();
-        Ok(TableGrid { shape, per_mm: [1.0 / spacing[0], 1.0 / spacing[1]], per_rad })
+        let high = size.map(|extent| extent + CLOSED_MM);
+        Ok(TableGrid { shape, per_mm: [1.0 / spacing[0], 1.0 / spacing[1]], per_rad, high })
     }
 
-    /// Index of the table entry nearest to a pose. `None` if the pose is not finite, if it is more than half a cell
-    /// outside the grid, or if its bevel is neither -1 nor +1.
+    /// Index of the table entry nearest to a pose. `None` if the pose is not finite, if it lies outside the closed
+    /// workspace, or if its bevel is neither -1 nor +1.
     #[inline]
     pub fn index(&self, pose: Pose) -> Option<usize> {
         let Shape { nx, ny, headings } = self.shape;
-        let i = nearest(pose.x * self.per_mm[0], nx)?;
-        let j = nearest(pose.y * self.per_mm[1], ny)?;
+        let i = nearest(pose.x, self.per_mm[0], self.high[0])?.min(nx - 1);
+        let j = nearest(pose.y, self.per_mm[1], self.high[1])?.min(ny - 1);
         let bevel = if pose.bevel == 1.0 {
             1
         } else if pose.bevel == -1.0 {
@@ -119,7 +135,7 @@ impl TableGrid {
         match first_bad.min() {
             None => Ok(answers),
             Some(row) => {
-                let rule = "must be finite, on the table's grid, with bevel -1 or +1";
+                let rule = "must be finite, in the workspace, with bevel -1 or +1";
                 Err(Error::parameter("pose", format!("{:?} (row {row})", poses[row]), rule))
             }
         }
@@ -155,9 +171,9 @@ fn round(x: f64) -> f64 {
 }
 
 #[inline]
-fn nearest(cells: f64, count: usize) -> Option<usize> {
+fn nearest(at: f64, per_mm: f64, high: f64) -> Option<usize> {
     // NaN fails both comparisons.
-    (cells > -0.5 && cells < count as f64 - 0.5).then_some((cells + 0.5) as usize)
+    (at >= -CLOSED_MM && at <= high).then_some((at * per_mm + 0.5) as usize)
 }
 
 #[cfg(test)]
@@ -166,20 +182,25 @@ mod tests {
 
     #[test]
     fn the_nearest_entry_or_none() {
-        let grid = TableGrid::new(Shape { nx: 4, ny: 3, headings: 8 }, [2.0, 1.0]).unwrap();
+        let shape = Shape { nx: 4, ny: 3, headings: 8 };
+        let grid = TableGrid::new(shape, [2.0, 1.0], [5.2, 2.0]).unwrap();
         let at = |x, y, heading, bevel| grid.index(Pose { x, y, heading, bevel });
         let step = std::f64::consts::TAU / 8.0;
         assert_eq!(at(0.9, 0.4, 0.0, -1.0), Some(0));
-        assert_eq!(at(6.9, 2.4, 7.4 * step, 1.0), Some(((3 * 3 + 2) * 8 + 7) * 2 + 1));
+        assert_eq!(at(5.2, 2.0, 7.4 * step, 1.0), Some(((3 * 3 + 2) * 8 + 7) * 2 + 1));
         assert_eq!(at(2.0, 1.0, -step, 1.0), Some(((3 + 1) * 8 + 7) * 2 + 1));
         for bad in [
-            (7.1, 0.0, 0.0, 1.0),
-            (-1.1, 0.0, 0.0, 1.0),
+            (5.3, 0.0, 0.0, 1.0),
+            (0.0, 2.1, 0.0, 1.0),
+            (-0.1, 0.0, 0.0, 1.0),
             (f64::NAN, 0.0, 0.0, 1.0),
             (0.0, 0.0, f64::INFINITY, 1.0),
             (0.0, 0.0, 0.0, 0.0),
         ] {
             assert_eq!(at(bad.0, bad.1, bad.2, bad.3), None, "{bad:?}");
+        }
+        for size in [[6.6, 2.0], [6.0, 2.9], [0.0, 2.0], [f64::NAN, 2.0]] {
+            assert!(TableGrid::new(shape, [2.0, 1.0], size).is_err(), "{size:?}");
         }
     }
 }

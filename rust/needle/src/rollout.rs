@@ -86,7 +86,7 @@ impl<'a> Executor<'a> {
         if arc_samples == 0 || arc_samples > 10_000 {
             return Err(Error::parameter("arc_samples", arc_samples, "must be between 1 and 10,000"));
         }
-        let grid = TableGrid::new(lattice.shape(), setup.spacing)?;
+        let grid = TableGrid::new(lattice.shape(), setup.spacing, setup.workspace.size)?;
         Ok(Executor { setup, lattice, grid, policy, values, execution, arc_samples })
     }
 

@@ -145,6 +145,11 @@ impl Workspace {
         Ok(Workspace { size, obstacles, target, target_radius })
     }
 
+    /// The workspace with another extent along x and y, mm.
+    pub(crate) fn resized(&self, size: [f64; 2]) -> Self {
+        Workspace { size, ..self.clone() }
+    }
+
     /// The event at a point, if any. Exit takes precedence over collision, and collision over target.
     pub fn event(&self, point: [f64; 2]) -> Option<Event> {
         let outside = |axis: usize| !(point[axis] >= -CLOSED_MM && point[axis] <= self.size[axis] + CLOSED_MM);
@@ -214,12 +219,17 @@ pub(crate) fn fill(codes: &mut [u8], range: std::ops::Range<usize>, event: Event
     }
 }
 
-/// Number of grid points along an extent: `round(extent / spacing) + 1`, ties to even as in Python.
+/// Number of grid points 0, spacing, 2 spacing ... that cover an extent: the smallest number whose last point is at or
+/// beyond the end, to within [`CLOSED_MM`]. If the extent is no multiple of the spacing, the last point lies beyond it.
 ///
 /// # Errors
 /// [`Error::TooLarge`] for 2^32 points or more.
 pub fn grid_points(extent: f64, spacing: f64) -> Result<usize> {
-    let count = (extent / spacing).round_ties_even() + 1.0;
+    let cells = extent / spacing;
+    let whole = cells.round();
+    // A quotient is rounded to one part in 2^53; without the second term large multiples would get one point too many.
+    let rounding = (CLOSED_MM / spacing).max(1e-12 * whole);
+    let count = if (cells - whole).abs() <= rounding { whole } else { cells.ceil() } + 1.0;
     if count.is_finite() && count < f64::from(u32::MAX) {
         Ok(count as usize)
     } else {
@@ -252,6 +262,23 @@ mod tests {
         ] {
             assert_eq!(w.event(point), event, "{point:?}");
         }
+    }
+
+    #[test]
+    fn grid_points_cover_the_extent() {
+        for (extent, spacing, points) in [
+            (120.0, 1.0, 121),
+            (60.5, 1.0, 62),
+            (60.2, 1.0, 62),
+            (0.3, 0.1, 4),
+            (4.5, 0.15, 31),
+            (100.0, 0.5 / 3.0, 601),
+            (1e6, 0.1, 10_000_001),
+            (1.0, 1.0 + 1e-8, 2),
+        ] {
+            assert_eq!(grid_points(extent, spacing).unwrap(), points, "{extent} {spacing}");
+        }
+        assert!(grid_points(1e6, 1e-9).is_err() && grid_points(1.0, f64::NAN).is_err());
     }
 
     #[test]

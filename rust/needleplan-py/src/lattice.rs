@@ -188,6 +188,16 @@ impl Lattice {
         Ok(dict)
     }
 
+    /// Event code at each point [n, 2] of the plane, in mm: 0 none, 1 target, 2 collision, 3 exit.
+    fn events<'py>(&self, py: Python<'py>, points: PyReadonlyArray2<'py, f64>) -> PyResult<Bound<'py, PyArray1<u8>>> {
+        if points.shape()[1] != 2 {
+            return Err(PyValueError::new_err(format!("points: expected shape [n, 2], found {:?}", points.shape())));
+        }
+        let (rows, _) = points.as_slice()?.as_chunks::<2>();
+        let workspace = &self.problem.setup().workspace;
+        Ok(PyArray1::from_iter(py, rows.iter().map(|point| workspace.event(*point).map_or(0, |event| event as u8))))
+    }
+
     /// Outcome code of the step that arrives with the bevel of the state, for every state.
     fn outcomes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<u8>>> {
         let outcomes = py.detach(|| self.lattice().outcome_table());

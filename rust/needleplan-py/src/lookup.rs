@@ -14,13 +14,15 @@ type Looked<'py> = (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>, Bound<'
 
 /// Actions, values and success probabilities at the states nearest to many poses.
 #[pyfunction]
-#[pyo3(signature = (values, policy, success, spacing_mm, poses, threads=None))]
+#[allow(clippy::too_many_arguments)]
+#[pyo3(signature = (values, policy, success, spacing_mm, size_mm, poses, threads=None))]
 pub(crate) fn lookup_many<'py>(
     py: Python<'py>,
     values: PyReadonlyArray4<'py, f32>,
     policy: PyReadonlyArray4<'py, u8>,
     success: PyReadonlyArray4<'py, f32>,
     spacing_mm: [f64; 2],
+    size_mm: [f64; 2],
     poses: PyReadonlyArray2<'py, f64>,
     threads: Option<usize>,
 ) -> PyResult<Looked<'py>> {
@@ -33,7 +35,7 @@ pub(crate) fn lookup_many<'py>(
     if poses.shape()[1] != 4 {
         return Err(PyValueError::new_err(format!("poses: expected shape [n, 4], found {:?}", poses.shape())));
     }
-    let grid = TableGrid::new(Shape { nx, ny, headings }, spacing_mm).map_err(exception)?;
+    let grid = TableGrid::new(Shape { nx, ny, headings }, spacing_mm, size_mm).map_err(exception)?;
     let table = Table { values: values.as_slice()?, policy: policy.as_slice()?, success: success.as_slice()? };
     let (rows, _) = poses.as_slice()?.as_chunks::<4>();
     let answers = detached(py, threads, || grid.look_up_many(rows, &table))?.map_err(exception)?;
