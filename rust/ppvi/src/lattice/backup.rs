@@ -45,13 +45,26 @@ pub(crate) fn sweep<T: Vectorized>(sector: &mut Sector<T>, context: SweepContext
     }
 }
 
+/// Whether tests ask for the vectors that every processor has.
+#[cfg(test)]
+static PORTABLE: std::sync::atomic::AtomicBool = std::sync::atomic::AtomicBool::new(false);
+
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn is_portable() -> bool {
+    #[cfg(test)]
+    return PORTABLE.load(std::sync::atomic::Ordering::Relaxed);
+    #[cfg(not(test))]
+    false
+}
+
 /// Chooses the vectors that the processor has.
 fn dispatch<T: Vectorized, const INTERPOLATED: bool, const POLICY: bool>(
     sector: &mut Sector<T>,
     context: SweepContext<'_, T>,
 ) -> Swept {
     #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") {
+    if is_x86_feature_detected!("avx2") && !is_portable() {
         // SAFETY: the processor has AVX2.
         return unsafe { sweep_avx2::<T, INTERPOLATED, POLICY>(sector, context) };
     }
@@ -288,4 +301,65 @@ fn largest_change<T: Real, V: Lanes<T>>(sector: &mut Sector<T>, at: usize, taps:
 
 fn larger<T: Real>(a: T, b: T) -> T {
     if b > a { b } else { a }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::Ordering;
+
+    use super::PORTABLE;
+    use crate::StopRule;
+    use crate::lattice::{
+        Costs, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, evaluation, outcome, sweep,
+    };
+
+    /// Steps of two and a half cells in the direction of the heading, with the target in the middle.
+    fn lattice(transition: Transition, headings: usize, noise: &[f64]) -> LatticeMdp {
+        let shape = Shape { nx: 21, ny: 18, headings };
+        let step = |k: usize| {
+            let (sin, cos) = (std::f64::consts::TAU * k as f64 / headings as f64).sin_cos();
+            [Shift::new([2.5 * cos, 2.5 * sin], [1.0; 2], transition, [shape.nx, shape.ny]); 2]
+        };
+        let parts = LatticeParts {
+            shape,
+            spacing: [1.0; 2],
+            noise: noise.to_vec(),
+            transition,
+            costs: Costs { step: 2.5, rotation: 1.0, collision: 100.0, exit: 90.0, discount: 0.97 },
+            regions: vec![Region { step_length: 2.5, step_cost: 2.5, stencil: (0..headings).map(step).collect() }],
+            region_of: Vec::new(),
+        };
+        let code = |i: usize, j: usize| match (i, j) {
+            (9..12, 7..10) => outcome::AT_TARGET,
+            (3..6, 4..15) => outcome::AT_OBSTACLE,
+            (0 | 1 | 19 | 20, _) => outcome::EXIT,
+            (6, _) => outcome::COLLISION,
+            (12, _) => outcome::TARGET,
+            _ => outcome::CONTINUES,
+        };
+        let write = |_, _, codes: &mut [u8]| {
+            codes.iter_mut().enumerate().for_each(|(at, to)| *to = code(at / shape.ny, at % shape.ny));
+        };
+        LatticeMdp::new(parts, write).unwrap()
+    }
+
+    #[test]
+    fn every_processor_computes_the_same_bits() {
+        for (headings, noise) in [(12, vec![0.466, 0.24, 0.027]), (10, vec![0.5, 0.25])] {
+            for transition in [Transition::Nearest, Transition::Interpolated] {
+                let lattice = lattice(transition, headings, &noise);
+                // The second tolerance needs double precision.
+                for tolerance in [1e-2, 1e-8] {
+                    let [portable, own] = [true, false].map(|portable| {
+                        PORTABLE.store(portable, Ordering::Relaxed);
+                        let solved = sweep::solve(&lattice, StopRule::new(tolerance).unwrap(), None).unwrap();
+                        let success = evaluation::success(&lattice, &solved.policy).unwrap();
+                        (solved.values, solved.policy, solved.report.residual, success)
+                    });
+                    assert!(own.0.iter().any(|value| *value > 0.0) && own.1.contains(&1));
+                    assert_eq!(portable, own);
+                }
+            }
+        }
+    }
 }
