@@ -14,7 +14,7 @@ endif
 export PATH := $(abspath $(VENV))/bin:$(abspath $(VENV))/rust/cargo/bin:$(PATH)
 export PYO3_PYTHON := $(abspath $(VENV))/bin/python
 
-.PHONY: plan test test-slow processors rust python guard install install-test clean
+.PHONY: plan test test-slow processors rust msrv python guard install install-test clean
 
 plan: install
 	mkdir -p $(OUT)
@@ -30,6 +30,7 @@ test-slow: install-test
 	$(BIN)/python -m pytest -m realtime
 	$(MAKE) processors
 	$(MAKE) guard
+	$(MAKE) msrv
 
 rust:
 	cargo fmt --all --check
@@ -43,6 +44,14 @@ python:
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
 	$(BIN)/python -m pytest -m "not slow and not realtime" -n 2 --dist worksteal
+
+# The crates with the oldest Rust that Cargo.toml promises, and `ppvi` packed and built alone, as a registry would.
+MSRV = $(shell sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
+msrv:
+	@if ! command -v rustup >/dev/null; then echo "msrv: skipped, rustup is missing"; else \
+	rustup toolchain install $(MSRV) --profile minimal --no-self-update && \
+	rustup run $(MSRV) cargo check --workspace --locked --target-dir target/msrv && \
+	rustup run $(MSRV) cargo package --package ppvi --locked --allow-dirty --target-dir target/msrv; fi
 
 # OpenBLAS has kernels of its own for each kind of processor, and they round differently.
 processors:
