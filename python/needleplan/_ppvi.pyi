@@ -1,7 +1,13 @@
 """The compiled module, built from the crate `needleplan-py`. Only `needleplan.planning` imports it.
 
-Wrong input raises ValueError with one sentence; a problem that does not fit raises MemoryError. Tables have the shape
-[nx, ny, headings, 2]; the last axis is bevel -1, bevel +1.
+Tables have the shape [nx, ny, headings, 2]; the last axis is bevel -1, bevel +1. Wrong input raises
+
+- ValueError with one sentence, if a rule is broken;
+- TypeError or OverflowError, if an argument is not of the type in the signature;
+- MemoryError, if a problem does not fit.
+
+A RuntimeError is a defect of this module. All work but a look-up of few poses is done by other threads, without the
+GIL; Ctrl-C ends it within 0.1 s. Arrays that can be written to are copied first.
 """
 
 from collections.abc import Callable, Sequence

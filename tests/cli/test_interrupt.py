@@ -79,6 +79,37 @@ def test_a_second_interrupt_ends_at_once(seed: int, folder: Path) -> None:
     assert process.returncode in (130, -signal.SIGINT)  # a shell reports 130 for both
 
 
+def test_an_interrupt_ends_an_evaluation_while_it_runs(table_file: Path) -> None:
+    arguments = ["evaluate", str(table_file), "--start", "0,25,0", "--runs", "5e7"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", EVALUATION, *arguments],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    assert process.stdout is not None
+    assert process.stdout.readline() == "runs\n"
+    time.sleep(0.2)  # the runs take ten seconds and more
+    sent = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    output, said = process.communicate(timeout=60)
+    assert time.monotonic() - sent < 5
+    assert (process.returncode, output, said) == (130, "", "needleplan: interrupted\n")
+
+
+# A program that tells when the runs of `evaluate` begin.
+EVALUATION = """
+import sys
+from needleplan import cli
+from needleplan.planning import _execution
+rollouts = _execution.Execution.rollouts
+def told(*arguments):
+    print("runs", flush=True)
+    return rollouts(*arguments)
+_execution.Execution.rollouts = told
+sys.exit(cli.main())
+"""
+
+
 def test_an_interrupt_where_python_cannot_raise_it_ends_the_program() -> None:
     code = """if True:
         import signal, sys

@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ import needleplan as npl
 from needleplan.errors import ScenarioError
 from needleplan.planning import Status
 from needleplan.planning import _planner as planner
-from needleplan.scenario import Grid, Method, Obstacle, Scenario, Transition
+from needleplan.scenario import Grid, Layer, Method, Obstacle, Scenario, Tissue, Transition
 
 
 def test_a_table_is_what_the_house_promises(small: Scenario, table: npl.PolicyTable) -> None:
@@ -129,6 +130,45 @@ def test_a_grid_too_large_says_how_much_it_needs(small: Scenario, spacing: float
         npl.plan(scenario)
     assert f"the grid has {scenario.states:,} states and needs about" in str(caught.value)
     assert amount in str(caught.value)
+
+
+def questioned(scenario: Scenario) -> list[tuple[str, str]]:
+    """The keys and values that `plan` questions, all in one error."""
+    with pytest.raises(ScenarioError, match=r"questionably .* Convert it, or accept the units as they are") as caught:
+        npl.plan(scenario)
+    return [(mistake.key, mistake.value) for mistake in caught.value.mistakes]
+
+
+def test_sizes_in_metres_are_questioned(small: Scenario) -> None:
+    needle = replace(small.needle, curvature_radius_mm=0.18, layers=(Layer(10.0, 0.2), Layer(20.0, 50.0)))
+    scenario = replace(small, needle=needle, tissues=(Tissue([(1, 1), (9, 1), (5, 9)], 0.1),))
+    assert questioned(scenario) == [
+        ("needle.curvature_radius_mm", "0.18 mm"),
+        ("needle.layer 1.curvature_radius_mm", "0.2 mm"),
+        ("tissue 1.curvature_radius_mm", "0.1 mm"),
+    ]
+    target = replace(small.target, radius_mm=0.002)
+    assert questioned(replace(small, target=target)) == [("target.radius_mm", "0.002 mm")]
+
+
+def test_a_grid_far_finer_or_coarser_than_a_step_is_questioned(small: Scenario) -> None:
+    assert small.step_mm == pytest.approx(6.98, abs=0.01)
+    assert questioned(replace(small, grid=Grid((1.0, 0.01)))) == [("grid.spacing_mm", "0.01 mm")]
+    turning = replace(small, motion=replace(small.motion, headings=20_000), grid=Grid((2.0, 2.0)))
+    assert questioned(turning) == [("grid.spacing_mm", "2 mm")]
+
+
+def test_questionable_sizes_can_be_accepted(small: Scenario) -> None:
+    limits = replace(small.solver, max_sweeps=2)
+    metres = replace(small, needle=replace(small.needle, curvature_radius_mm=0.18), solver=limits)
+    assert npl.plan(metres, accept_units=True).stats.status is Status.ITERATION_LIMIT
+
+
+def test_shipped_sizes_are_not_questioned() -> None:
+    names = [each.stem for each in (Path(npl.__file__).parent / "scenarios").glob("*.toml")]
+    assert len(names) > 5
+    for name in names:
+        assert planner.questionable_sizes(Scenario.read(name)) == []
 
 
 def test_memory_is_compared_with_what_is_available(small: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -100,8 +100,11 @@ def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> No
     """Write `chunks` to `path` atomically: at any moment, `path` is the complete old file or the complete new file.
 
     The bytes are written to a temporary file in the same folder and flushed to the disk; the temporary file is then
-    renamed, or removed if writing fails. A device or pipe is written directly. Raises OutputError if writing fails.
+    renamed, or removed if writing fails. A device or pipe is written directly. Raises OutputError if `path` is
+    no path, or if writing fails.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise OutputError(Mistake("path", repr(path), "must be the path of a file"))
     try:
         target = Path(path).resolve()
         if target.exists() and not target.is_file():

@@ -65,6 +65,9 @@ def add_to(commands: Any) -> None:
         metavar="NAME=MODEL.toml",
         help="replace the radius of the tissue with this name by the radius of this model; may be given several times",
     )
+    parser.add_argument(
+        "--accept-units", action="store_true", help="accept implausible sizes, such as a radius in metres"
+    )
     add_edge(parser)
     add_figure(parser, "the path from the best entry and the success map")
     add_answer(parser)
@@ -88,6 +91,7 @@ def run(options: argparse.Namespace) -> int:
             table = plan(
                 scenario,
                 lambda *state: tell("solving: {:.1f} sweeps, residual {:.3g}, ends below {:.3g}".format(*state)),
+                accept_units=options.accept_units,
             )
         except ScenarioError as error:
             raise ScenarioError(error.mistakes, options.scenario) from None

@@ -36,7 +36,7 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
 Progress = Callable[[float, float, float], None]
-"""Called during a solve with the number of sweeps so far, the residual, and the residual at which the solve ends."""
+"""Called now and then in a solve: number of sweeps so far, residual, and the residual at which the solve ends."""
 
 
 class Status(StrEnum):

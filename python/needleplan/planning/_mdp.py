@@ -257,8 +257,8 @@ def solve(
     threads : int, optional
         Number of threads, from 1 to 1024. Without it, one per processor core.
     progress : callable, optional
-        Called during the solve with the number of sweeps so far, the residual, and the residual at which the solve
-        ends. An exception that it raises stops the solve and leaves this function, as Ctrl-C does.
+        As for `plan`: called with sweeps, residual and threshold at most every 0.05 s, and at the end. An exception
+        that it raises abandons the solve; StopIteration ends it with the values so far and the status "interrupted".
 
     Returns
     -------

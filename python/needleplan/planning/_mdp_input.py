@@ -31,18 +31,26 @@ class SparseRows:
     probabilities: NDArray[np.float64]
     stage_costs: NDArray[np.float64]
 
+    def __post_init__(self) -> None:
+        for name, array in vars(self).items():
+            if array.ndim != 1:
+                raise MdpError(Mistake(name, f"shape {array.shape}", "must have one dimension"))
+
 
 def numbers(key: str, value: ArrayLike) -> NDArray[np.float64]:
     """Return `value` as a float64 array. Raises MdpError if it is not an array of numbers."""
     try:
-        return np.ascontiguousarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise MdpError(Mistake(key, repr(value), "must be an array of numbers")) from None
+        array = np.asarray(value)
+        if array.dtype.kind not in "cMm":
+            return np.ascontiguousarray(array, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise MdpError(Mistake(key, repr(value), "must be an array of numbers"))
 
 
 def whole_numbers(key: str, value: ArrayLike, kind: type[_Integer]) -> NDArray[_Integer]:
     """Return `value` as an array of the integer type `kind`. Raises MdpError unless all are whole numbers from 0."""
-    array = np.asarray(value) if isinstance(value, np.ndarray) else numbers(key, value)
+    array = value if isinstance(value, np.ndarray) and value.dtype.kind in "iu" else numbers(key, value)
     most = np.iinfo(kind).max
     whole = np.issubdtype(array.dtype, np.integer) or np.all(array == np.rint(array))
     if array.size and not (whole and array.min() >= 0 and array.max() <= most):

@@ -11,7 +11,14 @@ from needleplan.planning._lattice import Progress, compiled_call, lattice_of, re
 from needleplan.planning._table import PolicyTable
 from needleplan.scenario import Method, Scenario
 
-__all__ = ["BYTES_PER_FINER_STATE", "BYTES_PER_STATE", "available_bytes", "plan", "require_memory"]
+__all__ = [
+    "BYTES_PER_FINER_STATE",
+    "BYTES_PER_STATE",
+    "available_bytes",
+    "plan",
+    "questionable_sizes",
+    "require_memory",
+]
 
 # Peak memory of planning, in bytes per state: the table (9), outcomes of the arcs, copies of the solver. Measured:
 # 17 to 18 (sweep), 35 to 40 (ppvi), 23 (vi). The other methods compute in double precision.
@@ -20,11 +27,24 @@ BYTES_PER_STATE = {Method.SWEEP: 20, Method.PPVI: 45, Method.VALUE_ITERATION: 26
 # Peak memory of the evaluation on a finer grid, in bytes per state of that grid; measured: 13 to 14.5.
 BYTES_PER_FINER_STATE = 15
 
+# Radius, as a part of the longer side of the workspace, below which it is probably in metres: the needle would turn in
+# circles next to where it enters.
+_LEAST_RADIUS = 0.02
+
+# Target radius (mm) below which it is probably in metres.
+_LEAST_TARGET_MM = 0.02
+
+# Ratio of the step to the spacing above which the spacing is probably in metres, and below which the needle takes so
+# many steps to leave a cell that the solve hardly ends.
+_LARGEST_STEP_CELLS, _LEAST_STEP_CELLS = 500, 0.02
+
 # Largest number of states; the solver numbers states in 31 bits.
 _MOST_STATES = 2**31 - 1
 
 
-def plan(scenario: Scenario | str | os.PathLike[str], progress: Progress | None = None) -> PolicyTable:
+def plan(
+    scenario: Scenario | str | os.PathLike[str], progress: Progress | None = None, *, accept_units: bool = False
+) -> PolicyTable:
     """Solve a scenario into a policy table.
 
     Parameters
@@ -32,8 +52,11 @@ def plan(scenario: Scenario | str | os.PathLike[str], progress: Progress | None 
     scenario : Scenario, str or path
         A scenario, the path of a scenario file, or the name of a shipped scenario.
     progress : callable, optional
-        Called during the solve with the number of sweeps so far, the residual, and the residual at which the solve
-        ends. An exception that it raises stops the solve and leaves this function, as Ctrl-C does.
+        Called in this thread with the number of sweeps so far, the residual, and the residual at which the solve ends:
+        at most every 0.05 s, and at the end. An exception that it raises abandons the solve and leaves this function,
+        as Ctrl-C does; but StopIteration ends the solve with the values so far and the status "interrupted".
+    accept_units : bool, default False
+        Plan even if a size is so unlikely that its unit is probably wrong, such as a radius in metres.
 
     Returns
     -------
@@ -44,7 +67,7 @@ def plan(scenario: Scenario | str | os.PathLike[str], progress: Progress | None 
     Raises
     ------
     ScenarioError
-        If the scenario cannot be read, or its grid is too large for the memory.
+        If the scenario cannot be read, its grid is too large for the memory, or a size is questionable.
     InputError
         If `progress` cannot be called.
 
@@ -61,6 +84,8 @@ def plan(scenario: Scenario | str | os.PathLike[str], progress: Progress | None 
         scenario = Scenario.read(scenario)
     require_callable(progress, InputError)
     require_memory(scenario)
+    if not accept_units and (mistakes := questionable_sizes(scenario)):
+        raise ScenarioError(mistakes)
     began = perf_counter()
     solver = scenario.solver
     lattice = lattice_of(scenario)
@@ -81,6 +106,31 @@ def plan(scenario: Scenario | str | os.PathLike[str], progress: Progress | None 
     table = PolicyTable(solved["values"], solved["policy"], success, stats, scenario)
     vars(table)["lattice"] = lattice
     return table
+
+
+def questionable_sizes(scenario: Scenario) -> list[Mistake]:
+    """Return a mistake for every size that is so unlikely that its unit is probably wrong."""
+    longer = max(scenario.workspace.width_mm, scenario.workspace.height_mm)
+    radii = {"needle.curvature_radius_mm": scenario.needle.curvature_radius_mm}
+    for number, layer in enumerate(scenario.needle.layers, start=1):
+        radii[f"needle.layer {number}.curvature_radius_mm"] = layer.curvature_radius_mm
+    for number, tissue in enumerate(scenario.tissues, start=1):
+        radii[f"tissue {number}.curvature_radius_mm"] = tissue.curvature_radius_mm
+    small = f"is questionably small beside the workspace of {longer:g} mm, in metres?"
+    found = [(key, radius, small) for key, radius in radii.items() if radius < _LEAST_RADIUS * longer]
+    if scenario.target.radius_mm < _LEAST_TARGET_MM:
+        found.append(("target.radius_mm", scenario.target.radius_mm, "is questionably small, in metres?"))
+    cells = [scenario.step_mm / spacing for spacing in scenario.grid.spacing_mm]
+    step = f"a step of {scenario.step_mm:.3g} mm"
+    if max(cells) > _LARGEST_STEP_CELLS:
+        rule = f"is questionably small beside {step}, in metres?"
+        found.append(("grid.spacing_mm", min(scenario.grid.spacing_mm), rule))
+    elif min(cells) < _LEAST_STEP_CELLS and not found:
+        rule = f"is questionably large beside {step}; are there too many headings?"
+        found.append(("grid.spacing_mm", max(scenario.grid.spacing_mm), rule))
+    return [
+        Mistake(key, f"{size:g} mm", f"{rule} Convert it, or accept the units as they are") for key, size, rule in found
+    ]
 
 
 def require_memory(scenario: Scenario) -> None:

@@ -26,6 +26,7 @@ __all__ = [
     "Outcome",
     "Pose",
     "edge_poses",
+    "flag",
     "require_full_turn",
     "whole_number",
     "wrapped",
@@ -286,7 +287,7 @@ def edge_poses(scenario: Scenario, edge: str, x_mm: float | None, y_mm: float | 
     Grid points beyond the border are left out. Headings lie within less than a quarter turn of the inward normal.
     Raises PoseError.
     """
-    if edge not in list(Edge):
+    if not isinstance(edge, str) or edge not in list(Edge):
         names = ", ".join(f'"{name}"' for name in Edge)
         raise PoseError(Mistake("edge", f'"{edge}"', f"must be one of {names}{suggestion(str(edge), list(Edge))}"))
     side = Edge(edge)
@@ -334,6 +335,13 @@ def require_full_turn(key: str, heading_rad: float) -> float:
         rule = f"must lie between -2 pi and 2 pi rad; degrees? ({degrees})"
         raise PoseError(Mistake(key, f"{heading_rad:g}", rule))
     return heading_rad
+
+
+def flag(key: str, value: object) -> bool:
+    """Return `value` as a bool. Raises PoseError unless it is True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise PoseError(Mistake(key, repr(value), "must be True or False"))
+    return bool(value)
 
 
 def whole_number(key: str, value: Any, least: int, most: int, limits: str, kind: type[InputError] = PoseError) -> int:

@@ -16,7 +16,7 @@ from needleplan.planning import _table_file
 from needleplan.planning._drawing import draw_partition_order, draw_success
 from needleplan.planning._execution import Execution, Path, Rollouts
 from needleplan.planning._lookup import Lookups
-from needleplan.planning._poses import Edge, Entry, Outcome, Pose, edge_poses, whole_number, wrapped
+from needleplan.planning._poses import Edge, Entry, Outcome, Pose, edge_poses, flag, whole_number, wrapped
 from needleplan.plotting import axes_or_new, picture_html
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ class PolicyTable(Lookups):
         target
         """
         seed = 0 if noise_seed is None else _seed("noise_seed", noise_seed)
-        execution = Execution(self.lattice, self.policy, self.values, self.scenario, bool(greedy))
+        execution = Execution(self.lattice, self.policy, self.values, self.scenario, flag("greedy", greedy))
         return execution.path(self.start(start), None if noise_seed is None else seed)
 
     def rollout(
@@ -156,7 +156,7 @@ class PolicyTable(Lookups):
         seed = _seed("seed", seed)
         pose = self.start(start)
         predicted = self.lookup(*pose)
-        execution = Execution(self.lattice, self.policy, self.values, self.scenario, bool(greedy))
+        execution = Execution(self.lattice, self.policy, self.values, self.scenario, flag("greedy", greedy))
         return execution.rollouts(pose, runs, seed, predicted.success, predicted.value)
 
     def best_entry(self, edge: str = "left", *, x_mm: float | None = None, y_mm: float | None = None) -> Entry:

@@ -43,6 +43,8 @@ __all__ = [
 
 _LENGTH = Number("mm", above=0, at_most=1e6)
 _COORDINATE = Number("mm", at_least=-1e6, at_most=1e6)
+# Largest number of grid points that is counted along an axis; no memory holds so many.
+_MOST_POINTS = 1e15
 _COST = Number(at_least=0, at_most=1e9)
 _POLYGON = SimplePolygon(_COORDINATE)
 
@@ -90,7 +92,7 @@ class Priority(StrEnum):
 
 def _points(size_mm: float, spacing_mm: float) -> int:
     """Return the smallest number of grid points whose last one is at `size_mm` or beyond, as the solver counts them."""
-    cells = size_mm / spacing_mm
+    cells = min(size_mm / spacing_mm, _MOST_POINTS)
     whole = round(cells)
     rounding = max(TOLERANCE_MM / spacing_mm, 1e-12 * whole)
     return (whole if abs(cells - whole) <= rounding else math.ceil(cells)) + 1

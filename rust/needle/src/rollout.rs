@@ -26,6 +26,10 @@ pub enum Execution {
     Greedy,
 }
 
+/// Number of runs that are shared among threads at a time. Few enough that a stop flag, which ends each share by
+/// itself, ends them all in a few milliseconds.
+const BATCH: usize = 1 << 15;
+
 /// Executes the policy of a table.
 #[derive(Debug, Clone, Copy)]
 pub struct Executor<'a> {
@@ -117,7 +121,10 @@ impl<'a> Executor<'a> {
             let mut random = noise.then(|| stream(seed, index as u64));
             self.run(Pose::of(starts[index / runs]), max_steps, random.as_mut(), &stop, |_, _| {})
         };
-        results.par_extend((0..total).into_par_iter().with_min_len(64).map(run));
+        for first in (0..total).step_by(BATCH) {
+            stop.check();
+            results.par_extend((first..total.min(first + BATCH)).into_par_iter().with_min_len(64).map(run));
+        }
         Ok(results)
     }
 

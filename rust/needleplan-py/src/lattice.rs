@@ -1,5 +1,7 @@
 //! The class `Lattice`: a steering problem, its solvers, evaluations of its policies, and executions.
 
+use std::borrow::Cow;
+
 use needle::{Bicycle, Event, Execution, Executor, Polygon, Setup, SteeringProblem, Tissues, Workspace};
 use numpy::ndarray::Array4;
 use numpy::{
@@ -12,8 +14,12 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::solve::{exception, report_dict, solve_with_progress, stop_rule};
-use crate::threads::detached;
+use crate::arrays::{contiguous, elements};
+use crate::solve::{report_dict, stop_rule};
+use crate::work::{exception, run, watch};
+
+/// Largest limit on the steps of an execution: a path stores all its poses.
+const MOST_STEPS: u32 = 10_000_000;
 
 /// The steering problem of a needle on a regular grid.
 #[pyclass(frozen, module = "needleplan._ppvi")]
@@ -33,11 +39,15 @@ impl Lattice {
         Ok(array.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
     }
 
-    /// Returns the elements of a table.
+    /// Returns the elements of a table, as [`elements`].
     ///
     /// # Errors
     /// ValueError if the table does not have the shape of the lattice or is not contiguous.
-    fn slice<'a, T: numpy::Element>(&self, name: &str, table: &'a PyReadonlyArray4<'_, T>) -> PyResult<&'a [T]> {
+    fn slice<'a, T: numpy::Element + Copy>(
+        &self,
+        name: &str,
+        table: &'a PyReadonlyArray4<'_, T>,
+    ) -> PyResult<Cow<'a, [T]>> {
         let Shape { nx, ny, headings } = self.lattice().shape();
         if table.shape() != [nx, ny, headings, 2] {
             return Err(PyValueError::new_err(format!(
@@ -45,7 +55,7 @@ impl Lattice {
                 table.shape()
             )));
         }
-        Ok(table.as_slice()?)
+        elements(name, table)
     }
 
     fn evaluation<'py>(&self, py: Python<'py>, name: &str, evaluation: Evaluation) -> PyResult<Bound<'py, PyDict>> {
@@ -85,18 +95,18 @@ impl Lattice {
         layers: Vec<(f64, f64)>,
         tissues: Vec<(Vec<[f64; 2]>, f64)>,
     ) -> PyResult<Self> {
-        let obstacles = polygons.into_iter().map(Polygon::new).collect::<ppvi::Result<_>>().map_err(exception)?;
-        let workspace =
-            Workspace::new([width_mm, height_mm], obstacles, target_center_mm, target_radius_mm).map_err(exception)?;
-        let needle = Bicycle::new(curvature_radius_mm, headings).map_err(exception)?;
-        let costs = Costs { step: insertion_per_mm * needle.step_length(), rotation, collision, exit, discount };
-        let transition = if interpolated { Transition::Interpolated } else { Transition::Nearest };
-        let region = |(polygon, radius)| Ok((Polygon::new(polygon)?, radius));
-        let regions = tissues.into_iter().map(region).collect::<ppvi::Result<_>>().map_err(exception)?;
-        let tissues = Tissues::new(layers, regions).map_err(exception)?;
-        let setup =
-            Setup { workspace, needle, spacing: spacing_mm, noise: tip_noise, arc_samples, transition, costs, tissues };
-        let problem = detached(py, None, || SteeringProblem::new(setup))?.map_err(exception)?;
+        let problem = run(py, None, || {
+            let obstacles = polygons.into_iter().map(Polygon::new).collect::<ppvi::Result<_>>()?;
+            let workspace = Workspace::new([width_mm, height_mm], obstacles, target_center_mm, target_radius_mm)?;
+            let needle = Bicycle::new(curvature_radius_mm, headings)?;
+            let costs = Costs { step: insertion_per_mm * needle.step_length(), rotation, collision, exit, discount };
+            let transition = if interpolated { Transition::Interpolated } else { Transition::Nearest };
+            let region = |(polygon, radius)| Ok((Polygon::new(polygon)?, radius));
+            let regions = tissues.into_iter().map(region).collect::<ppvi::Result<_>>()?;
+            let (noise, tissues) = (tip_noise, Tissues::new(layers, regions)?);
+            let spacing = spacing_mm;
+            SteeringProblem::new(Setup { workspace, needle, spacing, noise, arc_samples, transition, costs, tissues })
+        })?;
         Ok(Lattice { problem })
     }
 
@@ -130,20 +140,21 @@ impl Lattice {
         let (values, policy, report) = match method {
             "sweep" => {
                 let solved =
-                    solve_with_progress(py, threads, progress, |observer| sweep::solve(lattice, rule, Some(observer)))?;
+                    watch(py, threads, progress, |reports| sweep::solve(lattice, rule, Some(&mut reports.observer())))?;
                 (solved.values, solved.policy, solved.report)
             }
-            "vi" => narrow(solve_with_progress(py, threads, progress, |observer| {
-                value_iteration(lattice, rule, Some(observer))
-            })?),
+            "vi" => watch(py, threads, progress, |reports| {
+                value_iteration(lattice, rule, Some(&mut reports.observer())).map(narrow)
+            })?,
             "ppvi" => {
                 let options = PrioritizedOptions {
                     priority: priority.parse().map_err(exception)?,
                     ..PrioritizedOptions::default()
                 };
-                narrow(solve_with_progress(py, threads, progress, |observer| {
-                    prioritized(lattice, &lattice.partition(partitions)?, options, rule, Some(observer))
-                })?)
+                watch(py, threads, progress, |reports| {
+                    let partition = lattice.partition(partitions)?;
+                    prioritized(lattice, &partition, options, rule, Some(&mut reports.observer())).map(narrow)
+                })?
             }
             other => {
                 return Err(PyValueError::new_err(format!(
@@ -166,7 +177,7 @@ impl Lattice {
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let policy = self.slice("policy", &policy)?;
-        let result = detached(py, threads, || evaluation::success(self.lattice(), policy))?.map_err(exception)?;
+        let result = run(py, threads, || evaluation::success(self.lattice(), &policy))?;
         self.evaluation(py, "success", result)
     }
 
@@ -179,8 +190,7 @@ impl Lattice {
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let policy = self.slice("policy", &policy)?;
-        let expected =
-            detached(py, threads, || evaluation::expectations(self.lattice(), policy))?.map_err(exception)?;
+        let expected = run(py, threads, || evaluation::expectations(self.lattice(), &policy))?;
         let dict = PyDict::new(py);
         dict.set_item("length_mm", self.table(py, expected.length)?)?;
         dict.set_item("turns", self.table(py, expected.turns)?)?;
@@ -200,7 +210,7 @@ impl Lattice {
 
     /// Outcome code of the step that arrives with the bevel of the state, for every state.
     fn outcomes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<u8>>> {
-        let outcomes = py.detach(|| self.lattice().outcome_table());
+        let outcomes = run(py, None, || Ok(self.lattice().outcome_table()))?;
         self.table(py, outcomes)
     }
 
@@ -223,22 +233,22 @@ impl Lattice {
     ) -> PyResult<Bound<'py, PyDict>> {
         let (policy, values) = (self.slice("policy", &policy)?, self.slice("values", &values)?);
         let starts = poses(&starts)?;
-        let executor =
-            Executor::new(&self.problem, policy, values, execution(greedy), arc_samples).map_err(exception)?;
-        let results =
-            detached(py, threads, || executor.rollout(&starts, runs, seed, noise, max_steps))?.map_err(exception)?;
+        check_steps(max_steps)?;
+        let (outcomes, lengths, turns, costs) = run(py, threads, || {
+            let executor = Executor::new(&self.problem, &policy, &values, execution(greedy), arc_samples)?;
+            let results = executor.rollout(&starts, runs, seed, noise, max_steps)?;
+            let outcomes: Vec<u8> = results.iter().map(|run| ending(run.event)).collect();
+            let lengths: Vec<f32> = results.iter().map(|run| run.length as f32).collect();
+            let turns: Vec<u32> = results.iter().map(|run| run.turns).collect();
+            let costs: Vec<f64> = results.iter().map(|run| run.cost).collect();
+            Ok((outcomes, lengths, turns, costs))
+        })?;
         let dict = PyDict::new(py);
         let shape = [starts.len(), runs];
-        dict.set_item(
-            "outcome",
-            PyArray1::from_vec(py, results.iter().map(|run| ending(run.event)).collect()).reshape(shape)?,
-        )?;
-        dict.set_item(
-            "length_mm",
-            PyArray1::from_vec(py, results.iter().map(|run| run.length as f32).collect()).reshape(shape)?,
-        )?;
-        dict.set_item("turns", PyArray1::from_vec(py, results.iter().map(|run| run.turns).collect()).reshape(shape)?)?;
-        dict.set_item("cost", PyArray1::from_vec(py, results.iter().map(|run| run.cost).collect()).reshape(shape)?)?;
+        dict.set_item("outcome", outcomes.into_pyarray(py).reshape(shape)?)?;
+        dict.set_item("length_mm", lengths.into_pyarray(py).reshape(shape)?)?;
+        dict.set_item("turns", turns.into_pyarray(py).reshape(shape)?)?;
+        dict.set_item("cost", costs.into_pyarray(py).reshape(shape)?)?;
         Ok(dict)
     }
 
@@ -258,9 +268,11 @@ impl Lattice {
         max_steps: u32,
     ) -> PyResult<Bound<'py, PyDict>> {
         let (policy, values) = (self.slice("policy", &policy)?, self.slice("values", &values)?);
-        let executor =
-            Executor::new(&self.problem, policy, values, execution(greedy), arc_samples).map_err(exception)?;
-        let trace = executor.trace(start, noise.then_some(seed), max_steps).map_err(exception)?;
+        check_steps(max_steps)?;
+        let trace = run(py, None, || {
+            let executor = Executor::new(&self.problem, &policy, &values, execution(greedy), arc_samples)?;
+            executor.trace(start, noise.then_some(seed), max_steps)
+        })?;
         let rows: Vec<f64> = trace.poses.iter().flat_map(|pose| [pose.x, pose.y, pose.heading, pose.bevel]).collect();
         let dict = PyDict::new(py);
         dict.set_item("poses", PyArray1::from_vec(py, rows).reshape([trace.poses.len(), 4])?)?;
@@ -274,12 +286,16 @@ impl Lattice {
 
     /// The same MDP as explicit sparse rows.
     fn tabular<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let mdp = detached(py, None, || TabularMdp::from_mdp(self.lattice()))?.map_err(exception)?;
+        let (mdp, action_offsets, row_offsets) = run(py, None, || {
+            let mdp = TabularMdp::from_mdp(self.lattice())?;
+            let offsets = |offsets: &[usize]| offsets.iter().map(|offset| *offset as i64).collect::<Vec<i64>>();
+            let (action_offsets, row_offsets) = (offsets(mdp.parts().action_offsets), offsets(mdp.parts().row_offsets));
+            Ok((mdp, action_offsets, row_offsets))
+        })?;
         let dict = PyDict::new(py);
         let parts = mdp.parts();
-        let offsets = |offsets: &[usize]| PyArray1::from_iter(py, offsets.iter().map(|offset| *offset as i64));
-        dict.set_item("action_offsets", offsets(parts.action_offsets))?;
-        dict.set_item("row_offsets", offsets(parts.row_offsets))?;
+        dict.set_item("action_offsets", action_offsets.into_pyarray(py))?;
+        dict.set_item("row_offsets", row_offsets.into_pyarray(py))?;
         dict.set_item("successors", PyArray1::from_slice(py, parts.successors))?;
         dict.set_item("probabilities", PyArray1::from_slice(py, parts.probabilities))?;
         dict.set_item("stage_costs", PyArray1::from_slice(py, parts.stage_costs))?;
@@ -308,8 +324,16 @@ fn ending(event: Option<Event>) -> u8 {
 
 fn poses(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 4]>> {
     if array.shape()[1] != 4 {
-        return Err(PyValueError::new_err(format!("poses: expected shape [n, 4], found {:?}", array.shape())));
+        return Err(PyValueError::new_err(format!("starts: expected shape [n, 4], found {:?}", array.shape())));
     }
-    let (rows, _) = array.as_slice()?.as_chunks::<4>();
-    Ok(rows.to_vec())
+    Ok(contiguous("starts", array)?.as_chunks().0.to_vec())
+}
+
+/// # Errors
+/// ValueError for a limit on steps above [`MOST_STEPS`].
+fn check_steps(max_steps: u32) -> PyResult<()> {
+    if max_steps <= MOST_STEPS {
+        return Ok(());
+    }
+    Err(PyValueError::new_err(format!("max_steps = {max_steps}: must be at most {MOST_STEPS}")))
 }

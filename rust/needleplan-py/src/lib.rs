@@ -1,10 +1,12 @@
 //! The Python binding: arrays in, arrays out. Everything it calls is an ordinary function of `ppvi` or `needle`.
 
+mod arrays;
 mod lattice;
 mod lookup;
 mod solve;
 mod tabular;
 mod threads;
+mod work;
 
 use pyo3::prelude::*;
 

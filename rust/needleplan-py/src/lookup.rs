@@ -6,8 +6,11 @@ use ppvi::lattice::Shape;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::solve::exception;
-use crate::threads::detached;
+use crate::arrays::{contiguous, elements};
+use crate::work::{at_once, run};
+
+/// Largest number of poses that are looked up on the caller's thread: in less time than another thread needs to start.
+const FEW: usize = 256;
 
 /// Actions, values, success probabilities.
 type Looked<'py> = (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
@@ -35,9 +38,18 @@ pub(crate) fn lookup_many<'py>(
     if poses.shape()[1] != 4 {
         return Err(PyValueError::new_err(format!("poses: expected shape [n, 4], found {:?}", poses.shape())));
     }
-    let grid = TableGrid::new(Shape { nx, ny, headings }, spacing_mm, size_mm).map_err(exception)?;
-    let table = Table { values: values.as_slice()?, policy: policy.as_slice()?, success: success.as_slice()? };
-    let (rows, _) = poses.as_slice()?.as_chunks::<4>();
-    let answers = detached(py, threads, || grid.look_up_many(rows, &table))?.map_err(exception)?;
+    let look_up = |values: &[f32], policy: &[u8], success: &[f32], poses: &[f64]| {
+        let grid = TableGrid::new(Shape { nx, ny, headings }, spacing_mm, size_mm)?;
+        grid.look_up_many(poses.as_chunks().0, &Table { values, policy, success })
+    };
+    let answers = if poses.shape()[0] <= FEW {
+        let (values, policy) = (contiguous("values", &values)?, contiguous("policy", &policy)?);
+        let (success, poses) = (contiguous("success", &success)?, contiguous("poses", &poses)?);
+        at_once(|| look_up(values, policy, success, poses))?
+    } else {
+        let (values, policy) = (elements("values", &values)?, elements("policy", &policy)?);
+        let (success, poses) = (elements("success", &success)?, elements("poses", &poses)?);
+        run(py, threads, || look_up(&values, &policy, &success, &poses))?
+    };
     Ok((answers.actions.into_pyarray(py), answers.values.into_pyarray(py), answers.success.into_pyarray(py)))
 }

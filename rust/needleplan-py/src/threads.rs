@@ -34,18 +34,6 @@ pub(crate) fn with_pool<R>(threads: Option<usize>, work: impl FnOnce(&ThreadPool
     }
 }
 
-/// Runs `work` without the GIL on a pool of `threads` threads; by default on the pool of this process.
-///
-/// # Errors
-/// As [`with_pool`].
-pub(crate) fn detached<R: Send>(
-    py: Python<'_>,
-    threads: Option<usize>,
-    work: impl FnOnce() -> R + Send,
-) -> PyResult<R> {
-    with_pool(threads, |pool| py.detach(|| pool.install(work)))
-}
-
 /// The pool of this process, with one thread for each processor (or `RAYON_NUM_THREADS`).
 fn process_pool() -> PyResult<&'static ThreadPool> {
     let process = std::process::id();
