@@ -64,10 +64,7 @@ def main() -> int:
     chosen = [every[index] for index in options.only] if options.only else every
     about = machine.description()
     began = process_time()
-    results = []
-    for scene in chosen:
-        results.append(_compared(scene, options))
-        print(f"{scene.name}: {process_time() - began:.0f} s", file=sys.stderr)
+    results: list[dict[str, Any]] = []
     record = {
         "machine": about,
         "runs": options.runs,
@@ -80,8 +77,11 @@ def main() -> int:
         "finer_headings": FINER_HEADINGS,
         "scenes": results,
     }
-    if options.json:
-        options.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    for scene in chosen:
+        results.append(_compared(scene, options))
+        print(f"{scene.name}: {process_time() - began:.0f} s", file=sys.stderr)
+        if options.json:
+            options.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     if options.figure:
         rrt_report.draw(record, options.figure)
     print(rrt_report.text(json.loads(json.dumps(record))))
