@@ -19,6 +19,7 @@ import json
 import subprocess
 import sys
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -36,7 +37,7 @@ import needleplan as npl
 from needleplan.scenario import Grid, Needle, Scenario, Solver, Target, TipMotion, Transition, Workspace
 
 TIP_NOISE = (0.466, 0.24, 0.027)
-# Headings of the tables with noise, whose cells are those of the noise, and of the first table without noise.
+# Headings of the table with noise and of the first table without noise. The noise turns the tip by whole headings.
 HEADINGS = 60
 # Headings of the second table without noise, whose steps are half as long.
 FINER_HEADINGS = 120
@@ -60,6 +61,9 @@ def main() -> int:
     if options.print:
         print(rrt_report.text(json.loads(options.print.read_text(encoding="utf-8"))))
         return 0
+    if find_spec("ompl") is None:
+        print(rrt_ompl.MISSING, file=sys.stderr)
+        return 2
     every = scenes()
     chosen = [every[index] for index in options.only] if options.only else every
     about = machine.description()

@@ -92,12 +92,14 @@ def measured(space: Space, arcs: Sequence[Arc]) -> Measured:
 
 
 def policy_arcs(space: Space, decide: Decide, bevel: int, step_mm: float) -> list[Arc]:
-    """Return the arcs of one execution of a policy without noise, up to its end."""
+    """Return the arcs of one execution of a policy without noise, up to its end; steps of one bevel are merged."""
     pose, signs = np.array([space.scene.start]), np.array([float(bevel)])
     arcs: list[Arc] = []
-    while len(arcs) * step_mm < LONGEST_MM:
+    while sum(length for _, length in arcs) < LONGEST_MM:
         signs = decide(pose, signs)
-        arcs.append((int(signs[0]), step_mm))
+        same = bool(arcs) and arcs[-1][0] == signs[0]
+        before = arcs.pop()[1] if same else 0.0
+        arcs.append((int(signs[0]), before + step_mm))
         if space.events(pose, signs, step_mm)[0][0] != Event.NONE:
             break
         pose = advance(pose, signs, step_mm)

@@ -1,8 +1,8 @@
 """Prove that no path of a needle leads to a target, by an over-approximation of the poses that it can reach.
 
-The needle may turn at any place, so its paths are those of x' = cos t, y' = sin t whose curvature t' is -1/R or +1/R
-at every place. The proof allows every curvature from -1/R to 1/R. A target that cannot be reached then cannot be
-reached by the needle.
+The path of the tip satisfies x' = cos t, y' = sin t, where the curvature t' is -1/R or +1/R. The needle may turn at
+any place. The proof allows every curvature from -1/R to 1/R. A target that cannot be reached then cannot be reached
+by the needle.
 
 A path is looked at after every step of a fixed length. A step leads from one cell (rrt_cells.py) to every cell that
 the end of any path from the first cell may be in. Cells inside obstacles and places outside of the workspace are left

@@ -77,7 +77,7 @@ def _summary(record: Record) -> list[str]:
         times = [median(each[name]["seconds"] for each in both) for name in ("table", "finer")]
         search = median(_search_s(each) for each in both)
         lines += [
-            f"| time, median, s | {times[0]:.2f} | {times[1]:.2f} | {search:.2f} |",
+            f"| time, median, s (RRT: search only) | {times[0]:.2f} | {times[1]:.2f} | {search:.2f} |",
             _row("length, median, mm", both, "length_mm", median, "{:.0f}"),
             _row("turns, median", both, "turns", median, "{:.0f}"),
             _row("clearance, median, mm", both, "clearance_mm", median, "{:.1f}"),

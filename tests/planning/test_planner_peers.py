@@ -55,6 +55,14 @@ def test_scenes_are_determined_by_their_seed(scenes: ModuleType) -> None:
     assert hashlib.sha256(text.encode()).hexdigest()[:16] == "fc405a9f0a38d49e"
 
 
+def test_a_missing_ompl_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    bench = importlib.import_module("compare_planners")
+    monkeypatch.setattr(bench, "find_spec", lambda _: None)
+    monkeypatch.setattr("sys.argv", ["compare_planners.py"])
+    assert bench.main() == 2
+    assert "python -m pip install ompl" in capsys.readouterr().err
+
+
 def test_inflated_obstacles_contain_the_margin_and_little_more(scenes: ModuleType) -> None:
     for scene in scenes.scenes(4):
         margin = shapely.buffer(scene.anatomy, scenes.MARGIN_MM, quad_segs=64)
@@ -126,6 +134,18 @@ def test_following_without_noise_stays_near_the_path(scenes: ModuleType, arcs: M
     follow = execute.following(path, scene.start, 5.0)
     runs = execute.policy(space, follow, 1.0, execute.Noise(5.0, 0.1), 2, 0)
     assert runs.success == 1.0
+
+
+def test_steps_of_a_policy_become_arcs(scenes: ModuleType, arcs: ModuleType, execute: ModuleType) -> None:
+    scene = scenes.Scene("free", (((1, 1), (2, 1), (2, 2)),), (97.0, 75.0), (0.0, 75.0, 0.0))
+
+    def decide(poses: Any, _: Any) -> Any:
+        return np.where((poses[:, 0] < 23) | (poses[:, 0] > 71), 1.0, -1.0)
+
+    path = execute.policy_arcs(arcs.Space(scene), decide, 1, 5.0)
+    assert path[:2] == [(1, 25.0), (-1, 50.0)]
+    assert len(path) == 3
+    assert execute.measured(arcs.Space(scene), path).turns == 2
 
 
 @pytest.fixture(scope="module")
