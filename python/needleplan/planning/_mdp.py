@@ -253,7 +253,7 @@ def solve(
     max_sweeps : int, optional
         Number of sweeps after which the solve ends in any case.
     time_limit_s : float, optional
-        Time in s after which the solve ends in any case.
+        Time in s by which the solve ends: no sweep but the first begins that would probably end later.
     threads : int, optional
         Number of threads, from 1 to 1024. Without it, one per processor core.
     progress : callable, optional

@@ -43,6 +43,17 @@ pub(crate) fn reserved<T: Copy>(len: usize) -> Vec<T> {
     vec
 }
 
+/// Whether the system grants this much memory, bytes, in one piece. It is returned at once, and a system that grants
+/// more than it has may still fail later. But a size by mistake, such as 2^38 states, is found before it ends the
+/// program.
+pub(crate) fn is_granted(bytes: u128) -> bool {
+    let mut probe: Vec<u8> = Vec::new();
+    let granted = usize::try_from(bytes).is_ok_and(|bytes| probe.try_reserve_exact(bytes).is_ok());
+    // The compiler may leave out an allocation that nobody looks at.
+    std::hint::black_box(probe.as_ptr());
+    granted
+}
+
 /// Largest total size, bytes, of the kept memory of dropped arrays. A solver that is called repeatedly then does not
 /// wait for the system to clear pages.
 const KEPT_BYTES: usize = 64 << 20;
@@ -186,6 +197,11 @@ unsafe impl<T: Copy + Sync> Sync for Array<T> {}
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_size_by_mistake_is_not_granted() {
+        assert!(is_granted(1000) && !is_granted(1 << 60) && !is_granted(1 << 70));
+    }
 
     #[test]
     fn arrays_hold_what_was_written() {

@@ -190,6 +190,8 @@ impl<'m, M: Mdp> Run<'m, M> {
     fn process_all(&mut self, dependencies: &Dependencies, monitor: &mut LimitMonitor) -> Option<Status> {
         let clock = Instant::now();
         let own: Vec<PriorityEntry> = (0..self.seen.len()).map(|p| self.entry_of_partition(p)).collect();
+        // The final check of all states takes no longer than this.
+        monitor.needs_to_end(0, clock.elapsed());
         let mut table = PriorityTable::new(dependencies, own);
         let mut queue = IndexedMaxQueue::new(self.seen.len());
         self.seconds_priorities += clock.elapsed().as_secs_f64();

@@ -14,6 +14,7 @@
 //! from reading a value that another thread writes; with atomics, memory safety does not depend on the waves.
 
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use rayon::prelude::*;
 
@@ -72,6 +73,8 @@ pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer
     let states = mdp.states();
     check_size(mdp)?;
     let mut monitor = LimitMonitor::start(rule, observer);
+    // The exact check of all states.
+    monitor.needs_to_end(1, Duration::ZERO);
     let certificate = certificate(mdp);
     let discount = mdp.discount();
     let classes = classify(mdp);

@@ -60,7 +60,8 @@ pub struct StopRule {
     pub tolerance: f64,
     /// Largest number of sweeps. Solvers without sweeps count n backups as one sweep.
     pub max_sweeps: u64,
-    /// Largest wall-clock time.
+    /// Wall-clock time by which the solve should end. No sweep is begun that would probably end later; the first sweep is
+    /// made in any case.
     pub time_limit: Option<Duration>,
 }
 
@@ -144,6 +145,10 @@ impl Certificate {
 pub struct LimitMonitor<'a> {
     rule: StopRule,
     started: Instant,
+    /// Time of the last check.
+    checked: Option<Instant>,
+    /// Time from the last check at which a limit ends the solve to its end: in times between two checks, and besides.
+    to_end: (u32, Duration),
     observer: Option<Observer<'a>>,
     stop: StopFlag,
 }
@@ -151,7 +156,20 @@ pub struct LimitMonitor<'a> {
 impl<'a> LimitMonitor<'a> {
     /// Starts the clock.
     pub fn start(rule: StopRule, observer: Option<Observer<'a>>) -> Self {
-        LimitMonitor { rule, started: Instant::now(), observer, stop: StopFlag::current() }
+        LimitMonitor {
+            rule,
+            started: Instant::now(),
+            checked: None,
+            to_end: (0, Duration::ZERO),
+            observer,
+            stop: StopFlag::current(),
+        }
+    }
+
+    /// Tells how long the solver needs to its end after a limit is reached: `checks` times as long as from one check to
+    /// the next, and `besides`.
+    pub(crate) fn needs_to_end(&mut self, checks: u32, besides: Duration) {
+        self.to_end = (checks, besides);
     }
 
     /// Reports progress, and returns a status if the callback or a limit ends the solve now.
@@ -162,8 +180,14 @@ impl<'a> LimitMonitor<'a> {
         {
             return Some(Status::Interrupted);
         }
-        if self.rule.time_limit.is_some_and(|limit| self.started.elapsed() >= limit) {
-            return Some(Status::TimeLimit);
+        if let Some(limit) = self.rule.time_limit {
+            let now = Instant::now();
+            let between = self.checked.replace(now).map_or(Duration::ZERO, |before| now - before);
+            let (checks, besides) = self.to_end;
+            // If the solve goes on, it ends after the next check at the earliest.
+            if now - self.started + (checks + 1) * between + besides >= limit {
+                return Some(Status::TimeLimit);
+            }
         }
         (progress.sweeps >= self.rule.max_sweeps as f64).then_some(Status::IterationLimit)
     }

@@ -1,6 +1,7 @@
 //! What a lattice is made of: the shape of the grid, the costs, the steps, and the codes of their outcomes.
 
 use crate::error::{Error, Result};
+use crate::memory::is_granted;
 
 /// Outcome codes of a step.
 pub mod outcome {
@@ -30,6 +31,9 @@ pub(crate) const LANES: usize = 8;
 /// Largest number of states of a lattice.
 const MAX_STATES: u128 = 1 << 40;
 
+/// Bytes for each state that a solve needs about.
+const STATE_BYTES: u128 = 16;
+
 /// Numbers of grid points and headings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shape {
@@ -47,10 +51,11 @@ impl Shape {
         self.nx * self.ny * self.headings * 2
     }
 
-    /// Checks that there are states, and that their number can be stored.
+    /// Checks that there are states, and that they can be numbered and stored.
     ///
     /// # Errors
-    /// [`Error::Parameter`] for a shape without states, [`Error::TooLarge`] for more than 2^40 states.
+    /// [`Error::Parameter`] for a shape without states, [`Error::TooLarge`] for more than 2^40 states or more than the
+    /// memory holds.
     pub fn validate(&self) -> Result<()> {
         let states = self.nx as u128 * self.ny as u128 * self.headings as u128 * 2;
         if states == 0 {
@@ -58,7 +63,11 @@ impl Shape {
         }
         if states > MAX_STATES {
             let rule = "more than 2^40 states; use a coarser grid or fewer headings";
-            return Err(Error::TooLarge { states, needed_bytes: states * 16, rule });
+            return Err(Error::TooLarge { states, needed_bytes: states * STATE_BYTES, rule });
+        }
+        if !is_granted(states * STATE_BYTES) {
+            let rule = "more than the memory; use a coarser grid or fewer headings";
+            return Err(Error::TooLarge { states, needed_bytes: states * STATE_BYTES, rule });
         }
         Ok(())
     }

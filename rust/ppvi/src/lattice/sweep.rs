@@ -18,7 +18,7 @@
 //!
 //! *Precision.* Single precision, and double precision from where rounding hides what the tolerance asks for.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::error::Result;
 use crate::lattice::engine::{Engine, Tables};
@@ -97,7 +97,9 @@ pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>
     rule.validate()?;
     let started = Instant::now();
     let certificate = Certificate { discount: lattice.discount(), least_stage_cost: lattice.least_stage_cost() };
-    let monitor = LimitMonitor::start(rule, observer);
+    let mut monitor = LimitMonitor::start(rule, observer);
+    // Two waves that write the tables.
+    monitor.needs_to_end(2, Duration::ZERO);
     let improper = masks_with_improper_states(lattice);
     let terminal_masks = improper.as_ref().unwrap_or(&lattice.terminal_masks);
     let costs = &lattice.parts.costs;
