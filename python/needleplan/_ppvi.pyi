@@ -94,8 +94,8 @@ class _Dependencies(TypedDict):
 class Lattice:
     """The MDP of a bevel-tip needle on a grid.
 
-    `layers` are pairs (from_mm, curvature_radius_mm) and `tissues` pairs (polygon, curvature_radius_mm): the regions
-    with a radius of their own.
+    `arc_samples` is the number of tested points of every arc; 0 tests the whole arc. `layers` are pairs (from_mm,
+    curvature_radius_mm) and `tissues` pairs (polygon, curvature_radius_mm): the regions with a radius of their own.
     """
 
     def __new__(

@@ -169,7 +169,7 @@ def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
         curvature_radius_mm=scenario.needle.curvature_radius_mm,
         headings=scenario.motion.headings,
         tip_noise=scenario.motion.tip_noise,
-        arc_samples=scenario.motion.arc_samples,
+        arc_samples=scenario.motion.arc_samples or 0,
         interpolated=scenario.grid.transition is Transition.INTERPOLATED,
         insertion_per_mm=objective.insertion_per_mm,
         rotation=objective.rotation,

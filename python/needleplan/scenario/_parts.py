@@ -217,8 +217,8 @@ class TipMotion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_
     """One insertion step: the needle follows an arc that turns the heading by 2 pi / `headings`, then tip noise acts.
 
     `tip_noise` holds P(0), P(+-1), P(+-2) ...: the probabilities that the noise changes the heading by so many heading
-    steps, P(+-k) for each sign. `arc_samples` is the number of equally spaced points of the arc that are tested for
-    collision, exit and target; the last point is the end. The thesis uses 1.
+    steps, P(+-k) for each sign. Collision, exit and target are tested on the whole arc. With `arc_samples` they are
+    tested at so many equally spaced points of the arc only; the last point is the end. The thesis uses 1.
     """
 
     headings: int = ruled(Integer(4, 100_000), 60, about="headings of a full turn; a step turns by one of them")
@@ -227,8 +227,8 @@ class TipMotion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_
         (0.466, 0.24, 0.027),
         about="P(0), P(+-1), P(+-2) ... heading steps; sum 1 with both signs",
     )
-    arc_samples: int = ruled(
-        Integer(1, 255), 4, about="points of every arc tested for collision, exit and target; 1: thesis"
+    arc_samples: int | None = ruled(
+        Maybe(Integer(1, 255)), None, about="points of every arc tested; without it the whole arc is; 1: thesis"
     )
 
 

@@ -20,7 +20,7 @@ from needleplan.planning import PolicyTable
 from needleplan.reports.chapters import Effort
 from needleplan.reports.comparison import Agreement, Comparison, measured
 from needleplan.scenario import Scenario, Transition
-from needleplan_thesis.chapter6.entries import ExecutionRule, execute, planned, predicted_and_realised
+from needleplan_thesis.chapter6.entries import ExecutionRule, execute, planned, predicted_and_realised, sampled
 from needleplan_thesis.chapter6.partitions import draw_orders, statements
 from needleplan_thesis.chapter6.paths import paths
 from needleplan_thesis.chapter6.phantom import experiments, phantom
@@ -110,7 +110,7 @@ _OTHER_CORNERS = "the prototype treats cells at obstacles and at the border as s
 
 def prototype(note: Callable[[str], None], fine: bool, runs: int) -> list[Comparison]:
     """Compare predicted cost and realised success with the results of the prototype. `fine` adds grids of 0.25 mm."""
-    four = Scenario.read("four_obstacles")
+    four = sampled("four_obstacles")
     scenario = replace(four, objective=replace(four.objective, collision=20_000.0, exit=10_000.0))
     comparisons = []
     for published in COARSE + FINE if fine else COARSE:

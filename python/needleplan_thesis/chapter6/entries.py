@@ -41,6 +41,7 @@ __all__ = [
     "execute",
     "planned",
     "predicted_and_realised",
+    "sampled",
     "summary",
     "write_entries",
 ]
@@ -92,6 +93,12 @@ class EntryStudy:
         return 100 * (self.predicted - self.realised)
 
 
+def sampled(name: str) -> Scenario:
+    """Return the shipped scenario `name` with four tested points an arc, as in the published figures."""
+    scenario = Scenario.read(name)
+    return replace(scenario, motion=replace(scenario.motion, arc_samples=scenario.motion.arc_samples or _ARC_SAMPLES))
+
+
 def planned(scenario: Scenario, transition: Transition, spacing_mm: float, refinement: int = 1) -> PolicyTable:
     """Plan `scenario` by sweeps on a square grid with the given spacing.
 
@@ -140,6 +147,9 @@ def execute(
         interval=np.array([wilson(int(each), runs) for each in reached]),
     )
 
+
+# Tested points of every arc in the published figures.
+_ARC_SAMPLES = 4
 
 SCENARIOS = ("four_obstacles", "narrow_passage", "prostate", "brain")
 # Transition and spacing (mm) of the grid whose table determines the entries, and to which the goals apply.
@@ -215,7 +225,7 @@ def write_entries(path: Path, studies: list[EntryStudy]) -> None:
 
 
 def _of_scenario(name: str, request: Request) -> Iterator[EntryStudy]:
-    scenario, runs = Scenario.read(name), _RUNS[request.effort]
+    scenario, runs = sampled(name), _RUNS[request.effort]
     reference = planned(scenario, *_REFERENCE)
     entries = choose_entries(reference)
     for transition in Transition:

@@ -23,7 +23,7 @@ from needleplan.planning import Outcome, Path, PolicyTable, Pose, plan
 from needleplan.plotting import caption, save, sheet
 from needleplan.plotting.canvas import BLUE, GREEN, GREY, SKY, title
 from needleplan.reports.comparison import Agreement, Comparison, measured
-from needleplan.scenario import Scenario
+from needleplan_thesis.chapter6.entries import sampled
 from needleplan_thesis.chapter6.tables import OTHER_SCENE
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def nearest_heading(table: PolicyTable, wanted_rad: float) -> float:
 
 
 def _noise(folder: File | None) -> list[Comparison]:
-    four = Scenario.read("four_obstacles")
+    four = sampled("four_obstacles")
     scenario = replace(four, objective=replace(four.objective, rotation=40.0))
     noisy = plan(scenario)
     calm = plan(replace(scenario, motion=replace(scenario.motion, tip_noise=(1.0,))))
@@ -192,7 +192,7 @@ def _noise(folder: File | None) -> list[Comparison]:
 def _costs(folder: File | None) -> list[Comparison]:
     start = (*_START_MM, 0.0)
     drawn, comparisons = {}, []
-    for name, base in (("safe", Scenario.read("four_obstacles")), ("literal", Scenario.read("four_obstacles_thesis"))):
+    for name, base in (("safe", sampled("four_obstacles")), ("literal", sampled("four_obstacles_thesis"))):
         panels = []
         for letter, (insertion, rotation, _) in zip(_LETTERS, _COSTS, strict=True):
             objective = replace(base.objective, insertion_per_mm=insertion / 10, rotation=float(rotation))

@@ -29,6 +29,8 @@ _GOAL = 0.6
 # Curvature radius of the needle (mm), number of headings of the plan, and radius of the target (mm).
 _RADIUS_MM, _HEADINGS = 100.0, 150
 _TARGET_MM = 1.5
+# Tested points of every arc in the published figures.
+_ARC_SAMPLES = 4
 
 
 def closed_loop_scenario() -> Scenario:
@@ -39,7 +41,7 @@ def closed_loop_scenario() -> Scenario:
     scenario = Scenario.read("prostate").with_curvature(1 / _RADIUS_MM).with_tip_noise((1.0,))
     return replace(
         scenario, target=replace(scenario.target, radius_mm=_TARGET_MM),
-        motion=replace(scenario.motion, headings=_HEADINGS),
+        motion=replace(scenario.motion, headings=_HEADINGS, arc_samples=_ARC_SAMPLES),
     )  # fmt: skip
 
 

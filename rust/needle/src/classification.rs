@@ -3,9 +3,12 @@
 use ppvi::StopFlag;
 use ppvi::lattice::{Shape, Shift, Transition, outcome};
 
+use crate::arc_columns::{ArcScan, ArcShape, mask};
+use crate::area::CLOSED_MM;
+use crate::bicycle::Bicycle;
 use crate::regions::TissueRegions;
 use crate::setup::Setup;
-use crate::workspace::{CLOSED_MM, ColumnScan, Event, Workspace, fill};
+use crate::workspace::{ColumnScan, Event, Workspace, fill};
 
 /// Writes the outcome codes of a setup, one heading and bevel at a time.
 pub(crate) struct Classifier<'a> {
@@ -19,6 +22,8 @@ pub(crate) struct Classifier<'a> {
     /// from a point beyond the border the border therefore passes through this point: it has the value of a point on
     /// the border, and not that of a point outside.
     workspaces: [[Workspace; 2]; 2],
+    /// Events of whole arcs; None if points of them are tested.
+    whole_arcs: Option<ArcScan>,
     /// Number of grid points inside the workspace along x and y.
     inside: [usize; 2],
     /// Event at each grid point, or 0, `[i][j]`.
@@ -28,6 +33,9 @@ pub(crate) struct Classifier<'a> {
     stop: StopFlag,
 }
 
+/// A collision within the border, and an exit.
+const FIRST_OF_BOTH: u8 = mask::COLLISION | mask::EXIT;
+
 impl<'a> Classifier<'a> {
     pub(crate) fn new(setup: &'a Setup, shape: Shape, regions: &'a TissueRegions) -> Self {
         let size = setup.workspace.size;
@@ -36,7 +44,8 @@ impl<'a> Classifier<'a> {
         let extent = |axis: usize, beyond: usize| if beyond == 1 { ends[axis] } else { size[axis] };
         let workspaces = [0, 1].map(|x| [0, 1].map(|y| setup.workspace.resized([extent(0, x), extent(1, y)])));
         let inside = [shape.nx - usize::from(beyond[0]), shape.ny - usize::from(beyond[1])];
-        let points = classify_points(shape, setup, &workspaces[usize::from(beyond[0])][usize::from(beyond[1])]);
+        let covering = &workspaces[usize::from(beyond[0])][usize::from(beyond[1])];
+        let points = classify_points(shape, setup, covering);
         let absorbing = points.iter().map(|code| match *code {
             outcome::TARGET => outcome::AT_TARGET,
             outcome::COLLISION => outcome::AT_OBSTACLE,
@@ -44,7 +53,9 @@ impl<'a> Classifier<'a> {
         });
         let absorbing = absorbing.collect();
         let stop = StopFlag::current();
-        Classifier { setup, shape, regions, workspaces, inside, points, absorbing, stop }
+        let reach = regions.needles.iter().map(|needle| needle.step_length()).fold(0.0, f64::max);
+        let whole_arcs = (setup.arc_samples == 0).then(|| ArcScan::new(covering, setup.spacing, shape.nx, reach));
+        Classifier { setup, shape, regions, workspaces, whole_arcs, inside, points, absorbing, stop }
     }
 
     /// Writes the codes of the steps with heading index `k` that arrive with bevel index `bevel` to
@@ -52,19 +63,27 @@ impl<'a> Classifier<'a> {
     pub(crate) fn write_outcomes(&self, k: usize, bevel: usize, plane: &mut [u8]) {
         let ny = self.shape.ny;
         let mut scans = self.workspaces.each_ref().map(|pair| pair.each_ref().map(ColumnScan::new));
+        let shape = |needle: &Bicycle| {
+            let curvature = if bevel == 1 { 1.0 } else { -1.0 } / needle.radius;
+            ArcShape::new(needle.heading(k), curvature, needle.step_length())
+        };
+        let shapes: Vec<ArcShape> = match self.whole_arcs {
+            Some(_) => self.regions.needles.iter().map(shape).collect(),
+            None => Vec::new(),
+        };
         let mut column = vec![0u8; ny];
         for (i, codes) in plane.chunks_exact_mut(ny).enumerate() {
             self.stop.check();
             let scan = &mut scans[usize::from(i >= self.inside[0])];
             if self.regions.region_of.is_empty() {
-                self.mark_column(scan, 0, (i, k, bevel), codes);
+                self.mark_column((scan, shapes.first()), 0, (i, k, bevel), codes);
             } else {
                 let here = &self.regions.region_of[i * ny..][..ny];
                 for region in 0..self.regions.steps.len() {
                     if !here.contains(&(region as u8)) {
                         continue;
                     }
-                    self.mark_column(scan, region, (i, k, bevel), &mut column);
+                    self.mark_column((scan, shapes.get(region)), region, (i, k, bevel), &mut column);
                     let pairs = codes.iter_mut().zip(&column).zip(here);
                     let mine = pairs.filter(|(_, number)| usize::from(**number) == region);
                     mine.for_each(|((code, marked), _)| *code = *marked);
@@ -79,13 +98,16 @@ impl<'a> Classifier<'a> {
     /// Writes the outcomes of the steps from grid column `i` as if the whole column were of one region.
     fn mark_column(
         &self,
-        [scan, beyond]: &mut [ColumnScan<'_>; 2],
+        ([scan, beyond], shape): (&mut [ColumnScan<'_>; 2], Option<&ArcShape>),
         region: usize,
         (i, k, bevel): (usize, usize, usize),
         codes: &mut [u8],
     ) {
         let Setup { spacing, transition, .. } = self.setup;
         codes.fill(outcome::CONTINUES);
+        if let (Some(scan), Some(shape)) = (&self.whole_arcs, shape) {
+            self.mark_whole_arcs(scan, shape, i, codes);
+        }
         for [dx, dy] in &self.regions.arcs[region][k][bevel] {
             let x = i as f64 * spacing[0] + dx;
             let (inner, last) = codes.split_at_mut(self.inside[1]);
@@ -96,6 +118,33 @@ impl<'a> Classifier<'a> {
         }
         if *transition == Transition::Nearest {
             self.mark_landings(i, self.regions.steps[region].stencil[k][bevel], codes);
+        }
+    }
+
+    /// Writes the first events of whole arcs from grid column `i`.
+    fn mark_whole_arcs(&self, scan: &ArcScan, shape: &ArcShape, i: usize, codes: &mut [u8]) {
+        let ([inside_x, inside_y], [_, dy]) = (self.inside, self.setup.spacing);
+        let workspaces = &self.workspaces[usize::from(i >= inside_x)];
+        scan.mark(shape, i, workspaces.each_ref().map(|workspace| workspace.size), inside_y, codes);
+        let absorbing = &self.absorbing[i * codes.len()..][..codes.len()];
+        // Without points beyond the border all boundaries lie within it; an arc that meets one has not left before,
+        // unless it has left and returned.
+        let covered = self.inside == [self.shape.nx, self.shape.ny];
+        let collides_first = covered && shape.is_monotone();
+        for (j, (code, absorbing)) in codes.iter_mut().zip(absorbing).enumerate() {
+            *code = match *code {
+                0 | mask::TARGET => *code,
+                _ if *code & (mask::EXIT | mask::TARGET) == 0 => Event::Collision as u8,
+                mask::EXIT => Event::Exit as u8,
+                FIRST_OF_BOTH if collides_first => Event::Collision as u8,
+                _ if *absorbing != 0 => 0,
+                // More than one kind of event: the order decides.
+                _ => {
+                    let arc = shape.from([i as f64 * self.setup.spacing[0], j as f64 * dy]);
+                    let first = workspaces[usize::from(j >= inside_y)].first_event(&arc);
+                    first.map_or(0, |(event, _)| event as u8)
+                }
+            };
         }
     }
 

@@ -1,7 +1,7 @@
 //! Steering of bevel-tip needles in a plane, on top of the general solvers of [`ppvi`].
 //!
 //! A bevel tip makes an inserted needle follow a circular arc; turning the needle by 180 degrees mirrors the arc. This
-//! crate holds the geometry ([`Bicycle`], [`Workspace`], [`Tissues`]), turns a [`Setup`] into a
+//! crate holds the geometry ([`Bicycle`], [`Workspace`], [`Area`], [`Arc`], [`Tissues`]), turns a [`Setup`] into a
 //! [`LatticeMdp`](ppvi::lattice::LatticeMdp) ([`SteeringProblem`]), looks poses up in a solved table ([`TableGrid`]),
 //! and executes a policy in the continuous model ([`Executor`]).
 //!
@@ -35,6 +35,9 @@
 //! # }
 //! ```
 
+mod arc;
+mod arc_columns;
+mod area;
 mod bicycle;
 mod classification;
 mod lookup;
@@ -45,10 +48,12 @@ mod setup;
 mod tissues;
 mod workspace;
 
+pub use arc::Arc;
+pub use area::{Area, CLOSED_MM};
 pub use bicycle::Bicycle;
 pub use lookup::{Answers, Pose, Table, TableGrid};
 pub use problem::SteeringProblem;
 pub use rollout::{Execution, Executor, Run, Trace};
 pub use setup::Setup;
 pub use tissues::Tissues;
-pub use workspace::{CLOSED_MM, Event, Polygon, Workspace, grid_points};
+pub use workspace::{Event, Workspace, grid_points};

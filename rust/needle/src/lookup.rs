@@ -4,8 +4,8 @@ use ppvi::lattice::Shape;
 use ppvi::{Error, Result, StopFlag};
 use rayon::prelude::*;
 
+use crate::area::CLOSED_MM;
 use crate::bicycle::Bicycle;
-use crate::workspace::CLOSED_MM;
 
 /// Pose of the tip.
 #[derive(Debug, Clone, Copy, PartialEq)]

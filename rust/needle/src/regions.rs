@@ -13,6 +13,8 @@ pub(crate) type ArcSamples = Vec<[Vec<[f64; 2]>; 2]>;
 pub(crate) struct TissueRegions {
     /// Steps, by region.
     pub steps: Vec<Region>,
+    /// Needles, by region.
+    pub needles: Vec<Bicycle>,
     /// Tested points, by region.
     pub arcs: Vec<ArcSamples>,
     /// Region of each grid point, `[i][j]`; empty if there is only one.
@@ -23,7 +25,8 @@ impl TissueRegions {
     /// # Errors
     /// [`Error::Parameter`] for more than 256 radii of curvature.
     pub(crate) fn new(setup: &Setup, shape: Shape) -> Result<Self> {
-        let mut regions = TissueRegions { steps: Vec::new(), arcs: Vec::new(), region_of: Vec::new() };
+        let mut regions =
+            TissueRegions { steps: Vec::new(), needles: Vec::new(), arcs: Vec::new(), region_of: Vec::new() };
         if setup.tissues.is_uniform() {
             regions.push(setup.needle, setup, shape);
             return Ok(regions);
@@ -60,6 +63,7 @@ impl TissueRegions {
             needle.displacement(needle.heading(k), bevel, sample as f64 / setup.arc_samples as f64)
         };
         let arc = |k: usize, bevel: f64| (1..=setup.arc_samples).map(|number| sample(k, bevel, number)).collect();
+        self.needles.push(needle);
         self.arcs.push((0..shape.headings).map(|k| [-1.0, 1.0].map(|bevel| arc(k, bevel))).collect());
         self.steps.push(Region {
             step_length: needle.step_length(),

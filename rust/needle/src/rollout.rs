@@ -11,11 +11,15 @@ use rand::rand_core::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 
+use crate::arc::Arc;
 use crate::bicycle::Bicycle;
 use crate::lookup::{Pose, TableGrid};
 use crate::problem::SteeringProblem;
 use crate::setup::Setup;
 use crate::workspace::Event;
+
+/// Number of pieces of equal length of an arc through tissues of different curvature, if the whole arc is tested.
+const PIECES: usize = 4;
 
 /// How the action at a pose between grid points is chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,10 +72,10 @@ pub struct Trace {
 
 impl<'a> Executor<'a> {
     /// Takes the tables of a solved problem. `arc_samples` is the number of tested points of each arc, by default that
-    /// of the setup.
+    /// of the setup; 0 tests the whole arc.
     ///
     /// # Errors
-    /// [`Error::Length`] for a table of the wrong size, [`Error::Parameter`] for arc samples outside 1 to 10,000.
+    /// [`Error::Length`] for a table of the wrong size, [`Error::Parameter`] for more than 10,000 arc samples.
     pub fn new(
         problem: &'a SteeringProblem,
         policy: &'a [u8],
@@ -87,8 +91,8 @@ impl<'a> Executor<'a> {
             }
         }
         let arc_samples = arc_samples.unwrap_or(setup.arc_samples);
-        if arc_samples == 0 || arc_samples > 10_000 {
-            return Err(Error::parameter("arc_samples", arc_samples, "must be between 1 and 10,000"));
+        if arc_samples > 10_000 {
+            return Err(Error::parameter("arc_samples", arc_samples, "must be between 0 and 10,000"));
         }
         let grid = TableGrid::new(lattice.shape(), setup.spacing, setup.workspace.size)?;
         Ok(Executor { setup, lattice, grid, policy, values, execution, arc_samples })
@@ -210,6 +214,9 @@ impl<'a> Executor<'a> {
         if !self.setup.tissues.is_uniform() {
             return self.step_through_tissues(from, bevel);
         }
+        if self.arc_samples == 0 {
+            return self.along(from, bevel, needle, needle.step_length());
+        }
         let mut pose = Pose { bevel, ..from };
         for sample in 1..=self.arc_samples {
             let t = sample as f64 / self.arc_samples as f64;
@@ -230,10 +237,19 @@ impl<'a> Executor<'a> {
     /// [`Executor::step`] where the curvature varies. The length of the step is that at its start. The arc consists of
     /// equally long pieces, each with the curvature at its start.
     fn step_through_tissues(&self, from: Pose, bevel: f64) -> (Option<Event>, Pose) {
-        let piece = self.needle_at(from).step_length() / self.arc_samples as f64;
+        let pieces = if self.arc_samples == 0 { PIECES } else { self.arc_samples };
+        let piece = self.needle_at(from).step_length() / pieces as f64;
         let mut pose = Pose { bevel, ..from };
-        for _ in 0..self.arc_samples {
+        for _ in 0..pieces {
             let needle = self.needle_at(pose);
+            if self.arc_samples == 0 {
+                let (event, end) = self.along(pose, bevel, &needle, piece);
+                if event.is_some() {
+                    return (event, end);
+                }
+                pose = end;
+                continue;
+            }
             let t = piece / needle.step_length();
             let [dx, dy] = needle.displacement(pose.heading, bevel, t);
             let heading = pose.heading + bevel * t * needle.heading_step();
@@ -243,6 +259,15 @@ impl<'a> Executor<'a> {
             }
         }
         (None, pose)
+    }
+
+    /// Moves along a whole arc of one radius. Returns the first event and its pose, or no event and the pose at the end.
+    fn along(&self, from: Pose, bevel: f64, needle: &Bicycle, length: f64) -> (Option<Event>, Pose) {
+        let arc = Arc::new([from.x, from.y], from.heading, bevel / needle.radius, length);
+        let met = self.setup.workspace.first_event(&arc);
+        let s = met.map_or(length, |(_, s)| s);
+        let [x, y] = arc.point(s);
+        (met.map(|(event, _)| event), Pose { x, y, heading: arc.heading(s), bevel })
     }
 
     fn greedy_action(&self, pose: Pose) -> u8 {

@@ -18,7 +18,7 @@ pub struct Setup {
     pub spacing: [f64; 2],
     /// P(0), P(+-1), P(+-2), ... heading steps.
     pub noise: Vec<f64>,
-    /// Number of points of each arc that are tested for collision, exit and target.
+    /// Number of points of each arc that are tested for collision, exit and target; 0 tests the whole arc.
     pub arc_samples: usize,
     /// Nearest or interpolated.
     pub transition: Transition,
@@ -38,8 +38,8 @@ impl Setup {
         if let Some(spacing) = self.spacing.iter().find(|spacing| !(**spacing > 0.0 && spacing.is_finite())) {
             return Err(Error::parameter("spacing_mm", spacing, "must be positive and finite"));
         }
-        if self.arc_samples == 0 || self.arc_samples > 1000 {
-            return Err(Error::parameter("arc_samples", self.arc_samples, "must be between 1 and 1000"));
+        if self.arc_samples > 1000 {
+            return Err(Error::parameter("arc_samples", self.arc_samples, "must be between 0 and 1000"));
         }
         let shape = Shape {
             nx: grid_points(self.workspace.size[0], self.spacing[0])?,

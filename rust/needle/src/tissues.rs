@@ -2,8 +2,8 @@
 
 use ppvi::{Error, Result};
 
+use crate::area::{Area, CLOSED_MM};
 use crate::bicycle::Bicycle;
-use crate::workspace::{CLOSED_MM, Polygon};
 
 /// The radius of curvature by position. Outside all layers and regions it is the needle's nominal radius.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -11,11 +11,11 @@ pub struct Tissues {
     /// (first x, mm; radius, mm), by increasing x.
     layers: Vec<(f64, f64)>,
     /// (region; radius, mm). Of overlapping regions the last one applies.
-    regions: Vec<(Polygon, f64)>,
+    regions: Vec<(Area, f64)>,
 }
 
 impl Tissues {
-    /// Makes tissues from layers (first x, mm; radius, mm) and regions (polygon; radius, mm).
+    /// Makes tissues from layers (first x, mm; radius, mm) and regions (area; radius, mm).
     ///
     /// A layer extends from its first x (to within [`CLOSED_MM`]) to that of the next layer. A region contains its
     /// border and takes precedence over layers; of overlapping regions the last one applies.
@@ -23,7 +23,7 @@ impl Tissues {
     /// # Errors
     /// [`Error::Parameter`] for layers that do not begin at increasing finite x, or a radius that is not positive and
     /// finite.
-    pub fn new(layers: Vec<(f64, f64)>, regions: Vec<(Polygon, f64)>) -> Result<Self> {
+    pub fn new(layers: Vec<(f64, f64)>, regions: Vec<(Area, f64)>) -> Result<Self> {
         if layers.iter().any(|(from, _)| !from.is_finite()) || !layers.is_sorted_by(|a, b| a.0 < b.0) {
             return Err(Error::parameter("layers", format!("{layers:?}"), "must begin at increasing finite depths"));
         }
@@ -45,7 +45,7 @@ impl Tissues {
         if self.is_uniform() {
             return needle;
         }
-        let region = self.regions.iter().rev().find(|(polygon, _)| polygon.contains(place)).map(|region| region.1);
+        let region = self.regions.iter().rev().find(|(area, _)| area.contains(place)).map(|region| region.1);
         let layer = || self.layers.iter().rev().find(|(from, _)| *from <= place[0] + CLOSED_MM).map(|layer| layer.1);
         Bicycle { radius: region.or_else(layer).unwrap_or(needle.radius), ..needle }
     }
@@ -58,7 +58,7 @@ mod tests {
     #[test]
     fn the_last_region_counts_before_layers_before_the_needle() {
         let square =
-            |low: f64, high: f64| Polygon::new(vec![[low, low], [high, low], [high, high], [low, high]]).unwrap();
+            |low: f64, high: f64| Area::polygon(vec![[low, low], [high, low], [high, high], [low, high]]).unwrap();
         let tissues =
             Tissues::new(vec![(10.0, 50.0), (20.0, 60.0)], vec![(square(5.0, 15.0), 70.0), (square(12.0, 30.0), 80.0)])
                 .unwrap();

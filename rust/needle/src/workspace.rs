@@ -1,106 +1,10 @@
-//! The workspace: a rectangle `[0, width] x [0, height]`, polygonal obstacles and a round target.
-//!
-//! All sets are closed: a point on an edge, or within [`CLOSED_MM`] of it, is inside. This tolerance is far below the
-//! accuracy of a needle and far above the rounding of coordinates of a few hundred millimetres.
+//! The workspace: a rectangle `[0, width] x [0, height]`, obstacles and a round target, all closed as [`Area`] says.
 
 use ppvi::lattice::outcome;
 use ppvi::{Error, Result};
 
-/// Tolerance of the closed tests, in mm.
-pub const CLOSED_MM: f64 = 1e-9;
-
-/// A simple polygon, convex or not. The first vertex is not repeated at the end.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Polygon {
-    /// Every vertex with the next one.
-    edges: Vec<[[f64; 2]; 2]>,
-    low: [f64; 2],
-    high: [f64; 2],
-}
-
-impl Polygon {
-    /// Makes a polygon from its vertices, mm. The caller checks that the polygon is simple; for one that intersects
-    /// itself the even-odd rule applies.
-    ///
-    /// # Errors
-    /// [`Error::Parameter`] for fewer than three vertices, or a coordinate that is not finite.
-    pub fn new(vertices: Vec<[f64; 2]>) -> Result<Self> {
-        if vertices.len() < 3 {
-            return Err(Error::parameter(
-                "polygon",
-                format!("{} points", vertices.len()),
-                "must have at least three points",
-            ));
-        }
-        if let Some(point) = vertices.iter().find(|point| !point.iter().all(|c| c.is_finite())) {
-            return Err(Error::parameter("polygon", format!("{point:?}"), "must have finite coordinates"));
-        }
-        let fold =
-            |axis: usize, pick: fn(f64, f64) -> f64| vertices.iter().map(|p| p[axis]).reduce(pick).unwrap_or(0.0);
-        let low = [fold(0, f64::min), fold(1, f64::min)];
-        let high = [fold(0, f64::max), fold(1, f64::max)];
-        let next = vertices.iter().cycle().skip(1);
-        let edges = vertices.iter().zip(next).map(|(&a, &b)| [a, b]).collect();
-        Ok(Polygon { edges, low, high })
-    }
-
-    /// Appends the closed intervals in which the line "coordinate `axis` = `at`" intersects the polygon.
-    ///
-    /// The section of a closed polygon is the union of its limits from both sides. If a vertex is within the tolerance
-    /// of the line, both limits are appended, and also the vertex itself, because next to a steep edge it may lie
-    /// between the two.
-    fn section(&self, axis: usize, at: f64, crossings: &mut Vec<f64>, intervals: &mut Vec<[f64; 2]>) {
-        if at < self.low[axis] - CLOSED_MM || at > self.high[axis] + CLOSED_MM {
-            return;
-        }
-        let at_vertex = self.edges.iter().any(|[v, _]| (v[axis] - at).abs() <= 2.0 * CLOSED_MM);
-        let sides: &[f64] = if at_vertex { &[-CLOSED_MM, 0.0, CLOSED_MM] } else { &[0.0] };
-        for side in sides {
-            let line = at + side;
-            crossings.clear();
-            for [a, b] in &self.edges {
-                if (a[axis] <= line) != (b[axis] <= line) {
-                    let t = (line - a[axis]) / (b[axis] - a[axis]);
-                    crossings.push(a[1 - axis] + t * (b[1 - axis] - a[1 - axis]));
-                }
-            }
-            crossings.sort_unstable_by(f64::total_cmp);
-            intervals.extend(crossings.chunks_exact(2).map(|c| [c[0] - CLOSED_MM, c[1] + CLOSED_MM]));
-        }
-        if at_vertex {
-            let vertices = self.edges.iter().map(|[vertex, _]| vertex);
-            let here = vertices.filter(|vertex| (vertex[axis] - at).abs() <= CLOSED_MM);
-            intervals.extend(here.map(|vertex| [vertex[1 - axis] - CLOSED_MM, vertex[1 - axis] + CLOSED_MM]));
-        }
-    }
-
-    /// Whether the point is inside or on the polygon.
-    pub fn contains(&self, point: [f64; 2]) -> bool {
-        let outside =
-            |axis: usize| point[axis] < self.low[axis] - CLOSED_MM || point[axis] > self.high[axis] + CLOSED_MM;
-        if outside(0) || outside(1) {
-            return false;
-        }
-        let mut inside = false;
-        for [a, b] in &self.edges {
-            if distance_to_segment(point, *a, *b) <= CLOSED_MM {
-                return true;
-            }
-            if (a[0] <= point[0]) != (b[0] <= point[0]) {
-                let crossing = a[1] + (point[0] - a[0]) / (b[0] - a[0]) * (b[1] - a[1]);
-                inside ^= crossing > point[1];
-            }
-        }
-        inside
-    }
-}
-
-fn distance_to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
-    let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
-    let length2 = dx * dx + dy * dy;
-    let t = if length2 > 0.0 { (((p[0] - a[0]) * dx + (p[1] - a[1]) * dy) / length2).clamp(0.0, 1.0) } else { 0.0 };
-    (p[0] - a[0] - t * dx).hypot(p[1] - a[1] - t * dy)
-}
+use crate::arc::Arc;
+use crate::area::{Area, CLOSED_MM};
 
 /// An event that ends an execution. The codes are those of [`ppvi::lattice::outcome`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -120,7 +24,7 @@ pub struct Workspace {
     /// Extent along x and y, mm.
     pub size: [f64; 2],
     /// Obstacles.
-    pub obstacles: Vec<Polygon>,
+    pub obstacles: Vec<Area>,
     /// Centre of the target, mm.
     pub target: [f64; 2],
     /// Radius of the target, mm.
@@ -132,7 +36,7 @@ impl Workspace {
     ///
     /// # Errors
     /// [`Error::Parameter`] for a size or radius that is not positive and finite, or a centre that is not finite.
-    pub fn new(size: [f64; 2], obstacles: Vec<Polygon>, target: [f64; 2], target_radius: f64) -> Result<Self> {
+    pub fn new(size: [f64; 2], obstacles: Vec<Area>, target: [f64; 2], target_radius: f64) -> Result<Self> {
         let lengths = [("width_mm", size[0]), ("height_mm", size[1]), ("target_radius_mm", target_radius)];
         for (name, value) in lengths {
             if !(value > 0.0 && value.is_finite()) {
@@ -155,12 +59,59 @@ impl Workspace {
         let outside = |axis: usize| !(point[axis] >= -CLOSED_MM && point[axis] <= self.size[axis] + CLOSED_MM);
         if outside(0) || outside(1) {
             Some(Event::Exit)
-        } else if self.obstacles.iter().any(|polygon| polygon.contains(point)) {
+        } else if self.obstacles.iter().any(|area| area.contains(point)) {
             Some(Event::Collision)
         } else {
             let distance = (point[0] - self.target[0]).hypot(point[1] - self.target[1]);
             (distance <= self.target_radius + CLOSED_MM).then_some(Event::Target)
         }
+    }
+}
+
+impl Workspace {
+    /// The first event on an arc that starts at a point without event, and the arc length, mm, at which it happens.
+    ///
+    /// The whole arc is tested, not only points of it. The events are those of [`Workspace::event`], to within the
+    /// rounding of the coordinates.
+    #[inline]
+    pub fn first_event(&self, arc: &Arc) -> Option<(Event, f64)> {
+        arc.pieces().find_map(|(from, piece)| {
+            let (event, s) = self.first_event_of_piece(&piece)?;
+            Some((event, from + s))
+        })
+    }
+
+    fn first_event_of_piece(&self, arc: &Arc) -> Option<(Event, f64)> {
+        let bounds @ [low, high] = arc.bounds();
+        let [width, height] = self.size;
+        let leaves =
+            low[0] < -CLOSED_MM || low[1] < -CLOSED_MM || high[0] > width + CLOSED_MM || high[1] > height + CLOSED_MM;
+        let reach = self.target_radius + CLOSED_MM;
+        let at_target = (0..2).all(|a| low[a] <= self.target[a] + reach && high[a] >= self.target[a] - reach);
+        let mut near = self.obstacles.iter().filter(|area| area.is_near(bounds)).peekable();
+        if !leaves && !at_target && near.peek().is_none() {
+            return None;
+        }
+        let path = arc.path();
+        let mut first: Option<(Event, f64)> = None;
+        let mut take = |event: Event, met: Option<f64>| {
+            if let Some(u) = met.filter(|u| first.is_none_or(|(_, least)| *u < least)) {
+                first = Some((event, u));
+            }
+        };
+        if leaves {
+            for (normal, offset) in [([-1.0, 0.0], 0.0), ([0.0, -1.0], 0.0), ([1.0, 0.0], width), ([0.0, 1.0], height)]
+            {
+                take(Event::Exit, path.enters_half_plane(normal, offset + CLOSED_MM));
+            }
+        }
+        for area in near {
+            take(Event::Collision, area.first_contact(&path, bounds));
+        }
+        if at_target {
+            take(Event::Target, path.enters_disc(self.target, reach));
+        }
+        first.map(|(event, u)| (event, path.length_at(u)))
     }
 }
 
@@ -188,8 +139,8 @@ impl<'a> ColumnScan<'a> {
         fill(codes, 0..inside.start, Event::Exit);
         fill(codes, inside.end..codes.len(), Event::Exit);
         self.intervals.clear();
-        for polygon in &self.workspace.obstacles {
-            polygon.section(0, x, &mut self.crossings, &mut self.intervals);
+        for area in &self.workspace.obstacles {
+            area.section(0, x, &mut self.crossings, &mut self.intervals);
         }
         for &interval in &self.intervals {
             fill(codes, span(interval, y0, spacing, codes.len()), Event::Collision);
@@ -205,7 +156,7 @@ impl<'a> ColumnScan<'a> {
 }
 
 /// Indices j with `interval[0] <= y0 + j * spacing <= interval[1]`.
-fn span(interval: [f64; 2], y0: f64, spacing: f64, count: usize) -> std::ops::Range<usize> {
+pub(crate) fn span(interval: [f64; 2], y0: f64, spacing: f64, count: usize) -> std::ops::Range<usize> {
     let first = ((interval[0] - y0) / spacing).ceil().clamp(0.0, count as f64) as usize;
     let last = ((interval[1] - y0) / spacing).floor().clamp(-1.0, count as f64 - 1.0);
     let end = (last + 1.0) as usize;
@@ -244,7 +195,7 @@ mod tests {
     fn workspace() -> Workspace {
         let u_shape =
             vec![[2.0, 1.0], [6.0, 1.0], [6.0, 5.0], [5.0, 5.0], [5.0, 2.0], [3.0, 2.0], [3.0, 5.0], [2.0, 5.0]];
-        Workspace::new([10.0, 6.0], vec![Polygon::new(u_shape).unwrap()], [8.0, 3.0], 1.0).unwrap()
+        Workspace::new([10.0, 6.0], vec![Area::polygon(u_shape).unwrap()], [8.0, 3.0], 1.0).unwrap()
     }
 
     #[test]
@@ -288,7 +239,8 @@ mod tests {
             [[2.5, 4.25], [5.0, 4.5], [4.0, 2.0]],
             [[0.75, 4.0], [0.5, 4.0], [0.0, 3.0]],
         ] {
-            let w = Workspace::new([6.0, 6.0], vec![Polygon::new(corners.to_vec()).unwrap()], [5.5, 0.5], 0.2).unwrap();
+            let w =
+                Workspace::new([6.0, 6.0], vec![Area::polygon(corners.to_vec()).unwrap()], [5.5, 0.5], 0.2).unwrap();
             let mut scan = ColumnScan::new(&w);
             for corner in corners {
                 let mut codes = vec![0; 25];

@@ -1,6 +1,6 @@
 //! The lattice solver against the general solvers, on the same problems.
 
-use needle::{Bicycle, Polygon, Setup, SteeringProblem, Tissues, Workspace};
+use needle::{Area, Bicycle, Setup, SteeringProblem, Tissues, Workspace};
 use ppvi::lattice::evaluation::{self, Evaluation};
 use ppvi::lattice::sweep::{self, LatticeSolution};
 use ppvi::lattice::{Costs, LatticeMdp, Transition};
@@ -24,7 +24,8 @@ fn setups() -> impl Strategy<Value = Setup> {
         |(geometry, noise, costs, arc_samples, interpolated, at, tissues)| {
             let (width, height, dx, dy, radius, headings) = geometry;
             let (rotation, collision, exit, discount) = costs;
-            let triangle = |x: f64, y: f64| Polygon::new(vec![[x, y], [x + 2.0, y + 0.3], [x + 0.7, y + 1.9]]).unwrap();
+            let triangle =
+                |x: f64, y: f64| Area::polygon(vec![[x, y], [x + 2.0, y + 0.3], [x + 0.7, y + 1.9]]).unwrap();
             let obstacles =
                 vec![triangle(0.3 * width, 0.1 + at * 0.5 * height), triangle(0.55 * width, (1.0 - at) * 0.6 * height)];
             let needle = Bicycle::new(radius, headings).unwrap();

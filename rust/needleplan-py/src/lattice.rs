@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use needle::{Bicycle, Event, Execution, Executor, Polygon, Setup, SteeringProblem, Tissues, Workspace};
+use needle::{Area, Bicycle, Event, Execution, Executor, Setup, SteeringProblem, Tissues, Workspace};
 use numpy::ndarray::Array4;
 use numpy::{
     IntoPyArray, PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
@@ -96,12 +96,12 @@ impl Lattice {
         tissues: Vec<(Vec<[f64; 2]>, f64)>,
     ) -> PyResult<Self> {
         let problem = run(py, None, || {
-            let obstacles = polygons.into_iter().map(Polygon::new).collect::<ppvi::Result<_>>()?;
+            let obstacles = polygons.into_iter().map(Area::polygon).collect::<ppvi::Result<_>>()?;
             let workspace = Workspace::new([width_mm, height_mm], obstacles, target_center_mm, target_radius_mm)?;
             let needle = Bicycle::new(curvature_radius_mm, headings)?;
             let costs = Costs { step: insertion_per_mm * needle.step_length(), rotation, collision, exit, discount };
             let transition = if interpolated { Transition::Interpolated } else { Transition::Nearest };
-            let region = |(polygon, radius)| Ok((Polygon::new(polygon)?, radius));
+            let region = |(polygon, radius)| Ok((Area::polygon(polygon)?, radius));
             let regions = tissues.into_iter().map(region).collect::<ppvi::Result<_>>()?;
             let (noise, tissues) = (tip_noise, Tissues::new(layers, regions)?);
             let spacing = spacing_mm;

@@ -2,7 +2,7 @@
 
 #![allow(dead_code)]
 
-use needle::{Bicycle, Polygon, Setup, SteeringProblem, Tissues, Workspace};
+use needle::{Area, Bicycle, Setup, SteeringProblem, Tissues, Workspace};
 use ppvi::lattice::{Costs, Transition};
 use ppvi::{Result, StopRule};
 
@@ -30,7 +30,7 @@ pub fn problem(spacing: f64, transition: Transition, objective: Objective) -> Re
 /// The same workspace with layers of equal depth and different curvature.
 pub fn layered(spacing: f64, transition: Transition, objective: Objective, layers: usize) -> Result<SteeringProblem> {
     let depths = (0..layers).map(|layer| (120.0 * layer as f64 / layers as f64, 40.0 + layer as f64)).collect();
-    let obstacles = OBSTACLES.iter().map(|points| Polygon::new(points.to_vec())).collect::<Result<_>>()?;
+    let obstacles = OBSTACLES.iter().map(|points| Area::polygon(points.to_vec())).collect::<Result<_>>()?;
     let needle = Bicycle::new(40.0, 60)?;
     let step = needle.step_length();
     let costs = match objective {
