@@ -94,8 +94,10 @@ class _Dependencies(TypedDict):
 class Lattice:
     """The MDP of a bevel-tip needle on a grid.
 
-    `arc_samples` is the number of tested points of every arc; 0 tests the whole arc. `layers` are pairs (from_mm,
-    curvature_radius_mm) and `tissues` pairs (polygon, curvature_radius_mm): the regions with a radius of their own.
+    `obstacles` are pairs of rings of vertices and the distance from them within which a point is in the obstacle; a
+    ring of one vertex is a disc, one of two a capsule. `arc_samples` is the number of tested points of every arc; 0
+    tests the whole arc. `layers` are pairs (from_mm, curvature_radius_mm) and `tissues` pairs (polygon,
+    curvature_radius_mm): the regions with a radius of their own.
     """
 
     def __new__(
@@ -104,7 +106,7 @@ class Lattice:
         width_mm: float,
         height_mm: float,
         spacing_mm: tuple[float, float],
-        polygons: Sequence[Sequence[tuple[float, float]]],
+        obstacles: Sequence[tuple[Sequence[Sequence[tuple[float, float]]], float]],
         target_center_mm: tuple[float, float],
         target_radius_mm: float,
         curvature_radius_mm: float,

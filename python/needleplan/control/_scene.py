@@ -110,11 +110,11 @@ class ScenarioGeometry:
 
     @cached_property
     def _obstacles(self) -> list[tuple[str, BaseGeometry]]:
-        from shapely import Polygon, prepare
+        from shapely import prepare
 
         found: list[tuple[str, BaseGeometry]] = []
         for number, each in enumerate(self.scenario.obstacles, start=1):
-            polygon = Polygon(each.polygon_mm)
+            polygon = each.region()
             prepare(polygon)
             found.append((each.name or f"obstacle {number}", polygon))
         return found

@@ -163,7 +163,7 @@ def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
         width_mm=scenario.workspace.width_mm,
         height_mm=scenario.workspace.height_mm,
         spacing_mm=scenario.grid.spacing_mm,
-        polygons=[obstacle.polygon_mm for obstacle in scenario.obstacles],
+        obstacles=[(obstacle.rings_mm, obstacle.reach_mm) for obstacle in scenario.obstacles],
         target_center_mm=scenario.target.center_mm,
         target_radius_mm=scenario.target.radius_mm,
         curvature_radius_mm=scenario.needle.curvature_radius_mm,

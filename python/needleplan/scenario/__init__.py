@@ -1,13 +1,13 @@
 """The scenario: anatomy, target, needle, tip noise, grid, objective and solver, stored as TOML."""
 
 from needleplan.scenario._identified import CurvaturePiece, Identified, identified, pieces_of, within
+from needleplan.scenario._obstacle import Obstacle
 from needleplan.scenario._parts import (
     Grid,
     Layer,
     Method,
     Needle,
     Objective,
-    Obstacle,
     Priority,
     Solver,
     Target,
@@ -17,6 +17,7 @@ from needleplan.scenario._parts import (
     Workspace,
 )
 from needleplan.scenario._scenario import Scenario
+from needleplan.scenario._svg import read_svg
 from needleplan.scenario._template import shipped, template
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "Workspace",
     "identified",
     "pieces_of",
+    "read_svg",
     "shipped",
     "template",
     "within",

@@ -10,18 +10,17 @@ from collections.abc import Iterator
 
 from needleplan.config import shown
 from needleplan.errors import Mistake
+from needleplan.scenario._obstacle import Obstacle
 from needleplan.scenario._parts import (
     Grid,
     Method,
     Needle,
-    Obstacle,
     Solver,
     Target,
     Tissue,
     Transition,
     Workspace,
 )
-from needleplan.scenario._polygon import contains
 
 __all__ = ["BETWEEN"]
 
@@ -38,9 +37,10 @@ def _target_in_workspace(workspace: Workspace, target: Target) -> Iterator[Mista
 
 def _target_clear_of_obstacles(target: Target, obstacles: tuple[Obstacle | None, ...]) -> Iterator[Mistake]:
     for number, obstacle in enumerate(obstacles, start=1):
-        if obstacle and contains(obstacle.polygon_mm, target.center_mm):
+        if obstacle and obstacle.touches(*target.center_mm):
             name = f' ("{obstacle.name}")' if obstacle.name else ""
-            rule = f"must not lie in or on an obstacle; it does in obstacle {number}{name}"
+            margin = " or its margin" if obstacle.margin_mm else ""
+            rule = f"must not lie in or on an obstacle; it does in obstacle {number}{name}{margin}"
             yield Mistake("target.center_mm", shown(target.center_mm), rule)
 
 

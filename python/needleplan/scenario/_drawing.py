@@ -9,8 +9,10 @@ from needleplan.plotting.canvas import BLACK, GREY, VERMILLION, axes_in_mm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.patches import Patch
 
-    from needleplan.scenario._parts import Needle, Obstacle, Target, Tissue, Workspace
+    from needleplan.scenario._obstacle import Obstacle
+    from needleplan.scenario._parts import Needle, Target, Tissue, Workspace
 
 __all__ = ["Scene", "draw_scene"]
 
@@ -43,7 +45,7 @@ class Scene(Protocol):
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """Polygons that the tip must not touch."""
+        """Regions that the tip must not touch."""
 
     @property
     def tissues(self) -> tuple[Tissue, ...]:
@@ -55,19 +57,31 @@ def draw_scene(axes: Axes, scene: Scene, *, on_map: bool = False) -> None:
 
     If `on_map`, layers and tissues are drawn as outlines without fill and labels, so that a map below stays visible.
     """
-    from matplotlib.patches import Circle, Polygon
+    from matplotlib.patches import Circle
 
     axes_in_mm(axes, scene.workspace)
     face = "white" if on_map else "#d0d0d0"
     for obstacle in scene.obstacles:
-        outline = list(obstacle.polygon_mm)
-        axes.add_patch(Polygon(outline, facecolor=face, edgecolor=BLACK, linewidth=0.9, zorder=3))
+        axes.add_patch(_patch(obstacle, facecolor=face, edgecolor=BLACK, linewidth=0.9, zorder=3))
     if scene.needle.layers or scene.tissues:
         _draw_tissues(axes, scene, on_map)
     target = scene.target
     axes.add_patch(
         Circle(target.center_mm, target.radius_mm, facecolor="none", edgecolor=VERMILLION, linewidth=1.8, zorder=6)
     )
+
+
+def _patch(obstacle: Obstacle, **style: Any) -> Patch:
+    """Return the patch of an obstacle with its margin; holes stay open."""
+    from matplotlib.patches import PathPatch, Polygon
+    from matplotlib.path import Path
+
+    if obstacle.polygon_mm and not obstacle.holes_mm and not obstacle.margin_mm:
+        return Polygon(list(obstacle.polygon_mm), **style)
+    region = obstacle.region()
+    parts = getattr(region, "geoms", [region])
+    rings = [ring for part in parts for ring in (part.exterior, *part.interiors)]
+    return PathPatch(Path.make_compound_path(*(Path(list(ring.coords), closed=True) for ring in rings)), **style)
 
 
 def _draw_tissues(axes: Axes, scene: Scene, on_map: bool) -> None:

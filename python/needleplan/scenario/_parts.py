@@ -22,7 +22,8 @@ from needleplan.config import (
     sequence,
 )
 from needleplan.errors import Mistake, ScenarioError
-from needleplan.scenario._polygon import TOLERANCE_MM, Points, SimplePolygon
+from needleplan.scenario._obstacle import COORDINATE, LENGTH, POLYGON
+from needleplan.scenario._polygon import TOLERANCE_MM, Points
 
 __all__ = [
     "Grid",
@@ -31,7 +32,6 @@ __all__ = [
     "Needle",
     "NoiseProbabilities",
     "Objective",
-    "Obstacle",
     "Priority",
     "Solver",
     "Target",
@@ -41,12 +41,9 @@ __all__ = [
     "Workspace",
 ]
 
-_LENGTH = Number("mm", above=0, at_most=1e6)
-_COORDINATE = Number("mm", at_least=-1e6, at_most=1e6)
 # Largest number of grid points that is counted along an axis; no memory holds so many.
 _MOST_POINTS = 1e15
 _COST = Number(at_least=0, at_most=1e9)
-_POLYGON = SimplePolygon(_COORDINATE)
 
 # Largest number of probabilities in `motion.tip_noise`.
 _NOISE_ENTRIES = 8
@@ -143,45 +140,16 @@ class NoiseProbabilities:
 class Workspace(ConfigTable, key="workspace", error=ScenarioError):
     """The rectangle [0, width] x [0, height] in mm that the tip must not leave. The edges are inside the workspace."""
 
-    width_mm: float = ruled(_LENGTH, about="along x, the direction of insertion")
-    height_mm: float = ruled(_LENGTH, about="along y, lateral")
-
-
-@dataclass(frozen=True)
-class Obstacle(ConfigTable, key="obstacle", error=ScenarioError):
-    """A polygon that the tip must not touch. The polygon may reach beyond the workspace.
-
-    Parameters
-    ----------
-    polygon_mm : array_like, shape (n, 2)
-        Corners in mm, at least three, clockwise or counter-clockwise. The last corner may repeat the first. The
-        boundary must not cross or touch itself.
-    name : str, optional
-        Name for messages and figures. Default: no name.
-
-    Raises
-    ------
-    ScenarioError
-        If the corners are not a simple polygon, or a value violates the rule of its field.
-
-    Examples
-    --------
-    >>> from needleplan.scenario import Obstacle
-    >>> vessel = Obstacle([[25, 0], [40, 0], [40, 22]], "vessel")
-    >>> vessel.polygon_mm
-    ((25.0, 0.0), (40.0, 0.0), (40.0, 22.0))
-    """
-
-    polygon_mm: Points = ruled(_POLYGON, about="corners [x, y]; the tip must not touch the polygon")
-    name: str = ruled(Text(), "", about="for messages and figures")
+    width_mm: float = ruled(LENGTH, about="along x, the direction of insertion")
+    height_mm: float = ruled(LENGTH, about="along y, lateral")
 
 
 @dataclass(frozen=True)
 class Target(ConfigTable, key="target", error=ScenarioError):
     """The disc that the tip must reach. The rim is part of the target."""
 
-    center_mm: tuple[float, float] = ruled(Pair(_COORDINATE), about="[x, y], in the workspace, outside of obstacles")
-    radius_mm: float = ruled(_LENGTH, about="the tip must come this close to the centre")
+    center_mm: tuple[float, float] = ruled(Pair(COORDINATE), about="[x, y], in the workspace, outside of obstacles")
+    radius_mm: float = ruled(LENGTH, about="the tip must come this close to the centre")
 
 
 @dataclass(frozen=True)
@@ -189,14 +157,14 @@ class Layer(ConfigTable, key="needle.layer", error=ScenarioError):
     """A tissue layer from x = `from_mm` to the next layer, in which the needle's arc has the given radius."""
 
     from_mm: float = ruled(Number("mm", at_least=0, at_most=1e6), about="x at which the layer begins")
-    curvature_radius_mm: float = ruled(_LENGTH, about="radius of the arc in this layer")
+    curvature_radius_mm: float = ruled(LENGTH, about="radius of the arc in this layer")
 
 
 @dataclass(frozen=True)
 class Needle(ConfigTable, key="needle", error=ScenarioError, between=(_increasing,)):
     """The needle: radius of its arc in front of the first tissue layer, and the layers, each with its own radius."""
 
-    curvature_radius_mm: float = ruled(_LENGTH, about="radius of the arc that the needle follows without rotation")
+    curvature_radius_mm: float = ruled(LENGTH, about="radius of the arc that the needle follows without rotation")
     layers: tuple[Layer, ...] = ruled(TableList(Layer), (), key="layer")
 
 
@@ -207,8 +175,8 @@ class Tissue(ConfigTable, key="tissue", error=ScenarioError):
     The region is a simple polygon, boundary included. The polygon may reach beyond the workspace.
     """
 
-    polygon_mm: Points = ruled(_POLYGON, about="corners [x, y] of the region")
-    curvature_radius_mm: float = ruled(_LENGTH, about="radius of the arc in this region")
+    polygon_mm: Points = ruled(POLYGON, about="corners [x, y] of the region")
+    curvature_radius_mm: float = ruled(LENGTH, about="radius of the arc in this region")
     name: str = ruled(Text(), "", about="for messages, figures and identified radii")
 
 
@@ -240,7 +208,7 @@ class Grid(ConfigTable, key="grid", error=ScenarioError):
     fine grid point uses the policy of the nearest coarse one; k must be odd so that the nearest is unique.
     """
 
-    spacing_mm: tuple[float, float] = ruled(Pair(_LENGTH), (1.0, 1.0), about="distance of grid points, [dx, dy]")
+    spacing_mm: tuple[float, float] = ruled(Pair(LENGTH), (1.0, 1.0), about="distance of grid points, [dx, dy]")
     transition: Transition = ruled(
         Choice(Transition), Transition.NEAREST, about='"interpolated": unbiased; "nearest": the thesis'
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from shapely import Polygon
 
-__all__ = ["TOLERANCE_MM", "Points", "SimplePolygon", "contains", "covered"]
+__all__ = ["TOLERANCE_MM", "Points", "SimplePolygon", "covered"]
 
 TOLERANCE_MM = 1e-9
 """Distance (mm) from a boundary up to which `covered` counts a point as on the boundary, because of rounding."""
@@ -58,13 +57,6 @@ class SimplePolygon:
         return tuple(corners)
 
 
-def contains(polygon_mm: Sequence[tuple[float, float]], point_mm: tuple[float, float]) -> bool:
-    """Return whether the point is inside the polygon or exactly on its boundary."""
-    from shapely import Point, Polygon
-
-    return bool(Polygon(polygon_mm).intersects(Point(point_mm)))
-
-
 def covered(polygon_mm: Points, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return a mask of the points that are inside the polygon or within `TOLERANCE_MM` of it; same shape as `x_mm`."""
     import shapely
@@ -88,11 +80,26 @@ def _flaw(corners: list[tuple[float, float]]) -> str:
     from shapely import Polygon, is_valid_reason
 
     polygon = Polygon(corners)
-    if polygon.area == 0:
+    if polygon.convex_hull.area == 0:
         return "must enclose an area; all its points lie on one line"
     reason = is_valid_reason(polygon)
     if reason == "Valid Geometry":
         return ""
     where = re.search(r"\[(\S+) (\S+)\]", reason)
     place = f" at ({float(where[1]):g}, {float(where[2]):g})" if where else ""
-    return f"must not cross or touch its own boundary; it does so{place}"
+    return f"must not cross or touch its own boundary; it does so{place}{_crossing(corners)}"
+
+
+def _crossing(corners: list[tuple[float, float]]) -> str:
+    """Return which two edges of the polygon cross each other, as the end of a message; empty if none do."""
+    from shapely import LineString, STRtree
+
+    count = len(corners)
+    edges = [LineString([corners[k], corners[(k + 1) % count]]) for k in range(count)]
+    first, second = STRtree(edges).query(edges, predicate="crosses")
+    pairs = sorted((int(a), int(b)) for a, b in zip(first, second, strict=True) if a < b)
+    if not pairs:
+        return ""
+    a, b = pairs[0]
+    names = [f"from point {k + 1} to point {(k + 1) % count + 1}" for k in (a, b)]
+    return f", where it crosses itself: the edge {names[0]} and the edge {names[1]}"

@@ -27,11 +27,11 @@ from needleplan.plotting import axes_or_new, picture_html, title
 from needleplan.scenario._agreement import BETWEEN
 from needleplan.scenario._drawing import draw_scene
 from needleplan.scenario._identified import needle_with, tissues_with
+from needleplan.scenario._obstacle import Obstacle
 from needleplan.scenario._parts import (
     Grid,
     Needle,
     Objective,
-    Obstacle,
     Solver,
     Target,
     TipMotion,

@@ -17,7 +17,7 @@ from pathlib import Path as File
 from typing import TYPE_CHECKING
 
 import numpy as np
-from shapely import LineString, MultiPolygon, Polygon
+from shapely import GeometryCollection, LineString
 
 from needleplan.planning import Outcome, Path, PolicyTable, Pose, plan
 from needleplan.plotting import caption, save, sheet
@@ -130,7 +130,7 @@ def paths(folder: File | None, note: Callable[[str], None]) -> list[Comparison]:
 
 def clearance_mm(panel: Panel) -> float:
     """Return the smallest distance (mm) between obstacles and path, whose poses are connected by straight lines."""
-    obstacles = MultiPolygon([Polygon(each.polygon_mm) for each in panel.table.scenario.obstacles])
+    obstacles = GeometryCollection([each.region() for each in panel.table.scenario.obstacles])
     distance: float = LineString(panel.path.poses[:, :2]).distance(obstacles)
     return distance
 

@@ -70,7 +70,7 @@ impl Lattice {
 #[pymethods]
 impl Lattice {
     #[new]
-    #[pyo3(signature = (*, width_mm, height_mm, spacing_mm, polygons, target_center_mm, target_radius_mm, curvature_radius_mm,
+    #[pyo3(signature = (*, width_mm, height_mm, spacing_mm, obstacles, target_center_mm, target_radius_mm, curvature_radius_mm,
         headings, tip_noise, arc_samples, interpolated, insertion_per_mm, rotation, collision, exit, discount,
         layers=Vec::new(), tissues=Vec::new()))]
     #[allow(clippy::too_many_arguments)]
@@ -79,7 +79,7 @@ impl Lattice {
         width_mm: f64,
         height_mm: f64,
         spacing_mm: [f64; 2],
-        polygons: Vec<Vec<[f64; 2]>>,
+        obstacles: Vec<(Vec<Vec<[f64; 2]>>, f64)>,
         target_center_mm: [f64; 2],
         target_radius_mm: f64,
         curvature_radius_mm: f64,
@@ -96,7 +96,7 @@ impl Lattice {
         tissues: Vec<(Vec<[f64; 2]>, f64)>,
     ) -> PyResult<Self> {
         let problem = run(py, None, || {
-            let obstacles = polygons.into_iter().map(Area::polygon).collect::<ppvi::Result<_>>()?;
+            let obstacles = obstacles.into_iter().map(area).collect::<ppvi::Result<_>>()?;
             let workspace = Workspace::new([width_mm, height_mm], obstacles, target_center_mm, target_radius_mm)?;
             let needle = Bicycle::new(curvature_radius_mm, headings)?;
             let costs = Costs { step: insertion_per_mm * needle.step_length(), rotation, collision, exit, discount };
@@ -311,6 +311,16 @@ fn narrow(solution: Solution) -> (Vec<f32>, Vec<u8>, Report) {
     // The table is in single precision.
     report.error_bound += largest * f64::from(f32::EPSILON) / 2.0;
     (values.into_iter().map(|v| v as f32).collect(), policy.into_iter().map(|action| action as u8).collect(), report)
+}
+
+/// The area of rings of vertices and all points within `reach` of them; a ring of one vertex is a disc, one of two a
+/// capsule.
+fn area((rings, reach): (Vec<Vec<[f64; 2]>>, f64)) -> ppvi::Result<Area> {
+    match rings.first().map(Vec::as_slice) {
+        Some([centre]) => Area::disc(*centre, reach),
+        Some([a, b]) => Area::capsule(*a, *b, reach),
+        _ => Area::rings(rings)?.with_margin(reach),
+    }
 }
 
 fn execution(greedy: bool) -> Execution {
