@@ -110,7 +110,8 @@ def _draw(found: Identification, file: str) -> None:
 def _scenario(options: argparse.Namespace) -> Scenario | None:
     """Return the scenario of `--scenario`, or None without the option.
 
-    Raises InputError if the kind is not curvature, or an option that requires `--scenario` is given without it.
+    Raises InputError if `--scenario` is given and the kind is not curvature, or if `--scenario-out` or `--layers`
+    other than 1 is given without `--scenario`.
     """
     from needleplan.scenario import Scenario
 

@@ -197,7 +197,7 @@ def _observed(tuned: SlowObserver, excitation: Excitation) -> list[tuple[str, fl
 
 
 def _marked(record: Record, excitation: Excitation, marker: str | None) -> list[tuple[str, float, str]]:
-    """Return a score: the lag (deg) of the velocity of the needle relative to the marker, the reference of the thesis.
+    """Return a score: the phase lag (deg) of the difference of needle and marker velocity behind the needle velocity.
 
     Returns an empty list without a marker.
     """

@@ -335,7 +335,7 @@ class NdiTracker(Tracker):
             )
 
     def close(self) -> None:
-        """Stop tracking, return to 9600 baud if the speed was changed, and close the link."""
+        """Close the link. If tracking has started, stop it first, and return a changed speed to 9600 baud."""
         if self._closed:
             return
         self._closed = True

@@ -123,8 +123,9 @@ def register(first_mm: Array, second_mm: Array) -> RigidMotion:
 def worst_pair(first_mm: Array, second_mm: Array) -> Outlier | None:
     """Return the pair that contradicts the others most, or None if none does at the 1 % level.
 
-    Each pair is tested against the fit of the other pairs: the ratio of its squared distance to the residual variance
-    of the others has the distribution F(3, 3 (n - 1) - 6). The level holds for all pairs together (Bonferroni). Fewer
+    Each pair is tested against the fit of the other pairs. Its squared distance, divided by 3 (1 + t^2) s^2, has the
+    distribution F(3, 3 (n - 1) - 6): s^2 is the residual variance per coordinate of the other pairs, and t is `tre_mm`
+    of their fit at the point for an FLE of 1. The level holds for all pairs together (Bonferroni). Fewer
     than four pairs are not tested, and neither is a pair without which the points are collinear. Raises DataError like
     `register`.
     """

@@ -137,8 +137,8 @@ class StribeckFriction(Friction):
     """Abstract base class of friction whose coefficient changes from mu_s at rest to mu_c at high velocity.
 
     In Tables 3.2 to 3.4 of the thesis, mu_c is ten to thirty times mu_s: friction rises with the velocity, without a
-    Stribeck drop. The two labels are not interchanged in print. With the labels exchanged, the error of the Karnopp
-    model relative to Model II would be 8 to 12 times the published one.
+    Stribeck drop. The tables print mu_c and mu_s in the right columns: if their values were exchanged, the ratio of the
+    error of the Karnopp model to that of Model II would be 8 to 12 times the published ratio.
     """
 
     sigma0: float = parameter("1/mm", 1e-4, 1e4, "stiffness of the bristles")

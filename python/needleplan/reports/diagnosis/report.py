@@ -242,7 +242,7 @@ def _provenance(found: Diagnosis, file: ModelFile) -> Iterator[str]:
 
 
 def _added(found: Diagnosis) -> str:
-    """Return words that say which effects the model "after" contains, for captions."""
+    """Return words for captions that say which effects were added to the model that the report labels "After"."""
     if found.effects:
         return "with the named effects"
     if not found.lacks_data or found.joint is None:
