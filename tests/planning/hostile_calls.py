@@ -61,7 +61,8 @@ PUBLIC = (npl.NeedleplanError,)
 
 LATTICE: dict[str, Any] = {
     "width_mm": 30.0, "height_mm": 22.0, "spacing_mm": (2.0, 2.0),
-    "polygons": [[(5.0, 5.0), (10.0, 5.0), (8.0, 10.0)]], "target_center_mm": (24.0, 12.0), "target_radius_mm": 3.0,
+    "obstacles": [([[(5.0, 5.0), (10.0, 5.0), (8.0, 10.0)]], 0.0)],
+    "target_center_mm": (24.0, 12.0), "target_radius_mm": 3.0,
     "curvature_radius_mm": 6.0, "headings": 8, "tip_noise": [0.5, 0.25], "arc_samples": 2, "interpolated": True,
     "insertion_per_mm": 1.0, "rotation": 1.0, "collision": 1e3, "exit": 1e3, "discount": 1.0,
     "layers": [(5.0, 8.0)], "tissues": [([(12.0, 12.0), (20.0, 12.0), (20.0, 20.0)], 7.0)],

@@ -29,7 +29,7 @@ from needleplan import _ppvi
 signal.signal(signal.SIGINT, signal.default_int_handler)
 kind, threads = sys.argv[1], int(sys.argv[2]) or None
 SCENE = dict(
-    width_mm=120.0, height_mm=100.0, spacing_mm=(1.0, 1.0), polygons=[], target_center_mm=(100.0, 50.0),
+    width_mm=120.0, height_mm=100.0, spacing_mm=(1.0, 1.0), obstacles=[], target_center_mm=(100.0, 50.0),
     target_radius_mm=1.0, curvature_radius_mm=10.0, headings=60, tip_noise=[0.5, 0.25], arc_samples=1,
     interpolated=True, insertion_per_mm=1.0, rotation=1.0, collision=1e4, exit=1e4, discount=1.0,
 )

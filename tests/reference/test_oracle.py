@@ -137,8 +137,9 @@ def test_interpolated_corners_by_hand() -> None:
     assert solution.success[1, 1].min() == 1.0
 
 
-def test_a_corner_outside_the_grid_carries_the_exit_cost() -> None:
-    # 2.5 mm wide, spacing 2: grid lines x = 0, 2. From (2,0) the arc ends at (2.25, 0.25): one eighth is outside.
+def test_a_corner_beyond_the_border_is_a_state_of_its_own() -> None:
+    # 2.5 mm wide, spacing 2: grid lines x = 0, 2, 4, which cover the workspace. From (2,0) the arc ends at
+    # (2.25, 0.25): one eighth of it counts for x = 4.
     scenario = case(
         (2.5, 2.5),
         target=(0.5, 1.5, 0.1),
@@ -149,8 +150,9 @@ def test_a_corner_outside_the_grid_carries_the_exit_cost() -> None:
         objective=(1.0, 50.0, 9.0, 8.0, 0.9),
     )
     _, solution = solved(scenario)
-    inner = 0.875 * (0.875 * solution.values[1, 0, 1, 1] + 0.125 * solution.values[1, 1, 1, 1])
-    assert solution.q[1, 0, 0, 1, 0] == pytest.approx(0.25 * STEP + 0.9 * (inner + 0.125 * 8.0))
+    at_x = 0.875 * solution.values[:, 0, 1, 1] + 0.125 * solution.values[:, 1, 1, 1]
+    assert len(at_x) == 3
+    assert solution.q[1, 0, 0, 1, 0] == pytest.approx(0.25 * STEP + 0.9 * (0.875 * at_x[1] + 0.125 * at_x[2]))
 
 
 def test_steps_shorter_than_half_a_cell_never_end() -> None:
