@@ -82,7 +82,8 @@ def test_panels(table: npl.PolicyTable, tmp_path: Path) -> None:
     panel = Panel.of("a panel", table, table.best_entry().pose)
     assert panel.path.outcome is Outcome.TARGET
     assert ending(panel.path) == "reaches the target"
-    assert miss_mm(panel) < 0 < clearance_mm(panel) < 40
+    assert miss_mm(panel) < 1e-6  # the execution ends where it meets the rim of the target
+    assert 0 < clearance_mm(panel) < 40
     draw_panels([panel, panel], "What is shown.", tmp_path / "panels.png")
     assert (tmp_path / "panels.png").read_bytes().startswith(b"\x89PNG")
 
