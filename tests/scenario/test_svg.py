@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import cmath
 import math
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -36,6 +39,7 @@ OVAL = shapely.affinity.scale(shapely.Point(20, 60).buffer(1), 6, 3)
     ("shape", "expected"),
     [
         ('<rect x="10" y="20" width="8" height="5"/>', shapely.box(10, 55, 18, 60)),
+        ('<rect x="10" y="20" width="12" height="8" rx="3"/>', shapely.box(13, 55, 19, 57).buffer(3)),
         ('<polygon points="10,20 18,20 14 26"/>', shapely.Polygon([(10, 60), (18, 60), (14, 54)])),
         ('<path d="M10 20h8v5h-8z"/>', shapely.box(10, 55, 18, 60)),
         ('<path d="m10,20 8,0 0,5 -8,0"/>', shapely.box(10, 55, 18, 60)),
@@ -66,6 +70,44 @@ def test_shapes_become_obstacles(tmp_path: Path, shape: str, expected: shapely.P
         assert obstacle.region().symmetric_difference(expected).area < 0.01 * expected.area
 
 
+@pytest.mark.parametrize("mm_per_unit", [0.1, 1.0, 20.0])
+@pytest.mark.parametrize("turned", ["", 'transform="rotate(20) skewX(30) scale(2 1)"'])
+@pytest.mark.parametrize(
+    ("curve", "at"),
+    [
+        ("Q 9 9 20 5", lambda t: (1 - t) ** 2 * (2 + 3j) + 2 * t * (1 - t) * (9 + 9j) + t**2 * (20 + 5j)),
+        (
+            "C 1 9 12 12 20 5",
+            lambda t: (
+                (1 - t) ** 3 * (2 + 3j)
+                + 3 * t * (1 - t) ** 2 * (1 + 9j)
+                + 3 * t**2 * (1 - t) * (12 + 12j)
+                + t**3 * (20 + 5j)
+            ),
+        ),
+        ("A 8 8 0 0 0 10 11", lambda t: 10 + 3j + 8 * cmath.exp(1j * math.pi * (1 - t / 2))),
+    ],
+)
+def test_pieces_of_curves_are_within_the_stated_tolerance(
+    tmp_path: Path, mm_per_unit: float, turned: str, curve: str, at: Callable[[float], complex]
+) -> None:
+    end = at(1)
+    shape = f'<path d="M2 3 {curve} L {end.real} -90 L 2 -90z" {turned}/>'
+    (obstacle,) = drawn(tmp_path, TARGET.replace("100", "-90"), shape, page='viewBox="-100 0 120 80"',
+                        mm_per_unit=mm_per_unit).obstacles  # fmt: skip
+    boundary = obstacle.region().boundary
+    turn, skew = math.radians(20), math.tan(math.radians(30))
+    for k in range(501):
+        z = at(k / 500)
+        if turned:
+            x, y = 2 * z.real + skew * z.imag, z.imag
+            z = complex(x, y) * cmath.exp(1j * turn)
+        point = shapely.Point((z.real + 100) * mm_per_unit, (80 - z.imag) * mm_per_unit)
+        assert boundary.distance(point) <= 0.01
+    # The tolerance is used: no curve has many more pieces than it needs.
+    assert len(obstacle.polygon_mm or ()) < 12 + 60 * math.sqrt(mm_per_unit)
+
+
 def test_a_circle_stays_a_circle_under_rotation_and_scale(tmp_path: Path) -> None:
     shape = '<circle cx="10" cy="0" r="3" transform="translate(30 40) rotate(-90) scale(2)"/>'
     (obstacle,) = drawn(tmp_path, TARGET, shape).obstacles
@@ -92,13 +134,29 @@ def test_what_is_not_drawn_is_no_obstacle(tmp_path: Path) -> None:
         (TARGET + '<path id="rib" d="M1 1 L2"/>', 'rib.d = .*: "L" does not have its numbers'),
         (TARGET + '<path id="rib" d="M1 1 L2 2"/>', "rib = <path>: must enclose an area"),
         (TARGET + '<path id="rib" d="M10 10L14 14L14 10L10 14z"/>', "crosses itself"),
+        (TARGET + '<path id="rib" d="M1 1 L20 2 L2 30 V z"/>', "every command must have its numbers"),
+        (
+            TARGET + '<path id="rib" d="M1 1 L20 2 % L2 30z"/>',
+            'rib.d = .*: "% L2 30z" is no command or number of a path',
+        ),
+        (TARGET + '<path id="rib" d="L20 2 L2 30z"/>', 'rib.d = .*: must begin with "M"'),
+        (TARGET + '<path id="rib" d="M1 1 L2e13 2 L2 30z"/>', "rib.d = .*: every number must be within"),
+        (TARGET + '<polygon id="rib" points="10,20 18,20 14"/>', "rib.points = .*: must be pairs of numbers"),
         (TARGET + '<rect width="9" height="9" transform="bend(3)"/>', "transformations of SVG 1.1"),
+        (TARGET + '<rect width="9" height="9" transform="scale(1) matrix(1 2)"/>', "transformations of SVG 1.1"),
+        (TARGET + '<rect width="9" height="9" transform="translate(3mm)"/>', "transformations of SVG 1.1"),
         (TARGET + '<circle cx="100" cy="30" r="5"/>', "must not lie in or on an obstacle"),
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, shapes: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         drawn(tmp_path, shapes)
+
+
+def test_without_svgelements_the_message_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "svgelements", None)
+    with pytest.raises(ScenarioError, match=r"pip install needleplan\[svg\]"):
+        drawn(tmp_path, TARGET)
 
 
 def test_files_and_units_that_cannot_be_read(tmp_path: Path) -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import cmath
 import math
 import os
 import re
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from needleplan.errors import Mistake, ScenarioError
@@ -23,24 +21,40 @@ if TYPE_CHECKING:
 
 __all__ = ["read_svg"]
 
-# Straight pieces of a curve of a path, and of a quarter of an ellipse.
-_PIECES = 24
+# Largest distance (mm) between a curve of the drawing and the straight pieces that replace the curve.
+_FLATNESS_MM = 0.01
+
+# Largest number of straight pieces of one curve; a polygon with more corners is refused.
+_MOST_PIECES = 100_000
 
 # Largest relative difference of the two radii of a circle after transformations.
 _ROUND = 1e-6
+
+# Largest absolute number of a drawing; larger ones are mistakes and could overflow.
+_LARGEST = 1e12
 
 # Elements that hold other elements, and elements that are not part of the geometry.
 _GROUPS = {"svg", "g", "a"}
 _IGNORED = {"defs", "metadata", "title", "desc", "style", "text", "image", "namedview", "script", "symbol"}
 
+# Attributes of the supported elements with the length that each has if it is left out. None: the attribute is required.
+_LENGTHS: dict[str, dict[str, float | None]] = {
+    "circle": {"cx": 0.0, "cy": 0.0, "r": None},
+    "ellipse": {"cx": 0.0, "cy": 0.0, "rx": None, "ry": None},
+    "rect": {"x": 0.0, "y": 0.0, "width": None, "height": None},
+    "polygon": {},
+    "path": {},
+}
+
 _LABEL = "{http://www.inkscape.org/namespaces/inkscape}label"
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-# Numbers that every command of a path takes.
-_ARGUMENTS = {"m": 2, "l": 2, "h": 1, "v": 1, "c": 6, "s": 4, "q": 4, "t": 2, "a": 7, "z": 0}
-
-# An affine map z -> a z + b conj(z) + c of the plane.
-_Map = tuple[complex, complex, complex]
-_IDENTITY: _Map = (1 + 0j, 0j, 0j)
+# A command of a path; "e" belongs to a number.
+_COMMAND = re.compile(r"[a-df-zA-DF-Z]")
+_TRANSFORM = re.compile(r"\s*(matrix|translate|scale|rotate|skewX|skewY)\s*\(([-+.,\s\deE]*)\)[\s,]*")
+# Numbers that every transformation may have.
+_TRANSFORM_NUMBERS = {
+    "matrix": (6,), "translate": (1, 2), "scale": (1, 2), "rotate": (1, 3), "skewX": (1,), "skewY": (1,)
+}  # fmt: skip
 
 
 def read_svg(
@@ -55,7 +69,8 @@ def read_svg(
 
     The page (`viewBox`) is the workspace; its lower left corner is (0, 0), and y points up. The circle named "target"
     by its id, or by its label in Inkscape, is the target. All other visible circles, ellipses, rectangles, polygons
-    and paths are obstacles with the names of the shapes. Curves become straight pieces.
+    and paths are obstacles with the names of the shapes. Circles stay circles; other curves become straight pieces that
+    are at most 0.01 mm from the curve. Needs svgelements: ``pip install needleplan[svg]``.
 
     Parameters
     ----------
@@ -78,7 +93,7 @@ def read_svg(
     Raises
     ------
     ScenarioError
-        If the file is not such a drawing, or if the scenario violates a rule.
+        If the file is not such a drawing, the scenario violates a rule, or svgelements is not installed.
 
     Examples
     --------
@@ -95,6 +110,11 @@ def read_svg(
     """
     source = os.fspath(path)
     try:
+        from svgelements import Matrix
+    except ImportError:
+        rule = "drawings need svgelements: install it with `pip install needleplan[svg]`"
+        raise ScenarioError(rule, source) from None
+    try:
         root = ElementTree.fromstring(Path(path).read_bytes())
     except OSError as error:
         raise ScenarioError(f"cannot be read: {error.strerror}", source) from None
@@ -106,10 +126,10 @@ def read_svg(
     try:
         left, top, width, height = _page(root)
         # To mm, with y up.
-        to_mm: _Map = (0j, complex(mm_per_unit), complex(-left, top + height) * mm_per_unit)
+        to_mm = Matrix(mm_per_unit, 0, 0, -mm_per_unit, -left * mm_per_unit, (top + height) * mm_per_unit)
         target, obstacles = None, []
         for element, name, onto in _elements(root, to_mm):
-            shapes = _shapes(element, name, onto, margin_mm)
+            shapes = _obstacles(element, name, onto, margin_mm)
             if name.lower() == "target":
                 if target is not None or len(shapes) != 1 or shapes[0].center_mm is None:
                     raise ScenarioError(Mistake("target", "", 'one circle, and nothing else, must be named "target"'))
@@ -136,69 +156,162 @@ def _page(root: ElementTree.Element) -> tuple[float, float, float, float]:
     return box[0], box[1], box[2], box[3]
 
 
-def _elements(parent: ElementTree.Element, onto: _Map) -> Iterator[tuple[ElementTree.Element, str, _Map]]:
-    """Yield every visible shape with its name and the map from its coordinates to mm."""
+# The document is walked here and not by svgelements, which leaves out what it cannot read without a word. An obstacle
+# must not be left out.
+def _elements(parent: ElementTree.Element, onto: Any) -> Iterator[tuple[ElementTree.Element, str, Any]]:
+    """Yield every visible shape with its name and the matrix from its coordinates to mm."""
     for element in parent:
         if not isinstance(element.tag, str):
             continue
-        kind = _kind(element)
-        if (
-            kind in _IGNORED
-            or re.search(r"display\s*:\s*none", element.get("style", ""))
-            or (element.get("display") == "none")
-        ):
+        kind, style = _kind(element), element.get("style", "")
+        if kind in _IGNORED or re.search(r"display\s*:\s*none", style) or element.get("display") == "none":
             continue
-        here = _after(onto, _transform(element.get("transform", "")))
+        name = element.get(_LABEL) or element.get("id") or ""
+        here = _matrix(element.get("transform", "")) * onto
         if kind in _GROUPS:
             yield from _elements(element, here)
         else:
-            yield element, element.get(_LABEL) or element.get("id") or "", here
+            yield element, name, here
 
 
 def _kind(element: ElementTree.Element) -> str:
     return element.tag.rpartition("}")[2]
 
 
-def _shapes(element: ElementTree.Element, name: str, onto: _Map, margin_mm: float | None) -> list[Obstacle]:
+def _matrix(text: str) -> Any:
+    """Return the matrix of a transform attribute, a `svgelements.Matrix`."""
+    from svgelements import Matrix
+
+    _require_sizes(text, "transform")
+    kinds = _TRANSFORM.findall(text)
+    right = all(len(_NUMBER.findall(inside)) in _TRANSFORM_NUMBERS[kind] for kind, inside in kinds)
+    if _TRANSFORM.sub("", text).strip() or not right:
+        raise ScenarioError(Mistake("transform", text, "must consist of the transformations of SVG 1.1"))
+    return Matrix(text)
+
+
+def _obstacles(element: ElementTree.Element, name: str, onto: Any, margin_mm: float | None) -> list[Obstacle]:
     """Return the obstacles of one shape."""
+    import svgelements
+
     kind = _kind(element)
-
-    def number(key: str, default: float | None = None) -> float:
-        text = element.get(key, "")
-        found = re.fullmatch(rf"\s*({_NUMBER.pattern})\s*(px)?\s*", text)
-        if not found and (text or default is None):
-            rule = "must be a number without unit" if text else "is missing"
-            raise ScenarioError(Mistake(f"{name or kind}.{key}", text, rule))
-        return float(found[1]) if found else float(default or 0)
-
-    if kind in ("circle", "ellipse"):
-        center = complex(number("cx", 0), number("cy", 0))
-        rx, ry = (number("r"),) * 2 if kind == "circle" else (number("rx"), number("ry"))
-        if abs(rx - ry) <= _ROUND * rx and min(abs(onto[0]), abs(onto[1])) <= _ROUND * abs(onto[0] + onto[1]):
-            at = _apply(onto, center)
-            radius = rx * (abs(onto[0]) + abs(onto[1]))
-            return [Obstacle(name=name, center_mm=(at.real, at.imag), radius_mm=radius, margin_mm=margin_mm)]
-        turns = [2 * math.pi * k / (4 * _PIECES) for k in range(4 * _PIECES)]
-        rings = [[center + complex(rx * math.cos(turn), ry * math.sin(turn)) for turn in turns]]
-    elif kind == "rect":
-        corner, width, height = complex(number("x", 0), number("y", 0)), number("width"), number("height")
-        rings = [[corner, corner + width, corner + width + 1j * height, corner + 1j * height]]
-    elif kind == "polygon":
-        flat = [float(each) for each in _NUMBER.findall(element.get("points", ""))]
-        rings = [[complex(x, y) for x, y in zip(flat[::2], flat[1::2], strict=False)]]
-    elif kind == "path":
-        rings = list(_rings(element.get("d", ""), name))
-    else:
+    label = name or kind
+    if kind not in _LENGTHS:
         rule = "is not supported; convert it to a path, rectangle, circle, ellipse or polygon"
-        raise ScenarioError(Mistake(f"{name or kind}", f"<{kind}>", rule))
-    placed = [
-        tuple((at.real, at.imag) for at in (_apply(onto, each) for each in ring)) for ring in rings if len(ring) > 2
+        raise ScenarioError(Mistake(label, f"<{kind}>", rule))
+    lengths = {key: _length(element, key, default, label) for key, default in _LENGTHS[kind].items()}
+    largest, smallest = _stretch(onto)
+    shape: Any
+    if kind in ("circle", "ellipse"):
+        rx, ry = lengths.get("rx", lengths.get("r", 0.0)), lengths.get("ry", lengths.get("r", 0.0))
+        if abs(rx - ry) <= _ROUND * rx and largest - smallest <= _ROUND * largest:
+            at = onto.point_in_matrix_space((lengths["cx"], lengths["cy"]))
+            return [Obstacle(name=name, center_mm=(at.x, at.y), radius_mm=rx * largest, margin_mm=margin_mm)]
+        shape = svgelements.Ellipse(cx=lengths["cx"], cy=lengths["cy"], rx=rx, ry=ry)
+    elif kind == "rect":
+        rounded = {key: _length(element, key, 0.0, label) for key in ("rx", "ry") if element.get(key)}
+        shape = svgelements.Rect(**lengths, **rounded)
+    elif kind == "polygon":
+        text = element.get("points", "")
+        _require_sizes(text, f"{label}.points")
+        if _NUMBER.sub("", text).strip(" ,\t\r\n") or len(_NUMBER.findall(text)) % 2:
+            raise ScenarioError(Mistake(f"{label}.points", text[:40], "must be pairs of numbers"))
+        shape = svgelements.Polygon(points=text)
+    else:
+        shape = _path(element.get("d", ""), label)
+    rings = [
+        tuple((float(at.x), float(at.y)) for at in map(onto.point_in_matrix_space, ring))
+        for ring in _rings(shape.segments(transformed=False), _FLATNESS_MM / largest if largest else math.inf)
+        if len(ring) > 2
     ]
-    if not placed:
-        raise ScenarioError(Mistake(f"{name or kind}", f"<{kind}>", "must enclose an area"))
-    if len(placed) == 1:
-        return [Obstacle(placed[0], name, margin_mm=margin_mm)]
-    return list(Obstacle.from_shapely(_even_odd(placed, name), name, margin_mm=margin_mm))
+    if not rings:
+        raise ScenarioError(Mistake(label, f"<{kind}>", "must enclose an area"))
+    if len(rings) == 1:
+        return [Obstacle(rings[0], name, margin_mm=margin_mm)]
+    return list(Obstacle.from_shapely(_even_odd(rings, name), name, margin_mm=margin_mm))
+
+
+def _length(element: ElementTree.Element, key: str, default: float | None, label: str) -> float:
+    """Return an attribute that is a length in units of the drawing."""
+    text = element.get(key, "")
+    _require_sizes(text, f"{label}.{key}")
+    found = re.fullmatch(rf"\s*({_NUMBER.pattern})\s*(px)?\s*", text)
+    if not found and (text or default is None):
+        rule = "must be a number without unit" if text else "is missing"
+        raise ScenarioError(Mistake(f"{label}.{key}", text, rule))
+    return float(found[1]) if found else default or 0.0
+
+
+def _require_sizes(text: str, key: str) -> None:
+    if any(abs(float(each)) > _LARGEST for each in _NUMBER.findall(text)):
+        raise ScenarioError(Mistake(key, text[:40], f"every number must be within +-{_LARGEST:g}"))
+
+
+def _stretch(matrix: Any) -> tuple[float, float]:
+    """Return the largest and the smallest factor by which a matrix stretches lengths: its singular values."""
+    same = math.hypot(matrix.a + matrix.d, matrix.b - matrix.c) / 2
+    mirrored = math.hypot(matrix.a - matrix.d, matrix.b + matrix.c) / 2
+    return same + mirrored, abs(same - mirrored)
+
+
+def _path(text: str, label: str) -> Any:
+    """Return the data of a path as a `svgelements.Path`."""
+    from svgelements import Path, SVGLexicalParser
+
+    _require_sizes(text, f"{label}.d")
+    if text.strip() and text.lstrip()[0] not in "mM":
+        raise ScenarioError(Mistake(f"{label}.d", text[:40], 'must begin with "M"'))
+    path, lexer = Path(), SVGLexicalParser()
+    try:
+        lexer.parse(path, text)
+    except (ValueError, TypeError, ArithmeticError):  # so svgelements reports numbers that are missing
+        letter = (_COMMAND.findall(text[: lexer.pos]) or [""])[-1]
+        raise ScenarioError(Mistake(f"{label}.d", text[:40], f'"{letter}" does not have its numbers')) from None
+    if lexer.pos < lexer.limit:
+        rule = f'"{text[lexer.pos : lexer.pos + 10]}" is no command or number of a path'
+        raise ScenarioError(Mistake(f"{label}.d", text[:40], rule))
+    if len(path) < len(_COMMAND.findall(text)):
+        raise ScenarioError(Mistake(f"{label}.d", text[:40], "every command must have its numbers"))
+    return path
+
+
+def _rings(segments: Any, flatness: float) -> Iterator[list[tuple[float, float]]]:
+    """Yield the corners of every closed ring, at most `flatness` from the curves, in units of the drawing."""
+    ring: list[tuple[float, float]] = []
+    for segment in segments:
+        kind = type(segment).__name__
+        if kind in ("Move", "Close"):
+            if ring:
+                yield ring
+            ring = [tuple(segment.end)] if kind == "Move" else []
+            continue
+        pieces = _pieces(segment, kind, flatness)
+        ring = ring or [tuple(segment.start)]
+        ring += [tuple(segment.point(k / pieces)) for k in range(1, pieces)]
+        ring.append(tuple(segment.end))
+    if ring:
+        yield ring
+
+
+def _pieces(segment: Any, kind: str, flatness: float) -> int:
+    """Return how many straight pieces of equal parameter length stay within `flatness` of a segment."""
+    # A piece of parameter length h is at most h^2 / 8 times the largest second derivative from the curve.
+    if kind == "Line":
+        return 1
+    if kind == "Arc":
+        second = segment.sweep**2 * max(segment.rx, segment.ry)
+    elif kind == "QuadraticBezier":
+        second = 2 * _bend(segment.start, segment.control, segment.end)
+    else:
+        controls = (segment.start, segment.control1, segment.control2, segment.end)
+        bend = (_bend(*controls[:3]), _bend(*controls[1:]))
+        second = 6 * max(bend)
+    return math.ceil(max(1.0, min(math.sqrt(second / (8 * flatness)), _MOST_PIECES)))
+
+
+def _bend(before: Any, at: Any, after: Any) -> float:
+    """Return the length of the second difference of three points."""
+    return math.hypot(before.x - 2 * at.x + after.x, before.y - 2 * at.y + after.y)
 
 
 def _even_odd(rings: list[Points], name: str) -> BaseGeometry:
@@ -209,137 +322,3 @@ def _even_odd(rings: list[Points], name: str) -> BaseGeometry:
     for ring in rings:
         region = region.symmetric_difference(Polygon(Obstacle(ring, name).polygon_mm))
     return region
-
-
-def _transform(text: str) -> _Map:
-    """Return the map of a transform attribute."""
-    result = _IDENTITY
-    for kind, inside in re.findall(r"(\w+)\s*\(([^)]*)\)", text):
-        v = [float(each) for each in _NUMBER.findall(inside)]
-        if kind == "translate":
-            step: _Map = (1 + 0j, 0j, complex(v[0], v[1] if len(v) > 1 else 0))
-        elif kind == "scale":
-            sx, sy = v[0], v[-1]
-            step = (complex((sx + sy) / 2), complex((sx - sy) / 2), 0j)
-        elif kind == "rotate":
-            turn = cmath.exp(1j * math.radians(v[0]))
-            about = complex(v[1], v[2]) if len(v) == 3 else 0j
-            step = (turn, 0j, about - turn * about)
-        elif kind in ("matrix", "skewX", "skewY"):
-            tangent = math.tan(math.radians(v[0])) if kind != "matrix" else 0.0
-            skew = [1, 0, tangent, 1, 0, 0] if kind == "skewX" else [1, tangent, 0, 1, 0, 0]
-            a, b, c, d, e, f = v if kind == "matrix" else skew
-            step = (complex(a + d, b - c) / 2, complex(a - d, b + c) / 2, complex(e, f))
-        else:
-            raise ScenarioError(Mistake("transform", text, "must consist of the transformations of SVG 1.1"))
-        result = _after(result, step)
-    return result
-
-
-def _after(outer: _Map, inner: _Map) -> _Map:
-    """Return the map that applies `inner` and then `outer`."""
-    (a, b, c), (p, q, r) = outer, inner
-    return (a * p + b * q.conjugate(), a * q + b * p.conjugate(), a * r + b * r.conjugate() + c)
-
-
-def _apply(onto: _Map, at: complex) -> complex:
-    return onto[0] * at + onto[1] * at.conjugate() + onto[2]
-
-
-def _rings(text: str, name: str) -> Iterator[list[complex]]:
-    """Yield the closed rings of the data of a path; curves become straight pieces."""
-    ring: list[complex] = []
-    at = start = 0j
-    handle: complex | None = None  # last control point of a curve, which S and T reflect
-    for letter, v in _commands(text, name):
-        kind, base = letter.lower(), at if letter.islower() else 0j
-        if kind in "mz":
-            if ring:
-                yield ring
-            if kind == "m":
-                at = start = base + complex(v[0], v[1])
-            ring, at, handle = [], start, None
-            ring = [start] if kind == "m" else []
-            continue
-        ring = ring or [at]
-        points = [base + complex(x, y) for x, y in zip(v[::2], v[1::2], strict=False)]
-        if kind == "h":
-            points = [complex(v[0] + base.real, at.imag)]
-        elif kind == "v":
-            points = [complex(at.real, v[0] + base.imag)]
-        if kind in "st":
-            points.insert(0, at if handle is None else 2 * at - handle)
-        handle = points[-2] if kind in "csqt" else None
-        if kind == "a":
-            end = base + complex(v[5], v[6])
-            ring += _arc(at, complex(v[0], v[1]), math.radians(v[2]), (bool(v[3]), bool(v[4])), end)
-            at = end
-            continue
-        ring += _bezier([at, *points]) if kind in "csqt" else points
-        at = points[-1]
-    if ring:
-        yield ring
-
-
-def _commands(text: str, name: str) -> Iterator[tuple[str, list[float]]]:
-    """Yield every command of a path with its numbers; repeated numbers repeat the command."""
-    for letter, inside in re.findall(r"([a-zA-Z])([^a-zA-Z]*(?:[eE][-+]?\d[^a-zA-Z]*)*)", text):
-        count = _ARGUMENTS.get(letter.lower())
-        numbers = _numbers(inside, letter)
-        if count is None or (len(numbers) % count if count else numbers) or (count and not numbers):
-            raise ScenarioError(Mistake(f"{name or 'path'}.d", text[:40], f'"{letter}" does not have its numbers'))
-        if not count:
-            yield letter, []
-        for first in range(0, len(numbers), count or 1):
-            # Further points of a move are lines.
-            again = letter if first == 0 or letter.lower() != "m" else ("l" if letter == "m" else "L")
-            yield again, numbers[first : first + count]
-
-
-def _numbers(inside: str, letter: str) -> list[float]:
-    """Return the numbers of a command. The flags of arcs may be written without separators."""
-    if letter.lower() != "a":
-        return [float(each) for each in _NUMBER.findall(inside)]
-    found: list[float] = []
-    position = 0
-    while True:
-        pattern = re.compile(r"[\s,]*([01])") if len(found) % 7 in (3, 4) else re.compile(rf"[\s,]*({_NUMBER.pattern})")
-        match = pattern.match(inside, position)
-        if not match:
-            return found
-        found.append(float(match[1]))
-        position = match.end()
-
-
-def _bezier(controls: list[complex]) -> list[complex]:
-    """Return points of a Bezier curve after its start."""
-    points = []
-    for k in range(1, _PIECES + 1):
-        level, t = controls, k / _PIECES
-        while len(level) > 1:
-            level = [a + t * (b - a) for a, b in pairwise(level)]
-        points.append(level[0])
-    return points
-
-
-def _arc(start: complex, radii: complex, turn: float, flags: tuple[bool, bool], end: complex) -> list[complex]:
-    """Return points of an elliptical arc after its start (SVG 1.1, appendix F.6.5)."""
-    rx, ry = abs(radii.real), abs(radii.imag)
-    if start == end or not rx or not ry:
-        return [end]
-    spin = cmath.exp(1j * turn)
-    half = (start - end) / 2 / spin
-    unit = complex(half.real / rx, half.imag / ry)
-    scale = max(1.0, abs(unit))  # radii that are too small grow
-    rx, ry, unit = rx * scale, ry * scale, unit / scale
-    away = math.sqrt(max(0.0, 1 / abs(unit) ** 2 - 1)) * (1 if flags[0] != flags[1] else -1)
-    middle = complex(unit.imag, -unit.real) * away
-    first, last = unit - middle, -unit - middle
-    sweep = cmath.phase(last / first)
-    sweep += 2 * math.pi if flags[1] and sweep < 0 else -2 * math.pi if not flags[1] and sweep > 0 else 0.0
-    center = (start + end) / 2 + complex(middle.real * rx, middle.imag * ry) * spin
-    points = []
-    for k in range(1, 2 * _PIECES + 1):
-        on = first * cmath.exp(1j * sweep * k / (2 * _PIECES))
-        points.append(center + complex(on.real * rx, on.imag * ry) * spin)
-    return [*points[:-1], end]
