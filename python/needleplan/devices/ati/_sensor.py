@@ -181,7 +181,8 @@ class NetFt(ForceSensor):
         """
         self._fault = None
         self._malformed = 0
-        self._configuration = self._configure()
+        self._configuration = now = self._configure()
+        self._units = now.newton_per_count, now.newton_mm_per_count
         self._watch, self._plausible = StreamWatch(), Plausibility(self.limits)
         self._pending.clear()
         self._link.send(encode_request(RdtCommand.STOP))
@@ -329,7 +330,7 @@ class NetFt(ForceSensor):
         if arrival.frozen:
             notes += ("no new measurement",)
         fx, fy, fz, tx, ty, tz = record.counts
-        n, n_mm = self._configuration.newton_per_count, self._configuration.newton_mm_per_count
+        n, n_mm = self._units
         force_n, torque_n_mm = (fx * n, fy * n, fz * n), (tx * n_mm, ty * n_mm, tz * n_mm)
         notes += self._plausible.notes(record, force_n, torque_n_mm)
         if arrival.order is RdtOrder.AFRESH:
