@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-from needleplan.control._events import CommandKind, ListenerGroup, RunCommand
+from needleplan.control._events import CommandKind, Listener, RunCommand
 from needleplan.control._needle import NeedleState, present_causes
 from needleplan.control._options import Options
 from needleplan.control.safety import GuardedStage, OperatingState, Order
@@ -35,7 +35,7 @@ class NeedleDriver:
     """
 
     def __init__(
-        self, needle: NeedleState, guard: GuardedStage, clock: Clock, options: Options, listeners: ListenerGroup,
+        self, needle: NeedleState, guard: GuardedStage, clock: Clock, options: Options, listeners: Sequence[Listener],
         on_pause: Callable[[str, str], None],
     ) -> None:  # fmt: skip
         self.goal_mm = 0.0
@@ -211,4 +211,6 @@ class NeedleDriver:
         self._emit(kind, goal, speed)
 
     def _emit(self, kind: CommandKind, goal: float, speed: float) -> None:
-        self._listeners.command(RunCommand(self._clock.now_ns(), kind, goal, speed))
+        command = RunCommand(self._clock.now_ns(), kind, goal, speed)
+        for each in self._listeners:
+            each.command(command)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -16,7 +15,6 @@ __all__ = [
     "CommandKind",
     "ExecutedStep",
     "Listener",
-    "ListenerGroup",
     "RunCommand",
     "RunEvent",
     "RunEventName",
@@ -137,46 +135,3 @@ class Listener:
     def status(self) -> RecorderStatus | None:
         """Return the status of a recording without which the run must stop; None if there is no such recording."""
         return None
-
-
-class ListenerGroup(Listener):
-    """Passes samples, estimates, commands, decisions and events on to several listeners, in their order."""
-
-    def __init__(self, listeners: Iterable[Listener]) -> None:
-        self._listeners = tuple(listeners)
-
-    def sample(self, sample: Sample) -> None:
-        """Pass a sample on."""
-        for each in self._listeners:
-            each.sample(sample)
-
-    def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:
-        """Pass a tip estimate on."""
-        for each in self._listeners:
-            each.tip(time_ns, path_mm, tip)
-
-    def command(self, command: RunCommand) -> None:
-        """Pass a command on."""
-        for each in self._listeners:
-            each.command(command)
-
-    def step(self, step: ExecutedStep) -> None:
-        """Pass a decision on."""
-        for each in self._listeners:
-            each.step(step)
-
-    def event(self, event: RunEvent) -> None:
-        """Pass an event on."""
-        for each in self._listeners:
-            each.event(event)
-
-    def safety(self, event: SafetyEvent) -> None:
-        """Pass an event of the guard on."""
-        for each in self._listeners:
-            each.safety(event)
-
-    def statuses(self) -> Iterator[RecorderStatus]:
-        """Yield the status of every recording that the run requires."""
-        for each in self._listeners:
-            if (status := each.status()) is not None:
-                yield status

@@ -13,14 +13,14 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 
 from needleplan.control._driver import NeedleDriver
-from needleplan.control._events import ExecutedStep, Listener, ListenerGroup, RunEvent, RunEventName
+from needleplan.control._events import ExecutedStep, Listener, RunEvent, RunEventName
 from needleplan.control._needle import NeedleState, Stopped
 from needleplan.control._options import Options
 from needleplan.control._preconditions import measured_entry, require_expected
 from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch, rescaled
 from needleplan.control._report import InsertionOutcome, InsertionReport, InsertionTrace
 from needleplan.control._scene import NEARLY_MM, Approach, ScenarioGeometry
-from needleplan.control.safety import GuardedStage, SafetyLimits
+from needleplan.control.safety import GuardedStage, SafetyEvent, SafetyLimits
 from needleplan.devices import Closing, Station, VirtualClock, no_long_collections, short_turns
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
 from needleplan.estimation.registration import Registration
@@ -81,10 +81,12 @@ class Insertion(Closing):
         self._station, self._tip_settings = station, tip_settings
         self._scene = ScenarioGeometry(table.scenario)
         self._trace = InsertionTrace(self.options.force_axis)
-        self._listeners = group = ListenerGroup([self._trace, *listeners])
-        self.guard = GuardedStage(station.stage, limits, clock=station.clock, listener=group.safety)
-        self._needle = NeedleState(self.guard, station.clock, self.options, group)
-        self._driver = NeedleDriver(self._needle, self.guard, station.clock, self.options, group, self._on_pause)
+        self._listeners = (self._trace, *listeners)
+        self.guard = GuardedStage(station.stage, limits, clock=station.clock, listener=self._on_safety)
+        self._needle = NeedleState(self.guard, station.clock, self.options, self._listeners)
+        self._driver = NeedleDriver(
+            self._needle, self.guard, station.clock, self.options, self._listeners, self._on_pause
+        )
         self._replanner = replanner or ThreadReplanner(wait=isinstance(station.clock, VirtualClock))
         self._first_table = table
         self._planned: Path | None = None
@@ -276,7 +278,8 @@ class Insertion(Closing):
             needle.tip, self.table.digest, latency_s,
         )  # fmt: skip
         self._number += 1
-        self._listeners.step(step)
+        for each in self._listeners:
+            each.step(step)
 
     def _state(self, pose: Pose) -> tuple[int, int, int, int]:
         """Return the indices (x, y, heading, bevel) of the table state nearest to a pose."""
@@ -315,8 +318,14 @@ class Insertion(Closing):
             text = f"new table for a radius of {radius:.4g} mm, computed in {table.stats.seconds:.3f} s"
             self._emit(RunEventName.TABLE_SWAPPED, "replan", text, table.digest)
 
+    def _on_safety(self, event: SafetyEvent) -> None:
+        for each in self._listeners:
+            each.safety(event)
+
     def _on_pause(self, causes: str, text: str) -> None:
         self._emit(RunEventName.PAUSED if causes else RunEventName.RESUMED, causes, text)
 
     def _emit(self, name: RunEventName, cause: str, text: str, digest: str = "") -> None:
-        self._listeners.event(RunEvent(self._station.clock.now_ns(), name, cause, text, self._number, digest))
+        event = RunEvent(self._station.clock.now_ns(), name, cause, text, self._number, digest)
+        for each in self._listeners:
+            each.event(event)

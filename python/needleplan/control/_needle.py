@@ -7,9 +7,10 @@ replayed.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
-from needleplan.control._events import ListenerGroup
+from needleplan.control._events import Listener
 from needleplan.control._options import Options
 from needleplan.control.safety import GuardedStage
 from needleplan.devices import Clock, Feed, ForceSample, Health, PoseSample, Sample, StageSample
@@ -33,7 +34,7 @@ class Stopped(Exception):
 class NeedleState:
     """Last sample of each device and the estimated tip; `receive` updates them with the next sample."""
 
-    def __init__(self, guard: GuardedStage, clock: Clock, options: Options, listeners: ListenerGroup) -> None:
+    def __init__(self, guard: GuardedStage, clock: Clock, options: Options, listeners: Sequence[Listener]) -> None:
         self.stage: StageSample | None = None
         self.force: ForceSample | None = None
         self.pose: PoseSample | None = None
@@ -107,8 +108,9 @@ class NeedleState:
             raise DeviceFault(f"no device has sent a sample for {self._options.silence_s:g} s")
         if now_ns - self._ticked_ns >= _TICK_NS:
             self._ticked_ns = now_ns
-            for status in self._listeners.statuses():
-                self._guard.observe_recording(status)
+            for each in self._listeners:
+                if (status := each.status()) is not None:
+                    self._guard.observe_recording(status)
             self._guard.tick()
 
     def why_stopped(self) -> str:
@@ -121,13 +123,17 @@ class NeedleState:
         try:
             for _ in range(_MOST_WAITING):
                 if (sample := self._feed.next(0.0)) is not None:
-                    self._listeners.sample(sample)
+                    self._publish(sample)
         except DeviceFault as fault:
             return f"{fault}; {causes}"
         return causes
 
+    def _publish(self, sample: Sample) -> None:
+        for each in self._listeners:
+            each.sample(sample)
+
     def _take(self, sample: Sample) -> None:
-        self._listeners.sample(sample)
+        self._publish(sample)
         if isinstance(sample, StageSample):
             self.stage = sample
             self.stage_samples += 1
@@ -150,7 +156,8 @@ class NeedleState:
         if usable:
             known = tip.status is not TipStatus.LOST
             self._guard.observe_tip((tip.x_mm, tip.y_mm) if known else None, tip.z_mm)
-        self._listeners.tip(sample.stamp.received_ns, self.path_mm, tip)
+        for each in self._listeners:
+            each.tip(sample.stamp.received_ns, self.path_mm, tip)
 
     def _from_entry(self, sample: StageSample) -> StageSample:
         """Return the sample with its depth relative to the entry and its roll relative to the roll that bends left."""
