@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from needleplan.control.safety import Cause, Inputs, SafetyLimits, validate
-from needleplan.control.safety._motion import against_insertion, against_retraction, against_rotation
+from needleplan.control.safety._limits import against_insertion, against_retraction, against_rotation
 from needleplan.devices import ForceSample, PoseSample, StageSample, Stamp
 
 LIMITS = SafetyLimits(workspace_x_mm=(0.0, 60.0), workspace_y_mm=(-20.0, 20.0))

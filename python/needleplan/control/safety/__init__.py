@@ -4,7 +4,6 @@ from needleplan.control.safety._causes import Cause, Severity
 from needleplan.control.safety._guard import GuardedStage
 from needleplan.control.safety._inputs import Inputs, validate
 from needleplan.control.safety._limits import SafetyLimits
-from needleplan.control.safety._signals import Watchdog
 from needleplan.control.safety._states import (
     GuardAction,
     InputReport,
@@ -17,6 +16,7 @@ from needleplan.control.safety._states import (
     SafetyTransition,
     advance,
 )
+from needleplan.control.safety._watchdog import Watchdog
 
 __all__ = [
     "Cause",

@@ -24,9 +24,8 @@ from weakref import WeakSet
 
 from needleplan.control.safety._causes import Cause
 from needleplan.control.safety._inputs import Inputs, RecordingStatus, validate
-from needleplan.control.safety._limits import SafetyLimits
-from needleplan.control.safety._motion import MotionWatch, against_insertion, against_retraction, against_rotation
-from needleplan.control.safety._signals import Heartbeat, RepeatedStop
+from needleplan.control.safety._limits import SafetyLimits, against_insertion, against_retraction, against_rotation
+from needleplan.control.safety._motion import MotionWatch, RepeatedStop
 from needleplan.control.safety._states import (
     GuardAction,
     InputReport,
@@ -39,6 +38,7 @@ from needleplan.control.safety._states import (
     SafetyTransition,
     advance,
 )
+from needleplan.control.safety._watchdog import Heartbeat
 from needleplan.devices import Clock, Sample, SampledDevice, Source, Stage, StageSample, SystemClock
 from needleplan.errors import DeviceFault, MotionRefused
 from needleplan.recording import RecorderStatus

@@ -1,4 +1,4 @@
-"""The safety limits of a run, and their validation.
+"""The safety limits of a run, their validation, and the validation of commands against them.
 
 The defaults suit a needle robot in a phantom. The age limits follow from the rates of the sensors and from the
 requirement that a stop is sent at most 50 ms after a fault. With the defaults, five samples of a force sensor at 200 Hz
@@ -8,6 +8,7 @@ coil is tracked again.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,14 +26,17 @@ from needleplan.config import (
     text_of,
     under,
 )
+from needleplan.control.safety._causes import Cause
+from needleplan.devices import StageSample
 from needleplan.errors import Mistake, SafetyError
 
-__all__ = ["SafetyLimits"]
+__all__ = ["SafetyLimits", "against_insertion", "against_retraction", "against_rotation"]
 
 Range = tuple[float, float]
 
 _DEPTH = Number("mm", at_least=-1000, at_most=1000)
 _AGE = Number("s", above=0, at_most=10)
+_NOT_FINITE = frozenset({Cause.NOT_FINITE})
 _PLACE = Maybe(Pair(Number("mm", at_least=-10_000, at_most=10_000)))
 
 
@@ -115,3 +119,53 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
         if cls.key not in raw:
             raise SafetyError(Mistake(cls.key, "", f"is missing: limits belong in the table [{cls.key}]"), str(path))
         return cls.from_table(raw[cls.key], str(path))
+
+
+def against_insertion(
+    limits: SafetyLimits, here: StageSample | None, depth_mm: float, velocity_mm_s: float
+) -> frozenset[Cause]:
+    """Return the causes against a motion to a depth, inward or outward; empty if it is allowed.
+
+    `here` is the last stage sample. If it is None, the position is unknown and the insertion speed limit applies.
+    """
+    if not (math.isfinite(depth_mm) and math.isfinite(velocity_mm_s)):
+        return _NOT_FINITE
+    inward = here is None or depth_mm > here.depth_mm
+    fastest = limits.insertion_velocity_mm_s if inward else limits.retraction_velocity_mm_s
+    against = set()
+    if not limits.shallowest_mm <= depth_mm <= limits.deepest_mm:
+        against.add(Cause.DEPTH_BEYOND)
+    if not 0 < velocity_mm_s <= fastest:
+        against.add(Cause.VELOCITY_BEYOND)
+    return frozenset(against)
+
+
+def against_rotation(limits: SafetyLimits, roll_rad: float, velocity_rad_s: float) -> frozenset[Cause]:
+    """Return the causes against a rotation of the base to a roll; empty if the rotation is allowed."""
+    if not (math.isfinite(roll_rad) and math.isfinite(velocity_rad_s)):
+        return _NOT_FINITE
+    against = set()
+    if abs(roll_rad) > limits.roll_rad:
+        against.add(Cause.ROLL_BEYOND)
+    if not 0 < velocity_rad_s <= limits.rotation_velocity_rad_s:
+        against.add(Cause.ROTATION_BEYOND)
+    return frozenset(against)
+
+
+def against_retraction(
+    limits: SafetyLimits, here: StageSample | None, depth_mm: float, velocity_mm_s: float
+) -> frozenset[Cause]:
+    """Return the causes against a retraction to a depth; empty if it is allowed.
+
+    `here` is the last stage sample. If it is None, the position is unknown and only `shallowest_mm` is accepted.
+    """
+    if not (math.isfinite(depth_mm) and math.isfinite(velocity_mm_s)):
+        return _NOT_FINITE
+    against = set()
+    if depth_mm > (limits.shallowest_mm if here is None else here.depth_mm):
+        against.add(Cause.NOT_A_RETRACTION)
+    if depth_mm < limits.shallowest_mm:
+        against.add(Cause.DEPTH_BEYOND)
+    if not 0 < velocity_mm_s <= limits.retraction_velocity_mm_s:
+        against.add(Cause.VELOCITY_BEYOND)
+    return frozenset(against)

@@ -1,19 +1,17 @@
-"""Pure functions that validate commands against the limits, and the motion of the stage against its commands."""
+"""The commands and the stop that are in force at the stage, and the validation of its motion against them."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from needleplan.control.safety._causes import Cause
 from needleplan.control.safety._limits import SafetyLimits
-from needleplan.devices import StageSample
+from needleplan.devices import Clock, Stage, StageSample
 
-__all__ = ["Goal", "MotionWatch", "against_insertion", "against_retraction", "against_rotation"]
+__all__ = ["Goal", "MotionWatch", "RepeatedStop"]
 
 _NANO = 1e-9
-_NOT_FINITE = frozenset({Cause.NOT_FINITE})
 # longest time, s, that a stage needs to reverse its direction
 _REVERSAL_S = 0.15
 # ratio to the velocity limit above which a measured velocity is not explained by noise
@@ -22,56 +20,13 @@ _VELOCITY_MARGIN = 1.5
 _STUCK_SHARE = 0.1
 # commanded distances (mm, rad) below which an axis is never reported as stuck
 _LEAST_MM, _LEAST_RAD = 0.1, 0.05
-
-
-def against_insertion(
-    limits: SafetyLimits, here: StageSample | None, depth_mm: float, velocity_mm_s: float
-) -> frozenset[Cause]:
-    """Return the causes against a motion to a depth, inward or outward; empty if it is allowed.
-
-    `here` is the last stage sample. If it is None, the position is unknown and the insertion speed limit applies.
-    """
-    if not (math.isfinite(depth_mm) and math.isfinite(velocity_mm_s)):
-        return _NOT_FINITE
-    inward = here is None or depth_mm > here.depth_mm
-    fastest = limits.insertion_velocity_mm_s if inward else limits.retraction_velocity_mm_s
-    against = set()
-    if not limits.shallowest_mm <= depth_mm <= limits.deepest_mm:
-        against.add(Cause.DEPTH_BEYOND)
-    if not 0 < velocity_mm_s <= fastest:
-        against.add(Cause.VELOCITY_BEYOND)
-    return frozenset(against)
-
-
-def against_rotation(limits: SafetyLimits, roll_rad: float, velocity_rad_s: float) -> frozenset[Cause]:
-    """Return the causes against a rotation of the base to a roll; empty if the rotation is allowed."""
-    if not (math.isfinite(roll_rad) and math.isfinite(velocity_rad_s)):
-        return _NOT_FINITE
-    against = set()
-    if abs(roll_rad) > limits.roll_rad:
-        against.add(Cause.ROLL_BEYOND)
-    if not 0 < velocity_rad_s <= limits.rotation_velocity_rad_s:
-        against.add(Cause.ROTATION_BEYOND)
-    return frozenset(against)
-
-
-def against_retraction(
-    limits: SafetyLimits, here: StageSample | None, depth_mm: float, velocity_mm_s: float
-) -> frozenset[Cause]:
-    """Return the causes against a retraction to a depth; empty if it is allowed.
-
-    `here` is the last stage sample. If it is None, the position is unknown and only `shallowest_mm` is accepted.
-    """
-    if not (math.isfinite(depth_mm) and math.isfinite(velocity_mm_s)):
-        return _NOT_FINITE
-    against = set()
-    if depth_mm > (limits.shallowest_mm if here is None else here.depth_mm):
-        against.add(Cause.NOT_A_RETRACTION)
-    if depth_mm < limits.shallowest_mm:
-        against.add(Cause.DEPTH_BEYOND)
-    if not 0 < velocity_mm_s <= limits.retraction_velocity_mm_s:
-        against.add(Cause.VELOCITY_BEYOND)
-    return frozenset(against)
+# time (s) after which a stop that has reached the stage is sent again
+_AGAIN_S = 0.02
+# time (s) after which a stop that has not reached the stage is sent again
+_UNSENT_S = 0.25
+# Wait after a slow stop: 10 times the duration of sending it, at most 1 s. Stops then use at most about a tenth of the
+# time of the link, and heartbeats and samples can pass.
+_WAIT_FACTOR, _LONGEST_WAIT_S = 10.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -190,3 +145,38 @@ class MotionWatch:
             return False
         moved = self.rest_mm is not None and abs(last.depth_mm - self.rest_mm) > limits.following_mm
         return last.moving or moved
+
+
+class RepeatedStop:
+    """Repeats the stop of one stage. `wanted` is True from `send` until a stop has arrived and the stage is at rest."""
+
+    def __init__(self, stage: Stage, clock: Clock) -> None:
+        self._stage, self._clock = stage, clock
+        self._sent_ns = 0
+        self._arrived = True
+        self._again_ns = 0
+        self.wanted = False
+
+    def send(self) -> int:
+        """Send a stop and return the time (ns) of sending. Raises the DeviceFault of the stage."""
+        self.wanted = True
+        sent_ns = self._clock.now_ns()
+        self._arrived = False
+        try:
+            self._stage.stop()
+            self._arrived = True
+        finally:
+            self._sent_ns = now_ns = self._clock.now_ns()
+            took_s = (now_ns - sent_ns) * _NANO
+            wait_s = max(_AGAIN_S if self._arrived else _UNSENT_S, min(_WAIT_FACTOR * took_s, _LONGEST_WAIT_S))
+            self._again_ns = now_ns + round(wait_s / _NANO)
+        return sent_ns
+
+    def due(self, now_ns: int) -> bool:
+        """Return whether the stop must be sent again now."""
+        return self.wanted and now_ns >= self._again_ns
+
+    def observe(self, sample: StageSample) -> None:
+        """End the repetition if `sample` shows the stage at rest and arrived after the last stop was sent."""
+        if self._arrived and not sample.moving and sample.stamp.received_ns > self._sent_ns:
+            self.wanted = False
