@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import os
 import pty
 import re
@@ -20,7 +19,6 @@ import needleplan as npl
 from needleplan.cli import answer
 from needleplan.cli.parser import Parser, whole
 from needleplan.cli.program import make_parser
-from needleplan.scenario import shipped
 from tests.cli.commands import needleplan, program, refused
 from tests.conftest import SMALL
 
@@ -234,39 +232,6 @@ def test_force_overwrites(folder: Path, tmp_path: Path) -> None:
 
 def test_devices_are_written_to() -> None:
     assert needleplan("new", "mine", "-o", os.devnull, "-q").returncode == 0
-
-
-def test_scenarios_are_listed() -> None:
-    listed = json.loads(needleplan("scenarios", "--json").stdout)
-    assert [each["name"] for each in listed] == shipped()
-    for each in listed:
-        scenario = npl.Scenario.read(each["name"])
-        assert (each["title"], each["states"]) == (scenario.title, scenario.states)
-        assert each["size_mm"] == [scenario.workspace.width_mm, scenario.workspace.height_mm]
-    lines = needleplan("scenarios").stdout.splitlines()
-    assert len(lines) == len(listed)
-    assert re.fullmatch(r"four_obstacles +120 x 80 mm +1,176,120 states +Four obstacles", lines[1])
-
-
-@pytest.mark.parametrize("source", shipped())
-def test_a_new_scenario_is_one_that_can_be_planned(source: str, tmp_path: Path) -> None:
-    done = needleplan("new", 'mine "2"', "--from", source, cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (0, "")
-    text = (tmp_path / 'mine "2".toml').read_text()
-    assert text.startswith("#")
-    assert text.count("#") > 10
-    new, old = npl.Scenario.from_toml(text), npl.Scenario.read(source)
-    assert new.title == 'mine "2"'
-    assert new.to_toml().split("\n", 2)[2] == old.to_toml().split("\n", 2)[2]
-
-
-def test_new_scenarios_that_cannot_be(tmp_path: Path) -> None:
-    refused(needleplan("new", "mine", "--from", "brian", cwd=tmp_path), 'did you mean "brain"')
-    refused(needleplan("new", "a/b", cwd=tmp_path), "a/b.toml: cannot be written: no such folder")
-    refused(needleplan("new", ".toml", cwd=tmp_path), "must be the name of a file")
-    (tmp_path / "own.toml").write_text(SMALL)
-    refused(needleplan("new", "own", "--from", "own.toml", "--force", cwd=tmp_path), "it would replace own.toml")
-    assert list(tmp_path.iterdir()) == [tmp_path / "own.toml"]
 
 
 def test_quiet_is_quiet(folder: Path, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from needleplan.scenario import Scenario, read_svg
 TARGET = '<circle id="target" cx="100" cy="30" r="2"/>'
 
 
-def drawn(folder: Path, *shapes: str, page: str = 'viewBox="0 0 120 80"', mm_per_unit: float = 1.0) -> Scenario:
+def drawn(folder: Path, *shapes: str, page: str = 'viewBox="0 0 120 80"', mm_per_unit: float | None = 1.0) -> Scenario:
     path = folder / "scene.svg"
     path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" {page}>{"".join(shapes)}</svg>')
     return read_svg(path, mm_per_unit, 40.0)
@@ -113,6 +113,16 @@ def test_a_circle_stays_a_circle_under_rotation_and_scale(tmp_path: Path) -> Non
     (obstacle,) = drawn(tmp_path, TARGET, shape).obstacles
     assert obstacle.center_mm == pytest.approx((30, 60))
     assert obstacle.radius_mm == pytest.approx(6)
+
+
+def test_the_page_may_state_its_own_size(tmp_path: Path) -> None:
+    page = 'width="297pt" height="4.125in" viewBox="0 0 594 594"'
+    scenario = drawn(tmp_path, TARGET.replace('r="2"', 'r="5"'), page=page, mm_per_unit=None)
+    assert scenario.workspace.width_mm == pytest.approx(104.775)
+    assert scenario.target.center_mm == pytest.approx((100 * 104.775 / 594, 564 * 104.775 / 594))
+    for page in ('width="120" height="80" viewBox="0 0 120 80"', 'width="0mm" height="80mm" viewBox="0 0 120 80"'):
+        with pytest.raises(ScenarioError, match="mm_per_unit: is missing: the drawing does not state its width"):
+            drawn(tmp_path, TARGET, page=page, mm_per_unit=None)
 
 
 def test_what_is_not_drawn_is_no_obstacle(tmp_path: Path) -> None:

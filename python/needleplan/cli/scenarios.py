@@ -36,6 +36,14 @@ def add_to(commands: Any) -> None:
         "--from", dest="source", metavar="SCENARIO", default="four_obstacles",
         help="shipped scenario or scenario file to start from (four_obstacles)",
     )  # fmt: skip
+    parser.add_argument(
+        "--svg", metavar="FILE",
+        help="drawing that gives workspace (the page), target (the circle named so) and obstacles (all other shapes); "
+        "all else is from SCENARIO",
+    )  # fmt: skip
+    parser.add_argument(
+        "--mm-per-unit", type=float, metavar="MM", help="length of a unit of the drawing (from the size of its page)"
+    )
     add_output(parser, "FILE.toml", "file to write (NAME.toml)")
     add_answer(parser, verbose=False, json=False)
     parser.set_defaults(run=_run_new)
@@ -61,18 +69,19 @@ def _run_scenarios(options: argparse.Namespace) -> int:
 
 
 def _run_new(options: argparse.Namespace) -> int:
-    """Write a scenario file and return the exit code 0. Raises InputError if the name is not printable or empty."""
+    """Write a scenario file and return the exit code 0. Raises InputError if the name or an option is wrong."""
     from needleplan.artifacts import write_whole
     from needleplan.scenario import Scenario, template
 
     title = Path(options.name).name.removesuffix(_SUFFIX)
     if not title or not title.isprintable():
         raise InputError(Mistake("NAME", options.name, "must be the name of a file"))
+    if options.mm_per_unit is not None and not options.svg:
+        raise InputError(Mistake("--mm-per-unit", f"{options.mm_per_unit:g}", "must not be given without --svg"))
     file = options.output or f"{options.name.removesuffix(_SUFFIX)}{_SUFFIX}"
-    if Path(options.source).exists():
-        require_outputs(options, [options.source], file)
-    require_outputs(options, [], file)
-    text = template(options.source)
+    sources = [options.source] if Path(options.source).exists() else []
+    require_outputs(options, [*sources, options.svg], file)
+    text = template(options.source, svg=options.svg, mm_per_unit=options.mm_per_unit)
     line = f"title = {json.dumps(title, ensure_ascii=False)}"
     text, titles = re.subn(r"^title = .*$", lambda _: line, text, count=1, flags=re.MULTILINE)
     if not titles:
