@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from needleplan.control.safety import Cause, OperatingState, Order, SafetyEventName
 from needleplan.devices import Health
-from needleplan.errors import MotionRefused
+from needleplan.errors import DeviceFault, MotionRefused
 from tests.control.safety.bench import NAN, Bench
 
 STATES = ["never enabled", "enabled", "paused", "fault", "latched"]
@@ -151,3 +151,64 @@ def test_when_it_is_done_a_stage_that_moves_is_a_fault_again() -> None:
     bench.turn()
     assert bench.guard.state.operating is OperatingState.FAULT
     assert bench.stage.wire[-1] == ("stop",)
+
+
+@pytest.mark.parametrize("order", [Order.RESUME, Order.ENABLE])
+def test_until_it_ends_nobody_can_enable(order: Order) -> None:
+    bench = in_state("paused" if order is Order.RESUME else "never enabled")
+    guard = bench.guard
+    bench.turn()
+    guard.order(Order.RESET)
+    if order is Order.ENABLE:
+        guard.order(Order.HOME)
+    bench.stage.moving = True
+    guard.retract(0.0, 5.0, "anna")
+    bench.turn()
+    with pytest.raises(MotionRefused, match="not_possible"):
+        guard.order(order, "anna")
+    assert bench.stage.wire[-1] == ("insert", 0.0, 5.0)
+    bench.stage.depth_mm, bench.stage.moving = 39.7, False
+    bench.turns(0.6)
+    assert guard.order(order, "anna").operating is OperatingState.ENABLED
+
+
+def test_after_it_a_fault_stops_the_next_insertion() -> None:
+    bench = in_state("enabled")
+    guard = bench.guard
+    guard.retract(39.9, 5.0, "anna")
+    bench.turn()
+    guard.order(Order.RESUME, "anna")
+    guard.insert(60.0, 5.0)
+    bench.force = {"force_n": (0.0, 0.0, 50.0)}
+    bench.turn()
+    assert bench.stage.wire[-1] == ("stop",)
+    assert guard.state.operating is OperatingState.FAULT
+
+
+def test_it_ends_also_if_it_began_before_the_first_sample() -> None:
+    bench = Bench()
+    bench.guard.retract(-100.0, 20.0, "anna")
+    bench.stage.depth_mm, bench.stage.moving = 40.0, True
+    for _ in range(40):
+        bench.stage.depth_mm -= 0.1
+        bench.turn()
+    assert bench.stage.wire == [("insert", -100.0, 20.0)]
+    bench.stage.moving = False
+    bench.turns(1.2)
+    bench.guard.order(Order.HOME, "anna")
+    assert bench.guard.order(Order.ENABLE, "anna").operating is OperatingState.ENABLED
+
+
+def test_a_retraction_that_fails_does_not_end_the_stop() -> None:
+    bench = in_state("enabled")
+    bench.stage.moving = True
+    bench.guard.order(Order.PAUSE, "anna")
+    bench.turn()
+    bench.stage.broken = True
+    with pytest.raises(DeviceFault, match="not there"):
+        bench.guard.retract(0.0, 5.0, "anna")
+    bench.stage.broken = False
+    count = len(bench.stage.wire)
+    bench.turns(0.3)
+    assert ("stop",) in bench.stage.wire[count:]
+    assert ("insert", 0.0, 5.0) not in bench.stage.wire

@@ -8,7 +8,8 @@ A person may retract the needle (`retract`) in every state, including FAULT, and
 the needle out is safe. No program calls `retract` on its own; the loop moves the needle outward with `insert`. A
 retraction must lead outward, and its speed is limited. If the position is unknown, only a retraction to `shallowest_mm`
 is accepted. A retraction is stopped by an order, by a blocked guard, and, except in DISABLED, if the stage moves the
-wrong way or jumps. Other causes do not stop a retraction.
+wrong way or jumps. Other causes do not stop a retraction. A retraction is in force until the stage rests, a stop or
+another retraction; until then ENABLE and RESUME are refused, so the loop never moves the needle against a retraction.
 
 A stop is repeated until the stage reports rest, or until a retraction begins. The guard is software and does not
 replace an emergency stop that cuts the power of the drives.
@@ -37,6 +38,7 @@ from needleplan.control.safety._states import (
     SafetyState,
     SafetyTransition,
     advance,
+    begin_retraction,
 )
 from needleplan.control.safety._watchdog import Heartbeat
 from needleplan.devices import Clock, Sample, SampledDevice, Source, Stage, StageSample, SystemClock
@@ -50,7 +52,7 @@ _NANO = 1e-9
 _LOCK_TIMEOUT_S = 0.02
 
 _RUNNING = (OperatingState.ENABLED, OperatingState.PAUSED)
-_ENDS_RETRACTION = frozenset({Cause.WRONG_WAY, Cause.STAGE_JUMPED})
+_ENABLING = (Order.ENABLE, Order.RESUME)
 _GUARDED: WeakSet[Stage] = WeakSet()
 
 
@@ -86,7 +88,7 @@ class GuardedStage(Stage):
         self._commander: int | None = None
         self._repeated_stop = RepeatedStop(stage, self._clock)
         self._heartbeat = Heartbeat(stage, self._state.since_ns)
-        self._retracting = self._blocked = self._listener_failed = False
+        self._blocked = self._listener_failed = False
 
     @property
     def state(self) -> SafetyState:
@@ -120,7 +122,7 @@ class GuardedStage(Stage):
             self._inputs = self._inputs.then(sample, tip)
             if isinstance(sample, StageSample):
                 self._motion = self._motion.then(sample, self._limits)
-                self._detect_end(sample, now_ns)
+                self._repeated_stop.observe(sample)
             return self._validate(now_ns)
 
     def observe_tip(self, tip_mm: tuple[float, float] | None, out_of_plane_mm: float) -> SafetyState:
@@ -179,10 +181,10 @@ class GuardedStage(Stage):
         with self._held() as now_ns:
             self._validate(now_ns)
             transition = advance(self._state, order, now_ns)
+            if self._motion.retracting and order in _ENABLING:
+                self._refuse(order, (Cause.NOT_POSSIBLE,), now_ns, by)
             if transition.refused:
                 self._refuse(order, transition.causes, now_ns, by)
-            if GuardAction.STOP in transition.actions:
-                self._retracting = False
             if self._state.operating is OperatingState.DISABLED and order is Order.ENABLE:
                 self._enabled_ns = now_ns
             self._emit(
@@ -227,13 +229,12 @@ class GuardedStage(Stage):
             against = against_retraction(limits, here, depth_mm, velocity_mm_s)
             if against:
                 self._refuse(what, against, now_ns, by)
-            if self._state.operating is OperatingState.ENABLED:
-                self._follow(advance(self._state, Order.PAUSE, now_ns), now_ns, what)
-            if self._motion.last is not None:
-                self._motion = self._motion.inserts(depth_mm, velocity_mm_s, now_ns)
-            self._retracting, self._repeated_stop.wanted = True, False
+            self._follow(begin_retraction(self._state, now_ns), now_ns, what)
             values = {"depth_mm": depth_mm, "velocity_mm_s": velocity_mm_s}
             self._send(SafetyEventName.RETRACTION, self._stage.insert, values, what, now_ns, by)
+            # Only a retraction that the stage has accepted ends the repeated stop and is not stopped by other causes.
+            self._motion = self._motion.retracts(depth_mm, velocity_mm_s, now_ns)
+            self._repeated_stop.wanted = False
 
     def stop(self) -> None:
         """Stop both axes in every state, and refuse ENABLE until the order RESET."""
@@ -326,21 +327,19 @@ class GuardedStage(Stage):
             causes.add(Cause.RECORDING_LOST)
         self._latest_ns, self._blocked, self._listener_failed = max(now_ns, self._latest_ns), False, False
         last = self._inputs.stage.last
-        self._follow(
-            advance(self._state, InputReport(frozenset(causes), last is not None and last.moving), now_ns), now_ns, text
-        )
+        report = InputReport(frozenset(causes), last is not None and last.moving, self._motion.retracting)
+        self._follow(advance(self._state, report, now_ns), now_ns, text)
         if self._repeated_stop.due(now_ns):
             self._send_stop()
         return self._state
 
     def _follow(self, transition: SafetyTransition, now_ns: int, text: str) -> None:
-        """Carry out a transition: first send its stop, unless a retraction must continue, then emit its events."""
+        """Carry out a transition: first send its stop, then emit its events."""
         before, self._state = self._state, transition.state
         if transition.state is before and not transition.actions:
             return
         sent_ns = None
-        if GuardAction.STOP in transition.actions and (not self._retracting or transition.causes & _ENDS_RETRACTION):
-            self._retracting = False
+        if GuardAction.STOP in transition.actions:
             sent_ns = self._send_stop()
             self._motion = self._motion.stops(now_ns)
             self._commander = None
@@ -360,16 +359,6 @@ class GuardedStage(Stage):
         except DeviceFault:
             self._inputs = self._inputs.with_failure(Source.STAGE)
             return self._clock.now_ns()
-
-    def _detect_end(self, sample: StageSample, now_ns: int) -> None:
-        """If the stage rests, end a repeated stop, and a retraction that has reached its goal or lasted `motion_s`."""
-        self._repeated_stop.observe(sample)
-        goal = self._motion.depth
-        if self._retracting and goal is not None and not sample.moving:
-            waited_s = (now_ns - goal.began_ns) * _NANO
-            if abs(sample.depth_mm - goal.end) <= self._limits.following_mm or waited_s > self._limits.motion_s:
-                self._retracting = False
-                self._motion = self._motion.stops(now_ns)
 
     def _require_none(self, what: str, against: frozenset[Cause], now_ns: int) -> None:
         """Raise MotionRefused if any cause forbids the command; otherwise make this thread the commander."""

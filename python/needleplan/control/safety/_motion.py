@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -33,7 +34,8 @@ _WAIT_FACTOR, _LONGEST_WAIT_S = 10.0, 1.0
 class Goal:
     """Command to one axis: position at the start and goal (mm or rad), and commanded velocity.
 
-    `begin_velocity` is the velocity at the start, `began_ns` the time of the start.
+    `begin_velocity` is the velocity at the start, `began_ns` the time of the start. `is_retraction` tells whether a
+    person ordered the motion by `retract`.
     """
 
     begin: float
@@ -41,6 +43,7 @@ class Goal:
     velocity: float
     begin_velocity: float
     began_ns: int
+    is_retraction: bool = False
 
     def stuck(self, position: float, least: float, motion_s: float, now_ns: int) -> bool:
         """Return whether the axis has moved less than a tenth of its way although `motion_s` has passed.
@@ -78,13 +81,26 @@ class MotionWatch:
     rest_mm: float | None = None
     """Depth (mm) at which the stage came to rest after the last stop; None while it may move."""
 
+    @property
+    def retracting(self) -> bool:
+        """Whether the command in force is a retraction by a person; every later command or stop ends the retraction."""
+        return self.depth is not None and self.depth.is_retraction
+
     def inserts(self, depth_mm: float, velocity_mm_s: float, now_ns: int) -> MotionWatch:
-        """Return the watch after a command to insert or retract. Call it only after the first sample."""
+        """Return the watch after a command to insert, inward or outward. Call it only after the first sample."""
         assert self.last is not None
         begin = self.last.depth_mm
         began_ns = now_ns if self.depth is None else self.depth.waiting_since(begin, _LEAST_MM, now_ns)
         goal = Goal(begin, depth_mm, velocity_mm_s, self.last.velocity_mm_s, began_ns)
         return replace(self, depth=goal, rest_mm=None)
+
+    def retracts(self, depth_mm: float, velocity_mm_s: float, now_ns: int) -> MotionWatch:
+        """Return the watch after a retraction by a person; before the first sample, the present depth is unknown."""
+        if self.last is None:
+            return replace(self, depth=Goal(math.inf, depth_mm, velocity_mm_s, 0.0, now_ns, is_retraction=True))
+        watch = self.inserts(depth_mm, velocity_mm_s, now_ns)
+        assert watch.depth is not None
+        return replace(watch, depth=replace(watch.depth, is_retraction=True))
 
     def rotates(self, roll_rad: float, velocity_rad_s: float, now_ns: int) -> MotionWatch:
         """Return the watch after a command to rotate. Call it only after the first sample."""
@@ -99,10 +115,16 @@ class MotionWatch:
         return replace(self, depth=None, roll=None, stopped_ns=self.stopped_ns if idle else now_ns, rest_mm=None)
 
     def then(self, sample: StageSample, limits: SafetyLimits) -> MotionWatch:
-        """Return the watch after a stage sample; unchanged if the sample has the sequence number of the last one."""
+        """Return the watch after a stage sample; unchanged if the sample has the sequence number of the last one.
+
+        A retraction ends if the stage rests at its goal, or rests anywhere `motion_s` after the command.
+        """
         last = self.last
         if last is None:
-            return replace(self, last=sample)
+            depth = self.depth
+            if depth is not None and math.isfinite(sample.depth_mm):
+                depth = replace(depth, begin=sample.depth_mm)  # a retraction from an unknown depth
+            return replace(self, depth=depth, last=sample)
         if sample.stamp.sequence == last.stamp.sequence:
             return self
         passed_s = max(sample.stamp.received_ns - last.stamp.received_ns, 0) * _NANO
@@ -112,7 +134,15 @@ class MotionWatch:
         idle = self.depth is None and self.roll is None
         settled = idle and (sample.stamp.received_ns - self.stopped_ns) * _NANO > limits.motion_s
         rest_mm = sample.depth_mm if settled and self.rest_mm is None and not sample.moving else self.rest_mm
-        return MotionWatch(self.depth, self.roll, self.stopped_ns, sample, jumped, rest_mm)
+        watch = MotionWatch(self.depth, self.roll, self.stopped_ns, sample, jumped, rest_mm)
+        return watch.stops(sample.stamp.received_ns) if watch._has_retracted(sample, limits) else watch
+
+    def _has_retracted(self, sample: StageSample, limits: SafetyLimits) -> bool:
+        goal = self.depth
+        if goal is None or not goal.is_retraction or sample.moving:
+            return False
+        waited_s = (sample.stamp.received_ns - goal.began_ns) * _NANO
+        return abs(sample.depth_mm - goal.end) <= limits.following_mm or waited_s > limits.motion_s
 
     def causes(self, limits: SafetyLimits, now_ns: int) -> Iterator[Cause]:
         """Yield every cause that concerns the motion at a time (ns)."""

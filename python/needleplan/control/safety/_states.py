@@ -7,7 +7,9 @@ only a person can move it, by a retraction. In PAUSED the robot waits for the or
 2. ENABLED is entered only by ENABLE from DISABLED and by RESUME from PAUSED, and only while no cause is present.
 3. Faults and ordered stops are latched: ENABLE is refused until RESET, and RESET is refused in FAULT.
 4. In DISABLED a cause only prevents enabling. The exception is STILL_MOVING, which leads to FAULT.
-5. Every transition out of ENABLED stops the stage. The interrupted command is not continued later.
+5. While a retraction by a person is in force, only WRONG_WAY and STAGE_JUMPED stop the stage. In ENABLED no retraction
+   is in force.
+6. Every transition out of ENABLED stops the stage. The interrupted command is not continued later.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ __all__ = [
     "SafetyState",
     "SafetyTransition",
     "advance",
+    "begin_retraction",
 ]
 
 _NONE: frozenset[Cause] = frozenset()
@@ -37,6 +40,8 @@ _NONE: frozenset[Cause] = frozenset()
 _FAULTS_WHEN_DISABLED = frozenset({Cause.STILL_MOVING})
 # Causes that stop the stage again in FAULT, because they show that the stage moves in spite of the first stop.
 _OF_MOTION = frozenset({Cause.STILL_MOVING, Cause.WRONG_WAY, Cause.OVERSPEED, Cause.DEPTH_EXCEEDED, Cause.STAGE_JUMPED})
+# Causes that stop a retraction by a person.
+_ENDS_RETRACTION = frozenset({Cause.WRONG_WAY, Cause.STAGE_JUMPED})
 # Causes after which the stage must be homed again.
 _ZERO_LOST = frozenset({Cause.STAGE_JUMPED})
 
@@ -77,10 +82,14 @@ class GuardAction(StrEnum):
 
 @dataclass(frozen=True)
 class InputReport:
-    """Validation result of all inputs: the present causes, and whether the stage moves (`busy`)."""
+    """Validation result of all inputs: the present causes, and whether the stage moves (`busy`).
+
+    `retracting` tells whether a retraction by a person is the command in force.
+    """
 
     causes: frozenset[Cause] = _NONE
     busy: bool = False
+    retracting: bool = False
 
 
 @dataclass(frozen=True)
@@ -183,19 +192,25 @@ def _validated(state: SafetyState, report: InputReport, now_ns: int) -> SafetyTr
     homed = state.is_homed and not present & _ZERO_LOST
     updated = replace(state, present=present, is_busy=report.busy, is_homed=homed)
     operating = state.operating
+    stopping = _ENDS_RETRACTION if report.retracting and operating is not OperatingState.ENABLED else None
     if operating is OperatingState.FAULT:
         if not faults:
             return SafetyTransition(_to(updated, OperatingState.DISABLED, now_ns))
         new = faults - state.present
-        return SafetyTransition(_latched(updated, faults), (GuardAction.STOP,) if new & _OF_MOTION else (), new)
+        return SafetyTransition(_latched(updated, faults), _stop_if(new & (stopping or _OF_MOTION)), new)
     if operating is OperatingState.DISABLED:
         faults &= _FAULTS_WHEN_DISABLED
     if faults:
         latched = _latched(_to(updated, OperatingState.FAULT, now_ns), faults)
-        return SafetyTransition(latched, (GuardAction.STOP,), faults)
+        return SafetyTransition(latched, _stop_if(faults if stopping is None else faults & stopping), faults)
     if operating is OperatingState.ENABLED and present:
         return SafetyTransition(_to(updated, OperatingState.PAUSED, now_ns), (GuardAction.STOP,), present)
     return SafetyTransition(updated)
+
+
+def begin_retraction(state: SafetyState, now_ns: int) -> SafetyTransition:
+    """Return the transition that the beginning of a retraction by a person causes: ENABLED becomes PAUSED."""
+    return _pause(state, now_ns) if state.operating is OperatingState.ENABLED else SafetyTransition(state)
 
 
 def _enable(state: SafetyState, now_ns: int) -> SafetyTransition:
@@ -259,6 +274,10 @@ def _unhome(state: SafetyState, _: int) -> SafetyTransition:
 
 def _to(state: SafetyState, operating: OperatingState, now_ns: int) -> SafetyState:
     return state if state.operating is operating else replace(state, operating=operating, since_ns=now_ns)
+
+
+def _stop_if(causes: frozenset[Cause]) -> tuple[GuardAction, ...]:
+    return (GuardAction.STOP,) if causes else ()
 
 
 def _latched(state: SafetyState, causes: frozenset[Cause]) -> SafetyState:
