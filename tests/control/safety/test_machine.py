@@ -117,6 +117,20 @@ def test_every_cause_stops_and_latches_by_its_severity(cause: Cause) -> None:
     assert advance(healthy, Order.ENABLE, 3).refused
 
 
+@pytest.mark.parametrize("operating", OperatingState)
+@pytest.mark.parametrize("cause", CONDITIONS)
+def test_only_two_causes_stop_a_retraction_and_every_cause_stops_the_loop(
+    operating: OperatingState, cause: Cause
+) -> None:
+    before = SafetyState(operating, True, present=SEEN["faulting"] if operating is F else frozenset())
+    step = advance(before, InputReport(frozenset({cause}), busy=True, retracting=True), 1)
+    ends = cause in (Cause.WRONG_WAY, Cause.STAGE_JUMPED)
+    assert (GuardAction.STOP in step.actions) == (ends or operating is E)
+    if ends:
+        assert step.state.operating is F
+        assert cause in step.state.latched
+
+
 def test_a_latched_stop_needs_a_reset_and_says_so() -> None:
     state = advance(SafetyState(E, is_homed=True), Order.STOP, 1).state
     refused = advance(state, Order.ENABLE, 2)

@@ -124,8 +124,9 @@ def test_no_cause_stops_it_but_a_person_does() -> None:
     assert bench.stage.wire[-1] == ("stop",)
 
 
-def test_a_stage_that_goes_the_wrong_way_is_stopped() -> None:
-    bench = in_state("fault")
+@pytest.mark.parametrize("name", STATES)
+def test_a_stage_that_goes_the_wrong_way_is_stopped(name: str) -> None:
+    bench = in_state(name)
     bench.stage.moving = True
     bench.guard.retract(0.0, 5.0)
     for _ in range(200):
@@ -135,6 +136,21 @@ def test_a_stage_that_goes_the_wrong_way_is_stopped() -> None:
             break
     assert Cause.WRONG_WAY in bench.guard.state.latched
     assert bench.stage.depth_mm < 42.0
+    assert not bench.guard._motion.retracting
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_a_stage_that_jumps_is_stopped(name: str) -> None:
+    bench = in_state(name)
+    bench.stage.moving = True
+    bench.guard.retract(0.0, 5.0)
+    bench.turn()
+    assert bench.stage.wire[-1] == ("insert", 0.0, 5.0)
+    bench.stage.depth_mm -= 20.0
+    bench.turn()
+    assert bench.stage.wire[-1] == ("stop",)
+    assert Cause.STAGE_JUMPED in bench.guard.state.latched
+    assert not bench.guard.state.is_homed
 
 
 def test_when_it_is_done_a_stage_that_moves_is_a_fault_again() -> None:

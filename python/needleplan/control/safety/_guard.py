@@ -7,9 +7,9 @@ input is fresh, valid and within limits. A command with a value beyond a limit i
 A person may retract the needle (`retract`) in every state, including FAULT, and with failed sensors, because pulling
 the needle out is safe. No program calls `retract` on its own; the loop moves the needle outward with `insert`. A
 retraction must lead outward, and its speed is limited. If the position is unknown, only a retraction to `shallowest_mm`
-is accepted. A retraction is stopped by an order, by a blocked guard, and, except in DISABLED, if the stage moves the
-wrong way or jumps. Other causes do not stop a retraction. A retraction is in force until the stage rests, a stop or
-another retraction; until then ENABLE and RESUME are refused, so the loop never moves the needle against a retraction.
+is accepted. A retraction is stopped by an order, by a blocked guard, and if the stage moves the wrong way or jumps.
+Other causes do not stop a retraction. A retraction is in force until the stage rests, a stop or another retraction;
+until then ENABLE and RESUME are refused, so the loop never moves the needle against a retraction.
 
 A stop is repeated until the stage reports rest, or until a retraction begins. The guard is software and does not
 replace an emergency stop that cuts the power of the drives.

@@ -6,9 +6,10 @@ only a person can move it, by a retraction. In PAUSED the robot waits for the or
 1. Orders neither cause nor end FAULT. When no cause of the severity FAULT is present, FAULT becomes DISABLED.
 2. ENABLED is entered only by ENABLE from DISABLED and by RESUME from PAUSED, and only while no cause is present.
 3. Faults and ordered stops are latched: ENABLE is refused until RESET, and RESET is refused in FAULT.
-4. In DISABLED a cause only prevents enabling. The exception is STILL_MOVING, which leads to FAULT.
-5. While a retraction by a person is in force, only WRONG_WAY and STAGE_JUMPED stop the stage. In ENABLED no retraction
-   is in force.
+4. In DISABLED a cause only prevents enabling. The exceptions are STILL_MOVING and the causes that stop a retraction,
+   which lead to FAULT.
+5. While a retraction by a person is in force, only WRONG_WAY and STAGE_JUMPED stop the stage, in every state. In
+   ENABLED no retraction is in force.
 6. Every transition out of ENABLED stops the stage. The interrupted command is not continued later.
 """
 
@@ -199,7 +200,7 @@ def _validated(state: SafetyState, report: InputReport, now_ns: int) -> SafetyTr
         new = faults - state.present
         return SafetyTransition(_latched(updated, faults), _stop_if(new & (stopping or _OF_MOTION)), new)
     if operating is OperatingState.DISABLED:
-        faults &= _FAULTS_WHEN_DISABLED
+        faults &= _FAULTS_WHEN_DISABLED | (stopping or _NONE)
     if faults:
         latched = _latched(_to(updated, OperatingState.FAULT, now_ns), faults)
         return SafetyTransition(latched, _stop_if(faults if stopping is None else faults & stopping), faults)
