@@ -5,18 +5,19 @@ from __future__ import annotations
 import gc
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from needleplan.control import ExecutedStep, Insertion, InsertionOutcome, Listener, RunEventName
-from needleplan.control.safety import Order
-from needleplan.devices import Clock, SystemClock, VirtualClock
+from needleplan.control.safety import GuardedStage, Order
+from needleplan.devices import Clock, Sample, SystemClock, VirtualClock
 from needleplan.errors import DeviceFault, InputError, MotionRefused
 from needleplan.models import Torsion
 from needleplan.planning import Action, Outcome
-from needleplan.simulation import Effects, SimulatedEntry
+from needleplan.simulation import Effects, Lab, SimulatedEntry
 from tests.control.scenes import FAST, NOISY, WIDE, a_lab, insertion_in, run_in, small_table, station_of
 
 
@@ -94,6 +95,64 @@ def test_the_operator_stops_it_for_good() -> None:
     depth = lab.plant.insertion.position
     lab.advance(1.0)
     assert lab.plant.insertion.position == pytest.approx(depth, abs=1e-6)
+
+
+class Person(Listener):
+    """Interrupts the run at a step, and resumes it after `absent_s`; notes how far in the needle is meanwhile."""
+
+    def __init__(self, lab: Lab, absent_s: float, interrupt: Callable[[GuardedStage], object]) -> None:
+        self.lab, self.absent_s, self.interrupt = lab, absent_s, interrupt
+        self.insertion: Insertion | None = None
+        self.asked = False
+        self.began_ns = 0
+        self.depths_mm: list[float] = []
+        self.states: set[str] = set()
+
+    def step(self, step: ExecutedStep) -> None:
+        self.asked |= step.number == 3
+
+    def sample(self, sample: Sample) -> None:
+        assert self.insertion is not None
+        guard = self.insertion.guard
+        if self.asked and not self.began_ns and self.lab.plant.moving:
+            self.began_ns = sample.stamp.received_ns
+            self.interrupt(guard)
+        if not self.asked or not self.began_ns:
+            return
+        self.states.add(str(guard.state.operating))
+        self.depths_mm.append(self.lab.plant.insertion.position)
+        if (sample.stamp.received_ns - self.began_ns) * 1e-9 > self.absent_s:
+            self.asked = False
+            guard.order(Order.RESUME, "anna")
+
+
+@pytest.mark.parametrize("how", ["pause", "retract"])
+def test_only_a_person_ends_the_pause_of_a_person(how: str) -> None:
+    lab = a_lab(NOISY, 3)
+    person = Person(lab, 8.0, lambda guard: guard.order(Order.PAUSE, "anna") if how == "pause"
+                    else guard.retract(lab.plant.insertion.position - 3.0, 1.0, "anna"))  # fmt: skip
+    person.insertion = insertion_in(lab, listeners=[person])
+    report = person.insertion.run()
+    assert report.outcome is InsertionOutcome.TARGET, report.cause
+    assert person.states == {"PAUSED"}
+    first, last = person.depths_mm[0], person.depths_mm[-1]
+    assert last == pytest.approx(first - 3.0, abs=0.6) if how == "retract" else abs(last - first) < 0.6
+    assert max(person.depths_mm) < first + 0.6
+    paused = [event for event in report.events if event.name is RunEventName.PAUSED]
+    resumed = [event for event in report.events if event.name is RunEventName.RESUMED]
+    assert "ordered by a person" in [event.cause for event in paused]
+    assert len(paused) == len(resumed)
+    waited_s = [(end.time_ns - begin.time_ns) * 1e-9 for begin, end in zip(paused, resumed, strict=True)]
+    assert max(waited_s) == pytest.approx(8.0, abs=0.1)
+
+
+def test_a_pause_of_a_person_lasts_at_most_as_long_as_a_run() -> None:
+    lab = a_lab()
+    person = Person(lab, 1e9, lambda guard: guard.order(Order.PAUSE, "anna"))
+    person.insertion = insertion_in(lab, listeners=[person], limits=replace(WIDE, run_s=20.0))
+    report = person.insertion.run()
+    assert report.outcome is InsertionOutcome.FAULT
+    assert "time_exceeded" in report.cause
 
 
 def test_a_start_outside_of_the_table_moves_nothing() -> None:

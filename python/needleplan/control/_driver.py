@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 
-from needleplan.control._events import CommandKind, Listener, RunCommand
+from needleplan.control._events import CommandKind, Listener, RunCommand, RunEventName
 from needleplan.control._needle import NeedleState, present_causes
 from needleplan.control._options import Options
 from needleplan.control.safety import GuardedStage, OperatingState, Order
 from needleplan.devices import Clock
-from needleplan.errors import DeviceFault
+from needleplan.errors import DeviceFault, MotionRefused
 
 __all__ = ["NeedleDriver"]
 
@@ -27,8 +28,8 @@ _BY = "the loop, for the operator"
 class NeedleDriver:
     """Moves the needle by commands to the guard, and receives samples until each motion has ended.
 
-    `on_pause(causes, text)` is called with the names of the causes when a pause begins, and with "" when the pause
-    ends. If a person ordered the pause, `causes` is "" at the beginning too.
+    `on_pause(name, causes, text)` is called with PAUSED and the names of the causes when a pause begins, and with
+    RESUMED when the pause ends.
 
     While a method waits, it raises DeviceFault if the guard stops the run or no device sends samples, and Stopped if
     the operator stops the run.
@@ -36,7 +37,7 @@ class NeedleDriver:
 
     def __init__(
         self, needle: NeedleState, guard: GuardedStage, clock: Clock, options: Options, listeners: Sequence[Listener],
-        on_pause: Callable[[str, str], None],
+        on_pause: Callable[[RunEventName, str, str], None],
     ) -> None:  # fmt: skip
         self.goal_mm = 0.0
         """Path length at which the present insertion ends (mm)."""
@@ -163,24 +164,35 @@ class NeedleDriver:
     def _receive(self) -> None:
         """Receive at most one sample. Raises DeviceFault, with the cause, if the guard has stopped the run."""
         self._needle.receive()
+        self._require_running()
+
+    def _require_running(self) -> None:
         if self._enabled and self._guard.state.operating in (OperatingState.FAULT, OperatingState.DISABLED):
             raise DeviceFault(self._needle.why_stopped())
 
     def _wait_out_pause(self) -> int:
-        """Wait until no cause is present and the stage rests, resume, and return the duration of the pause (ns).
+        """Wait for the end of a pause, and return its duration (ns).
 
-        Raises DeviceFault after `resume_s`.
+        A pause that a person ordered ends when a person resumes the run. The loop itself ends any other pause when no
+        cause is present and the stage rests. Raises DeviceFault if such a pause lasts `resume_s`.
         """
-        began_ns = self._clock.now_ns()
-        causes = present_causes(self._guard)
-        self._on_pause(causes, "the needle has stopped")
-        while self._guard.state.present or (self._needle.stage is not None and self._needle.stage.moving):
-            if (self._clock.now_ns() - began_ns) * 1e-9 >= self._options.resume_s:
-                raise DeviceFault(f"paused for {self._options.resume_s:g} s: {present_causes(self._guard) or causes}")
+        began_ns, guard = self._clock.now_ns(), self._guard
+        causes = "ordered by a person" if guard.state.person_paused else present_causes(guard)
+        self._on_pause(RunEventName.PAUSED, causes, "the needle has stopped")
+        while self._paused:
+            state = guard.state
+            if not state.person_paused:
+                if not (state.present or (self._needle.stage is not None and self._needle.stage.moving)):
+                    # Refused if a person has just paused the run, or a cause has just appeared; then the wait goes on.
+                    with contextlib.suppress(MotionRefused):
+                        guard.order(Order.CONTINUE, _BY)
+                    continue
+                if (self._clock.now_ns() - began_ns) * 1e-9 >= self._options.resume_s:
+                    raise DeviceFault(f"paused for {self._options.resume_s:g} s: {present_causes(guard) or causes}")
             self._receive()
-        self._guard.order(Order.RESUME, _BY)
+        self._require_running()
         self._resumed = True
-        self._on_pause("", "the insertion continues")
+        self._on_pause(RunEventName.RESUMED, "", "the insertion continues")
         return self._clock.now_ns() - began_ns
 
     def _rotate_base(self, goal_rad: float) -> None:

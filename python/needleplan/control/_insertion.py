@@ -84,9 +84,7 @@ class Insertion(Closing):
         self._listeners = (self._trace, *listeners)
         self.guard = GuardedStage(station.stage, limits, clock=station.clock, listener=self._on_safety)
         self._needle = NeedleState(self.guard, station.clock, self.options, self._listeners)
-        self._driver = NeedleDriver(
-            self._needle, self.guard, station.clock, self.options, self._listeners, self._on_pause
-        )
+        self._driver = NeedleDriver(self._needle, self.guard, station.clock, self.options, self._listeners, self._emit)
         self._replanner = replanner or ThreadReplanner(wait=isinstance(station.clock, VirtualClock))
         self._first_table = table
         self._planned: Path | None = None
@@ -321,9 +319,6 @@ class Insertion(Closing):
     def _on_safety(self, event: SafetyEvent) -> None:
         for each in self._listeners:
             each.safety(event)
-
-    def _on_pause(self, causes: str, text: str) -> None:
-        self._emit(RunEventName.PAUSED if causes else RunEventName.RESUMED, causes, text)
 
     def _emit(self, name: RunEventName, cause: str, text: str, digest: str = "") -> None:
         event = RunEvent(self._station.clock.now_ns(), name, cause, text, self._number, digest)

@@ -87,7 +87,8 @@ class Options:
     resume_s: float = 5.0
     """Longest pause (s), for example while the tracker does not see the coil; a longer pause ends the run with a fault.
     By starting the run, the operator allows the loop to resume when no cause is present and the stage rests. 0: a pause
-    ends the run, unless its cause has already gone. A fault always ends the run."""
+    ends the run, unless its cause has already gone. A fault always ends the run. A pause or a retraction that a person
+    orders has no time limit: only a person resumes the run."""
 
     force_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Unit vector in the frame of the force sensor, in the direction of a force that resists insertion."""

@@ -22,6 +22,9 @@ class SlowRobot:
     unsigned: set[str] = field(default_factory=set)
     """Causes of stops for which a person has not signed."""
 
+    held: bool = False
+    """Whether a person wants the pause, so that nobody else may end it."""
+
     stops: int = 0
     refusals: int = 0
 
@@ -33,6 +36,7 @@ class SlowRobot:
             self.homed = False
         severe = causes - PAUSING
         # FAULT persists until its causes clear, and then goes to DISABLED, never straight to ENABLED.
+        self.held = self.held and not severe
         if self.state == "FAULT":
             if severe:
                 self.unsigned |= severe
@@ -63,6 +67,7 @@ class SlowRobot:
             "pause": self.state in ("ENABLED", "PAUSED"),
             # Leaving PAUSED needs an explicit resume.
             "resume": self.state == "PAUSED" and not self.there,
+            "continue": self.state == "PAUSED" and not self.there and not self.held,
             "reset": self.state != "FAULT",
             "stop": True,
             "home": self.state == "DISABLED" and "stage_jumped" not in self.there,
@@ -79,7 +84,16 @@ class SlowRobot:
             self.unsigned.clear()
         if wish in ("home", "unhome"):
             self.homed = wish == "home"
-        goes = {"enable": "ENABLED", "resume": "ENABLED", "pause": "PAUSED", "disable": "DISABLED", "stop": "DISABLED"}
+        goes = {
+            "enable": "ENABLED",
+            "resume": "ENABLED",
+            "continue": "ENABLED",
+            "pause": "PAUSED",
+            "disable": "DISABLED",
+            "stop": "DISABLED",
+        }
         # No command causes FAULT, and none ends it.
         if self.state != "FAULT" and wish in goes:
             self.state = goes[wish]
+        # What a person holds, he holds until the pause is over, in whatever way.
+        self.held = self.state == "PAUSED" and (self.held or wish == "pause")

@@ -18,6 +18,7 @@ from needleplan.control.safety import (
     Severity,
     advance,
 )
+from needleplan.control.safety._states import begin_retraction
 from tests.control.safety.rules_model import PAUSING, SlowRobot
 
 CONDITIONS = [each for each in Cause if each.severity is not Severity.REFUSAL and each is not Cause.STOP_ORDERED]
@@ -34,6 +35,7 @@ DISABLED  enable    ENABLED
 DISABLED  disable   DISABLED !
 DISABLED  pause     refused
 DISABLED  resume    refused
+DISABLED  continue  refused
 DISABLED  reset     DISABLED
 DISABLED  stop      DISABLED !
 DISABLED  home      DISABLED
@@ -46,6 +48,7 @@ ENABLED   enable    ENABLED
 ENABLED   disable   DISABLED !
 ENABLED   pause     PAUSED !
 ENABLED   resume    refused
+ENABLED   continue  refused
 ENABLED   reset     ENABLED
 ENABLED   stop      DISABLED !
 ENABLED   home      refused
@@ -58,6 +61,7 @@ PAUSED    enable    refused
 PAUSED    disable   DISABLED !
 PAUSED    pause     PAUSED !
 PAUSED    resume    ENABLED
+PAUSED    continue  ENABLED
 PAUSED    reset     PAUSED
 PAUSED    stop      DISABLED !
 PAUSED    home      refused
@@ -70,6 +74,7 @@ FAULT     enable    refused
 FAULT     disable   FAULT !
 FAULT     pause     refused
 FAULT     resume    refused
+FAULT     continue  refused
 FAULT     reset     refused
 FAULT     stop      FAULT !
 FAULT     home      refused
@@ -129,6 +134,23 @@ def test_only_two_causes_stop_a_retraction_and_every_cause_stops_the_loop(
     if ends:
         assert step.state.operating is F
         assert cause in step.state.latched
+
+
+@pytest.mark.parametrize("before", [P, E])
+@pytest.mark.parametrize("how", ["pause", "retraction"])
+def test_the_loop_does_not_end_the_pause_of_a_person(before: OperatingState, how: str) -> None:
+    state = SafetyState(before, is_homed=True)
+    paused = (advance(state, Order.PAUSE, 1) if how == "pause" else begin_retraction(state, 1)).state
+    assert paused.operating is P
+    assert paused.person_paused
+    seen = advance(advance(paused, InputReport(SEEN["pausing"]), 2).state, InputReport(), 3).state
+    assert advance(seen, Order.CONTINUE, 4).causes == {Cause.NOT_POSSIBLE}
+    assert advance(seen, Order.CONTINUE, 4).refused
+    resumed = advance(seen, Order.RESUME, 5).state
+    assert resumed.operating is E
+    later = advance(advance(resumed, InputReport(SEEN["pausing"]), 6).state, InputReport(), 7).state
+    assert not later.person_paused
+    assert advance(later, Order.CONTINUE, 8).state.operating is E
 
 
 def test_a_latched_stop_needs_a_reset_and_says_so() -> None:
@@ -198,6 +220,7 @@ class BesideTheSlowModel(RuleBasedStateMachine):
     def agrees(self) -> None:
         slow = self.slow
         assert (self.state.operating, self.state.is_homed) == (slow.state, slow.homed)
+        assert self.state.person_paused == slow.held
         assert {str(each) for each in self.state.present} == slow.there
         assert {str(each) for each in self.state.latched} == slow.unsigned
         assert (self.stops, self.refusals) == (slow.stops, slow.refusals)

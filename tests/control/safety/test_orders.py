@@ -95,6 +95,7 @@ ACTIONS: dict[str, Callable[[ObedientBench], object]] = {
     "stop": lambda bench: bench.guard.stop(),
     "pause": ordered(Order.PAUSE),
     "resume": ordered(Order.RESUME),
+    "continue": ordered(Order.CONTINUE),
     "disable": ordered(Order.DISABLE),
     "enable": enable,
     "force": seen_once("force", EXCESSIVE),

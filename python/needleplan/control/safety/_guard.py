@@ -52,7 +52,7 @@ _NANO = 1e-9
 _LOCK_TIMEOUT_S = 0.02
 
 _RUNNING = (OperatingState.ENABLED, OperatingState.PAUSED)
-_ENABLING = (Order.ENABLE, Order.RESUME)
+_ENABLING = (Order.ENABLE, Order.RESUME, Order.CONTINUE)
 _GUARDED: WeakSet[Stage] = WeakSet()
 
 

@@ -4,7 +4,8 @@ The names are those of CRTK (Collaborative Robotics Toolkit). In ENABLED the rob
 only a person can move it, by a retraction. In PAUSED the robot waits for the order RESUME. In FAULT a fault is present.
 
 1. Orders neither cause nor end FAULT. When no cause of the severity FAULT is present, FAULT becomes DISABLED.
-2. ENABLED is entered only by ENABLE from DISABLED and by RESUME from PAUSED, and only while no cause is present.
+2. ENABLED is entered only by ENABLE from DISABLED and by RESUME or CONTINUE from PAUSED, and only while no cause is
+   present. CONTINUE is the order of the loop; it does not end a pause that a person ordered.
 3. Faults and ordered stops are latched: ENABLE is refused until RESET, and RESET is refused in FAULT.
 4. In DISABLED a cause only prevents enabling. The exceptions are STILL_MOVING and the causes that stop a retraction,
    which lead to FAULT.
@@ -66,6 +67,8 @@ class Order(StrEnum):
     DISABLE = "disable"
     PAUSE = "pause"
     RESUME = "resume"
+    CONTINUE = "continue"
+    """End a pause that no person ordered. The loop gives this order; all other pauses end by RESUME of a person."""
     RESET = "reset"
     """Confirm that the latched causes have been examined; allows ENABLE again."""
     STOP = "stop"
@@ -107,6 +110,9 @@ class SafetyState:
     latched: frozenset[Cause] = _NONE
     since_ns: int = 0
     """Time (ns) at which the guard entered the state `operating`."""
+
+    person_paused: bool = False
+    """Whether a person ordered the present pause, or a retraction during the pause."""
 
 
 @dataclass(frozen=True)
@@ -210,7 +216,12 @@ def _validated(state: SafetyState, report: InputReport, now_ns: int) -> SafetyTr
 
 
 def begin_retraction(state: SafetyState, now_ns: int) -> SafetyTransition:
-    """Return the transition that the beginning of a retraction by a person causes: ENABLED becomes PAUSED."""
+    """Return the transition that the beginning of a retraction by a person causes: ENABLED becomes PAUSED.
+
+    Only a person can end this pause.
+    """
+    if state.operating is OperatingState.PAUSED:
+        return SafetyTransition(replace(state, person_paused=True))
     return _pause(state, now_ns) if state.operating is OperatingState.ENABLED else SafetyTransition(state)
 
 
@@ -234,11 +245,10 @@ def _disable(state: SafetyState, now_ns: int) -> SafetyTransition:
 
 
 def _pause(state: SafetyState, now_ns: int) -> SafetyTransition:
-    if state.operating is OperatingState.ENABLED:
-        return SafetyTransition(_to(state, OperatingState.PAUSED, now_ns), (GuardAction.STOP,))
-    if state.operating is OperatingState.PAUSED:
-        return SafetyTransition(state, (GuardAction.STOP,))
-    return _refused(state, Cause.NOT_POSSIBLE)
+    if state.operating not in (OperatingState.ENABLED, OperatingState.PAUSED):
+        return _refused(state, Cause.NOT_POSSIBLE)
+    paused = replace(_to(state, OperatingState.PAUSED, now_ns), person_paused=True)
+    return SafetyTransition(paused, (GuardAction.STOP,))
 
 
 def _resume(state: SafetyState, now_ns: int) -> SafetyTransition:
@@ -247,6 +257,10 @@ def _resume(state: SafetyState, now_ns: int) -> SafetyTransition:
     if state.present:
         return _refused(state, *state.present)
     return SafetyTransition(_to(state, OperatingState.ENABLED, now_ns))
+
+
+def _continue(state: SafetyState, now_ns: int) -> SafetyTransition:
+    return _refused(state, Cause.NOT_POSSIBLE) if state.person_paused else _resume(state, now_ns)
 
 
 def _reset(state: SafetyState, _: int) -> SafetyTransition:
@@ -274,7 +288,9 @@ def _unhome(state: SafetyState, _: int) -> SafetyTransition:
 
 
 def _to(state: SafetyState, operating: OperatingState, now_ns: int) -> SafetyState:
-    return state if state.operating is operating else replace(state, operating=operating, since_ns=now_ns)
+    if state.operating is operating:
+        return state
+    return replace(state, operating=operating, since_ns=now_ns, person_paused=False)
 
 
 def _stop_if(causes: frozenset[Cause]) -> tuple[GuardAction, ...]:
@@ -294,6 +310,7 @@ _ORDERS: dict[Order, Callable[[SafetyState, int], SafetyTransition]] = {
     Order.DISABLE: _disable,
     Order.PAUSE: _pause,
     Order.RESUME: _resume,
+    Order.CONTINUE: _continue,
     Order.RESET: _reset,
     Order.STOP: _stop,
     Order.HOME: _home,
