@@ -9,7 +9,16 @@ from collections.abc import Iterator
 
 import pytest
 
-from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order, SafetyEvent, SafetyLimits, Watchdog
+from needleplan.control.safety import (
+    Cause,
+    GuardedStage,
+    OperatingState,
+    Order,
+    SafetyEvent,
+    SafetyEventName,
+    SafetyLimits,
+    Watchdog,
+)
 from needleplan.devices import ForceSample, PoseSample, Stage, StageSample, Stamp
 from needleplan.errors import MotionRefused
 from tests.recording.samples import wait_for
@@ -128,6 +137,36 @@ def test_a_person_stops_a_loop_that_hangs_in_a_command(rig: Rig) -> None:
         assert rig.stage.stopped.wait(20)
         person.join(20)
     assert rig.guard.check().operating is OperatingState.FAULT
+
+
+def test_a_stop_that_meets_a_blocked_guard_is_carried_out_when_the_block_ends(rig: Rig) -> None:
+    rig.enable()
+    rig.events.clear()
+    with rig.guard._held():
+        person = threading.Thread(target=rig.guard.stop)
+        person.start()
+        person.join(20)
+        assert rig.events == []
+    with pytest.raises(MotionRefused, match="not_enabled"):
+        rig.guard.insert(20.0, 5.0)
+    assert Cause.STOP_ORDERED in rig.guard.state.latched
+    assert [each.text for each in rig.events if each.name is SafetyEventName.ORDER] == ["stop by stop()"]
+    # It is carried out once; after a reset by a person it is over.
+    rig.enable()
+    assert rig.guard.state.latched == set()
+
+
+def test_a_stop_that_met_a_blocked_guard_does_not_stop_a_later_retraction(rig: Rig) -> None:
+    rig.enable()
+    with rig.guard._held():
+        person = threading.Thread(target=rig.guard.stop)
+        person.start()
+        person.join(20)
+    rig.guard.retract(-10.0, 5.0, "anna")
+    rig.stage.stopped.clear()
+    rig.guard.check()
+    assert not rig.stage.stopped.is_set()
+    assert Cause.STOP_ORDERED in rig.guard.state.latched
 
 
 def test_a_pause_of_the_whole_process_is_seen_by_the_next_command(rig: Rig) -> None:

@@ -21,10 +21,11 @@ import contextlib
 import math
 import threading
 from collections.abc import Callable, Collection, Iterator
+from dataclasses import replace
 from weakref import WeakSet
 
 from needleplan.control.safety._causes import Cause
-from needleplan.control.safety._inputs import Inputs, RecordingStatus, validate
+from needleplan.control.safety._inputs import Inputs, LoopStatus, RecordingStatus, validate
 from needleplan.control.safety._limits import SafetyLimits, against_insertion, against_retraction, against_rotation
 from needleplan.control.safety._motion import MotionWatch, RepeatedStop
 from needleplan.control.safety._states import (
@@ -47,12 +48,12 @@ from needleplan.recording import RecorderStatus
 
 __all__ = ["GuardedStage"]
 
-_NANO = 1e-9
 # longest wait (s) for the lock of the guard; a thread that holds the lock longer is blocked in a command to the stage
 _LOCK_TIMEOUT_S = 0.02
 
 _RUNNING = (OperatingState.ENABLED, OperatingState.PAUSED)
 _ENABLING = (Order.ENABLE, Order.RESUME, Order.CONTINUE)
+_STOPPER = "stop()"  # originator of the orders of `stop`, as events name it
 _GUARDED: WeakSet[Stage] = WeakSet()
 
 
@@ -82,13 +83,11 @@ class GuardedStage(Stage):
         self._inputs, self._motion = Inputs(), MotionWatch()
         self._reported: frozenset[Cause] = frozenset()
         self._recording = RecordingStatus()
-        self._ticked_ns: int | None = None
-        self._latest_ns = self._state.since_ns
-        self._enabled_ns = 0
+        self._loop = LoopStatus(self._state.since_ns)
         self._commander: int | None = None
         self._repeated_stop = RepeatedStop(stage, self._clock)
         self._heartbeat = Heartbeat(stage, self._state.since_ns)
-        self._blocked = self._listener_failed = False
+        self._blocked = self._stop_waits = self._listener_failed = False
 
     @property
     def state(self) -> SafetyState:
@@ -158,7 +157,7 @@ class GuardedStage(Stage):
         with self._held() as now_ns:
             # Validated before the time of the last tick is replaced, so that a late tick is detected.
             state = self._validate(now_ns)
-            self._ticked_ns = now_ns
+            self._loop = replace(self._loop, ticked_ns=now_ns)
             if (error := self._heartbeat.send(now_ns)) is not None:
                 self._inputs = self._inputs.with_failure(Source.STAGE)
                 return self._validate(now_ns, str(error))
@@ -186,15 +185,8 @@ class GuardedStage(Stage):
             if transition.refused:
                 self._refuse(order, transition.causes, now_ns, by)
             if self._state.operating is OperatingState.DISABLED and order is Order.ENABLE:
-                self._enabled_ns = now_ns
-            self._emit(
-                SafetyEventName.ORDER,
-                now_ns,
-                transition.causes,
-                f"{order} by {by}" if by else order,
-                state=transition.state,
-            )
-            self._follow(transition, now_ns, str(order))
+                self._loop = replace(self._loop, enabled_ns=now_ns)
+            self._obey(order, transition, now_ns, by)
             return self._state
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
@@ -229,6 +221,7 @@ class GuardedStage(Stage):
             against = against_retraction(limits, here, depth_mm, velocity_mm_s)
             if against:
                 self._refuse(what, against, now_ns, by)
+            self._obey_waiting(now_ns)  # a stop that was ordered before must not stop the retraction
             self._follow(begin_retraction(self._state, now_ns), now_ns, what)
             values = {"depth_mm": depth_mm, "velocity_mm_s": velocity_mm_s}
             self._send(SafetyEventName.RETRACTION, self._stage.insert, values, what, now_ns, by)
@@ -237,9 +230,14 @@ class GuardedStage(Stage):
             self._repeated_stop.wanted = False
 
     def stop(self) -> None:
-        """Stop both axes in every state, and refuse ENABLE until the order RESET."""
-        with contextlib.suppress(MotionRefused):
-            self.order(Order.STOP, "stop()")
+        """Stop both axes in every state, and refuse ENABLE until the order RESET.
+
+        If another thread blocks the guard, the stage is stopped at once, and the next validation carries out the order.
+        """
+        try:
+            self.order(Order.STOP, _STOPPER)
+        except MotionRefused:
+            self._stop_waits = True
 
     def read(self, timeout_s: float) -> StageSample | None:
         """Validate and return the next sample of the stage; return None after `timeout_s`. Raises DeviceFault."""
@@ -315,23 +313,30 @@ class GuardedStage(Stage):
         limits = self._limits
         causes = set(validate(self._inputs, limits, now_ns))
         causes.update(self._reported, self._motion.causes(limits, now_ns), self._recording.causes(limits, now_ns))
-        late = self._ticked_ns is None or (now_ns - self._ticked_ns) * _NANO > limits.loop_age_s
-        if late or self._blocked:
+        causes.update(self._loop.causes(limits, now_ns, running=self._state.operating in _RUNNING))
+        if self._blocked:
             causes.add(Cause.LOOP_LATE)
-        if now_ns < self._latest_ns:
-            causes.add(Cause.CLOCK_MISMATCH)
-        running_s = (now_ns - self._enabled_ns) * _NANO
-        if running_s > limits.run_s and self._state.operating in _RUNNING:
-            causes.add(Cause.TIME_EXCEEDED)
         if self._listener_failed:
             causes.add(Cause.RECORDING_LOST)
-        self._latest_ns, self._blocked, self._listener_failed = max(now_ns, self._latest_ns), False, False
+        self._loop, self._blocked, self._listener_failed = self._loop.validated(now_ns), False, False
         last = self._inputs.stage.last
         report = InputReport(frozenset(causes), last is not None and last.moving, self._motion.retracting)
         self._follow(advance(self._state, report, now_ns), now_ns, text)
+        self._obey_waiting(now_ns)
         if self._repeated_stop.due(now_ns):
             self._send_stop()
         return self._state
+
+    def _obey(self, order: Order, transition: SafetyTransition, now_ns: int, by: str) -> None:
+        """Emit the event of an order that is not refused, and carry out its transition."""
+        text = f"{order} by {by}" if by else str(order)
+        self._emit(SafetyEventName.ORDER, now_ns, transition.causes, text, state=transition.state)
+        self._follow(transition, now_ns, str(order))
+
+    def _obey_waiting(self, now_ns: int) -> None:
+        if self._stop_waits:
+            self._stop_waits = False
+            self._obey(Order.STOP, advance(self._state, Order.STOP, now_ns), now_ns, _STOPPER)
 
     def _follow(self, transition: SafetyTransition, now_ns: int, text: str) -> None:
         """Carry out a transition: first send its stop, then emit its events."""

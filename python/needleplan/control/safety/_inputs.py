@@ -7,6 +7,7 @@ does not stop the motion either. A force or depth beyond its limit stops the mot
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
@@ -15,7 +16,7 @@ from needleplan.control.safety._limits import SafetyLimits
 from needleplan.devices import ForceSample, Health, PoseSample, Sample, Source, StageSample, Stamp
 from needleplan.recording import RecorderState, RecorderStatus
 
-__all__ = ["Delay", "InputStatus", "Inputs", "RecordingStatus", "validate"]
+__all__ = ["Delay", "InputStatus", "Inputs", "LoopStatus", "RecordingStatus", "validate"]
 
 _Sample = TypeVar("_Sample", ForceSample, PoseSample, StageSample)
 _NANO = 1e-9
@@ -111,6 +112,28 @@ class RecordingStatus:
         if status.state is RecorderState.STALLED or status.behind_s > limit_s:
             return frozenset({Cause.RECORDING_BEHIND})
         return _NONE
+
+
+@dataclass(frozen=True)
+class LoopStatus:
+    """Times (ns) of the last validation, of the last `tick` of the loop (None before the first), and of enabling."""
+
+    validated_ns: int
+    ticked_ns: int | None = None
+    enabled_ns: int = 0
+
+    def validated(self, now_ns: int) -> LoopStatus:
+        """Return the status after a validation at a time (ns)."""
+        return LoopStatus(max(now_ns, self.validated_ns), self.ticked_ns, self.enabled_ns)
+
+    def causes(self, limits: SafetyLimits, now_ns: int, running: bool) -> Iterator[Cause]:
+        """Yield the causes that concern the loop, its clock and, if `running`, the duration of the run."""
+        if _older(self.ticked_ns, limits.loop_age_s, now_ns):
+            yield Cause.LOOP_LATE
+        if now_ns < self.validated_ns:
+            yield Cause.CLOCK_MISMATCH
+        if running and _older(self.enabled_ns, limits.run_s, now_ns):
+            yield Cause.TIME_EXCEEDED
 
 
 @dataclass(frozen=True)
