@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from needleplan import scenario
+from needleplan.config import REQUIRED
 from tests import pages
 
 PAGES = sorted((pages.ROOT / "docs").rglob("*.md"))
@@ -68,7 +69,7 @@ def shown(*arguments: str) -> str:
 
 def default(field: Field[Any]) -> str:
     """Return the default of a key as the reference tells it."""
-    if field.default is MISSING:
+    if field.default is MISSING or field.default is REQUIRED:
         return "required"
     if field.default is None:
         return "none"

@@ -96,8 +96,8 @@ class Lattice:
 
     `obstacles` are pairs of rings of vertices and the distance from them within which a point is in the obstacle; a
     ring of one vertex is a disc, one of two a capsule. `arc_samples` is the number of tested points of every arc; 0
-    tests the whole arc. `layers` are pairs (from_mm, curvature_radius_mm) and `tissues` pairs (polygon,
-    curvature_radius_mm): the regions with a radius of their own.
+    tests the whole arc. `layers` are pairs (from_mm, curvature_radius_mm) and `tissues` triples (rings, distance,
+    curvature_radius_mm), with rings and distance as of an obstacle: the regions with a radius of their own.
     """
 
     def __new__(
@@ -120,7 +120,7 @@ class Lattice:
         exit: float,
         discount: float,
         layers: Sequence[tuple[float, float]] = ...,
-        tissues: Sequence[tuple[Sequence[tuple[float, float]], float]] = ...,
+        tissues: Sequence[tuple[Sequence[Sequence[tuple[float, float]]], float, float]] = ...,
     ) -> Lattice: ...
     @property
     def shape(self) -> tuple[int, int, int, int]: ...

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle_arc import follow_pieces, problem_from, radius_at
@@ -25,6 +26,25 @@ METHODS = st.sampled_from(uniform.METHODS)
 
 
 @st.composite
+def shapes(draw: st.DrawFn, width: float, height: float) -> dict[str, Any]:
+    """A polygon, with or without a hole, a disc or a capsule."""
+    kind = draw(st.sampled_from(["polygon", "hole", "disc", "capsule"]))
+    if kind in ("polygon", "hole"):
+        outline = draw(uniform.polygons(width, height))
+        whole = shapely.Polygon(outline)
+        inside = whole.buffer(-0.3)
+        if kind == "polygon" or inside.geom_type != "Polygon" or inside.is_empty:
+            return {"polygon_mm": outline}
+        return {"polygon_mm": outline, "holes_mm": [[list(point) for point in inside.exterior.coords]]}
+    quarters = st.tuples(st.integers(0, int(4 * width)), st.integers(0, int(4 * height)))
+    one, other = ([number / 4 for number in draw(quarters)] for _ in range(2))
+    radius = draw(st.integers(1, 12)) / 4 + 0.000731
+    if kind == "disc" or one == other:
+        return {"center_mm": one, "radius_mm": radius}
+    return {"ends_mm": [one, other], "radius_mm": radius}
+
+
+@st.composite
 def layered(draw: st.DrawFn, transition: str | None = None) -> dict[str, Any]:
     """A small scenario of the uniform tests with layers, which may begin on grid points, and overlapping tissues."""
     scenario = draw(uniform.scenarios(transition))
@@ -33,8 +53,8 @@ def layered(draw: st.DrawFn, transition: str | None = None) -> dict[str, Any]:
     starts = sorted(draw(st.lists(st.integers(0, int(4 * width)), max_size=3, unique=True)))
     layers = [{"from_mm": start / 4, "curvature_radius_mm": draw(radius)} for start in starts]
     fewest = 0 if layers else 1
-    regions = draw(st.lists(uniform.polygons(width, height), min_size=fewest, max_size=2))
-    tissues = [{"polygon_mm": region, "curvature_radius_mm": draw(radius)} for region in regions]
+    regions = draw(st.lists(shapes(width, height), min_size=fewest, max_size=2))
+    tissues = [region | {"curvature_radius_mm": draw(radius)} for region in regions]
     return scenario | {"needle": scenario["needle"] | {"layer": layers}, "tissue": tissues}
 
 

@@ -4,7 +4,7 @@ Tests are closed, and coordinates are computed in floating point, so every test 
 `TOLERANCE_MM`: a point that lies on an edge in exact arithmetic counts as on it. An end point exactly halfway
 between two grid points goes up (`nearest_index`); the definition does not say.
 
-The radius of an arc is that of the place where it starts: of the last tissue polygon that holds the point, else of the
+The radius of an arc is that of the place where it starts: of the last tissue that holds the point, else of the
 last layer with from_mm <= x, else of the needle. Its length is that radius times alpha.
 """
 
@@ -48,7 +48,7 @@ class Problem:
     exit: float
     discount: float
     layers: tuple[tuple[float, float], ...] = ()  # from x, radius
-    tissues: tuple[tuple[shapely.Polygon, float], ...] = ()  # region, radius
+    tissues: tuple[tuple[shapely.Geometry, float, float], ...] = ()  # core, distance from it within the tissue, radius
 
     @property
     def nx(self) -> int:
@@ -91,10 +91,17 @@ def problem_from(scenario: dict[str, Any]) -> Problem:
         exit=float(objective["exit"]),
         discount=float(objective["discount"]),
         layers=tuple((each["from_mm"], each["curvature_radius_mm"]) for each in scenario["needle"].get("layer", [])),
-        tissues=tuple(
-            (shapely.Polygon(each["polygon_mm"]), each["curvature_radius_mm"]) for each in scenario.get("tissue", [])
-        ),
+        tissues=tuple((*core_of(each), each["curvature_radius_mm"]) for each in scenario.get("tissue", [])),
     )
+
+
+def core_of(shape: dict[str, Any]) -> tuple[shapely.Geometry, float]:
+    """A polygon, a point or a segment, and how far the region reaches beyond it."""
+    if "polygon_mm" in shape:
+        return shapely.Polygon(shape["polygon_mm"], shape.get("holes_mm")), 0.0
+    if "center_mm" in shape:
+        return shapely.Point(shape["center_mm"]), float(shape["radius_mm"])
+    return shapely.LineString(shape["ends_mm"]), float(shape["radius_mm"])
 
 
 def radius_at(problem: Problem, x: Floats, y: Floats) -> Floats:
@@ -102,8 +109,8 @@ def radius_at(problem: Problem, x: Floats, y: Floats) -> Floats:
     radius = np.full(x.shape, problem.rho)
     for from_mm, rho in problem.layers:
         radius = np.where(x >= from_mm - TOLERANCE_MM, rho, radius)
-    for polygon, rho in problem.tissues:
-        radius = np.where(shapely.dwithin(polygon, shapely.points(x, y), TOLERANCE_MM), rho, radius)
+    for core, reach, rho in problem.tissues:
+        radius = np.where(shapely.distance(core, shapely.points(x, y)) <= reach + TOLERANCE_MM, rho, radius)
     return radius
 
 

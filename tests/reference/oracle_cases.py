@@ -92,5 +92,13 @@ def mirrored(scenario: dict[str, Any]) -> dict[str, Any]:
     result, height = copy.deepcopy(scenario), scenario["workspace"]["height_mm"]
     result["target"]["center_mm"][1] = height - scenario["target"]["center_mm"][1]
     for region in (*result["obstacle"], *result["tissue"]):
-        region["polygon_mm"] = [[x, height - y] for x, y in region["polygon_mm"]]
+        for key in {"polygon_mm", "holes_mm", "center_mm", "ends_mm"} & set(region):
+            region[key] = reflected(region[key], height)
     return result
+
+
+def reflected(points: Any, height: float) -> Any:
+    """Return a point, or a list of points or of lists of points, reflected about y = height/2."""
+    if isinstance(points[0], int | float):
+        return [points[0], height - points[1]]
+    return [reflected(each, height) for each in points]

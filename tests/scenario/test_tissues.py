@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+import shapely
+from matplotlib.figure import Figure
 
 from needleplan.errors import ModelError, ScenarioError
 from needleplan.identification import path_curvature
 from needleplan.models import Bicycle, Estimate, ModelFile, Parent, TipPath, arc_step
-from needleplan.scenario import Layer, Needle, Scenario, Target, Tissue, Workspace, identified
+from needleplan.scenario import Layer, Needle, Obstacle, Scenario, Target, Tissue, Workspace, identified
 from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES
 
 SQUARE = [(10.0, 10.0), (20.0, 10.0), (20.0, 20.0), (10.0, 20.0)]
@@ -54,6 +57,64 @@ def test_the_radius_of_a_place() -> None:
     assert float(scenario.radius_mm(12.0, 0.0)) == 50
     # A grid line that rounding puts just before the layer still is in it.
     assert float(plain(Needle(40, (Layer(2.1, 50),))).radius_mm(3 * 0.7, 0)) == 50
+
+
+HOLE = [(13.0, 13.0), (17.0, 13.0), (17.0, 17.0), (13.0, 17.0)]
+SHAPES: list[dict[str, Any]] = [
+    {"polygon_mm": SQUARE},
+    {"polygon_mm": SQUARE, "holes_mm": [HOLE]},
+    {"center_mm": (15.0, 15.0), "radius_mm": 4.0},
+    {"ends_mm": [(8.0, 8.0), (20.0, 14.0)], "radius_mm": 2.5},
+]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_tissue_has_every_shape_of_an_obstacle(shape: dict[str, Any]) -> None:
+    """Radii of dense points, the region of shapely, the file and the picture."""
+    tissue = Tissue(**shape, curvature_radius_mm=80, name="tumour")
+    scenario = plain(None, tissue)
+    x, y = np.meshgrid(np.linspace(5, 25, 201), np.linspace(5, 25, 201))
+    radii = scenario.radius_mm(x, y)
+    same = Obstacle(**shape)
+    assert tissue.region().equals(same.region())
+    far = shapely.distance(same.region().boundary, shapely.points(x, y)) > 1e-3
+    np.testing.assert_array_equal(radii[far] == 80, shapely.contains_xy(same.region(), x, y)[far])
+    np.testing.assert_array_equal(radii == 80, same.covers(x, y))
+    assert Scenario.from_toml(scenario.to_toml()) == scenario
+    assert len(scenario.plot(Figure().subplots()).patches) == len(plain().plot(Figure().subplots()).patches) + 2
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"),
+    [
+        ({}, r"tissue\.polygon_mm: is missing; a tissue has polygon_mm, or center_mm and radius_mm, or"),
+        ({"center_mm": [1, 2]}, r"tissue\.radius_mm: is missing beside center_mm"),
+        ({"polygon_mm": SQUARE, "radius_mm": 2}, r"radius_mm = 2: must not be given for a polygon$"),
+        (
+            {"polygon_mm": SQUARE, "ends_mm": [[1, 2], [3, 4]]},
+            r"ends_mm: must not be given beside polygon_mm; a tissue",
+        ),
+        ({"center_mm": [1, 2], "radius_mm": 2, "holes_mm": [HOLE]}, r"holes_mm: must not be given without polygon_mm"),
+        ({"polygon_mm": HOLE, "holes_mm": [SQUARE]}, r"holes_mm: hole 1 must lie inside of polygon_mm"),
+        ({"polygon_mm": [[0, 0], [4, 4], [4, 0], [0, 4]]}, r"where it crosses itself: the edge from point 1"),
+    ],
+)
+def test_mistakes_in_shapes_are_named(shape: dict[str, Any], message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        Tissue(**shape, curvature_radius_mm=80)
+
+
+def test_a_tissue_needs_a_radius_and_knows_no_margin() -> None:
+    with pytest.raises(ScenarioError, match=r"tissue\.curvature_radius_mm: is missing"):
+        Tissue(SQUARE)
+    text = plain(None, Tissue(SQUARE, 80)).to_toml()
+    radius = "curvature_radius_mm = 80.0\n"
+    for line, rule in (
+        (f"{radius}margin_mm = 1.0\n", "margin_mm: unknown key"),
+        ("", "curvature_radius_mm: is missing"),
+    ):
+        with pytest.raises(ScenarioError, match=rf"tissue 1\.{rule}"):
+            Scenario.from_toml(text.replace(radius, line))
 
 
 def test_too_many_radii_are_refused() -> None:

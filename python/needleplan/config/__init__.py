@@ -37,6 +37,7 @@ from needleplan.config._rules import (
     suggestion,
 )
 from needleplan.config._table import (
+    REQUIRED,
     ConfigTable,
     Given,
     Keyed,
@@ -59,6 +60,7 @@ from needleplan.config._toml import (
 )
 
 __all__ = [
+    "REQUIRED",
     "Choice",
     "Commented",
     "ConfigTable",

@@ -13,6 +13,7 @@ from needleplan.config._rules import Choice, Rule, Text, Violation, sequence, su
 from needleplan.errors import InputError, Mistake
 
 __all__ = [
+    "REQUIRED",
     "ConfigTable",
     "Given",
     "Keyed",
@@ -30,14 +31,26 @@ Between = Callable[..., Iterable[Mistake]]
 _T = TypeVar("_T", bound="ConfigTable")
 
 
+class _Required:
+    """Type of `REQUIRED`."""
+
+    def __repr__(self) -> str:
+        return "required"
+
+
+REQUIRED = _Required()
+"""Default of a required field that comes after an optional one. Where it is left out, its table is a mistake."""
+
+
 def ruled(
     rule: Rule | Given, default: object = MISSING, *, factory: Any = MISSING, key: str = "", about: str = ""
 ) -> Any:
     """Declare a field of a `ConfigTable` whose values are read by `rule`.
 
-    The field is optional if `default` or `factory` (a function that returns the default) is given. Without them, a
-    missing `Subtable` or `Keyed` is read as an empty table, and any other missing field is a mistake. `key` is the key
-    in a file if it differs from the name of the field. `about` is the comment in commented files.
+    The field is optional if `default` or `factory` (a function that returns the default) is given. Without them, or if
+    `default` is `REQUIRED`, a missing `Subtable` or `Keyed` is read as an empty table, and any other missing field is a
+    mistake. `key` is the key in a file if it differs from the name of the field. `about` is the comment in commented
+    files.
     """
     metadata = {"rule": rule, "key": key, "about": about}
     if factory is not MISSING:
@@ -92,7 +105,8 @@ class ConfigTable:
 
     def __post_init__(self) -> None:
         try:
-            _fill(self, {key_of(each): getattr(self, each.name) for each in fields(self)})
+            given = {key_of(each): getattr(self, each.name) for each in fields(self)}
+            _fill(self, {key: value for key, value in given.items() if value is not REQUIRED})
         except Violation as broken:
             raise self.error(list(under(self.key, broken.mistakes))) from None
 
@@ -122,7 +136,7 @@ def examine(kind: type[ConfigTable], raw: Mapping[str, object]) -> tuple[dict[st
             rule = rule.rule(values[rule.field])
         if key in raw:
             value = raw[key]
-        elif each.default is not MISSING:
+        elif each.default is not MISSING and each.default is not REQUIRED:
             values[each.name] = each.default
             continue
         elif each.default_factory is not MISSING:

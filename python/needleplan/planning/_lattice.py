@@ -177,7 +177,7 @@ def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
         exit=objective.exit,
         discount=objective.discount,
         layers=[(layer.from_mm, layer.curvature_radius_mm) for layer in scenario.needle.layers],
-        tissues=[(tissue.polygon_mm, tissue.curvature_radius_mm) for tissue in scenario.tissues],
+        tissues=[(each.rings_mm, each.reach_mm, each.curvature_radius_mm) for each in scenario.tissues],
     )
 
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from needleplan.scenario._obstacle import Obstacle
     from needleplan.scenario._parts import Needle, Target, Tissue, Workspace
+    from needleplan.scenario._shape import Shaped
 
 __all__ = ["Scene", "draw_scene"]
 
@@ -71,14 +72,14 @@ def draw_scene(axes: Axes, scene: Scene, *, on_map: bool = False) -> None:
     )
 
 
-def _patch(obstacle: Obstacle, **style: Any) -> Patch:
-    """Return the patch of an obstacle with its margin; holes stay open."""
+def _patch(shape: Shaped, **style: Any) -> Patch:
+    """Return the patch of an obstacle, with its margin, or of a tissue; holes stay open."""
     from matplotlib.patches import PathPatch, Polygon
     from matplotlib.path import Path
 
-    if obstacle.polygon_mm and not obstacle.holes_mm and not obstacle.margin_mm:
-        return Polygon(list(obstacle.polygon_mm), **style)
-    region = obstacle.region()
+    if shape.polygon_mm and not shape.holes_mm and not shape.reach_mm:
+        return Polygon(list(shape.polygon_mm), **style)
+    region = shape.region()
     parts = getattr(region, "geoms", [region])
     rings = [ring for part in parts for ring in (part.exterior, *part.interiors)]
     return PathPatch(Path.make_compound_path(*(Path(list(ring.coords), closed=True) for ring in rings)), **style)
@@ -106,11 +107,11 @@ def _draw_tissues(axes: Axes, scene: Scene, on_map: bool) -> None:
     for tissue in scene.tissues:
         _draw_region(axes, tissue, "none" if on_map else tint(tissue.curvature_radius_mm))
         if not on_map:
-            x, y = zip(*tissue.polygon_mm, strict=True)
-            below = min(y) > _LOW * height
+            left, bottom, right, top = tissue.region().bounds
+            below = bottom > _LOW * height
             name = ", ".join(filter(None, (tissue.name, _label(tissue.curvature_radius_mm))))
-            place = min(y) - 0.01 * height if below else max(y) + 0.01 * height
-            axes.text((min(x) + max(x)) / 2, place, name, va="top" if below else "bottom", **_LABEL)
+            place = bottom - 0.01 * height if below else top + 0.01 * height
+            axes.text((left + right) / 2, place, name, va="top" if below else "bottom", **_LABEL)
 
 
 def _layers(scene: Scene) -> Iterator[tuple[float, float, float]]:
@@ -127,11 +128,9 @@ def _layers(scene: Scene) -> Iterator[tuple[float, float, float]]:
 
 
 def _draw_region(axes: Axes, tissue: Tissue, face: Any) -> None:
-    from matplotlib.patches import Polygon
-
     edge = "white" if face == "none" else GREY
     style: Any = {"facecolor": face, "edgecolor": edge, "linewidth": 0.8, "linestyle": "--", "zorder": 1}
-    axes.add_patch(Polygon(list(tissue.polygon_mm), **style))
+    axes.add_patch(_patch(tissue, **style))
 
 
 def _label(radius_mm: float) -> str:

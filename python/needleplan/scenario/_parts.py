@@ -9,6 +9,7 @@ from enum import StrEnum
 from itertools import pairwise
 
 from needleplan.config import (
+    REQUIRED,
     Choice,
     ConfigTable,
     Integer,
@@ -22,8 +23,9 @@ from needleplan.config import (
     sequence,
 )
 from needleplan.errors import Mistake, ScenarioError
-from needleplan.scenario._obstacle import COORDINATE, LENGTH, POLYGON
+from needleplan.scenario import _shape
 from needleplan.scenario._polygon import TOLERANCE_MM, Points
+from needleplan.scenario._shape import COORDINATE, LENGTH
 
 __all__ = [
     "Grid",
@@ -169,15 +171,26 @@ class Needle(ConfigTable, key="needle", error=ScenarioError, between=(_increasin
 
 
 @dataclass(frozen=True)
-class Tissue(ConfigTable, key="tissue", error=ScenarioError):
+class Tissue(
+    _shape.Shaped,
+    ConfigTable,
+    key="tissue",
+    error=ScenarioError,
+    between=(_shape.one_shape("a tissue"), _shape.holes_inside),
+):
     """A region in which the needle's arc has the given radius.
 
-    The region is a simple polygon, boundary included. The polygon may reach beyond the workspace.
+    The region is a simple polygon, which may have holes, a disc, or a capsule, boundary included: the same fields as
+    those of an obstacle, without a margin. The region may reach beyond the workspace.
     """
 
-    polygon_mm: Points = ruled(POLYGON, about="corners [x, y] of the region")
-    curvature_radius_mm: float = ruled(LENGTH, about="radius of the arc in this region")
+    polygon_mm: Points | None = _shape.polygon("corners [x, y] of the region")
+    curvature_radius_mm: float = ruled(LENGTH, REQUIRED, about="radius of the arc in this region")
     name: str = ruled(Text(), "", about="for messages, figures and identified radii")
+    holes_mm: tuple[Points, ...] | None = _shape.holes()
+    center_mm: tuple[float, float] | None = _shape.center()
+    ends_mm: Points | None = _shape.ends()
+    radius_mm: float | None = _shape.radius()
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,16 @@
-"""Simple polygons: a rule that checks their corners, and tests whether points lie in a polygon."""
+"""Simple polygons: a rule that checks their corners."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import TYPE_CHECKING
 
 from needleplan.config import Number, Pair, Violation, sequence
 
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-    from shapely import Polygon
-
-__all__ = ["TOLERANCE_MM", "Points", "SimplePolygon", "covered"]
+__all__ = ["TOLERANCE_MM", "Points", "SimplePolygon"]
 
 TOLERANCE_MM = 1e-9
-"""Distance (mm) from a boundary up to which `covered` counts a point as on the boundary, because of rounding."""
+"""Distance (mm) from a boundary up to which a point counts as on the boundary, because of rounding."""
 
 Points = tuple[tuple[float, float], ...]
 
@@ -55,24 +48,6 @@ class SimplePolygon:
         if flaw:
             raise Violation(flaw, value)
         return tuple(corners)
-
-
-def covered(polygon_mm: Points, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of the points that are inside the polygon or within `TOLERANCE_MM` of it; same shape as `x_mm`."""
-    import shapely
-
-    found: NDArray[np.bool_] = shapely.dwithin(_prepared(polygon_mm), shapely.points(x_mm, y_mm), TOLERANCE_MM)
-    return found
-
-
-@lru_cache(maxsize=64)
-def _prepared(polygon_mm: Points) -> Polygon:
-    """Return the polygon prepared for fast queries. Cached for the insertion loop, which queries points one by one."""
-    import shapely
-
-    polygon = shapely.Polygon(polygon_mm)
-    shapely.prepare(polygon)
-    return polygon
 
 
 def _flaw(corners: list[tuple[float, float]]) -> str:

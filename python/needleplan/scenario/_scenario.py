@@ -38,7 +38,7 @@ from needleplan.scenario._parts import (
     Tissue,
     Workspace,
 )
-from needleplan.scenario._polygon import TOLERANCE_MM, covered
+from needleplan.scenario._polygon import TOLERANCE_MM
 
 if TYPE_CHECKING:
     import numpy as np
@@ -74,7 +74,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
     needle : Needle
         Radius of the needle's arc, and layers with other radii.
     obstacles : sequence of Obstacle, optional
-        Polygons that the tip must not touch. Default: none.
+        Regions that the tip must not touch. Default: none.
     motion : TipMotion, optional
         Number of headings, tip noise, and points of an arc that are tested. Default: `TipMotion()`.
     grid : Grid, optional
@@ -269,7 +269,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         for layer in self.needle.layers:
             radius[x >= layer.from_mm - TOLERANCE_MM] = layer.curvature_radius_mm
         for tissue in self.tissues:
-            radius[covered(tissue.polygon_mm, x, y)] = tissue.curvature_radius_mm
+            radius[tissue.covers(x, y)] = tissue.curvature_radius_mm
         return radius
 
     def with_curvature(

@@ -18,6 +18,9 @@ use crate::arrays::{contiguous, elements};
 use crate::solve::{report_dict, stop_rule};
 use crate::work::{exception, run, watch};
 
+/// Rings of vertices, mm.
+type Rings = Vec<Vec<[f64; 2]>>;
+
 /// Largest limit on the steps of an execution: a path stores all its poses.
 const MOST_STEPS: u32 = 10_000_000;
 
@@ -79,7 +82,7 @@ impl Lattice {
         width_mm: f64,
         height_mm: f64,
         spacing_mm: [f64; 2],
-        obstacles: Vec<(Vec<Vec<[f64; 2]>>, f64)>,
+        obstacles: Vec<(Rings, f64)>,
         target_center_mm: [f64; 2],
         target_radius_mm: f64,
         curvature_radius_mm: f64,
@@ -93,7 +96,7 @@ impl Lattice {
         exit: f64,
         discount: f64,
         layers: Vec<(f64, f64)>,
-        tissues: Vec<(Vec<[f64; 2]>, f64)>,
+        tissues: Vec<(Rings, f64, f64)>,
     ) -> PyResult<Self> {
         let problem = run(py, None, || {
             let obstacles = obstacles.into_iter().map(area).collect::<ppvi::Result<_>>()?;
@@ -101,7 +104,7 @@ impl Lattice {
             let needle = Bicycle::new(curvature_radius_mm, headings)?;
             let costs = Costs { step: insertion_per_mm * needle.step_length(), rotation, collision, exit, discount };
             let transition = if interpolated { Transition::Interpolated } else { Transition::Nearest };
-            let region = |(polygon, radius)| Ok((Area::polygon(polygon)?, radius));
+            let region = |(rings, reach, radius)| Ok((area((rings, reach))?, radius));
             let regions = tissues.into_iter().map(region).collect::<ppvi::Result<_>>()?;
             let (noise, tissues) = (tip_noise, Tissues::new(layers, regions)?);
             let spacing = spacing_mm;
@@ -315,7 +318,7 @@ fn narrow(solution: Solution) -> (Vec<f32>, Vec<u8>, Report) {
 
 /// The area of rings of vertices and all points within `reach` of them; a ring of one vertex is a disc, one of two a
 /// capsule.
-fn area((rings, reach): (Vec<Vec<[f64; 2]>>, f64)) -> ppvi::Result<Area> {
+fn area((rings, reach): (Rings, f64)) -> ppvi::Result<Area> {
     match rings.first().map(Vec::as_slice) {
         Some([centre]) => Area::disc(*centre, reach),
         Some([a, b]) => Area::capsule(*a, *b, reach),
