@@ -3,9 +3,9 @@
 from needleplan.devices.igtl._server import MessageServer, Shown, SlicerServer
 from needleplan.devices.igtl._simulator import PlusDevice, PlusFaults, PlusLink, PlusServer, TrackedTool
 from needleplan.devices.igtl._tracker import IGTL_PORT, IgtlTracker, PoseKind
-from needleplan.devices.igtl._validation import IgtlPoseLimits
 from needleplan.devices.igtl.contents import StatusCode
 from needleplan.devices.igtl.messages import crc64
+from needleplan.devices.igtl.poses import IgtlPoseLimits
 
 __all__ = [
     "IGTL_PORT",

@@ -12,11 +12,12 @@ from needleplan.devices._base import PoseSample, Tracker
 from needleplan.devices._clock import Clock, Deadline, SystemClock
 from needleplan.devices._links import Link
 from needleplan.devices._opening import Address, open_link
-from needleplan.devices.igtl._validation import IgtlPoseLimits, IgtlPoseValidator
 from needleplan.devices.igtl.contents import decode_reply, encode_start
 from needleplan.devices.igtl.messages import IgtlMessage, MessageReader, encode_message
 from needleplan.devices.igtl.poses import (
     IgtlPose,
+    IgtlPoseLimits,
+    IgtlPoseValidator,
     IgtlTool,
     ToolKind,
     decode_position,

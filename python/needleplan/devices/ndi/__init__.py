@@ -2,7 +2,6 @@
 
 from needleplan.devices.ndi._simulator import AuroraDevice, AuroraFaults, AuroraLink, SimulatedTool
 from needleplan.devices.ndi._tracker import NdiTracker
-from needleplan.devices.ndi._validation import NdiPoseLimits
-from needleplan.devices.ndi.frames import crc16
+from needleplan.devices.ndi.frames import NdiPoseLimits, crc16
 
 __all__ = ["AuroraDevice", "AuroraFaults", "AuroraLink", "NdiPoseLimits", "NdiTracker", "SimulatedTool", "crc16"]

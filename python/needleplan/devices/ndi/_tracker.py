@@ -9,9 +9,8 @@ from needleplan.devices._base import PoseSample, Tracker
 from needleplan.devices._clock import Clock, Deadline, SystemClock
 from needleplan.devices._links import Link, SerialLink
 from needleplan.devices._opening import Address, open_link
-from needleplan.devices.ndi._validation import NdiPoseLimits, NdiPoseValidator
 from needleplan.devices.ndi.commands import BAUD_CODES, NdiConversation, NdiRefused
-from needleplan.devices.ndi.frames import Frames, parse_bx, parse_tx
+from needleplan.devices.ndi.frames import Frames, NdiPoseLimits, NdiPoseValidator, parse_bx, parse_tx
 from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed, Mistake, ProtocolError
 
 __all__ = ["NDI_PORT", "NdiCounts", "NdiTool", "NdiTracker", "choose_tool", "enable_tools", "set_speed", "wake"]
