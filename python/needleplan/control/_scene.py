@@ -42,8 +42,8 @@ class ScenarioGeometry:
         return float(self.scenario.radius_mm(x_mm, y_mm))
 
     def step_mm(self, x_mm: float, y_mm: float) -> float:
-        """Return the length (mm) of a step from a point; each step turns the heading by one interval of the table."""
-        return 2 * math.pi * self.radius_mm(x_mm, y_mm) / self.scenario.motion.headings
+        """Return the length (mm) of a step from a point."""
+        return self.scenario.step_length_mm(self.radius_mm(x_mm, y_mm))
 
     def clamped(self, x_mm: float, y_mm: float) -> tuple[float, float]:
         """Return the point; a coordinate that is at most half a cell outside the workspace is moved to the edge."""

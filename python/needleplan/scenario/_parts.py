@@ -104,9 +104,15 @@ def _increasing(layers: tuple[Layer | None, ...]) -> Iterator[Mistake]:
             yield Mistake(f"layer {number}.from_mm", f"{after.from_mm:g}", rule)
 
 
-def _noise_below_half_a_turn(headings: int, tip_noise: tuple[float, ...]) -> Iterator[Mistake]:
+def _noise_below_half_a_turn(
+    headings: int, tip_noise: tuple[float, ...], tip_noise_step_deg: float | None
+) -> Iterator[Mistake]:
     reach = len(tip_noise) - 1
-    if 2 * reach >= headings:
+    if tip_noise_step_deg is not None:
+        if reach * tip_noise_step_deg >= 180:
+            rule = f"must be less than {180 / reach:g}, so that the tip noise stays below half a turn"
+            yield Mistake("tip_noise_step_deg", f"{tip_noise_step_deg:g}", rule)
+    elif 2 * reach >= headings:
         rule = f"must be more than {2 * reach}, so that the tip noise stays below half a turn"
         yield Mistake("headings", f"{headings}", rule)
 
@@ -195,18 +201,26 @@ class Tissue(
 
 @dataclass(frozen=True)
 class TipMotion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_below_half_a_turn,)):
-    """One insertion step: the needle follows an arc that turns the heading by 2 pi / `headings`, then tip noise acts.
+    """One insertion step: the needle follows an arc of the length `step_mm`, then tip noise acts.
 
-    `tip_noise` holds P(0), P(+-1), P(+-2) ...: the probabilities that the noise changes the heading by so many heading
-    steps, P(+-k) for each sign. Collision, exit and target are tested on the whole arc. With `arc_samples` they are
-    tested at so many equally spaced points of the arc only; the last point is the end. The thesis uses 1.
+    Without `step_mm` the arc turns the heading by one heading step, 2 pi / `headings`, as in the thesis. `tip_noise`
+    holds P(0), P(+-1), P(+-2) ...: the probabilities that the noise changes the heading by so many noise steps, P(+-k)
+    for each sign. A noise step is `tip_noise_step_deg`, or one heading step without it. Collision, exit and target are
+    tested on the whole arc. With `arc_samples` they are tested at so many equally spaced points of the arc only; the
+    last point is the end. The thesis uses 1.
     """
 
-    headings: int = ruled(Integer(4, 100_000), 60, about="headings of a full turn; a step turns by one of them")
+    headings: int = ruled(Integer(4, 100_000), 60, about="headings of a full turn; without step_mm a step turns by one")
+    step_mm: float | None = ruled(
+        Maybe(Number("mm", above=0)), None, about="length of a step, for any curvature; absent: turns by one heading"
+    )
     tip_noise: tuple[float, ...] = ruled(
         NoiseProbabilities(),
         (0.466, 0.24, 0.027),
-        about="P(0), P(+-1), P(+-2) ... heading steps; sum 1 with both signs",
+        about="P(0), P(+-1), P(+-2) ... noise steps; sum 1 with both signs",
+    )
+    tip_noise_step_deg: float | None = ruled(
+        Maybe(Number("deg", above=0, at_most=180)), None, about="noise step; absent: one heading"
     )
     arc_samples: int | None = ruled(
         Maybe(Integer(1, 255)), None, about="points of every arc tested; without it the whole arc is; 1: thesis"

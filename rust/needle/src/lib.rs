@@ -22,6 +22,7 @@
 //!     needle,
 //!     spacing: [2.0, 2.0],
 //!     noise: vec![1.0],
+//!     noise_step: None,
 //!     arc_samples: 4,
 //!     transition: Transition::Interpolated,
 //!     costs: Costs { step: needle.step_length(), rotation: 4.0, collision: 1e4, exit: 1e4, discount: 1.0 },

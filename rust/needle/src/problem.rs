@@ -26,7 +26,6 @@ impl SteeringProblem {
         let parts = LatticeParts {
             shape,
             spacing: setup.spacing,
-            noise: setup.noise.clone(),
             transition: setup.transition,
             costs: setup.costs,
             regions: regions.steps.clone(),

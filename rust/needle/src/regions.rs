@@ -1,6 +1,6 @@
 //! The grid points grouped by the curvature of the needle there, and the steps of each group.
 
-use ppvi::lattice::{Region, Shape, Shift};
+use ppvi::lattice::{HeadingKernel, Region, Shape, Shift};
 use ppvi::{Error, Result, StopFlag};
 
 use crate::bicycle::Bicycle;
@@ -28,7 +28,7 @@ impl TissueRegions {
         let mut regions =
             TissueRegions { steps: Vec::new(), needles: Vec::new(), arcs: Vec::new(), region_of: Vec::new() };
         if setup.tissues.is_uniform() {
-            regions.push(setup.needle, setup, shape);
+            regions.push(setup.needle, setup, shape)?;
             return Ok(regions);
         }
         let mut radii: Vec<f64> = Vec::new();
@@ -39,11 +39,14 @@ impl TissueRegions {
             let place = [i as f64 * setup.spacing[0], j as f64 * setup.spacing[1]];
             let needle = setup.tissues.needle_at(setup.needle, place);
             let known = radii.iter().position(|radius| *radius == needle.radius);
-            let number = known.unwrap_or_else(|| {
-                radii.push(needle.radius);
-                regions.push(needle, setup, shape);
-                radii.len() - 1
-            });
+            let number = match known {
+                Some(number) => number,
+                None => {
+                    radii.push(needle.radius);
+                    regions.push(needle, setup, shape)?;
+                    radii.len() - 1
+                }
+            };
             if number > usize::from(u8::MAX) {
                 let rule = "must be at most 256 different ones";
                 return Err(Error::parameter("curvature_radius_mm", "more than 256 radii", rule));
@@ -54,7 +57,10 @@ impl TissueRegions {
     }
 
     /// Adds the region of a needle with another radius.
-    fn push(&mut self, needle: Bicycle, setup: &Setup, shape: Shape) {
+    fn push(&mut self, needle: Bicycle, setup: &Setup, shape: Shape) -> Result<()> {
+        let cells = |angle: f64| angle / needle.heading_step();
+        let turn =
+            |side: f64| HeadingKernel::matched(side * cells(needle.turn()), &setup.noise, cells(setup.noise_step()));
         let shift = |k: usize, bevel: f64| {
             let displacement = needle.displacement(needle.heading(k), bevel, 1.0);
             Shift::new(displacement, setup.spacing, setup.transition, [shape.nx, shape.ny])
@@ -67,8 +73,10 @@ impl TissueRegions {
         self.arcs.push((0..shape.headings).map(|k| [-1.0, 1.0].map(|bevel| arc(k, bevel))).collect());
         self.steps.push(Region {
             step_length: needle.step_length(),
-            step_cost: setup.costs.step * (needle.radius / setup.needle.radius),
+            step_cost: setup.step_cost(needle),
             stencil: (0..shape.headings).map(|k| [-1.0, 1.0].map(|bevel| shift(k, bevel))).collect(),
+            turn: [turn(-1.0)?, turn(1.0)?],
         });
+        Ok(())
     }
 }

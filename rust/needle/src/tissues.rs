@@ -21,15 +21,15 @@ impl Tissues {
     /// border and takes precedence over layers; of overlapping regions the last one applies.
     ///
     /// # Errors
-    /// [`Error::Parameter`] for layers that do not begin at increasing finite x, or a radius that is not positive and
-    /// finite.
+    /// [`Error::Parameter`] for layers that do not begin at increasing finite x, or a radius that is not positive. An
+    /// infinite radius is a straight path, for which steps must have a length of their own.
     pub fn new(layers: Vec<(f64, f64)>, regions: Vec<(Area, f64)>) -> Result<Self> {
         if layers.iter().any(|(from, _)| !from.is_finite()) || !layers.is_sorted_by(|a, b| a.0 < b.0) {
             return Err(Error::parameter("layers", format!("{layers:?}"), "must begin at increasing finite depths"));
         }
         let radii = layers.iter().map(|layer| layer.1).chain(regions.iter().map(|region| region.1));
-        if let Some(radius) = radii.into_iter().find(|radius| !(*radius > 0.0 && radius.is_finite())) {
-            return Err(Error::parameter("curvature_radius_mm", radius, "must be positive and finite"));
+        if let Some(radius) = radii.into_iter().find(|radius| !(*radius > 0.0)) {
+            return Err(Error::parameter("curvature_radius_mm", radius, "must be positive"));
         }
         Ok(Tissues { layers, regions })
     }
@@ -37,6 +37,11 @@ impl Tissues {
     /// Whether the curvature is the same everywhere.
     pub fn is_uniform(&self) -> bool {
         self.layers.is_empty() && self.regions.is_empty()
+    }
+
+    /// Whether the path is straight somewhere.
+    pub(crate) fn is_straight_somewhere(&self) -> bool {
+        self.layers.iter().map(|layer| layer.1).chain(self.regions.iter().map(|region| region.1)).any(f64::is_infinite)
     }
 
     /// `needle` with the radius of curvature at a position, mm.

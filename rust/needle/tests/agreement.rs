@@ -9,7 +9,8 @@ use ppvi::{
 };
 use proptest::prelude::*;
 
-/// Small workspaces with two obstacles, any needle, any noise, both transitions, discounted or not.
+/// Small workspaces with two obstacles, any needle, any noise, both transitions, discounted or not; steps of one heading
+/// or of any length, with noise steps of their own and a straight layer.
 fn setups() -> impl Strategy<Value = Setup> {
     let geometry = (6.0..14.0f64, 5.0..10.0f64, 0.6..1.5f64, 0.6..1.5f64, 4.0..30.0f64, 4usize..24);
     let noise = prop_oneof![
@@ -20,21 +21,27 @@ fn setups() -> impl Strategy<Value = Setup> {
     ];
     let costs =
         prop_oneof![Just((40.0, 200.0, 100.0, 0.95)), Just((4.0, 1000.0, 700.0, 1.0)), Just((0.0, 50.0, 80.0, 0.8))];
-    (geometry, noise, costs, 1usize..5, any::<bool>(), 0.0..1.0f64, 0usize..3).prop_map(
-        |(geometry, noise, costs, arc_samples, interpolated, at, tissues)| {
+    // Length of a step and noise step, as multiples of those of the thesis.
+    let general = prop::option::of((0.3..2.5f64, 0.2..1.7f64));
+    (geometry, noise, costs, 1usize..5, any::<bool>(), 0.0..1.0f64, 0usize..4, general).prop_map(
+        |(geometry, noise, costs, arc_samples, interpolated, at, tissues, general)| {
             let (width, height, dx, dy, radius, headings) = geometry;
             let (rotation, collision, exit, discount) = costs;
             let triangle =
                 |x: f64, y: f64| Area::polygon(vec![[x, y], [x + 2.0, y + 0.3], [x + 0.7, y + 1.9]]).unwrap();
             let obstacles =
                 vec![triangle(0.3 * width, 0.1 + at * 0.5 * height), triangle(0.55 * width, (1.0 - at) * 0.6 * height)];
-            let needle = Bicycle::new(radius, headings).unwrap();
+            let mut needle = Bicycle::new(radius, headings).unwrap();
+            if let Some((times, _)) = general {
+                needle = needle.with_step((times * needle.step_length()).min(radius)).unwrap();
+            }
             // None, a layer, or a layer and a region over it.
             let layers = vec![(0.4 * width, 0.7 * radius)];
             let region = (triangle(0.2 * width, 0.3 * height), 1.4 * radius);
             let tissues = match tissues {
                 0 => Tissues::default(),
                 1 => Tissues::new(layers, vec![]).unwrap(),
+                2 if general.is_some() => Tissues::new(vec![(0.5 * width, f64::INFINITY)], vec![]).unwrap(),
                 _ => Tissues::new(layers, vec![region]).unwrap(),
             };
             Setup {
@@ -42,6 +49,7 @@ fn setups() -> impl Strategy<Value = Setup> {
                 needle,
                 spacing: [dx, dy],
                 noise,
+                noise_step: general.map(|(_, times)| times * needle.heading_step()),
                 arc_samples,
                 transition: if interpolated { Transition::Interpolated } else { Transition::Nearest },
                 costs: Costs { step: needle.step_length(), rotation, collision, exit, discount },

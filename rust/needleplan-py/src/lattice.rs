@@ -15,8 +15,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{contiguous, elements};
+use crate::lookup::{FEW, Looked};
 use crate::solve::{report_dict, stop_rule};
-use crate::work::{exception, run, watch};
+use crate::work::{at_once, exception, run, watch};
 
 /// Rings of vertices, mm.
 type Rings = Vec<Vec<[f64; 2]>>;
@@ -75,7 +76,7 @@ impl Lattice {
     #[new]
     #[pyo3(signature = (*, width_mm, height_mm, spacing_mm, obstacles, target_center_mm, target_radius_mm, curvature_radius_mm,
         headings, tip_noise, arc_samples, interpolated, insertion_per_mm, rotation, collision, exit, discount,
-        layers=Vec::new(), tissues=Vec::new()))]
+        layers=Vec::new(), tissues=Vec::new(), step_mm=None, tip_noise_step_rad=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -97,18 +98,33 @@ impl Lattice {
         discount: f64,
         layers: Vec<(f64, f64)>,
         tissues: Vec<(Rings, f64, f64)>,
+        step_mm: Option<f64>,
+        tip_noise_step_rad: Option<f64>,
     ) -> PyResult<Self> {
         let problem = run(py, None, || {
             let obstacles = obstacles.into_iter().map(area).collect::<ppvi::Result<_>>()?;
             let workspace = Workspace::new([width_mm, height_mm], obstacles, target_center_mm, target_radius_mm)?;
-            let needle = Bicycle::new(curvature_radius_mm, headings)?;
+            let mut needle = Bicycle::new(curvature_radius_mm, headings)?;
+            if let Some(length) = step_mm {
+                needle = needle.with_step(length)?;
+            }
             let costs = Costs { step: insertion_per_mm * needle.step_length(), rotation, collision, exit, discount };
             let transition = if interpolated { Transition::Interpolated } else { Transition::Nearest };
             let region = |(rings, reach, radius)| Ok((area((rings, reach))?, radius));
             let regions = tissues.into_iter().map(region).collect::<ppvi::Result<_>>()?;
             let (noise, tissues) = (tip_noise, Tissues::new(layers, regions)?);
-            let spacing = spacing_mm;
-            SteeringProblem::new(Setup { workspace, needle, spacing, noise, arc_samples, transition, costs, tissues })
+            let (spacing, noise_step) = (spacing_mm, tip_noise_step_rad);
+            SteeringProblem::new(Setup {
+                workspace,
+                needle,
+                spacing,
+                noise,
+                noise_step,
+                arc_samples,
+                transition,
+                costs,
+                tissues,
+            })
         })?;
         Ok(Lattice { problem })
     }
@@ -253,6 +269,31 @@ impl Lattice {
         dict.set_item("turns", turns.into_pyarray(py).reshape(shape)?)?;
         dict.set_item("cost", costs.into_pyarray(py).reshape(shape)?)?;
         Ok(dict)
+    }
+
+    /// Actions, costs and success probabilities at exact poses, by a look one step ahead.
+    #[pyo3(signature = (policy, values, success, poses, threads=None))]
+    fn predict<'py>(
+        &self,
+        py: Python<'py>,
+        policy: PyReadonlyArray4<'py, u8>,
+        values: PyReadonlyArray4<'py, f32>,
+        success: PyReadonlyArray4<'py, f32>,
+        poses: PyReadonlyArray2<'py, f64>,
+        threads: Option<usize>,
+    ) -> PyResult<Looked<'py>> {
+        let rows = self::poses(&poses)?;
+        let predict = |policy: &[u8], values: &[f32], success: &[f32]| {
+            Executor::new(&self.problem, policy, values, Execution::Greedy, None)?.predict(&rows, success)
+        };
+        let (policy, values) = (self.slice("policy", &policy)?, self.slice("values", &values)?);
+        let success = self.slice("success", &success)?;
+        let answers = if rows.len() <= FEW {
+            at_once(|| predict(&policy, &values, &success))?
+        } else {
+            run(py, threads, || predict(&policy, &values, &success))?
+        };
+        Ok((answers.actions.into_pyarray(py), answers.values.into_pyarray(py), answers.success.into_pyarray(py)))
     }
 
     /// One execution in the continuous model, with all its poses.

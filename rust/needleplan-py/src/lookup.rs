@@ -10,10 +10,10 @@ use crate::arrays::{contiguous, elements};
 use crate::work::{at_once, run};
 
 /// Largest number of poses that are looked up on the caller's thread: in less time than another thread needs to start.
-const FEW: usize = 256;
+pub(crate) const FEW: usize = 256;
 
 /// Actions, values, success probabilities.
-type Looked<'py> = (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
+pub(crate) type Looked<'py> = (Bound<'py, PyArray1<u8>>, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
 
 /// Actions, values and success probabilities at the states nearest to many poses.
 #[pyfunction]

@@ -1,18 +1,18 @@
 //! Lattices made by hand: the sweeps against plain value iteration, and the checks of the parts.
 
-use ppvi::lattice::{Costs, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, outcome, sweep};
+use ppvi::lattice::{Costs, HeadingKernel, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, outcome, sweep};
 use ppvi::{Error, Mdp, Status, StopRule, TabularMdp, tabular_sweep, value_iteration};
 
 /// A point that always moves right, whatever its heading.
 fn parts(nx: usize, headings: usize, noise: &[f64]) -> LatticeParts {
     let right = Shift { cell: [1, 0], fraction: [0.0; 2] };
+    let turn = [-1.0, 1.0].map(|side| HeadingKernel::matched(side, noise, 1.0).unwrap());
     LatticeParts {
         shape: Shape { nx, ny: 2, headings },
         spacing: [1.0; 2],
-        noise: noise.to_vec(),
         transition: Transition::Nearest,
         costs: Costs { step: 2.0, rotation: 1.0, collision: 100.0, exit: 100.0, discount: 1.0 },
-        regions: vec![Region { step_length: 1.0, step_cost: 2.0, stencil: vec![[right; 2]; headings] }],
+        regions: vec![Region { step_length: 1.0, step_cost: 2.0, stencil: vec![[right; 2]; headings], turn }],
         region_of: Vec::new(),
     }
 }
@@ -70,8 +70,6 @@ fn every_part_is_checked() {
     assert!(with(|parts| parts.shape.ny = 0).starts_with("shape = "));
     assert!(with(|parts| parts.shape.nx = 1 << 40).contains("more than 2^40 states"));
     assert!(with(|parts| parts.spacing[1] = 0.0).starts_with("spacing_mm = 0"));
-    assert!(with(|parts| parts.noise = vec![0.5, 0.5]).starts_with("tip_noise = 1.5"));
-    assert!(with(|parts| parts.noise.clear()).starts_with("tip_noise = 0 entries"));
     assert!(with(|parts| parts.costs.discount = 1.5).starts_with("discount = 1.5"));
     assert!(with(|parts| parts.costs.exit = -1.0).starts_with("exit = -1"));
     assert!(with(|parts| parts.regions[0].step_cost = 0.0).contains("must be positive where the discount is 1"));

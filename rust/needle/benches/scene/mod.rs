@@ -42,6 +42,7 @@ pub fn layered(spacing: f64, transition: Transition, objective: Objective, layer
         needle,
         spacing: [spacing; 2],
         noise: vec![0.466, 0.24, 0.027],
+        noise_step: None,
         arc_samples: 4,
         transition,
         costs,

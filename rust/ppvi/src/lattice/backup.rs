@@ -6,8 +6,9 @@
 
 use std::ops::Range;
 
-use crate::lattice::halo::Halo;
-use crate::lattice::kernel::{StepCosts, Vectorized, blend, convolve, convolve_five, q_values};
+use crate::lattice::halo::{Halo, Values};
+use crate::lattice::heading::Turns;
+use crate::lattice::kernel::{StepCosts, Vectorized, blend, q_values};
 use crate::lattice::lanes::Lanes;
 use crate::lattice::parts::LANES;
 use crate::lattice::real::Real;
@@ -86,7 +87,7 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
     sector: &mut Sector<T>,
     context: SweepContext<'_, T>,
 ) -> Swept {
-    let SweepContext { inputs: PassInputs { noise, costs, .. }, terminal_mask, halo, mut table, stop } = context;
+    let SweepContext { inputs: PassInputs { turns, costs, .. }, terminal_mask, halo, mut table, stop } = context;
     let count = sector.arc.count;
     let mut values = halo.strip_buffer(count);
     let mut staging = StagingBuffer::new(count);
@@ -102,7 +103,7 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
         let pieces = terminal_mask.pieces(place);
         reads.clear();
         for piece in pieces {
-            reads.extend((0..count).map(|q| [0, 1].map(|bevel| read(sector, u, piece.region, q, bevel))));
+            reads.extend((0..count).map(|q| [0, 1].map(|bevel| read(sector, turns, u, piece.region, q, bevel))));
         }
         for strip in 0..sector.strips() {
             let first = strip * LANES;
@@ -145,9 +146,9 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
             sector.put_edges(place, strip, halo.own(&mut values, count));
             let at = sector.column(u + sector.pad[0]) + sector.pad[1] + first;
             if !sector.downstream {
-                change = larger(change, largest_change::<T, V>(sector, at, halo.taps(&values), noise));
+                change = larger(change, largest_change::<T, V>(sector, at, halo, &values, turns));
             }
-            store_convolved::<T, V>(sector, at, halo.taps(&values), noise);
+            store_convolved::<T, V>(sector, at, halo, &values, turns);
         }
     }
     Swept { change: change.widen(), largest: staging.largest() }
@@ -164,11 +165,11 @@ struct Read<T> {
 
 /// The read of a step that arrives with `bevel`.
 #[inline(always)]
-fn read<T: Real>(sector: &Sector<T>, u: usize, region: usize, q: usize, bevel: usize) -> Read<T> {
+fn read<T: Real>(sector: &Sector<T>, turns: &Turns<T>, u: usize, region: usize, q: usize, bevel: usize) -> Read<T> {
     let shift = &sector.shifts[region * sector.arc.count + q][bevel];
-    let turned = if bevel == 1 { q + 2 } else { q };
+    let row = (turns.of_region(region) * sector.arc.count + q) * 2 + bevel;
     let to_u = (u as i64 + sector.pad[0] as i64 + i64::from(shift.cell[0])) as usize;
-    let in_column = (turned * 2 + bevel) * sector.width() + (sector.pad[1] as i64 + i64::from(shift.cell[1])) as usize;
+    let in_column = row * sector.width() + (sector.pad[1] as i64 + i64::from(shift.cell[1])) as usize;
     let [fu, fv] = shift.fraction;
     let weights = [(1.0 - fu) * (1.0 - fv), (1.0 - fu) * fv, fu * (1.0 - fv), fu * fv];
     Read { at: [to_u, to_u + 1].map(|u| sector.column(u) + in_column), weights: weights.map(T::of) }
@@ -254,44 +255,42 @@ fn lanes_at<T>(array: &[T], at: usize) -> &[T; LANES] {
     lanes
 }
 
-/// Stores W of a strip, whose rows begin at `at`; `taps` are the values by bevel.
+/// Stores W of a strip, whose rows begin at `at`, from the values by bevel.
 #[inline(always)]
-fn store_convolved<T: Real, V: Lanes<T>>(sector: &mut Sector<T>, at: usize, taps: [&[[T; LANES]]; 2], noise: &[T]) {
-    for (bevel, taps) in taps.into_iter().enumerate() {
-        let rows = w_rows_mut(sector, at, bevel);
-        if let &[p0, p1, p2] = noise {
-            let noise = [V::splat(p0), V::splat(p1), V::splat(p2)];
-            for (row, taps) in rows.zip(taps.windows(5)) {
-                if let (Some(row), Some(taps)) = (row.first_chunk_mut(), taps.first_chunk()) {
-                    convolve_five::<T, V>(taps, noise).store(row);
-                }
-            }
-        } else {
-            for (row, taps) in rows.zip(taps.windows(2 * noise.len() - 1)) {
-                if let Some(row) = row.first_chunk_mut() {
-                    convolve::<T, V>(taps, noise).store(row);
-                }
-            }
-        }
+fn store_convolved<T: Vectorized, V: Lanes<T>>(
+    sector: &mut Sector<T>,
+    at: usize,
+    halo: &Halo<T>,
+    values: &Values<T>,
+    turns: &Turns<T>,
+) {
+    for (turn, bevel, kernel) in turns.all() {
+        let rows = w_rows_mut(sector, at, turn, bevel).filter_map(|row| row.first_chunk_mut());
+        kernel.store::<V>(&values[bevel], halo.first(bevel), rows);
     }
 }
 
-/// The rows of W for steps that arrive with a bevel: with -1 they read the headings -1 .. count - 1 of the sector, with
-/// +1 the headings 1 .. count + 1.
+/// The rows of W for steps with a turn that arrive with a bevel, by heading.
 #[inline(always)]
-fn w_rows_mut<T: Real>(sector: &mut Sector<T>, at: usize, bevel: usize) -> impl Iterator<Item = &mut [T]> {
+fn w_rows_mut<T: Real>(sector: &mut Sector<T>, at: usize, turn: usize, bevel: usize) -> impl Iterator<Item = &mut [T]> {
     let (width, count) = (sector.width(), sector.arc.count);
-    sector.convolved[at + 5 * bevel * width..].chunks_mut(2 * width).take(count)
+    sector.convolved[at + (turn * count * 2 + bevel) * width..].chunks_mut(2 * width).take(count)
 }
 
 /// The largest change that [`store_convolved`] would make.
 #[inline(always)]
-fn largest_change<T: Real, V: Lanes<T>>(sector: &mut Sector<T>, at: usize, taps: [&[[T; LANES]]; 2], noise: &[T]) -> T {
+fn largest_change<T: Vectorized, V: Lanes<T>>(
+    sector: &mut Sector<T>,
+    at: usize,
+    halo: &Halo<T>,
+    values: &Values<T>,
+    turns: &Turns<T>,
+) -> T {
     let mut change = T::default();
-    for (bevel, taps) in taps.into_iter().enumerate() {
-        for (row, taps) in w_rows_mut(sector, at, bevel).zip(taps.windows(2 * noise.len() - 1)) {
-            let mut new = [T::default(); LANES];
-            convolve::<T, V>(taps, noise).store(&mut new);
+    let mut new = vec![[T::default(); LANES]; sector.arc.count];
+    for (turn, bevel, kernel) in turns.all() {
+        kernel.store::<V>(&values[bevel], halo.first(bevel), new.iter_mut());
+        for (new, row) in new.iter().zip(w_rows_mut(sector, at, turn, bevel)) {
             let changes = new.iter().zip(row).map(|(new, old)| (*new - *old).magnitude());
             change = changes.fold(change, larger);
         }

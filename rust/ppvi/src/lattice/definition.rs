@@ -31,7 +31,7 @@ impl LatticeMdp {
     #[inline]
     fn q_arriving(&self, (i, j, k): (usize, usize, usize), arriving: usize, values: &[f64]) -> f64 {
         let costs = &self.parts.costs;
-        let Region { step_cost: step, stencil, .. } = self.parts.region(i, j);
+        let Region { step_cost: step, stencil, turn, .. } = self.parts.region(i, j);
         match self.outcome(i, j, k, arriving) {
             outcome::TARGET => return *step,
             outcome::COLLISION => return step + costs.collision,
@@ -39,9 +39,9 @@ impl LatticeMdp {
             _ => {}
         }
         let Shape { ny, headings, .. } = self.parts.shape;
-        let noise = &self.parts.noise;
-        let reach = noise.len() - 1;
-        let turned = (k + headings * noise.len() + 2 * arriving - 1) % headings;
+        let taps = turn[arriving].taps();
+        let wraps = |cell: i32| !(0..headings as i64).contains(&(k as i64 + i64::from(cell)));
+        let may_wrap = taps.first().is_some_and(|tap| wraps(tap.0)) || taps.last().is_some_and(|tap| wraps(tap.0));
         let mut expectation = 0.0;
         self.for_each_corner((i, j), stencil[k][arriving], |corner, weight| {
             let Some((i, j)) = corner else {
@@ -50,16 +50,10 @@ impl LatticeMdp {
             };
             let headings_here = &values[(i * ny + j) * headings * 2..][..headings * 2];
             let mut mean = 0.0;
-            if turned >= reach && turned + reach < headings {
-                let taps = &headings_here[(turned - reach) * 2..][..4 * reach + 2];
-                for (tap, pair) in taps.chunks_exact(2).enumerate() {
-                    mean += noise[tap.abs_diff(reach)] * pair[arriving];
-                }
-            } else {
-                for tap in 0..2 * reach + 1 {
-                    let heading = (turned + headings * noise.len() + tap - reach) % headings;
-                    mean += noise[tap.abs_diff(reach)] * headings_here[heading * 2 + arriving];
-                }
+            for (cell, p) in taps {
+                let heading = k as i64 + i64::from(*cell);
+                let heading = if may_wrap { heading.rem_euclid(headings as i64) } else { heading };
+                mean += p * headings_here[heading as usize * 2 + arriving];
             }
             expectation += weight * mean;
         });
@@ -112,16 +106,12 @@ impl Mdp for LatticeMdp {
         if self.outcome(i, j, k, arriving) != outcome::CONTINUES {
             return;
         }
-        let turned = k as i64 + if arriving == 1 { 1 } else { -1 };
-        let reach = self.parts.noise.len() as i64 - 1;
-        self.for_each_corner((i, j), self.parts.region(i, j).stencil[k][arriving], |corner, weight| {
+        let Region { stencil, turn, .. } = self.parts.region(i, j);
+        self.for_each_corner((i, j), stencil[k][arriving], |corner, weight| {
             let Some((i, j)) = corner else { return };
-            for m in -reach..=reach {
-                let heading = (turned + m).rem_euclid(headings as i64) as usize;
-                let probability = weight * self.parts.noise[m.unsigned_abs() as usize];
-                if probability > 0.0 {
-                    visit(((i * ny + j) * headings + heading) * 2 + arriving, probability);
-                }
+            for (cell, p) in turn[arriving].taps() {
+                let heading = (k as i64 + i64::from(*cell)).rem_euclid(headings as i64) as usize;
+                visit(((i * ny + j) * headings + heading) * 2 + arriving, weight * p);
             }
         });
     }

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use crate::lattice::backup::{self, SweepContext};
 use crate::lattice::direction::{Arc, Direction};
 use crate::lattice::halo::Halo;
+use crate::lattice::heading::Turns;
 use crate::lattice::kernel::{StageCosts, Vectorized};
 use crate::lattice::model::LatticeMdp;
 use crate::lattice::real::Real;
@@ -19,7 +20,7 @@ pub(crate) struct Engine<'a, T: Copy> {
     terminal_masks: &'a [TerminalMask],
     sectors: Vec<Sector<T>>,
     halos: Vec<Halo<T>>,
-    noise: Vec<T>,
+    turns: Turns<T>,
     costs: StageCosts<T>,
     /// By sector.
     changes: Vec<Change>,
@@ -61,20 +62,20 @@ impl<'a, T: Vectorized> Engine<'a, T> {
         policy: Option<&[u8]>,
     ) -> Self {
         let costs = costs.cast::<T>();
-        let noise: Vec<T> = lattice.parts.noise.iter().map(|p| T::of(*p)).collect();
-        let inputs = PassInputs { lattice, noise: &noise, costs: &costs };
+        let turns = Turns::new(&lattice.parts.regions);
+        let inputs = PassInputs { lattice, turns: &turns, costs: &costs };
         let start = T::of(start);
         let (sectors, halos): (Vec<_>, Vec<_>) = Arc::all(&lattice.directions)
             .into_par_iter()
             .map(|arc| {
                 let sector = Sector::new(inputs, arc, start, policy);
-                let halo = Halo::new(&sector, noise.len(), start, costs.outside());
+                let halo = Halo::new(&sector, turns.beyond, start, costs.outside());
                 (sector, halo)
             })
             .unzip();
         let changes = sectors.iter().map(|_| Change::default()).collect();
         let kept = vec![None; sectors.len()];
-        Engine { lattice, terminal_masks, sectors, halos, noise, costs, changes, store: None, kept }
+        Engine { lattice, terminal_masks, sectors, halos, turns, costs, changes, store: None, kept }
     }
 
     /// Number of sectors.
@@ -101,7 +102,7 @@ impl<'a, T: Vectorized> Engine<'a, T> {
         self.sweep(|sector| sector.arc.direction.is_vertical() == vertical, keep);
         // The halos of the other wave are outdated now. So are those of this wave if they read sectors of this wave:
         // beyond a short sector, or next to them where a direction has no headings.
-        let reach = self.noise.len();
+        let reach = self.turns.reach();
         let reads_own_wave =
             self.sectors.len() < Direction::ALL.len() || self.sectors.iter().any(|sector| sector.arc.count < reach);
         self.pull(|sector| reads_own_wave || sector.arc.direction.is_vertical() != vertical, threshold)
@@ -115,8 +116,8 @@ impl<'a, T: Vectorized> Engine<'a, T> {
 
     /// Sweeps some sectors, side by side.
     fn sweep(&mut self, chosen: impl Fn(&Sector<T>) -> bool + Sync, keep: bool) {
-        let Engine { lattice, terminal_masks, sectors, halos, noise, costs, changes, store, kept } = self;
-        let inputs = PassInputs { lattice, noise, costs };
+        let Engine { lattice, terminal_masks, sectors, halos, turns, costs, changes, store, kept } = self;
+        let inputs = PassInputs { lattice, turns, costs };
         let arcs = sectors.iter().map(|sector| sector.arc);
         let tables: Vec<Option<TableWriter<'_>>> = if keep {
             store.get_or_insert_with(|| Store::new(lattice.parts.shape)).parts(arcs).into_iter().map(Some).collect()
@@ -136,11 +137,11 @@ impl<'a, T: Vectorized> Engine<'a, T> {
 
     /// Pulls the halos of some sectors; returns the bound of [`Engine::wave`].
     fn pull(&mut self, stale: impl Fn(&Sector<T>) -> bool + Sync, threshold: f64) -> f64 {
-        let Engine { lattice, sectors, halos, noise, changes, .. } = self;
+        let Engine { lattice, sectors, halos, turns, changes, .. } = self;
         let stale = halos.par_iter_mut().zip(&mut *changes).enumerate().filter(|(of, _)| stale(&sectors[*of]));
         stale.for_each(|(of, (halo, change))| {
             halo.pull(sectors, of, lattice.parts.shape.headings);
-            change.since += halo.interface_change(sectors[of].arc.count, noise, threshold);
+            change.since += halo.interface_change(sectors[of].arc.count, turns, threshold);
         });
         self.bound()
     }

@@ -5,6 +5,7 @@
 
 use multiversion::multiversion;
 
+use crate::lattice::heading::Turns;
 use crate::lattice::kernel::Vectorized;
 use crate::lattice::lanes::Lanes;
 use crate::lattice::parts::LANES;
@@ -19,8 +20,6 @@ pub(crate) struct Halo<T: Copy> {
     planes: Vec<(i64, usize)>,
     /// By bevel: planes below and above the sector.
     beyond: [[usize; 2]; 2],
-    /// The first tap of the first row of W, by bevel.
-    skip: [usize; 2],
     strips: usize,
     /// The value of the padding.
     padding: T,
@@ -34,12 +33,8 @@ pub(crate) struct Halo<T: Copy> {
 pub(crate) type Values<T> = [Vec<[T; LANES]>; 2];
 
 impl<T: Vectorized> Halo<T> {
-    /// A halo of `start` values, for noise with `reach` = taps on one side, plus one for the step itself.
-    pub(crate) fn new(sector: &Sector<T>, reach: usize, start: T, padding: T) -> Self {
-        // Steps turn the heading by one to the side of their bevel.
-        let inner = reach.saturating_sub(2);
-        let beyond = [[reach, inner], [inner, reach]];
-        let skip = [0, 2 + inner - reach];
+    /// A halo of `start` values; `beyond` are the headings that the sector reads below and above its own, by bevel.
+    pub(crate) fn new(sector: &Sector<T>, beyond: [[usize; 2]; 2], start: T, padding: T) -> Self {
         let count = sector.arc.count as i64;
         let of_bevel = |(bevel, [below, above]): (usize, [usize; 2])| {
             (-(below as i64)..0).chain(count..count + above as i64).map(move |q| (q, bevel))
@@ -47,14 +42,15 @@ impl<T: Vectorized> Halo<T> {
         let planes: Vec<_> = beyond.into_iter().enumerate().flat_map(of_bevel).collect();
         let strips = sector.strips();
         let mut values = Array::filled(start, sector.extent[0] * strips * planes.len() * LANES);
-        for column in values.chunks_exact_mut(strips * planes.len() * LANES) {
+        // Without turns there are no planes.
+        for column in values.chunks_exact_mut((strips * planes.len() * LANES).max(1)) {
             for plane in column[(strips - 1) * planes.len() * LANES..].chunks_exact_mut(LANES) {
                 plane[sector.extent[1] - (strips - 1) * LANES..].fill(padding);
             }
         }
         // The first pull writes all of it.
         let before = Array::any(values.len());
-        Halo { planes, beyond, skip, strips, padding, values, before }
+        Halo { planes, beyond, strips, padding, values, before }
     }
 
     /// Room for the values of a strip.
@@ -69,10 +65,10 @@ impl<T: Vectorized> Halo<T> {
         [&mut minus[self.beyond[0][0]..][..count], &mut plus[self.beyond[1][0]..][..count]]
     }
 
-    /// The values from the first tap of the first row of W on.
+    /// The index, in the values of a bevel, of the first heading of the sector.
     #[inline(always)]
-    pub(crate) fn taps<'a>(&self, values: &'a Values<T>) -> [&'a [[T; LANES]]; 2] {
-        [&values[0][self.skip[0]..], &values[1][self.skip[1]..]]
+    pub(crate) fn first(&self, bevel: usize) -> usize {
+        self.beyond[bevel][0]
     }
 
     /// Copies a strip to where it belongs.
@@ -90,6 +86,9 @@ impl<T: Vectorized> Halo<T> {
 
     /// Refreshes the halo of `sectors[of]` from the owners of its headings.
     pub(crate) fn pull(&mut self, sectors: &[Sector<T>], of: usize, headings: usize) {
+        if self.planes.is_empty() {
+            return;
+        }
         std::mem::swap(&mut self.values, &mut self.before);
         let target = &sectors[of].arc;
         for source in sectors {
@@ -113,20 +112,20 @@ impl<T: Vectorized> Halo<T> {
 
     /// Largest change that the last refresh made to the W that a sector with `count` headings reads. A change above
     /// `threshold` is computed from one column only, as a lower bound.
-    pub(crate) fn interface_change(&self, count: usize, noise: &[T], threshold: f64) -> f64 {
-        // Steps that arrive with bevel -1 read headings -1 .. count - 1, those with bevel +1 the headings
-        // 1 .. count + 1.
-        let centres = [0, 1].map(|bevel: usize| (2 * bevel as i64 - 1)..(count as i64 + 2 * bevel as i64 - 1));
+    pub(crate) fn interface_change(&self, count: usize, turns: &Turns<T>, threshold: f64) -> f64 {
         let mut rows = Vec::new();
-        for (bevel, centres) in centres.into_iter().enumerate() {
-            for centre in centres {
+        for (_, bevel, kernel) in turns.all() {
+            for row in 0..count as i64 {
                 let planes = self.planes.iter().enumerate().filter(|(_, (_, of))| *of == bevel);
-                let weight = |q: i64| noise.get((q - centre).unsigned_abs() as usize);
-                let taps: Vec<(usize, T)> = planes.filter_map(|(plane, (q, _))| Some((plane, *weight(*q)?))).collect();
+                let weight = |q: i64| kernel.taps.iter().find(|(cell, _)| row + cell == q).map(|(_, weight)| *weight);
+                let taps: Vec<(usize, T)> = planes.filter_map(|(plane, (q, _))| Some((plane, weight(*q)?))).collect();
                 if !taps.is_empty() {
                     rows.push(taps);
                 }
             }
+        }
+        if rows.is_empty() {
+            return 0.0;
         }
         let planes = self.planes.len();
         let column = self.strips * planes * LANES;

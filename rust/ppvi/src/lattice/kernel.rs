@@ -81,21 +81,36 @@ pub(crate) fn blend<T: Real, V: Lanes<T>>([a, b, c, d]: [V; 4], weights: [T; 4])
     near.add(V::splat(wc).mul(c).add(V::splat(wd).mul(d)))
 }
 
-/// `noise[0] taps[h] + sum over m of noise[m] (taps[h - m] + taps[h + m])`, where h = noise.len() - 1.
+/// `middle values[q] + sum over pairs of weight (values[q - distance] + values[q + distance])`.
 #[inline(always)]
-pub(crate) fn convolve<T: Real, V: Lanes<T>>(taps: &[[T; LANES]], noise: &[T]) -> V {
-    let centre = noise.len() - 1;
-    let mut out = V::splat(noise[0]).mul(V::load(&taps[centre]));
-    for (m, p) in noise.iter().enumerate().skip(1) {
-        let (below, above) = (V::load(&taps[centre - m]), V::load(&taps[centre + m]));
-        out = out.add(V::splat(*p).mul(below.add(above)));
+pub(crate) fn convolve_pairs<T: Real, V: Lanes<T>>(
+    values: &[[T; LANES]],
+    q: usize,
+    middle: T,
+    pairs: &[(i64, T)],
+) -> V {
+    let mut out = V::splat(middle).mul(V::load(&values[q]));
+    for (distance, weight) in pairs {
+        let distance = *distance as usize;
+        let (below, above) = (V::load(&values[q - distance]), V::load(&values[q + distance]));
+        out = out.add(V::splat(*weight).mul(below.add(above)));
     }
     out
 }
 
-/// The same for the noise of the thesis: two heading steps to each side.
+/// `sum over taps of weight values[q + cell]`.
 #[inline(always)]
-pub(crate) fn convolve_five<T: Real, V: Lanes<T>>([a, b, c, d, e]: &[[T; LANES]; 5], noise: [V; 3]) -> V {
+pub(crate) fn convolve_taps<T: Real, V: Lanes<T>>(values: &[[T; LANES]], q: usize, taps: &[(i64, T)]) -> V {
+    let mut out = V::splat(T::default());
+    for (cell, weight) in taps {
+        out = out.add(V::splat(*weight).mul(V::load(&values[(q as i64 + cell) as usize])));
+    }
+    out
+}
+
+/// The pairs of the noise of the thesis: two noise steps to each side.
+#[inline(always)]
+pub(crate) fn convolve_five<T: Real, V: Lanes<T>>([a, b, c, d, e]: [&[T; LANES]; 5], noise: [V; 3]) -> V {
     let [a, b, c, d, e] = [V::load(a), V::load(b), V::load(c), V::load(d), V::load(e)];
     let [p0, p1, p2] = noise;
     p0.mul(c).add(p1.mul(b.add(d)).add(p2.mul(a.add(e))))

@@ -6,11 +6,11 @@
 //!
 //! ```text
 //! position   moves by stencil[k][b'], which is the same all over a region  (a displacement stencil)
-//! heading    k + (b' ? +1 : -1) + m with probability noise[|m|]            (a circular convolution)
+//! heading    k + m with probability turn[b'](m), also there               (a circular convolution)
 //! outcome    continues, or ends the execution                              (one byte a step, given by the caller)
 //! ```
 //!
-//! With W(k', b') = sum over m of noise[|m|] V(k' + m, b') the Q-values are shifted reads of W, and
+//! With W(k, b') = sum over m of turn[b'](m) V(k + m, b') the Q-values are shifted reads of W, and
 //! V(b) = min(Q(b), rotation + Q(1 - b)).
 //!
 //! States are numbered as in the tables, `((i * ny + j) * headings + k) * 2 + b`. [`LatticeParts`] describes a problem,
@@ -26,6 +26,7 @@ mod direction;
 mod engine;
 pub mod evaluation;
 mod halo;
+mod heading;
 mod kernel;
 mod lanes;
 mod model;
@@ -37,5 +38,6 @@ mod store;
 pub mod sweep;
 mod terminal_mask;
 
+pub use heading::HeadingKernel;
 pub use model::LatticeMdp;
 pub use parts::{Costs, LatticeParts, Region, Shape, Shift, Transition, outcome};

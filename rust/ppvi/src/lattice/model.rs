@@ -39,17 +39,24 @@ impl LatticeMdp {
     ///
     /// ```
     /// use ppvi::StopRule;
-    /// use ppvi::lattice::{Costs, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, outcome, sweep};
+    /// use ppvi::lattice::{
+    ///     Costs, HeadingKernel, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, outcome, sweep,
+    /// };
     ///
     /// # fn main() -> ppvi::Result<()> {
     /// let right = Shift { cell: [1, 0], fraction: [0.0, 0.0] };
+    /// let straight = HeadingKernel::new(vec![(0, 1.0)])?;
     /// let parts = LatticeParts {
     ///     shape: Shape { nx: 5, ny: 1, headings: 1 },
     ///     spacing: [1.0, 1.0],
-    ///     noise: vec![1.0],
     ///     transition: Transition::Nearest,
     ///     costs: Costs { step: 2.0, rotation: 1.0, collision: 100.0, exit: 100.0, discount: 1.0 },
-    ///     regions: vec![Region { step_length: 1.0, step_cost: 2.0, stencil: vec![[right, right]] }],
+    ///     regions: vec![Region {
+    ///         step_length: 1.0,
+    ///         step_cost: 2.0,
+    ///         stencil: vec![[right, right]],
+    ///         turn: [straight.clone(), straight],
+    ///     }],
     ///     region_of: Vec::new(),
     /// };
     /// let lattice = LatticeMdp::new(parts, |_, _, codes| {

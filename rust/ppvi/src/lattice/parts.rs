@@ -1,6 +1,7 @@
 //! What a lattice is made of: the shape of the grid, the costs, the steps, and the codes of their outcomes.
 
 use crate::error::{Error, Result};
+use crate::lattice::heading::HeadingKernel;
 use crate::memory::is_granted;
 
 /// Outcome codes of a step.
@@ -186,6 +187,8 @@ pub struct Region {
     pub step_cost: f64,
     /// Displacements of a step, `[heading][arriving bevel]`.
     pub stencil: Vec<[Shift; 2]>,
+    /// Change of the heading in a step with its noise, by arriving bevel.
+    pub turn: [HeadingKernel; 2],
 }
 
 /// Everything that defines a [`LatticeMdp`](crate::lattice::LatticeMdp) but the outcomes of its steps.
@@ -195,8 +198,6 @@ pub struct LatticeParts {
     pub shape: Shape,
     /// Distances of neighbouring grid points along x and y.
     pub spacing: [f64; 2],
-    /// P(0), P(+-1), P(+-2), ... heading steps.
-    pub noise: Vec<f64>,
     /// Nearest or interpolated.
     pub transition: Transition,
     /// Costs and discount.
@@ -215,7 +216,6 @@ impl LatticeParts {
     /// of more than 2^40 states.
     pub fn validate(&self) -> Result<()> {
         self.costs.validate()?;
-        validate_noise(&self.noise)?;
         if let Some(spacing) = self.spacing.iter().find(|spacing| !(**spacing > 0.0 && spacing.is_finite())) {
             return Err(Error::parameter("spacing_mm", spacing, "must be positive and finite"));
         }
@@ -254,18 +254,4 @@ impl LatticeParts {
     pub(crate) fn region(&self, i: usize, j: usize) -> &Region {
         &self.regions[self.region_of.get(i * self.shape.ny + j).map_or(0, |region| usize::from(*region))]
     }
-}
-
-fn validate_noise(noise: &[f64]) -> Result<()> {
-    if noise.is_empty() || noise.len() > 64 {
-        return Err(Error::parameter("tip_noise", format!("{} entries", noise.len()), "must have 1 to 64 entries"));
-    }
-    if let Some(p) = noise.iter().find(|p| !(**p >= 0.0 && p.is_finite())) {
-        return Err(Error::parameter("tip_noise", p, "must be finite and not negative"));
-    }
-    let sum = noise[0] + 2.0 * noise[1..].iter().sum::<f64>();
-    if (sum - 1.0).abs() > 1e-9 {
-        return Err(Error::parameter("tip_noise", sum, "P(0) + 2 P(1) + 2 P(2) + ... must be one"));
-    }
-    Ok(())
 }

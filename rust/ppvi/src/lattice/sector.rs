@@ -13,6 +13,7 @@
 use std::ops::Range;
 
 use crate::lattice::direction::Arc;
+use crate::lattice::heading::Turns;
 use crate::lattice::kernel::StageCosts;
 use crate::lattice::model::LatticeMdp;
 use crate::lattice::parts::{LANES, Region, Shape, Shift};
@@ -29,9 +30,11 @@ pub(crate) struct Sector<T: Copy> {
     pub lanes: usize,
     /// How far steps reach along u and v.
     pub pad: [usize; 2],
-    /// W, `[column][count + 2][bevel][pad + lanes + pad]`: one heading more on each side. Column u is at
+    /// W, `[column][turn][count][bevel][pad + lanes + pad]`, for each turn of the regions. Column u is at
     /// [`Sector::column`].
     pub convolved: Array<T>,
+    /// Rows of a column of W.
+    rows: usize,
     /// Columns of W: a power of two less one, or all ones where W is kept whole.
     mask: usize,
     /// V of the headings at the ends, `[place][strip][plane][LANES]`; see [`Ends`].
@@ -49,14 +52,14 @@ pub(crate) struct Sector<T: Copy> {
 #[derive(Clone, Copy)]
 pub(crate) struct PassInputs<'a, T> {
     pub lattice: &'a LatticeMdp,
-    pub noise: &'a [T],
+    pub turns: &'a Turns<T>,
     pub costs: &'a StageCosts<T>,
 }
 
 impl<T: Real> Sector<T> {
     /// A sector with values `start` everywhere; a policy makes its sweeps follow it.
     pub(crate) fn new(inputs: PassInputs<'_, T>, arc: Arc, start: T, policy: Option<&[u8]>) -> Self {
-        let PassInputs { lattice, noise, costs } = inputs;
+        let PassInputs { lattice, turns, costs } = inputs;
         let headings = lattice.parts.shape.headings;
         let extent = arc.extent(lattice.parts.shape);
         let oriented = |region: &Region, q: usize| {
@@ -71,13 +74,15 @@ impl<T: Real> Sector<T> {
         let pad = [reach(0), reach(1)];
         let lanes = extent[1].next_multiple_of(LANES);
         let columns = if downstream { (pad[0] + 1).next_power_of_two() } else { extent[0] + 2 * pad[0] };
-        let ends = Ends::new(arc.count, noise.len());
+        let ends = Ends::new(arc.count, turns.beyond);
+        let rows = turns.count() * arc.count * 2;
         let mut sector = Sector {
             arc,
             extent,
             lanes,
             pad,
-            convolved: Array::filled(costs.outside(), columns * (arc.count + 2) * 2 * (lanes + 2 * pad[1])),
+            convolved: Array::filled(costs.outside(), columns * rows * (lanes + 2 * pad[1])),
+            rows,
             mask: if downstream { columns - 1 } else { usize::MAX },
             edges: Array::filled(start, extent[0] * lanes * ends.planes()),
             ends,
@@ -112,7 +117,7 @@ impl<T: Real> Sector<T> {
     /// Length of a column of W.
     #[inline(always)]
     pub(crate) fn column_size(&self) -> usize {
-        (self.arc.count + 2) * 2 * self.width()
+        self.rows * self.width()
     }
 
     /// Where column `u`, given as u + pad, begins in W.
@@ -200,22 +205,19 @@ impl<T: Real> Sector<T> {
 
 /// The headings whose values other sectors read: by bevel, a range at the low end and a range at the high end.
 ///
-/// A step turns the heading by one, to the side of its bevel. So W of a neighbouring sector reaches two headings less
-/// far on one side than on the other.
 #[derive(Debug, Clone)]
 pub(crate) struct Ends {
     kept: [[Range<usize>; 2]; 2],
 }
 
 impl Ends {
-    /// For noise with `reach` = taps on one side, plus one for the step itself.
-    fn new(count: usize, reach: usize) -> Self {
+    /// `beyond` are the headings that sectors read below and above their own, by bevel.
+    fn new(count: usize, beyond: [[usize; 2]; 2]) -> Self {
         let ends = |low: usize, high: usize| {
             let low = low.min(count);
             [0..low, low.max(count.saturating_sub(high))..count]
         };
-        let inner = reach.saturating_sub(2);
-        Ends { kept: [ends(inner, reach), ends(reach, inner)] }
+        Ends { kept: beyond.map(|[below, above]| ends(above, below)) }
     }
 
     /// Planes in all.

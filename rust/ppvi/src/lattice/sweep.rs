@@ -88,7 +88,8 @@ fn masks_with_improper_states(lattice: &LatticeMdp) -> Option<Vec<TerminalMask>>
 /// A bound on the rounding of one backup of values up to `largest`: of the convolution, the blend of four, discount,
 /// cost and turning, each half a unit in the last place.
 fn rounding<T: Vectorized>(lattice: &LatticeMdp, largest: f64) -> f64 {
-    let operations = 2 * lattice.parts.noise.len() + if lattice.is_interpolated() { 4 } else { 0 } + 3;
+    let taps = lattice.parts.regions.iter().flat_map(|region| &region.turn).map(|turn| turn.taps().len()).max();
+    let operations = taps.unwrap_or(0) + 1 + if lattice.is_interpolated() { 4 } else { 0 } + 3;
     operations as f64 * largest * T::EPSILON / 2.0
 }
 
