@@ -28,7 +28,7 @@ impl Tissues {
             return Err(Error::parameter("layers", format!("{layers:?}"), "must begin at increasing finite depths"));
         }
         let radii = layers.iter().map(|layer| layer.1).chain(regions.iter().map(|region| region.1));
-        if let Some(radius) = radii.into_iter().find(|radius| !(*radius > 0.0)) {
+        if let Some(radius) = radii.into_iter().find(|radius| radius.is_nan() || *radius <= 0.0) {
             return Err(Error::parameter("curvature_radius_mm", radius, "must be positive"));
         }
         Ok(Tissues { layers, regions })

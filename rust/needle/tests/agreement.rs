@@ -171,7 +171,10 @@ proptest! {
         let mut setup = setup;
         setup.transition = Transition::Nearest;
         setup.costs = Costs { discount: 1.0, rotation: 4.0, ..setup.costs };
-        setup.needle = Bicycle::new(setup.needle.radius / divide, setup.needle.headings).unwrap();
+        setup.needle = match setup.needle.step {
+            Some(length) => setup.needle.with_step(length / divide).unwrap(),
+            None => Bicycle::new(setup.needle.radius / divide, setup.needle.headings).unwrap(),
+        };
         setup.costs.step = setup.needle.step_length();
         let problem = SteeringProblem::new(setup).unwrap();
         let lattice = problem.lattice();
