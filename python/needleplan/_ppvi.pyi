@@ -121,6 +121,8 @@ class Lattice:
         discount: float,
         layers: Sequence[tuple[float, float]] = ...,
         tissues: Sequence[tuple[Sequence[Sequence[tuple[float, float]]], float, float]] = ...,
+        step_mm: float | None = ...,
+        tip_noise_step_rad: float | None = ...,
     ) -> Lattice: ...
     @property
     def shape(self) -> tuple[int, int, int, int]: ...
@@ -142,6 +144,14 @@ class Lattice:
     def expectations(self, policy: NDArray[np.uint8], threads: int | None = None) -> _Expectations: ...
     def events(self, points: NDArray[np.float64]) -> NDArray[np.uint8]: ...
     def outcomes(self) -> NDArray[np.uint8]: ...
+    def predict(
+        self,
+        policy: NDArray[np.uint8],
+        values: NDArray[np.float32],
+        success: NDArray[np.float32],
+        poses: NDArray[np.float64],
+        threads: int | None = None,
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]: ...
     def rollout(
         self,
         policy: NDArray[np.uint8],
