@@ -65,7 +65,13 @@ def scenarios(draw: st.DrawFn) -> Scenario:
             Tissue(each.polygon_mm, draw(_LENGTHS), each.name)
             for each in draw(st.lists(obstacles(width, height), max_size=2))
         ),
-        motion=TipMotion(draw(st.integers(9, 100)), (1 - 2 * math.fsum(tail), *tail), draw(st.integers(1, 9))),
+        motion=TipMotion(
+            draw(st.integers(9, 100)),
+            (1 - 2 * math.fsum(tail), *tail),
+            draw(st.integers(1, 9)),
+            draw(st.none() | st.floats(0.1, 5)),
+            draw(st.none() | st.floats(0.01, 20)),
+        ),
         grid=Grid(spacing, draw(st.sampled_from(Transition))),
         objective=Objective(
             insertion_per_mm=draw(st.floats(1e-3, 1e3)),

@@ -205,3 +205,26 @@ def test_a_model_file_of_a_tip_path() -> None:
 def test_models_without_a_radius_are_refused(file: ModelFile, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         identified(file, "m.toml")
+
+
+def test_steps_of_a_length_of_their_own() -> None:
+    thesis = plain()
+    assert thesis.motion.step_length_mm(80.0) == pytest.approx(2 * thesis.step_mm)
+    general = replace(thesis, motion=replace(thesis.motion, step_mm=3.0, tip_noise_step_deg=2.0))
+    assert general.step_mm == general.motion.step_length_mm(80.0) == 3.0
+    assert general.motion.noise_step_rad == pytest.approx(math.radians(2))
+    assert Scenario.from_toml(general.to_toml()) == general
+    assert "step_mm" not in thesis.to_toml()
+
+
+def test_a_straight_layer_needs_a_step_length() -> None:
+    straight = Needle(40, (Layer(30, math.inf),))
+    motion = replace(plain().motion, step_mm=3.0)
+    scenario = replace(plain(straight), motion=motion)
+    assert Scenario.from_toml(scenario.to_toml()) == scenario
+    with pytest.raises(ScenarioError, match=r"curvature_radius_mm = inf: needs motion\.step_mm"):
+        plain(straight)
+    with pytest.raises(ScenarioError, match=r"motion\.step_mm = 63\.0: must be at most 62\.8319"):
+        replace(plain(), motion=replace(motion, step_mm=63.0))
+    with pytest.raises(ScenarioError, match="curvature_radius_mm"):
+        Layer(30, -math.inf)

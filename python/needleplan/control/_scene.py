@@ -43,7 +43,7 @@ class ScenarioGeometry:
 
     def step_mm(self, x_mm: float, y_mm: float) -> float:
         """Return the length (mm) of a step from a point."""
-        return self.scenario.step_length_mm(self.radius_mm(x_mm, y_mm))
+        return self.scenario.motion.step_length_mm(self.radius_mm(x_mm, y_mm))
 
     def clamped(self, x_mm: float, y_mm: float) -> tuple[float, float]:
         """Return the point; a coordinate that is at most half a cell outside the workspace is moved to the edge."""

@@ -17,6 +17,7 @@ from needleplan.scenario._parts import (
     Needle,
     Solver,
     Target,
+    TipMotion,
     Tissue,
     Transition,
     Workspace,
@@ -59,6 +60,17 @@ def _few_radii(needle: Needle, tissues: tuple[Tissue | None, ...]) -> Iterator[M
         yield Mistake("curvature_radius_mm", "", rule)
 
 
+def _step_turns_little(needle: Needle, tissues: tuple[Tissue | None, ...], motion: TipMotion) -> Iterator[Mistake]:
+    radii = [needle.curvature_radius_mm, *(layer.curvature_radius_mm for layer in needle.layers)]
+    radii += [tissue.curvature_radius_mm for tissue in tissues if tissue]
+    if motion.step_mm is None:
+        if math.inf in radii:
+            yield Mistake("curvature_radius_mm", "inf", "needs motion.step_mm, the length of a step on a straight path")
+    elif motion.step_mm > math.pi / 2 * min(radii):
+        rule = f"must be at most {math.pi / 2 * min(radii):.6g}, a turn by 90 degrees with the smallest radius"
+        yield Mistake("motion.step_mm", shown(motion.step_mm), rule)
+
+
 def _spacing_in_workspace(workspace: Workspace, grid: Grid) -> Iterator[Mistake]:
     sizes = (workspace.width_mm, workspace.height_mm)
     if any(spacing > size for spacing, size in zip(grid.spacing_mm, sizes, strict=True)):
@@ -97,6 +109,7 @@ BETWEEN = (
     _target_clear_of_obstacles,
     _layers_in_workspace,
     _few_radii,
+    _step_turns_little,
     _spacing_in_workspace,
     _target_on_grid,
     _partitions_hold_points,

@@ -43,6 +43,16 @@ __all__ = [
     "Workspace",
 ]
 
+
+class _Radius:
+    """Rule for the radius of a layer or tissue: a length, or infinity for a straight path."""
+
+    def read(self, value: object) -> float:
+        """Return the radius as a float. Raises Violation."""
+        return math.inf if isinstance(value, float) and value == math.inf else LENGTH.read(value)
+
+
+_RADIUS = _Radius()
 # Largest number of grid points that is counted along an axis; no memory holds so many.
 _MOST_POINTS = 1e15
 _COST = Number(at_least=0, at_most=1e9)
@@ -165,7 +175,7 @@ class Layer(ConfigTable, key="needle.layer", error=ScenarioError):
     """A tissue layer from x = `from_mm` to the next layer, in which the needle's arc has the given radius."""
 
     from_mm: float = ruled(Number("mm", at_least=0, at_most=1e6), about="x at which the layer begins")
-    curvature_radius_mm: float = ruled(LENGTH, about="radius of the arc in this layer")
+    curvature_radius_mm: float = ruled(_RADIUS, about="radius of the arc in this layer; inf: a straight path")
 
 
 @dataclass(frozen=True)
@@ -191,7 +201,7 @@ class Tissue(
     """
 
     polygon_mm: Points | None = _shape.polygon("corners [x, y] of the region")
-    curvature_radius_mm: float = ruled(LENGTH, REQUIRED, about="radius of the arc in this region")
+    curvature_radius_mm: float = ruled(_RADIUS, REQUIRED, about="radius of the arc in this region; inf: a straight path")
     name: str = ruled(Text(), "", about="for messages, figures and identified radii")
     holes_mm: tuple[Points, ...] | None = _shape.holes()
     center_mm: tuple[float, float] | None = _shape.center()
@@ -211,20 +221,30 @@ class TipMotion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_
     """
 
     headings: int = ruled(Integer(4, 100_000), 60, about="headings of a full turn; without step_mm a step turns by one")
-    step_mm: float | None = ruled(
-        Maybe(Number("mm", above=0)), None, about="length of a step, for any curvature; absent: turns by one heading"
-    )
     tip_noise: tuple[float, ...] = ruled(
         NoiseProbabilities(),
         (0.466, 0.24, 0.027),
         about="P(0), P(+-1), P(+-2) ... noise steps; sum 1 with both signs",
     )
-    tip_noise_step_deg: float | None = ruled(
-        Maybe(Number("deg", above=0, at_most=180)), None, about="noise step; absent: one heading"
-    )
     arc_samples: int | None = ruled(
         Maybe(Integer(1, 255)), None, about="points of every arc tested; without it the whole arc is; 1: thesis"
     )
+    step_mm: float | None = ruled(
+        Maybe(Number("mm", above=0)), None, about="length of a step, for any curvature; absent: turns by one heading"
+    )
+    tip_noise_step_deg: float | None = ruled(
+        Maybe(Number("deg", above=0, at_most=180)), None, about="noise step; absent: one heading"
+    )
+
+    def step_length_mm(self, radius_mm: float) -> float:
+        """Return the length (mm) of a step with a radius: `step_mm`, else the arc that turns by one heading step."""
+        return self.step_mm or 2 * math.pi * radius_mm / self.headings
+
+    @property
+    def noise_step_rad(self) -> float:
+        """Heading difference (rad) between neighbouring values of the tip noise."""
+        step_deg = self.tip_noise_step_deg
+        return 2 * math.pi / self.headings if step_deg is None else math.radians(step_deg)
 
 
 @dataclass(frozen=True)

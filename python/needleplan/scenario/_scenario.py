@@ -236,17 +236,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
     @property
     def step_mm(self) -> float:
         """Length of one insertion step outside of layers and tissues (mm)."""
-        return self.step_length_mm(self.needle.curvature_radius_mm)
-
-    def step_length_mm(self, radius_mm: float) -> float:
-        """Return the length (mm) of a step with a radius: `motion.step_mm`, else the arc that turns by one heading."""
-        return self.motion.step_mm or 2 * math.pi * radius_mm / self.motion.headings
-
-    @property
-    def tip_noise_step_rad(self) -> float:
-        """Heading difference (rad) between neighbouring values of the tip noise."""
-        step_deg = self.motion.tip_noise_step_deg
-        return 2 * math.pi / self.motion.headings if step_deg is None else math.radians(step_deg)
+        return self.motion.step_length_mm(self.needle.curvature_radius_mm)
 
     @property
     def uniform(self) -> bool:
