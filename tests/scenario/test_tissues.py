@@ -220,7 +220,7 @@ def test_steps_of_a_length_of_their_own() -> None:
 def test_a_straight_layer_needs_a_step_length() -> None:
     straight = Needle(40, (Layer(30, math.inf),))
     motion = replace(plain().motion, step_mm=3.0)
-    scenario = replace(plain(straight), motion=motion)
+    scenario = replace(replace(plain(), motion=motion), needle=straight)
     assert Scenario.from_toml(scenario.to_toml()) == scenario
     with pytest.raises(ScenarioError, match=r"curvature_radius_mm = inf: needs motion\.step_mm"):
         plain(straight)
