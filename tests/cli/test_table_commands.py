@@ -42,10 +42,10 @@ def test_evaluate(table: npl.PolicyTable, table_file: Path) -> None:
     assert (answer["success"], answer["predicted_success"]) == (found.success, found.predicted_success)
     assert answer["confidence_interval"] == pytest.approx(found.interval)
     assert sum(answer["outcomes"].values()) == 500
-    greedy = needleplan("evaluate", table_file, "--runs", "500", "--greedy")
-    assert greedy.returncode == 0
-    assert "of 500 runs, 95 % interval" in greedy.stdout
-    assert "predicted" in greedy.stdout
+    nearest = needleplan("evaluate", table_file, "--runs", "500", "--nearest")
+    assert nearest.returncode == 0
+    assert "of 500 runs, 95 % interval" in nearest.stdout
+    assert "predicted" in nearest.stdout
 
 
 def test_no_success_at_all_says_no(table_file: Path) -> None:

@@ -13,15 +13,15 @@ from needleplan.planning import Outcome, wilson
 from needleplan.scenario import Grid, Scenario, Transition
 
 
-@pytest.mark.parametrize("greedy", [False, True])
-def test_rollouts_add_up(table: npl.PolicyTable, greedy: bool) -> None:
+@pytest.mark.parametrize("nearest", [False, True])
+def test_rollouts_add_up(table: npl.PolicyTable, nearest: bool) -> None:
     start = table.best_entry().pose
-    found = table.rollout(start, runs=2000, seed=3, greedy=greedy)
+    found = table.rollout(start, runs=2000, seed=3, nearest=nearest)
     assert sum(found.outcomes.values()) == found.runs == 2000
     assert found.success == found.outcomes[Outcome.TARGET] / 2000
     low, high = found.interval
     assert 0 <= low < found.success < high <= 1
-    decision = table.lookup(*start)
+    decision = table.lookup(*start, nearest=nearest)
     assert (found.predicted_success, found.predicted_value) == (decision.success, decision.value)
     assert found.mean_length_mm > 45
     assert found.mean_cost == pytest.approx(

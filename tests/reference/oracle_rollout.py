@@ -3,8 +3,8 @@
 The true pose (x, y, theta) is continuous; only the decision uses the table. One step:
 
 1. Decide. "look-up": the policy of the nearest grid state. "greedy": one-step look-ahead from the true pose; the
-   value after each action's true arc is read bilinearly in x and y at the nearest heading, corners as in the
-   interpolated MDP (obstacle: collision cost, target: 0, outside the grid: exit cost), expectation over the noise.
+   value after each action's true arc is read linearly in x, y and heading, corners as in the interpolated MDP
+   (obstacle: collision cost, target: 0, outside the grid: exit cost), expectation over the noise.
 2. Follow the true arc and test its points at t = 1/S, ..., 1. Where the radius changes from place to place the arc is
    as long as the radius at its start says, and each of its S equally long pieces has the radius of its own start. The
    first event ends the run; nothing else does: a tip whose nearest grid point is an obstacle or target point, but
@@ -71,6 +71,17 @@ def look_up(mdp: Mdp, policy: NDArray[np.uint8], x: Floats, y: Floats, theta: Fl
     return policy[i, j, nearest_heading(problem, theta), (bevel + 1) // 2].astype(np.int64)
 
 
+def at_heading(problem: Problem, cells: Floats, corner: Ints, weight: Floats, theta: Floats, bevel: Ints) -> Floats:
+    """Weighted sum over the corners, [n], linear between the two headings around theta."""
+    whole = np.floor(theta / problem.alpha)
+    between = np.zeros(len(theta))
+    for k, share in ((whole, 1 - (theta / problem.alpha - whole)), (whole + 1, theta / problem.alpha - whole)):
+        index = k.astype(np.int64) % problem.headings
+        at_corners = cells[corner, index[:, None], ((bevel + 1) // 2)[:, None]]
+        between += share * np.sum(weight * at_corners, axis=1)
+    return between
+
+
 def greedy_q(problem: Problem, cells: Floats, x: Floats, y: Floats, theta: Floats, bevel: Ints) -> Floats:
     """Q of both actions at the true poses, [n, 2]; `cells` comes from `corner_values`."""
     q = np.empty((len(x), 2))
@@ -80,9 +91,7 @@ def greedy_q(problem: Problem, cells: Floats, x: Floats, y: Floats, theta: Float
         corner, weight = bilinear_corners(problem, x_end, y_end)
         onward = np.zeros(len(x))
         for m, p in problem.noise.items():
-            k = nearest_heading(problem, turned + m * problem.alpha)
-            at_corners = cells[corner, k[:, None], ((new + 1) // 2)[:, None]]
-            onward += p * np.sum(weight * at_corners, axis=1)
+            onward += p * at_heading(problem, cells, corner, weight, turned + m * problem.alpha, new)
         failure = np.array([0.0, problem.exit, problem.collision, 0.0])[ending]
         q[:, action] = problem.insertion * step_mm(problem, x, y) + action * problem.rotation + failure
         q[:, action] += np.where(ending == GOES_ON, problem.discount * onward, 0.0)

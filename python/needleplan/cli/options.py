@@ -18,7 +18,7 @@ __all__ = [
     "add_answer",
     "add_edge",
     "add_figure",
-    "add_greedy",
+    "add_nearest",
     "add_output",
     "add_start",
     "add_table",
@@ -82,13 +82,15 @@ def add_start(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_greedy(parser: argparse.ArgumentParser) -> None:
-    """Declare `--greedy`, which makes decisions from values interpolated at the true pose."""
+def add_nearest(parser: argparse.ArgumentParser) -> None:
+    """Declare `--nearest`, which takes decisions and predictions from the nearest state of the table."""
     parser.add_argument(
-        "--greedy",
+        "--nearest",
         action="store_true",
-        help="decide by values interpolated at the true pose, not by the policy of the nearest state",
+        help="decide and predict by the nearest state of the table (the thesis), not by a look one step ahead",
     )
+    # The name of the time when the look ahead was not the default; it has no effect.
+    parser.add_argument("--greedy", action="store_true", help=argparse.SUPPRESS)
 
 
 def add_edge(parser: argparse.ArgumentParser) -> None:

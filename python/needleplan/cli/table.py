@@ -12,7 +12,7 @@ from needleplan.cli.options import (
     add_answer,
     add_edge,
     add_figure,
-    add_greedy,
+    add_nearest,
     add_start,
     add_table,
     entry_record,
@@ -42,7 +42,7 @@ def _add_path(commands: Any) -> None:
     )
     add_table(parser)
     add_start(parser)
-    add_greedy(parser)
+    add_nearest(parser)
     add_figure(parser, "the path in the workspace")
     add_answer(parser)
     parser.set_defaults(run=_run_path)
@@ -55,8 +55,8 @@ def _run_path(options: argparse.Namespace) -> int:
 
     require_outputs(options, [options.table])
     table = PolicyTable.read(options.table)
-    path = table.path(start or table.best_entry().pose, greedy=options.greedy)
-    decision = table.lookup(*path.start)
+    path = table.path(start or table.best_entry().pose, nearest=options.nearest)
+    decision = table.lookup(*path.start, nearest=options.nearest)
     if options.figure:
         from needleplan.plotting import legend_below, save, sheet
 
@@ -109,7 +109,7 @@ def _add_evaluate(commands: Any) -> None:
     parser.add_argument(
         "--seed", type=whole, default=0, metavar="N", help="the same seed gives the same executions (0)"
     )
-    add_greedy(parser)
+    add_nearest(parser)
     add_answer(parser)
     parser.set_defaults(run=_run_evaluate)
 
@@ -121,15 +121,18 @@ def _run_evaluate(options: argparse.Namespace) -> int:
 
     table = PolicyTable.read(options.table)
     with working(options, f"executing the policy {options.runs:,} times"):
-        found = table.rollout(start or table.best_entry().pose, options.runs, options.seed, greedy=options.greedy)
+        found = table.rollout(start or table.best_entry().pose, options.runs, options.seed, nearest=options.nearest)
     low, high = found.interval
+    if not low <= found.predicted_success <= high:
+        predicted = f"the prediction, {percent(found.predicted_success)}, lies outside the 95 % interval"
+        note(f"{predicted}, {percent(low)} to {percent(high)}: a grid.refinement in the scenario brings it closer")
     if options.json:
         print_json(
             {
                 "start": pose_record(found.start),
                 "runs": found.runs,
                 "seed": found.seed,
-                "greedy": options.greedy,
+                "nearest": options.nearest,
                 "success": found.success,
                 "confidence_interval": [low, high],
                 "predicted_success": found.predicted_success,

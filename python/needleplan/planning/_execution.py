@@ -142,7 +142,7 @@ class Rollouts:
     mean_turns, mean_length_mm, mean_cost : float
         Means over all runs, failures included; the cost is discounted as in the table.
     predicted_success, predicted_value : float
-        Success probability and expected cost in the table at the nearest state.
+        Success probability and expected cost of `start` as `PolicyTable.lookup` predicts them.
     samples : tuple of Path
         Up to 40 executions for the figure, with the noise seeds `seed`, `seed` + 1 ...
     scenario : Scenario
@@ -218,13 +218,13 @@ class Rollouts:
 
 @dataclass(frozen=True, eq=False)
 class Execution:
-    """Executes a policy: its decision at the nearest state, or, if `greedy`, the best action by interpolated values."""
+    """Executes a policy: by a look one step ahead, or, if `nearest`, by its decision at the nearest state."""
 
     lattice: _ppvi.Lattice
     policy: NDArray[np.uint8]
     values: NDArray[np.float32]
     scenario: Scenario
-    greedy: bool
+    nearest: bool
 
     def path(self, start: Pose, noise_seed: int | None) -> Path:
         """Execute the policy once, with tip noise of the seed `noise_seed`, or without noise if it is None."""
@@ -232,7 +232,7 @@ class Execution:
             policy=self.policy,
             values=self.values,
             start=start,
-            greedy=self.greedy,
+            greedy=not self.nearest,
             noise=noise_seed is not None,
             seed=noise_seed or 0,
             max_steps=MOST_STEPS,
@@ -254,7 +254,7 @@ class Execution:
             starts=np.array([start], dtype=np.float64),
             runs=runs,
             seed=seed,
-            greedy=self.greedy,
+            greedy=not self.nearest,
             max_steps=MOST_STEPS,
         )
         outcomes = {outcome: int(np.count_nonzero(run["outcome"] == outcome)) for outcome in Outcome}

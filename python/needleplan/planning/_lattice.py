@@ -25,6 +25,7 @@ __all__ = [
     "Stats",
     "Status",
     "compiled_call",
+    "every",
     "finer",
     "lattice_of",
     "require_callable",
@@ -33,6 +34,7 @@ __all__ = [
 ]
 
 _P = ParamSpec("_P")
+_N = TypeVar("_N", np.float32, np.uint8)
 _T = TypeVar("_T")
 
 Progress = Callable[[float, float, float], None]
@@ -196,25 +198,31 @@ def success_of(scenario: Scenario, lattice: _ppvi.Lattice, policy: NDArray[np.ui
     if times == 1:
         success = compiled_call(ScenarioError, lattice.success, policy=policy, threads=threads)["success"]
     else:
-        fine = finer(scenario)
+        fine = finer(scenario, times)
         nearest = np.ix_(*(
             np.minimum(np.rint(np.arange(points) / times).astype(np.intp), most - 1)
             for points, most in zip(fine.shape[:2], policy.shape[:2], strict=True)
         ))  # fmt: skip
         refined = np.ascontiguousarray(policy[nearest])
         found = compiled_call(ScenarioError, lattice_of(fine).success, policy=refined, threads=threads)["success"]
-        # A coarse point beyond the last fine point represents the border, as the last fine point does.
-        places = np.ix_(*(
-            np.minimum(np.arange(points) * times, most - 1)
-            for points, most in zip(policy.shape[:2], found.shape[:2], strict=True)
-        ))  # fmt: skip
-        success = found[places]
+        success = every(times, found, policy.shape)
     np.minimum(success, 1, out=success)  # weights in single precision can sum to slightly more than one
     return success
 
 
-def finer(scenario: Scenario) -> Scenario:
-    """Return the scenario with the finer grid on which its success is computed."""
+def finer(scenario: Scenario, times: int) -> Scenario:
+    """Return the scenario on a grid `times` finer in x and y, without refinements."""
     grid = scenario.grid
-    dx, dy = (spacing / grid.success_refinement for spacing in grid.spacing_mm)
-    return replace(scenario, grid=replace(grid, spacing_mm=(dx, dy), success_refinement=1))
+    dx, dy = (spacing / times for spacing in grid.spacing_mm)
+    return replace(scenario, grid=replace(grid, spacing_mm=(dx, dy), success_refinement=1, refinement=None))
+
+
+def every(times: int, fine: NDArray[_N], shape: tuple[int, ...]) -> NDArray[_N]:
+    """Return the values of a table with a shape at every `times`-th point, along x and y, of a finer table.
+
+    A coarse point beyond the last fine point represents the border, as the last fine point does.
+    """
+    places = (
+        np.minimum(np.arange(points) * times, most - 1) for points, most in zip(shape[:2], fine.shape[:2], strict=True)
+    )
+    return fine[np.ix_(*places)]

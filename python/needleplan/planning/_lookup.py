@@ -1,4 +1,4 @@
-"""Lookups in a policy table: the decision at the nearest state, for one pose or for many."""
+"""Lookups in a policy table: decisions at exact poses or at the nearest states, for one pose or for many."""
 
 from __future__ import annotations
 
@@ -122,10 +122,10 @@ class Lookups:
         return lattice_of(self.scenario)
 
     @overload
-    def lookup(self, x_mm: Pose | Entry | Sequence[float]) -> Decision: ...
+    def lookup(self, x_mm: Pose | Entry | Sequence[float], *, nearest: bool = ...) -> Decision: ...
 
     @overload
-    def lookup(self, x_mm: float, y_mm: float, heading_rad: float, bevel: int) -> Decision: ...
+    def lookup(self, x_mm: float, y_mm: float, heading_rad: float, bevel: int, *, nearest: bool = ...) -> Decision: ...
 
     def lookup(
         self,
@@ -133,8 +133,13 @@ class Lookups:
         y_mm: float | None = None,
         heading_rad: float | None = None,
         bevel: int | None = None,
+        *,
+        nearest: bool = False,
     ) -> Decision:
-        """Return the decision at the state nearest to a pose.
+        """Return the decision at a pose.
+
+        Both actions are executed from the exact pose for one step in the continuous model. Where the step does not end
+        the insertion, the table is interpolated linearly in position and heading at its end.
 
         Parameters
         ----------
@@ -146,6 +151,8 @@ class Lookups:
             Heading in rad, at most a full turn in size.
         bevel : {-1, 1}
             Bevel side.
+        nearest : bool, default False
+            Return the entry of the table at the state nearest to the pose instead, as in the thesis.
 
         Returns
         -------
@@ -165,23 +172,25 @@ class Lookups:
         True
         """
         if y_mm is None and heading_rad is None and bevel is None and not isinstance(x_mm, int | float):
-            x_mm, y_mm, heading_rad, bevel = self.start(x_mm)
+            x_mm, y_mm, heading_rad, bevel = self.start(x_mm, nearest=nearest)
         try:
             row = (float(x_mm), float(y_mm), float(heading_rad), float(bevel))  # type: ignore[arg-type]
         except (TypeError, ValueError):
             Pose(x_mm, y_mm, heading_rad, bevel)  # type: ignore[arg-type]  # raises for all but a missing bevel
             raise PoseError(Mistake("bevel", str(bevel), "must be -1 or +1")) from None
         require_full_turn("heading_rad", row[2])
-        action, value, success = self._nearest(np.array([row]))
+        action, value, success = self._answers(np.array([row]), nearest)
         return Decision(Action(action[0]), float(value[0]), float(success[0]))
 
-    def lookup_many(self, poses: ArrayLike) -> Decisions:
-        """Return the decisions at the states nearest to many poses.
+    def lookup_many(self, poses: ArrayLike, *, nearest: bool = False) -> Decisions:
+        """Return the decisions at many poses, each as `lookup` does.
 
         Parameters
         ----------
         poses : array_like of float, shape (n, 4)
             Rows of x_mm, y_mm, heading_rad and bevel.
+        nearest : bool, default False
+            Return the entries of the table at the nearest states instead; this takes about 50 ns for a pose.
 
         Returns
         -------
@@ -214,10 +223,21 @@ class Lookups:
         if len(rows) and (headings.max() > FULL_TURN_RAD or headings.min() < -FULL_TURN_RAD):
             row = int(np.argmax(np.abs(headings) > FULL_TURN_RAD))
             require_full_turn(f"poses[{row}].heading_rad", float(headings[row]))
-        return Decisions(*self._nearest(rows))
+        return Decisions(*self._answers(rows, nearest))
 
-    def _nearest(self, rows: NDArray[np.float64]) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
-        """Return action, value and success at the states nearest to rows [n, 4]. Raises PoseError."""
+    def _answers(
+        self, rows: NDArray[np.float64], nearest: bool
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
+        """Return action, value and success at rows [n, 4], or at the nearest states. Raises PoseError."""
+        if not nearest:
+            return compiled_call(
+                PoseError,
+                self.lattice.predict,
+                policy=self.policy,
+                values=self.values,
+                success=self.success,
+                poses=rows,
+            )
         return compiled_call(
             PoseError,
             _ppvi.lookup_many,
@@ -251,13 +271,15 @@ class Lookups:
         found = self.lattice.expectations(self.policy, threads=self.scenario.solver.threads)
         return Expectations(found["length_mm"], found["turns"])
 
-    def start(self, pose: Entry | Pose | Sequence[float]) -> Pose:
+    def start(self, pose: Entry | Pose | Sequence[float], *, nearest: bool = False) -> Pose:
         """Return the pose at which an execution begins.
 
         Parameters
         ----------
         pose : Entry, Pose or sequence of float
             x_mm, y_mm, heading_rad and, if known, bevel.
+        nearest : bool, default False
+            Compare the bevels at the nearest states instead of at the pose.
 
         Returns
         -------
@@ -279,10 +301,10 @@ class Lookups:
         found = Pose.of(pose)
         try:
             if found.bevel is not None:
-                self.lookup(*found)
+                self.lookup(*found, nearest=nearest)
                 return found
             pair = found._replace(bevel=1), found._replace(bevel=-1)
-            return min(pair, key=lambda each: self.lookup(*each).value)
+            return min(pair, key=lambda each: self.lookup(*each, nearest=nearest).value)
         except PoseError:
             workspace = self.scenario.workspace
             rule = f"must lie in the workspace, [0, {workspace.width_mm:g}] x [0, {workspace.height_mm:g}] mm"

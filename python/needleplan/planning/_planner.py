@@ -7,7 +7,16 @@ from pathlib import Path
 from time import perf_counter
 
 from needleplan.errors import InputError, Mistake, ScenarioError
-from needleplan.planning._lattice import Progress, compiled_call, lattice_of, require_callable, stats_of, success_of
+from needleplan.planning._lattice import (
+    Progress,
+    compiled_call,
+    every,
+    finer,
+    lattice_of,
+    require_callable,
+    stats_of,
+    success_of,
+)
 from needleplan.planning._table import PolicyTable
 from needleplan.scenario import Method, Scenario
 
@@ -87,8 +96,9 @@ def plan(
     if not accept_units and (mistakes := questionable_sizes(scenario)):
         raise ScenarioError(mistakes)
     began = perf_counter()
-    solver = scenario.solver
-    lattice = lattice_of(scenario)
+    solver, times = scenario.solver, scenario.grid.refinement or 1
+    fine = scenario if times == 1 else finer(scenario, times)
+    lattice = lattice_of(fine)
     solved = compiled_call(
         ScenarioError,
         lattice.solve,
@@ -101,11 +111,17 @@ def plan(
         threads=solver.threads,
         progress=progress,
     )
-    success = success_of(scenario, lattice, solved["policy"])
-    stats = stats_of(solved, scenario.states, perf_counter() - began)
-    table = PolicyTable(solved["values"], solved["policy"], success, stats, scenario)
-    vars(table)["lattice"] = lattice
-    return table
+    values, policy = solved["values"], solved["policy"]
+    success = success_of(fine, lattice, policy)
+    stats = stats_of(solved, fine.states, perf_counter() - began)
+    if times == 1:
+        table = PolicyTable(values, policy, success, stats, scenario)
+        vars(table)["lattice"] = lattice
+        return table
+    shape = scenario.shape
+    return PolicyTable(
+        every(times, values, shape), every(times, policy, shape), every(times, success, shape), stats, scenario
+    )
 
 
 def questionable_sizes(scenario: Scenario) -> list[Mistake]:
@@ -135,7 +151,8 @@ def questionable_sizes(scenario: Scenario) -> list[Mistake]:
 
 def require_memory(scenario: Scenario) -> None:
     """Raise ScenarioError if planning needs more memory than is available."""
-    states, times = scenario.states, scenario.grid.success_refinement
+    grid = scenario.grid
+    states, times = scenario.states * (grid.refinement or 1) ** 2, grid.success_refinement
     finer = states * times**2 if times > 1 else 0
     needed = states * BYTES_PER_STATE[scenario.solver.method] + finer * BYTES_PER_FINER_STATE
     available = available_bytes()
@@ -143,6 +160,7 @@ def require_memory(scenario: Scenario) -> None:
         return
     reason = (
         f"the grid has {states:,} states"
+        + (f" with refinement = {grid.refinement}" if states > scenario.states else "")
         + (f", {finer:,} with success_refinement = {times}," if finer else "")
         + f" and needs about {_readable(needed)} of memory"
         + (f"; {_readable(available)} are available" if available is not None else "")

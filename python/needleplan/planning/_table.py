@@ -84,7 +84,7 @@ class PolicyTable(Lookups):
         return digest("\n".join([self.scenario.digest, *tables]))
 
     def path(
-        self, start: Entry | Pose | Sequence[float], *, greedy: bool = False, noise_seed: int | None = None
+        self, start: Entry | Pose | Sequence[float], *, nearest: bool = False, noise_seed: int | None = None
     ) -> Path:
         """Execute the policy once in the continuous bicycle model.
 
@@ -92,8 +92,8 @@ class PolicyTable(Lookups):
         ----------
         start : Entry, Pose or sequence of float
             Where the needle begins: x_mm, y_mm, heading_rad and, if known, bevel.
-        greedy : bool, default False
-            Decide by the values interpolated at the true pose instead of the policy at the nearest state.
+        nearest : bool, default False
+            Decide by the policy at the nearest state, as in the thesis, instead of looking one step ahead.
         noise_seed : int, optional
             Seed of the tip noise. Without it, the execution has no noise.
 
@@ -115,11 +115,11 @@ class PolicyTable(Lookups):
         target
         """
         seed = 0 if noise_seed is None else _seed("noise_seed", noise_seed)
-        execution = Execution(self.lattice, self.policy, self.values, self.scenario, flag("greedy", greedy))
-        return execution.path(self.start(start), None if noise_seed is None else seed)
+        execution = Execution(self.lattice, self.policy, self.values, self.scenario, flag("nearest", nearest))
+        return execution.path(self.start(start, nearest=nearest), None if noise_seed is None else seed)
 
     def rollout(
-        self, start: Entry | Pose | Sequence[float], runs: int = 10_000, seed: int = 0, *, greedy: bool = False
+        self, start: Entry | Pose | Sequence[float], runs: int = 10_000, seed: int = 0, *, nearest: bool = False
     ) -> Rollouts:
         """Execute the policy many times with tip noise in the continuous bicycle model.
 
@@ -131,8 +131,8 @@ class PolicyTable(Lookups):
             Number of executions, at most 50,000,000.
         seed : int, default 0
             Seed of the tip noise. The same seed gives the same runs on any number of threads.
-        greedy : bool, default False
-            Decide by the values interpolated at the true pose instead of the policy at the nearest state.
+        nearest : bool, default False
+            Decide by the policy at the nearest state, as in the thesis, instead of looking one step ahead.
 
         Returns
         -------
@@ -154,12 +154,14 @@ class PolicyTable(Lookups):
         """
         runs = whole_number("runs", runs, 1, _MOST_RUNS, f"from 1 to {_MOST_RUNS:,}")
         seed = _seed("seed", seed)
-        pose = self.start(start)
-        predicted = self.lookup(*pose)
-        execution = Execution(self.lattice, self.policy, self.values, self.scenario, flag("greedy", greedy))
+        pose = self.start(start, nearest=nearest)
+        predicted = self.lookup(*pose, nearest=nearest)
+        execution = Execution(self.lattice, self.policy, self.values, self.scenario, flag("nearest", nearest))
         return execution.rollouts(pose, runs, seed, predicted.success, predicted.value)
 
-    def best_entry(self, edge: str = "left", *, x_mm: float | None = None, y_mm: float | None = None) -> Entry:
+    def best_entry(
+        self, edge: str = "left", *, x_mm: float | None = None, y_mm: float | None = None, nearest: bool = False
+    ) -> Entry:
         """Return the entry on an edge with the highest success probability.
 
         Entries whose success differs by less than 0.1 % count as equal; the lowest cost decides among them.
@@ -172,6 +174,8 @@ class PolicyTable(Lookups):
             Position on the bottom or top edge in mm. Without it, every grid point is searched.
         y_mm : float, optional
             Position on the left or right edge in mm. Without it, every grid point is searched.
+        nearest : bool, default False
+            Compare the entries of the table at the nearest states, as in the thesis, instead of predictions.
 
         Returns
         -------
@@ -196,7 +200,7 @@ class PolicyTable(Lookups):
         if not len(poses):
             rule = "must have a position outside of all obstacles; choose another edge or position"
             raise PoseError(Mistake("edge", f'"{edge}"', rule))
-        found = self.lookup_many(poses)
+        found = self.lookup_many(poses, nearest=nearest)
         success = np.round(found.success / _SUCCESS_STEP)
         inclination = np.abs(poses[:, 2] - Edge(edge).inward_rad)
         best = np.lexsort((inclination, found.value, -success))[0]

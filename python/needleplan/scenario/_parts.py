@@ -127,6 +127,12 @@ def _noise_below_half_a_turn(
         yield Mistake("headings", f"{headings}", rule)
 
 
+def _one_refinement(success_refinement: int, refinement: int | None) -> Iterator[Mistake]:
+    if success_refinement > 1 and refinement is not None and refinement > 1:
+        rule = "must be 1 beside a refinement, which refines the success too"
+        yield Mistake("success_refinement", f"{success_refinement}", rule)
+
+
 def _insertion_costs(insertion_per_mm: float, discount: float) -> Iterator[Mistake]:
     if discount == 1 and insertion_per_mm == 0:
         rule = "must be above 0 if the discount is 1: otherwise circling forever would cost nothing"
@@ -248,11 +254,12 @@ class TipMotion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_
 
 
 @dataclass(frozen=True)
-class Grid(ConfigTable, key="grid", error=ScenarioError):
+class Grid(ConfigTable, key="grid", error=ScenarioError, between=(_one_refinement,)):
     """The grid of positions, and the rule that maps the end of an arc to grid points.
 
-    With `success_refinement` k, the success probability is evaluated on a grid that is k times finer in x and y. Each
-    fine grid point uses the policy of the nearest coarse one; k must be odd so that the nearest is unique.
+    With `refinement` k, the problem is solved on a grid that is k times finer in x and y; the table keeps every k-th
+    point. With `success_refinement` k, only the success probability is evaluated on the finer grid. Each fine grid
+    point uses the policy of the nearest coarse one; k must be odd so that the nearest is unique.
     """
 
     spacing_mm: tuple[float, float] = ruled(Pair(LENGTH), (1.0, 1.0), about="distance of grid points, [dx, dy]")
@@ -261,6 +268,9 @@ class Grid(ConfigTable, key="grid", error=ScenarioError):
     )
     success_refinement: int = ruled(
         Integer(1, 9, odd=True), 1, about="success is evaluated on a grid so many times finer; an odd number"
+    )
+    refinement: int | None = ruled(
+        Maybe(Integer(1, 9)), None, about="solve on a grid so many times finer, and keep the points of this one"
     )
 
     def points(self, workspace: Workspace) -> tuple[int, int]:

@@ -121,7 +121,7 @@ def prototype(note: Callable[[str], None], fine: bool, runs: int) -> list[Compar
 
 def _compared(published: PrototypeResult, table: PolicyTable, runs: int) -> list[Comparison]:
     entries = np.array([table.start((x, y, math.radians(degrees))) for x, y, degrees in ENTRIES], dtype=np.float64)
-    predicted = table.lookup_many(entries).value
+    predicted = table.lookup_many(entries, nearest=True).value
     study = execute("four_obstacles", table, entries, ExecutionRule(), runs)
     comparisons = []
     for k, (x, y, degrees) in enumerate(ENTRIES):

@@ -115,7 +115,7 @@ def choose_entries(table: PolicyTable) -> NDArray[np.float64]:
     headings = [step * round(math.radians(degrees) / step) for degrees in _HEADINGS_DEG]
     heights = np.arange(_EVERY_MM, scenario.workspace.height_mm, _EVERY_MM)
     poses = np.array([(0.0, y, heading, bevel) for y in heights for heading in headings for bevel in (-1, 1)])
-    answers = table.lookup_many(poses)
+    answers = table.lookup_many(poses, nearest=True)
     better = np.arange(0, len(poses), 2) + np.argmin(answers.value.reshape(-1, 2), axis=1)
     entries: NDArray[np.float64] = poses[better[answers.success[better] > _LEAST_SUCCESS]]
     return entries
@@ -142,7 +142,7 @@ def execute(
         grid=table.scenario.grid,
         execution=execution,
         entries=entries,
-        predicted=table.lookup_many(entries).success.astype(np.float64),
+        predicted=table.lookup_many(entries, nearest=True).success.astype(np.float64),
         realised=reached / runs,
         interval=np.array([wilson(int(each), runs) for each in reached]),
     )
@@ -250,7 +250,7 @@ def _predicted_finer(study: EntryStudy, table: PolicyTable) -> EntryStudy:
 
     `table` must have the same policy; its success was evaluated on a finer grid.
     """
-    predicted = table.lookup_many(study.entries).success.astype(np.float64)
+    predicted = table.lookup_many(study.entries, nearest=True).success.astype(np.float64)
     return replace(study, grid=table.scenario.grid, predicted=predicted)
 
 

@@ -46,7 +46,7 @@ class Panel:
     @classmethod
     def of(cls, heading: str, table: PolicyTable, start: Sequence[float]) -> Panel:
         """Return the panel of an execution of `table` from a pose. A missing bevel is set to that of the lower cost."""
-        return cls(heading, table, table.path(start))
+        return cls(heading, table, table.path(start, nearest=True))
 
     @property
     def start(self) -> Pose:
@@ -61,7 +61,7 @@ class Panel:
     @property
     def success(self) -> float:
         """Predicted probability of reaching the target from the start."""
-        return self.table.lookup(*self.start).success
+        return self.table.lookup(*self.start, nearest=True).success
 
 
 def ending(path: Path) -> str:
@@ -82,7 +82,7 @@ def draw_panels(panels: Sequence[Panel], text: str, file: File) -> None:
     """
     figure, every = sheet(panels[0].table.scenario.workspace, len(panels))
     for axes, panel in zip(every, panels, strict=True):
-        panel.table.rollout(panel.start, runs=_NOISY).plot(axes)
+        panel.table.rollout(panel.start, runs=_NOISY, nearest=True).plot(axes)
         panel.path.plot(axes, scene=False)
         title(axes, panel.heading)
     figure.legend(handles=_legend(), loc="outside upper right", ncols=4, frameon=False, fontsize=7.5)
@@ -139,7 +139,7 @@ def nearest_heading(table: PolicyTable, wanted_rad: float) -> float:
     """Return the heading (rad) nearest to `wanted_rad` with a predicted success of at least 0.75 from (0, 20) mm."""
     headings = np.remainder(table.scenario.headings_rad - wanted_rad + math.pi, 2 * math.pi) - math.pi
     poses = [(*_START_MM, heading + wanted_rad, bevel) for heading in headings for bevel in (-1, 1)]
-    success = table.lookup_many(poses).success.reshape(-1, 2).max(axis=1)
+    success = table.lookup_many(poses, nearest=True).success.reshape(-1, 2).max(axis=1)
     fit = headings[success >= _MOST]
     return float(fit[np.abs(fit).argmin()]) + wanted_rad
 
@@ -154,7 +154,7 @@ def _noise(folder: File | None) -> list[Comparison]:
     wanted = math.radians(-30)
     start = (*_START_MM, nearest_heading(noisy, wanted))
     without, having = Panel.of("", exposed, start), Panel.of("", noisy, start)
-    realised = [panel.table.rollout(panel.start, _RUNS).success for panel in (without, having)]
+    realised = [panel.table.rollout(panel.start, _RUNS, nearest=True).success for panel in (without, having)]
     clear = [clearance_mm(panel) for panel in (without, having)]
     degrees = f"{round(math.degrees(start[2]))} deg"
     if folder:
@@ -169,7 +169,7 @@ def _noise(folder: File | None) -> list[Comparison]:
             f"thesis has 4 and 6 turns. Smallest clearance {clear[0]:.1f} and {clear[1]:.1f} mm."
         )
         draw_panels(panels, text, folder / "fig_6_4.png")
-    blocked = float(noisy.lookup_many([(*_START_MM, wanted, bevel) for bevel in (-1, 1)]).success.max())
+    blocked = float(noisy.lookup_many([(*_START_MM, wanted, bevel) for bevel in (-1, 1)], nearest=True).success.max())
     why = f"{OTHER_SCENE}; started at {degrees}"
     more = having.turns > without.turns and clear[1] > clear[0]
     return [

@@ -112,11 +112,11 @@ def with_rotation(scenario: Scenario, rotation: float) -> Scenario:
 def _panel(experiment: PhantomExperiment, table: PolicyTable) -> Panel:
     alpha = 2 * math.pi / table.scenario.motion.headings
     if experiment.alphas is None:
-        start = tuple(table.best_entry(y_mm=experiment.y_mm).pose)
+        start = tuple(table.best_entry(y_mm=experiment.y_mm, nearest=True).pose)
     else:
         start = (0.0, experiment.y_mm, experiment.alphas * alpha)
     panel = Panel.of("", table, start)
-    realised = table.rollout(panel.start, _RUNS).success
+    realised = table.rollout(panel.start, _RUNS, nearest=True).success
     heading = (
         f"{experiment.figure}: from (0, {experiment.y_mm:g}), {round(start[2] / alpha):+d} alpha, Cr = "
         f"{experiment.rotation:g}: {panel.turns} turns, success {realised:.2f}"
@@ -180,8 +180,8 @@ def _predictions(scenario: Scenario) -> list[Comparison]:
     comparisons = []
     for transition in Transition:
         table = plan(replace(scenario, grid=replace(scenario.grid, transition=transition)))
-        best = table.best_entry()
-        nearest, greedy = (table.rollout(best.pose, _RUNS, greedy=greedy).success for greedy in (False, True))
+        best = table.best_entry(nearest=True)
+        nearest, greedy = (table.rollout(best.pose, _RUNS, nearest=nearest).success for nearest in (True, False))
         dx, dy = scenario.grid.spacing_mm
         computed = f"predicted {best.success:.3f}, realised {nearest:.3f}, greedy {greedy:.3f}"
         name = f"{_SECTION}/best entry, {transition} {dx:g} x {dy:g} mm"
@@ -240,7 +240,7 @@ def _steering_case(experiment: PhantomExperiment, scenario: Scenario, lab: Exper
     )  # fmt: skip
     if experiment.alphas is not None:
         return case
-    best = case.table.best_entry(y_mm=experiment.y_mm).pose
+    best = case.table.best_entry(y_mm=experiment.y_mm, nearest=True).pose
     return SteeringCase(
         experiment.figure, chosen, lab, (best.x_mm, best.y_mm, best.heading_rad), _VELOCITY_MM_S, _VELOCITY_RAD_S
     )
@@ -301,7 +301,7 @@ def _draw_lab(figure: str, chosen: Sequence[_Done], file: Path) -> None:
         for trial in sorted(done.trials, key=_reached):
             colour = SKY if trial.success else GREY
             axes.plot(*trial.path_mm[:, :2].T, color=colour, linewidth=0.5, alpha=0.6, zorder=2)
-        done.case.table.path(done.case.pose).plot(axes, scene=False)
+        done.case.table.path(done.case.pose, nearest=True).plot(axes, scene=False)
         summary = done.summary
         title(
             axes,
