@@ -129,6 +129,17 @@ def doors() -> list[Door]:
             "Lattice.path", lattice.path,
             {**execution, "start": [2.0, 12.0, 0.0, 1.0], "seed": 0, "max_steps": 99}, RAW,
         ),
+        Door(
+            "Lattice.predict", lattice.predict,
+            {"policy": policy, "values": values, "success": values, "poses": starts, "threads": 1}, RAW,
+        ),
+        Door(
+            "Lattice.predict of many", lattice.predict,
+            {
+                "policy": policy, "values": values, "success": values,
+                "poses": np.repeat(starts, 500, axis=0), "threads": 1,
+            }, RAW,
+        ),
         Door("Lattice.outcomes", lambda **_: lattice.outcomes(), {"none": None}, RAW),
         Door("Lattice.tabular", lambda **_: lattice.tabular(), {"none": None}, RAW),
         Door(
@@ -154,11 +165,11 @@ def doors() -> list[Door]:
         Door("Tabular.dependencies", rows.dependencies, {"labels": np.array([0, 1, 1], np.uint32)}, RAW),
         Door("lookup", table.lookup, {"x_mm": 2.0, "y_mm": 12.0, "heading_rad": 0.0, "bevel": 1}, PUBLIC),
         Door("table.lookup_many", table.lookup_many, {"poses": starts}, PUBLIC),
-        Door("table.path", table.path, {"start": start, "greedy": False, "noise_seed": 3}, PUBLIC),
+        Door("table.path", table.path, {"start": start, "nearest": False, "noise_seed": 3}, PUBLIC),
         Door(
             "table.rollout",
             lambda runs, **options: table.rollout(runs=runs if too_many(runs) else 3, **options),
-            {"start": start, "runs": 5, "seed": 1, "greedy": True}, PUBLIC,
+            {"start": start, "runs": 5, "seed": 1, "nearest": True}, PUBLIC,
         ),
         Door("best_entry", table.best_entry, {"edge": "left", "x_mm": None, "y_mm": 12.0}, PUBLIC),
         Door("PolicyTable", npl.PolicyTable, table_parts, PUBLIC),

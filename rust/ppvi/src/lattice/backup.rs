@@ -309,7 +309,7 @@ mod tests {
     use super::PORTABLE;
     use crate::StopRule;
     use crate::lattice::{
-        Costs, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, evaluation, outcome, sweep,
+        Costs, HeadingKernel, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, evaluation, outcome, sweep,
     };
 
     /// Steps of two and a half cells in the direction of the heading, with the target in the middle.
@@ -319,13 +319,18 @@ mod tests {
             let (sin, cos) = (std::f64::consts::TAU * k as f64 / headings as f64).sin_cos();
             [Shift::new([2.5 * cos, 2.5 * sin], [1.0; 2], transition, [shape.nx, shape.ny]); 2]
         };
+        let turn = [-1.0, 1.0].map(|side| HeadingKernel::matched(side, noise, 1.0).unwrap());
         let parts = LatticeParts {
             shape,
             spacing: [1.0; 2],
-            noise: noise.to_vec(),
             transition,
             costs: Costs { step: 2.5, rotation: 1.0, collision: 100.0, exit: 90.0, discount: 0.97 },
-            regions: vec![Region { step_length: 2.5, step_cost: 2.5, stencil: (0..headings).map(step).collect() }],
+            regions: vec![Region {
+                step_length: 2.5,
+                step_cost: 2.5,
+                stencil: (0..headings).map(step).collect(),
+                turn,
+            }],
             region_of: Vec::new(),
         };
         let code = |i: usize, j: usize| match (i, j) {
