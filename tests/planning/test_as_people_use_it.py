@@ -127,7 +127,7 @@ def test_xarray_has_names_and_units(table: npl.PolicyTable) -> None:
     assert dict(data.sizes) == {"x": 61, "y": 41, "heading": 36, "bevel": 2}
     assert [data[name].attrs["units"] for name in ("x", "y", "heading", "bevel")] == ["mm", "mm", "rad", "1"]
     assert [data[name].attrs["units"] for name in ("values", "policy", "success")] == ["cost", "1", "1"]
-    decision = table.lookup(10, 20, 0, -1)
+    decision = table.lookup(10, 20, 0, -1, nearest=True)
     state = data.sel(x=10, y=20, heading=0, bevel=-1)
     assert (state["values"], state.policy, state.success) == (decision.value, decision.action, decision.success)
     assert (data.digest, data.scenario) == (table.digest, table.scenario.to_toml())

@@ -21,7 +21,7 @@ def test_lookup_reads_the_nearest_state(table: npl.PolicyTable) -> None:
         (60.0, 40.0, -step, -1, (60, 40, 35, 0)),
         (10.0, 20.0, 3 * step - 2 * math.pi, 1, (10, 20, 3, 1)),
     ):
-        decision = table.lookup(x, y, heading, bevel)
+        decision = table.lookup(x, y, heading, bevel, nearest=True)
         assert decision.value == table.values[index]
         assert decision.success == table.success[index]
         assert decision.action is Action(table.policy[index])
@@ -32,7 +32,7 @@ def test_a_heading_of_many_turns_is_looked_up_as_the_same_heading(table: npl.Pol
     heading = 3 * 2 * math.pi / 36
     wound = Pose.wound((10.0, 20.0, heading + turns * 2 * math.pi, 1))
     assert table.lookup(wound) == table.lookup(10.0, 20.0, heading, 1)
-    assert table.lookup(wound).value == table.values[10, 20, 3, 1]
+    assert table.lookup(wound, nearest=True).value == table.values[10, 20, 3, 1]
 
 
 def test_lookup_many_is_lookup_many_times(table: npl.PolicyTable) -> None:
@@ -107,11 +107,14 @@ def test_a_table_of_another_shape_is_refused(table: npl.PolicyTable) -> None:
 
 
 def test_best_entry_has_the_highest_success_of_its_edge(table: npl.PolicyTable) -> None:
-    best = table.best_entry()
+    best = table.best_entry(nearest=True)
     assert best.pose.x_mm == 0
     assert abs(best.pose.heading_rad) < math.pi / 2
     assert best.success > table.success[0, :, [*range(9), *range(28, 36)], :].max() - 0.001
-    decision = table.lookup(*best.pose)
+    ahead = table.best_entry()
+    decision = table.lookup(*ahead.pose)
+    assert (decision.success, decision.value) == (ahead.success, ahead.value)
+    decision = table.lookup(*best.pose, nearest=True)
     assert (decision.success, decision.value) == (best.success, best.value)
 
 

@@ -109,6 +109,7 @@ proptest! {
             needle,
             spacing: [dx, 1.0],
             noise: vec![1.0],
+            noise_step: None,
             arc_samples: 0,
             transition: Transition::Interpolated,
             costs: Costs { step: needle.step_length(), rotation: 4.0, collision: 1e3, exit: 1e3, discount: 1.0 },
