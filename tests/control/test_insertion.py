@@ -44,7 +44,6 @@ def test_every_decision_is_that_of_the_table(stops: bool) -> None:
     for step in report.steps[:-1]:
         decision = table.lookup(*step.pose)
         assert (step.action, step.value, step.success) == (decision.action, decision.value, decision.success)
-        assert decision.action == table.policy[step.state]
         ix, iy, heading, bevel = step.state
         assert abs(scenario.x_mm[ix] - step.pose.x_mm) <= 0.25 + 1e-9
         assert abs(scenario.y_mm[iy] - step.pose.y_mm) <= 0.25 + 1e-9

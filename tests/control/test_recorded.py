@@ -53,9 +53,10 @@ def test_everything_is_in_it(run: tuple[Path, InsertionReport]) -> None:
     assert np.array_equal(np.array([[each["x_mm"], each["y_mm"]] for each in tips]), report.executed_mm[:, :2])
     safety = [each.values for each in recording.messages(["/safety"])]
     assert any(each["name"] == "transition" and each["state"] == "ENABLED" for each in safety)
-    commands = [each.values["kind"] for each in recording.messages(["/command"])]
-    assert commands.count("insert") == len(report.steps)
-    assert commands[-1] == "stop"
+    commands = [each.values for each in recording.messages(["/command"])]
+    goals = [each["goal"] for each in commands if each["kind"] == "insert"]
+    assert len(set(goals)) == len(report.steps)  # after a pause the goal of the step is sent again
+    assert commands[-1]["kind"] == "stop"
 
 
 @pytest.mark.parametrize(("kind", "name"), [("hdf5", "run.h5"), ("csv", "run.csv")])
@@ -92,7 +93,8 @@ def test_a_changed_recording_is_told_apart(run: tuple[Path, InsertionReport], tm
     again = replay(Recording.read(changed), small_table())
     assert not again.same
     assert again.differences[0] == f"decision 2: action {run[1].steps[2].action.name.lower()}, in the recording nothing"
-    assert sum("but insert to" in each for each in again.differences) == len(run[1].steps)
+    sent = sum(each.values["kind"] == "insert" for each in recording.messages(["/command"]))
+    assert sum("but insert to" in each for each in again.differences) == sent >= len(run[1].steps)
 
 
 def test_another_table_is_refused(run: tuple[Path, InsertionReport]) -> None:

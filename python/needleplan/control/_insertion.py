@@ -204,8 +204,7 @@ class Insertion(Closing):
         approach = Approach(scene, self._needle.tip.curvature_per_mm)
         moving = self._remaining_mm() > NEARLY_MM
         inside, outside = approach.inside(pose), scene.outside(pose.x_mm, pose.y_mm)
-        asked = pose if outside else Pose(*scene.decided_at(*pose[:2]), pose.heading_rad, pose.bevel)
-        decision = None if inside or outside else self.table.lookup(*asked)
+        decision = None if inside or outside else self.table.lookup(*pose)
         hopeless = decision is not None and decision.success < options.least_success
         rotates = decision is not None and decision.action is Action.ROTATE
         if moving and (inside or outside or hopeless or rotates):
@@ -225,7 +224,7 @@ class Insertion(Closing):
             turned = pose._replace(bevel=-pose.bevel) if rotates else pose
             room = max(options.longest_mm - self._driver.goal_mm, 0.0)
             length, last = approach.length_mm(turned, room)
-        self._record(pose, asked, turned, decision, length)
+        self._record(pose, turned, decision, length)
         self._replan_if_needed(pose)
         self._carry_out(pose, turned, length, last=last)
         return None
@@ -266,13 +265,13 @@ class Insertion(Closing):
             )
         return InsertionOutcome.UNREACHABLE, promise
 
-    def _record(self, pose: Pose, asked: Pose, turned: Pose, decision: Decision | None, length_mm: float) -> None:
+    def _record(self, pose: Pose, turned: Pose, decision: Decision | None, length_mm: float) -> None:
         needle, now_ns = self._needle, self._station.clock.now_ns()
         action = Action.INSERT if turned.bevel == pose.bevel else Action.ROTATE
         latency_s = (now_ns - needle.pose.stamp.received_ns) * 1e-9 if needle.pose else math.nan
         value, success = (decision.value, decision.success) if decision else (0.0, 1.0)
         step = ExecutedStep(
-            self._number, now_ns, self._driver.goal_mm, pose, self._state(asked), action, value, success, length_mm,
+            self._number, now_ns, self._driver.goal_mm, pose, self._state(pose), action, value, success, length_mm,
             needle.tip, self.table.digest, latency_s,
         )  # fmt: skip
         self._number += 1

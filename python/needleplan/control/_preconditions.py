@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+import tomllib
+from typing import Any
 
 import numpy as np
 
@@ -52,10 +53,7 @@ def require_fitting(
             Mistake("status", table.stats.status, "must be converged; otherwise the success probabilities may be wrong")
         )
     if scenario is not None and scenario.digest != table.scenario.digest:
-        for each in fields(Scenario):
-            its, wanted = getattr(table.scenario, each.name), getattr(scenario, each.name)
-            if its != wanted and each.name not in ("solver", "title"):
-                mistakes.append(Mistake(each.name, str(its), f"must be equal to that of the scenario, {wanted}"))
+        mistakes += _differences(table.scenario, scenario)
     if needle is not None:
         radius = table.scenario.needle.curvature_radius_mm
         low, high = needle.interval_mm
@@ -66,6 +64,28 @@ def require_fitting(
             mistakes.append(Mistake("needle.curvature_radius_mm", f"{radius:g}", rule))
     if mistakes:
         raise TableError(mistakes, source)
+
+
+def _differences(planned: Scenario, wanted: Scenario) -> list[Mistake]:
+    """Return a mistake for every key of the scenario file, but solver and title, that differs."""
+    its, other = _keys(planned), _keys(wanted)
+    found = []
+    for key in [*its, *(key for key in other if key not in its)]:
+        if its.get(key) != other.get(key):
+            rule = f"must be equal to that of the scenario, {other.get(key, 'not set')}"
+            found.append(Mistake(key, str(its.get(key, "not set")), rule))
+    return found
+
+
+def _keys(scenario: Scenario) -> dict[str, Any]:
+    """Return the values of a scenario file by dotted key; a list of tables is one value."""
+    found: dict[str, Any] = {}
+    for name, value in tomllib.loads(scenario.to_toml()).items():
+        if name not in ("solver", "title", "schema"):
+            found |= (
+                {f"{name}.{key}": each for key, each in value.items()} if isinstance(value, dict) else {name: value}
+            )
+    return found
 
 
 def measured_entry(

@@ -58,24 +58,6 @@ class ScenarioGeometry:
         workspace = self.scenario.workspace
         return not (0 <= x <= workspace.width_mm and 0 <= y <= workspace.height_mm)
 
-    def decided_at(self, x_mm: float, y_mm: float) -> tuple[float, float]:
-        """Return the point at which the table is looked up for a tip at the given point.
-
-        Usually this is the given point. The table has no action at grid points in an obstacle. Therefore, if the grid
-        point nearest to the tip is in an obstacle, the nearest corner of the tip's cell outside of all obstacles is
-        returned, if there is one.
-        """
-        (dx, dy), points = self.scenario.grid.spacing_mm, self.scenario.grid.points(self.scenario.workspace)
-        corners = [
-            (i * dx, j * dy)
-            for i in (math.floor(x_mm / dx), math.floor(x_mm / dx) + 1)
-            for j in (math.floor(y_mm / dy), math.floor(y_mm / dy) + 1)
-            if 0 <= i < points[0] and 0 <= j < points[1]
-        ]
-        corners.sort(key=lambda at: math.hypot((at[0] - x_mm) / dx, (at[1] - y_mm) / dy))
-        free = next((at for at in corners if not self.touches(*at)), None)
-        return (x_mm, y_mm) if free is None or free == corners[0] else free
-
     def touches(self, x_mm: float, y_mm: float) -> str:
         """Return the name of the obstacle that contains a point; empty if no obstacle does."""
         from shapely import Point
