@@ -66,7 +66,7 @@ def template(
     >>> from needleplan.scenario import Scenario, template
     >>> text = template("four_obstacles")
     >>> print(next(line for line in text.splitlines() if line.startswith("headings")))
-    headings = 60  # headings of a full turn; a step turns by one of them
+    headings = 60  # headings of a full turn; without step_mm a step turns by one
     >>> Scenario.from_toml(text) == Scenario.read("four_obstacles")
     True
     """

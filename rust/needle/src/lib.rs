@@ -41,6 +41,7 @@ mod arc_columns;
 mod area;
 mod bicycle;
 mod classification;
+mod look_ahead;
 mod lookup;
 mod problem;
 mod regions;

@@ -5,7 +5,7 @@ use ppvi::{Error, Result};
 
 use crate::bicycle::Bicycle;
 use crate::tissues::Tissues;
-use crate::workspace::{Workspace, grid_points};
+use crate::workspace::{Event, Workspace, grid_points};
 
 /// A needle in a workspace, the grid on which it is planned for, and the costs.
 #[derive(Debug, Clone, PartialEq)]
@@ -64,6 +64,15 @@ impl Setup {
             costs.step
         } else {
             costs.step * (needle.radius / nominal.radius)
+        }
+    }
+
+    /// The cost of the end of an execution: zero in the target, or if it has not ended.
+    pub(crate) fn failure_cost(&self, event: Option<Event>) -> f64 {
+        match event {
+            Some(Event::Collision) => self.costs.collision,
+            Some(Event::Exit) => self.costs.exit,
+            _ => 0.0,
         }
     }
 

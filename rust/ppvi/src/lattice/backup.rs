@@ -7,7 +7,6 @@
 use std::ops::Range;
 
 use crate::lattice::halo::{Halo, Values};
-use crate::lattice::heading::Turns;
 use crate::lattice::kernel::{StepCosts, Vectorized, blend, q_values};
 use crate::lattice::lanes::Lanes;
 use crate::lattice::parts::LANES;
@@ -15,6 +14,7 @@ use crate::lattice::real::Real;
 use crate::lattice::sector::{PassInputs, Sector};
 use crate::lattice::store::{StagingBuffer, TableWriter};
 use crate::lattice::terminal_mask::TerminalMask;
+use crate::lattice::turns::Turns;
 use crate::stop::StopFlag;
 
 /// Inputs and outputs of the sweep of a sector.

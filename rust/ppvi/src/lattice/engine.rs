@@ -5,13 +5,13 @@ use rayon::prelude::*;
 use crate::lattice::backup::{self, SweepContext};
 use crate::lattice::direction::{Arc, Direction};
 use crate::lattice::halo::Halo;
-use crate::lattice::heading::Turns;
 use crate::lattice::kernel::{StageCosts, Vectorized};
 use crate::lattice::model::LatticeMdp;
 use crate::lattice::real::Real;
 use crate::lattice::sector::{PassInputs, Sector};
 use crate::lattice::store::{Store, TableWriter};
 use crate::lattice::terminal_mask::TerminalMask;
+use crate::lattice::turns::Turns;
 use crate::stop::StopFlag;
 
 /// The state of an iteration; with a policy its passes evaluate that, without they take the better action.

@@ -5,13 +5,13 @@
 
 use multiversion::multiversion;
 
-use crate::lattice::heading::Turns;
 use crate::lattice::kernel::Vectorized;
 use crate::lattice::lanes::Lanes;
 use crate::lattice::parts::LANES;
 use crate::lattice::plane::copy_few;
 use crate::lattice::real::Real;
 use crate::lattice::sector::Sector;
+use crate::lattice::turns::Turns;
 use crate::memory::Array;
 
 /// The headings beyond the ends of a sector that it reads.

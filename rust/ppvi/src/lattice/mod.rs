@@ -37,6 +37,7 @@ mod sector;
 mod store;
 pub mod sweep;
 mod terminal_mask;
+mod turns;
 
 pub use heading::HeadingKernel;
 pub use model::LatticeMdp;

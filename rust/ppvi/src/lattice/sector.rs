@@ -13,12 +13,12 @@
 use std::ops::Range;
 
 use crate::lattice::direction::Arc;
-use crate::lattice::heading::Turns;
 use crate::lattice::kernel::StageCosts;
 use crate::lattice::model::LatticeMdp;
 use crate::lattice::parts::{LANES, Region, Shape, Shift};
 use crate::lattice::plane::{Plane, copy, copy_few};
 use crate::lattice::real::Real;
+use crate::lattice::turns::Turns;
 use crate::memory::Array;
 
 /// W of the last columns, the values at the ends, and the steps of the headings of a sector.

@@ -1,0 +1,150 @@
+//! The convolution of values over headings with the kernels of the regions.
+
+use crate::lattice::heading::HeadingKernel;
+use crate::lattice::kernel::{convolve_five, convolve_pairs, convolve_taps};
+use crate::lattice::lanes::Lanes;
+use crate::lattice::parts::{LANES, Region};
+use crate::lattice::real::Real;
+
+/// The kernels of all regions, for the convolutions of a solve.
+#[derive(Debug, Clone)]
+pub(crate) struct Turns<T> {
+    /// Different kernels, by arriving bevel.
+    kernels: Vec<[Convolution<T>; 2]>,
+    /// The kernel of each region.
+    of_region: Vec<usize>,
+    /// By arriving bevel: how many headings below and above are read.
+    pub beyond: [[usize; 2]; 2],
+}
+
+impl<T: Real> Turns<T> {
+    pub(crate) fn new(regions: &[Region]) -> Self {
+        let mut different: Vec<&[HeadingKernel; 2]> = Vec::new();
+        let mut number = |turn| {
+            different.iter().position(|known| *known == turn).unwrap_or_else(|| {
+                different.push(turn);
+                different.len() - 1
+            })
+        };
+        let of_region = regions.iter().map(|region| number(&region.turn)).collect();
+        let beyond = [0, 1].map(|bevel| {
+            let reach = different.iter().map(|turn| turn[bevel].reach());
+            reach.fold([0, 0], |most, reach| [most[0].max(reach[0]), most[1].max(reach[1])])
+        });
+        let kernels = different.into_iter().map(|turn| turn.each_ref().map(Convolution::new)).collect();
+        Turns { kernels, of_region, beyond }
+    }
+
+    /// Number of different kernels.
+    pub(crate) fn count(&self) -> usize {
+        self.kernels.len()
+    }
+
+    /// The number of the kernel of a region.
+    #[inline(always)]
+    pub(crate) fn of_region(&self, region: usize) -> usize {
+        self.of_region[region]
+    }
+
+    /// All kernels: number, arriving bevel, kernel.
+    pub(crate) fn all(&self) -> impl Iterator<Item = (usize, usize, &Convolution<T>)> {
+        let pairs = self.kernels.iter().enumerate();
+        pairs.flat_map(|(number, pair)| pair.iter().enumerate().map(move |(bevel, kernel)| (number, bevel, kernel)))
+    }
+
+    /// How many headings are read beyond the ends of a sector, at most.
+    pub(crate) fn reach(&self) -> usize {
+        self.beyond.into_iter().flatten().max().unwrap_or(0)
+    }
+}
+
+/// A kernel in the form that is computed fastest.
+#[derive(Debug, Clone)]
+pub(crate) struct Convolution<T> {
+    /// Cells, increasing, with their weights.
+    pub taps: Vec<(i64, T)>,
+    form: Form<T>,
+}
+
+#[derive(Debug, Clone)]
+enum Form<T> {
+    /// P(0), P(+-d), P(+-2d) around a centre: the noise of the thesis.
+    Five { centre: i64, distance: i64, noise: [T; 3] },
+    /// Equal weights on both sides of a centre: distances with their weights.
+    Pairs { centre: i64, middle: T, pairs: Vec<(i64, T)> },
+    /// Any weights.
+    Taps,
+}
+
+impl<T: Real> Convolution<T> {
+    fn new(kernel: &HeadingKernel) -> Self {
+        let taps: Vec<(i64, T)> = kernel.taps().iter().map(|(cell, p)| (i64::from(*cell), T::of(*p))).collect();
+        Convolution { form: Form::of(kernel), taps }
+    }
+
+    /// Stores in each of `rows` the sum over the taps of weight times value; `at` is the index in `values` of the
+    /// heading of the first row.
+    #[inline(always)]
+    pub(crate) fn store<'a, V: Lanes<T>>(
+        &self,
+        values: &[[T; LANES]],
+        at: usize,
+        rows: impl Iterator<Item = &'a mut [T; LANES]>,
+    ) where
+        T: 'a,
+    {
+        let from = |cell: i64| &values[(at as i64 + cell) as usize..];
+        match &self.form {
+            Form::Five { centre, distance, noise } => {
+                let noise = noise.map(V::splat);
+                let [a, b, c, d, e] = [-2, -1, 0, 1, 2].map(|side| from(centre + side * distance));
+                let taps = a.iter().zip(b).zip(c).zip(d).zip(e);
+                for (row, ((((a, b), c), d), e)) in rows.zip(taps) {
+                    convolve_five::<T, V>([a, b, c, d, e], noise).store(row);
+                }
+            }
+            Form::Pairs { centre, middle, pairs } => {
+                let mut q = (at as i64 + centre) as usize;
+                rows.for_each(|row| {
+                    convolve_pairs::<T, V>(values, q, *middle, pairs).store(row);
+                    q += 1;
+                });
+            }
+            Form::Taps => {
+                let mut q = at;
+                rows.for_each(|row| {
+                    convolve_taps::<T, V>(values, q, &self.taps).store(row);
+                    q += 1;
+                });
+            }
+        }
+    }
+}
+
+impl<T: Real> Form<T> {
+    fn of(kernel: &HeadingKernel) -> Self {
+        let (Some((low, _)), Some((high, _))) = (kernel.taps().first(), kernel.taps().last()) else {
+            return Form::Taps;
+        };
+        let mirrored = || kernel.taps().iter().rev().map(|(cell, p)| (low + high - cell, *p));
+        if (low + high) % 2 != 0 || !kernel.taps().iter().copied().eq(mirrored()) {
+            return Form::Taps;
+        }
+        let centre = (low + high) / 2;
+        let upper: Vec<(i64, T)> = kernel
+            .taps()
+            .iter()
+            .filter(|(cell, _)| *cell >= centre)
+            .map(|(cell, p)| (i64::from(cell - centre), T::of(*p)))
+            .collect();
+        let centre = i64::from(centre);
+        match &upper[..] {
+            [(0, p0), (one, p1), (two, p2)] if *two == 2 * one => {
+                Form::Five { centre, distance: *one, noise: [*p0, *p1, *p2] }
+            }
+            [(0, middle), pairs @ ..] => Form::Pairs { centre, middle: *middle, pairs: pairs.to_vec() },
+            // Zero times the infinite value of an improper state would not be a number.
+            _ => Form::Taps,
+        }
+    }
+}
