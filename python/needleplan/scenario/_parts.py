@@ -207,7 +207,7 @@ class Tissue(
     """
 
     polygon_mm: Points | None = _shape.polygon("corners [x, y] of the region")
-    curvature_radius_mm: float = ruled(_RADIUS, REQUIRED, about="radius of the arc in this region; inf: a straight path")
+    curvature_radius_mm: float = ruled(_RADIUS, REQUIRED, about="radius of the arc in this region; inf: straight")
     name: str = ruled(Text(), "", about="for messages, figures and identified radii")
     holes_mm: tuple[Points, ...] | None = _shape.holes()
     center_mm: tuple[float, float] | None = _shape.center()

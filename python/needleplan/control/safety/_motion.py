@@ -48,10 +48,13 @@ class Goal:
     def stuck(self, position: float, least: float, motion_s: float, now_ns: int) -> bool:
         """Return whether the axis has moved less than a tenth of its way although `motion_s` has passed.
 
-        The result is False if the commanded distance is less than `least`.
+        An axis that moved against the command at its start brakes first, and then passes its start again; that time is
+        added. The result is False if the commanded distance is less than `least`.
         """
         distance = abs(self.end - self.begin)
-        if distance < least or (now_ns - self.began_ns) * _NANO < motion_s:
+        against = max(math.copysign(1.0, self.begin - self.end) * self.begin_velocity, 0.0)
+        back_s = _REVERSAL_S * (1 + against / (2 * self.velocity)) if against else 0.0
+        if distance < least or (now_ns - self.began_ns) * _NANO < motion_s + back_s:
             return False
         return abs(position - self.begin) < _STUCK_SHARE * min(distance, self.velocity * motion_s)
 
