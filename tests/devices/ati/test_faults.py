@@ -101,6 +101,17 @@ def test_07_a_box_that_no_longer_measures() -> None:
     assert fault_of(sensor, "has not measured for 10 records") == 8
 
 
+def test_08_after_a_restart_a_new_session_begins_without_a_bias() -> None:
+    bench = Bench()
+    sensor = settled(bench)
+    sensor.bias()
+    bench.box.reboot()
+    sensor.start()
+    assert max(map(abs, next_of(sensor).force_n)) > 1.5  # the box has forgotten its bias
+    sensor.bias()
+    assert max(map(abs, next_of(sensor).force_n)) < 0.1
+
+
 def test_08_a_box_that_was_restarted_has_lost_its_bias() -> None:
     bench = Bench()
     sensor = settled(bench)

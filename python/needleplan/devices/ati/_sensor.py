@@ -119,7 +119,7 @@ class NetFt(ForceSensor):
         self.limits = ForceLimits() if limits is None else limits
         self._pending: deque[tuple[RdtRecord, int]] = deque()
         self._fault: DeviceFault | None = None
-        self._closed = self._biased = False
+        self._closed = False
         try:
             self.start()
         except BaseException:
@@ -180,6 +180,7 @@ class NetFt(ForceSensor):
         or no record arrives.
         """
         self._fault = None
+        self._biased = False  # the box may have lost its bias since the last session
         self._malformed = 0
         self._configuration = now = self._configure()
         self._units = now.newton_per_count, now.newton_mm_per_count
@@ -233,7 +234,8 @@ class NetFt(ForceSensor):
         """Define the present wrench as zero, and verify that the measured force has become zero.
 
         Raises DeviceFault if the force is not steady, a sensor that is already biased is under load, samples remain
-        SUSPECT, or the force does not become zero. At the first bias, a constant load cannot be detected.
+        SUSPECT, or the force does not become zero. At the first bias after `start`, a constant load cannot be
+        detected.
         """
         mean_n, deviation_n = self._look("bias")
         if max(deviation_n) > self.limits.steady_n:
