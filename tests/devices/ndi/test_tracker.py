@@ -55,6 +55,14 @@ def test_the_speed_of_a_serial_line_is_changed_at_both_ends() -> None:
         assert device.baud == 9600
 
 
+def test_the_speed_is_changed_back_also_if_tracking_never_began() -> None:
+    device = aurora()
+    with PtyEndpoint(device) as end:
+        with pytest.raises(ConfigurationError, match="must be the serial number of one tool"):
+            NdiTracker.open(f"{end.address}?tool=none&speed=115200")
+        assert device.baud == 9600
+
+
 def test_25_a_device_that_does_not_follow_to_another_speed_is_a_fault() -> None:
     device = aurora()
     device.faults.ignore_speed = True

@@ -178,7 +178,7 @@ class NdiTracker(Tracker):
         self._conversation = NdiConversation(link, self._clock, self.limits.reply_s)
         self._wanted, self._speed = tool, speed
         self._name, self._mode = "TX" if text else "BX", "0801" if beyond else "0001"
-        self._closed = self._tracking = False
+        self._closed = self._tracking = self._speed_changed = False
         try:
             self.start()
         except BaseException:
@@ -232,6 +232,7 @@ class NdiTracker(Tracker):
         wake(self._conversation)
         if self._speed:
             set_speed(self._conversation, self._speed)
+            self._speed_changed = True
         self._tool = choose_tool(enable_tools(self._conversation), self._wanted)
         self._validator = NdiPoseValidator(self._tool.handle, self.limits)
         self._conversation.ask("TSTART")
@@ -334,13 +335,14 @@ class NdiTracker(Tracker):
             )
 
     def close(self) -> None:
-        """Close the link. If tracking has started, stop it first, and return a changed speed to 9600 baud."""
+        """Close the link. Before, stop tracking if it has started, and return a changed speed to 9600 baud."""
         if self._closed:
             return
         self._closed = True
         with contextlib.suppress(DeviceFault):
             if self._tracking:
                 self._conversation.ask("TSTOP", timeout_s=1.0)
-            if isinstance(self._conversation.link, SerialLink) and self._speed and self._tracking:
+        with contextlib.suppress(DeviceFault):
+            if self._speed_changed:
                 self._conversation.ask("COMM", "00000", timeout_s=1.0)
         self._conversation.link.close()
