@@ -37,6 +37,12 @@ def test_the_plan_is_left_where_the_estimate_is_sure_and_far(planned: float, fac
         assert "standard deviations" in cause
 
 
+def test_an_estimate_without_any_deviation_is_sure() -> None:
+    cause = curvature_mismatch(cast("TipEstimate", Bent(0.03, 0.0)), 0.025, Options())
+    assert cause.endswith("a difference of +20.0%")
+    assert curvature_mismatch(cast("TipEstimate", Bent(0.025, 0.0)), 0.025, Options()) == ""
+
+
 @pytest.mark.parametrize("name", ["four_obstacles", "layered", "brain"])
 @pytest.mark.parametrize("factor", [0.8, 1.25])
 def test_all_curvatures_are_scaled_alike(name: str, factor: float) -> None:

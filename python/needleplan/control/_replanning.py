@@ -29,9 +29,10 @@ def curvature_mismatch(tip: TipEstimate, planned_per_mm: float, options: Options
     sd = tip.curvature_sd_per_mm
     if abs(off) <= options.replan_deviations * sd or abs(off) <= options.replan_share * planned_per_mm:
         return ""
+    deviations = f" and {abs(off) / sd:.1f} standard deviations" if sd else ""
     return (
         f"the curvature is {tip.curvature_per_mm:.4g} +- {sd:.2g} per mm, but {planned_per_mm:.4g} per mm was planned: "
-        f"a difference of {off / planned_per_mm:+.1%} and {abs(off) / sd:.1f} standard deviations"
+        f"a difference of {off / planned_per_mm:+.1%}{deviations}"
     )
 
 
