@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from needleplan.cli import scenarios
 from needleplan.reports.chapters import GROUP
 from tests.cli.commands import needleplan
 from tests.control.scenes import small_table
@@ -23,6 +24,25 @@ def test_help_names_every_command() -> None:
     for command in ("plan", "path", "evaluate", "entry", "info", "reproduce"):
         assert command in done.stdout
         assert needleplan(command, "--help").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (PermissionError(13, "Permission denied", "somewhere.h5"), "somewhere.h5: Permission denied"),
+        (OSError(24, "Too many open files"), "Too many open files"),
+        (OSError("no device"), "no device"),
+    ],
+)
+def test_an_error_of_the_system_is_not_laid_to_the_standard_output(
+    error: OSError, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: object) -> int:
+        raise error
+
+    monkeypatch.setattr(scenarios, "_run_scenarios", fail)
+    done = needleplan("scenarios")
+    assert (done.returncode, done.stderr) == (2, f"needleplan: {says}\n")
 
 
 def test_version() -> None:

@@ -7,9 +7,11 @@ an interrupt, and 141 if the program that reads the output has ended.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any, TextIO, cast
 
 from needleplan.cli import (
     completion,
@@ -38,26 +40,62 @@ _WRONG_INPUT, _NOBODY_READS = 2, 141
 def run_command(arguments: Sequence[str] | None = None) -> int:
     """Parse `arguments` (None: `sys.argv[1:]`), run the command, and return the exit code.
 
-    If the command raises InputError or OSError, prints the error and returns 2. Returns 141 if the program that reads
-    standard output has ended. Raises SystemExit for `--help`, `--version` and wrong usage, and KeyboardInterrupt after
-    Ctrl-C.
+    If the command raises InputError or OSError, or standard output cannot be written, prints the error and returns 2.
+    Returns 141 if the program that reads standard output has ended. Raises SystemExit for `--help`, `--version` and
+    wrong usage, and KeyboardInterrupt after Ctrl-C.
     """
     options = make_parser().parse_args(arguments)
     set_quiet(getattr(options, "quiet", False))
     try:
-        code: int = options.run(options)
-        sys.stdout.flush()
+        with contextlib.redirect_stdout(cast("TextIO", _Output(sys.stdout))):
+            code: int = options.run(options)
+            sys.stdout.flush()
     except InputError as error:
-        print(f"needleplan: {error}", file=sys.stderr)
-        return _WRONG_INPUT
+        why = str(error)
     except BrokenPipeError:
         _drop_output()
         return _NOBODY_READS
-    except OSError as error:
+    except _OutputFault as fault:
         _drop_output()
-        print(f"needleplan: standard output: cannot be written: {error.strerror}", file=sys.stderr)
-        return _WRONG_INPUT
-    return code
+        why = f"standard output: cannot be written: {fault.strerror}"
+    except OSError as error:
+        why = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error)
+    else:
+        return code
+    print(f"needleplan: {why}", file=sys.stderr)
+    return _WRONG_INPUT
+
+
+class _OutputFault(OSError):
+    """Standard output cannot be written."""
+
+
+class _Output:
+    """Passes text on to `stream`. Raises _OutputFault if it cannot be written, BrokenPipeError if nobody reads it."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with _faults():
+            return self._stream.write(text)
+
+    def flush(self) -> None:
+        with _faults():
+            self._stream.flush()
+
+
+@contextlib.contextmanager
+def _faults() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise _OutputFault(error.errno, error.strerror) from error
 
 
 def make_parser() -> Parser:
