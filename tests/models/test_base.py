@@ -113,6 +113,13 @@ def test_what_the_data_cannot_tell_is_said() -> None:
     assert not found.estimates["gain"].identified or found.condition > 100
 
 
+def test_bounds_of_an_unknown_parameter_are_refused() -> None:
+    record = recorded(Lag(0.2, 0.4, 0.1), 0.01, 1)
+    with pytest.raises(ModelError, match="must be one of gain, time_constant") as raised:
+        fit(Lag(1.0, 1.0), record, bounds={"gian": (0.0, 1.0), "gain": (0.0, 1.0)})
+    assert [each.key for each in raised.value.mistakes] == ["gian"]
+
+
 def test_records_that_identify_nothing_are_refused() -> None:
     rest = Record({"time_s": np.arange(50.0), "depth_mm": np.ones(50), "force_n": np.ones(50)})
     time = np.arange(50.0)

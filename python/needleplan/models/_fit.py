@@ -13,7 +13,7 @@ therefore asymmetric.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -62,7 +62,7 @@ def fit(
     free : sequence of str, optional
         Names of the parameters to estimate. The default is all parameters that the model declares free.
     bounds : mapping of str to (float, float), optional
-        Narrower ranges by parameter name. Names that are not in `free` have no effect.
+        Narrower ranges by parameter name. Parameters that are not in `free` have no effect.
     smooth : callable, optional
         Filter that is applied to the simulated output before the comparison. Use the filter that the sensor applied to
         the measured signal, such as a moving average.
@@ -92,7 +92,7 @@ def fit(
     DataError
         If there is no record, or the records are too short, are constant, contain no motion, or lack a column.
     ModelError
-        If `free` is empty or names an unknown parameter.
+        If `free` is empty, or `free` or `bounds` names an unknown parameter.
 
     Examples
     --------
@@ -113,6 +113,7 @@ def fit(
     from scipy.optimize import least_squares
 
     records = (data,) if isinstance(data, Record) else tuple(data)
+    _require_known(model, bounds or {})
     problem = _Problem(model, records, _free(model, free), bounds or {}, smooth, mask)
     generator = np.random.default_rng(seed)
     first = problem.start()
@@ -131,13 +132,19 @@ def fit(
 
 
 def _free(model: Model, free: Sequence[str] | None) -> tuple[str, ...]:
-    known = model.parameters()
     if free is None:
-        return tuple(name for name, what in known.items() if what.free)
-    unknown = [Mistake(name, "", f"must be one of {', '.join(known)}") for name in free if name not in known]
-    if unknown or not free:
-        raise ModelError(unknown or Mistake("free", "", "must name a parameter"), model.name)
+        return tuple(name for name, what in model.parameters().items() if what.free)
+    if not free:
+        raise ModelError(Mistake("free", "", "must name a parameter"), model.name)
+    _require_known(model, free)
     return tuple(free)
+
+
+def _require_known(model: Model, names: Iterable[str]) -> None:
+    known = model.parameters()
+    unknown = [Mistake(name, "", f"must be one of {', '.join(known)}") for name in names if name not in known]
+    if unknown:
+        raise ModelError(unknown, model.name)
 
 
 class _Problem:
