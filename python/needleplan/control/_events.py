@@ -29,9 +29,6 @@ class RunEventName(StrEnum):
     """The force sensor was biased."""
 
     REPLAN_ASKED = "replan_asked"
-    REPLAN_DONE = "replan_done"
-    """Not emitted; TABLE_SWAPPED reports a new table."""
-
     REPLAN_REFUSED = "replan_refused"
     """The new scenario is invalid, or planning has failed; the present table stays."""
 
