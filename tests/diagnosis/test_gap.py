@@ -10,12 +10,12 @@ import pytest
 from needleplan.diagnosis import GapAxis, Library, MotionPhase, Verdict, diagnose, motion_phases
 from needleplan.diagnosis.calibration import calibrate
 from needleplan.diagnosis.data import fit_noise
-from needleplan.diagnosis.gap import localise
+from needleplan.diagnosis.gap import axis_values, localise
 from needleplan.diagnosis.likelihood import JointLikelihood
 from needleplan.models import simulate
 from needleplan.models.effects import SIZE, effect_named, known_effects, register_file
 from needleplan.reports.diagnosis import effect_file_text
-from needleplan.signals import Record, insertion_cycles
+from needleplan.signals import Motion, Record, insertion_cycles
 from tests.diagnosis.trials import BASE, motion, recordings
 
 
@@ -77,3 +77,10 @@ def test_an_unexplained_gap_is_described_and_can_be_named(tmp_path: Path) -> Non
     )
     slope = np.polyfit(truth, gained, 1)[0]
     assert 0.3 < slope < 1.7  # what the base does not take up of it
+
+
+def test_values_along_the_angle_are_angles() -> None:
+    time_s, angle_rad = np.arange(5.0), np.linspace(0.0, 3.0, 5)
+    turning = Motion.sampled(time_s, 10 * time_s, angle_rad=angle_rad)
+    assert axis_values(GapAxis.ANGLE, turning, time_s).tolist() == angle_rad.tolist()
+    assert axis_values(GapAxis.PERIOD, turning, time_s).tolist() == turning.depth_mm.tolist()

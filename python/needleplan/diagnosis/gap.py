@@ -327,7 +327,7 @@ def curves_along(axis: GapAxis, likelihood: JointLikelihood, trials: Sequence[Ca
 def axis_values(axis: GapAxis, motion: Motion, force: Array) -> Array:
     """Return the value of an axis variable at each sample, shape (samples,); `force` is the base model's output.
 
-    Values of DWELL are the time since the needle came to rest, 0 in motion. PERIOD and ANGLE have the depth.
+    Values of DWELL are the time since the needle came to rest, 0 in motion. Values of PERIOD are the depth.
     """
     if axis is GapAxis.TIME:
         return np.asarray(motion.time_s - motion.time_s[0], float)
@@ -339,6 +339,8 @@ def axis_values(axis: GapAxis, motion: Motion, force: Array) -> Array:
         rest = _movement_mask(_REST, motion) > 0
         began = np.maximum.accumulate(np.where(rest, -np.inf, motion.time_s))
         return np.where(rest, motion.time_s - np.where(np.isfinite(began), began, motion.time_s[0]), 0.0)
+    if axis is GapAxis.ANGLE:
+        return np.asarray(motion.angle_rad, float)
     return np.maximum(motion.depth_mm, 0.0)
 
 
