@@ -98,6 +98,7 @@ class Lattice:
     ring of one vertex is a disc, one of two a capsule. `arc_samples` is the number of tested points of every arc; 0
     tests the whole arc. `layers` are pairs (from_mm, curvature_radius_mm) and `tissues` triples (rings, distance,
     curvature_radius_mm), with rings and distance as of an obstacle: the regions with a radius of their own.
+    Steps that begin within `clearance_mm` of an obstacle cost `clearance_per_mm` more per mm.
     """
 
     def __new__(
@@ -123,6 +124,8 @@ class Lattice:
         tissues: Sequence[tuple[Sequence[Sequence[tuple[float, float]]], float, float]] = ...,
         step_mm: float | None = ...,
         tip_noise_step_rad: float | None = ...,
+        clearance_mm: float = ...,
+        clearance_per_mm: float = ...,
     ) -> Lattice: ...
     @property
     def shape(self) -> tuple[int, int, int, int]: ...

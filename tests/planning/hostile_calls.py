@@ -65,7 +65,8 @@ LATTICE: dict[str, Any] = {
     "target_center_mm": (24.0, 12.0), "target_radius_mm": 3.0,
     "curvature_radius_mm": 6.0, "headings": 8, "tip_noise": [0.5, 0.25], "arc_samples": 2, "interpolated": True,
     "insertion_per_mm": 1.0, "rotation": 1.0, "collision": 1e3, "exit": 1e3, "discount": 1.0,
-    "layers": [(5.0, 8.0)], "tissues": [([[(12.0, 12.0), (20.0, 12.0), (20.0, 20.0)]], 0.0, 7.0)],
+    "clearance_mm": 1.0, "clearance_per_mm": 0.5, "layers": [(5.0, 8.0)],
+    "tissues": [([[(12.0, 12.0), (20.0, 12.0), (20.0, 20.0)]], 0.0, 7.0)],
 }  # fmt: skip
 LIMITS = {"max_sweeps": 30, "time_limit_s": 0.5, "threads": 1, "progress": None}
 ROWS: dict[str, Any] = {

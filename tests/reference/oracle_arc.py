@@ -48,6 +48,7 @@ class Problem:
     exit: float
     discount: float
     layers: tuple[tuple[float, float], ...] = ()  # from x, radius
+    clearance: tuple[float, float] = (0.0, 0.0)  # distance from obstacles, price per mm of steps that begin within it
     tissues: tuple[tuple[shapely.Geometry, float, float], ...] = ()  # core, distance from it within the tissue, radius
 
     @property
@@ -90,6 +91,7 @@ def problem_from(scenario: dict[str, Any]) -> Problem:
         collision=float(objective["collision"]),
         exit=float(objective["exit"]),
         discount=float(objective["discount"]),
+        clearance=(objective.get("clearance_mm", 0.0), objective.get("clearance_per_mm", 0.0)),
         layers=tuple((each["from_mm"], each["curvature_radius_mm"]) for each in scenario["needle"].get("layer", [])),
         tissues=tuple((*core_of(each), each["curvature_radius_mm"]) for each in scenario.get("tissue", [])),
     )
@@ -112,6 +114,15 @@ def radius_at(problem: Problem, x: Floats, y: Floats) -> Floats:
     for core, reach, rho in problem.tissues:
         radius = np.where(shapely.distance(core, shapely.points(x, y)) <= reach + TOLERANCE_MM, rho, radius)
     return radius
+
+
+def price_at(problem: Problem, x: Floats, y: Floats) -> Floats:
+    """The cost per mm of a step that starts at (x, y)."""
+    distance, price = problem.clearance
+    near = np.zeros(x.shape, bool)
+    for polygon in problem.polygons:
+        near |= shapely.distance(polygon, shapely.points(x, y)) <= distance + TOLERANCE_MM
+    return problem.insertion + price * near
 
 
 def arc_point(problem: Problem, x: Floats, y: Floats, theta: Floats, bevel: Ints, t: float) -> tuple[Floats, Floats]:

@@ -38,6 +38,7 @@ from oracle_arc import (
     limits_from,
     nearest_index,
     point_event,
+    price_at,
     radius_at,
 )
 
@@ -91,8 +92,8 @@ def build(problem: Problem) -> Mdp:
     tie = np.minimum(
         np.abs(x_end / problem.dx % 1.0 - 0.5) * problem.dx, np.abs(y_end / problem.dy % 1.0 - 0.5) * problem.dy
     )
-    radius = radius_at(problem, *np.broadcast_arrays(x1[:, None], y1[None, :]))
-    insertion = (problem.insertion * problem.alpha * radius)[:, :, None, None]
+    places = np.broadcast_arrays(x1[:, None], y1[None, :])
+    insertion = (price_at(problem, *places) * problem.alpha * radius_at(problem, *places))[:, :, None, None]
     return Mdp(problem, kind, ending, corner, weight, float(tie[goes_on].min(initial=np.inf)), insertion)
 
 

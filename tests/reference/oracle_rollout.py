@@ -31,6 +31,7 @@ from oracle_arc import (
     bilinear_corners,
     follow_pieces,
     nearest_index,
+    price_at,
     radius_at,
 )
 from oracle_mdp import Mdp
@@ -93,7 +94,7 @@ def greedy_q(problem: Problem, cells: Floats, x: Floats, y: Floats, theta: Float
         for m, p in problem.noise.items():
             onward += p * at_heading(problem, cells, corner, weight, turned + m * problem.alpha, new)
         failure = np.array([0.0, problem.exit, problem.collision, 0.0])[ending]
-        q[:, action] = problem.insertion * step_mm(problem, x, y) + action * problem.rotation + failure
+        q[:, action] = price_at(problem, x, y) * step_mm(problem, x, y) + action * problem.rotation + failure
         q[:, action] += np.where(ending == GOES_ON, problem.discount * onward, 0.0)
     return q
 
@@ -134,14 +135,14 @@ def rollout(
         else:
             action = np.argmin(greedy_q(problem, cells, x[on], y[on], theta[on], bevel[on]), axis=1)
         bevel[on] *= 1 - 2 * action
-        length = step_mm(problem, x[on], y[on])
+        length, price = step_mm(problem, x[on], y[on]), price_at(problem, x[on], y[on])
         ending, x[on], y[on], theta[on] = follow_pieces(problem, x[on], y[on], theta[on], bevel[on])
         theta[on] += random.choice(jumps, size=len(on), p=chances / chances.sum()) * problem.alpha
         result.ending[on] = ending
         result.steps[on] += 1
         result.turns[on] += action
         result.length[on] += length
-        result.cost[on] += weight * (problem.insertion * length + action * problem.rotation)
+        result.cost[on] += weight * (price * length + action * problem.rotation)
         result.cost[on] += weight * ((ending == EXIT) * problem.exit + (ending == COLLISION) * problem.collision)
         weight *= problem.discount
     return result

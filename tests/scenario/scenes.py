@@ -79,6 +79,9 @@ def scenarios(draw: st.DrawFn) -> Scenario:
             collision=draw(st.floats(0, 1e6)),
             exit=draw(st.floats(0, 1e6)),
             discount=draw(st.floats(0.01, 1)),
+            **draw(
+                st.just({}) | st.fixed_dictionaries({"clearance_mm": _LENGTHS, "clearance_per_mm": st.floats(0, 1e3)})
+            ),
         ),
         solver=Solver(
             method=draw(st.sampled_from(Method)),

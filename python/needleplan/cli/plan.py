@@ -125,7 +125,8 @@ def _giving_up(scenario: Scenario) -> str:
     Otherwise returns an empty text.
     """
     objective = scenario.objective
-    way_through = objective.insertion_per_mm * scenario.workspace.width_mm + objective.rotation
+    dearest_per_mm = objective.insertion_per_mm + (objective.clearance_per_mm or 0.0)
+    way_through = dearest_per_mm * scenario.workspace.width_mm + objective.rotation
     if objective.discount == 1 and min(objective.collision, objective.exit) > _DETERRENT * way_through:
         return ""
     return "; failures are so cheap in [objective] that giving up may cost less than a long way round"

@@ -181,6 +181,8 @@ def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
         layers=[(layer.from_mm, layer.curvature_radius_mm) for layer in scenario.needle.layers],
         tissues=[(each.rings_mm, each.reach_mm, each.curvature_radius_mm) for each in scenario.tissues],
         step_mm=scenario.motion.step_mm,
+        clearance_mm=objective.clearance_mm or 0.0,
+        clearance_per_mm=objective.clearance_per_mm or 0.0,
         tip_noise_step_rad=None if scenario.motion.tip_noise_step_deg is None else scenario.motion.noise_step_rad,
     )
 

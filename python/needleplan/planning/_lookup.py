@@ -12,7 +12,7 @@ import numpy as np
 from needleplan import _ppvi
 from needleplan.errors import Mistake, PoseError, TableError
 from needleplan.planning._lattice import Stats, compiled_call, lattice_of
-from needleplan.planning._poses import FULL_TURN_RAD, Action, Entry, Pose, require_full_turn
+from needleplan.planning._poses import FULL_TURN_RAD, Action, Entry, Pose, flag, require_full_turn
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -229,7 +229,7 @@ class Lookups:
         self, rows: NDArray[np.float64], nearest: bool
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
         """Return action, value and success at rows [n, 4], or at the nearest states. Raises PoseError."""
-        if not nearest:
+        if not flag("nearest", nearest):
             return compiled_call(
                 PoseError,
                 self.lattice.predict,

@@ -15,6 +15,7 @@ from needleplan.scenario._parts import (
     Grid,
     Method,
     Needle,
+    Objective,
     Solver,
     Target,
     TipMotion,
@@ -52,11 +53,14 @@ def _layers_in_workspace(workspace: Workspace, needle: Needle) -> Iterator[Mista
             yield Mistake(f"needle.layer {number}.from_mm", shown(layer.from_mm), rule)
 
 
-def _few_radii(needle: Needle, tissues: tuple[Tissue | None, ...]) -> Iterator[Mistake]:
+def _few_radii(needle: Needle, tissues: tuple[Tissue | None, ...], objective: Objective) -> Iterator[Mistake]:
     radii = {tissue.curvature_radius_mm for tissue in tissues if tissue}
     radii |= {needle.curvature_radius_mm, *(layer.curvature_radius_mm for layer in needle.layers)}
-    if len(radii) > _MOST_RADII:
-        rule = f"must take at most {_MOST_RADII} different values in needle, layers and tissues, not {len(radii)}"
+    # With a price of clearance, every radius occurs close to obstacles and far from them.
+    most = _MOST_RADII // 2 if objective.clearance_per_mm else _MOST_RADII
+    if len(radii) > most:
+        priced = " with objective.clearance_per_mm" if objective.clearance_per_mm else ""
+        rule = f"must take at most {most} different values in needle, layers and tissues{priced}, not {len(radii)}"
         yield Mistake("curvature_radius_mm", "", rule)
 
 

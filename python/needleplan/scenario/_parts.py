@@ -139,6 +139,15 @@ def _insertion_costs(insertion_per_mm: float, discount: float) -> Iterator[Mista
         yield Mistake("insertion_per_mm", f"{insertion_per_mm:g}", rule)
 
 
+def _clearance_price(clearance_mm: float | None, clearance_per_mm: float | None) -> Iterator[Mistake]:
+    if clearance_mm is None and clearance_per_mm is not None:
+        yield Mistake(
+            "clearance_mm", "", "is missing beside clearance_per_mm: the distance from obstacles with a price"
+        )
+    if clearance_mm is not None and clearance_per_mm is None:
+        yield Mistake("clearance_per_mm", "", "is missing beside clearance_mm: the price per mm close to obstacles")
+
+
 class NoiseProbabilities:
     """Rule for tip noise: probabilities P(0), P(+-1) ... of heading steps, P(+-k) for each sign.
 
@@ -282,11 +291,12 @@ class Grid(ConfigTable, key="grid", error=ScenarioError, between=(_one_refinemen
 
 
 @dataclass(frozen=True)
-class Objective(ConfigTable, key="objective", error=ScenarioError, between=(_insertion_costs,)):
-    """The costs whose expected sum is minimised: insertion per mm, rotation, collision and exit.
+class Objective(ConfigTable, key="objective", error=ScenarioError, between=(_insertion_costs, _clearance_price)):
+    """The costs whose expected sum is minimised: insertion per mm, rotation, collision, exit and clearance.
 
     With the default costs, success comes first and short paths with few rotations second. The thesis uses rotation 40,
     collision 200, exit 100 and discount 0.95. With discount 1, `insertion_per_mm` must be above 0.
+    A step that begins within `clearance_mm` of an obstacle or its margin costs `clearance_per_mm` more per mm.
     """
 
     insertion_per_mm: float = ruled(_COST, 1.0, about="cost of 1 mm of insertion")
@@ -294,6 +304,12 @@ class Objective(ConfigTable, key="objective", error=ScenarioError, between=(_ins
     collision: float = ruled(_COST, 10_000.0, about="cost of touching an obstacle, which ends the insertion")
     exit: float = ruled(_COST, 10_000.0, about="cost of leaving the workspace, which ends the insertion")
     discount: float = ruled(Number(above=0, at_most=1), 1.0, about="weight of the next step's cost; the thesis: 0.95")
+    clearance_mm: float | None = ruled(
+        Maybe(LENGTH), None, about="steps that begin so close to an obstacle cost clearance_per_mm more per mm"
+    )
+    clearance_per_mm: float | None = ruled(
+        Maybe(_COST), None, about="additional cost of 1 mm of insertion within clearance_mm of an obstacle"
+    )
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 //! Steering of bevel-tip needles in a plane, on top of the general solvers of [`ppvi`].
 //!
 //! A bevel tip makes an inserted needle follow a circular arc; turning the needle by 180 degrees mirrors the arc. This
-//! crate holds the geometry ([`Bicycle`], [`Workspace`], [`Area`], [`Arc`], [`Tissues`]), turns a [`Setup`] into a
+//! crate holds the geometry ([`Bicycle`], [`Workspace`], [`Area`], [`Arc`], [`Tissues`], [`Clearance`]), turns a [`Setup`] into a
 //! [`LatticeMdp`](ppvi::lattice::LatticeMdp) ([`SteeringProblem`]), looks poses up in a solved table ([`TableGrid`]),
 //! and executes a policy in the continuous model ([`Executor`]).
 //!
@@ -11,7 +11,7 @@
 //! # Examples
 //!
 //! ```
-//! use needle::{Bicycle, Executor, Execution, Setup, SteeringProblem, Tissues, Workspace};
+//! use needle::{Bicycle, Clearance, Executor, Execution, Setup, SteeringProblem, Tissues, Workspace};
 //! use ppvi::StopRule;
 //! use ppvi::lattice::{Costs, Transition, sweep};
 //!
@@ -27,6 +27,7 @@
 //!     transition: Transition::Interpolated,
 //!     costs: Costs { step: needle.step_length(), rotation: 4.0, collision: 1e4, exit: 1e4, discount: 1.0 },
 //!     tissues: Tissues::default(),
+//!     clearance: Clearance::default(),
 //! })?;
 //! let table = sweep::solve(problem.lattice(), StopRule::new(0.01)?, None)?;
 //! let executor = Executor::new(&problem, &table.policy, &table.values, Execution::Greedy, None)?;
@@ -41,6 +42,7 @@ mod arc_columns;
 mod area;
 mod bicycle;
 mod classification;
+mod clearance;
 mod look_ahead;
 mod lookup;
 mod problem;
@@ -53,6 +55,7 @@ mod workspace;
 pub use arc::Arc;
 pub use area::{Area, CLOSED_MM};
 pub use bicycle::Bicycle;
+pub use clearance::Clearance;
 pub use lookup::{Answers, Pose, Table, TableGrid};
 pub use problem::SteeringProblem;
 pub use rollout::{Execution, Executor, Run, Trace};

@@ -27,7 +27,7 @@ impl Executor<'_> {
                 Some(_) => self.setup.failure_cost(event),
                 None => costs.discount * self.expectation(self.values, end, ends),
             };
-            self.setup.step_cost(self.needle_at(pose)) + after
+            self.setup.step_cost(self.needle_at(pose), [pose.x, pose.y]) + after
         };
         [value(pose.bevel), value(-pose.bevel) + costs.rotation]
     }

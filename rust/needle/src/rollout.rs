@@ -182,8 +182,8 @@ impl<'a> Executor<'a> {
             run.turns += u32::from(action);
             let needle = self.needle_at(pose);
             run.length += needle.step_length();
-            run.cost += weight
-                * (self.setup.step_cost(needle) + f64::from(action) * costs.rotation + self.setup.failure_cost(event));
+            let step_cost = self.setup.step_cost(needle, [pose.x, pose.y]);
+            run.cost += weight * (step_cost + f64::from(action) * costs.rotation + self.setup.failure_cost(event));
             weight *= costs.discount;
             if let Some(random) = random.as_mut() {
                 let steps = heading_noise(&self.setup.noise, random);

@@ -4,6 +4,7 @@ use ppvi::lattice::{Costs, Shape, Transition};
 use ppvi::{Error, Result};
 
 use crate::bicycle::Bicycle;
+use crate::clearance::Clearance;
 use crate::tissues::Tissues;
 use crate::workspace::{Event, Workspace, grid_points};
 
@@ -28,6 +29,8 @@ pub struct Setup {
     pub costs: Costs,
     /// Curvature by position.
     pub tissues: Tissues,
+    /// Price of insertion close to obstacles, beside the cost of a step.
+    pub clearance: Clearance,
 }
 
 impl Setup {
@@ -57,14 +60,16 @@ impl Setup {
         Ok(shape)
     }
 
-    /// Cost of a step of a needle of this curvature: in proportion to its length.
-    pub(crate) fn step_cost(&self, needle: Bicycle) -> f64 {
-        let Setup { needle: nominal, costs, .. } = self;
-        if needle.step.is_some() || needle.radius == nominal.radius {
+    /// Cost of a step from a position, mm, where the needle has this curvature: in proportion to its length.
+    #[inline]
+    pub(crate) fn step_cost(&self, needle: Bicycle, from: [f64; 2]) -> f64 {
+        let Setup { needle: nominal, costs, clearance, .. } = self;
+        let cost = if needle.step.is_some() || needle.radius == nominal.radius {
             costs.step
         } else {
             costs.step * (needle.radius / nominal.radius)
-        }
+        };
+        if clearance.is_free() { cost } else { cost + clearance.cost_per_mm(from) * needle.step_length() }
     }
 
     /// The cost of the end of an execution: zero in the target, or if it has not ended.
@@ -118,6 +123,7 @@ mod tests {
             transition: Transition::Nearest,
             costs: Costs { step: 1.0, rotation: 1.0, collision: 1.0, exit: 1.0, discount: 1.0 },
             tissues: Tissues::default(),
+            clearance: Clearance::default(),
         };
         let message = |noise, step| setup(noise, step).shape().map_err(|error| error.to_string()).err();
         assert_eq!(message(&[0.5, 0.25], Some(0.1)), None);

@@ -1,6 +1,6 @@
 //! The lattice solver against the general solvers, on the same problems.
 
-use needle::{Area, Bicycle, Setup, SteeringProblem, Tissues, Workspace};
+use needle::{Area, Bicycle, Clearance, Setup, SteeringProblem, Tissues, Workspace};
 use ppvi::lattice::evaluation::{self, Evaluation};
 use ppvi::lattice::sweep::{self, LatticeSolution};
 use ppvi::lattice::{Costs, LatticeMdp, Transition};
@@ -23,8 +23,10 @@ fn setups() -> impl Strategy<Value = Setup> {
         prop_oneof![Just((40.0, 200.0, 100.0, 0.95)), Just((4.0, 1000.0, 700.0, 1.0)), Just((0.0, 50.0, 80.0, 0.8))];
     // Length of a step and noise step, as multiples of those of the thesis.
     let general = prop::option::of((0.3..2.5f64, 0.2..1.7f64));
-    (geometry, noise, costs, 1usize..5, any::<bool>(), 0.0..1.0f64, 0usize..4, general).prop_map(
-        |(geometry, noise, costs, arc_samples, interpolated, at, tissues, general)| {
+    // Distance and price of clearance.
+    let clearance = prop::option::of((0.0..2.0f64, 0.1..5.0f64));
+    (geometry, noise, costs, 1usize..5, any::<bool>(), 0.0..1.0f64, 0usize..4, general, clearance).prop_map(
+        |(geometry, noise, costs, arc_samples, interpolated, at, tissues, general, clearance)| {
             let (width, height, dx, dy, radius, headings) = geometry;
             let (rotation, collision, exit, discount) = costs;
             let triangle =
@@ -44,7 +46,9 @@ fn setups() -> impl Strategy<Value = Setup> {
                 2 if general.is_some() => Tissues::new(vec![(0.5 * width, f64::INFINITY)], vec![]).unwrap(),
                 _ => Tissues::new(layers, vec![region]).unwrap(),
             };
+            let (distance, price) = clearance.unwrap_or_default();
             Setup {
+                clearance: Clearance::new(&obstacles, distance, price).unwrap(),
                 workspace: Workspace::new([width, height], obstacles, [0.85 * width, 0.5 * height], 1.1).unwrap(),
                 needle,
                 spacing: [dx, dy],

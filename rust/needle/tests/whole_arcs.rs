@@ -1,6 +1,6 @@
 //! Events of whole arcs against points of them: one arc at a time, and all arcs of a lattice.
 
-use needle::{Arc, Area, Bicycle, Event, Setup, SteeringProblem, Tissues, Workspace};
+use needle::{Arc, Area, Bicycle, Clearance, Event, Setup, SteeringProblem, Tissues, Workspace};
 use ppvi::lattice::{Costs, Shape, Transition, outcome};
 use proptest::prelude::*;
 
@@ -114,6 +114,7 @@ proptest! {
             transition: Transition::Interpolated,
             costs: Costs { step: needle.step_length(), rotation: 4.0, collision: 1e3, exit: 1e3, discount: 1.0 },
             tissues: Tissues::new(layers, Vec::new()).unwrap(),
+            clearance: Clearance::default(),
         };
         let problem = SteeringProblem::new(setup).unwrap();
         let (setup, lattice) = (problem.setup(), problem.lattice());

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use needle::{Area, Bicycle, Event, Execution, Executor, Setup, SteeringProblem, Tissues, Workspace};
+use needle::{Area, Bicycle, Clearance, Event, Execution, Executor, Setup, SteeringProblem, Tissues, Workspace};
 use numpy::ndarray::Array4;
 use numpy::{
     IntoPyArray, PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
@@ -76,7 +76,8 @@ impl Lattice {
     #[new]
     #[pyo3(signature = (*, width_mm, height_mm, spacing_mm, obstacles, target_center_mm, target_radius_mm, curvature_radius_mm,
         headings, tip_noise, arc_samples, interpolated, insertion_per_mm, rotation, collision, exit, discount,
-        layers=Vec::new(), tissues=Vec::new(), step_mm=None, tip_noise_step_rad=None))]
+        layers=Vec::new(), tissues=Vec::new(), step_mm=None, tip_noise_step_rad=None,
+        clearance_mm=0.0, clearance_per_mm=0.0))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -100,9 +101,12 @@ impl Lattice {
         tissues: Vec<(Rings, f64, f64)>,
         step_mm: Option<f64>,
         tip_noise_step_rad: Option<f64>,
+        clearance_mm: f64,
+        clearance_per_mm: f64,
     ) -> PyResult<Self> {
         let problem = run(py, None, || {
-            let obstacles = obstacles.into_iter().map(area).collect::<ppvi::Result<_>>()?;
+            let obstacles: Vec<Area> = obstacles.into_iter().map(area).collect::<ppvi::Result<_>>()?;
+            let clearance = Clearance::new(&obstacles, clearance_mm, clearance_per_mm)?;
             let workspace = Workspace::new([width_mm, height_mm], obstacles, target_center_mm, target_radius_mm)?;
             let mut needle = Bicycle::new(curvature_radius_mm, headings)?;
             if let Some(length) = step_mm {
@@ -124,6 +128,7 @@ impl Lattice {
                 transition,
                 costs,
                 tissues,
+                clearance,
             })
         })?;
         Ok(Lattice { problem })

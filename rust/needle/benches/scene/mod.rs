@@ -2,7 +2,7 @@
 
 #![allow(dead_code)]
 
-use needle::{Area, Bicycle, Setup, SteeringProblem, Tissues, Workspace};
+use needle::{Area, Bicycle, Clearance, Setup, SteeringProblem, Tissues, Workspace};
 use ppvi::lattice::{Costs, Transition};
 use ppvi::{Result, StopRule};
 
@@ -47,6 +47,7 @@ pub fn layered(spacing: f64, transition: Transition, objective: Objective, layer
         transition,
         costs,
         tissues: Tissues::new(depths, Vec::new())?,
+        clearance: Clearance::default(),
     })
 }
 

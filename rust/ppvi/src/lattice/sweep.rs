@@ -105,6 +105,7 @@ pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>
     let terminal_masks = improper.as_ref().unwrap_or(&lattice.terminal_masks);
     let costs = &lattice.parts.costs;
     let (start, stage_costs) = (costs.exit.min(costs.collision), planning_costs(lattice));
+    let dearest_step = lattice.parts.regions.iter().fold(0.0, |most: f64, region| most.max(region.step_cost));
     let mut run = Run {
         lattice,
         rule,
@@ -112,7 +113,7 @@ pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>
         monitor,
         waves: 0,
         tables: 0,
-        largest: costs.exit.max(costs.collision) + costs.step,
+        largest: costs.exit.max(costs.collision) + dearest_step,
     };
     let mut single = Engine::<f32>::new(lattice, terminal_masks, &stage_costs, start, None);
     let sectors = single.sectors();
