@@ -24,10 +24,12 @@ test: install-test
 	$(MAKE) rust
 	$(MAKE) python
 
-# The tests marked slow, instruction counts, and the numerical tests once for each kind of processor.
+# The tests marked slow, error bounds on thousands of random problems, instruction counts, and the numerical tests once
+# for each kind of processor.
 test-slow: install-test
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal
 	$(BIN)/python -m pytest -m realtime
+	cargo test --release --locked --package ppvi --test bounds -- --ignored
 	$(MAKE) processors
 	$(MAKE) guard
 	$(MAKE) msrv

@@ -44,6 +44,7 @@ class _Success(TypedDict):
     success: NDArray[np.float32]
     residual: float
     converged: bool
+    error_bound: float
 
 class _Expectations(TypedDict):
     """Expected length and number of rotations until the execution ends, per state."""
@@ -143,7 +144,14 @@ class Lattice:
         threads: int | None = None,
         progress: _Progress | None = None,
     ) -> _Solution: ...
-    def success(self, policy: NDArray[np.uint8], threads: int | None = None) -> _Success: ...
+    def success(
+        self,
+        policy: NDArray[np.uint8],
+        *,
+        values: NDArray[np.float32] | None = None,
+        residual: float = ...,
+        threads: int | None = None,
+    ) -> _Success: ...
     def expectations(self, policy: NDArray[np.uint8], threads: int | None = None) -> _Expectations: ...
     def events(self, points: NDArray[np.float64]) -> NDArray[np.uint8]: ...
     def outcomes(self) -> NDArray[np.uint8]: ...

@@ -180,6 +180,7 @@ WRONG: dict[str, tuple[Callable[[npl.PolicyTable, Any], object], list[Any]]] = {
     "x_mm": (lambda table, value: table.lookup(value, 1, 1, 1), ["a", None, [], {}, 1j]),
     "y_mm": (lambda table, value: table.best_entry(y_mm=value), ["a", [], -1, math.nan]),
     "bevel": (lambda table, value: table.lookup(1, 1, 1, value), ["a", None]),
+    "nearest": (lambda table, value: table.lookup(1, 1, 1, 1, nearest=value), [None, 1, "yes", np.empty(0)]),
     "edge": (lambda table, value: table.best_entry(value), [3, None, "lift"]),
     "poses": (
         lambda table, value: table.lookup_many(value),

@@ -43,6 +43,13 @@ chain = dict(
     action_offsets=np.arange(n + 1), row_offsets=2 * np.arange(n + 1), probabilities=np.full(2 * n, 0.5),
     successors=np.random.default_rng(1).integers(n, size=2 * n, dtype=np.uint32), stage_costs=np.ones(n),
 )
+# Steps of cost zero in one direction only.
+source = np.repeat(np.arange(n - 1, dtype=np.uint32), 2)
+free = dict(
+    action_offsets=np.minimum(np.arange(n + 1), n - 1), row_offsets=2 * np.arange(n), stage_costs=np.zeros(n - 1),
+    probabilities=np.full(2 * n - 2, 0.5), discount=1.0,
+    successors=np.maximum(chain["successors"][:-2], source + 1),
+)
 
 def of_rows(method):
     mdp = _ppvi.Tabular(**chain, discount=0.99999)
@@ -68,6 +75,7 @@ WORK = {
     "rows, sweep": lambda: of_rows("sweep"),
     "rows, vi": lambda: of_rows("vi"),
     "rows, ppvi": lambda: of_rows("ppvi"),
+    "free steps": lambda: repeated(lambda: _ppvi.Tabular(**free)),
 }
 started = threading.Event()
 sent = []
@@ -90,7 +98,7 @@ except KeyboardInterrupt:
 
 KINDS = [
     "sweep", "vi", "ppvi", "success", "expectations", "rollout", "path", "geometry", "tabular",
-    "rows, sweep", "rows, vi", "rows, ppvi",
+    "rows, sweep", "rows, vi", "rows, ppvi", "free steps",
 ]  # fmt: skip
 
 

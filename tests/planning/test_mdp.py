@@ -39,7 +39,7 @@ def test_three_states(form: object, method: str) -> None:
     assert solution.values == pytest.approx(exact([STAY, GO], COSTS, 0.9), abs=1e-8)
     assert solution.policy[:2].tolist() == [1, 1]
     assert solution.stats.status is Status.CONVERGED
-    assert solution.stats.error_bound <= 1e-8
+    assert solution.stats.error_bound <= 1e-9
 
 
 @given(st.integers(0, 2**32), st.integers(1, 12), st.integers(1, 4), st.floats(0.05, 0.98))
@@ -123,6 +123,31 @@ def test_what_is_no_mdp_is_refused(transitions: list[np.ndarray], costs: np.ndar
 def test_the_offending_row_is_named() -> None:
     with pytest.raises(MdpError, match=r"state 1.*action 1"):
         mdp.TabularMdp([STAY, np.where(GO == 0.8, 0.7, GO)], COSTS, 0.9)
+
+
+@pytest.mark.parametrize("method", ["sweep", "ppvi", "vi"])
+@pytest.mark.parametrize("discount", [0.9, 1.0])
+def test_a_tolerance_below_rounding_is_told(method: str, discount: float) -> None:
+    leave = [np.array([[0.9, 0.1 - 1e-3, 1e-3], [0.5, 0.5, 0.0], [0.0, 0.0, 0.0]])]
+    costs = np.array([[1.0], [3.0], [0.0]])
+    solution = mdp.solve(mdp.TabularMdp(leave, costs, discount), method=method, tolerance=1e-15)
+    expected = np.linalg.solve(np.eye(2) - discount * leave[0][:2, :2], costs[:2, 0])
+    assert solution.stats.status is Status.PRECISION_LIMIT
+    assert 1e-15 < solution.stats.error_bound < 1e-6
+    assert np.abs(solution.values[:2] - expected).max() <= solution.stats.error_bound + 1e-9
+
+
+@pytest.mark.parametrize("method", ["sweep", "ppvi", "vi"])
+def test_free_steps_have_a_bound_unless_they_form_a_loop(method: str) -> None:
+    costs = np.zeros((3, 1))
+    chain = [np.array([[0.0, 1.0, 0.0], [0.0, 0.5, 0.5], [0.0, 0.0, 0.0]])]
+    with pytest.raises(MdpError, match=r"state 1, action 0: steps of cost zero must not form a loop"):
+        mdp.TabularMdp(chain, costs, discount=1.0)
+    costs[1] = 2.0
+    solution = mdp.solve(mdp.TabularMdp(chain, costs, discount=1.0), method=method, tolerance=1e-6)
+    assert solution.stats.status is Status.CONVERGED
+    assert solution.stats.error_bound <= 1e-6
+    assert np.abs(solution.values - [4, 4, 0]).max() <= solution.stats.error_bound
 
 
 @pytest.mark.parametrize("arguments", [{"method": "magic"}, {"priority": "H3"}, {"tolerance": -1}, {"labels": [0]}])

@@ -29,7 +29,8 @@ def test_a_table_is_what_the_house_promises(small: Scenario, table: npl.PolicyTa
     stats = table.stats
     assert stats.status is Status.CONVERGED
     assert stats.states == small.states
-    assert stats.residual <= small.solver.tolerance
+    assert 0 < stats.error_bound <= small.solver.tolerance
+    assert 0 < stats.success_error_bound < 0.01
     assert stats.backups >= stats.sweeps > 0
     assert stats.seconds >= stats.seconds_solving > 0
     assert sorted(stats.order) == sorted(set(stats.order))
@@ -80,7 +81,23 @@ def test_the_order_of_obstacles_changes_nothing(small: Scenario) -> None:
 def test_a_limit_of_sweeps_is_told(small: Scenario) -> None:
     table = npl.plan(replace(small, solver=replace(small.solver, max_sweeps=1)))
     assert table.stats.status is Status.ITERATION_LIMIT
-    assert table.stats.residual > small.solver.tolerance
+    assert table.stats.error_bound > small.solver.tolerance
+
+
+@pytest.mark.parametrize("method", Method)
+@pytest.mark.parametrize("discount", [1.0, 0.95])
+def test_a_tolerance_below_single_precision_is_told(small: Scenario, method: Method, discount: float) -> None:
+    scene = replace(small, grid=Grid((2, 2)), objective=replace(small.objective, discount=discount))
+    solver = replace(small.solver, method=method)
+    table, reference = (
+        npl.plan(replace(scene, solver=replace(solver, tolerance=tolerance))) for tolerance in (1e-9, 0.01)
+    )
+    assert reference.stats.status is Status.CONVERGED
+    assert table.stats.status is Status.PRECISION_LIMIT
+    # Half a unit in the last place of the largest value, and little more.
+    assert 1 <= table.stats.error_bound / (table.values.max() * 2.0**-24) < 3
+    difference = np.abs(table.values.astype(float) - reference.values).max()
+    assert difference <= table.stats.error_bound + reference.stats.error_bound
 
 
 def test_progress_is_called_and_may_stop_the_solve(small: Scenario) -> None:

@@ -40,7 +40,7 @@ def test_it_is_what_the_policy_of_the_nearest_grid_point_does_on_the_finer_grid(
     axes = np.arange(problem.nx) * problem.dx, np.arange(problem.ny) * problem.dy
     headings, bevels = np.arange(problem.headings) * problem.alpha, np.array((-1, 1))
     poses = np.stack([axis.ravel() for axis in np.meshgrid(*axes, headings, bevels, indexing="ij")], axis=-1)
-    actions = coarse.lookup_many(poses).action.reshape(problem.nx, problem.ny, problem.headings, 2)
+    actions = coarse.lookup_many(poses, nearest=True).action.reshape(problem.nx, problem.ny, problem.headings, 2)
     free = (mdp.kind == FREE)[:, :, None, None]
     expected = success_of(mdp, np.where(free, actions, 0).astype(np.uint8))
     np.testing.assert_allclose(table.success, expected[::times, ::times], atol=1e-4, rtol=0)

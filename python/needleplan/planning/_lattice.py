@@ -55,7 +55,8 @@ class Status(StrEnum):
     ITERATION_LIMIT = "iteration_limit"
     TIME_LIMIT = "time_limit"
     PRECISION_LIMIT = "precision_limit"
-    """The tolerance cannot be reached in double precision, because rounding errors are as large as the residual."""
+    """No further sweeps bring the error bound below the tolerance: rounding, or storing the values in single precision,
+    adds more, or the problem allows no bound."""
 
     INTERRUPTED = "interrupted"
 
@@ -77,9 +78,9 @@ class Stats:
     sweeps : float
         `backups` divided by `states`.
     residual : float
-        Largest Bellman residual max |TV - V| of the values; for the directional sweeps, an upper bound of it.
+        Largest Bellman residual max |TV - V| of the returned values; for the directional sweeps, an upper bound of it.
     error_bound : float
-        Upper bound of max |V - V*|; infinite if no bound is known.
+        Upper bound of max |V - V*| of the returned values, rounding included; infinite if nothing is proven.
     status : Status
         Why the solve ended.
     seconds : float
@@ -88,6 +89,9 @@ class Stats:
         Time spent on backups and on priorities in s.
     order : tuple of int
         Partitions ix * py + iy in the order of their first visit.
+    success_error_bound : float
+        Upper bound of the error of the success probabilities, as probabilities of the policy on the grid on which they
+        are evaluated; 1 if nothing is proven.
 
     Examples
     --------
@@ -109,6 +113,7 @@ class Stats:
     seconds_solving: float
     seconds_priorities: float
     order: tuple[int, ...]
+    success_error_bound: float = 1.0
 
     def __repr__(self) -> str:
         return (
@@ -117,7 +122,7 @@ class Stats:
         )
 
 
-def stats_of(solved: _Solution, states: int, seconds: float) -> Stats:
+def stats_of(solved: _Solution, states: int, seconds: float, success_error_bound: float = 1.0) -> Stats:
     """Return the statistics of a solve from the result of the compiled solver; `seconds` is the total time."""
     return Stats(
         states=states,
@@ -132,6 +137,7 @@ def stats_of(solved: _Solution, states: int, seconds: float) -> Stats:
         seconds_solving=solved["seconds_solving"],
         seconds_priorities=solved["seconds_priorities"],
         order=tuple(solved["order"].tolist()),
+        success_error_bound=success_error_bound,
     )
 
 
@@ -187,8 +193,8 @@ def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
     )
 
 
-def success_of(scenario: Scenario, lattice: _ppvi.Lattice, policy: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return the success probability [nx, ny, headings, 2] of `policy` at the grid points of `scenario`.
+def success_of(scenario: Scenario, lattice: _ppvi.Lattice, solved: _Solution) -> tuple[NDArray[np.float32], float]:
+    """Return the success probability [nx, ny, headings, 2] of the policy of a solve, and a bound on its error.
 
     If `grid.success_refinement` is above 1, the policy is evaluated on a finer grid, where each point uses the policy
     of the nearest coarse point. The reason: with every step, the bilinear weights spread the tip position in proportion
@@ -196,9 +202,14 @@ def success_of(scenario: Scenario, lattice: _ppvi.Lattice, policy: NDArray[np.ui
     success. Raises ScenarioError.
     """
     times, threads = scenario.grid.success_refinement, scenario.solver.threads
+    policy: NDArray[np.uint8] = solved["policy"]
     success: NDArray[np.float32]
     if times == 1:
-        success = compiled_call(ScenarioError, lattice.success, policy=policy, threads=threads)["success"]
+        values, residual = solved["values"], solved["residual"]
+        result = compiled_call(
+            ScenarioError, lattice.success, policy=policy, values=values, residual=residual, threads=threads
+        )
+        success = result["success"]
     else:
         fine = finer(scenario, times)
         nearest = np.ix_(*(
@@ -206,10 +217,10 @@ def success_of(scenario: Scenario, lattice: _ppvi.Lattice, policy: NDArray[np.ui
             for points, most in zip(fine.shape[:2], policy.shape[:2], strict=True)
         ))  # fmt: skip
         refined = np.ascontiguousarray(policy[nearest])
-        found = compiled_call(ScenarioError, lattice_of(fine).success, policy=refined, threads=threads)["success"]
-        success = every(times, found, policy.shape)
+        result = compiled_call(ScenarioError, lattice_of(fine).success, policy=refined, threads=threads)
+        success = every(times, result["success"], policy.shape)
     np.minimum(success, 1, out=success)  # weights in single precision can sum to slightly more than one
-    return success
+    return success, result["error_bound"]
 
 
 def finer(scenario: Scenario, times: int) -> Scenario:

@@ -48,7 +48,7 @@ class TabularMdp:
     costs : array_like of float, shape (S, A)
         Expected stage costs.
     discount : float
-        Discount factor in (0, 1].
+        Discount factor in (0, 1]. With 1, no cost may be negative, and no loop may consist of actions of cost 0.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class TabularMdp:
         stage_costs : array_like of float, shape (R,)
             The expected stage cost of every row.
         discount : float
-            Discount factor in (0, 1].
+            Discount factor in (0, 1]. With 1, no cost may be negative, and no loop may consist of rows of cost 0.
 
         Returns
         -------
@@ -248,12 +248,12 @@ def solve(
     priority : {"H1", "H2", "bound"}, default "H2"
         Priority of a partition, for the method "ppvi".
     tolerance : float, default 0.01
-        Largest error of a value. With a discount below one, the solve ends at a Bellman residual below
-        (1 - discount) * tolerance.
+        Largest error of a value. The solve ends with the status "converged" once `stats.error_bound` is at most this,
+        or with "precision_limit" if rounding does not allow it.
     max_sweeps : int, optional
         Number of sweeps after which the solve ends in any case.
     time_limit_s : float, optional
-        Time in s by which the solve ends: no sweep but the first begins that would probably end later.
+        Time in s by which the solve ends: no sweep but the first begins after which it would probably end later.
     threads : int, optional
         Number of threads, from 1 to 1024. Without it, one per processor core.
     progress : callable, optional

@@ -112,8 +112,8 @@ def plan(
         progress=progress,
     )
     values, policy = solved["values"], solved["policy"]
-    success = success_of(fine, lattice, policy)
-    stats = stats_of(solved, fine.states, perf_counter() - began)
+    success, success_error_bound = success_of(fine, lattice, solved)
+    stats = stats_of(solved, fine.states, perf_counter() - began, success_error_bound)
     if times == 1:
         table = PolicyTable(values, policy, success, stats, scenario)
         vars(table)["lattice"] = lattice

@@ -148,7 +148,11 @@ def _require_units(file: h5py.File) -> None:
 def _content(file: h5py.File) -> Content:
     _require_units(file)
     tables = {name: file[name][()] for name in TABLES}
-    numbers: dict[str, Any] = {each.name: file.attrs[each.name] for each in fields(Stats) if each.name != "order"}
+    names = [each.name for each in fields(Stats) if each.name != "order"]
+    # Tables of older versions have no bound on the success.
+    numbers: dict[str, Any] = {
+        name: file.attrs[name] for name in names if name != "success_error_bound" or name in file.attrs
+    }
     plain = {name: getattr(value, "item", lambda value=value: value)() for name, value in numbers.items()}
     plain["status"] = Status(plain["status"])
     stats = Stats(**plain, order=tuple(file["order"][()].tolist()))

@@ -7,16 +7,16 @@ use numpy::ndarray::Array4;
 use numpy::{
     IntoPyArray, PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
 };
-use ppvi::lattice::evaluation::{self, Evaluation};
+use ppvi::lattice::evaluation::{self, Evaluation, OptimalValues};
 use ppvi::lattice::{Costs, LatticeMdp, Shape, Transition, sweep};
-use ppvi::{Mdp, PrioritizedOptions, Report, Solution, TabularMdp, prioritized, value_iteration};
+use ppvi::{Mdp, PrioritizedOptions, StopRule, Storage, TabularMdp, prioritized, value_iteration};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{contiguous, elements};
 use crate::lookup::{FEW, Looked};
-use crate::solve::{report_dict, stop_rule};
+use crate::solve::{narrow, report_dict, stop_rule};
 use crate::work::{at_once, exception, run, watch};
 
 /// Rings of vertices, mm.
@@ -159,7 +159,8 @@ impl Lattice {
         threads: Option<usize>,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let rule = stop_rule(tolerance, max_sweeps, time_limit_s)?;
+        // The table is in single precision.
+        let rule = StopRule { storage: Storage::Single, ..stop_rule(tolerance, max_sweeps, time_limit_s)? };
         let lattice = self.lattice();
         let (values, policy, report) = match method {
             "sweep" => {
@@ -192,17 +193,27 @@ impl Lattice {
         Ok(dict)
     }
 
-    /// Probability of reaching the target under a policy.
-    #[pyo3(signature = (policy, threads=None))]
+    /// Probability of reaching the target under a policy. Values and residual of its solve make the bound faster.
+    #[pyo3(signature = (policy, *, values=None, residual=f64::INFINITY, threads=None))]
     fn success<'py>(
         &self,
         py: Python<'py>,
         policy: PyReadonlyArray4<'py, u8>,
+        values: Option<PyReadonlyArray4<'py, f32>>,
+        residual: f64,
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let policy = self.slice("policy", &policy)?;
-        let result = run(py, threads, || evaluation::success(self.lattice(), &policy))?;
-        self.evaluation(py, "success", result)
+        let values = values.as_ref().map(|values| self.slice("values", values)).transpose()?;
+        let optimal = values.as_ref().map(|values| OptimalValues { values, residual });
+        let (result, error_bound) = run(py, threads, || {
+            let success = evaluation::success(self.lattice(), &policy)?;
+            let bound = evaluation::success_error(self.lattice(), &policy, &success, optimal)?;
+            Ok((success, bound))
+        })?;
+        let dict = self.evaluation(py, "success", result)?;
+        dict.set_item("error_bound", error_bound)?;
+        Ok(dict)
     }
 
     /// Expected length and number of rotations of a policy; infinite where the policy may not end.
@@ -351,15 +362,6 @@ impl Lattice {
         dict.set_item("discount", mdp.discount())?;
         Ok(dict)
     }
-}
-
-fn narrow(solution: Solution) -> (Vec<f32>, Vec<u8>, Report) {
-    let Solution { values, policy, mut report } = solution;
-    let finite = values.iter().copied().filter(|value| value.is_finite());
-    let largest = finite.fold(0.0, f64::max);
-    // The table is in single precision.
-    report.error_bound += largest * f64::from(f32::EPSILON) / 2.0;
-    (values.into_iter().map(|v| v as f32).collect(), policy.into_iter().map(|action| action as u8).collect(), report)
 }
 
 /// The area of rings of vertices and all points within `reach` of them; a ring of one vertex is a disc, one of two a

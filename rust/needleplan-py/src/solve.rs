@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use numpy::PyArray1;
-use ppvi::{Report, StopRule};
+use ppvi::{Report, Solution, StopRule};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -43,4 +43,10 @@ pub(crate) fn report_dict<'py>(py: Python<'py>, report: Report, states: usize) -
     dict.set_item("seconds_solving", report.seconds_solving)?;
     dict.set_item("seconds_priorities", report.seconds_priorities)?;
     Ok(dict)
+}
+
+/// Values in single precision, actions, and the report.
+pub(crate) fn narrow(solution: Solution) -> (Vec<f32>, Vec<u8>, Report) {
+    let Solution { values, policy, report } = solution;
+    (values.into_iter().map(|v| v as f32).collect(), policy.into_iter().map(|action| action as u8).collect(), report)
 }

@@ -9,7 +9,7 @@ use crate::mdp::Mdp;
 use crate::proper::proper_states;
 use crate::solution::{Report, Solution};
 use crate::stop::StopFlag;
-use crate::termination::{Certificate, Status};
+use crate::termination::{LimitMonitor, Status};
 
 /// States that one task of a parallel pass backs up.
 const CHUNK: usize = 4096;
@@ -18,6 +18,12 @@ const CHUNK: usize = 4096;
 #[inline]
 pub fn change(new: f64, old: f64) -> f64 {
     if new == old { 0.0 } else { (new - old).abs() }
+}
+
+/// Returns the larger number, or NaN if one of them is: unlike `f64::max`, which would drop it.
+#[inline]
+pub fn larger(a: f64, b: f64) -> f64 {
+    if a >= b || a.is_nan() { a } else { b }
 }
 
 /// Exact Bellman residual and size of a value function V.
@@ -32,7 +38,7 @@ pub struct Check {
 impl Check {
     /// Combines the checks of two sets of states.
     pub fn join(self, other: Check) -> Check {
-        Check { residual: self.residual.max(other.residual), max_value: self.max_value.max(other.max_value) }
+        Check { residual: larger(self.residual, other.residual), max_value: larger(self.max_value, other.max_value) }
     }
 }
 
@@ -77,16 +83,19 @@ fn check_chunk(
     mut store: impl FnMut(usize, f64),
 ) -> Check {
     let mut check = Check { residual: 0.0, max_value: 0.0 };
+    // Numbers that are not negative are ordered as their bits, and NaN is above infinity.
+    let mut residual = 0;
     for (index, best) in policy.iter_mut().enumerate() {
         let old = values[begin + index];
         let (new, action) = mdp.backup(begin + index, values);
         *best = action as u32;
         store(index, new);
-        check.residual = check.residual.max(change(new, old));
+        residual = change(new, old).to_bits().max(residual);
         if old.is_finite() {
             check.max_value = check.max_value.max(old.abs());
         }
     }
+    check.residual = f64::from_bits(residual);
     check
 }
 
@@ -109,29 +118,24 @@ pub fn initial_values(mdp: &impl Mdp) -> Vec<f64> {
     values
 }
 
-/// Returns the numbers of a problem that determine its residual threshold and its error bound.
-pub fn certificate(mdp: &impl Mdp) -> Certificate {
-    let discount = mdp.discount();
-    Certificate { discount, least_stage_cost: if discount < 1.0 { 0.0 } else { mdp.least_stage_cost() } }
-}
-
-/// Assembles a solution. Its error bound follows from `check`, and all its counts are zero.
+/// Assembles a solution of values with this check. All its counts are zero.
 pub(crate) fn solution(
     values: Vec<f64>,
     policy: Vec<u32>,
     status: Status,
     check: Check,
-    certificate: &Certificate,
+    monitor: &LimitMonitor,
 ) -> Solution {
+    let (residual, error_bound) = monitor.bounds(check);
     let report = Report {
         status,
-        residual: check.residual,
-        error_bound: certificate.error_bound(check.residual, check.max_value),
+        residual,
+        error_bound,
         backups: 0,
         partitions: 1,
         partitions_processed: 0,
         order: Vec::new(),
-        seconds_solving: 0.0,
+        seconds_solving: monitor.seconds(),
         seconds_priorities: 0.0,
     };
     Solution { values, policy, report }

@@ -12,6 +12,7 @@
 
 use std::ops::Range;
 
+use crate::bellman::larger;
 use crate::pattern::{Class, Dictionary, Source, Values};
 use crate::stop::StopFlag;
 
@@ -128,7 +129,7 @@ impl Block {
         let mut largest = 0.0f64;
         for member in &self.lists[side].members {
             let new = self.dictionary.backup(member.start, member.state, discount, values).0;
-            largest = largest.max((new - values.get(member.state as usize)).abs());
+            largest = larger(largest, (new - values.get(member.state as usize)).abs());
             values.set(member.state as usize, new);
         }
         largest

@@ -65,7 +65,7 @@ mod waves;
 
 pub use dependency::{Dependencies, StateDependents};
 pub use error::{Error, Result};
-pub use mdp::Mdp;
+pub use mdp::{Facts, Mdp};
 pub use partition::Partition;
 pub use prioritized::{PrioritizedOptions, prioritized};
 pub use priority::Priority;
@@ -74,5 +74,5 @@ pub use solution::{Report, Solution};
 pub use stop::StopFlag;
 pub use tabular::TabularMdp;
 pub use tabular_sweep::tabular_sweep;
-pub use termination::{Certificate, Observer, Progress, Status, StopRule};
+pub use termination::{Certificate, Observer, Progress, Status, StopRule, Storage};
 pub use value_iteration::value_iteration;

@@ -9,6 +9,9 @@
 //! V(s) = min over a of [ stage_cost(s, a) + discount * sum over s' of p(s' | s, a) V(s') ].
 //! ```
 
+use crate::stop::StopFlag;
+use crate::tabular::ROW_SUM_TOLERANCE;
+
 /// A finite Markov decision process with costs.
 pub trait Mdp: Sync {
     /// Number of states n.
@@ -64,10 +67,68 @@ pub trait Mdp: Sync {
         0.0
     }
 
-    /// The smallest stage cost of the problem, on which the error bound rests if the discount is 1.
-    fn least_stage_cost(&self) -> f64 {
-        let costs = (0..self.states())
-            .flat_map(|state| (0..self.actions(state)).map(move |action| self.stage_cost(state, action)));
-        costs.fold(f64::INFINITY, f64::min)
+    /// The numbers of the problem on which error bounds rest. By default, one pass over all rows.
+    fn facts(&self) -> Facts {
+        let (mut facts, stop) = (Facts::default(), StopFlag::current());
+        for state in 0..self.states() {
+            stop.check();
+            for action in 0..self.actions(state) {
+                let (mut entries, mut sum) = (0, 0.0);
+                self.for_each_successor(state, action, |_, probability| {
+                    entries += 1;
+                    sum += probability;
+                });
+                facts.add(entries, sum, self.stage_cost(state, action));
+            }
+        }
+        facts
+    }
+}
+
+/// The numbers of a problem on which error bounds rest; see [`crate::termination`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Facts {
+    /// Largest number of successors of an action.
+    pub longest_row: usize,
+    /// Largest deviation of the sum of a row from one, for rows that do not end the execution.
+    pub excess: f64,
+    /// Smallest stage cost, after the potential is added.
+    pub least_stage_cost: f64,
+    /// Largest |stage cost|.
+    pub largest_stage_cost: f64,
+    /// Largest potential that is added for steps of cost zero; 0 if there are none.
+    pub potential: f64,
+}
+
+impl Default for Facts {
+    /// The facts of a problem without rows.
+    fn default() -> Self {
+        let least_stage_cost = f64::INFINITY;
+        Facts { longest_row: 0, excess: 0.0, least_stage_cost, largest_stage_cost: 0.0, potential: 0.0 }
+    }
+}
+
+impl Facts {
+    /// Adds a row with the sum `sum` of its probabilities.
+    #[inline]
+    pub fn add(&mut self, entries: usize, sum: f64, cost: f64) {
+        self.longest_row = self.longest_row.max(entries);
+        let deviation = (sum - 1.0).abs();
+        if (sum > 1.0 || deviation <= ROW_SUM_TOLERANCE) && deviation > self.excess {
+            self.excess = deviation;
+        }
+        self.least_stage_cost = self.least_stage_cost.min(cost);
+        self.largest_stage_cost = self.largest_stage_cost.max(cost.abs());
+    }
+
+    /// The facts of two sets of rows together.
+    pub fn join(self, other: Facts) -> Facts {
+        Facts {
+            longest_row: self.longest_row.max(other.longest_row),
+            excess: self.excess.max(other.excess),
+            least_stage_cost: self.least_stage_cost.min(other.least_stage_cost),
+            largest_stage_cost: self.largest_stage_cost.max(other.largest_stage_cost),
+            potential: self.potential.max(other.potential),
+        }
     }
 }

@@ -26,7 +26,7 @@
 use std::time::Instant;
 
 use crate::active::{ActiveStates, back_up_in_place};
-use crate::bellman::{certificate, change, greedy, initial_values, solution};
+use crate::bellman::{change, greedy, initial_values, larger, solution};
 use crate::dependency::Dependencies;
 use crate::error::{Error, Result};
 use crate::mdp::Mdp;
@@ -97,26 +97,30 @@ pub fn prioritized(
     rule: StopRule,
     observer: Option<Observer>,
 ) -> Result<Solution> {
-    rule.validate()?;
     options.validate()?;
     partition.check_states(mdp.states())?;
-    let mut monitor = LimitMonitor::start(rule, observer);
-    let mut run = Run::new(mdp, partition, options, rule.tolerance);
+    let mut monitor = LimitMonitor::start(rule, Certificate::of(mdp), observer)?;
+    let mut run = Run::new(mdp, partition, options, rule.tolerance, &monitor);
     let dependencies = Dependencies::new(mdp, partition);
     let mut policy = vec![0; mdp.states()];
     run.seconds_priorities = monitor.seconds();
     let (status, check) = loop {
+        let before = run.processed;
         let stopped = run.process_all(&dependencies, &mut monitor);
         let check = greedy(mdp, &run.values, &mut policy);
         run.backups += mdp.states() as u64;
-        run.lower_threshold(check.max_value);
-        match stopped {
-            _ if check.residual < run.threshold => break (Status::Converged, check),
-            Some(status) => break (status, check),
-            None => {}
+        if let Some(status) = monitor.conclude(check, stopped) {
+            break (status, check);
+        }
+        let threshold = run.threshold;
+        // Values may have been larger on the way.
+        run.max_value = 0.0;
+        run.adapt_threshold(check.max_value, &monitor);
+        if run.processed == before && run.threshold == threshold {
+            break (Status::PrecisionLimit, check);
         }
     };
-    let mut solution = solution(run.values, policy, status, check, &run.certificate);
+    let mut solution = solution(run.values, policy, status, check, &monitor);
     solution.report.backups = run.backups;
     solution.report.partitions = partition.count();
     solution.report.partitions_processed = run.processed;
@@ -130,7 +134,6 @@ struct Run<'m, M> {
     mdp: &'m M,
     options: PrioritizedOptions,
     tolerance: f64,
-    certificate: Certificate,
     threshold: f64,
     /// Residual from which on a partition is eligible.
     level: f64,
@@ -157,15 +160,20 @@ struct Processed {
 }
 
 impl<'m, M: Mdp> Run<'m, M> {
-    fn new(mdp: &'m M, partition: &Partition, options: PrioritizedOptions, tolerance: f64) -> Self {
-        let (values, certificate) = (initial_values(mdp), certificate(mdp));
+    fn new(
+        mdp: &'m M,
+        partition: &Partition,
+        options: PrioritizedOptions,
+        tolerance: f64,
+        monitor: &LimitMonitor,
+    ) -> Self {
+        let values = initial_values(mdp);
         let active = ActiveStates::new(mdp, partition, &values);
         Run {
             mdp,
             options,
             tolerance,
-            certificate,
-            threshold: certificate.threshold(tolerance, 0.0),
+            threshold: monitor.threshold(0.0),
             level: f64::INFINITY,
             max_value: 0.0,
             values,
@@ -180,10 +188,10 @@ impl<'m, M: Mdp> Run<'m, M> {
         }
     }
 
-    /// Lowers the threshold for values up to `max_value`. It depends on the values with discount 1 only.
-    fn lower_threshold(&mut self, max_value: f64) {
-        self.max_value = self.max_value.max(max_value);
-        self.threshold = self.certificate.threshold(self.tolerance, self.max_value);
+    /// Adapts the threshold to values up to `max_value`.
+    fn adapt_threshold(&mut self, max_value: f64, monitor: &LimitMonitor) {
+        self.max_value = larger(self.max_value, max_value);
+        self.threshold = monitor.threshold(self.max_value);
     }
 
     /// Processes partitions, level after level, until no residual reaches the threshold or a limit is reached.
@@ -207,7 +215,7 @@ impl<'m, M: Mdp> Run<'m, M> {
 
     /// Halves the level and queues the eligible partitions. Returns false if no residual reaches the threshold.
     fn lower_level(&mut self, table: &PriorityTable, queue: &mut IndexedMaxQueue) -> bool {
-        let largest = (0..self.seen.len()).map(|p| self.entry(p, table).residual).fold(0.0, f64::max);
+        let largest = (0..self.seen.len()).map(|p| self.entry(p, table).residual).fold(0.0, larger);
         self.level = (largest / 2.0).max(self.threshold);
         for p in 0..self.seen.len() {
             self.requeue(p, table, queue);
@@ -269,7 +277,7 @@ impl<'m, M: Mdp> Run<'m, M> {
         let states = self.active.of(p);
         self.backups += states.len() as u64;
         let residual = |&s: &u32| h1(self.mdp.backup(s as usize, &self.values).0, self.values[s as usize]);
-        let residual = states.iter().map(residual).fold(0.0, f64::max);
+        let residual = states.iter().map(residual).fold(0.0, larger);
         PriorityEntry { rank: residual, residual }
     }
 
@@ -299,7 +307,9 @@ impl<'m, M: Mdp> Run<'m, M> {
         self.before.clear();
         self.before.extend(states.iter().map(|&s| self.values[s as usize]));
         let discount = self.mdp.discount();
-        let inner_tolerance = self.options.inner_tolerance.unwrap_or(self.tolerance);
+        // A tolerance below the rounding would keep the inner loop from ending.
+        let rounding = monitor.certificate().floor(self.max_value);
+        let inner_tolerance = self.options.inner_tolerance.unwrap_or(self.tolerance).max(rounding);
         let mut result = Processed { change: 0.0, left: f64::INFINITY, stopped: None };
         for sweep in 0..self.options.inner_sweeps {
             let (least, most) = back_up_in_place(self.mdp, states, sweep % 2 == 1, &mut self.values);
@@ -315,15 +325,15 @@ impl<'m, M: Mdp> Run<'m, M> {
         }
         let (mut largest, mut max_value) = (0.0f64, 0.0f64);
         for (&state, &old) in states.iter().zip(&self.before) {
-            largest = largest.max(change(self.values[state as usize], old));
-            max_value = max_value.max(self.values[state as usize].abs());
+            largest = larger(largest, change(self.values[state as usize], old));
+            max_value = larger(max_value, self.values[state as usize].abs());
         }
         result.change = largest;
         self.processed += 1;
         if !std::mem::replace(&mut self.seen[p], true) {
             self.order.push(p as u32);
         }
-        self.lower_threshold(max_value);
+        self.adapt_threshold(max_value, monitor);
         result
     }
 }

@@ -45,6 +45,7 @@
 //! run in parallel and in any order. Level after level, every state undergoes the same floating-point operations with
 //! the same operands as in the sequence, for any number of threads. [`crate::tabular_sweep()`] works in this way.
 
+use crate::bellman::larger;
 use crate::dependency::Dependencies;
 use crate::error::Error;
 
@@ -106,7 +107,7 @@ pub struct PriorityEntry {
 impl PriorityEntry {
     /// Returns the larger rank and the larger residual of two entries.
     pub fn join(self, other: PriorityEntry) -> PriorityEntry {
-        PriorityEntry { rank: self.rank.max(other.rank), residual: self.residual.max(other.residual) }
+        PriorityEntry { rank: larger(self.rank, other.rank), residual: larger(self.residual, other.residual) }
     }
 }
 
@@ -152,7 +153,7 @@ impl<'a> PriorityTable<'a> {
     /// HP of a partition with accumulated changes: L + discount * max A. The entries of the pairs hold discount * A.
     pub fn bound(&self, partition: usize) -> PriorityEntry {
         let incoming = self.dependencies.incoming(partition).iter().map(|&pair| self.pairs[pair as usize].residual);
-        let bound = self.own[partition].residual + incoming.fold(0.0, f64::max);
+        let bound = self.own[partition].residual + incoming.fold(0.0, larger);
         PriorityEntry { rank: bound, residual: bound }
     }
 }

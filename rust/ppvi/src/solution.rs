@@ -7,9 +7,11 @@ use crate::termination::Status;
 pub struct Report {
     /// How the solve ended.
     pub status: Status,
-    /// max |TV - V| of the returned values. It is exact, except that `lattice::sweep` gives an upper bound.
+    /// max |TV - V| of the returned values as they are stored ([`Storage`](crate::Storage)): computed exactly but for
+    /// rounding, except that `lattice::sweep` gives an upper bound.
     pub residual: f64,
-    /// Proven upper bound on max |V - V*|; infinite if the problem allows none.
+    /// Proven upper bound on max |V - V*| of the returned values as they are stored, rounding included; infinite if
+    /// nothing is proven.
     pub error_bound: f64,
     /// Number of Bellman backups of single states, including those for residual checks and priorities.
     pub backups: u64,

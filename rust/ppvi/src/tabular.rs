@@ -11,7 +11,7 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::mdp::Mdp;
+use crate::mdp::{Facts, Mdp};
 use crate::stop::StopFlag;
 
 /// Largest difference between one and the sum of the probabilities of a row.
@@ -29,6 +29,7 @@ pub struct TabularMdp<'a> {
     probabilities: Cow<'a, [f64]>,
     stage_costs: Cow<'a, [f64]>,
     discount: f64,
+    facts: Facts,
 }
 
 /// The arrays of a [`TabularMdp`], borrowed.
@@ -57,6 +58,7 @@ impl<'a> TabularMdp<'a> {
     /// * Offsets do not fall, and stay in range. Successors are states.
     /// * Probabilities lie in [0, 1], and those of a row sum to one within 1e-9.
     /// * Costs are at most 1e100 in size and, if the discount is 1, not negative.
+    /// * If the discount is 1, steps of cost zero do not form a loop. A state in which the execution ends has no rows.
     ///
     /// # Examples
     /// State 0 has two actions, both of which lead to the absorbing state 1, at costs 5 and 3:
@@ -78,24 +80,29 @@ impl<'a> TabularMdp<'a> {
         stage_costs: impl Into<Cow<'a, [f64]>>,
         discount: f64,
     ) -> Result<Self> {
-        let mdp = TabularMdp {
+        let mut mdp = TabularMdp {
             action_offsets: action_offsets.into(),
             row_offsets: row_offsets.into(),
             successors: successors.into(),
             probabilities: probabilities.into(),
             stage_costs: stage_costs.into(),
             discount,
+            facts: Facts::default(),
         };
         mdp.check_arrays()?;
+        let states = (0..mdp.states()).into_par_iter().with_min_len(4096);
+        // Of two errors the first one stays.
+        let join = |a: Result<Facts>, b: Result<Facts>| Ok(a?.join(b?));
         let stop = StopFlag::current();
-        let mistake = |state| {
+        let facts = |state| {
             stop.check();
-            mdp.check_state(state).err()
+            mdp.check_state(state)
         };
-        match (0..mdp.states()).into_par_iter().with_min_len(4096).find_map_first(mistake) {
-            Some(error) => Err(error),
-            None => Ok(mdp),
+        mdp.facts = states.map(facts).reduce(|| Ok(Facts::default()), join)?;
+        if discount == 1.0 && mdp.facts.least_stage_cost == 0.0 {
+            mdp.add_potential()?;
         }
+        Ok(mdp)
     }
 
     /// Expands any problem into explicit rows.
@@ -198,7 +205,8 @@ impl<'a> TabularMdp<'a> {
     }
 
     /// Checks the rows of one state. The lengths of the arrays and the ends of the offsets must have been checked.
-    fn check_state(&self, state: usize) -> Result<()> {
+    fn check_state(&self, state: usize) -> Result<Facts> {
+        let mut facts = Facts::default();
         let (begin, end) = (self.action_offsets[state], self.action_offsets[state + 1]);
         let wrong = |action: usize, what, value: f64| Err(Error::Row { state, action, what, value });
         if begin > end || end > self.stage_costs.len() {
@@ -227,8 +235,77 @@ impl<'a> TabularMdp<'a> {
             if self.discount == 1.0 && cost < 0.0 {
                 return wrong(action, "the stage cost must not be negative if the discount is 1", cost);
             }
+            facts.add(successors.len(), sum, cost);
         }
+        Ok(facts)
+    }
+
+    /// Raises the costs of steps of cost zero by a potential; see [`crate::termination`].
+    ///
+    /// # Errors
+    /// [`Error::Row`] for an action of a loop of such steps.
+    fn add_potential(&mut self) -> Result<()> {
+        let positive = self.stage_costs.iter().copied().filter(|cost| *cost > 0.0).fold(f64::INFINITY, f64::min);
+        let positive = if positive.is_finite() { positive } else { 1.0 };
+        let levels = self.free_steps()? as f64 + 1.0;
+        self.facts.least_stage_cost = positive / levels * (1.0 - 2.0 * ROW_SUM_TOLERANCE * levels);
+        self.facts.potential = positive / levels * (levels - 1.0);
         Ok(())
+    }
+
+    /// The largest number of consecutive steps of cost zero, by depth-first search.
+    fn free_steps(&self) -> Result<usize> {
+        const NEW: usize = usize::MAX;
+        const OPEN: usize = usize::MAX - 1;
+        let mut ranks = vec![NEW; self.states()];
+        // A state, its next entry, and the largest rank so far.
+        let mut path: Vec<(usize, usize, usize)> = Vec::new();
+        let first = |state: usize| self.row_offsets[self.rows(state).start];
+        let end = |state: usize| self.row_offsets[self.rows(state).end];
+        let stop = StopFlag::current();
+        for root in 0..self.states() {
+            stop.check();
+            if ranks[root] == NEW {
+                ranks[root] = OPEN;
+                path.push((root, first(root), 0));
+            }
+            while let Some((state, entry, rank)) = path.pop() {
+                stop.check();
+                if entry == end(state) {
+                    ranks[state] = rank;
+                    if let Some(last) = path.last_mut() {
+                        last.2 = last.2.max(rank + 1);
+                    }
+                    continue;
+                }
+                path.push((state, entry + 1, rank));
+                let row = self.rows(state).start
+                    + self.row_offsets[self.rows(state).start + 1..=self.rows(state).end]
+                        .partition_point(|offset| *offset <= entry);
+                if self.stage_costs[row] > 0.0 || self.probabilities[entry] == 0.0 {
+                    continue;
+                }
+                let next = self.successors[entry] as usize;
+                match ranks[next] {
+                    OPEN => {
+                        let action = row - self.rows(state).start;
+                        let what = "steps of cost zero must not form a loop if the discount is 1; a state in which the \
+                                    execution ends has no actions";
+                        return Err(Error::Row { state, action, what, value: 0.0 });
+                    }
+                    NEW => {
+                        ranks[next] = OPEN;
+                        path.push((next, first(next), 0));
+                    }
+                    known => {
+                        if let Some(last) = path.last_mut() {
+                            last.2 = last.2.max(known + 1);
+                        }
+                    }
+                }
+            }
+        }
+        Ok(ranks.into_iter().max().unwrap_or(0))
     }
 }
 
@@ -272,7 +349,7 @@ impl Mdp for TabularMdp<'_> {
         }
     }
 
-    fn least_stage_cost(&self) -> f64 {
-        self.stage_costs.iter().copied().fold(f64::INFINITY, f64::min)
+    fn facts(&self) -> Facts {
+        self.facts
     }
 }

@@ -18,7 +18,7 @@ use std::time::Duration;
 
 use rayon::prelude::*;
 
-use crate::bellman::{Check, certificate, change, solution};
+use crate::bellman::{Check, change, larger, solution};
 use crate::block::{Block, MOST_BLOCKS, SharedValues};
 use crate::error::{Error, Result};
 use crate::mdp::Mdp;
@@ -27,7 +27,7 @@ use crate::proper::proper_states;
 use crate::solution::Solution;
 use crate::stop::StopFlag;
 use crate::tabular::TabularMdp;
-use crate::termination::{LimitMonitor, Observer, Progress, Status, StopRule};
+use crate::termination::{Certificate, LimitMonitor, Observer, Progress, StopRule};
 use crate::waves::{ResidualBoundTracker, Task, waves};
 
 /// Base-2 logarithm of the smallest number of states of a block. The update of a smaller block takes less time than
@@ -69,13 +69,11 @@ impl SharedValues for Shared {
 /// # Ok::<(), ppvi::Error>(())
 /// ```
 pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer>) -> Result<Solution> {
-    rule.validate()?;
     let states = mdp.states();
     check_size(mdp)?;
-    let mut monitor = LimitMonitor::start(rule, observer);
+    let mut monitor = LimitMonitor::start(rule, Certificate::of(mdp), observer)?;
     // The exact check of all states.
     monitor.needs_to_end(1, Duration::ZERO);
-    let certificate = certificate(mdp);
     let discount = mdp.discount();
     let classes = classify(mdp);
     let log_size = (LEAST_LOG_SIZE..).find(|&log| states.div_ceil(1 << log) <= MOST_BLOCKS).unwrap_or(LEAST_LOG_SIZE);
@@ -90,9 +88,11 @@ pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer
     sweeps.backups = blocks.par_iter().map(|block| block.solve_constants(discount, &values)).sum();
     let mut policy = vec![0; states];
     let (status, check) = loop {
-        let threshold = match discount < 1.0 {
-            true => certificate.threshold(rule.tolerance, 0.0),
-            false => certificate.threshold(rule.tolerance, largest(&values)),
+        // With a discount the threshold depends on the values only if it is near the rounding.
+        let most = mdp.facts().largest_stage_cost / (1.0 - discount);
+        let threshold = match monitor.threshold(most) == monitor.threshold(0.0) {
+            true => monitor.threshold(0.0),
+            false => monitor.threshold(largest(&values)),
         };
         let stopped = match sweeps.is_below(threshold) {
             true => None,
@@ -107,21 +107,18 @@ pub fn tabular_sweep(mdp: &TabularMdp, rule: StopRule, observer: Option<Observer
         };
         let check = check(&blocks, discount, &values, &mut policy, log_size);
         sweeps.backups += states as u64;
-        let threshold = certificate.threshold(rule.tolerance, check.max_value);
-        match stopped {
-            _ if check.residual < threshold => break (Status::Converged, check),
-            Some(status) => break (status, check),
-            // Rounding has exceeded the bounds, or the threshold has fallen: start the bounds afresh.
-            None => sweeps.tracker = ResidualBoundTracker::new(&blocks, discount),
+        if let Some(status) = monitor.conclude(check, stopped) {
+            break (status, check);
         }
+        // Rounding has exceeded the bounds, or the threshold has fallen: start the bounds afresh.
+        sweeps.tracker = ResidualBoundTracker::new(&blocks, discount);
     };
     let values = values.0.into_iter().map(|value| f64::from_bits(value.into_inner())).collect();
-    let mut solution = solution(values, policy, status, check, &certificate);
+    let mut solution = solution(values, policy, status, check, &monitor);
     solution.report.backups = sweeps.backups;
     solution.report.partitions = blocks.len();
     solution.report.partitions_processed = sweeps.updates;
     solution.report.order = sweeps.order;
-    solution.report.seconds_solving = monitor.seconds();
     Ok(solution)
 }
 
@@ -175,7 +172,7 @@ impl<'b> Sweeps<'b> {
                     self.order.push(task.block as u32);
                 }
             }
-            largest = changes.into_iter().fold(largest, f64::max);
+            largest = changes.into_iter().fold(largest, larger);
         }
         largest
     }
@@ -212,7 +209,7 @@ fn initial_values(classes: &[Class]) -> Shared {
 /// Largest finite |V|.
 fn largest(values: &Shared) -> f64 {
     let sizes = (0..values.0.len()).into_par_iter().with_min_len(4096).map(|state| values.get(state).abs());
-    sizes.filter(|size| size.is_finite()).reduce(|| 0.0, f64::max)
+    sizes.filter(|size| size.is_finite()).reduce(|| 0.0, larger)
 }
 
 /// Writes the greedy policy, and returns the exact check of all states.

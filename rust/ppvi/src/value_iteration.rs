@@ -3,11 +3,11 @@
 //! V(k+1) = T V(k) for all states at once (Jacobi). The sweep that computes T V(k) also yields the exact residual of
 //! V(k). The solver returns V(k), because its residual is known.
 
-use crate::bellman::{bellman_operator, certificate, initial_values, solution};
+use crate::bellman::{bellman_operator, initial_values, solution};
 use crate::error::Result;
 use crate::mdp::Mdp;
 use crate::solution::Solution;
-use crate::termination::{LimitMonitor, Observer, Progress, Status, StopRule};
+use crate::termination::{Certificate, LimitMonitor, Observer, Progress, StopRule};
 
 /// Solves a problem by sweeps over all states on the current rayon pool. The values are the same, bit for bit, for any
 /// number of threads.
@@ -32,9 +32,7 @@ use crate::termination::{LimitMonitor, Observer, Progress, Status, StopRule};
 /// # Ok::<(), ppvi::Error>(())
 /// ```
 pub fn value_iteration(mdp: &impl Mdp, rule: StopRule, observer: Option<Observer>) -> Result<Solution> {
-    rule.validate()?;
-    let mut monitor = LimitMonitor::start(rule, observer);
-    let certificate = certificate(mdp);
+    let mut monitor = LimitMonitor::start(rule, Certificate::of(mdp), observer)?;
     let mut values = initial_values(mdp);
     let mut next = values.clone();
     let mut policy = vec![0; mdp.states()];
@@ -42,15 +40,15 @@ pub fn value_iteration(mdp: &impl Mdp, rule: StopRule, observer: Option<Observer
     loop {
         let check = bellman_operator(mdp, &values, &mut next, &mut policy);
         sweeps += 1;
-        let threshold = certificate.threshold(rule.tolerance, check.max_value);
-        let converged = (check.residual < threshold).then_some(Status::Converged);
-        let progress = Progress { sweeps: sweeps as f64, residual: check.residual, threshold };
-        if let Some(status) = converged.or_else(|| monitor.check(&progress)) {
-            let mut solution = solution(values, policy, status, check, &certificate);
+        let ended = monitor.conclude(check, None).or_else(|| {
+            let threshold = monitor.threshold(check.max_value);
+            monitor.check(&Progress { sweeps: sweeps as f64, residual: check.residual, threshold })
+        });
+        if let Some(status) = ended {
+            let mut solution = solution(values, policy, status, check, &monitor);
             solution.report.backups = sweeps * mdp.states() as u64;
             solution.report.partitions_processed = sweeps;
             solution.report.order = vec![0];
-            solution.report.seconds_solving = monitor.seconds();
             return Ok(solution);
         }
         std::mem::swap(&mut values, &mut next);

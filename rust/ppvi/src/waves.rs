@@ -6,6 +6,7 @@
 //! bit for bit, as that of the sequence ([`crate::priority`] has the proof). [`ResidualBoundTracker`] computes the
 //! accumulated-change bound, which [`crate::priority`] defines, for every list.
 
+use crate::bellman::larger;
 use crate::block::Block;
 
 /// The update of list `side` (0 forward, 1 backward) of a block.
@@ -82,7 +83,7 @@ impl<'b> ResidualBoundTracker<'b> {
         let mut growth = 0.0f64;
         while reads != 0 {
             let block = reads.trailing_zeros() as usize;
-            growth = growth.max(self.totals[block] - seen[block]);
+            growth = larger(growth, self.totals[block] - seen[block]);
             reads &= reads - 1;
         }
         self.left[task.index()] + self.discount * growth

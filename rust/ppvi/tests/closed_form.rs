@@ -152,12 +152,30 @@ fn a_single_step_is_never_taken_for_free() {
 }
 
 #[test]
-fn free_steps_converge_but_prove_nothing() {
-    let mdp = tabular(&vec![vec![(0.0, vec![(1, 1.0)])], vec![(1.0, vec![(2, 1.0)])], vec![]], 1.0).unwrap();
-    for solution in solve_all(&mdp, 1e-6, 1) {
-        assert_eq!(solution.values, [1.0, 1.0, 0.0]);
-        assert_eq!(solution.report.status, Status::Converged);
-        assert_eq!(solution.report.error_bound, f64::INFINITY);
+fn free_steps_are_proved_too_unless_they_form_a_loop() {
+    let rows = |back: f64| -> Rows {
+        let first = vec![(0.0, vec![(1, 1.0)]), (0.0, vec![(3, 1.0), (0, 0.0)])];
+        vec![first, vec![(0.0, vec![(2, 1.0)])], vec![(1.0, vec![(3, 1.0)]), (back, vec![(0, 1.0)])], vec![]]
+    };
+    assert_values(&tabular(&rows(0.5), 1.0).unwrap(), 1e-6, &[0.0, 0.5, 0.5, 0.0]);
+    let message = tabular(&rows(0.0), 1.0).expect_err("a loop").to_string();
+    assert!(message.starts_with("state 2, action 1: steps of cost zero must not form a loop"), "{message}");
+    assert!(tabular(&rows(0.0), 0.9).is_ok());
+    let itself = tabular(&vec![vec![(0.0, vec![(0, 1.0)])]], 1.0).expect_err("a loop").to_string();
+    assert!(itself.starts_with("state 0, action 0: steps of cost zero must not form a loop"), "{itself}");
+    // No cost at all.
+    assert_values(&tabular(&vec![vec![(0.0, vec![(1, 1.0)])], vec![]], 1.0).unwrap(), 1e-6, &[0.0, 0.0]);
+}
+
+#[test]
+fn a_tolerance_below_the_rounding_is_a_precision_limit() {
+    for discount in [0.9, 1.0] {
+        let rows = grid_world(9, 7, |_, _| false, 0.7);
+        for solution in solve_all(&tabular(&rows, discount).unwrap(), 1e-17, 5) {
+            assert_eq!(solution.report.status, Status::PrecisionLimit);
+            assert!(solution.report.error_bound > 1e-17 && solution.report.error_bound < 1e-9);
+            assert!(solution.report.backups < 63 * 2000);
+        }
     }
 }
 

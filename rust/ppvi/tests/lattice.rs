@@ -1,7 +1,7 @@
 //! Lattices made by hand: the sweeps against plain value iteration, and the checks of the parts.
 
 use ppvi::lattice::{Costs, HeadingKernel, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, outcome, sweep};
-use ppvi::{Error, Mdp, Status, StopRule, TabularMdp, tabular_sweep, value_iteration};
+use ppvi::{Error, Mdp, Status, StopRule, Storage, TabularMdp, tabular_sweep, value_iteration};
 
 /// A point that always moves right, whatever its heading.
 fn parts(nx: usize, headings: usize, noise: &[f64]) -> LatticeParts {
@@ -55,6 +55,50 @@ fn any_number_of_headings_has_the_values_of_the_reference() {
 }
 
 #[test]
+fn a_noise_of_probability_zero_next_to_infinite_values() {
+    // On the second row the point stands still for ever.
+    let mut parts = parts(9, 4, &[0.5, 0.0, 0.25]);
+    let still = Shift { cell: [0; 2], fraction: [0.0; 2] };
+    parts.regions.push(Region { stencil: vec![[still; 2]; 4], ..parts.regions[0].clone() });
+    parts.region_of = (0..18).map(|point| point % 2).collect();
+    let lattice = lattice(parts);
+    let rule = StopRule { storage: Storage::Single, ..StopRule::new(1e-3).unwrap() };
+    let swept = sweep::solve(&lattice, rule, None).unwrap();
+    let reference = value_iteration(&lattice, rule, None).unwrap();
+    let proper = ppvi::proper_states(&lattice);
+    assert!(proper.contains(&true) && proper.contains(&false));
+    for report in [&swept.report, &reference.report] {
+        assert_eq!(report.status, Status::Converged);
+        assert!(report.error_bound <= 1e-3, "{report:?}");
+    }
+    for (state, proper) in proper.into_iter().enumerate() {
+        let (a, b) = (f64::from(swept.values[state]), reference.values[state]);
+        assert!(if proper { (a - b).abs() <= 2e-3 } else { a == f64::INFINITY && b == a }, "{state}: {a}, {b}");
+    }
+}
+
+#[test]
+fn turns_back_and_forth_never_end() {
+    // A step to the right turns the needle to the left, and the next one back again.
+    let mut parts = parts(9, 2, &[1.0]);
+    let left = Shift { cell: [-1, 0], fraction: [0.0; 2] };
+    parts.regions[0].stencil[1] = [left; 2];
+    let codes = |heading: usize, _, codes: &mut [u8]| {
+        codes.fill(outcome::CONTINUES);
+        let at_border = if heading == 0 { 14..16 } else { 0..2 };
+        codes[at_border].fill(if heading == 0 { outcome::TARGET } else { outcome::EXIT });
+        codes[16..].fill(outcome::AT_TARGET);
+    };
+    let lattice = LatticeMdp::new(parts, codes).unwrap();
+    let rule = StopRule::new(1e-3).unwrap();
+    let swept = sweep::solve(&lattice, rule, None).unwrap();
+    let reference = value_iteration(&lattice, rule, None).unwrap();
+    assert_eq!(swept.report.status, Status::Converged);
+    assert!(swept.values.contains(&f32::INFINITY));
+    assert_eq!(swept.values, reference.values.iter().map(|value| *value as f32).collect::<Vec<f32>>());
+}
+
+#[test]
 fn every_part_is_checked() {
     let valid = || parts(5, 4, &[1.0]);
     let message = |parts: LatticeParts| match LatticeMdp::new(parts, |_, _, codes| codes.fill(0)) {
@@ -72,6 +116,15 @@ fn every_part_is_checked() {
     assert!(with(|parts| parts.spacing[1] = 0.0).starts_with("spacing_mm = 0"));
     assert!(with(|parts| parts.costs.discount = 1.5).starts_with("discount = 1.5"));
     assert!(with(|parts| parts.costs.exit = -1.0).starts_with("exit = -1"));
+    let rule = "must not be negative, and at most 1e20: tables are in single precision";
+    for cost in [1e300, 1.1e20, f64::INFINITY, f64::NAN] {
+        let mut parts = valid();
+        parts.costs.collision = cost;
+        assert_eq!(message(parts), format!("collision = {cost}: {rule}"));
+        let mut parts = valid();
+        parts.regions[0].step_cost = cost;
+        assert_eq!(message(parts), format!("insertion_per_mm = {cost}: {rule}"));
+    }
     assert!(with(|parts| parts.regions[0].step_cost = 0.0).contains("must be positive where the discount is 1"));
     assert!(with(|parts| parts.regions.clear()).starts_with("regions = 0"));
     assert_eq!(with(|parts| parts.regions[0].stencil.truncate(3)), "stencil: expected 4 elements, found 3");

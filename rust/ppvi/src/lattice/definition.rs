@@ -1,8 +1,8 @@
 //! The lattice as an MDP like any other: the definition of what the sweeps compute.
 
 use crate::lattice::model::LatticeMdp;
-use crate::lattice::parts::{Region, Shape, Shift, outcome};
-use crate::mdp::Mdp;
+use crate::lattice::parts::{Costs, Region, Shape, Shift, outcome};
+use crate::mdp::{Facts, Mdp};
 
 impl LatticeMdp {
     /// `(i, j, k, b)` of a state number.
@@ -134,7 +134,17 @@ impl Mdp for LatticeMdp {
         if costs.discount < 1.0 { 0.0 } else { costs.exit.min(costs.collision) }
     }
 
-    fn least_stage_cost(&self) -> f64 {
-        self.parts.regions.iter().fold(f64::INFINITY, |least, region| least.min(region.step_cost))
+    fn facts(&self) -> Facts {
+        let Costs { rotation, collision, exit, .. } = self.parts.costs;
+        let steps = self.parts.regions.iter().map(|region| region.step_cost);
+        let cheapest = steps.clone().fold(f64::INFINITY, f64::min);
+        let mut facts = Facts::default();
+        for kernel in self.parts.regions.iter().flat_map(|region| &region.turn) {
+            let sum = kernel.taps().iter().map(|(_, p)| p).sum();
+            // Four corners, and the rounding of their weights.
+            facts.add(4 * kernel.taps().len() + 4, sum, cheapest);
+        }
+        facts.largest_stage_cost = steps.fold(0.0, f64::max) + rotation + collision.max(exit);
+        facts
     }
 }

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use crate::bellman::larger;
 use crate::lattice::backup::{self, SweepContext};
 use crate::lattice::direction::{Arc, Direction};
 use crate::lattice::halo::Halo;
@@ -148,7 +149,7 @@ impl<'a, T: Vectorized> Engine<'a, T> {
 
     /// The bound of [`Engine::wave`].
     fn bound(&self) -> f64 {
-        let largest = self.changes.iter().fold(0.0, |max, change| f64::max(max, change.during + change.since));
+        let largest = self.changes.iter().fold(0.0, |max, change| larger(max, change.during + change.since));
         largest * self.costs.discount.widen()
     }
 
@@ -161,9 +162,10 @@ impl<'a, T: Vectorized> Engine<'a, T> {
     ///
     /// Where the last sweep of a sector did not keep its values, every state is backed up once more, each sector with
     /// the halos that it has. For the wave that was swept last they are those of its last sweep, so that nothing
-    /// changes; the other wave has new ones, and so the last wave finds another interface change.
+    /// changes; the other wave has new ones, and so the last wave finds another interface change. With an infinite
+    /// threshold this is always done, so that no change in the bound is computed roughly.
     pub(crate) fn tables(&mut self, threshold: f64) -> Tables {
-        let again = self.kept.iter().any(Option::is_none);
+        let again = threshold == f64::INFINITY || self.kept.iter().any(Option::is_none);
         if again {
             self.sweep(|_| true, true);
             self.pull(|_| true, threshold);

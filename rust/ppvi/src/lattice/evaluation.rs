@@ -2,12 +2,39 @@
 //!
 //! The chain of the policy is evaluated by the sweeps of the solver, with other costs, no discount, and zero as the
 //! start: the iterates grow towards the smallest solution, which is the right one even where the policy never ends.
+//!
+//! # The error of a success probability
+//!
+//! Let p be the returned probabilities and p* the true ones, P the transitions of the policy between states at which the
+//! execution goes on, and e an upper bound on the residual |r + Pp - p|, rounding included. If a table W >= 0 satisfies
+//! W >= 1 + PW, it bounds the expected number of steps, and
+//!
+//! ```text
+//! |p - p*| <= e + P |p - p*| <= ... <= e W.
+//! ```
+//!
+//! *From the optimal values.* With discount 1 the table V of a solve has the residual B, and V >= c + PV - B plus the
+//! costs of failures, all of which are at least F. Where the execution ends without success, 1 - p accounts for F, so
+//!
+//! ```text
+//! V - F (1 - p) >= c - B - F e + P (V - F (1 - p)).
+//! ```
+//!
+//! Hence W = (V - F (1 - p)) / (c - B - F e) will do, at no cost. It needs interpolated transitions, where the absorbing
+//! states of obstacles have the value F or more; with nearest ones, F = 0.
+//!
+//! *By sweeps.* Otherwise the expected number of steps is evaluated like a cost, up to a residual b < 1, in single
+//! precision. The result S satisfies S >= 1 - b + PS, so W = S / (1 - b) will do.
 
+use crate::bellman::larger;
 use crate::error::{Error, Result};
 use crate::lattice::engine::Engine;
 use crate::lattice::kernel::{StageCosts, StepCosts};
 use crate::lattice::model::LatticeMdp;
 use crate::lattice::parts::{Region, outcome};
+use crate::lattice::sweep::certificate;
+use crate::mdp::Mdp;
+use crate::termination::Certificate;
 
 /// Limit on the passes of an evaluation.
 const MAX_PASSES: u64 = 2000;
@@ -15,12 +42,18 @@ const MAX_PASSES: u64 = 2000;
 /// Relative change that ends the passes: the largest change over the largest possible (or found) value.
 const RELATIVE_CHANGE: f64 = 1e-6;
 
+/// Residual of the expected number of steps at which its evaluation ends. A larger one gives a larger bound earlier.
+const STEP_RESIDUAL: f64 = 0.5;
+
+/// Limit on the passes of that evaluation.
+const MAX_STEP_PASSES: u64 = 200;
+
 /// A number for every state, in table layout.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Evaluation {
     /// The number.
     pub values: Vec<f32>,
-    /// Upper bound on the residual of the evaluation equation after the last pass.
+    /// Upper bound on the residual of the evaluation equation, but for rounding.
     pub change: f64,
     /// Whether the residual was small enough before the limit on passes.
     pub converged: bool,
@@ -32,6 +65,71 @@ pub fn success(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
     terminal[outcome::TARGET as usize] = 1.0;
     terminal[outcome::AT_TARGET as usize] = 1.0;
     evaluate(lattice, policy, 0.0, |_| StepCosts { cost: 0.0, terminal })
+}
+
+/// The table of a solve with discount 1 whose greedy policy is evaluated.
+#[derive(Debug, Clone, Copy)]
+pub struct OptimalValues<'a> {
+    /// Cost-to-go, in table layout.
+    pub values: &'a [f32],
+    /// The residual that the solve reported.
+    pub residual: f64,
+}
+
+/// Upper bound on the error of the probabilities that [`success`] returned for a policy: they differ by at most this
+/// from the exact ones. It is 1 if nothing better can be proven. Without `optimal` it takes sweeps; see the
+/// [module](self).
+///
+/// # Errors
+/// [`Error::Length`] for a table of another size.
+pub fn success_error(
+    lattice: &LatticeMdp,
+    policy: &[u8],
+    success: &Evaluation,
+    optimal: Option<OptimalValues>,
+) -> Result<f64> {
+    let certificate = certificate::<f32>(lattice);
+    let residual = success.change * (1.0 + certificate.rounding) + certificate.rounding + certificate.excess;
+    let from_values = match optimal {
+        Some(optimal) if lattice.parts.costs.discount == 1.0 => {
+            for (name, found) in [("values", optimal.values.len()), ("success", success.values.len())] {
+                check_length(name, lattice, found)?;
+            }
+            steps_from_values(lattice, success, optimal, residual)
+        }
+        _ => f64::INFINITY,
+    };
+    let steps = if from_values.is_finite() { from_values } else { expected_steps(lattice, policy)? };
+    Ok((residual * steps * (1.0 + 1e-9)).min(1.0))
+}
+
+/// Upper bound on the expected number of steps, from optimal values; infinite if they prove none.
+fn steps_from_values(lattice: &LatticeMdp, success: &Evaluation, optimal: OptimalValues, residual: f64) -> f64 {
+    let costs = &lattice.parts.costs;
+    let failure = if lattice.is_interpolated() { costs.collision.min(costs.exit) } else { 0.0 };
+    let least = lattice.facts().least_stage_cost - optimal.residual - failure * residual;
+    // Obstacles have values that are rounded to single precision.
+    let rounded = failure * f64::from(f32::EPSILON);
+    let shares = optimal.values.iter().zip(&success.values);
+    let most = shares.fold(0.0, |most, (value, p)| larger(most, f64::from(*value) - failure * (1.0 - f64::from(*p))));
+    if least > 0.0 { (most + rounded) / least } else { f64::INFINITY }
+}
+
+/// Upper bound on the expected number of steps under a policy, by sweeps; infinite if they do not converge soon.
+fn expected_steps(lattice: &LatticeMdp, policy: &[u8]) -> Result<f64> {
+    let mut terminal = [0.0; outcome::CODES];
+    terminal[outcome::TARGET as usize..=outcome::EXIT as usize].fill(1.0);
+    let costs = evaluation_costs(lattice, 0.0, |_| StepCosts { cost: 1.0, terminal });
+    check_length("policy", lattice, policy.len())?;
+    let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, &costs, 0.0, Some(policy));
+    let changes = (0..MAX_STEP_PASSES).map(|_| engine.pass(STEP_RESIDUAL));
+    if changes.skip(1).all(|change| change > STEP_RESIDUAL) {
+        return Ok(f64::INFINITY);
+    }
+    let certificate = Certificate { discount: 1.0, ..certificate::<f32>(lattice) };
+    let tables = engine.tables(f64::INFINITY);
+    let hidden = certificate.hidden(tables.largest) + tables.seen * (1.0 + certificate.rounding);
+    Ok(if hidden < 1.0 { tables.largest / (1.0 - hidden) } else { f64::INFINITY })
 }
 
 /// Probability that the execution ends.
@@ -87,19 +185,15 @@ fn evaluate(
     rotation: f64,
     step: impl Fn(&Region) -> StepCosts<f64>,
 ) -> Result<Evaluation> {
-    let costs = &StageCosts { rotation, discount: 1.0, steps: lattice.parts.regions.iter().map(step).collect() };
-    let states = lattice.parts.shape.states();
-    if policy.len() != states {
-        return Err(Error::Length { name: "policy", expected: states, found: policy.len() });
-    }
+    let costs = &evaluation_costs(lattice, rotation, step);
+    check_length("policy", lattice, policy.len())?;
     let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, costs, 0.0, Some(policy));
     let terminal = costs.steps.iter().flat_map(|step| step.terminal);
     let largest = terminal.fold(costs.rotation, f64::max);
-    let mut change = f64::INFINITY;
     let mut converged = false;
     let mut scale = largest;
     for pass in 1..=MAX_PASSES {
-        change = engine.pass(RELATIVE_CHANGE * scale);
+        let change = engine.pass(RELATIVE_CHANGE * scale);
         // Probabilities are at most one; lengths and turns have no bound known beforehand.
         scale = if pass % 8 == 0 { engine.max().max(largest) } else { largest };
         converged = change <= RELATIVE_CHANGE * scale;
@@ -107,5 +201,16 @@ fn evaluate(
             break;
         }
     }
-    Ok(Evaluation { values: engine.tables(0.0).values, change, converged })
+    // The tables take another pass, after which all changes are computed.
+    let tables = engine.tables(f64::INFINITY);
+    Ok(Evaluation { values: tables.values, change: tables.seen, converged })
+}
+
+fn evaluation_costs(lattice: &LatticeMdp, rotation: f64, step: impl Fn(&Region) -> StepCosts<f64>) -> StageCosts<f64> {
+    StageCosts { rotation, discount: 1.0, steps: lattice.parts.regions.iter().map(step).collect() }
+}
+
+fn check_length(name: &'static str, lattice: &LatticeMdp, found: usize) -> Result<()> {
+    let expected = lattice.parts.shape.states();
+    if found == expected { Ok(()) } else { Err(Error::Length { name, expected, found }) }
 }

@@ -41,4 +41,4 @@ mod turns;
 
 pub use heading::HeadingKernel;
 pub use model::LatticeMdp;
-pub use parts::{Costs, LatticeParts, Region, Shape, Shift, Transition, outcome};
+pub use parts::{Costs, LARGEST_COST, LatticeParts, Region, Shape, Shift, Transition, outcome};

@@ -35,6 +35,11 @@ const MAX_STATES: u128 = 1 << 40;
 /// Bytes for each state that a solve needs about.
 const STATE_BYTES: u128 = 16;
 
+/// Largest cost of a step, a rotation or a failure. Tables are in single precision, and no sum of costs may overflow it.
+pub const LARGEST_COST: f64 = 1e20;
+
+const COST_RULE: &str = "must not be negative, and at most 1e20: tables are in single precision";
+
 /// Numbers of grid points and headings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shape {
@@ -99,8 +104,8 @@ pub struct Costs {
 impl Costs {
     fn validate(&self) -> Result<()> {
         for (name, value) in [("rotation", self.rotation), ("collision", self.collision), ("exit", self.exit)] {
-            if !(value >= 0.0 && value.is_finite()) {
-                return Err(Error::parameter(name, value, "must be finite and not negative"));
+            if !(0.0..=LARGEST_COST).contains(&value) {
+                return Err(Error::parameter(name, value, COST_RULE));
             }
         }
         if !(self.discount > 0.0 && self.discount <= 1.0) {
@@ -111,8 +116,8 @@ impl Costs {
 
     /// Checks the cost of a step.
     fn validate_step(&self, cost: f64) -> Result<()> {
-        if !(cost >= 0.0 && cost.is_finite()) {
-            return Err(Error::parameter("insertion_per_mm", cost, "must be finite and not negative"));
+        if !(0.0..=LARGEST_COST).contains(&cost) {
+            return Err(Error::parameter("insertion_per_mm", cost, COST_RULE));
         }
         if self.discount == 1.0 && cost == 0.0 {
             return Err(Error::parameter("insertion_per_mm", cost, "must be positive where the discount is 1"));

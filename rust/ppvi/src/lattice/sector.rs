@@ -126,14 +126,19 @@ impl<T: Real> Sector<T> {
         (padded & self.mask) * self.column_size()
     }
 
-    /// Takes over the state of a sector of another precision.
+    /// Takes over the state of a sector of another precision. The padding keeps what is outside in this precision.
     pub(crate) fn load<S: Real>(&mut self, other: &Sector<S>) {
-        let convert = |to: &mut Array<T>, from: &Array<S>| {
-            to.iter_mut().zip(from.iter()).for_each(|(to, from)| *to = T::of(from.widen()));
+        let convert = |to: &mut [T], from: &[S]| {
+            to.iter_mut().zip(from).for_each(|(to, from)| *to = T::of(from.widen()));
         };
         convert(&mut self.edges, &other.edges);
         if !self.downstream {
-            convert(&mut self.convolved, &other.convolved);
+            let (width, column) = (self.width(), self.column_size());
+            let inside = self.pad[0] * column..(self.pad[0] + self.extent[0]) * column;
+            let to = self.convolved[inside.clone()].chunks_exact_mut(width);
+            for (to, from) in to.zip(other.convolved[inside].chunks_exact(width)) {
+                convert(&mut to[self.pad[1]..][..self.extent[1]], &from[self.pad[1]..][..self.extent[1]]);
+            }
         }
     }
 

@@ -11,32 +11,37 @@
 //!
 //! *Start.* V = the cheaper of the two failures, since that is what most of a hard workspace is worth.
 //!
-//! *Stop.* A value is the exact backup of what it has read, so its residual is at most the discount times the change of
-//! that since: within a sector there is none (steps lead downstream), and at the interfaces between sectors it is
-//! computed when the halos are refreshed. So a pass knows a bound on the residual of its values for next to nothing,
-//! and no pass is spent on proving what the others have done. To it comes the rounding of a backup.
+//! *Stop.* A value is the backup of what it has read, so its residual is at most the discount times the change of that
+//! since: within a sector there is none (steps lead downstream), and at the interfaces between sectors it is computed
+//! when the halos are refreshed. So a pass knows a bound on the residual of its values for next to nothing, and no pass
+//! is spent on proving what the others have done. The rounding of a backup is added, and the rounding of the numbers of
+//! the problem to the precision of the sweep. While the solve goes on, large changes are computed from a sample. A solve
+//! that a limit ends makes one more pass, which writes the tables and computes all changes.
 //!
 //! *Precision.* Single precision, and double precision from where rounding hides what the tolerance asks for.
+//!
+//! *Improper states.* Steps that may lead to a state of infinite value are marked, and have the finite cost [`NEVER`]:
+//! infinity times a weight of zero is no number.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use crate::bellman::{Check, larger};
 use crate::error::Result;
 use crate::lattice::engine::{Engine, Tables};
 use crate::lattice::kernel::{StageCosts, StepCosts, Vectorized};
 use crate::lattice::model::LatticeMdp;
-use crate::lattice::parts::{Region, Shift, outcome};
+use crate::lattice::parts::{LatticeParts, Region, Shift, outcome};
 use crate::lattice::terminal_mask::{TerminalMask, terminal_masks};
+use crate::lattice::turns::Turns;
 use crate::mdp::Mdp;
 use crate::proper::proper_states;
 use crate::solution::Report;
-use crate::termination::{Certificate, LimitMonitor, Observer, Progress, Status, StopRule};
+use crate::stop::StopFlag;
+use crate::termination::{Certificate, LimitMonitor, Observer, Progress, Status, StopRule, Storage};
 
 /// Multiple of the threshold: once the residual is below it, sweeps write their values to the tables. A sweep divides
 /// the residual by five to ten, and the last two sweeps must write their values.
 const KEEP_BELOW: f64 = 20.0;
-
-/// A precision is exhausted if the residual is at most this multiple of the rounding of a backup.
-const EXHAUSTED: f64 = 4.0;
 
 /// Table of a lattice, as `[i][j][heading][bevel]`.
 #[derive(Debug, Clone, PartialEq)]
@@ -56,7 +61,7 @@ fn planning_costs(lattice: &LatticeMdp) -> StageCosts<f64> {
     let step = |region: &Region| {
         let (cost, outside) = (region.step_cost, lattice.value_outside());
         let (collision, exit) = (cost + costs.collision, cost + costs.exit);
-        StepCosts { cost, terminal: [0.0, cost, collision, exit, at_obstacle, 0.0, outside, f64::INFINITY] }
+        StepCosts { cost, terminal: [0.0, cost, collision, exit, at_obstacle, 0.0, outside, NEVER] }
     };
     StageCosts {
         rotation: costs.rotation,
@@ -65,42 +70,79 @@ fn planning_costs(lattice: &LatticeMdp) -> StageCosts<f64> {
     }
 }
 
-/// The terminal masks with the improper states marked, or `None` where there are none: states from which no policy ends
-/// the execution with probability one, so that their value is infinite without a discount. A step far shorter than the
-/// spacing may round to no movement at all; without such a step all values are finite, and no search is needed. Both
-/// bevels of a pose have the same two steps to choose from, so both are improper, and so are both steps.
+/// Cost that stands for infinity during the sweeps, far above all sums of costs. It is also the value of improper states,
+/// which only steps of this cost and interpolations with weight zero read.
+const NEVER: f64 = 1e36;
+
+/// The terminal masks with the steps marked that may lead to improper states, or `None` where there are none: states
+/// from which no policy ends the execution with probability one, so that their value is infinite without a discount. The
+/// search takes about as long as a sweep, and is left out where [`always_ends`] knows the answer. Both bevels of a pose
+/// have the same two steps to choose from, so both are improper, and so are both steps.
 fn masks_with_improper_states(lattice: &LatticeMdp) -> Option<Vec<TerminalMask>> {
-    let stands_still = |shift: &Shift| shift.cell == [0, 0] && shift.fraction == [0.0, 0.0];
-    if lattice.discount() < 1.0
-        || !lattice.parts.regions.iter().flat_map(|region| &region.stencil).flatten().any(stands_still)
-    {
+    if lattice.discount() < 1.0 || always_ends(&lattice.parts) {
         return None;
     }
     let proper = proper_states(lattice);
-    let mut outcomes = lattice.outcomes.clone();
-    for (state, _) in proper.iter().enumerate().filter(|(_, proper)| !**proper) {
-        let (i, j, k, b) = lattice.coordinates(state);
-        outcomes[lattice.outcome_place(i, j, k, b)] = outcome::IMPROPER;
+    if proper.iter().all(|proper| *proper) {
+        return None;
+    }
+    let (mut outcomes, stop) = (lattice.outcomes.clone(), StopFlag::current());
+    for state in (0..lattice.states()).filter(|state| lattice.actions(*state) > 0) {
+        stop.check();
+        let mut leads_astray = !proper[state];
+        lattice.for_each_successor(state, 0, |next, _| leads_astray |= !proper[next]);
+        if leads_astray {
+            let (i, j, k, b) = lattice.coordinates(state);
+            outcomes[lattice.outcome_place(i, j, k, b)] = outcome::IMPROPER;
+        }
     }
     Some(terminal_masks(&lattice.parts, &lattice.directions, &outcomes))
 }
 
-/// A bound on the rounding of one backup of values up to `largest`: of the convolution, the blend of four, discount,
-/// cost and turning, each half a unit in the last place.
-fn rounding<T: Vectorized>(lattice: &LatticeMdp, largest: f64) -> f64 {
-    let taps = lattice.parts.regions.iter().flat_map(|region| &region.turn).map(|turn| turn.taps().len()).max();
-    let operations = taps.unwrap_or(0) + 1 + if lattice.is_interpolated() { 4 } else { 0 } + 3;
-    operations as f64 * largest * T::EPSILON / 2.0
+/// Whether every step moves and turns little, so that all values are finite: a policy that steers towards one axis and
+/// then along it arrives at the border. False where this is not certain.
+fn always_ends(parts: &LatticeParts) -> bool {
+    let stands_still = |shift: &Shift| shift.cell == [0, 0] && shift.fraction == [0.0, 0.0];
+    // An eighth of a full turn: beside it, a step along an axis could round to one across.
+    let most = (parts.shape.headings / 8) as i32;
+    let steers = |region: &Region| {
+        let [(low, high), (other_low, other_high)] = region.turn.each_ref().map(|kernel| {
+            let taps = kernel.taps();
+            (taps.first().map_or(0, |tap| tap.0), taps.last().map_or(0, |tap| tap.0))
+        });
+        let both_ways = (low <= 0 && other_high >= 0) || (other_low <= 0 && high >= 0);
+        both_ways && [low, high, other_low, other_high].iter().all(|cell| cell.abs() <= most)
+    };
+    parts.regions.iter().all(|region| steers(region) && !region.stencil.iter().flatten().any(stands_still))
+}
+
+/// The certificate of a sweep in the precision T.
+///
+/// All terms of a backup are positive, so the relative errors of the operations on a value add up. These operations are
+/// those of the convolution with the kernel of a turn, the discount, the cost and the rotation; with interpolation also
+/// a product and two sums. The weights of the kernel and of the interpolation and the discount are rounded as well. A
+/// change of W is a weighted sum of the differences of values, one for each tap beyond the sector. The kernel that needs
+/// most counts.
+pub(crate) fn certificate<T: Vectorized>(lattice: &LatticeMdp) -> Certificate {
+    let turns = Turns::<T>::new(&lattice.parts.regions);
+    let of_kernel = turns.all().map(|(_, _, kernel)| {
+        let beyond: Vec<f64> = kernel.taps.iter().filter(|tap| tap.0 != 0).map(|tap| tap.1.widen()).collect();
+        kernel.operations() as f64 + (beyond.len() + 1) as f64 * beyond.iter().sum::<f64>()
+    });
+    let operations = of_kernel.fold(0.0, larger) + if lattice.is_interpolated() { 9.0 } else { 5.0 };
+    let unit = T::EPSILON / 2.0;
+    let underflow =
+        operations * if T::EPSILON > f64::EPSILON { f64::from(f32::from_bits(1)) } else { f64::from_bits(1) };
+    Certificate { rounding: operations * unit / (1.0 - operations * unit), underflow, ..Certificate::of(lattice) }
 }
 
 /// Solves the lattice by directional sweeps.
 pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>>) -> Result<LatticeSolution> {
-    rule.validate()?;
-    let started = Instant::now();
-    let certificate = Certificate { discount: lattice.discount(), least_stage_cost: lattice.least_stage_cost() };
-    let mut monitor = LimitMonitor::start(rule, observer);
-    // Two waves that write the tables.
-    monitor.needs_to_end(2, Duration::ZERO);
+    // Values of the first engine are stored as they are.
+    let rule = StopRule { storage: Storage::Double, ..rule };
+    let mut monitor = LimitMonitor::start(rule, certificate::<f32>(lattice), observer)?;
+    // Two waves that write the tables, which takes longer, and all changes.
+    monitor.needs_to_end(3, Duration::ZERO);
     let improper = masks_with_improper_states(lattice);
     let terminal_masks = improper.as_ref().unwrap_or(&lattice.terminal_masks);
     let costs = &lattice.parts.costs;
@@ -108,9 +150,8 @@ pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>
     let dearest_step = lattice.parts.regions.iter().fold(0.0, |most: f64, region| most.max(region.step_cost));
     let mut run = Run {
         lattice,
-        rule,
-        certificate,
         monitor,
+        has_improper: improper.is_some(),
         waves: 0,
         tables: 0,
         largest: costs.exit.max(costs.collision) + dearest_step,
@@ -123,18 +164,19 @@ pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>
             let mut double = Engine::<f64>::new(lattice, terminal_masks, &stage_costs, start, None);
             double.load(&single);
             drop(single);
+            run.monitor.change_precision(certificate::<f64>(lattice), Storage::Single);
             let Some(end) = run.iterate(&mut double) else { unreachable!("double precision has no successor") };
             end
         }
     };
-    Ok(run.conclude(end, sectors, started))
+    Ok(run.conclude(end, sectors))
 }
 
 struct Run<'a, 'o> {
     lattice: &'a LatticeMdp,
-    rule: StopRule,
-    certificate: Certificate,
     monitor: LimitMonitor<'o>,
+    /// Whether some values stand for infinity; see [`NEVER`].
+    has_improper: bool,
     waves: u64,
     /// Number of tables that took another pass.
     tables: u64,
@@ -145,7 +187,7 @@ struct Run<'a, 'o> {
 /// Result of an iteration.
 struct End {
     status: Status,
-    residual: f64,
+    check: Check,
     tables: Tables,
 }
 
@@ -154,45 +196,50 @@ impl Run<'_, '_> {
     /// there is a better one.
     fn iterate<T: Vectorized>(&mut self, engine: &mut Engine<'_, T>) -> Option<End> {
         let first = self.waves;
-        let mut last = f64::INFINITY;
+        // Of the last two waves.
+        let mut last = [f64::INFINITY; 2];
         loop {
-            let threshold = self.certificate.threshold(self.rule.tolerance, self.largest);
-            let rounding = rounding::<T>(self.lattice, self.largest);
-            let keep = last < KEEP_BELOW * threshold.max(rounding);
-            let seen = engine.wave(self.waves % 2 == 1, threshold.max(EXHAUSTED * rounding), keep);
-            last = seen;
+            let threshold = self.monitor.threshold(self.largest);
+            let seen = engine.wave(self.waves % 2 == 1, threshold, last[1] < KEEP_BELOW * threshold);
+            let falls = seen < last[0] / 2.0;
+            last = [last[1], seen];
             self.waves += 1;
             if self.waves == first + 1 {
                 // Half of the states have not been looked at in this precision.
                 continue;
             }
-            let residual = seen + rounding;
-            let stopped = self.monitor.check(&Progress { sweeps: self.sweeps(), residual, threshold });
-            let exhausted = seen <= EXHAUSTED * rounding;
-            if stopped.is_none() && residual >= threshold {
-                match exhausted {
-                    false => continue,
-                    true if T::EPSILON > f64::EPSILON => return None,
-                    true => {}
-                }
+            let stopped = self.monitor.check(&Progress { sweeps: self.sweeps(), residual: seen, threshold });
+            let check = Check { residual: seen, max_value: self.largest };
+            if stopped.is_none() && !self.monitor.is_final(check) {
+                continue;
             }
-            let tables = engine.tables(threshold);
+            if stopped.is_none() && T::EPSILON > f64::EPSILON && !self.monitor.is_proven(check) {
+                // Rounding is mostly far below its bound.
+                if falls && self.monitor.is_within_reach(check) {
+                    continue;
+                }
+                return None;
+            }
+            // The changes are known exactly if they are below the threshold.
+            let tables = engine.tables(if stopped.is_some() { f64::INFINITY } else { threshold });
             self.tables += u64::from(tables.again);
-            let largest = tables.largest;
-            let threshold = self.certificate.threshold(self.rule.tolerance, largest);
-            let rounding = self::rounding::<T>(self.lattice, largest);
-            let residual = tables.seen + rounding;
-            let exhausted = tables.seen <= EXHAUSTED * rounding;
-            self.largest = largest;
-            let status = match stopped {
-                _ if residual < threshold => Status::Converged,
-                Some(status) => status,
-                None if !exhausted => continue,
-                None if T::EPSILON > f64::EPSILON => return None,
-                None => Status::PrecisionLimit,
-            };
-            return Some(End { status, residual, tables });
+            self.largest = self.largest(&tables);
+            let check = Check { residual: tables.seen, max_value: self.largest };
+            match self.monitor.conclude(check, stopped) {
+                Some(Status::PrecisionLimit) if T::EPSILON > f64::EPSILON => return None,
+                Some(status) => return Some(End { status, check, tables }),
+                None => {}
+            }
         }
+    }
+
+    /// The largest finite value.
+    fn largest(&self, tables: &Tables) -> f64 {
+        if !self.has_improper {
+            return tables.largest;
+        }
+        let finite = tables.values.iter().copied().map(f64::from).filter(|value| *value < NEVER / 2.0);
+        finite.fold(0.0, f64::max)
     }
 
     /// Backups so far, in units of n.
@@ -200,19 +247,23 @@ impl Run<'_, '_> {
         self.waves as f64 / 2.0 + self.tables as f64
     }
 
-    fn conclude(self, end: End, sectors: usize, started: Instant) -> LatticeSolution {
-        let End { status, residual, tables } = end;
-        // The values returned are rounded to single precision.
-        let rounding = tables.largest * f64::from(f32::EPSILON) / 2.0;
+    fn conclude(self, end: End, sectors: usize) -> LatticeSolution {
+        let End { status, check, mut tables } = end;
+        let (residual, error_bound) = self.monitor.bounds(check);
+        let residual = residual + self.monitor.certificate().hidden(check.max_value);
+        if self.has_improper {
+            let improper = tables.values.iter_mut().filter(|value| **value >= NEVER as f32 / 2.0);
+            improper.for_each(|value| *value = f32::INFINITY);
+        }
         let report = Report {
             status,
             residual,
-            error_bound: self.certificate.error_bound(residual, tables.largest) + rounding,
+            error_bound,
             backups: (self.sweeps() * self.lattice.states() as f64) as u64,
             partitions: sectors,
             partitions_processed: (sectors as f64 * self.sweeps()) as u64,
             order: (0..sectors as u32).collect(),
-            seconds_solving: started.elapsed().as_secs_f64(),
+            seconds_solving: self.monitor.seconds(),
             seconds_priorities: 0.0,
         };
         LatticeSolution { values: tables.values, policy: tables.policy, report }

@@ -82,6 +82,16 @@ impl<T: Real> Convolution<T> {
         Convolution { form: Form::of(kernel), taps }
     }
 
+    /// How many roundings a value passes through in the convolution: one product, and at most so many sums.
+    pub(crate) fn operations(&self) -> usize {
+        match &self.form {
+            Form::Five { .. } => 4,
+            Form::Pairs { pairs, .. } => 2 + pairs.len(),
+            // The first sum adds to zero.
+            Form::Taps => self.taps.len(),
+        }
+    }
+
     /// Stores in each of `rows` the sum over the taps of weight times value; `at` is the index in `values` of the
     /// heading of the first row.
     #[inline(always)]

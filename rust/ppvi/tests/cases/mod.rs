@@ -1,6 +1,9 @@
 //! Problems that several tests share.
 #![allow(dead_code)] // every test file is a crate of its own and uses some of these
 
+pub mod exact;
+pub mod random;
+
 use ppvi::{Mdp, TabularMdp};
 use proptest::prelude::*;
 
