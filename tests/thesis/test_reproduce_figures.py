@@ -19,7 +19,7 @@ from needleplan.scenario import Scenario, Transition
 from needleplan_thesis.chapter6.entries import ExecutionRule, choose_entries, execute, planned, summary, write_entries
 from needleplan_thesis.chapter6.partitions import dependent_points, draw_dependents
 from needleplan_thesis.chapter6.paths import Panel, clearance_mm, draw_panels, ending, nearest_heading
-from needleplan_thesis.chapter6.phantom import EXPERIMENTS, miss_mm
+from needleplan_thesis.chapter6.phantom import EXPERIMENTS, miss_mm, published_phantom
 
 pytestmark = pytest.mark.slow
 
@@ -96,7 +96,7 @@ def test_the_nearest_heading_with_success() -> None:
 
 
 def test_the_starts_of_section_6_5_are_entries_of_the_phantom() -> None:
-    scenario = Scenario.read("phantom")
+    scenario = published_phantom()
     assert scenario.step_mm == pytest.approx(2.258, abs=1e-3)
     assert all(0 < each.y_mm < scenario.workspace.height_mm for each in EXPERIMENTS)
     assert {each.figure[:3] for each in EXPERIMENTS} == {"6.7", "6.8", "6.9"}

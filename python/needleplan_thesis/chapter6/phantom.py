@@ -24,7 +24,7 @@ from needleplan.planning import Outcome, PolicyTable, plan
 from needleplan.plotting import caption, save, sheet
 from needleplan.plotting.canvas import GREY, SKY, title
 from needleplan.reports.comparison import Agreement, Comparison, measured
-from needleplan.scenario import Scenario, Transition
+from needleplan.scenario import Grid, Scenario, Transition
 from needleplan.simulation import Experiment
 from needleplan_thesis.chapter6.paths import Panel, draw_panels, ending
 from needleplan_thesis.steering import (
@@ -37,7 +37,7 @@ from needleplan_thesis.steering import (
     summarized,
 )
 
-__all__ = ["EXPERIMENTS", "PhantomExperiment", "experiments", "miss_mm", "phantom", "with_rotation"]
+__all__ = ["EXPERIMENTS", "PhantomExperiment", "experiments", "miss_mm", "phantom", "published_phantom", "with_rotation"]
 
 _SECTION = "ch6/section 6.5"
 # Cost of a collision and of an exit.
@@ -74,13 +74,20 @@ EXPERIMENTS = (
 )
 
 
+def published_phantom() -> Scenario:
+    """Return the shipped phantom on the grid of the thesis, with its step of one heading and four points an arc."""
+    scenario = Scenario.read("phantom")
+    motion = replace(scenario.motion, step_mm=None, arc_samples=4)
+    return replace(scenario, motion=motion, grid=Grid((3.0, 0.15), Transition.INTERPOLATED))
+
+
 def phantom(folder: Path | None, note: Callable[[str], None], fine: bool) -> list[Comparison]:
     """Plan all experiments and return the comparisons; draw the figures if a folder is given.
 
     `fine` halves the grid spacing of the thesis.
     """
     note("Figs. 6.7 to 6.9")
-    scenario = Scenario.read("phantom")
+    scenario = published_phantom()
     if fine:
         dx, dy = scenario.grid.spacing_mm
         scenario = replace(scenario, grid=replace(scenario.grid, spacing_mm=(dx / 2, dy / 2)))
@@ -215,7 +222,7 @@ def experiments(folder: Path | None, note: Callable[[str], None], seeds: int) ->
 
     Draws the figures if a folder is given.
     """
-    scenario, lab = Scenario.read("phantom"), Experiment.read("steering")
+    scenario, lab = published_phantom(), Experiment.read("steering")
     done = []
     for experiment in EXPERIMENTS:
         if experiment.turns is None:  # the thesis finds no path, so there is no insertion to repeat
