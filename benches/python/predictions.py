@@ -26,6 +26,10 @@ from needleplan.scenario import Scenario
 NAMES = (
     "four_obstacles", "narrow_passage", "prostate", "brain", "layered", "phantom", "four_obstacles_thesis",
 )  # fmt: skip
+HEADER = (
+    "scenario", "poses", "realised", "mean abs.", "chance", "bias", "within 3", "worst", "in its interval", "states",
+    "plan, s",
+)  # fmt: skip
 # Poses drawn at most for each pose that counts.
 _DRAWN = 2000
 # Predicted success below which a pose is tried with pilot runs before it counts.
@@ -47,7 +51,7 @@ class Row:
     within_3: float
     worst: float
     worst_pose: tuple[float, float, float, int]
-    outside: float
+    inside: float
     states: int
     plan_s: float
 
@@ -66,10 +70,7 @@ def main() -> int:
     print(f"{about['processor']}, {str(about['date'])[:10]}, commit {about['commit']}, Python {about['python']}.\n")
     print("Differences are predicted minus realised success in percentage points; chance is what the mean would be")
     print("with exact predictions.\n")
-    print(
-        "| scenario | poses | realised | mean abs. | chance | bias | within 3 | worst | in its interval | states | plan, s |"
-    )
-    print("|---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|")
+    print("| " + " | ".join(HEADER) + " |\n|---|---|" + "--:|" * (len(HEADER) - 2))
     rows = []
     for name in options.scenarios:
         table = npl.plan(name)
@@ -77,8 +78,9 @@ def main() -> int:
             row = _measured(table, Path(name).stem, where, options.poses, options.runs, options.seed)
             rows.append(row)
             print(
-                f"| {row.scenario} | {row.where} | {row.realised:.1f} % | {row.mean:.2f} | {row.chance:.2f} | {row.bias:+.2f} "
-                f"| {row.within_3:.1f} % | {row.worst:+.1f} | {row.outside:.1f} % | {row.states:,} | {row.plan_s:.1f} |",
+                f"| {row.scenario} | {row.where} | {row.realised:.1f} % | {row.mean:.2f} | {row.chance:.2f} "
+                f"| {row.bias:+.2f} | {row.within_3:.1f} % | {row.worst:+.1f} | {row.inside:.1f} % | {row.states:,} "
+                f"| {row.plan_s:.1f} |",
                 flush=True,
             )
     if options.json:

@@ -12,6 +12,7 @@ from needleplan.errors import InputError, Mistake, PoseError
 
 if TYPE_CHECKING:
     from needleplan.planning import Entry, Pose
+    from needleplan.scenario import Scenario
 
 __all__ = [
     "EDGES",
@@ -23,6 +24,7 @@ __all__ = [
     "add_start",
     "add_table",
     "entry_record",
+    "grid_line",
     "numbers",
     "pose_record",
     "require_free",
@@ -180,6 +182,13 @@ def pose_record(pose: Pose) -> dict[str, Any]:
         "heading_deg": math.degrees(pose.heading_rad),
         "bevel": pose.bevel,
     }
+
+
+def grid_line(scenario: Scenario) -> str:
+    """Return what a summary says of the grid: its shape, the number of states, the transition and its refinement."""
+    refined = f", solved {scenario.grid.refinement} times finer" if (scenario.grid.refinement or 1) > 1 else ""
+    shape = " x ".join(map(str, scenario.shape))
+    return f"{shape} = {scenario.states:,} states, {scenario.grid.transition}{refined}"
 
 
 def entry_record(entry: Entry) -> dict[str, Any]:

@@ -9,7 +9,15 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
-from needleplan.cli.options import add_answer, add_edge, add_figure, add_output, entry_record, require_outputs
+from needleplan.cli.options import (
+    add_answer,
+    add_edge,
+    add_figure,
+    add_output,
+    entry_record,
+    grid_line,
+    require_outputs,
+)
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -154,7 +162,7 @@ def _print(table: PolicyTable, best: Entry, identified: Sequence[Replaced], opti
     scenario, stats = table.scenario, table.stats
     lines = {
         "best entry": f"{best.pose}; success {percent(best.success)}, cost {best.value:.4g}",
-        "grid": f"{' x '.join(map(str, scenario.shape))} = {stats.states:,} states, {scenario.grid.transition}",
+        "grid": grid_line(scenario),
         "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, error at most {stats.error_bound:.3g}, "
         f"{stats.seconds:.3f} s",
     }

@@ -16,6 +16,7 @@ from needleplan.cli.options import (
     add_start,
     add_table,
     entry_record,
+    grid_line,
     pose_record,
     require_outputs,
     start_pose,
@@ -244,8 +245,7 @@ def _run_info(options: argparse.Namespace) -> int:
         options,
         scenario.title or options.table,
         {
-            "grid": f"{' x '.join(map(str, scenario.shape))} = {stats.states:,} states, spacing {dx:g} x {dy:g} mm, "
-            f"{scenario.grid.transition}",
+            "grid": f"{grid_line(scenario)}, spacing {dx:g} x {dy:g} mm",
             "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, residual {stats.residual:.3g}, "
             f"error at most {stats.error_bound:.3g}",
             "success": f"{percent(float(table.success.mean()))} on average over all states",

@@ -98,7 +98,7 @@ class Stats:
     >>> import needleplan as npl
     >>> stats = npl.plan("four_obstacles").stats
     >>> stats.states, stats.error_bound < 0.01
-    (4656120, True)
+    (10440120, True)
     """
 
     states: int

@@ -270,7 +270,7 @@ class Entry:
     --------
     >>> import needleplan as npl
     >>> npl.plan("four_obstacles").best_entry()
-    <Entry: x 0 mm, y 25 mm, heading 24 deg, bevel -1; success 0.946, cost 694.3>
+    <Entry: x 0 mm, y 25 mm, heading 24 deg, bevel -1; success 0.949, cost 664.5>
     """
 
     pose: Pose

@@ -37,7 +37,15 @@ from needleplan_thesis.steering import (
     summarized,
 )
 
-__all__ = ["EXPERIMENTS", "PhantomExperiment", "experiments", "miss_mm", "phantom", "published_phantom", "with_rotation"]
+__all__ = [
+    "EXPERIMENTS",
+    "PhantomExperiment",
+    "experiments",
+    "miss_mm",
+    "phantom",
+    "published_phantom",
+    "with_rotation",
+]
 
 _SECTION = "ch6/section 6.5"
 # Cost of a collision and of an exit.
