@@ -92,6 +92,7 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
     let mut values = halo.strip_buffer(count);
     let mut staging = StagingBuffer::new(count);
     let mut reads = Vec::new();
+    let mut new_rows = vec![[T::default(); LANES]; count];
     let mut change = T::default();
     if INTERPOLATED && sector.downstream {
         // Beyond the last column.
@@ -145,10 +146,11 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
             }
             sector.put_edges(place, strip, halo.own(&mut values, count));
             let at = sector.column(u + sector.pad[0]) + sector.pad[1] + first;
-            if !sector.downstream {
-                change = larger(change, largest_change::<T, V>(sector, at, halo, &values, turns));
+            if sector.downstream {
+                store_convolved::<T, V>(sector, at, halo, &values, turns);
+            } else {
+                change = larger(change, replace_convolved::<T, V>(sector, at, halo, &values, turns, &mut new_rows));
             }
-            store_convolved::<T, V>(sector, at, halo, &values, turns);
         }
     }
     Swept { change: change.widen(), largest: staging.largest() }
@@ -277,22 +279,24 @@ fn w_rows_mut<T: Real>(sector: &mut Sector<T>, at: usize, turn: usize, bevel: us
     sector.convolved[at + (turn * count * 2 + bevel) * width..].chunks_mut(2 * width).take(count)
 }
 
-/// The largest change that [`store_convolved`] would make.
+/// Does what [`store_convolved`] does, and returns the largest change; `new` has a row for each heading.
 #[inline(always)]
-fn largest_change<T: Vectorized, V: Lanes<T>>(
+fn replace_convolved<T: Vectorized, V: Lanes<T>>(
     sector: &mut Sector<T>,
     at: usize,
     halo: &Halo<T>,
     values: &Values<T>,
     turns: &Turns<T>,
+    new: &mut [[T; LANES]],
 ) -> T {
     let mut change = T::default();
-    let mut new = vec![[T::default(); LANES]; sector.arc.count];
     for (turn, bevel, kernel) in turns.all() {
         kernel.store::<V>(&values[bevel], halo.first(bevel), new.iter_mut());
         for (new, row) in new.iter().zip(w_rows_mut(sector, at, turn, bevel)) {
-            let changes = new.iter().zip(row).map(|(new, old)| (*new - *old).magnitude());
-            change = changes.fold(change, larger);
+            for (new, old) in new.iter().zip(row) {
+                change = larger(change, (*new - *old).magnitude());
+                *old = *new;
+            }
         }
     }
     change

@@ -107,6 +107,15 @@ impl<T: Real> Convolution<T> {
         match &self.form {
             Form::Five { centre, distance, noise } => {
                 let noise = noise.map(V::splat);
+                if *distance == 1 {
+                    // The noise of the thesis. Windows compile to a third fewer instructions than five slices.
+                    for (row, taps) in rows.zip(from(centre - 2).windows(5)) {
+                        if let [a, b, c, d, e] = taps {
+                            convolve_five::<T, V>([a, b, c, d, e], noise).store(row);
+                        }
+                    }
+                    return;
+                }
                 let [a, b, c, d, e] = [-2, -1, 0, 1, 2].map(|side| from(centre + side * distance));
                 let taps = a.iter().zip(b).zip(c).zip(d).zip(e);
                 for (row, ((((a, b), c), d), e)) in rows.zip(taps) {
