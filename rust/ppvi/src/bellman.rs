@@ -7,9 +7,7 @@ use rayon::prelude::*;
 
 use crate::mdp::Mdp;
 use crate::proper::proper_states;
-use crate::solution::{Report, Solution};
 use crate::stop::StopFlag;
-use crate::termination::{LimitMonitor, Status};
 
 /// States that one task of a parallel pass backs up.
 const CHUNK: usize = 4096;
@@ -116,27 +114,4 @@ pub fn initial_values(mdp: &impl Mdp) -> Vec<f64> {
         }
     }
     values
-}
-
-/// Assembles a solution of values with this check. All its counts are zero.
-pub(crate) fn solution(
-    values: Vec<f64>,
-    policy: Vec<u32>,
-    status: Status,
-    check: Check,
-    monitor: &LimitMonitor,
-) -> Solution {
-    let (residual, error_bound) = monitor.bounds(check);
-    let report = Report {
-        status,
-        residual,
-        error_bound,
-        backups: 0,
-        partitions: 1,
-        partitions_processed: 0,
-        order: Vec::new(),
-        seconds_solving: monitor.seconds(),
-        seconds_priorities: 0.0,
-    };
-    Solution { values, policy, report }
 }

@@ -10,7 +10,9 @@
 //! ```
 
 use crate::stop::StopFlag;
-use crate::tabular::ROW_SUM_TOLERANCE;
+
+/// Largest difference between one and the sum of the probabilities of a row.
+pub(crate) const ROW_SUM_TOLERANCE: f64 = 1e-9;
 
 /// A finite Markov decision process with costs.
 pub trait Mdp: Sync {

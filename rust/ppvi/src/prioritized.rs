@@ -26,14 +26,14 @@
 use std::time::Instant;
 
 use crate::active::{ActiveStates, back_up_in_place};
-use crate::bellman::{change, greedy, initial_values, larger, solution};
+use crate::bellman::{change, greedy, initial_values, larger};
 use crate::dependency::Dependencies;
 use crate::error::{Error, Result};
 use crate::mdp::Mdp;
 use crate::partition::Partition;
 use crate::priority::{Priority, PriorityEntry, PriorityTable, h1, h2};
 use crate::queue::IndexedMaxQueue;
-use crate::solution::Solution;
+use crate::solution::{Solution, solution};
 use crate::stop::StopFlag;
 use crate::termination::{Certificate, LimitMonitor, Observer, Progress, Status, StopRule};
 

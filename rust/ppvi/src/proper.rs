@@ -22,9 +22,8 @@
 //! rest, in time O(entries).
 
 use crate::dependency::StateDependents;
-use crate::mdp::Mdp;
+use crate::mdp::{Mdp, ROW_SUM_TOLERANCE};
 use crate::stop::StopFlag;
-use crate::tabular::ROW_SUM_TOLERANCE;
 
 /// Number of sweeps before the reverse graph is built.
 const SWEEPS: usize = 16;

@@ -1,6 +1,7 @@
 //! The result of a solver.
 
-use crate::termination::Status;
+use crate::bellman::Check;
+use crate::termination::{LimitMonitor, Status};
 
 /// Status, proven bounds and counts of a solve.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,4 +37,27 @@ pub struct Solution {
     pub policy: Vec<u32>,
     /// Status, bounds and counts.
     pub report: Report,
+}
+
+/// Assembles a solution of values with this check. All its counts are zero.
+pub(crate) fn solution(
+    values: Vec<f64>,
+    policy: Vec<u32>,
+    status: Status,
+    check: Check,
+    monitor: &LimitMonitor,
+) -> Solution {
+    let (residual, error_bound) = monitor.bounds(check);
+    let report = Report {
+        status,
+        residual,
+        error_bound,
+        backups: 0,
+        partitions: 1,
+        partitions_processed: 0,
+        order: Vec::new(),
+        seconds_solving: monitor.seconds(),
+        seconds_priorities: 0.0,
+    };
+    Solution { values, policy, report }
 }

@@ -11,11 +11,8 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
-use crate::mdp::{Facts, Mdp};
+use crate::mdp::{Facts, Mdp, ROW_SUM_TOLERANCE};
 use crate::stop::StopFlag;
-
-/// Largest difference between one and the sum of the probabilities of a row.
-pub const ROW_SUM_TOLERANCE: f64 = 1e-9;
 
 /// Largest admissible |stage cost|. Sums of smaller costs do not overflow in any solver.
 pub const LARGEST_STAGE_COST: f64 = 1e100;

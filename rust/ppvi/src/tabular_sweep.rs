@@ -18,13 +18,13 @@ use std::time::Duration;
 
 use rayon::prelude::*;
 
-use crate::bellman::{Check, change, larger, solution};
+use crate::bellman::{Check, change, larger};
 use crate::block::{Block, MOST_BLOCKS, SharedValues};
 use crate::error::{Error, Result};
 use crate::mdp::Mdp;
 use crate::pattern::{Class, Source, Values};
 use crate::proper::proper_states;
-use crate::solution::Solution;
+use crate::solution::{Solution, solution};
 use crate::stop::StopFlag;
 use crate::tabular::TabularMdp;
 use crate::termination::{Certificate, LimitMonitor, Observer, Progress, StopRule};

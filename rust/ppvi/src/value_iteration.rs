@@ -3,10 +3,10 @@
 //! V(k+1) = T V(k) for all states at once (Jacobi). The sweep that computes T V(k) also yields the exact residual of
 //! V(k). The solver returns V(k), because its residual is known.
 
-use crate::bellman::{bellman_operator, initial_values, solution};
+use crate::bellman::{bellman_operator, initial_values};
 use crate::error::Result;
 use crate::mdp::Mdp;
-use crate::solution::Solution;
+use crate::solution::{Solution, solution};
 use crate::termination::{Certificate, LimitMonitor, Observer, Progress, StopRule};
 
 /// Solves a problem by sweeps over all states on the current rayon pool. The values are the same, bit for bit, for any
