@@ -259,7 +259,8 @@ class Lookups:
 
         Notes
         -----
-        The evaluation takes about as long as a solve.
+        The evaluation takes about as long as a solve. With `grid.refinement` the policy is evaluated on the grid of
+        the table, not on the finer one.
 
         Examples
         --------
