@@ -6,9 +6,12 @@ from pathlib import Path
 import pytest
 
 from needleplan.cli import main
+from needleplan.diagnosis import Library, diagnose
 from needleplan.models import ModelFile
-from needleplan.models.effects import AugmentedModel
+from needleplan.models.effects import AugmentedModel, effects_of
 from needleplan.recording import write_records
+from needleplan.reports import diagnosis as reports
+from needleplan.reports.diagnosis import FILES
 from tests.diagnosis.trials import BASE, recordings
 
 
@@ -42,6 +45,7 @@ def test_what_the_data_cannot_carry_is_said(folder: Path, capsys: pytest.Capture
     assert main(["diagnose", str(folder / "base.toml"), str(folder / "alone.csv"), "-o", str(out), "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
     assert document["verdict"] != "named"
+    assert document["removed"] == []
     assert {"noise record", "held-out trial", "second training trial"} <= document["lacks"].keys()
     assert not (out / "model.toml").exists()
 
@@ -52,3 +56,35 @@ def test_a_wrong_model_is_refused(folder: Path, capsys: pytest.CaptureFixture[st
     arguments = ["diagnose", str(folder / "wrong.toml"), str(folder / "data.csv"), "-o", str(folder / "no")]
     assert main(arguments) == 2
     assert says in capsys.readouterr().err
+
+
+def test_a_model_of_an_earlier_diagnosis_does_not_stay_beside_a_new_one_without_a_model(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = folder / "again"
+    out.mkdir()
+    for name in FILES:
+        (out / name).write_text("old")
+    found = diagnose(BASE, recordings({}, seed=2)[:1])  # without held-out trial and noise record, nothing is named
+    arguments = ["diagnose", str(folder / "base.toml"), str(folder / "alone.csv"), "-o", str(out)]
+    assert main(arguments) == 2
+    assert "exists already; --force overwrites it" in capsys.readouterr().err
+    monkeypatch.setattr(
+        reports, "diagnose_files", lambda *_, **__: (found, ModelFile(BASE), Library(effects_of(BASE.channel), BASE))
+    )
+    main([*arguments, "--force"])
+    told = capsys.readouterr().err
+    assert f"removed {out / 'model.toml'}: it belongs to an earlier diagnosis" in told
+    assert not (out / "model.toml").exists()
+    assert not (out / "scenario.toml").exists()
+    assert all(each.read_text() != "old" for each in out.iterdir() if each.name != "effect_to_name.py")
+
+
+def test_an_input_is_never_removed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = folder / "inputs"
+    out.mkdir()
+    ModelFile(BASE).write(out / "model.toml")
+    before = (out / "model.toml").read_bytes()
+    assert main(["diagnose", str(out / "model.toml"), str(folder / "data.csv"), "-o", str(out), "--force"]) == 2
+    assert "which is an input file" in capsys.readouterr().err
+    assert (out / "model.toml").read_bytes() == before

@@ -5,13 +5,16 @@ from __future__ import annotations
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
 
-from needleplan.recording import read_records
+from needleplan.recording import FORCE, Recovery, _recorder, read_records
+from needleplan.recording._journal import Counts, Journal
 from tests.cli.commands import needleplan, program, refused
-from tests.recording.samples import write_run
+from tests.control.scenes import small_table
+from tests.recording.samples import SESSION, START_NS, force, write_run
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +79,48 @@ def test_an_export_never_replaces_a_recording(to: str, run: Path, tmp_path: Path
     other = write_run(tmp_path / "other.mcap")
     (tmp_path / "link").symlink_to(run)
     for target in (run, other, tmp_path / "link"):
-        for force in ((), ("--force",)):
-            done = needleplan("recording", "export", run, "--to", to, "-o", target, *force)
+        for option in ((), ("--force",)):
+            done = needleplan("recording", "export", run, "--to", to, "-o", target, *option)
             refused(done, "is a recording", "never overwritten")
     assert run.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("insert", "table.h5", "--start=0,39,85", "-o", "run.mcap"), ("simulate", "insertion", "-o", "run.mcap")],
+    ids=lambda command: command[0],
+)
+def test_wrote_names_the_file_that_is_there(
+    command: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small_table().write(tmp_path / "table.h5")
+    run, finish = tmp_path / "run.mcap", _recorder.finish
+
+    def another_program_is_faster(*arguments: Any, **options: Any) -> Recovery:
+        run.write_bytes(b"precious")
+        return finish(*arguments, **options)
+
+    monkeypatch.setattr(_recorder, "finish", another_program_is_faster)
+    done = needleplan(*command, cwd=tmp_path)
+    assert done.returncode != 0
+    assert "wrote run.mcap\n" not in done.stderr
+    assert "run.mcap.partial: the recording is incomplete: run.mcap: is there already" in done.stderr
+    assert run.read_bytes() == b"precious"
+    assert needleplan("recording", "recover", f"{run}.partial", "-o", tmp_path / "new.mcap").returncode == 0
+
+
+def test_the_number_of_missing_messages_is_true(tmp_path: Path) -> None:
+    """After a kill while the disk was full: the recorder counts in place, for which a full disk has room."""
+    partial = tmp_path / "run.mcap.partial"
+    with partial.open("wb") as stream:
+        journal = Journal(stream.fileno(), SESSION)
+        number = journal.define("/force", FORCE)
+        for sequence in range(1, 101):
+            journal.add(number, sequence, SESSION.wall_of(START_NS + sequence), FORCE.encode(force(sequence)))
+        journal.flush()
+        journal.count(Counts({"/force": 6533}, {}, SESSION.wall_of(START_NS + 32 * 10**9)))
+    done = needleplan("recording", "recover", partial, "-o", tmp_path / "run.mcap")
+    assert done.returncode == 1
+    assert "its recorder counted the messages up to 32.000 s: later ones are missing and not counted" in done.stderr
+    assert "6,433 messages of /force are missing; nothing was recovered of the last 32.000 s" in done.stderr
+    assert "damaged" not in done.stderr

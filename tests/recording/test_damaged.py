@@ -56,7 +56,7 @@ def recovered(content: bytes, folder: Path) -> tuple[int, int, dict[str, int]]:
 @pytest.mark.slow
 def test_cut_anywhere_loses_only_the_last_chunk(partial: bytes, tmp_path: Path) -> None:
     assert recovered(partial, tmp_path) == (200, 0, {})
-    ends = [each for each in range(0, len(partial), 97) if each > 4000]
+    ends = [each for each in range(0, len(partial), 97) if each > 6500]
     for end in ends:
         count, damaged, missing = recovered(partial[:end], tmp_path)
         assert count % 10 == 0
@@ -71,12 +71,29 @@ def test_a_damaged_chunk_is_counted_and_the_others_are_there(partial: bytes, tmp
     assert 1000 < damaged < 2000
 
 
+def test_the_last_count_tells_what_is_missing_at_the_end(partial: bytes, tmp_path: Path) -> None:
+    """Also of a topic of which nothing was written; an altered count is not believed."""
+    (tmp_path / "partial").write_bytes(partial)
+    with (tmp_path / "partial").open("r+b") as stream:
+        counts = journal.Counts({"/force": 6633, "/pose": 7}, {"/pose": 2}, SESSION.wall_of(START_NS + 10**9))
+        head = partial.index(b"needleplan.counts") - 13
+        stream.seek(head)
+        stream.write(journal._counts_record(counts))
+    content = (tmp_path / "partial").read_bytes()
+    assert recovered(content, tmp_path) == (200, 0, {"/force": 6433, "/pose": 5})
+    found = recover(tmp_path / "partial", tmp_path / "again.mcap")
+    assert (found.counted_s, found.missing_s) == (1.0, pytest.approx(1.0, abs=1e-6))
+    assert (found.overflowed, found.closed, found.complete) == ({"/pose": 2}, False, False)
+    altered = content.replace(b'"/force": 6633', b'"/force": 6634')
+    assert recovered(altered, tmp_path) == (200, 0, {})
+
+
 def test_a_channel_that_is_repeated_under_another_number_is_not_believed(whole: bytes, tmp_path: Path) -> None:
     """The definitions at the end of a file stand outside of its chunks, where no checksum of their own is."""
     places = [at for at in range(len(whole)) if whole.startswith(b"/force", at)]
     changed = bytearray(whole)
     changed[places[-1] - 8] ^= 0x55  # the number of the channel: two bytes, then two of its schema, four of a length
-    assert len(places) == 1  # the chunks are compressed
+    assert len(places) == 2  # the chunks are compressed; the counts at the start and the channel at the end are not
     source, target, untouched = tmp_path / "source", tmp_path / "target.mcap", tmp_path / "whole.mcap"
     source.write_bytes(changed)
     untouched.write_bytes(whole)

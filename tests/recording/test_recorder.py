@@ -123,15 +123,54 @@ while recorder.status.state == "recording":
     wait_for(lambda: recorder.status.queued < 200 or recorder.status.state != "recording")
 status = recorder.close()
 print(status.state, status.cause)
+print(channel.count, recorder.file)
 """
     done = subprocess.run(
         [sys.executable, "-c", script, str(path)], capture_output=True, text=True, timeout=60, check=False
     )
     assert done.stdout.startswith("failed File too large"), done.stdout + done.stderr
-    found = recover(path.with_name("run.mcap.partial"), path)
+    partial = path.with_name("run.mcap.partial")
+    put, file = done.stdout.splitlines()[1].split()
+    assert (Path(file), path.exists()) == (partial, False)
+    found = recover(partial, path)
     assert found.by_topic["/force"] > 100
-    assert not found.missing
+    assert found.missing == {"/force": int(put) - found.by_topic["/force"]}
+    assert found.missing["/force"] > 0
+    assert found.missing_s == pytest.approx(found.missing["/force"] * 1e-9)
     assert not found.complete
+    # The recovered recording holds the counts too: a part that is lost later is still counted.
+    cut = path.with_name("cut.mcap")
+    cut.write_bytes(path.read_bytes()[: -path.stat().st_size // 2])
+    again = recover(cut, path.with_name("again.mcap"))
+    assert again.missing["/force"] + again.by_topic.get("/force", 0) == int(put)
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_file_that_appears_during_the_run_is_not_overwritten(
+    path: Path, links: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unsupported(*_: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    if not links:  # a file system without hard links
+        monkeypatch.setattr(os, "link", unsupported)
+    with Recorder(path, SESSION) as recorder:
+        recorder.channel("/force", FORCE).put(START_NS, force(1))
+        path.write_bytes(b"precious")
+    assert recorder.status.state is RecorderState.FAILED
+    assert "run.mcap: is there already" in recorder.status.cause
+    assert (path.read_bytes(), recorder.file) == (b"precious", recorder.partial)
+    assert sorted(each.name for each in path.parent.iterdir()) == ["run.mcap", "run.mcap.partial"]
+    assert recover(recorder.partial, path.with_name("other.mcap")).complete
+
+
+def test_a_recording_is_finished_where_there_are_no_hard_links(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unsupported(*_: object) -> None:
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", unsupported)
+    assert Recorder(path, SESSION).close().ok
+    assert [each.name for each in path.parent.iterdir()] == ["run.mcap"]
 
 
 def test_a_dead_writer_is_a_status(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,7 +215,8 @@ def test_killed_it_loses_at_most_50_ms(path: Path) -> None:
     with pytest.raises(DataError, match="was not finished"):
         Recording.read(partial)
     found = recover(partial, path)
-    assert not found.missing
+    assert found.missing.get("/ticks", 0) <= put - found.by_topic["/ticks"]
+    assert found.counted_s is not None
     assert not found.complete
     messages = list(Recording.read(path).messages(["/ticks"]))
     assert [each.values["number"] for each in messages] == list(range(1, len(messages) + 1))

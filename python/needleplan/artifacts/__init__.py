@@ -3,6 +3,7 @@
 from needleplan.artifacts.files import (
     Parent,
     digest,
+    move_into_place,
     require_different,
     require_new,
     require_writable,
@@ -10,4 +11,13 @@ from needleplan.artifacts.files import (
     write_whole,
 )
 
-__all__ = ["Parent", "digest", "require_different", "require_new", "require_writable", "version", "write_whole"]
+__all__ = [
+    "Parent",
+    "digest",
+    "move_into_place",
+    "require_different",
+    "require_new",
+    "require_writable",
+    "version",
+    "write_whole",
+]

@@ -12,7 +12,16 @@ from pathlib import Path
 
 from needleplan.errors import Mistake, OutputError
 
-__all__ = ["Parent", "digest", "require_different", "require_new", "require_writable", "version", "write_whole"]
+__all__ = [
+    "Parent",
+    "digest",
+    "move_into_place",
+    "require_different",
+    "require_new",
+    "require_writable",
+    "version",
+    "write_whole",
+]
 
 
 @dataclass(frozen=True)
@@ -94,6 +103,32 @@ def require_writable(path: str | os.PathLike[str]) -> None:
     ):
         if wrong:
             raise OutputError(Mistake("", "", f"cannot be written: {reason}"), os.fspath(path))
+
+
+def move_into_place(source: Path, target: Path, *, replace: bool) -> None:
+    """Rename the complete file `source` to `target`; both are in the same folder.
+
+    If `replace` is false, raises FileExistsError and keeps `source` if `target` exists, even if it has appeared since
+    the caller looked. Raises OSError if the file cannot be renamed.
+    """
+    if replace:
+        source.replace(target)
+        return
+    try:
+        os.link(source, target)  # refuses an existing target, which a rename on POSIX does not
+    except FileExistsError:
+        raise
+    except OSError:
+        # The file system has no hard links. An empty file, created exclusively, reserves the name.
+        os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        try:
+            source.replace(target)
+        except OSError:
+            target.unlink(missing_ok=True)
+            raise
+    else:
+        with contextlib.suppress(OSError):
+            source.unlink()
 
 
 def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> None:

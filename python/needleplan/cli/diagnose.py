@@ -63,6 +63,7 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0 if no effect is missing or it was named, else 1."""
+    from needleplan.artifacts import require_different
     from needleplan.diagnosis import Verdict
     from needleplan.models.effects import register_file
     from needleplan.reports.diagnosis import FILES, diagnose_files, write_folder
@@ -71,7 +72,10 @@ def run(options: argparse.Namespace) -> int:
     for file in options.effects:
         register_file(file)
     scenario = _scenario(options)
-    require_free(options, [Path(options.output) / name for name in FILES])
+    places = [Path(options.output) / name for name in FILES]
+    require_free(options, places)
+    require_different([options.model, *options.data, *options.effects, *filter(None, [options.scenario])], places)
+    old = [str(place) for place in places if place.is_file()]
     with working(options, "diagnosing"):
         found, model, library = diagnose_files(
             options.model, options.data, accept_units=options.accept_units, seed=options.seed
@@ -87,8 +91,13 @@ def run(options: argparse.Namespace) -> int:
             print("\n".join(corrected_plan_lines(found, what)))
     for each in written:
         note(f"wrote {each}")
+    removed = [each for each in old if each not in written and not Path(each).exists()]
+    for each in old:
+        if each not in written:
+            note(f"{'removed' if each in removed else 'kept'} {each}: it belongs to an earlier diagnosis")
     if options.json:
-        print_json(json.loads(Path(written[0]).read_text(encoding="utf-8")) | {"written": list(written)})
+        document = json.loads(Path(written[0]).read_text(encoding="utf-8"))
+        print_json(document | {"written": list(written), "removed": removed})
     return 0 if found.verdict in (Verdict.NONE, Verdict.NAMED) else 1
 
 

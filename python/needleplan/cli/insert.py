@@ -25,7 +25,9 @@ from needleplan.cli.parser import add_old_spelling
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
-    from needleplan.control import Insertion, InsertionReport, RunSetup
+    from pathlib import Path
+
+    from needleplan.control import Insertion, InsertionReport, RunRecorder, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
     from needleplan.planning import PolicyTable
@@ -143,24 +145,23 @@ def run(options: argparse.Namespace) -> int:
         raise AddressError(Mistake("--registration", "", rule))
     try:
         with open_insertion_station(robot, force, tracker, table, start) as station:
-            report, missing = _insert(table, station, setup(station), options)
+            report, recorder = _insert(table, station, setup(station), options)
             true_tip = station.true_tip_mm if isinstance(station, SimulatedStation) else None
     except DeviceFault as fault:
         complain(str(fault))
         return _REFUSED
-    code = _answer(table, report, true_tip, options)
-    if missing:
-        complain(f"{options.output}: the recording is incomplete: {missing}")
-    return code or bool(missing)
+    file = recorder.file if recorder else None
+    code = _answer(table, report, true_tip, options, file)
+    if recorder and recorder.missing:
+        complain(f"{file or options.output}: the recording is incomplete: {recorder.missing}")
+        return code or 1
+    return code
 
 
 def _insert(
     table: PolicyTable, station: Station, setup: RunSetup, options: argparse.Namespace
-) -> tuple[InsertionReport, str]:
-    """Run the insertion; return its report and a text on the gaps of the recording.
-
-    The text is empty if nothing is missing in the recording or nothing is recorded.
-    """
+) -> tuple[InsertionReport, RunRecorder | None]:
+    """Run the insertion; return its report and the closed recorder, or None if nothing is recorded."""
     from needleplan.cli.insert_view import view
     from needleplan.control import Insertion, Listener, RunRecorder
     from needleplan.control.safety import Watchdog
@@ -189,7 +190,7 @@ def _insert(
             stack.enter_context(Watchdog(insertion.guard))
         with _stopped_by_signals(insertion):
             report = insertion.run()
-    return report, recorder.missing if recorder else ""
+    return report, recorder
 
 
 @contextmanager
@@ -282,13 +283,15 @@ def _answer(
     report: InsertionReport,
     true_tip: tuple[float, float, float] | None,
     options: argparse.Namespace,
+    recording: Path | None,
 ) -> int:
+    """Print the answer and return the exit code. `recording` is the written recording, or its partial file."""
     from needleplan.control import InsertionOutcome
 
     target = table.scenario.target.center_mm
     true_error = None if true_tip is None else math.dist(true_tip[:2], target)
-    if options.output:
-        note(f"wrote {options.output}")
+    if recording:
+        note(f"wrote {recording}")
     if options.figure:
         from needleplan.plotting import save
         from needleplan.reports.insertion import insertion_figure
@@ -297,7 +300,7 @@ def _answer(
         note(f"drew {options.figure}")
     if options.json:
         print_json({**report.record(), "true_error_mm": true_error, "true_tip_mm": true_tip and list(true_tip),
-                    "recording": options.output, "figure": options.figure})  # fmt: skip
+                    "recording": recording and str(recording), "figure": options.figure})  # fmt: skip
     else:
         lines = {
             "ended": f"{report.outcome}: {report.cause}",

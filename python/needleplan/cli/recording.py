@@ -102,7 +102,7 @@ def run_info(options: argparse.Namespace) -> int:
 
 
 def run_recover(options: argparse.Namespace) -> int:
-    """Recover a recording and return the exit code: 1 if bytes are damaged or messages are missing, else 0."""
+    """Recover a recording and return the exit code: 1 if bytes are damaged, or messages are missing or lost, else 0."""
     from needleplan.recording import recover
 
     require_outputs(options, [options.recording], options.output)
@@ -113,11 +113,20 @@ def run_recover(options: argparse.Namespace) -> int:
     else:
         topics = [f"  {topic:<12} {count:,} messages" for topic, count in done.by_topic.items()]
         print_first(options, [options.output, *topics])
-    if not done.complete:
-        note("the recorder did not close this recording: messages of the last 20 ms or so may be missing")
-    if done.missing or done.damaged_bytes:
-        lost = ", ".join(f"{count} of {topic}" for topic, count in done.missing.items()) or "nothing between others"
-        return complain(f"{done.damaged_bytes} bytes at {done.places} places are damaged; missing messages: {lost}")
+    if not done.closed:
+        note(
+            "this recording was not closed, or its end is lost; it has no count of its messages: how many are missing "
+            "at its end is not known"
+            if done.counted_s is None
+            else "this recording was not closed, or its end is lost; its recorder counted the messages up to "
+            f"{done.counted_s:.3f} s: later ones are missing and not counted"
+        )
+    damage = [f"{done.damaged_bytes:,} bytes at {done.places} places are damaged"] if done.damaged_bytes else []
+    lost = [f"{count:,} messages of {topic} are missing" for topic, count in done.missing.items()]
+    over = [f"{count:,} messages of {topic} were lost by the recorder" for topic, count in done.overflowed.items()]
+    end = [f"nothing was recovered of the last {done.missing_s:.3f} s"] if done.missing and done.missing_s else []
+    if damage or lost or over:
+        return complain("; ".join([*damage, *lost, *over, *end]))
     return 0
 
 

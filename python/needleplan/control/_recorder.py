@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from needleplan.control._events import CommandKind, ExecutedStep, Listener, RunCommand, RunEvent
@@ -160,7 +161,9 @@ class RunRecorder(Listener, Closing):
     @property
     def missing(self) -> str:
         """List of a disk failure, lost and refused messages as one text; empty if the recording is complete."""
-        status = self.recorder.status
-        lost = [f"{count} messages of {topic} were lost" for topic, count in status.overflowed.items()]
-        refused = [f"{status.refused} messages were refused: {status.refusal}"] if status.refused else []
-        return "; ".join([*([status.cause] if status.cause else []), *lost, *refused])
+        return self.recorder.status.missing
+
+    @property
+    def file(self) -> Path | None:
+        """The file that holds the recording, `*.partial` if it could not be finished; None if it does not exist."""
+        return self.recorder.file

@@ -4,21 +4,27 @@ The file consists of short chunks that can be read independently. Each chunk sto
 The session and the definitions of the channels are repeated every 10 s, so that a damaged chunk does not make the rest
 unreadable. The file has no index until it is finished (`_recovery.py`), because an index would use more and more memory
 during the run.
+
+A metadata record of fixed size, `Counts`, stands before the first chunk and is overwritten in place. It states how many
+messages were put, so that a recovery can state how many are missing at the end. A full disk does not prevent this.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import struct
 import time
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from io import BytesIO
 from types import MappingProxyType
 from typing import Any, Self
 
 from mcap import records
-from mcap.data_stream import RecordBuilder
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
@@ -26,7 +32,7 @@ from needleplan.artifacts import version
 from needleplan.errors import DataError, Mistake
 from needleplan.recording._message_kinds import Json, MessageKind
 
-__all__ = ["FORMAT", "PROFILE", "SESSION", "Journal", "Session"]
+__all__ = ["FORMAT", "PROFILE", "SESSION", "Counts", "Journal", "Session"]
 
 FORMAT = "needleplan.recording/1"
 
@@ -165,7 +171,48 @@ class Session:
             raise DataError(Mistake("session", "", f"is damaged: {error!r}"), source) from error
 
 
+@dataclass(frozen=True)
+class Counts:
+    """Numbers of the messages that a recorder had received at a moment.
+
+    Parameters
+    ----------
+    put : mapping of str to int
+        Number of messages put by topic, including those that were lost.
+    overflowed : mapping of str to int
+        Number of messages by topic that the recorder itself counted as lost.
+    last_ns : int
+        Latest time of a message, ns since 1970.
+    """
+
+    put: Mapping[str, int] = field(default_factory=dict)
+    overflowed: Mapping[str, int] = field(default_factory=dict)
+    last_ns: int = 0
+
+    def metadata(self) -> dict[str, str]:
+        """Return the counts as MCAP metadata with a CRC32, because a partial file has no checksum outside of chunks."""
+        text = json.dumps({"put": dict(self.put), "overflowed": dict(self.overflowed), "last_ns": str(self.last_ns)})
+        return {"counts": text, "crc32": f"{zlib.crc32(text.encode()):08x}"}
+
+    @classmethod
+    def of_metadata(cls, body: bytes) -> Counts | None:
+        """Return the counts in the body of a metadata record; None if it holds others, or is damaged."""
+        try:
+            record = records.Metadata.read(ReadDataStream(BytesIO(body)))
+            text = record.metadata["counts"].rstrip(" ")
+            if record.name != COUNTS or int(record.metadata["crc32"], 16) != zlib.crc32(text.encode()):
+                return None
+            stored = json.loads(text)
+            put, overflowed = ({str(topic): int(count) for topic, count in stored[name].items()}
+                               for name in ("put", "overflowed"))  # fmt: skip
+            return cls(put, overflowed, int(stored["last_ns"]))
+        except Exception:  # the MCAP library raises many types of exceptions for a damaged record
+            return None
+
+
 PROFILE = FORMAT
+COUNTS = "needleplan.counts"
+_COUNTS_BYTES = 2048  # size of the text of the counts, padded with spaces; enough for about 50 topics
 SESSION = Json("needleplan.Session")
 _SESSION_ID = 1
 
@@ -192,7 +239,10 @@ class Journal:
         """Number of messages in the present chunk, which `flush` will write."""
         header = RecordBuilder()
         records.Header(PROFILE, f"needleplan {version()}").write(header)
-        self._write(MCAP0_MAGIC + header.end())
+        head = MCAP0_MAGIC + header.end()
+        self._counts_at = len(head)
+        self._counts = Counts()
+        self._write(head + _counts_record(self._counts))
 
     @property
     def size(self) -> int:
@@ -237,6 +287,16 @@ class Journal:
         self._chunk.clear()
         self.unwritten = 0
 
+    def count(self, counts: Counts) -> None:
+        """Overwrite the counts in the file; does nothing if they are unchanged, too long or cannot be written."""
+        record = _counts_record(counts)
+        if counts != self._counts and record:
+            with contextlib.suppress(OSError):
+                os.lseek(self._descriptor, self._counts_at, os.SEEK_SET)
+                os.write(self._descriptor, record)
+                self._counts = counts
+            os.lseek(self._descriptor, self._length, os.SEEK_SET)
+
     def _add(self, channel: int, sequence: int, wall_ns: int, data: bytes) -> None:
         low, high = self._span if self._chunk else (wall_ns, wall_ns)
         self._span = (min(low, wall_ns), max(high, wall_ns))
@@ -269,3 +329,14 @@ class Journal:
     def _cut(self) -> Any:
         os.ftruncate(self._descriptor, self._length)
         os.lseek(self._descriptor, self._length, os.SEEK_SET)
+
+
+def _counts_record(counts: Counts) -> bytes:
+    """Return the counts as a metadata record, whose size is always the same; empty if they are too long."""
+    metadata = counts.metadata()
+    if len(metadata["counts"]) > _COUNTS_BYTES:
+        return b""
+    metadata["counts"] = metadata["counts"].ljust(_COUNTS_BYTES)
+    builder = RecordBuilder()
+    records.Metadata(COUNTS, metadata).write(builder)
+    return builder.end()

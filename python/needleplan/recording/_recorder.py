@@ -1,9 +1,10 @@
 """Recording a run without delaying it.
 
 `RecordingChannel.put` appends to a bounded queue and returns. The writer thread encodes the values and gives a chunk to
-the operating system at least every 20 ms, so that a killed process loses the messages of at most 20 ms. A power failure
-may lose more, because the file is flushed to the disk only at the end. A slow disk, a full disk and a failed writer do
-not raise exceptions; `Recorder.status` reports them.
+the operating system at least every 20 ms, so that a killed process loses the messages of at most 20 ms if the disk
+responds. A power failure may lose more, because the file is flushed to the disk only at the end. With each chunk it
+writes how many messages were put, so that a recovery can state how many are missing. A slow disk, a full disk and a
+failed writer do not raise exceptions; `Recorder.status` reports them.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any, Self
 from needleplan.artifacts import require_writable
 from needleplan.errors import InputError, Mistake, OutputError
 from needleplan.recording._data_files import PathLike
-from needleplan.recording._journal import Journal, Session
+from needleplan.recording._journal import Counts, Journal, Session
 from needleplan.recording._message_kinds import MessageKind
 from needleplan.recording._recorder_status import RecorderState, RecorderStatus, WhenFull
 from needleplan.recording._recovery import finish
@@ -68,7 +69,10 @@ class RecordingChannel:
         self.kind = kind
         self.number = number
         self._recorder = recorder
-        self._count = 0
+        self.count = 0
+        """Number of messages put so far, including lost ones."""
+        self.last_ns = 0
+        """Time of the last message put, on the monotonic clock, ns."""
 
     def put(self, time_ns: int, value: Any) -> bool:
         """Record a value; never raises, and waits only if the queue is full and the recorder has `WhenFull.WAIT`.
@@ -86,14 +90,15 @@ class RecordingChannel:
             False if the value is lost, because the queue is full, or the recorder is closed or has failed.
 
         """
-        self._count += 1
-        return self._recorder._accept((self, self._count, time_ns, value))
+        self.count += 1
+        self.last_ns = time_ns
+        return self._recorder._accept((self, self.count, time_ns, value))
 
 
 class Recorder:
     """Writes a recording. Call `close` at the end, or use the recorder in a `with` statement.
 
-    Until the recorder is closed, the file has the suffix `.partial`.
+    Until the recorder is closed, the file has the suffix `.partial`. If closing fails, it keeps this suffix.
 
     Parameters
     ----------
@@ -142,6 +147,7 @@ class Recorder:
         self.partial = self.path.with_name(self.path.name + PARTIAL)
         self.session = session or Session()
         self._capacity = capacity
+        self._overwrite = overwrite
         self._wait = when_full is WhenFull.WAIT
         self._queue: deque[tuple[RecordingChannel, int, int, Any]] = deque()
         self._overflowed: Counter[str] = Counter()
@@ -208,7 +214,7 @@ class Recorder:
     def close(self, timeout_s: float = 60.0) -> RecorderStatus:
         """Write the queued messages and finish the file; closing again does nothing.
 
-        If writing fails, or does not end within `timeout_s`, the partial file is kept.
+        If writing fails, does not end within `timeout_s`, or a file has appeared at `path`, the partial file is kept.
 
         Parameters
         ----------
@@ -224,14 +230,20 @@ class Recorder:
         self._closing.set()
         self._thread.join(timeout_s)
         if self._thread.is_alive():
-            self._fail(f"the disk has not responded for {timeout_s:g} s")
+            self._fail(f"the disk has not responded for {timeout_s:g} s; {self._unwritten} messages were not written")
         elif self._state is RecorderState.RECORDING:
             try:
-                finish(self.partial, self.path, self._written)
+                finish(self.partial, self.path, self._written, overwrite=self._overwrite)
                 self._state = RecorderState.CLOSED
             except InputError as error:
                 self._fail(str(error))
         return self.status
+
+    @property
+    def file(self) -> Path | None:
+        """The file that holds the recording: `path` if closed, else `partial`; None if the file does not exist."""
+        file = self.path if self._state is RecorderState.CLOSED else self.partial
+        return file if file.is_file() else None
 
     def __enter__(self) -> Self:
         return self
@@ -270,6 +282,7 @@ class Recorder:
             while not closing:
                 closing = self._closing.wait(_RETRY_S if self._state is RecorderState.STALLED else _PERIOD_S)
                 self._write_queue(closing)
+                self._count()
         except BaseException as error:  # any failure is reported by the status, not by an exception
             self._fail(f"the writer ended: {error!r}")
         finally:
@@ -306,7 +319,21 @@ class Recorder:
         except OSError as error:
             self._state, self._cause = RecorderState.STALLED, error.strerror or str(error)
             if closing:
-                self._fail(f"{self._cause}; {len(self._queue) + self._journal.unwritten} messages were not written")
+                self._fail(f"{self._cause}; {self._unwritten} messages were not written")
+
+    def _count(self) -> None:
+        with self._lock:
+            channels = [each for each in self._channels.values() if each is not self._own]
+        last_ns = 0
+        for each in channels:
+            with contextlib.suppress(TypeError):  # a time that is no number; such a message is refused
+                wall_ns = self.session.wall_of(each.last_ns)
+                last_ns = max(last_ns, wall_ns if each.count and wall_ns < _LATEST_NS else 0)
+        self._journal.count(Counts({each.topic: each.count for each in channels}, dict(self._overflowed), last_ns))
+
+    @property
+    def _unwritten(self) -> int:
+        return len(self._queue) + self._journal.unwritten
 
     def _flush(self) -> None:
         count = self._journal.unwritten

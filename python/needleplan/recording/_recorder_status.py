@@ -92,6 +92,13 @@ class RecorderStatus:
     refusal: str = ""
 
     @property
+    def missing(self) -> str:
+        """What is missing in the recording and why, as one text; empty if nothing is missing."""
+        lost = [f"{count:,} messages of {topic} were lost" for topic, count in self.overflowed.items()]
+        refused = [f"{self.refused:,} messages were refused: {self.refusal}"] if self.refused else []
+        return "; ".join([*([self.cause] if self.cause else []), *lost, *refused])
+
+    @property
     def ok(self) -> bool:
         """Whether the recorder works and no message was lost or refused so far."""
         good = self.state in (RecorderState.RECORDING, RecorderState.CLOSED)

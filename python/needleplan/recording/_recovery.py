@@ -13,16 +13,16 @@ import secrets
 import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
-from needleplan.artifacts import require_writable, version
+from needleplan.artifacts import move_into_place, require_writable, version
 from needleplan.errors import DataError, InputError, Mistake, OutputError
 from needleplan.recording._data_files import PathLike
-from needleplan.recording._journal import PROFILE, Session
+from needleplan.recording._journal import COUNTS, PROFILE, Session
 from needleplan.recording._sample_kinds import STATUS
 from needleplan.recording.mcap_bytes import Damage, Definitions, RawMessage, chunks, definitions_of, messages_of
 
@@ -31,6 +31,7 @@ __all__ = ["Recovery", "finish", "recover"]
 _CHUNK_BYTES = 2**17  # size of a chunk (bytes), about 1 s of a run; one damaged byte loses at most one chunk
 
 _SESSION = "/session"
+_THERE = "is there already: a recording is never overwritten"
 
 
 @dataclass(frozen=True)
@@ -46,12 +47,19 @@ class Recovery:
     damaged_bytes, places : int
         Number of unreadable bytes, and number of separate damaged regions in the file.
     missing : mapping of str to int
-        Number of missing messages by topic, counted from gaps in the sequence numbers of recovered messages, without
-        the messages in `overflowed`.
+        Number of missing messages by topic, without the messages in `overflowed`: gaps in the sequence numbers of the
+        recovered messages, and the difference between the last one and the recorder's last count.
     overflowed : mapping of str to int
         Number of messages by topic that the recorder itself counted as lost.
     complete : bool
-        Whether the recorder closed the recording and no byte is damaged. If not, the last messages may be missing too.
+        Whether the recorder closed the recording and no byte is damaged.
+    closed : bool
+        Whether the recovered messages include the last one of a recorder that was closed.
+    counted_s : float or None
+        Time from the start of the recording to the last message in the recorder's last count, s. Messages put after
+        this count are neither in the file nor in `missing`. None if the file has no readable count.
+    missing_s : float
+        Time between the last recovered message and the last counted message, s.
 
     Examples
     --------
@@ -67,6 +75,9 @@ class Recovery:
     missing: Mapping[str, int] = field(default_factory=dict)
     overflowed: Mapping[str, int] = field(default_factory=dict)
     complete: bool = False
+    closed: bool = False
+    counted_s: float | None = None
+    missing_s: float = 0.0
 
 
 def recover(path: PathLike, target: PathLike, *, overwrite: bool = False) -> Recovery:
@@ -110,18 +121,19 @@ def recover(path: PathLike, target: PathLike, *, overwrite: bool = False) -> Rec
     """
     require_writable(target)
     if Path(target).exists() and not overwrite:
-        raise OutputError("is there already: a recording is never overwritten", os.fspath(target))
+        raise OutputError(_THERE, os.fspath(target))
     with _mapped(path) as data:
-        return _rewrite(data, os.fspath(path), Path(target), recovered=True)
+        return _rewrite(data, os.fspath(path), Path(target), overwrite, recovered=True)
 
 
-def finish(partial: Path, target: Path, expected: int) -> Recovery:
+def finish(partial: Path, target: Path, expected: int, *, overwrite: bool = False) -> Recovery:
     """Convert a closed partial file to the recording `target`, and remove the partial file.
 
-    Raises InputError and keeps the partial file if writing fails or not exactly `expected` messages can be read.
+    Raises InputError and keeps the partial file if writing fails, not exactly `expected` messages can be read, or
+    `target` exists and `overwrite` is false.
     """
     with _mapped(partial) as data:
-        done = _rewrite(data, str(partial), target, recovered=False, expected=expected)
+        done = _rewrite(data, str(partial), target, overwrite, recovered=False, expected=expected)
     with contextlib.suppress(OSError):
         partial.unlink()
     return done
@@ -143,7 +155,9 @@ def _mapped(path: PathLike) -> Iterator[Any]:
         raise DataError(f"cannot be read: {reason}", os.fspath(path)) from error
 
 
-def _rewrite(data: Any, source: str, target: Path, *, recovered: bool, expected: int | None = None) -> Recovery:
+def _rewrite(
+    data: Any, source: str, target: Path, overwrite: bool, *, recovered: bool, expected: int | None = None
+) -> Recovery:
     known = Definitions()
     for _ in range(2):  # two passes: after a damaged first chunk, the definition of a channel may follow its messages
         for content in chunks(data, Damage()):
@@ -164,11 +178,13 @@ def _rewrite(data: Any, source: str, target: Path, *, recovered: bool, expected:
             if expected is not None and done.messages != expected:
                 rule = f"{done.messages} of {expected} messages can be read back; the partial file is kept"
                 raise DataError(rule, source)
-            new.replace(target)
+            move_into_place(new, target, replace=overwrite)
         except BaseException:
             with contextlib.suppress(OSError):
                 new.unlink()
             raise
+    except FileExistsError as error:
+        raise OutputError(_THERE, str(target)) from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(Mistake("", "", f"cannot be written: {reason}"), str(target)) from error
@@ -183,12 +199,15 @@ def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, re
     writer.add_metadata("needleplan.session", flat)
     for name, text in session.texts.items():
         writer.add_attachment(session.wall_ns, session.wall_ns, name, _media_type(name), text.encode())
+    if known.counts:
+        writer.add_metadata(COUNTS, known.counts.metadata())
     numbers = _register(writer, known)
     damage = Damage()
     last: dict[int, int] = {}
     missing: Counter[int] = Counter()
     counts: Counter[int] = Counter()
     status: dict[str, Any] = {}
+    end_ns = 0
     session_message: tuple[int, int, bytes] | None = None
     for content in chunks(data, damage):
         for number, sequence, time_ns, body in _readable(content):
@@ -199,6 +218,7 @@ def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, re
                 session_message = (numbers[number], time_ns, body)
             else:
                 missing[number] += max(sequence - last.get(number, 0) - 1, 0)
+                end_ns = max(end_ns, time_ns) if topic != "/recorder" else end_ns
             last[number] = max(sequence, last.get(number, 0))
             if topic == "/recorder":
                 with contextlib.suppress(DataError):
@@ -208,7 +228,18 @@ def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, re
     if session_message:  # a second copy in the last chunk, so that damage to one chunk leaves one copy
         channel, session_ns, body = session_message
         writer.add_message(channel, session_ns, body, session_ns)
-    done = _summed(known, counts, missing, status, damage)
+    absent = Counter({known.channels[number].topic: count for number, count in missing.items()})
+    found = {known.channels[number].topic: sequence for number, sequence in last.items()}
+    for topic, put in (known.counts.put if known.counts else {}).items():  # put after the last recovered message
+        absent[topic] += max(put - found.get(topic, 0), 0)
+    done = _summed(known, counts, absent, status, damage)
+    if known.counts:
+        last_ns = known.counts.last_ns
+        done = replace(
+            done,
+            counted_s=max(last_ns - session.wall_ns, 0) * 1e-9,
+            missing_s=max(last_ns - (end_ns or session.wall_ns), 0) * 1e-9,
+        )
     if recovered:
         writer.add_metadata("needleplan.recovery", {
             "damaged_bytes": str(done.damaged_bytes), "places": str(done.places),
@@ -243,12 +274,14 @@ def _register(writer: Writer, known: Definitions) -> dict[int, int]:
 
 
 def _summed(
-    known: Definitions, counts: Counter[int], missing: Counter[int], status: Mapping[str, Any], damage: Damage
+    known: Definitions, counts: Counter[int], absent: Counter[str], status: Mapping[str, Any], damage: Damage
 ) -> Recovery:
     topics = {number: each.topic for number, each in known.channels.items()}
     stored = status.get("overflowed")
     overflowed = {str(topic): int(count) for topic, count in stored.items()} if isinstance(stored, dict) else {}
-    gaps = {topics[number]: count - overflowed.get(topics[number], 0) for number, count in missing.items()}
+    if known.counts:
+        overflowed |= known.counts.overflowed
+    gaps = {topic: count - overflowed.get(topic, 0) for topic, count in absent.items()}
     return Recovery(
         sum(count for number, count in counts.items() if topics[number] != _SESSION),
         {topics[number]: count for number, count in counts.items() if topics[number] != _SESSION},
@@ -257,6 +290,7 @@ def _summed(
         {topic: count for topic, count in gaps.items() if count > 0},
         overflowed,
         status.get("state") == "closed" and not damage.damaged_bytes,
+        status.get("state") == "closed",
     )
 
 

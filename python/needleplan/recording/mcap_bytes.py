@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from needleplan.errors import DataError, Mistake
-from needleplan.recording._journal import PROFILE, SESSION
+from needleplan.recording._journal import PROFILE, SESSION, Counts
 
 __all__ = ["Damage", "Definitions", "RawMessage", "chunks", "definitions_of", "messages_of", "require_intact"]
 
@@ -46,11 +46,12 @@ class Damage:
 
 @dataclass
 class Definitions:
-    """Schemas and channels by number, and the session as stored, or None until it is found."""
+    """Schemas and channels by number; the session as stored and the counts, each None until it is found."""
 
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
     session: dict[str, Any] | None = None
+    counts: Counts | None = None
 
 
 def require_intact(stream: BinaryIO, source: str) -> None:
@@ -102,7 +103,7 @@ def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
             continue
         following = _skipped(data, at)
         if following:
-            if data[at] in (Opcode.SCHEMA, Opcode.CHANNEL):  # a finished recording repeats them at its end
+            if data[at] in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):  # at the end, and the counts at the start
                 yield bytes(data[at:following])
             at = following
             continue
@@ -113,7 +114,7 @@ def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
 
 
 def definitions_of(content: bytes, known: Definitions) -> None:
-    """Add the schemas, channels and session in the records of a chunk to `known`, unless they are already known.
+    """Add the schemas, channels, session and counts in the records of a chunk to `known`, unless already known.
 
     A topic has one channel. A second channel of the same topic is ignored, because its number may be damaged: the
     definitions at the end of the file have no checksum.
@@ -126,6 +127,8 @@ def definitions_of(content: bytes, known: Definitions) -> None:
             channel = records.Channel.read(ReadDataStream(BytesIO(body)))
             if channel.topic not in {each.topic for each in known.channels.values()}:
                 known.channels.setdefault(channel.id, channel)
+        elif opcode == Opcode.METADATA:
+            known.counts = known.counts or Counts.of_metadata(body)
         elif opcode == Opcode.MESSAGE and known.session is None:
             number = _MESSAGE.unpack_from(body)[0]
             channel_of = known.channels.get(number)

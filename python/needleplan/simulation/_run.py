@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.devices import ForceSample, PoseSample, StageSample
+from needleplan.errors import OutputError
 from needleplan.models import TipFrame
 from needleplan.recording import EVENT, FORCE, POSE, STAGE, PathLike, Recorder, Session, WhenFull
 from needleplan.signals import Array, Record
@@ -121,7 +122,7 @@ def record_run(run: Run, path: PathLike, *, overwrite: bool = False) -> None:
     """Write a recording with all samples of a run, and with the phases of its program as events.
 
     The recorded time of day is the time of writing plus the simulated time. Raises OutputError if the file cannot be
-    written, or if the file exists and `overwrite` is false.
+    written completely, or if the file exists and `overwrite` is false.
     """
     experiment = run.experiment
     digests = {"experiment": experiment.digest}
@@ -140,3 +141,6 @@ def record_run(run: Run, path: PathLike, *, overwrite: bool = False) -> None:
             channel = recorder.channel(topic, kind)
             for sample in samples:
                 channel.put(sample.stamp.received_ns, sample)
+    if not recorder.status.ok:
+        rule = f"the recording is incomplete: {recorder.status.missing}"
+        raise OutputError(rule, str(recorder.file or recorder.partial))

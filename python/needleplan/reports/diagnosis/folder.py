@@ -17,11 +17,14 @@ from needleplan.reports.diagnosis.effect_file import effect_file_text
 from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
 from needleplan.reports.diagnosis.report import report_of
 
-__all__ = ["FILES", "diagnose_files", "write_folder"]
+__all__ = ["FILES", "STALE", "diagnose_files", "write_folder"]
 
 
 FILES = ("diagnosis.json", "report.html", "model.toml", "next_motion.toml", "effect_to_name.py", "scenario.toml")
 """Names of all files that a diagnosis may write into its folder."""
+
+STALE = ("model.toml", "next_motion.toml", "scenario.toml")
+"""Files that other commands read, and that a new diagnosis removes if it does not write them."""
 
 
 def diagnose_files(
@@ -48,13 +51,21 @@ def write_folder(
     - `model.toml`: if the verdict is NAMED, or if effects were found and `merge_anyway` is set
     - `effect_to_name.py`: if a gap is left unexplained and described
 
-    Raises OutputError if the folder cannot be created or a file cannot be written.
+    First removes the files of `STALE` that an earlier diagnosis wrote, so that no model, motion or scenario of the
+    earlier diagnosis stands beside the new one. Raises OutputError if the folder cannot be created, or a file cannot be
+    removed or written.
     """
     place = Path(folder)
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(Mistake("", "", f"cannot be made: {error.strerror}"), folder) from error
+    for name in STALE:
+        try:
+            (place / name).unlink(missing_ok=True)
+        except OSError as error:
+            rule = f"belongs to an earlier diagnosis and cannot be removed: {error.strerror}"
+            raise OutputError(Mistake("", "", rule), str(place / name)) from error
     written = [place / "diagnosis.json", place / "report.html"]
     next_ = next_motion(found)
     document = document_of(found) | {"next_motion": next_motion_document(next_) if next_ else None}
