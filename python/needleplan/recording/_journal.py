@@ -339,4 +339,4 @@ def _counts_record(counts: Counts) -> bytes:
     metadata["counts"] = metadata["counts"].ljust(_COUNTS_BYTES)
     builder = RecordBuilder()
     records.Metadata(COUNTS, metadata).write(builder)
-    return builder.end()
+    return bytes(builder.end())
