@@ -70,7 +70,9 @@ class Stamp:
     - `received_ns` is the time of arrival on the monotonic clock of this machine.
     - `sequence` is the number of the sample, from the device or, if the device sends no numbers, from its driver.
     - `lost` is the number of samples lost immediately before this sample.
-    - `device_time_s` is the time of the sample on the clock of the device; None if the device sends no time.
+    - `device_time_s` is the time of the sample on the clock of the device, or its sample count divided by its sample
+      rate; None if the device sends neither. Its rate must differ from this machine's clock by at most 100 ppm, because
+      the guard computes the age of a sample from it.
     """
 
     received_ns: int

@@ -12,6 +12,7 @@ import signal
 import socket
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -41,7 +42,7 @@ from needleplan.devices.sensor_processes import (
 )
 from needleplan.errors import InputError, Mistake
 from needleplan.simulation._lab import Lab
-from needleplan.simulation._setup import Setup
+from needleplan.simulation._setup import TRACKER_HZ, Setup
 
 __all__ = ["PlantDrive", "RealTimeLab", "limits_of", "serve_robot"]
 
@@ -57,18 +58,22 @@ class PlantDrive(RobotDrive):
     def __init__(self, lab: Lab, measured: Callable[[ForceSample | PoseSample], None]) -> None:
         self._lab, self._measured = lab, measured
         self._time_s: float | None = None
+        self._skipped_s = 0.0
 
     def advance(self, time_s: float) -> RobotDriveState:
         """Simulate the plant up to a time (s), at most for 0.05 s, and return the state of the axes."""
         lab, plant = self._lab, self._lab.plant
         passed_s = 0.0 if self._time_s is None else time_s - self._time_s
         self._time_s = time_s
+        self._skipped_s += max(passed_s - _LONGEST_STEP_S, 0.0)
         lab.advance(min(passed_s, _LONGEST_STEP_S))
         lab.stage.waiting()
         for force in lab.force_sensor.waiting():
             self._measured(force)
         for pose in lab.tracker.waiting():
-            self._measured(pose)
+            # The frames of a tracker are numbered by time, also while the process was suspended.
+            frame = pose.stamp.sequence + int(self._skipped_s * TRACKER_HZ)
+            self._measured(replace(pose, stamp=replace(pose.stamp, sequence=frame)))
         insertion, roll = plant.insertion, plant.roll
         return RobotDriveState(
             insertion.measured, insertion.measured_velocity, roll.measured, roll.measured_velocity,

@@ -91,7 +91,10 @@ class Rig:
         """Let the loop make one turn of 5 ms."""
         began_ns = self.clock.now_ns()
         if self.force is not None:
-            self.read(Source.FORCE, self.force, TURN_S)
+            # A turn may take longer than 5 ms; what has come meanwhile does not wait, because it would grow old.
+            timeout_s = TURN_S
+            while self.read(Source.FORCE, self.force, timeout_s):
+                timeout_s = 0.0
         if self.tracker is not None:
             self.read(Source.POSE, self.tracker, 0.0)
         self.clock.sleep(TURN_S - (self.clock.now_ns() - began_ns) * 1e-9)
@@ -105,18 +108,20 @@ class Rig:
         # A stage obeys a stop.
         self.stage.moving &= self.stage.wire[-1:] != [("stop",)]
 
-    def read(self, source: Source, device: ForceSensor | Tracker, timeout_s: float) -> None:
+    def read(self, source: Source, device: ForceSensor | Tracker, timeout_s: float) -> bool:
+        """Read a device once and show the guard what came; return whether a sample came."""
         try:
             sample = device.read(timeout_s)
         except DeviceFault as error:
             self.refusals.append(error)
             self.guard.device_failed(source, error)
-            return
+            return False
         if isinstance(sample, PoseSample):
             x, y, _ = sample.position_mm
             self.guard.observe(sample, tip_mm=(x, y), out_of_plane_mm=0.0 if math.isfinite(x) else math.nan)
         elif sample is not None:
             self.guard.observe(sample)
+        return sample is not None
 
     def turns(self, seconds: float) -> None:
         end_ns = self.clock.now_ns() + round(seconds * 1e9)

@@ -104,7 +104,7 @@ def test_32_34_what_comes_late_for_good_is_not_taken_for_fresh() -> None:
     assert rig.state in ("FAULT", "DISABLED")
     rig.start_again()
     rig.turns(0.5)
-    assert Cause.STAGE_SUSPECT in rig.guard.state.present
+    assert Cause.STAGE_STALE in rig.guard.state.present
     assert rig.state == "FAULT"
     rig.bench.network.from_robot.delay_s = 0.0
     rig.start_again()

@@ -1,7 +1,9 @@
 """Status of every input of the guard, and the validation of the inputs, as pure functions of samples and time.
 
-An input is healthy while its last usable sample is younger than the age limit. A single suspect sample is not used, but
-does not stop the motion either. A force or depth beyond its limit stops the motion even if the sample is suspect.
+An input is healthy while its last usable sample is younger than the age limit. The age of a sample counts from the time
+at which the device took the sample, which `Delay` estimates from the clock or the sample counter of the device. A
+single suspect sample is not used, but does not stop the motion either. A force or depth beyond its limit stops the
+motion even if the sample is suspect.
 """
 
 from __future__ import annotations
@@ -23,21 +25,27 @@ _NANO = 1e-9
 _NONE: frozenset[Cause] = frozenset()
 # s by which the time of a sample may be later than the clock, because of rounding and of clocks of processor cores
 _FUTURE_S = 0.005
-# largest relative difference between the rates of two clocks; real crystals differ by much less
-_CLOCK_RATE_ERROR = 0.001
+# largest relative difference between the stated rate of a device clock and the rate of this machine's clock: two quartz
+# crystals of 50 ppm each
+CLOCK_DRIFT = 100e-6
 
 
 @dataclass(frozen=True)
 class Delay:
     """Estimate of the transport delay of samples from a device clock; `late_s` is the delay (s) of the last sample.
 
-    The offset between the two clocks is unknown, so the delay of the fastest sample so far is taken as zero. The delay
-    of any other sample is the additional duration of its transport. Samples that waited in a network or in a buffer
-    therefore do not count as fresh. Because the clocks may drift, the zero rises by up to 0.1 % of the elapsed time. If
-    the device clock goes back, the estimate starts again.
+    Let sample k be taken at the device time `D_k` and received at the local time `A_k`. Then `A_k - D_k` is the unknown
+    offset of the two clocks plus the delay `w_k >= 0`. The offset changes by at most `r = CLOCK_DRIFT` of the elapsed
+    time, so `b_k = min(A_k - D_k, b_(k-1) + r (A_k - A_(k-1)))` is at least the offset plus the smallest delay, and
+    `late_s = A_k - D_k - b_k` is at most the delay beyond the smallest one. Therefore:
 
-    Only the delay of stages is estimated. Trackers return their latest frame, which has not waited, and often compute
-    its time from the frame number and a nominal rate.
+    - A clock whose drift is at most `r` never causes a delay to be reported: no false alarm, however long the run.
+    - A delay that begins at once is reported in full, less `r` times the time since the fastest sample.
+    - A delay that grows by `c > r` seconds each second exceeds a limit `L` after `L / (c - r)`.
+    - A delay that grows more slowly than `r` is not detected. It amounts to at most 60 ms in ten minutes.
+
+    If the device clock goes back, the device was restarted, and the estimate starts again. A device without a clock has
+    no delay.
     """
 
     late_s: float = 0.0
@@ -53,14 +61,14 @@ class Delay:
         transport_s = received_s - stamp.device_time_s
         shortest_s = transport_s
         if self._device_s is not None and stamp.device_time_s >= self._device_s:
-            allowed_s = _CLOCK_RATE_ERROR * max(received_s - self._received_s, 0.0)
+            allowed_s = CLOCK_DRIFT * max(received_s - self._received_s, 0.0)
             shortest_s = min(transport_s, self._shortest_s + allowed_s)
         return Delay(transport_s - shortest_s, shortest_s, received_s, stamp.device_time_s)
 
 
 @dataclass(frozen=True)
 class InputStatus(Generic[_Sample]):
-    """Status of one device: its last sample, the time of its last usable sample, and whether it has failed."""
+    """Status of one device: its last sample, the times of its last samples, and whether it has failed."""
 
     last: _Sample | None = None
     usable_ns: int | None = None
@@ -71,19 +79,18 @@ class InputStatus(Generic[_Sample]):
     """Whether `last` is usable."""
 
     delay: Delay = field(default_factory=Delay)
+    taken_ns: int | None = None
+    """Estimated time (ns) at which the device took `last`: its time of arrival less its delay."""
 
-    def then(self, sample: _Sample, usable: bool, timed: bool = False) -> InputStatus[_Sample]:
-        """Return the status after another sample; unchanged if the sample has the sequence number of the last sample.
-
-        If `timed`, the transport delay is estimated from the device time of the sample.
-        """
+    def then(self, sample: _Sample, usable: bool) -> InputStatus[_Sample]:
+        """Return the status after another sample; unchanged by a sample with the sequence number of the last one."""
         if self.last is not None and sample.stamp.sequence == self.last.stamp.sequence:
             return self
-        delay = self.delay.then(sample.stamp) if timed else self.delay
+        delay = self.delay.then(sample.stamp)
+        taken_ns = sample.stamp.received_ns - round(delay.late_s / _NANO)
         if usable:
-            taken_ns = sample.stamp.received_ns - round(delay.late_s / _NANO)
-            return InputStatus(sample, taken_ns, is_usable=True, delay=delay)
-        return replace(self, last=sample, is_usable=False, delay=delay)
+            return InputStatus(sample, taken_ns, is_usable=True, delay=delay, taken_ns=taken_ns)
+        return replace(self, last=sample, is_usable=False, delay=delay, taken_ns=taken_ns)
 
 
 @dataclass(frozen=True)
@@ -196,7 +203,7 @@ class Inputs:
         """Return the inputs after a stage sample."""
         numbers = (sample.depth_mm, sample.velocity_mm_s, sample.roll_rad)
         usable = sample.health is Health.GOOD and all(map(math.isfinite, numbers))
-        stage = self.stage.then(sample, usable, timed=True)
+        stage = self.stage.then(sample, usable)
         return Inputs(  # not `replace`: it takes three times as long, and this method runs a thousand times a second
             self.force, self.pose, stage, self.tip_mm, self.out_of_plane_mm, self.step_mm, self.step_s, self._coil
         )
@@ -226,7 +233,7 @@ def validate(inputs: Inputs, limits: SafetyLimits, now_ns: int) -> frozenset[Cau
     return frozenset(found) if found else _NONE
 
 
-# Causes of each input: the device has failed, no sample arrives, or no usable sample arrives.
+# Causes of each input: the device has failed; no fresh sample arrives; no fresh sample is usable.
 _FORCE = (Cause.FORCE_FAULT, Cause.FORCE_STALE, Cause.FORCE_SUSPECT)
 _POSE = (Cause.POSE_FAULT, Cause.POSE_STALE, Cause.POSE_SUSPECT)
 _POSE_UNSEEN = (Cause.POSE_FAULT, Cause.POSE_STALE, Cause.POSE_UNSEEN)
@@ -273,14 +280,15 @@ def _age(
 ) -> None:
     """Append to `found` the cause that follows from the failure or the age of an input, and CLOCK_MISMATCH.
 
-    `causes` are the causes for a failed device, for no sample, and for no usable sample within `limit_s`.
+    `causes` are the causes for a failed device, for no sample that was taken within `limit_s`, and for no usable one. A
+    sample that was delayed on its way is as old as its delay, so that a delayed stream is stale.
     """
     failed, stale, unusable = causes
     if status.last is not None and status.last.stamp.received_ns - now_ns > _FUTURE_S / _NANO:
         found.append(Cause.CLOCK_MISMATCH)
     if status.failed:
         found.append(failed)
-    elif status.last is None or _older(status.last.stamp.received_ns, limit_s, now_ns):
+    elif _older(status.taken_ns, limit_s, now_ns):
         found.append(stale)
     elif _older(status.usable_ns, limit_s, now_ns):
         found.append(unusable)

@@ -118,14 +118,16 @@ class MotionWatch:
         return replace(self, depth=None, roll=None, stopped_ns=self.stopped_ns if idle else now_ns, rest_mm=None)
 
     def then(self, sample: StageSample, limits: SafetyLimits) -> MotionWatch:
-        """Return the watch after a stage sample; unchanged if the sample has the sequence number of the last one.
+        """Return the watch after a stage sample; unchanged by a repeated sample, and by a sample that is not finite.
 
         A retraction ends if the stage rests at its goal, or rests anywhere `motion_s` after the command.
         """
         last = self.last
+        if not all(map(math.isfinite, (sample.depth_mm, sample.velocity_mm_s, sample.roll_rad))):
+            return self  # no position to compare; without a usable sample within `stage_age_s`, the stage is suspect
         if last is None:
             depth = self.depth
-            if depth is not None and math.isfinite(sample.depth_mm):
+            if depth is not None:
                 depth = replace(depth, begin=sample.depth_mm)  # a retraction from an unknown depth
             return replace(self, depth=depth, last=sample)
         if sample.stamp.sequence == last.stamp.sequence:

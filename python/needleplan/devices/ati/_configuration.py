@@ -45,6 +45,11 @@ class Configuration:
     product: str = ""
     serial: str = ""
     rate_hz: float | None = None
+    measuring_hz: float = 7000.0
+    """Rate (Hz) at which the box measures and counts `ft_sequence`."""
+
+    bias: tuple[int, ...] | None = None
+    """Bias of the six gages in counts, which changes with every bias command; None if the box does not report it."""
 
     @property
     def newton_per_count(self) -> float:
@@ -79,6 +84,7 @@ def parse_configuration(xml: bytes, source: str = "") -> Configuration:
     return Configuration(
         factors[0], factors[1], units[0], units[1],
         found.get("prodname", ""), found.get("setserial", ""), _number(found.get("comrdtrate", "")),
+        _measuring_hz(found), _bias(found.get("setbias", "")),
     )  # fmt: skip
 
 
@@ -116,6 +122,20 @@ def _unit(found: dict[str, str], key: str, known: MappingProxyType[str, float], 
             return name
     mistakes.append(Mistake(key, text, f"must be one of {', '.join(known)}"))
     return ""
+
+
+def _measuring_hz(found: dict[str, str]) -> float:
+    """Return the rate of measurements: `runrate` of a Net F/T, `setrate` of an Ethernet Axia, else 7000 Hz."""
+    rates = (_number(found.get(key, "")) for key in ("runrate", "setrate"))
+    return next((rate for rate in rates if rate is not None and rate > 0), Configuration.measuring_hz)
+
+
+def _bias(text: str) -> tuple[int, ...] | None:
+    try:
+        values = tuple(int(each) for each in text.split(";"))
+    except ValueError:
+        return None
+    return values if len(values) == 6 else None
 
 
 def _number(text: str) -> float | None:

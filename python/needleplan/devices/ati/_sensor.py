@@ -337,7 +337,9 @@ class NetFt(ForceSensor):
         notes += self._plausible.notes(record, force_n, torque_n_mm)
         if arrival.order is RdtOrder.AFRESH:
             notes += ("the stream was restarted",)
-        stamp = Stamp(now_ns, record.rdt_sequence, arrival.lost)
+        # A record without a new measurement does not tell the time of the box.
+        measured_s = None if arrival.frozen else arrival.measured / self._configuration.measuring_hz
+        stamp = Stamp(now_ns, record.rdt_sequence, arrival.lost, measured_s)
         return ForceSample(stamp, force_n, torque_n_mm, Health.SUSPECT if notes else Health.GOOD, notes)
 
     def _give_up(self, why: str) -> DeviceFault:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import threading
 import time
@@ -128,6 +129,13 @@ class NetFtBox:
         self.rdt_sequence = self.ft_sequence = self._latched = 0
         self._bias = (0, 0, 0, 0, 0, 0)
 
+    def skip(self, records: int) -> None:
+        """Measure without sending: advance both sequence numbers by the time of `records` records."""
+        if not self.faults.freeze:
+            self.ft_sequence = (self.ft_sequence + records * self.settings.divisor) % _WRAP
+        if self.client is not None:
+            self.rdt_sequence = (self.rdt_sequence + records) % _WRAP
+
     def step(self, time_s: float) -> list[bytes]:
         """Measure the wrench at `time_s` unless frozen, and return the datagrams for `client`, if any."""
         if not self.faults.freeze:
@@ -194,7 +202,11 @@ class NetFtServer(Closing):
         began = due = time.monotonic()
         while not self._stopping.is_set():
             period_s = self.box.settings.divisor / _MEASUREMENTS_PER_S
-            due = max(due + period_s, time.monotonic() - 20 * period_s)
+            due += period_s
+            # After a pause of this process the box has gone on measuring; only its records are missing.
+            missed = max(math.ceil((time.monotonic() - due) / period_s) - 20, 0)
+            self.box.skip(missed)
+            due += missed * period_s
             self._listen_until(due)
             for datagram in self.box.step(due - began):
                 if self.box.client is not None:

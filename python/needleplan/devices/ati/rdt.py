@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum, auto
 
 from needleplan.errors import ProtocolError
@@ -190,12 +190,14 @@ class RdtArrival:
     """Result of the validation of a record.
 
     `order` is the position of the record, `lost` the number of records lost before the record, and `frozen` the number
-    of records in succession without a new measurement.
+    of records in succession without a new measurement. `measured` is the number of the measurement in the box, which
+    continues to rise when `ft_sequence` wraps.
     """
 
     order: RdtOrder
     lost: int = 0
     frozen: int = 0
+    measured: int = 0
 
 
 @dataclass
@@ -210,6 +212,7 @@ class StreamWatch:
     _last: RdtRecord | None = None
     _last_ns: int = 0
     _frozen: int = 0
+    _measured: int = 0
     _missing: dict[int, None] = field(default_factory=dict)
 
     def see(self, record: RdtRecord, now_ns: int) -> RdtArrival:
@@ -229,7 +232,7 @@ class StreamWatch:
         elif follows and record.rdt_sequence <= most:
             # A lower number in the stream, but a later measurement: the stream was restarted, not the box.
             self._missing.clear()
-            return RdtArrival(RdtOrder.AFRESH, self._accept(record, now_ns, 0).lost)
+            return replace(self._accept(record, now_ns, 0), order=RdtOrder.AFRESH)
         elif near and (ahead == 0 or ahead >= _WRAP - _REMEMBERED):
             return self._behind(record)
         elif not near and record.rdt_sequence <= most:
@@ -254,7 +257,9 @@ class StreamWatch:
             self._missing[(record.rdt_sequence - back) % _WRAP] = None
         while len(self._missing) > _REMEMBERED:
             del self._missing[next(iter(self._missing))]
+        before = 0 if self._last is None else self._last.ft_sequence
+        self._measured += (record.ft_sequence - before) % _WRAP
         self._last, self._last_ns = record, now_ns
         self.counts.received += 1
         self.counts.lost += lost
-        return RdtArrival(RdtOrder.NEXT, lost, self._frozen)
+        return RdtArrival(RdtOrder.NEXT, lost, self._frozen, self._measured)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from needleplan.devices._base import PoseSample, Tracker
 from needleplan.devices._clock import Clock, Deadline, SystemClock
@@ -196,6 +196,7 @@ class NdiTracker(Tracker):
         - `speed`: speed of a serial line after the start, by default unchanged.
         - `tool`: serial number of the tool, by default that of the only tool.
         - `reply`: bx (the default) for binary replies, tx for text replies.
+        - `rate_hz`: frame rate of the tracker, by default 40 Hz (Aurora); a Polaris has 20 or 60 Hz.
         - `beyond`: yes if poses outside of the measurement volume are returned as SUSPECT, by default no (MISSING).
 
         Raises AddressError if the address is wrong, ConfigurationError if the tool or the speed cannot be chosen,
@@ -204,11 +205,15 @@ class NdiTracker(Tracker):
         parsed = Address.parse(address)
         if parsed.scheme not in ("serial", "tcp"):
             raise AddressError(Mistake("address", address, "a tracker is reached by serial:///port or tcp://host"))
-        ours = ("tool", "speed", "reply", "beyond")
+        ours = ("tool", "speed", "reply", "beyond", "rate_hz")
         parsed.only((*ours, "baud") if parsed.scheme == "serial" else (*ours, "timeout_s"))
         text = parsed.option("reply", {"bx": False, "tx": True}.__getitem__, False)
         beyond = parsed.option("beyond", {"no": False, "yes": True}.__getitem__, False)
         speed = parsed.option("speed", int, 0)
+        limits = NdiPoseLimits() if limits is None else limits
+        limits = replace(limits, rate_hz=parsed.option("rate_hz", float, limits.rate_hz))
+        if not 1 <= limits.rate_hz <= 1000:
+            raise AddressError(Mistake("rate_hz", f"{limits.rate_hz:g}", "must be from 1 to 1000 Hz"), address)
         rest = {name: value for name, value in parsed.options.items() if name not in ours}
         link = open_link(Address(parsed.scheme, parsed.host, parsed.port, parsed.path, rest), NDI_PORT)
         return cls(link, tool=parsed.options.get("tool", ""), speed=speed, text=text, beyond=beyond, limits=limits)

@@ -232,11 +232,15 @@ _HARDWARE_FAILURE, _HARDWARE_CHANGE, _PLUGGED = 0x10, 0x20, 0xC0  # bits of the 
 _SOUND_PORT = 0x31 | 0x0E  # bits of the port status that are not faults: tool in port, initialised, enabled; switches
 
 
+_RATE_S = 1.0  # time (s) after the first frame at which the frame rate is compared with `rate_hz`
+_RATE_RATIO = 1.2  # ratio of the frame rate to `rate_hz` above which `rate_hz` is wrong
+
+
 @dataclass(frozen=True)
 class NdiPoseLimits:
     """Frame rate of the tracker, and limits above which a pose is SUSPECT or the tracker raises DeviceFault."""
 
-    rate_hz: float = 40.0  # frame rate of the tracker, which converts frame numbers to times
+    rate_hz: float = 40.0  # frame rate of the tracker, which converts frame numbers to times; it must be exact
     silence_s: float = 0.5  # time without a new frame after which the tracker raises DeviceFault
     reply_s: float = 12.0  # longest time from a command to its reply; then DeviceFault
     gap_s: float = 0.1  # pause between the bytes of a reply after which the reply counts as truncated
@@ -255,6 +259,8 @@ class NdiPoseValidator(PoseValidator):
         self.handle, self.limits = handle, limits
         self._first = True
         self._new_frame_ns = 0
+        self._begun: tuple[int, int] | None = None
+        self._rate_checked = False
 
     def validate(self, frames: Frames, now_ns: int, took_s: float = 0.0) -> PoseSample | None:
         """Return the sample of a new frame, or None if the frame is repeated.
@@ -281,12 +287,32 @@ class NdiPoseValidator(PoseValidator):
             if ahead >= _WRAP // 2:
                 raise DeviceFault("tracker: its frame number went back: it was restarted")
             lost = ahead - 1
+        self._check_rate(tool.frame, now_ns)
         stamp = Stamp(now_ns, tool.frame, lost, tool.frame / self.limits.rate_hz)
         notes = _bits_of(frames.system_status, _SYSTEM_SUSPECT)
         if took_s > self.limits.late_s:
             notes += (f"the reply took {took_s:.3g} s",)
         self.last, self._new_frame_ns = self._sample(tool, stamp, notes), now_ns
         return self.last
+
+    def _check_rate(self, frame: int, now_ns: int) -> None:
+        """Compare the frame rate of the first second with `rate_hz`, and raise DeviceFault if the frames come faster.
+
+        The age of a pose is computed from its frame number, and would be too small. Frames that come more slowly look
+        old, and are refused by the guard.
+        """
+        if self._begun is None:
+            self._begun = frame, now_ns
+        passed_s = (now_ns - self._begun[1]) / 1e9
+        if self._rate_checked or passed_s < _RATE_S:
+            return
+        self._rate_checked = True
+        rate_hz = ((frame - self._begun[0]) % _WRAP) / passed_s
+        if rate_hz > _RATE_RATIO * self.limits.rate_hz:
+            raise DeviceFault(
+                f"tracker: its frames come at {rate_hz:.3g} Hz instead of {self.limits.rate_hz:g} Hz: "
+                "state its frame rate as rate_hz in its address"
+            )
 
     def _check_progress(self, asked_ns: int) -> None:
         still_s = (asked_ns - self._new_frame_ns) / 1e9
