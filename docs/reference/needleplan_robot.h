@@ -1,4 +1,4 @@
-/* The needleplan robot protocol, version 1: see robot-protocol.md.
+/* The needleplan robot protocol, version 2: see robot-protocol.md.
  *
  * For little-endian machines with IEEE 754 doubles, which is nearly all of them. The structures have no padding: copy
  * them to and from datagrams as they are. A command:
@@ -17,8 +17,10 @@
 #include <string.h>
 
 enum {
-    NPL_VERSION = 1,
-    NPL_PORT = 5005
+    NPL_VERSION = 2,
+    NPL_PORT = 5005,
+    NPL_TAG = 16,        /* bytes of a tag */
+    NPL_MOST = 112       /* bytes of the largest datagram */
 };
 
 /* Kinds of datagrams; those of the capture side have the highest bit. */
@@ -44,7 +46,13 @@ enum {
     NPL_RESULT_SUPERSEDED = 5,
     NPL_RESULT_NOT_ENABLED = 6,
     NPL_RESULT_OUT_OF_RANGE = 7,
-    NPL_RESULT_IN_FAULT = 8
+    NPL_RESULT_IN_FAULT = 8,
+    NPL_RESULT_DEPTH_BEYOND = 9,
+    NPL_RESULT_SPEED_BEYOND = 10,
+    NPL_RESULT_ROLL_BEYOND = 11,
+    NPL_RESULT_ROTATION_BEYOND = 12,
+    NPL_RESULT_DEADLINE_BEYOND = 13,
+    NPL_RESULT_NOT_AUTHENTIC = 14
 };
 
 enum {
@@ -61,7 +69,8 @@ enum {
     NPL_FAULT_FOLLOWING = 0x08,
     NPL_FAULT_LIMIT = 0x10,
     NPL_FAULT_ENCODER = 0x20,
-    NPL_FAULT_NO_MOTION = 0x40
+    NPL_FAULT_NO_MOTION = 0x40,
+    NPL_FAULT_FOREIGN_STOP = 0x80
 };
 
 typedef struct {
@@ -77,6 +86,21 @@ typedef struct {
     uint32_t number;      /* of the command that this is, answers, or acknowledges */
 } npl_head;
 
+/* HELLO: the limits of the session. 0 selects the limit of the robot; least_mm and most_mm are both 0 or neither. */
+typedef struct {
+    npl_head head;
+    double least_mm;
+    double most_mm;
+    double speed_mm_s;
+    double roll_rad;
+    double rotation_rad_s;
+    uint32_t silence_us;
+    uint32_t valid_us;    /* longest time from now to the deadline of a motion */
+    uint32_t unused;      /* 0 */
+    uint32_t crc;
+} npl_hello;
+
+/* Every other command. */
 typedef struct {
     npl_head head;
     uint64_t deadline_ns; /* on the clock of the robot */
@@ -88,6 +112,7 @@ typedef struct {
 
 typedef struct {
     npl_head head;
+    uint64_t nonce;       /* of the session, in the answer to HELLO; else 0 */
     uint8_t asked;
     uint8_t state;
     uint16_t result;
@@ -131,6 +156,20 @@ static inline void npl_begin(npl_head *head, uint8_t kind, size_t size) {
 static inline void npl_seal(void *message, size_t size) {
     uint32_t crc = npl_crc(message, size - 4);
     memcpy((uint8_t *)message + size - 4, &crc, 4);
+}
+
+/* Write into `out` (NPL_MOST bytes) the datagram of `size` bytes with a tag before its checksum, and return its size.
+ *
+ * The tag is the first half of HMAC-SHA256(key, nonce as 8 bytes little-endian, then the bytes before the tag). Compute
+ * it with the cryptographic library of the platform over `message` without its last 4 bytes, after `head.size` has been
+ * increased by NPL_TAG. HELLO and its answer have the nonce 0, all others the nonce of the answer to HELLO. */
+static inline size_t npl_seal_tagged(const void *message, size_t size, const uint8_t tag[NPL_TAG], uint8_t *out) {
+    uint16_t tagged = (uint16_t)(size + NPL_TAG);
+    memcpy(out, message, size - 4);
+    memcpy(out + offsetof(npl_head, size), &tagged, sizeof tagged);
+    memcpy(out + size - 4, tag, NPL_TAG);
+    npl_seal(out, tagged);
+    return tagged;
 }
 
 /* Return 0 where a datagram is a sound one of a kind and its size; else what is wrong: 1 not of this protocol, or

@@ -8,6 +8,7 @@ import pytest
 
 from needleplan.control.safety import Cause, Order
 from needleplan.devices.robot import Fault, RobotState
+from needleplan.devices.robot.messages import Head, RobotCommand, RobotKind, encode
 from needleplan.errors import DeviceFault, MotionRefused
 from tests.control.faults.robot_faults import BORNE, SERIOUS, drive
 from tests.control.faults.robot_rig import RobotRig
@@ -111,3 +112,24 @@ def test_32_34_what_comes_late_for_good_is_not_taken_for_fresh() -> None:
     rig.turns(0.5)
     assert rig.state == "DISABLED"
     assert not rig.guard.state.present
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_stop_by_a_stranger_is_noticed_with_the_next_sample(moves: bool) -> None:
+    rig = RobotRig()
+    rig.begin()
+    if not moves:
+        rig.guard.insert(rig.bench.truth[0], 10.0)
+        rig.turns(0.2)
+        assert (rig.moving, rig.state) == (False, "ENABLED")
+    began_ns = rig.bench.clock.now_ns()
+    stop = encode(RobotCommand(Head(0, 1, 1, number=1), RobotKind.STOP))
+    rig.bench.machine.receive(stop, ("stranger", 9), began_ns + rig.bench.network.ahead_ns)
+    rig.turn()
+    state, causes, left_ns = rig.left_enabled()
+    assert (state, causes) == ("FAULT", {Cause.STAGE_FAULT})
+    assert (left_ns - began_ns) * 1e-9 <= 0.002
+    assert any("another sender ordered a stop" in each.text for each in rig.events)
+    with pytest.raises(MotionRefused):
+        rig.guard.insert(100.0, 10.0)
+    assert not rig.moving

@@ -9,7 +9,15 @@ from itertools import count
 import pytest
 
 from needleplan.devices import StageSample, VirtualClock
-from needleplan.devices.robot import RobotLimits, RobotMachine, RobotNetwork, RobotStage, RobotTiming, SteadyDrive
+from needleplan.devices.robot import (
+    MotionLimits,
+    RobotLimits,
+    RobotMachine,
+    RobotNetwork,
+    RobotStage,
+    RobotTiming,
+    SteadyDrive,
+)
 from needleplan.devices.robot.messages import Answer, Head, Result, RobotCommand, RobotKind, decode, encode
 from needleplan.errors import DeviceFault
 from tests.devices.contract import heard_and_read
@@ -18,19 +26,22 @@ from tests.devices.contract import heard_and_read
 class Bench:
     """Drive, machine and network, all in this process; what a test does takes no time but that of the clock."""
 
-    def __init__(self, limits: RobotLimits | None = None) -> None:
+    def __init__(self, limits: RobotLimits | None = None, key: bytes | None = None) -> None:
         self.clock = VirtualClock(5_000_000_000)
         self.drive = SteadyDrive()
-        self.machine = RobotMachine(self.drive, limits)
+        self.machine = RobotMachine(self.drive, limits, key=key)
         self.network = RobotNetwork(self.machine, self.clock)
         self._sessions = count(1)
 
     def stage(
-        self, timing: RobotTiming | None = None, *, name: str = "controller", session: int | None = None
-    ) -> RobotStage:
+        self, timing: RobotTiming | None = None, *, name: str = "controller", session: int | None = None,
+        limits: MotionLimits | None = None, key: bytes | None = None,
+    ) -> RobotStage:  # fmt: skip
         """Open a stage; its session is the next number, unless one is given."""
         draw = (lambda: next(self._sessions)) if session is None else (lambda: session)
-        return RobotStage(self.network.link(name), timing=timing, clock=self.clock, draw_session=draw)
+        return RobotStage(
+            self.network.link(name), timing=timing, limits=limits, key=key, clock=self.clock, draw_session=draw
+        )
 
     def wait(self, seconds: float) -> None:
         """Let time pass for the robot while nobody on the control side does anything."""

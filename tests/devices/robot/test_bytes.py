@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import math
 import shutil
 import struct
@@ -17,6 +18,9 @@ from needleplan.devices.robot.messages import (
     Answer,
     Fault,
     Head,
+    Hello,
+    MotionLimits,
+    NotAuthentic,
     OtherVersion,
     Result,
     RobotCommand,
@@ -24,6 +28,7 @@ from needleplan.devices.robot.messages import (
     RobotMessage,
     RobotState,
     RobotStatus,
+    Seal,
     decode,
     encode,
 )
@@ -33,13 +38,14 @@ from tests.pages import ROOT
 U16, U32, U64 = (st.integers(0, 2**bits - 1) for bits in (16, 32, 64))
 REAL = st.floats(allow_nan=False)
 HEADS = st.builds(Head, U32, U32, U64, U64, U32, U32)
-KINDS = st.sampled_from([kind for kind in RobotKind if kind < 0x80])
+KINDS = st.sampled_from([kind for kind in RobotKind if kind < 0x80 and kind is not RobotKind.HELLO])
 COMMANDS = st.builds(RobotCommand, HEADS, KINDS, U64, REAL, REAL, U32)
-ANSWERS = st.builds(Answer, HEADS, st.integers(0, 255), st.sampled_from(Result), st.sampled_from(RobotState))
+HELLOS = st.builds(Hello, HEADS, st.builds(MotionLimits, REAL, REAL, REAL, REAL, REAL, U32), U32)
+ANSWERS = st.builds(Answer, HEADS, st.integers(0, 255), st.sampled_from(Result), st.sampled_from(RobotState), U64)
 STATUSES = st.builds(
     RobotStatus, HEADS, REAL, REAL, REAL, REAL, U32.map(Fault), st.sampled_from(RobotState), st.booleans(), U16, U32
 )
-MESSAGES = COMMANDS | ANSWERS | STATUSES
+MESSAGES = HELLOS | COMMANDS | ANSWERS | STATUSES
 COMMAND = RobotCommand(
     Head(0x01020304, 5, 6_000_000_007, 8, 9, 10),
     RobotKind.INSERT,
@@ -48,7 +54,12 @@ COMMAND = RobotCommand(
     speed=5.25,
     silence_us=30_000,
 )
+LIMITS = (-10.0, 120.0, 8.0, 7.0, 6.0)
+HELLO = Hello(Head(7, 1, 2, number=1), MotionLimits(*LIMITS, 500_000), 30_000)
 HEADER = ROOT / "docs/reference/needleplan_robot.h"
+
+
+SEAL = Seal(bytes(range(32)), 5)
 
 
 def sealed(begin: bytes) -> bytes:
@@ -57,13 +68,14 @@ def sealed(begin: bytes) -> bytes:
 
 def test_the_bytes_of_the_reference() -> None:
     begin = bytes.fromhex(
-        "4e504c52 01 03 4800 04030201 05000000 07bca06501000000 0800000000000000 09000000 0a000000"
+        "4e504c52 02 03 4800 04030201 05000000 07bca06501000000 0800000000000000 09000000 0a000000"
         "0caea68f02000000 0000000000803440 0000000000001540 30750000"
     )
     assert encode(COMMAND) == sealed(begin)
     answer = Answer(Head(1, 2, 3, 4, 5, 6), RobotKind.STOP, Result.BUSY, RobotState.FAULT)
-    assert encode(answer)[40:44] == bytes.fromhex("05 03 0100")
-    assert [len(encode(each)) for each in (COMMAND, answer)] == [72, 48]
+    assert encode(answer)[40:52] == bytes.fromhex("0000000000000000 05 03 0100")
+    assert encode(HELLO)[40:92] == struct.pack("<5d3I", *LIMITS, 30_000, 500_000, 0)
+    assert [len(encode(each)) for each in (COMMAND, answer, HELLO)] == [72, 56, 96]
 
 
 @given(MESSAGES)
@@ -73,14 +85,15 @@ def test_messages_come_back(message: RobotMessage) -> None:
 
 @given(st.binary(max_size=200) | st.binary(max_size=200).map(lambda rest: sealed(b"NPLR" + rest)))
 @example(b"")
-@example(sealed(b"NPLR\x01\x03"))
-@example(sealed(b"NPLR\x01\x77" + bytes(60)))
+@example(sealed(b"NPLR\x02\x03"))
+@example(sealed(b"NPLR\x02\x77" + bytes(60)))
 def test_any_datagram_is_a_message_or_a_protocol_error(datagram: bytes) -> None:
     try:
         message = decode(datagram)
     except ProtocolError:
         return
     assert encode(message) == datagram
+    assert decode(encode(message, SEAL)) == message
 
 
 @given(MESSAGES, st.data())
@@ -90,6 +103,31 @@ def test_any_changed_bit_is_noticed(message: RobotMessage, data: st.DataObject) 
     raw[bit // 8] ^= 1 << bit % 8
     with pytest.raises(ProtocolError):
         decode(bytes(raw))
+
+
+@given(MESSAGES)
+def test_a_tag_is_that_of_one_key_and_one_nonce(message: RobotMessage) -> None:
+    raw = encode(message, SEAL)
+    assert decode(raw, SEAL) == message
+    for other in (Seal(SEAL.key, 6), Seal(bytes(32), SEAL.nonce)):
+        with pytest.raises(NotAuthentic):
+            decode(raw, other)
+    with pytest.raises(NotAuthentic):
+        decode(encode(message), SEAL)
+
+
+def test_the_tag_is_half_of_an_hmac_sha256_of_nonce_and_datagram() -> None:
+    """As an independent implementation computes it: SHA-256 of the padded key, twice (RFC 2104)."""
+    raw, pad = encode(COMMAND, SEAL), SEAL.key.ljust(64, b"\0")
+    inner = hashlib.sha256(bytes(each ^ 0x36 for each in pad) + struct.pack("<Q", 5) + raw[:-20]).digest()
+    outer = hashlib.sha256(bytes(each ^ 0x5C for each in pad) + inner).digest()
+    assert raw[-20:-4] == outer[:16]
+    assert struct.unpack_from("<H", raw, 6)[0] == len(raw) == 88
+
+
+def test_a_short_key_is_refused() -> None:
+    with pytest.raises(ProtocolError, match="at least 16 bytes"):
+        Seal(b"secret")
 
 
 @given(MESSAGES, st.integers(0, 87))
@@ -118,7 +156,7 @@ def test_another_version_is_named_whatever_its_length() -> None:
 
 def test_what_does_not_fit_is_not_sent() -> None:
     with pytest.raises(ProtocolError, match="HELLO cannot be sent"):
-        encode(RobotCommand(Head(2**32, 0, 0), RobotKind.HELLO))
+        encode(Hello(Head(2**32, 0, 0)))
 
 
 @settings(max_examples=50)
@@ -153,6 +191,18 @@ int main(void) {
     npl_seal(&command, sizeof command);
     fwrite(&command, sizeof command, 1, stdout);
 
+    npl_hello hello = {0};
+    npl_begin(&hello.head, NPL_HELLO, sizeof hello);
+    hello.head.session = 7; hello.head.sequence = 1; hello.head.sent_ns = 2; hello.head.number = 1;
+    hello.least_mm = -10; hello.most_mm = 120; hello.speed_mm_s = 8; hello.roll_rad = 7; hello.rotation_rad_s = 6;
+    hello.silence_us = 30000; hello.valid_us = 500000;
+    npl_seal(&hello, sizeof hello);
+    fwrite(&hello, sizeof hello, 1, stdout);
+
+    uint8_t tagged[NPL_MOST], tag[NPL_TAG];
+    for (int at = 0; at < NPL_TAG; ++at) tag[at] = (uint8_t)at;
+    fwrite(tagged, npl_seal_tagged(&command, sizeof command, tag, tagged), 1, stdout);
+
     size_t length = fread(buffer, 1, sizeof buffer, stdin);
     npl_status status;
     if (npl_check(buffer, length, NPL_STATUS, sizeof status)) return 1;
@@ -172,6 +222,8 @@ SIZES = r"""
 #define P(t, f) printf("%zu ", offsetof(t, f))
 int main(void) {
     printf("%zu %zu %zu %zu ", sizeof(npl_head), sizeof(npl_command), sizeof(npl_answer), sizeof(npl_status));
+    printf("%zu ", sizeof(npl_hello));
+    P(npl_hello, least_mm); P(npl_hello, silence_us); P(npl_hello, valid_us); P(npl_hello, crc); P(npl_answer, nonce);
     P(npl_head, size); P(npl_head, session); P(npl_head, sent_ns); P(npl_head, held_us); P(npl_head, number);
     P(npl_command, deadline_ns); P(npl_command, silence_us); P(npl_command, crc);
     P(npl_answer, asked); P(npl_answer, state); P(npl_answer, result); P(npl_answer, crc);
@@ -198,14 +250,18 @@ def test_the_c_header_makes_a_command_that_is_ours_and_reads_our_status(tmp_path
     )  # fmt: skip
     done = subprocess.run([compiled(PROGRAM, tmp_path)], input=encode(status), capture_output=True, timeout=60)
     assert done.returncode == 0
-    assert done.stdout == encode(COMMAND)
-    assert decode(done.stdout) == COMMAND
+    plain, hello, tagged = done.stdout[:72], done.stdout[72:168], done.stdout[168:]
+    assert plain == encode(COMMAND)
+    assert decode(plain) == COMMAND
+    assert hello == encode(HELLO)
+    assert decode(tagged) == COMMAND
+    assert tagged[68:84] == bytes(range(16))
     assert done.stderr.decode() == "7 8 9000000001 12.345678901234567 -5.5 3.1415926535897931 0.25 17 3 1 513 70000"
 
 
 def test_sizes_and_offsets_of_the_c_header_are_those_of_the_reference(tmp_path: Path) -> None:
     done = subprocess.run([compiled(SIZES, tmp_path)], capture_output=True, text=True, check=True, timeout=60)
-    expected = "40 72 48 88  6 8 16 32 36  40 64 68  40 41 42 44  40 72 76 77 78 80 84"
+    expected = "40 72 56 88  96 40 80 84 92 40  6 8 16 32 36  40 64 68  48 49 50 52  40 72 76 77 78 80 84"
     assert done.stdout.split() == expected.split()
 
 

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleplan.devices.robot import Fault, RobotMachine, RobotNetwork, RobotState, RobotTiming, SteadyDrive
-from needleplan.devices.robot.messages import Answer, Head, Result, RobotCommand, RobotKind, decode, encode
+from needleplan.devices.robot.messages import Answer, Head, Hello, Result, RobotCommand, RobotKind, decode, encode
 from needleplan.errors import DeviceFault
 from tests.devices.robot.bench import Bench, at_rest, fault_of, moving, next_of, raw, result_of, stands_still
 
@@ -241,8 +241,8 @@ def test_32_anybody_may_stop() -> None:
 
 def test_32_another_version_is_refused_and_named() -> None:
     bench = Bench()
-    newer = bytearray(encode(RobotCommand(Head(1, 1, 1), RobotKind.HELLO)))
-    newer[4] = 2
+    newer = bytearray(encode(Hello(Head(1, 1, 1))))
+    newer[4] = 3
     newer[-4:] = struct.pack("<I", zlib.crc32(bytes(newer[:-4])))
     answer = decode(bench.machine.receive(bytes(newer), ("new", 1), 1))
     assert isinstance(answer, Answer)
@@ -254,7 +254,7 @@ def test_32_another_version_is_refused_and_named() -> None:
     assert bench.machine.receive(bytes(newer), ("new", 1), 1) == b""
 
     bench.machine.receive = lambda *_: bytes(newer)  # type: ignore[method-assign]
-    with pytest.raises(DeviceFault, match="speaks version 2 of the protocol, this side 1"):
+    with pytest.raises(DeviceFault, match="speaks version 3 of the protocol, this side 2"):
         bench.stage()
 
 

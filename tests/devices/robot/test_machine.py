@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from needleplan.devices.robot import Fault, RobotMachine, RobotState, SteadyDrive
-from needleplan.devices.robot.messages import Answer, Head, Result, RobotCommand, RobotKind, decode, encode
+from needleplan.devices.robot.messages import Answer, Head, Hello, Result, RobotCommand, RobotKind, decode, encode
 
 PEER = ("controller", 1)
 A, B, F = Result.ACCEPTED, Result.OLD_SESSION, Result.IN_FAULT
@@ -47,7 +47,8 @@ class Told:
         """Give a command that is in time, and return its result."""
         self.number += 1
         head = Head(session, self.number, 1, number=self.number)
-        answer = self.machine.receive(encode(RobotCommand(head, kind, self.now_ns + 1, 20.0, 5.0)), PEER, self.now_ns)
+        command = Hello(head) if kind is K.HELLO else RobotCommand(head, kind, self.now_ns + 1, 20.0, 5.0)
+        answer = self.machine.receive(encode(command), PEER, self.now_ns)
         if not answer:
             return None
         message = decode(answer)

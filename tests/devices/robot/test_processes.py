@@ -24,7 +24,8 @@ CONTROLLER = Path(__file__).parent / "controller.py"
 
 @pytest.fixture
 def server() -> Iterator[RobotServer]:
-    with RobotServer(RobotMachine(SteadyDrive(), RobotLimits(longest_silence_s=SILENCE_S))) as running:
+    limits = RobotLimits(longest_silence_s=SILENCE_S, longest_valid_s=SILENCE_S)
+    with RobotServer(RobotMachine(SteadyDrive(), limits)) as running:
         yield running
 
 

@@ -23,7 +23,9 @@ PATIENT = RobotTiming(silence_s=20.0, valid_s=20.0, answer_s=20.0, lost_s=20.0)
 
 @pytest.fixture
 def server() -> Iterator[RobotServer]:
-    with RobotServer(RobotMachine(SteadyDrive(), RobotLimits(longest_silence_s=20.0, release_s=60.0))) as running:
+    with RobotServer(
+        RobotMachine(SteadyDrive(), RobotLimits(longest_silence_s=20.0, release_s=60.0, longest_valid_s=30.0))
+    ) as running:
         yield running
 
 

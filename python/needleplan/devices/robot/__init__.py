@@ -1,13 +1,15 @@
 """The needleplan robot protocol over UDP: a stage for the controller, and the robot side with simulated drives."""
 
-from needleplan.devices.robot._machine import DriveLimits, RobotDrive, RobotDriveState, RobotLimits, RobotMachine
+from needleplan.devices.robot._drives import DriveLimits, RobotDrive, RobotDriveState
+from needleplan.devices.robot._machine import RobotLimits, RobotMachine
 from needleplan.devices.robot._simulator import RobotDriveFaults, RobotLink, RobotNetwork, RobotServer, SteadyDrive
 from needleplan.devices.robot._stage import RobotStage, RobotTiming
-from needleplan.devices.robot.messages import Fault, RobotState
+from needleplan.devices.robot.messages import Fault, MotionLimits, RobotState
 
 __all__ = [
     "DriveLimits",
     "Fault",
+    "MotionLimits",
     "RobotDrive",
     "RobotDriveFaults",
     "RobotDriveState",

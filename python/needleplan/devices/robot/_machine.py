@@ -1,135 +1,44 @@
 """The robot side of the protocol, without socket and clock: the state machine and the monitoring of the drives.
 
-The robot obeys one controller in one session. The robot stops if it receives nothing from the controller during a
-motion, if a drive or the emergency stop reports a fault, or if an axis is not at its commanded position. Faults latch:
-after the cause is gone, RESET and then ENABLE permit motion again. The robot then waits for a new motion command.
+The robot obeys one controller in one session, within the limits that the session has agreed in HELLO. The robot stops
+if it receives nothing from the controller during a motion, if another sender orders a stop, if a drive or the emergency
+stop reports a fault, or if an axis is not at its commanded position. Faults latch: after the cause is gone, RESET and
+then ENABLE permit motion again. The robot then waits for a new motion command.
 """
 
 from __future__ import annotations
 
 import math
+import secrets
 from collections import deque
 from dataclasses import dataclass
-from typing import Protocol
 
+from needleplan.devices.robot._drives import DriveLimits, DriveWatch, RobotDrive, RobotDriveState
 from needleplan.devices.robot.messages import (
     Answer,
     Fault,
     Head,
+    Hello,
+    MotionLimits,
+    NotAuthentic,
     OtherVersion,
     Result,
     RobotCommand,
     RobotKind,
     RobotState,
     RobotStatus,
+    Seal,
     decode,
     encode,
 )
 from needleplan.errors import DeviceFault, ProtocolError
 
 __all__ = [
-    "DriveLimits",
-    "DriveWatch",
     "Peer",
     "RobotCounts",
-    "RobotDrive",
-    "RobotDriveState",
     "RobotLimits",
     "RobotMachine",
 ]
-
-
-@dataclass(frozen=True, slots=True)
-class RobotDriveState:
-    """State of the drives: measured and commanded positions, measured velocities, and faults.
-
-    `wanted_depth_mm` and `wanted_roll_rad` are the commanded positions. `faults` holds only faults that the drives
-    report: a drive fault, a limit switch, the emergency stop.
-    """
-
-    depth_mm: float
-    velocity_mm_s: float
-    roll_rad: float
-    velocity_rad_s: float
-    wanted_depth_mm: float
-    wanted_roll_rad: float
-    moving: bool
-    faults: Fault = Fault(0)
-
-
-class RobotDrive(Protocol):
-    """Interface of the two axes with their servo controllers."""
-
-    def advance(self, time_s: float) -> RobotDriveState:
-        """Advance to the time `time_s`, and return the state of the drives."""
-
-    def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin a motion to a depth. Raises DeviceFault if the axis cannot execute it."""
-
-    def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin a rotation to a roll angle. Raises DeviceFault if the axis cannot execute it."""
-
-    def stop(self) -> None:
-        """Stop both axes as fast as possible."""
-
-
-@dataclass(frozen=True)
-class DriveLimits:
-    """Limits at which the monitoring of the axes reports a fault.
-
-    - `following_mm`, `following_rad`: largest permitted difference between commanded and measured position.
-    - `fastest_mm_s`, `fastest_rad_s`: measured speed above which the encoder is assumed to have jumped.
-    - `still`: an axis counts as not moving if its measured motion is less than this share of the commanded motion.
-    """
-
-    following_mm: float = 0.2
-    following_rad: float = 0.05
-    fastest_mm_s: float = 200.0
-    fastest_rad_s: float = 50.0
-    still: float = 0.1
-
-
-class DriveWatch:
-    """Compares the measured positions of both axes with the commanded positions and with the previous ones."""
-
-    def __init__(self, limits: DriveLimits | None = None) -> None:
-        limits = DriveLimits() if limits is None else limits
-        self._insertion = _AxisWatch(limits.following_mm, limits.fastest_mm_s, limits.still)
-        self._roll = _AxisWatch(limits.following_rad, limits.fastest_rad_s, limits.still)
-
-    def forget(self) -> None:
-        """Forget the previous positions, so that the next state may have any position."""
-        self._insertion.begin = self._insertion.last = self._roll.begin = self._roll.last = None
-
-    def see(self, state: RobotDriveState, time_s: float) -> Fault:
-        """Record a state and return its faults: those reported by the drives and those found by the comparison."""
-        return (
-            state.faults
-            | self._insertion.see(state.wanted_depth_mm, state.depth_mm, time_s)
-            | self._roll.see(state.wanted_roll_rad, state.roll_rad, time_s)
-        )
-
-
-class _AxisWatch:
-    def __init__(self, following: float, fastest: float, still: float) -> None:
-        self._following, self._fastest, self._still = following, fastest, still
-        self.last: tuple[float, float] | None = None
-        self.begin: tuple[float, float] | None = None
-        """Commanded and measured position when their difference was last less than a quarter of the limit."""
-
-    def see(self, wanted: float, measured: float, time_s: float) -> Fault:
-        last, self.last = self.last, (measured, time_s)
-        if last is not None and abs(measured - last[0]) > self._following + self._fastest * (time_s - last[1]):
-            return Fault.ENCODER
-        error = abs(wanted - measured)
-        if self.begin is None or error < self._following / 4:
-            self.begin = wanted, measured
-        if error <= self._following:
-            return Fault(0)
-        asked, went = wanted - self.begin[0], measured - self.begin[1]
-        if abs(went) < self._still * abs(asked):
-            return Fault.NO_MOTION
-        return Fault.ENCODER if asked * went < 0 else Fault.FOLLOWING
 
 
 Peer = tuple[str, int]
@@ -144,16 +53,31 @@ _TIMELESS = (RobotKind.HELLO, RobotKind.STOP, RobotKind.GOODBYE)  # commands wit
 
 @dataclass(frozen=True)
 class RobotLimits:
-    """Times without a datagram from the controller after which the robot reacts.
+    """Limits of the robot itself. A controller may request narrower limits of motion for its session, never wider ones.
 
-    While the robot moves, it stops after `silence_s`. The controller may request another time, which is limited to
-    `shortest_silence_s` to `longest_silence_s`. After `release_s` the robot ends the session and accepts another one.
+    While the robot moves, it stops after `silence_s` without a datagram from the controller. The controller may request
+    another time, which is limited to `shortest_silence_s` to `longest_silence_s`. After `release_s` the robot ends the
+    session and accepts another one. `longest_valid_s` is the longest time from the present to the deadline of a motion.
     """
 
     silence_s: float = 0.03
     shortest_silence_s: float = 0.005
     longest_silence_s: float = 0.34
     release_s: float = 5.0
+    least_mm: float = -200.0
+    most_mm: float = 200.0
+    fastest_mm_s: float = 50.0
+    roll_rad: float = 200.0
+    fastest_rad_s: float = 20.0
+    longest_valid_s: float = 1.5
+
+    @property
+    def motion(self) -> MotionLimits:
+        """The limits of motion, as HELLO has them."""
+        return MotionLimits(
+            self.least_mm, self.most_mm, self.fastest_mm_s, self.roll_rad, self.fastest_rad_s,
+            round(1e6 * self.longest_valid_s),
+        )  # fmt: skip
 
 
 @dataclass
@@ -164,15 +88,22 @@ class RobotCounts:
     other_versions: int = 0
     refused: int = 0
     late: int = 0
+    not_authentic: int = 0
+    """Datagrams that are not authenticated with the key of the robot."""
+
+    foreign_stops: int = 0
+    """STOP datagrams without a session, from any sender."""
+
     repeated: int = 0
     """Datagrams whose sequence number is not higher than that of an earlier datagram."""
 
 
 class _Session:
-    """The session of one controller, with the numbers and times of its last datagram."""
+    """The session of one controller, with its limits, and the numbers and times of its last datagram."""
 
-    def __init__(self, hello: RobotCommand, peer: Peer, now_ns: int) -> None:
-        self.id, self.peer = hello.head.session, peer
+    def __init__(self, hello: Hello, limits: MotionLimits, peer: Peer, now_ns: int) -> None:
+        self.id, self.peer, self.limits = hello.head.session, peer, limits
+        self.nonce = secrets.randbits(64)
         self.sequence, self.number = hello.head.sequence, hello.head.number
         self.result = Result.ACCEPTED
         self.accepted = self.number
@@ -183,11 +114,19 @@ class _Session:
 
 
 class RobotMachine:
-    """A robot that moves `drive`. The caller of `tick` counts its own late calls in `overruns`."""
+    """A robot that moves `drive`. The caller of `tick` counts its own late calls in `overruns`.
 
-    def __init__(self, drive: RobotDrive, limits: RobotLimits | None = None, axes: DriveLimits | None = None) -> None:
+    With a `key`, the robot obeys only datagrams that are authenticated with it, except for a STOP without a session.
+    Raises ProtocolError if the key is shorter than 16 bytes.
+    """
+
+    def __init__(
+        self, drive: RobotDrive, limits: RobotLimits | None = None, axes: DriveLimits | None = None,
+        key: bytes | None = None,
+    ) -> None:  # fmt: skip
         self.drive = drive
         self.limits = RobotLimits() if limits is None else limits
+        self._seal = None if key is None else Seal(key)
         self.state = RobotState.DISABLED
         self.faults = Fault(0)
         self.counts = RobotCounts()
@@ -219,16 +158,40 @@ class RobotMachine:
         except ProtocolError:
             self.counts.malformed += 1
             return b""
-        if not isinstance(command, RobotCommand):
+        if not isinstance(command, Hello | RobotCommand):
             self.counts.malformed += 1
             return b""
-        result = self._greet(command, sender) if command.kind is RobotKind.HELLO else self._validate(command, sender)
+        if not self._is_authentic(command, datagram):
+            self.counts.not_authentic += 1
+            return self._answer(command, Result.NOT_AUTHENTIC)
+        result = self._greet(command, sender) if isinstance(command, Hello) else self._validate(command, sender)
         if result is None:
             return b""
         self.counts.refused += result is not Result.ACCEPTED
-        held_us = 0  # the answer is sent at once
+        return self._answer(command, result)
+
+    def _is_authentic(self, command: Hello | RobotCommand, datagram: bytes) -> bool:
+        """Return whether the robot has no key, or the datagram has the tag of its session.
+
+        HELLO has the tag with the nonce 0. A STOP without a session needs no tag: anyone may stop the robot.
+        """
+        if self._seal is None or _stops_for_any(command):
+            return True
+        try:
+            decode(datagram, self._seal if isinstance(command, Hello) else self._session_seal())
+        except NotAuthentic:
+            return False
+        return True
+
+    def _session_seal(self) -> Seal | None:
+        if self._seal is None or self._session is None:
+            return self._seal
+        return Seal(self._seal.key, self._session.nonce)
+
+    def _answer(self, command: Hello | RobotCommand, result: Result) -> bytes:
         asked = command.head
-        head = Head(asked.session, self._count(), now_ns, asked.sent_ns, held_us, asked.number)
+        held_us = 0  # the answer is sent at once
+        head = Head(asked.session, self._count(), self._now_ns, asked.sent_ns, held_us, asked.number)
         return self._encode(head, command.kind, result)
 
     def tick(self, now_ns: int) -> tuple[bytes, Peer] | None:
@@ -260,7 +223,7 @@ class RobotMachine:
                 self.drive.stop()
         if self._session is None:
             return None
-        return encode(self._status(self._session, state)), self._session.peer
+        return encode(self._status(self._session, state), self._session_seal()), self._session.peer
 
     def _status(self, session: _Session, state: RobotDriveState) -> RobotStatus:
         session.statuses = (session.statuses + 1) % _WRAP
@@ -271,21 +234,23 @@ class RobotMachine:
             state.moving, min(self.overruns, _MOST_OVERRUNS), session.missed,
         )  # fmt: skip
 
-    def _greet(self, hello: RobotCommand, sender: Peer) -> Result:
+    def _greet(self, hello: Hello, sender: Peer) -> Result:
         session, asked = self._session, hello.head.session
         if session is not None:
             return Result.ACCEPTED if (session.id, session.peer) == (asked, sender) else Result.BUSY
         if asked == 0 or asked in self._ended:
             return Result.OLD_SESSION
-        self._session = _Session(hello, sender, self._now_ns)
+        limits = hello.limits.within(self.limits.motion)
+        if isinstance(limits, Result):
+            return limits
+        self._session = _Session(hello, limits, sender, self._now_ns)
         self._renew(self._session, hello)
         return Result.ACCEPTED
 
     def _validate(self, command: RobotCommand, sender: Peer) -> Result | None:
         session, head = self._session, command.head
-        if command.kind is RobotKind.STOP and head.session == 0:
-            # Any sender may stop the robot, also without a session.
-            self.drive.stop()
+        if _stops_for_any(command):
+            self._stop_for_any()
             return Result.ACCEPTED
         if session is None or head.session != session.id:
             return Result.OLD_SESSION
@@ -310,19 +275,30 @@ class RobotMachine:
         if after >= _WRAP // 2:
             return Result.SUPERSEDED
         session.number = head.number
-        session.result = Result.LATE if late else self._obey(command)
+        session.result = Result.LATE if late else self._obey(session, command)
         if session.result is Result.ACCEPTED:
             session.accepted = head.number
         return session.result
 
-    def _renew(self, session: _Session, command: RobotCommand) -> None:
+    def _stop_for_any(self) -> None:
+        """Stop for a sender without a session. In a session this is a fault, because its controller does not know it.
+
+        Thereby the next status shows the stop, and a motion that the controller sends meanwhile is refused.
+        """
+        self.counts.foreign_stops += 1
+        self.drive.stop()
+        if self._session is not None:
+            self.faults |= Fault.FOREIGN_STOP
+            self.state = RobotState.FAULT
+
+    def _renew(self, session: _Session, command: Hello | RobotCommand) -> None:
         limits = self.limits
         asked_s = command.silence_us / 1e6 or limits.silence_s
         session.silence_ns = round(_NANO * min(max(asked_s, limits.shortest_silence_s), limits.longest_silence_s))
         session.received_ns = session.echo_received_ns = self._now_ns
         session.echo_ns = command.head.sent_ns
 
-    def _obey(self, command: RobotCommand) -> Result:
+    def _obey(self, session: _Session, command: RobotCommand) -> Result:
         if command.kind is RobotKind.STOP:
             self.drive.stop()
         elif command.kind is RobotKind.GOODBYE:
@@ -336,12 +312,13 @@ class RobotMachine:
         elif self.state is not RobotState.ENABLED:
             return Result.NOT_ENABLED
         else:
-            return self._move(command)
+            return self._move(session, command)
         return Result.ACCEPTED
 
-    def _move(self, command: RobotCommand) -> Result:
-        if not (math.isfinite(command.target) and math.isfinite(command.speed) and command.speed > 0):
-            return Result.OUT_OF_RANGE
+    def _move(self, session: _Session, command: RobotCommand) -> Result:
+        against = session.limits.against(command, self._now_ns)
+        if against is not None:
+            return against
         state = self._last
         limited = state is not None and Fault.LIMIT in state.faults and command.kind is RobotKind.INSERT
         if state is not None and limited and (command.target - state.depth_mm) * self._limited > 0:
@@ -376,4 +353,14 @@ class RobotMachine:
         return self._answers
 
     def _encode(self, head: Head, asked: int, result: Result) -> bytes:
-        return encode(Answer(head, asked, result, self.state))
+        """Encode an answer; only the answer to HELLO has the tag with the nonce 0, and contains the nonce."""
+        session = self._session if head.session and self._session and head.session == self._session.id else None
+        if asked == RobotKind.HELLO or session is None:
+            nonce = session.nonce if session is not None and asked == RobotKind.HELLO else 0
+            return encode(Answer(head, asked, result, self.state, nonce), self._seal)
+        return encode(Answer(head, asked, result, self.state), self._session_seal())
+
+
+def _stops_for_any(command: Hello | RobotCommand) -> bool:
+    """Return whether the command is a STOP without a session, which any sender may send."""
+    return command.kind is RobotKind.STOP and command.head.session == 0

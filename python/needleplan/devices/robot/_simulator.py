@@ -16,7 +16,8 @@ from typing import Self
 
 from needleplan.devices._clock import VirtualClock
 from needleplan.devices._links import Link
-from needleplan.devices.robot._machine import Peer, RobotDrive, RobotDriveState, RobotMachine
+from needleplan.devices.robot._drives import RobotDrive, RobotDriveState
+from needleplan.devices.robot._machine import Peer, RobotMachine
 from needleplan.devices.robot.messages import Fault
 from needleplan.errors import DeviceFault, LinkClosed
 

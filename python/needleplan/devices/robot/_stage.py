@@ -6,7 +6,8 @@ import contextlib
 import math
 import secrets
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from needleplan.devices._base import Health, Stage, StageSample, Stamp
 from needleplan.devices._clock import Clock, Deadline, SystemClock
@@ -16,6 +17,7 @@ from needleplan.devices.robot.conversation import RobotClock, RobotConversation,
 from needleplan.devices.robot.messages import (
     NAMES_OF_FAULTS,
     ROBOT_PORT,
+    MotionLimits,
     Result,
     RobotKind,
     RobotState,
@@ -23,9 +25,16 @@ from needleplan.devices.robot.messages import (
 )
 from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake
 
-__all__ = ["RobotStage", "RobotTiming"]
+__all__ = ["RobotStage", "RobotTiming", "read_key"]
 
 _WRAP = 1 << 32
+# Distances (mm, rad) from the goal of a motion within which a robot at rest has arrived; farther away, it was stopped
+_ARRIVED = {RobotKind.INSERT: 0.5, RobotKind.ROTATE: 0.1}
+# Results that refuse one motion command; all others end the session
+_REFUSED_MOTION = frozenset({
+    Result.LATE, Result.SUPERSEDED, Result.OUT_OF_RANGE, Result.NOT_ENABLED, Result.DEPTH_BEYOND, Result.SPEED_BEYOND,
+    Result.ROLL_BEYOND, Result.ROTATION_BEYOND, Result.DEADLINE_BEYOND, None,
+})  # fmt: skip
 _REASONS = {
     Result.BUSY: "the robot has another controller",
     Result.OLD_SESSION: "the robot has ended this session: it was restarted, or received nothing for too long",
@@ -35,6 +44,12 @@ _REASONS = {
     Result.NOT_ENABLED: "the robot is not enabled",
     Result.OUT_OF_RANGE: "the drive does not accept this target or speed",
     Result.IN_FAULT: "the robot is in a fault",
+    Result.DEPTH_BEYOND: "the depth is outside the limits of the robot or of this session",
+    Result.SPEED_BEYOND: "the speed is above the limit of the robot or of this session",
+    Result.ROLL_BEYOND: "the roll is beyond the limit of the robot or of this session",
+    Result.ROTATION_BEYOND: "the rotation speed is above the limit of the robot or of this session",
+    Result.DEADLINE_BEYOND: "the deadline is farther in the future than the robot permits; reduce valid_s",
+    Result.NOT_AUTHENTIC: "the robot requires another key: set key_file in its address",
 }
 
 
@@ -56,12 +71,25 @@ class RobotTiming:
     lost_s: float = 0.1
 
 
+def read_key(path: str) -> bytes:
+    """Return the shared key in a file of hexadecimal digits. Raises AddressError, which never shows the key."""
+    try:
+        key = bytes.fromhex(Path(path).read_text(encoding="ascii"))
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or "must contain hexadecimal digits only"
+        raise AddressError(Mistake("key_file", path, why)) from None
+    if len(key) < 16:
+        raise AddressError(Mistake("key_file", path, f"must contain a key of at least 16 bytes, not {len(key)}"))
+    return key
+
+
 class RobotStage(Stage):
     """Stage that commands a robot over `link`.
 
     Only commands and `heartbeat` reset the watchdog of the robot. `read` sends nothing, so that the robot also stops if
-    the control loop fails while another thread continues to read. The constructor takes control of the robot; raises
-    DeviceFault if this fails.
+    the control loop fails while another thread continues to read. `limits` are the limits of motion of the session, by
+    default those of the robot. With a `key` of at least 16 bytes, all datagrams are authenticated. The constructor
+    takes control of the robot; raises DeviceFault if this fails, ProtocolError if the key is too short.
     """
 
     def __init__(
@@ -69,12 +97,20 @@ class RobotStage(Stage):
         link: Link,
         *,
         timing: RobotTiming | None = None,
+        limits: MotionLimits | None = None,
+        key: bytes | None = None,
         clock: Clock | None = None,
         draw_session: Callable[[], int] = lambda: secrets.randbelow(_WRAP - 1) + 1,
     ) -> None:
         self._link, self._draw = link, draw_session
         self._clock: Clock = SystemClock() if clock is None else clock
         self.timing = RobotTiming() if timing is None else timing
+        self.limits = MotionLimits() if limits is None else limits
+        self._key = key
+        self._stops = 0
+        self._goals: tuple[int, dict[RobotKind, float]] = (0, {})
+        """Number of the last motion command, and the goal of each axis that has not been stopped since."""
+
         self._fault: DeviceFault | None = None
         self._closed = self._greeted = False
         self.last_status: RobotStatus | None = None
@@ -87,17 +123,18 @@ class RobotStage(Stage):
             raise
 
     @classmethod
-    def open(cls, address: str, *, timing: RobotTiming | None = None) -> RobotStage:
-        """Open `udp://host[:5005][?watchdog_s=0.03&valid_s=0.03&local_port=n]` and take control.
+    def open(cls, address: str, *, timing: RobotTiming | None = None, limits: MotionLimits | None = None) -> RobotStage:
+        """Open `udp://host[:5005][?watchdog_s=0.03&valid_s=0.03&local_port=n&key_file=path]` and take control.
 
         `watchdog_s` is `silence_s` of RobotTiming, `valid_s` has the same name there. `local_port` is the receiving
-        port of this machine, by default any free port. Raises AddressError if the address is wrong, DeviceFault if the
-        robot does not answer, has another controller, or is in a fault that stays.
+        port of this machine, by default any free port. `key_file` is a file with the shared key in hexadecimal digits.
+        Raises AddressError if the address or the key is wrong, DeviceFault if the robot does not answer, has another
+        controller, does not accept the limits, or is in a fault that stays.
         """
         parsed = Address.parse(address)
         if parsed.scheme != "udp":
             raise AddressError(Mistake("address", address, "a robot is reached by udp://host"))
-        parsed.only(("watchdog_s", "valid_s", "alive", "local_port"))
+        parsed.only(("watchdog_s", "valid_s", "alive", "local_port", "key_file"))
         require_called_heartbeat(parsed)
         host, port = parsed.network(ROBOT_PORT)
         usual = RobotTiming() if timing is None else timing
@@ -106,10 +143,11 @@ class RobotStage(Stage):
         for name, value in (("watchdog_s", silence_s), ("valid_s", valid_s)):
             if not 0.001 <= value <= 60:
                 raise AddressError(Mistake(name, f"{value:g}", "must be from 0.001 to 60 s"), address)
+        key = read_key(parsed.options["key_file"]) if "key_file" in parsed.options else None
         local = {name: value for name, value in parsed.options.items() if name == "local_port"}
-        asked = RobotTiming(silence_s, valid_s, usual.again_s, usual.answer_s, usual.lost_s)
+        asked = replace(usual, silence_s=silence_s, valid_s=valid_s)
         link = open_link(Address("udp", host, port, options=local))
-        return cls(link, timing=asked)
+        return cls(link, timing=asked, limits=limits, key=key)
 
     @property
     def counts(self) -> StatusCounts:
@@ -135,9 +173,12 @@ class RobotStage(Stage):
         timing = self.timing
         if self._greeted:
             self._leave()
-        self._conversation = RobotConversation(self._link, self._clock, self._draw(), timing.again_s, timing.silence_s)
+        self._conversation = RobotConversation(
+            self._link, self._clock, self._draw(), timing.again_s, timing.silence_s, self.limits, self._key
+        )
         self._greeted = True
         self._fault = None
+        self._goals = (0, {})
         for kind in (RobotKind.HELLO, RobotKind.RESET, RobotKind.ENABLE):
             result, _ = self._conversation.command(kind, timing.answer_s, timely=kind is not RobotKind.HELLO)
             if result is not Result.ACCEPTED:
@@ -166,6 +207,8 @@ class RobotStage(Stage):
         """
         if self._closed:
             raise LinkClosed("the robot is closed")
+        self._stops += 1
+        self._goals = (0, {})
         result, _ = self._conversation.command(RobotKind.STOP, self.timing.answer_s, timely=False)
         if result not in (Result.ACCEPTED, Result.SUPERSEDED):
             raise self._give_up(f"stop: {self._why(result, self.timing.answer_s)}")
@@ -214,15 +257,18 @@ class RobotStage(Stage):
             raise DeviceFault(
                 f"robot: {kind.name.lower()}: target {target:g} and speed {speed:g} must be finite, the speed positive"
             )
+        stops = self._stops
         result, number = self._conversation.command(kind, self.timing.valid_s, target, speed)
         if result is Result.ACCEPTED:
             self._begun = number
+            if stops == self._stops:  # otherwise another thread has ordered a stop meanwhile
+                self._goals = (number, self._goals[1] | {kind: target})
             return
         if result is None:
             # The command may have arrived although no answer came back, so the axis may move: stop it.
             self.stop()
         message = f"{kind.name.lower()}: {self._why(result, self.timing.valid_s)}"
-        if result in (Result.LATE, Result.SUPERSEDED, Result.OUT_OF_RANGE, Result.NOT_ENABLED, None):
+        if result in _REFUSED_MOTION:
             raise DeviceFault(f"robot: {message}")
         raise self._give_up(message)
 
@@ -239,11 +285,23 @@ class RobotStage(Stage):
             notes = () if sound else ("not finite",)
             # A status sent before the robot accepted the motion must not report the motion as complete.
             moving = status.moving or (status.head.number - self._begun) % _WRAP >= _WRAP // 2
+            if sound and not moving:
+                self._require_arrived(status)
             return StageSample(
                 stamp, status.depth_mm, status.velocity_mm_s, status.roll_rad, moving,
                 Health.GOOD if sound else Health.SUSPECT, notes,
             )  # fmt: skip
         return None
+
+    def _require_arrived(self, status: RobotStatus) -> None:
+        """Raise DeviceFault if the robot rests before the goal of a motion that this program has not stopped."""
+        number, goals = self._goals
+        if not goals or (status.head.number - number) % _WRAP >= _WRAP // 2:
+            return
+        for kind, position in ((RobotKind.INSERT, status.depth_mm), (RobotKind.ROTATE, status.roll_rad)):
+            if abs(goals.get(kind, position) - position) > _ARRIVED[kind]:
+                where = f"{position:.4g} instead of {goals[kind]:.4g} {'mm' if kind is RobotKind.INSERT else 'rad'}"
+                raise self._give_up(f"it rests at {where}, although this program has ordered no stop")
 
     def _require_no_fault(self) -> None:
         if self._fault is not None:
@@ -260,6 +318,8 @@ class RobotStage(Stage):
 
     def _why(self, result: Result | None, waited_s: float) -> str:
         if result is None:
+            if self._conversation.watch.counts.not_authentic:
+                return f"no answer within {waited_s:g} s that is authenticated with the key"
             return f"no answer within {waited_s:g} s"
         patience = Deadline(self._clock, self.timing.lost_s)
         while result is Result.IN_FAULT and not self._conversation.statuses and not patience.passed:

@@ -9,13 +9,19 @@ from dataclasses import dataclass
 from needleplan.devices._clock import Clock, Deadline
 from needleplan.devices._links import Link
 from needleplan.devices.robot.messages import (
+    VERSION,
     Answer,
     Head,
+    Hello,
+    MotionLimits,
+    NotAuthentic,
     OtherVersion,
     Result,
     RobotCommand,
     RobotKind,
+    RobotMessage,
     RobotStatus,
+    Seal,
     decode,
     encode,
 )
@@ -43,6 +49,9 @@ class StatusCounts:
     malformed: int = 0
     foreign: int = 0
     """Datagrams of another session, or of another controller."""
+
+    not_authentic: int = 0
+    """Datagrams that are not authenticated with the key of this session."""
 
 
 class StatusWatch:
@@ -107,12 +116,17 @@ class RobotConversation:
 
     Any thread that waits dispatches the received datagrams for all threads: it passes each answer to the waiting
     command, and appends each status to `statuses` as (status, number of statuses lost before it, time of arrival in
-    ns).
+    ns). HELLO requests `limits` for the session. With a `key`, every datagram must be authenticated with it.
     """
 
-    def __init__(self, link: Link, clock: Clock, session: int, again_s: float, silence_s: float) -> None:
+    def __init__(
+        self, link: Link, clock: Clock, session: int, again_s: float, silence_s: float,
+        limits: MotionLimits | None = None, key: bytes | None = None,
+    ) -> None:  # fmt: skip
         self.link, self._clock, self.session = link, clock, session
         self._again_s, self._silence_us = again_s, round(silence_s * 1e6)
+        self._limits = MotionLimits() if limits is None else limits
+        self._greeting = self._seal = None if key is None else Seal(key)
         self.watch, self.robot_clock = StatusWatch(), RobotClock()
         self.statuses: deque[tuple[RobotStatus, int, int]] = deque()
         self.received_ns = clock.now_ns()
@@ -192,25 +206,44 @@ class RobotConversation:
             echo_ns, received_ns = self._echo
             held_us = min((now_ns - received_ns) // 1000, _WRAP - 1) if echo_ns else 0
             head = Head(self.session, self._sequence, now_ns, echo_ns, held_us, number)
-            self.link.send(encode(RobotCommand(head, kind, deadline_ns, target, speed, self._silence_us)))
+            if kind is RobotKind.HELLO:
+                self.link.send(encode(Hello(head, self._limits, self._silence_us), self._greeting))
+            else:
+                command = RobotCommand(head, kind, deadline_ns, target, speed, self._silence_us)
+                self.link.send(encode(command, self._seal))
+
+    def _authentic(self, data: bytes) -> RobotMessage:
+        """Decode a datagram of the robot. Only an answer may have the tag with the nonce 0, which needs no session."""
+        try:
+            return decode(data, self._seal)
+        except NotAuthentic:
+            message = decode(data, self._greeting)
+            if not isinstance(message, Answer):
+                raise
+            return message
 
     def _take(self, data: bytes) -> None:
         now_ns = self._clock.now_ns()
         try:
-            message = decode(data)
+            message = self._authentic(data)
         except OtherVersion:
             raise
+        except NotAuthentic:
+            self.watch.counts.not_authentic += 1
+            return
         except ProtocolError:
             self.watch.counts.malformed += 1
             return
         if isinstance(message, Answer) and message.result is Result.WRONG_VERSION:
-            raise DeviceFault("robot: the robot does not speak version 1 of the protocol")
-        if isinstance(message, RobotCommand) or message.head.session != self.session:
+            raise DeviceFault(f"robot: the robot does not speak version {VERSION} of the protocol")
+        if isinstance(message, Hello | RobotCommand) or message.head.session != self.session:
             self.watch.counts.foreign += 1
             return
         head = message.head
         self.robot_clock.see(head, now_ns)
         if isinstance(message, Answer):
+            if self._seal is not None and message.asked == RobotKind.HELLO and message.result is Result.ACCEPTED:
+                self._seal = Seal(self._seal.key, message.nonce)
             if message.result in _GONE and message.asked != RobotKind.HELLO:
                 self.lost_control = message.result
             if head.number in self._answers:

@@ -1,4 +1,4 @@
-"""The needleplan robot protocol, version 1: the messages and their bytes.
+"""The needleplan robot protocol, version 2: the messages and their bytes.
 
 docs/reference/robot-protocol.md describes all fields. Each side has its own monotonic clock, and the clocks are not
 synchronised. Each datagram repeats the sending time of the last received datagram, so that each side can measure the
@@ -7,15 +7,22 @@ round-trip time on its own clock. The deadline of a command is a time on the clo
 A datagram is a little-endian structure of fixed size. In every version the first six bytes have the same meaning, and
 the last four bytes are the CRC-32 of all bytes before them (the same CRC-32 as in zlib, Ethernet and MATLAB's
 java.util.zip.CRC32).
+
+With a shared key, a datagram has 16 more bytes before its checksum: the first half of an HMAC-SHA256 (RFC 2104) over a
+nonce of the robot and over all bytes before the tag. The robot draws the nonce for each session and sends it in its
+answer to HELLO, so that a recorded session cannot be replayed.
 """
 
 from __future__ import annotations
 
+import hashlib
+import hmac
+import math
 import struct
 import zlib
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
 
+from needleplan.devices.robot._codes import NAMES_OF_FAULTS, Fault, Result, RobotKind, RobotState
 from needleplan.errors import ProtocolError
 
 __all__ = [
@@ -26,6 +33,9 @@ __all__ = [
     "Answer",
     "Fault",
     "Head",
+    "Hello",
+    "MotionLimits",
+    "NotAuthentic",
     "OtherVersion",
     "Result",
     "RobotCommand",
@@ -33,91 +43,10 @@ __all__ = [
     "RobotMessage",
     "RobotState",
     "RobotStatus",
+    "Seal",
     "decode",
     "encode",
 ]
-
-
-class RobotKind(IntEnum):
-    """Kind of a datagram; kinds sent by the robot have the highest bit set."""
-
-    HELLO = 0x01
-    """Requests control of the robot in a new session, whose number the controller has chosen at random."""
-
-    ENABLE = 0x02
-    INSERT = 0x03
-    """Moves to the depth `target` (mm) at `speed` (mm/s)."""
-
-    ROTATE = 0x04
-    """Rotates to the roll `target` (rad) at `speed` (rad/s)."""
-
-    STOP = 0x05
-    ALIVE = 0x06
-    """Heartbeat. The robot sends no answer, but repeats the sending time of the heartbeat in the next status."""
-
-    RESET = 0x07
-    """Changes the state from FAULT to DISABLED if the cause is gone."""
-
-    GOODBYE = 0x08
-    """Stops and disables the robot, and releases control."""
-
-    STATUS = 0x80
-    ANSWER = 0x81
-
-
-class Result(IntEnum):
-    """Result of a command."""
-
-    ACCEPTED = 0
-    BUSY = 1
-    """Another controller has the robot."""
-
-    OLD_SESSION = 2
-    """The session of the command has ended, or was never accepted."""
-
-    WRONG_VERSION = 3
-    LATE = 4
-    """The command arrived after its deadline, or has no deadline although its kind needs one."""
-
-    SUPERSEDED = 5
-    """A later command (with a higher number) arrived before this command."""
-
-    NOT_ENABLED = 6
-    OUT_OF_RANGE = 7
-    """The drive does not accept the target or the speed."""
-
-    IN_FAULT = 8
-
-
-class RobotState(IntEnum):
-    """State of the robot, named as in CRTK."""
-
-    DISABLED = 0
-    ENABLED = 1
-    FAULT = 3
-
-
-class Fault(IntFlag):
-    """Causes of a stop, with texts in `NAMES_OF_FAULTS`; a set bit stays set until RESET."""
-
-    WATCHDOG = 0x01
-    ESTOP = 0x02
-    DRIVE = 0x04
-    FOLLOWING = 0x08
-    LIMIT = 0x10
-    ENCODER = 0x20
-    NO_MOTION = 0x40
-
-
-NAMES_OF_FAULTS = {
-    Fault.WATCHDOG: "nothing was received from the controller while the robot moved",
-    Fault.ESTOP: "the emergency stop was pressed",
-    Fault.DRIVE: "a drive reports a fault",
-    Fault.FOLLOWING: "an axis does not follow",
-    Fault.LIMIT: "a limit switch was reached",
-    Fault.ENCODER: "an encoder has jumped or counts in the wrong direction",
-    Fault.NO_MOTION: "an axis does not move",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,10 +70,78 @@ class Head:
 
 
 @dataclass(frozen=True, slots=True)
-class RobotCommand:
-    """A datagram of the controller.
+class MotionLimits:
+    """Limits of the motions of one session. HELLO sets them, and they are fixed until the session ends.
 
-    `deadline_ns` is the latest time of execution on the clock of the robot; HELLO, STOP and GOODBYE need no deadline.
+    - `least_mm`, `most_mm`: range of depths that INSERT may command; both 0 select the range of the robot.
+    - `speed_mm_s`, `rotation_rad_s`: largest speeds of INSERT and ROTATE; 0 selects the limit of the robot.
+    - `roll_rad`: largest roll to either side; 0 selects the limit of the robot.
+    - `valid_us`: longest time (us) from the present to the deadline of a motion; 0 selects the limit of the robot.
+    """
+
+    least_mm: float = 0.0
+    most_mm: float = 0.0
+    speed_mm_s: float = 0.0
+    roll_rad: float = 0.0
+    rotation_rad_s: float = 0.0
+    valid_us: int = 0
+
+    def within(self, own: MotionLimits) -> MotionLimits | Result:
+        """Return these limits, completed by those of the robot (`own`); the cause if one is invalid or wider.
+
+        A limit that is wider than that of the robot is refused, not reduced, so that the controller knows its limits.
+        """
+        numbers = (self.least_mm, self.most_mm, self.speed_mm_s, self.roll_rad, self.rotation_rad_s)
+        if not all(map(math.isfinite, numbers)):
+            return Result.OUT_OF_RANGE
+        least, most = self.least_mm, self.most_mm
+        if least == 0 and most == 0:
+            least, most = own.least_mm, own.most_mm
+        if not own.least_mm <= least < most <= own.most_mm:
+            return Result.DEPTH_BEYOND
+        for asked, limit, cause in (
+            (self.speed_mm_s, own.speed_mm_s, Result.SPEED_BEYOND),
+            (self.roll_rad, own.roll_rad, Result.ROLL_BEYOND),
+            (self.rotation_rad_s, own.rotation_rad_s, Result.ROTATION_BEYOND),
+            (self.valid_us, own.valid_us, Result.DEADLINE_BEYOND),
+        ):
+            if not 0 <= asked <= limit:
+                return cause
+        return MotionLimits(
+            least, most, self.speed_mm_s or own.speed_mm_s, self.roll_rad or own.roll_rad,
+            self.rotation_rad_s or own.rotation_rad_s, self.valid_us or own.valid_us,
+        )  # fmt: skip
+
+    def against(self, command: RobotCommand, now_ns: int) -> Result | None:
+        """Return the cause against a motion that arrives at `now_ns` on the robot's clock; None if it is allowed."""
+        if not (math.isfinite(command.target) and math.isfinite(command.speed) and command.speed > 0):
+            return Result.OUT_OF_RANGE
+        if command.deadline_ns - now_ns > 1000 * self.valid_us:
+            return Result.DEADLINE_BEYOND
+        if command.kind is RobotKind.INSERT:
+            if not self.least_mm <= command.target <= self.most_mm:
+                return Result.DEPTH_BEYOND
+            return Result.SPEED_BEYOND if command.speed > self.speed_mm_s else None
+        if abs(command.target) > self.roll_rad:
+            return Result.ROLL_BEYOND
+        return Result.ROTATION_BEYOND if command.speed > self.rotation_rad_s else None
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """The first datagram of a session, with its limits; `silence_us` is that of `RobotCommand`."""
+
+    head: Head
+    limits: MotionLimits = MotionLimits()
+    silence_us: int = 0
+    kind = RobotKind.HELLO
+
+
+@dataclass(frozen=True, slots=True)
+class RobotCommand:
+    """A datagram of the controller other than HELLO.
+
+    `deadline_ns` is the latest time of execution on the clock of the robot; STOP and GOODBYE need no deadline.
     While the robot moves, it stops if it receives nothing for `silence_us`; 0 selects the default of the robot.
     """
 
@@ -158,12 +155,16 @@ class RobotCommand:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Answer of the robot to a command of the kind `asked`; a command that is sent again gets the same result."""
+    """Answer of the robot to a command of the kind `asked`; a command that is sent again gets the same result.
+
+    `nonce` is a random number of the session in the answer to HELLO, else 0.
+    """
 
     head: Head
     asked: int
     result: Result
     state: RobotState
+    nonce: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,21 +187,26 @@ class RobotStatus:
     missed: int = 0
 
 
-RobotMessage = RobotCommand | Answer | RobotStatus
+RobotMessage = Hello | RobotCommand | Answer | RobotStatus
 
 
 ROBOT_PORT = 5005
 MAGIC = b"NPLR"
-VERSION = 1
+VERSION = 2
 
 _FIRST = struct.Struct("<4sBB")
 _HEAD = struct.Struct("<4sBBHIIQQII")
+_HELLO = struct.Struct("<dddddIII")
 _COMMAND = struct.Struct("<QddI")
-_ANSWER = struct.Struct("<BBH")
+_ANSWER = struct.Struct("<QBBH")
 _STATUS = struct.Struct("<ddddIBBHI")
 _CRC = struct.Struct("<I")
-_COMMANDS = frozenset(RobotKind) - {RobotKind.STATUS, RobotKind.ANSWER}
-_BODIES = {**dict.fromkeys(_COMMANDS, _COMMAND), RobotKind.STATUS: _STATUS, RobotKind.ANSWER: _ANSWER}
+_NONCE = struct.Struct("<Q")
+_TAG = 16  # bytes of a tag: half of an HMAC-SHA256
+_LEAST_KEY = 16  # bytes of the shortest accepted key
+_BODIES = dict.fromkeys(RobotKind, _COMMAND) | {
+    RobotKind.HELLO: _HELLO, RobotKind.STATUS: _STATUS, RobotKind.ANSWER: _ANSWER,
+}  # fmt: skip
 
 
 class OtherVersion(ProtocolError):
@@ -211,25 +217,56 @@ class OtherVersion(ProtocolError):
         self.version, self.kind = version, kind
 
 
-def encode(message: RobotMessage) -> bytes:
-    """Return the datagram of a message. Raises ProtocolError if a number does not fit into its field."""
+class NotAuthentic(ProtocolError):
+    """An undamaged datagram without a tag, or with the tag of another key or session."""
+
+
+@dataclass(frozen=True)
+class Seal:
+    """Key of at least 16 bytes, and nonce of the session (0 before the answer to HELLO), which authenticate datagrams.
+
+    Raises ProtocolError if the key is too short.
+    """
+
+    key: bytes
+    nonce: int = 0
+
+    def __post_init__(self) -> None:
+        if len(self.key) < _LEAST_KEY:
+            raise ProtocolError(f"robot: a key must have at least {_LEAST_KEY} bytes, not {len(self.key)}")
+
+    def tag(self, begin: bytes) -> bytes:
+        """Return the tag (16 bytes) of a datagram that begins with the bytes `begin`."""
+        return hmac.digest(self.key, _NONCE.pack(self.nonce) + begin, hashlib.sha256)[:_TAG]
+
+
+def encode(message: RobotMessage, seal: Seal | None = None) -> bytes:
+    """Return the datagram of a message, with the tag of `seal` if given.
+
+    Raises ProtocolError if a number does not fit into its field.
+    """
     kind, fields = _fields(message)
     head = message.head
+    tag_size = 0 if seal is None else _TAG
     try:
         packed = _BODIES[kind].pack(*fields)
         begin = _HEAD.pack(
-            MAGIC, VERSION, kind, _HEAD.size + len(packed) + _CRC.size, head.session, head.sequence, head.sent_ns,
-            head.echo_ns, head.held_us, head.number,
+            MAGIC, VERSION, kind, _HEAD.size + len(packed) + tag_size + _CRC.size, head.session, head.sequence,
+            head.sent_ns, head.echo_ns, head.held_us, head.number,
         )  # fmt: skip
     except struct.error as error:
         raise ProtocolError(f"robot: {kind.name} cannot be sent: {error}") from error
-    return begin + packed + _CRC.pack(zlib.crc32(begin + packed))
+    begin += packed
+    if seal is not None:
+        begin += seal.tag(begin)
+    return begin + _CRC.pack(zlib.crc32(begin))
 
 
-def decode(datagram: bytes) -> RobotMessage:
-    """Return the message in a datagram.
+def decode(datagram: bytes, seal: Seal | None = None) -> RobotMessage:
+    """Return the message in a datagram. Without a `seal`, a tag is ignored.
 
-    Raises OtherVersion for another protocol version, ProtocolError for a damaged datagram or another protocol.
+    Raises OtherVersion for another protocol version, NotAuthentic if the tag is missing or not that of `seal`, and
+    ProtocolError for a damaged datagram or another protocol.
     """
     if len(datagram) < _FIRST.size + _CRC.size or not datagram.startswith(MAGIC):
         raise ProtocolError(f"robot: a datagram of {len(datagram)} bytes does not belong to this protocol")
@@ -244,19 +281,32 @@ def decode(datagram: bytes) -> RobotMessage:
         raise ProtocolError(f"robot: 0x{code:02X} is not a kind of datagram") from error
     body = _BODIES[kind]
     size = _HEAD.size + body.size + _CRC.size
-    if len(datagram) != size or _HEAD.unpack_from(datagram)[3] != size:
+    if len(datagram) not in (size, size + _TAG) or _HEAD.unpack_from(datagram)[3] != len(datagram):
         raise ProtocolError(f"robot: a {kind.name} datagram must have {size} bytes, not {len(datagram)}")
+    if seal is not None:
+        end = _HEAD.size + body.size
+        if not hmac.compare_digest(datagram[end : -_CRC.size], seal.tag(datagram[:end])):
+            raise NotAuthentic(f"robot: a {kind.name} datagram is not authenticated with the key of this session")
     head = Head(*_HEAD.unpack_from(datagram)[4:])
     values = body.unpack_from(datagram, _HEAD.size)
     try:
         if kind is RobotKind.STATUS:
             return _status(head, values)
         if kind is RobotKind.ANSWER:
-            asked, state, result = values
-            return Answer(head, asked, Result(result), RobotState(state))
+            nonce, asked, state, result = values
+            return Answer(head, asked, Result(result), RobotState(state), nonce)
+        if kind is RobotKind.HELLO:
+            return _hello(head, values)
     except ValueError as error:
         raise ProtocolError(f"robot: {kind.name}: {error}") from error
     return RobotCommand(head, kind, *values)
+
+
+def _hello(head: Head, values: tuple[float, ...]) -> Hello:
+    least, most, speed, roll, rotation, silence_us, valid_us, unused = values
+    if unused:
+        raise ValueError(f"`unused` is {unused}, must be 0")
+    return Hello(head, MotionLimits(least, most, speed, roll, rotation, int(valid_us)), int(silence_us))
 
 
 def _status(head: Head, values: tuple[float, ...]) -> RobotStatus:
@@ -270,10 +320,16 @@ def _status(head: Head, values: tuple[float, ...]) -> RobotStatus:
 
 
 def _fields(message: RobotMessage) -> tuple[RobotKind, tuple[float, ...]]:
+    if isinstance(message, Hello):
+        limits = message.limits
+        return RobotKind.HELLO, (
+            limits.least_mm, limits.most_mm, limits.speed_mm_s, limits.roll_rad, limits.rotation_rad_s,
+            message.silence_us, limits.valid_us, 0,
+        )  # fmt: skip
     if isinstance(message, RobotCommand):
         return message.kind, (message.deadline_ns, message.target, message.speed, message.silence_us)
     if isinstance(message, Answer):
-        return RobotKind.ANSWER, (message.asked, message.state, message.result)
+        return RobotKind.ANSWER, (message.nonce, message.asked, message.state, message.result)
     return RobotKind.STATUS, (
         message.depth_mm, message.velocity_mm_s, message.roll_rad, message.velocity_rad_s, message.faults,
         message.state, message.moving, message.overruns, message.missed,

@@ -1,0 +1,103 @@
+"""The two axes of a robot: the interface of their drives, and the monitoring of their measured positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from needleplan.devices.robot.messages import Fault
+
+__all__ = ["DriveLimits", "DriveWatch", "RobotDrive", "RobotDriveState"]
+
+
+@dataclass(frozen=True, slots=True)
+class RobotDriveState:
+    """State of the drives: measured and commanded positions, measured velocities, and faults.
+
+    `wanted_depth_mm` and `wanted_roll_rad` are the commanded positions. `faults` holds only faults that the drives
+    report: a drive fault, a limit switch, the emergency stop.
+    """
+
+    depth_mm: float
+    velocity_mm_s: float
+    roll_rad: float
+    velocity_rad_s: float
+    wanted_depth_mm: float
+    wanted_roll_rad: float
+    moving: bool
+    faults: Fault = Fault(0)
+
+
+class RobotDrive(Protocol):
+    """Interface of the two axes with their servo controllers."""
+
+    def advance(self, time_s: float) -> RobotDriveState:
+        """Advance to the time `time_s`, and return the state of the drives."""
+
+    def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
+        """Begin a motion to a depth. Raises DeviceFault if the axis cannot execute it."""
+
+    def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
+        """Begin a rotation to a roll angle. Raises DeviceFault if the axis cannot execute it."""
+
+    def stop(self) -> None:
+        """Stop both axes as fast as possible."""
+
+
+@dataclass(frozen=True)
+class DriveLimits:
+    """Limits at which the monitoring of the axes reports a fault.
+
+    - `following_mm`, `following_rad`: largest permitted difference between commanded and measured position.
+    - `fastest_mm_s`, `fastest_rad_s`: measured speed above which the encoder is assumed to have jumped.
+    - `still`: an axis counts as not moving if its measured motion is less than this share of the commanded motion.
+    """
+
+    following_mm: float = 0.2
+    following_rad: float = 0.05
+    fastest_mm_s: float = 200.0
+    fastest_rad_s: float = 50.0
+    still: float = 0.1
+
+
+class DriveWatch:
+    """Compares the measured positions of both axes with the commanded positions and with the previous ones."""
+
+    def __init__(self, limits: DriveLimits | None = None) -> None:
+        limits = DriveLimits() if limits is None else limits
+        self._insertion = _AxisWatch(limits.following_mm, limits.fastest_mm_s, limits.still)
+        self._roll = _AxisWatch(limits.following_rad, limits.fastest_rad_s, limits.still)
+
+    def forget(self) -> None:
+        """Forget the previous positions, so that the next state may have any position."""
+        self._insertion.begin = self._insertion.last = self._roll.begin = self._roll.last = None
+
+    def see(self, state: RobotDriveState, time_s: float) -> Fault:
+        """Record a state and return its faults: those reported by the drives and those found by the comparison."""
+        return (
+            state.faults
+            | self._insertion.see(state.wanted_depth_mm, state.depth_mm, time_s)
+            | self._roll.see(state.wanted_roll_rad, state.roll_rad, time_s)
+        )
+
+
+class _AxisWatch:
+    def __init__(self, following: float, fastest: float, still: float) -> None:
+        self._following, self._fastest, self._still = following, fastest, still
+        self.last: tuple[float, float] | None = None
+        self.begin: tuple[float, float] | None = None
+        """Commanded and measured position when their difference was last less than a quarter of the limit."""
+
+    def see(self, wanted: float, measured: float, time_s: float) -> Fault:
+        last, self.last = self.last, (measured, time_s)
+        if last is not None and abs(measured - last[0]) > self._following + self._fastest * (time_s - last[1]):
+            return Fault.ENCODER
+        error = abs(wanted - measured)
+        if self.begin is None or error < self._following / 4:
+            self.begin = wanted, measured
+        if error <= self._following:
+            return Fault(0)
+        asked, went = wanted - self.begin[0], measured - self.begin[1]
+        if abs(went) < self._still * abs(asked):
+            return Fault.NO_MOTION
+        return Fault.ENCODER if asked * went < 0 else Fault.FOLLOWING
