@@ -3,13 +3,24 @@
 If the root contains several trials, the root needs the column `trial`. A group may have the attributes `trial` and
 `role`. Texts are UTF-8 strings. needleplan writes groups; MATLAB reads a column with
 `h5read(file, '/trial_0001/force_n')`.
+
+A child process (`_hdf5_child.py`) reads the file, because one damaged byte may make libhdf5 loop for ever or crash.
 """
 
 from __future__ import annotations
 
 import io
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from needleplan.artifacts import version
 from needleplan.errors import DataError, Mistake
@@ -21,31 +32,70 @@ __all__ = ["FORMAT", "parse_hdf5", "to_hdf5"]
 
 FORMAT = "needleplan.records/1"
 _MOST_NUMBERS = 200_000_000  # largest accepted length of a dataset, in entries
+_CHILD = Path(__file__).with_name("_hdf5_child.py")
+_LEAST_CPU_S = 5  # CPU time (s) that every file may take, including the start of the child, 0.4 s
+_BYTES_PER_S = 4_000_000  # further file size (bytes) that gives a second more; libhdf5 is 10 to 100 times as fast
+_WALL_FACTOR = 4  # wall time over CPU time on a machine with other work
+_LEAST_MEMORY_BYTES = 2**31
+_MEMORY_FACTOR = 64  # further memory over file size; compressed columns are up to 20 times as large as in the file
 
 
 def parse_hdf5(content: bytes, source: str) -> list[Table]:
     """Return one table for each group of an HDF5 file, or one table for the datasets in its root.
 
-    Raises DataError if the file is damaged or empty, has both groups and datasets in its root, or has a wrong column.
+    Raises DataError if the file is damaged or empty, takes too much time or memory, has both groups and datasets in its
+    root, or has a wrong column.
     """
-    import h5py
+    _require_whole(content, source)
+    record, floats = _read(content, source)
+    if record["columns"] and record["groups"]:
+        rule = "must not be beside datasets: columns are in the root, or in one group for each trial"
+        raise DataError([Mistake(name, "", rule) for name in record["groups"]], source)
+    if not record["tables"]:
+        raise DataError("is empty: it holds neither columns nor groups", source)
+    return [_table(group, floats, name, source) for name, group in record["tables"].items()]
 
+
+def _require_whole(content: bytes, source: str) -> None:
+    """Raise DataError if the superblock does not describe a file of this length."""
+    kind = content[8] if len(content) > 8 else 255
+    at = {0: 40, 1: 44, 2: 28, 3: 28}.get(kind, -1)  # offset of the end-of-file address
+    if at < 0 or len(content) < at + 8 or content[13 if kind < 2 else 9] != 8:
+        raise DataError("is damaged, or not a file of records: its first bytes are not a superblock of HDF5", source)
+    expected = struct.unpack_from("<Q", content, at)[0]
+    if len(content) < expected:
+        raise DataError(f"is damaged: it is truncated to {len(content):,} of {expected:,} bytes", source)
+
+
+def _read(content: bytes, source: str) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
+    """Return the record and the numbers that the child process reads. Raises DataError if it cannot read the file."""
+    cpu_s = _LEAST_CPU_S + len(content) // _BYTES_PER_S
+    memory_bytes = _LEAST_MEMORY_BYTES + _MEMORY_FACTOR * len(content)
     try:
-        with h5py.File(io.BytesIO(content), "r") as file:
-            members = {name: file[name] for name in file if isinstance(file.get(name, getlink=True), h5py.HardLink)}
-            groups = {name: each for name, each in members.items() if isinstance(each, h5py.Group)}
-            if any(isinstance(each, h5py.Dataset) for each in members.values()):
-                if groups:
-                    rule = "must not be beside datasets: columns are in the root, or in one group for each trial"
-                    raise DataError([Mistake(name, "", rule) for name in groups], source)
-                return [_table(file, "", source)]
-            if not groups:
-                raise DataError("is empty: it holds neither columns nor groups", source)
-            return [_table(group, name, source) for name, group in groups.items()]
-    except DataError:
-        raise
-    except Exception as error:  # h5py raises many types of exceptions for damaged files
-        raise DataError(f"is damaged, or not a file of records: {error}", source) from error
+        done = subprocess.run(
+            [sys.executable, "-P", str(_CHILD), str(cpu_s), str(memory_bytes), str(_MOST_NUMBERS),
+             ",".join(NUMBERS), ",".join(TEXTS)],
+            input=content, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=_WALL_FACTOR * cpu_s, check=False,
+            start_new_session=True,  # Ctrl-C reaches the parent, which ends the child
+            # One thread of a library of linear algebra takes address space that the memory limit would count.
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"},
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        raise DataError(_slow(cpu_s), source) from None
+    except OSError as error:
+        raise DataError(f"cannot be read: no Python process can be started: {error.strerror}", source) from error
+    if done.returncode:
+        slow = done.returncode in (-getattr(signal, "SIGXCPU", 0), -getattr(signal, "SIGKILL", 0))
+        raise DataError(_slow(cpu_s) if slow else "is damaged: libhdf5 crashed when reading it", source)
+    length = int.from_bytes(done.stdout[:8], "little")
+    record: dict[str, Any] = json.loads(done.stdout[8 : 8 + length])
+    if "error" in record:
+        raise DataError(f"is damaged, or not a file of records: {record['error']}", source)
+    return record, np.frombuffer(done.stdout, dtype="<f8", offset=8 + length)
+
+
+def _slow(cpu_s: int) -> str:
+    return f"is damaged: libhdf5 did not finish reading it in {cpu_s} s"
 
 
 def to_hdf5(records: Sequence[Record]) -> bytes:
@@ -66,55 +116,39 @@ def to_hdf5(records: Sequence[Record]) -> bytes:
     return image.getvalue()
 
 
-def _table(group: Any, name: str, source: str) -> Table:
-    import h5py
-
-    datasets = {
-        key: group[key]
-        for key in group
-        if isinstance(group.get(key, getlink=True), h5py.HardLink) and isinstance(group[key], h5py.Dataset)
-    }
-    unknown, mistakes = validate_names(datasets)
+def _table(group: dict[str, Any], floats: np.ndarray[Any, Any], name: str, source: str) -> Table:
+    columns = {each["name"]: each for each in group["columns"]}
+    unknown, mistakes = validate_names(columns)
     if not mistakes:
-        mistakes = _shapes({key: each for key, each in datasets.items() if key not in unknown})
+        mistakes = _shapes({key: each for key, each in columns.items() if key not in unknown})
     if mistakes:
         raise DataError([Mistake(f"{name}/{each.key}".lstrip("/"), each.value, each.rule) for each in mistakes], source)
-    length = datasets["time_s"].shape[0]
-    texts = {key: _texts(datasets[key]) for key in TEXTS if key in datasets}
-    for key in ("trial", "role"):
-        if key in group.attrs and key not in texts:
-            texts[key] = (_text(group.attrs[key]),) * length
+    length = columns["time_s"]["length"]
+    texts = {key: tuple(columns[key]["values"]) for key in TEXTS if key in columns}
+    texts |= {key: (value,) * length for key, value in group["attributes"].items() if key not in texts}
     if name and "trial" not in texts:
         texts["trial"] = (name,) * length
     return Table(
-        {key: datasets[key][()].astype(float) for key in NUMBERS if key in datasets},
+        {key: floats[columns[key]["values"] :][:length].astype(float) for key in NUMBERS if key in columns},
         texts,
         tuple(f"{name}[{row}]" if name else f"row {row}" for row in range(length)),
         (f"unknown columns were left out: {', '.join(unknown)}",) if unknown else (),
     )
 
 
-def _shapes(datasets: dict[str, Any]) -> list[Mistake]:
-    """Return a mistake for each dataset with the wrong shape, length or type."""
+def _shapes(columns: dict[str, Any]) -> list[Mistake]:
+    """Return a mistake for each column with the wrong shape, length or type."""
     mistakes = []
-    shape = datasets["time_s"].shape
-    for key, each in datasets.items():
-        if each.is_virtual or each.external:
+    time = columns["time_s"]
+    for key, each in columns.items():
+        if not each["stored"]:
             mistakes.append(Mistake(key, "", "must be stored in the file itself"))
-        elif each.shape is None or len(each.shape) != 1 or each.shape != shape:
-            mistakes.append(Mistake(key, f"shape {each.shape}", f"must have the shape of time_s, {shape}"))
-        elif each.size > _MOST_NUMBERS:
-            mistakes.append(Mistake(key, f"{each.size:,}", f"must have at most {_MOST_NUMBERS:,} entries"))
-        elif key in TEXTS and each.dtype.kind not in "OSiu":
-            mistakes.append(Mistake(key, str(each.dtype), "must hold strings"))
-        elif key in NUMBERS and each.dtype.kind not in "fiu":
-            mistakes.append(Mistake(key, str(each.dtype), f"must hold numbers in {UNITS[key]}"))
+        elif each["dimensions"] != 1 or each["length"] != time["length"]:
+            mistakes.append(Mistake(key, f"shape {each['shape']}", f"must have the shape of time_s, {time['shape']}"))
+        elif each["length"] > _MOST_NUMBERS:
+            mistakes.append(Mistake(key, f"{each['length']:,}", f"must have at most {_MOST_NUMBERS:,} entries"))
+        elif key in TEXTS and each["kind"] not in "OSiu":
+            mistakes.append(Mistake(key, each["type"], "must hold strings"))
+        elif key in NUMBERS and each["kind"] not in "fiu":
+            mistakes.append(Mistake(key, each["type"], f"must hold numbers in {UNITS[key]}"))
     return mistakes
-
-
-def _texts(dataset: Any) -> tuple[str, ...]:
-    return tuple(_text(value) for value in dataset[()].tolist())
-
-
-def _text(value: object) -> str:
-    return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)

@@ -1,0 +1,94 @@
+"""Program of a child process that reads a foreign HDF5 file with libhdf5 (`hdf5_file.py` starts it).
+
+One damaged byte may make libhdf5 loop for ever, crash, or allocate all memory, and nothing in the same process can stop
+it. This program therefore limits its own CPU time and memory, and its parent ends it if it takes too long.
+
+Arguments: CPU time limit (s), memory limit (bytes), largest accepted length of a dataset, names of the number columns
+and of the text columns, separated by commas. Standard input: the file. Standard output: the length of a JSON text (8
+bytes, little-endian), the JSON text, and the numbers as 64-bit floats. The JSON text has `error`, or the names of the
+`groups` and `columns` in the root, and `tables`: by group the `attributes` and the `columns`. A column has `stored`,
+false if its data are in another file, and `values`: the index of its first number, its list of texts, or null if the
+column is not read. The program imports nothing of needleplan, which would take longer than the reading.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from typing import Any
+
+__all__ = ["limit", "main", "read"]
+
+
+def limit(cpu_s: int, memory_bytes: int) -> None:
+    """Limit the CPU time and the address space of this process, where the operating system can do so."""
+    try:
+        import resource
+    except ImportError:  # Windows; the parent limits the time
+        return
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
+    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def read(content: bytes, most: int, numbers: list[str], texts: list[str]) -> tuple[dict[str, Any], list[bytes]]:
+    """Return the JSON record and the numbers of an HDF5 file. Links to other places are ignored, as if absent."""
+    import h5py
+
+    blobs: list[bytes] = []
+
+    def described(name: str, dataset: Any, length: int) -> dict[str, Any]:
+        stored = not (dataset.is_virtual or dataset.external)
+        shape, kind, values = dataset.shape, dataset.dtype.kind, None
+        readable = stored and shape is not None and len(shape) == 1 and 0 <= shape[0] <= most and shape[0] == length
+        if readable and name in numbers and kind in "fiu":
+            values = sum(map(len, blobs)) // 8
+            blobs.append(dataset[()].astype("<f8").tobytes())
+        elif readable and name in texts and kind in "OSiu":
+            values = [text(value) for value in dataset[()].tolist()]
+        return {"name": name, "shape": str(shape), "dimensions": -1 if shape is None else len(shape),
+                "length": shape[0] if shape else -1, "type": str(dataset.dtype), "kind": kind, "stored": stored,
+                "values": values}  # fmt: skip
+
+    def group_of(group: Any) -> dict[str, Any]:
+        found = {name: group[name] for name in hard(group) if isinstance(group[name], h5py.Dataset)}
+        time = found.get("time_s")
+        length = time.shape[0] if time is not None and time.shape else -1
+        return {
+            "attributes": {key: text(group.attrs[key]) for key in ("trial", "role") if key in group.attrs},
+            "columns": [described(name, each, length) for name, each in found.items()],
+        }
+
+    def hard(group: Any) -> list[str]:
+        return [name for name in group if isinstance(group.get(name, getlink=True), h5py.HardLink)]
+
+    with h5py.File(io.BytesIO(content), "r") as file:
+        members = [(name, file[name]) for name in hard(file)]
+        groups = [name for name, each in members if isinstance(each, h5py.Group)]
+        columns = [name for name, each in members if isinstance(each, h5py.Dataset)]
+        if columns or not groups:
+            return {"groups": groups, "columns": columns, "tables": {"": group_of(file)} if columns else {}}, blobs
+        return {"groups": groups, "columns": [], "tables": {name: group_of(file[name]) for name in groups}}, blobs
+
+
+def text(value: object) -> str:
+    """Return a text of a file, which HDF5 stores as bytes."""
+    return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
+
+
+def main(arguments: list[str], content: bytes) -> bytes:
+    """Return the output of the program."""
+    try:
+        record, blobs = read(content, int(arguments[0]), arguments[1].split(","), arguments[2].split(","))
+    except MemoryError:
+        record, blobs = {"error": "reading it takes more memory than a file of this size may need"}, []
+    except Exception as error:  # h5py raises many types of exceptions for damaged files
+        record, blobs = {"error": str(error)}, []
+    head = json.dumps(record).encode()
+    return len(head).to_bytes(8, "little") + head + b"".join(blobs)
+
+
+if __name__ == "__main__":
+    limit(int(sys.argv[1]), int(sys.argv[2]))
+    sys.stdout.buffer.write(main(sys.argv[3:], sys.stdin.buffer.read()))
