@@ -40,7 +40,8 @@ def read(content: bytes, most: int, numbers: list[str], texts: list[str]) -> tup
 
     def described(name: str, dataset: Any, length: int) -> dict[str, Any]:
         stored = not (dataset.is_virtual or dataset.external)
-        shape, kind, values = dataset.shape, dataset.dtype.kind, None
+        shape, kind = dataset.shape, dataset.dtype.kind
+        values: int | list[str] | None = None
         readable = stored and shape is not None and len(shape) == 1 and 0 <= shape[0] <= most and shape[0] == length
         if readable and name in numbers and kind in "fiu":
             values = sum(map(len, blobs)) // 8
