@@ -47,7 +47,7 @@ def read(content: bytes, most: int, numbers: list[str], texts: list[str]) -> tup
             values = sum(map(len, blobs)) // 8
             blobs.append(dataset[()].astype("<f8").tobytes())
         elif readable and name in texts and kind in "OSiu":
-            values = [text(value) for value in dataset[()].tolist()]
+            values = [_text(value) for value in dataset[()].tolist()]
         return {"name": name, "shape": str(shape), "dimensions": -1 if shape is None else len(shape),
                 "length": shape[0] if shape else -1, "type": str(dataset.dtype), "kind": kind, "stored": stored,
                 "values": values}  # fmt: skip
@@ -57,7 +57,7 @@ def read(content: bytes, most: int, numbers: list[str], texts: list[str]) -> tup
         time = found.get("time_s")
         length = time.shape[0] if time is not None and time.shape else -1
         return {
-            "attributes": {key: text(group.attrs[key]) for key in ("trial", "role") if key in group.attrs},
+            "attributes": {key: _text(group.attrs[key]) for key in ("trial", "role") if key in group.attrs},
             "columns": [described(name, each, length) for name, each in found.items()],
         }
 
@@ -73,7 +73,7 @@ def read(content: bytes, most: int, numbers: list[str], texts: list[str]) -> tup
         return {"groups": groups, "columns": [], "tables": {name: group_of(file[name]) for name in groups}}, blobs
 
 
-def text(value: object) -> str:
+def _text(value: object) -> str:
     """Return a text of a file, which HDF5 stores as bytes."""
     return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
 
