@@ -9,11 +9,11 @@ from collections.abc import Callable, Sequence
 from needleplan.control._events import CommandKind, Listener, RunCommand, RunEventName
 from needleplan.control._needle import NeedleState, present_causes
 from needleplan.control._options import Options
-from needleplan.control.safety import GuardedStage, OperatingState, Order
+from needleplan.control.safety import GuardedStage, OperatingState, Order, Owner
 from needleplan.devices import Clock
 from needleplan.errors import DeviceFault, MotionRefused
 
-__all__ = ["NeedleDriver"]
+__all__ = ["NeedleDriver", "Retracted"]
 
 # largest distance from the goal (mm, rad) at which a stage at rest counts as arrived
 _ARRIVED_MM, _ARRIVED_RAD = 0.3, 0.02
@@ -21,8 +21,10 @@ _ARRIVED_MM, _ARRIVED_RAD = 0.3, 0.02
 _DURATION_FACTOR, _DURATION_S = 2.0, 2.0
 # s that each awaited tracker frame adds to the time limit of `settle`
 _FRAME_S = 0.5
-# originator of the loop's orders, as the events of the guard name it
-_BY = "the loop, for the operator"
+
+
+class Retracted(Exception):
+    """Raised in the loop after a person has retracted the needle and resumed the run: the present goal is void."""
 
 
 class NeedleDriver:
@@ -31,8 +33,8 @@ class NeedleDriver:
     `on_pause(name, causes, text)` is called with PAUSED and the names of the causes when a pause begins, and with
     RESUMED when the pause ends.
 
-    While a method waits, it raises DeviceFault if the guard stops the run or no device sends samples, and Stopped if
-    the operator stops the run.
+    While a method waits, it raises DeviceFault if the guard stops the run or no device sends samples, Stopped if the
+    operator stops the run, and Retracted after a retraction by a person, when a person has resumed the run.
     """
 
     def __init__(
@@ -48,6 +50,7 @@ class NeedleDriver:
         self._needle, self._guard, self._clock, self._options = needle, guard, clock, options
         self._listeners, self._on_pause = listeners, on_pause
         self._enabled = self._resumed = False
+        self._retractions = 0
         self._commanded_at = -1
         """Number of stage samples received before the last command; only later samples show its effect."""
 
@@ -56,11 +59,11 @@ class NeedleDriver:
 
         Raises MotionRefused if the guard refuses an order.
         """
-        self._guard.order(Order.HOME, _BY)
+        self._guard.order(Order.HOME, Owner.LOOP)
         end_ns = self._clock.now_ns() + round(self._options.silence_s * 1e9)
         while self._guard.state.present and self._clock.now_ns() < end_ns:
             self._receive()
-        self._guard.order(Order.ENABLE, _BY)
+        self._guard.order(Order.ENABLE, Owner.LOOP)
         self._enabled = True
 
     def wait_until(self, done: Callable[[], bool], limit_s: float, failure: str) -> None:
@@ -143,14 +146,16 @@ class NeedleDriver:
     def halt(self, *, latch: bool) -> None:
         """Stop both axes and disable the guard, in any state; FAULT remains.
 
-        If `latch`, the guard can be enabled again only after a person has reset it.
+        If `latch`, the guard can be enabled again only after a person has reset it. A retraction by a person stays in
+        force: the method then returns when the retraction has ended.
         """
         self._enabled = False
-        if latch:
-            self._guard.stop()
-        else:
-            self._guard.order(Order.DISABLE, _BY)
+        with contextlib.suppress(MotionRefused):  # a blocked guard has sent a stop
+            self._guard.order(Order.STOP if latch else Order.DISABLE, Owner.LOOP)
         self._emit(CommandKind.STOP, math.nan, math.nan)
+        end_ns = self._clock.now_ns() + round(self._guard.retraction_s * 1e9)
+        while self._guard.state.retracting and self._clock.now_ns() < end_ns:
+            self._needle.attend()
 
     @property
     def _paused(self) -> bool:
@@ -174,7 +179,8 @@ class NeedleDriver:
         """Wait for the end of a pause, and return its duration (ns).
 
         A pause that a person ordered ends when a person resumes the run. The loop itself ends any other pause when no
-        cause is present and the stage rests. Raises DeviceFault if such a pause lasts `resume_s`.
+        cause is present and the stage rests. Raises DeviceFault if such a pause lasts `resume_s`, and Retracted at the
+        end of a pause in which a person has retracted the needle.
         """
         began_ns, guard = self._clock.now_ns(), self._guard
         causes = "ordered by a person" if guard.state.person_paused else present_causes(guard)
@@ -185,7 +191,7 @@ class NeedleDriver:
                 if not (state.present or (self._needle.stage is not None and self._needle.stage.moving)):
                     # Refused if a person has just paused the run, or a cause has just appeared; then the wait goes on.
                     with contextlib.suppress(MotionRefused):
-                        guard.order(Order.CONTINUE, _BY)
+                        guard.order(Order.RESUME, Owner.LOOP)
                     continue
                 if (self._clock.now_ns() - began_ns) * 1e-9 >= self._options.resume_s:
                     raise DeviceFault(f"paused for {self._options.resume_s:g} s: {present_causes(guard) or causes}")
@@ -193,6 +199,9 @@ class NeedleDriver:
         self._require_running()
         self._resumed = True
         self._on_pause(RunEventName.RESUMED, "", "the insertion continues")
+        if guard.retractions != self._retractions:
+            self._retractions = guard.retractions
+            raise Retracted
         return self._clock.now_ns() - began_ns
 
     def _rotate_base(self, goal_rad: float) -> None:

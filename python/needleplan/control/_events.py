@@ -35,6 +35,9 @@ class RunEventName(StrEnum):
     TABLE_SWAPPED = "table_swapped"
     PAUSED = "paused"
     RESUMED = "resumed"
+    RETRACTED = "retracted"
+    """A person has retracted the needle and resumed the run; the loop has given up its old goal and decides anew."""
+
     FAULT = "fault"
     """The run ends with the outcome FAULT or REFUSED; END follows."""
 

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
 
-from needleplan.control._driver import NeedleDriver
+from needleplan.control._driver import NeedleDriver, Retracted
 from needleplan.control._events import ExecutedStep, Listener, RunEvent, RunEventName
 from needleplan.control._needle import NeedleState, Stopped
 from needleplan.control._options import Options
@@ -146,10 +146,31 @@ class Insertion(Closing):
         feed = self._station.feed(self.guard.read_device)
         closing.callback(feed.close)
         self._needle.open(feed)
-        ended = self._begin()
+        try:
+            ended = self._begin()
+        except Retracted:
+            ended = self._decide_anew()
         while ended is None:
-            ended = self._outcome_at_tip() or self._step()
+            try:
+                ended = self._outcome_at_tip() or self._step()
+            except Retracted:
+                ended = self._decide_anew()
         return ended
+
+    def _decide_anew(self) -> tuple[InsertionOutcome, str] | None:
+        """Forget the old goal after a retraction by a person, and observe the tip again; then the loop decides anew.
+
+        Returns (outcome, cause) if the needle is out of the tissue, else None.
+        """
+        needle, driver = self._needle, self._driver
+        driver.hold()
+        self._emit(
+            RunEventName.RETRACTED, "person", f"the path length is {needle.path_mm:.2f} mm; the old goal is void"
+        )
+        if needle.path_mm < -NEARLY_MM:
+            return InsertionOutcome.STOPPED, "a person has pulled the needle out of the tissue"
+        driver.settle(self.options.settling_frames)
+        return None
 
     def _begin(self) -> tuple[InsertionOutcome, str] | None:
         """Measure the entry, enable the guard, insert to the entry, and turn the bevel to the side of the lower cost.

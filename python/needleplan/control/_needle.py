@@ -6,6 +6,7 @@ replayed.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -113,6 +114,21 @@ class NeedleState:
                     self._guard.observe_recording(status)
             self._guard.tick()
 
+    def attend(self) -> None:
+        """Wait at most 20 ms for a stage sample and call the guard's `tick`, after the end of a run.
+
+        Faults of devices are ignored: the guard knows them, and a retraction goes on in spite of them.
+        """
+        began_ns = self._clock.now_ns()
+        with contextlib.suppress(DeviceFault):
+            assert self._feed is not None
+            if (sample := self._feed.next(_TURN_S)) is not None:
+                self._publish(sample)
+        if self._clock.now_ns() == began_ns:
+            self._clock.sleep(_TURN_S)
+        with contextlib.suppress(DeviceFault):
+            self._guard.tick()
+
     def why_stopped(self) -> str:
         """Return a message about a stop by the guard: the causes and, if a device has failed, its fault.
 
@@ -170,5 +186,8 @@ class NeedleState:
 
 
 def present_causes(guard: GuardedStage) -> str:
-    """Return the names of all present and latched causes of `guard`, separated by commas."""
-    return ", ".join(sorted(guard.state.present | guard.state.latched))
+    """Return the names of all present and latched causes of `guard`; those that stopped the needle are the first."""
+    state = guard.state
+    later = sorted((state.present | state.latched) - state.first)
+    first = ", ".join(sorted(state.first)) or ", ".join(later)
+    return f"{first}; then {', '.join(later)}" if state.first and later else first

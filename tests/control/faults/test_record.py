@@ -45,7 +45,7 @@ class Recorded(Bench):
         super().__init__()
         self.recorder = Recorder(path, Session("fault 35", monotonic_ns=10**12), capacity=60)
         self.channel = self.recorder.channel("/events", EVENT)
-        self.guard._listener = self.record
+        self.guard._wire.events._listener = self.record
         self.enabled().insert(50.0, 5.0)
 
     def record(self, event: SafetyEvent) -> None:

@@ -309,7 +309,7 @@ def test_a_listener_that_fails_does_not_keep_the_stop_back() -> None:
     def fail(_: object) -> None:
         raise OSError("no space left")
 
-    guard._listener = fail
+    guard._wire.events._listener = fail
     bench.without = {"force"}
     bench.turns(0.05)
     assert bench.stage.wire[-1] == ("stop",)

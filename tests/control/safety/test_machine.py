@@ -12,20 +12,31 @@ from needleplan.control.safety import (
     Cause,
     GuardAction,
     InputReport,
+    MotionOrder,
     OperatingState,
     Order,
+    Ordered,
+    Owner,
     SafetyState,
+    SafetyTransition,
     Severity,
     advance,
 )
-from needleplan.control.safety._states import begin_retraction
 from tests.control.safety.rules_model import PAUSING, SlowRobot
 
 CONDITIONS = [each for each in Cause if each.severity is not Severity.REFUSAL and each is not Cause.STOP_ORDERED]
 D, E, P, F = OperatingState.DISABLED, OperatingState.ENABLED, OperatingState.PAUSED, OperatingState.FAULT
+PERSON, LOOP = Owner.PERSON, Owner.LOOP
 
-# The whole table: state, what happens, and where it ends; a stop is sent where there is an exclamation mark.
-# The state is homed, nothing is latched, and in FAULT the force is stale.
+
+def ordered(state: SafetyState, order: Order | MotionOrder, owner: Owner = PERSON, now_ns: int = 9) -> SafetyTransition:
+    """Return the transition that an order causes."""
+    return advance(state, order.by(owner), now_ns)
+
+
+# The whole table: state, what happens or a person orders, and where it ends; a stop is sent where there is an
+# exclamation mark. The state is homed, nothing is latched, nobody holds the needle but in PAUSED a sensor, and in FAULT
+# the force is stale. For the loop, the rows of LOOP_TABLE differ.
 TABLE = """
 DISABLED  healthy   DISABLED
 DISABLED  pausing   DISABLED
@@ -35,11 +46,12 @@ DISABLED  enable    ENABLED
 DISABLED  disable   DISABLED !
 DISABLED  pause     refused
 DISABLED  resume    refused
-DISABLED  continue  refused
 DISABLED  reset     DISABLED
 DISABLED  stop      DISABLED !
 DISABLED  home      DISABLED
 DISABLED  unhome    DISABLED
+DISABLED  move      refused
+DISABLED  retract   DISABLED
 ENABLED   healthy   ENABLED
 ENABLED   pausing   PAUSED !
 ENABLED   faulting  FAULT !
@@ -48,11 +60,12 @@ ENABLED   enable    ENABLED
 ENABLED   disable   DISABLED !
 ENABLED   pause     PAUSED !
 ENABLED   resume    refused
-ENABLED   continue  refused
 ENABLED   reset     ENABLED
 ENABLED   stop      DISABLED !
 ENABLED   home      refused
 ENABLED   unhome    refused
+ENABLED   move      refused
+ENABLED   retract   PAUSED !
 PAUSED    healthy   PAUSED
 PAUSED    pausing   PAUSED
 PAUSED    faulting  FAULT !
@@ -61,11 +74,12 @@ PAUSED    enable    refused
 PAUSED    disable   DISABLED !
 PAUSED    pause     PAUSED !
 PAUSED    resume    ENABLED
-PAUSED    continue  ENABLED
 PAUSED    reset     PAUSED
 PAUSED    stop      DISABLED !
 PAUSED    home      refused
 PAUSED    unhome    refused
+PAUSED    move      refused
+PAUSED    retract   PAUSED
 FAULT     healthy   DISABLED
 FAULT     pausing   DISABLED
 FAULT     faulting  FAULT
@@ -74,32 +88,48 @@ FAULT     enable    refused
 FAULT     disable   FAULT !
 FAULT     pause     refused
 FAULT     resume    refused
-FAULT     continue  refused
 FAULT     reset     refused
 FAULT     stop      FAULT !
 FAULT     home      refused
 FAULT     unhome    refused
+FAULT     move      refused
+FAULT     retract   FAULT
+"""
+LOOP_TABLE = """
+DISABLED  reset     refused
+ENABLED   reset     refused
+PAUSED    reset     refused
+ENABLED   move      ENABLED
+DISABLED  retract   refused
+ENABLED   retract   refused
+PAUSED    retract   refused
+FAULT     retract   refused
 """
 ROWS = [tuple(line.split()) for line in TABLE.strip().splitlines()]
+LOOP_ROWS = {tuple(line.split()[:2]): tuple(line.split()) for line in LOOP_TABLE.strip().splitlines()}
 SEEN = {
     "healthy": frozenset(),
     "pausing": frozenset({Cause.POSE_UNSEEN}),
     "faulting": frozenset({Cause.FORCE_STALE}),
     "moving": frozenset({Cause.STILL_MOVING}),
 }
+ORDERS: dict[str, Order | MotionOrder] = {str(each): each for each in (*Order, *MotionOrder)}
+CASES = [(PERSON, row) for row in ROWS] + [(LOOP, LOOP_ROWS.get(row[:2], row)) for row in ROWS if row[1] in ORDERS]
 
 
 def test_the_table_is_whole() -> None:
-    assert {row[:2] for row in ROWS} == set(product(OperatingState, (*SEEN, *Order)))
-    assert len(ROWS) == 4 * (len(SEEN) + len(Order))
+    assert {row[:2] for row in ROWS} == set(product(OperatingState, (*SEEN, *ORDERS)))
+    assert len(ROWS) == 4 * (len(SEEN) + len(ORDERS))
 
 
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: "-".join(row[:2]))
-def test_every_transition(row: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(("owner", "row"), CASES, ids=lambda each: getattr(each, "value", None) or "-".join(each[:2]))
+def test_every_transition(owner: Owner, row: tuple[str, ...]) -> None:
     before = SafetyState(OperatingState(row[0]), is_homed=True, since_ns=3)
+    if before.operating is P:
+        before = SafetyState(P, is_homed=True, since_ns=3, held_by=Owner.SENSOR)
     if before.operating is F:
         before = SafetyState(F, True, present=SEEN["faulting"], latched=SEEN["faulting"], since_ns=3)
-    step = advance(before, InputReport(SEEN[row[1]]) if row[1] in SEEN else Order(row[1]), 7)
+    step = advance(before, InputReport(SEEN[row[1]]) if row[1] in SEEN else ORDERS[row[1]].by(owner), 7)
     assert step.refused == (row[2] == "refused")
     assert (GuardAction.STOP in step.actions) == (row[-1] == "!")
     if step.refused:
@@ -108,6 +138,19 @@ def test_every_transition(row: tuple[str, ...]) -> None:
     else:
         assert step.state.operating == row[2]
         assert step.state.since_ns == (7 if step.state.operating is not before.operating else 3)
+        assert (GuardAction.RETRACT in step.actions) == (row[1] == "retract")
+        assert (GuardAction.MOVE in step.actions) == (row[1] == "move")
+
+
+@pytest.mark.parametrize("owner", [Owner.SENSOR, Owner.ROBOT])
+@pytest.mark.parametrize("operating", OperatingState)
+def test_sensors_and_robot_may_only_stop(operating: OperatingState, owner: Owner) -> None:
+    before = SafetyState(operating, is_homed=True, present=SEEN["faulting"] if operating is F else frozenset())
+    for order in ORDERS.values():
+        step = ordered(before, order, owner)
+        assert step.refused or GuardAction.STOP in step.actions or step.state.operating is operating
+        assert step.state.motion is None
+        assert step.state.operating is not E or operating is E
 
 
 @pytest.mark.parametrize("cause", CONDITIONS)
@@ -119,7 +162,7 @@ def test_every_cause_stops_and_latches_by_its_severity(cause: Cause) -> None:
     assert step.state.latched == (frozenset() if cause.severity is Severity.PAUSE else {cause})
     healthy = advance(step.state, InputReport(), 2).state
     assert healthy.operating is (P if cause.severity is Severity.PAUSE else D)
-    assert advance(healthy, Order.ENABLE, 3).refused
+    assert ordered(healthy, Order.ENABLE).refused
 
 
 @pytest.mark.parametrize("operating", OperatingState)
@@ -127,44 +170,88 @@ def test_every_cause_stops_and_latches_by_its_severity(cause: Cause) -> None:
 def test_only_two_causes_stop_a_retraction_and_every_cause_stops_the_loop(
     operating: OperatingState, cause: Cause
 ) -> None:
-    before = SafetyState(operating, True, present=SEEN["faulting"] if operating is F else frozenset())
+    present = SEEN["faulting"] if operating is F else frozenset()
+    motion = LOOP if operating is E else PERSON
+    before = SafetyState(operating, True, present=present, motion=motion)
     step = advance(before, InputReport(frozenset({cause}), busy=True, retracting=True), 1)
     ends = cause in (Cause.WRONG_WAY, Cause.STAGE_JUMPED)
     assert (GuardAction.STOP in step.actions) == (ends or operating is E)
+    assert step.state.motion is (None if ends or operating is E else PERSON)
     if ends:
         assert step.state.operating is F
         assert cause in step.state.latched
 
 
+@pytest.mark.parametrize("operating", [D, P, F])
+@pytest.mark.parametrize("order", [Order.STOP, Order.DISABLE, Order.PAUSE])
+@pytest.mark.parametrize("owner", Owner)
+def test_the_loop_does_not_stop_the_retraction_of_a_person(
+    operating: OperatingState, order: Order, owner: Owner
+) -> None:
+    before = SafetyState(operating, True, present=SEEN["faulting"] if operating is F else frozenset())
+    before = ordered(before, MotionOrder.RETRACT).state
+    step = ordered(before, order, owner)
+    if step.refused:
+        assert order is Order.PAUSE
+        return
+    assert (step.actions == ()) == (owner is LOOP)
+    assert step.state.retracting == (owner is LOOP)
+    again = ordered(step.state, MotionOrder.RETRACT)
+    assert again.actions == (GuardAction.RETRACT,)
+    assert again.state.retracting
+
+
 @pytest.mark.parametrize("before", [P, E])
-@pytest.mark.parametrize("how", ["pause", "retraction"])
-def test_the_loop_does_not_end_the_pause_of_a_person(before: OperatingState, how: str) -> None:
-    state = SafetyState(before, is_homed=True)
-    paused = (advance(state, Order.PAUSE, 1) if how == "pause" else begin_retraction(state, 1)).state
+@pytest.mark.parametrize("order", [Order.PAUSE, MotionOrder.RETRACT])
+def test_the_loop_does_not_end_the_pause_of_a_person(before: OperatingState, order: Order | MotionOrder) -> None:
+    state = SafetyState(before, is_homed=True, held_by=None if before is E else Owner.SENSOR)
+    paused = ordered(state, order).state
     assert paused.operating is P
     assert paused.person_paused
     seen = advance(advance(paused, InputReport(SEEN["pausing"]), 2).state, InputReport(), 3).state
-    assert advance(seen, Order.CONTINUE, 4).causes == {Cause.NOT_POSSIBLE}
-    assert advance(seen, Order.CONTINUE, 4).refused
-    resumed = advance(seen, Order.RESUME, 5).state
+    assert ordered(seen, Order.RESUME, LOOP).causes == {Cause.NOT_AUTHORIZED}
+    assert ordered(seen, Order.RESUME, LOOP).refused
+    resumed = ordered(seen, Order.RESUME).state
     assert resumed.operating is E
     later = advance(advance(resumed, InputReport(SEEN["pausing"]), 6).state, InputReport(), 7).state
     assert not later.person_paused
-    assert advance(later, Order.CONTINUE, 8).state.operating is E
+    assert ordered(later, Order.RESUME, LOOP).state.operating is E
 
 
-def test_a_latched_stop_needs_a_reset_and_says_so() -> None:
-    state = advance(SafetyState(E, is_homed=True), Order.STOP, 1).state
-    refused = advance(state, Order.ENABLE, 2)
+def test_a_latched_stop_needs_a_reset_by_a_person_and_says_so() -> None:
+    state = ordered(SafetyState(E, is_homed=True), Order.STOP).state
+    assert state.first == {Cause.STOP_ORDERED}
+    refused = ordered(state, Order.ENABLE)
     assert refused.causes == {Cause.NOT_RESET, Cause.STOP_ORDERED}
-    assert advance(advance(state, Order.RESET, 3).state, Order.ENABLE, 4).state.operating is E
+    assert ordered(state, Order.RESET, LOOP).causes == {Cause.NOT_AUTHORIZED}
+    reset = ordered(state, Order.RESET).state
+    assert ordered(reset, Order.ENABLE, LOOP).causes == {Cause.NOT_AUTHORIZED}  # a person stopped it
+    assert ordered(reset, Order.ENABLE).state.operating is E
 
 
-def test_a_lost_zero_needs_homing() -> None:
+def test_after_a_fault_and_a_reset_by_a_person_the_loop_may_begin() -> None:
+    fault = advance(SafetyState(E, is_homed=True), InputReport(SEEN["faulting"]), 1).state
+    assert fault.first == SEEN["faulting"]
+    more = advance(fault, InputReport(SEEN["faulting"] | {Cause.LOOP_LATE}), 2).state
+    assert more.first == SEEN["faulting"]
+    state = advance(more, InputReport(), 3).state
+    assert ordered(state, Order.ENABLE, LOOP).causes == {
+        Cause.NOT_RESET, Cause.NOT_AUTHORIZED, Cause.FORCE_STALE, Cause.LOOP_LATE,
+    }  # fmt: skip
+    assert ordered(ordered(state, Order.RESET).state, Order.ENABLE, LOOP).state.operating is E
+
+
+def test_only_a_person_homes_again_after_the_zero_is_lost() -> None:
     state = advance(SafetyState(E, is_homed=True), InputReport(frozenset({Cause.STAGE_JUMPED})), 1).state
-    state = advance(advance(state, InputReport(), 2).state, Order.RESET, 3).state
-    assert advance(state, Order.ENABLE, 4).causes == {Cause.NOT_HOMED}
-    assert advance(advance(state, Order.HOME, 5).state, Order.ENABLE, 6).state.operating is E
+    state = ordered(advance(state, InputReport(), 2).state, Order.RESET).state
+    assert ordered(state, Order.ENABLE).causes == {Cause.NOT_HOMED}
+    assert ordered(state, Order.HOME, LOOP).causes == {Cause.NOT_AUTHORIZED}
+    homed = ordered(state, Order.HOME).state
+    assert ordered(homed, Order.ENABLE, LOOP).state.operating is E
+    # Where a person declares it unknown, too.
+    unhomed = ordered(SafetyState(is_homed=True), Order.UNHOME).state
+    assert ordered(unhomed, Order.HOME, LOOP).refused
+    assert ordered(SafetyState(), Order.HOME, LOOP).state.is_homed
 
 
 def test_a_refusal_is_no_condition() -> None:
@@ -181,35 +268,35 @@ class BesideTheSlowModel(RuleBasedStateMachine):
         self.state, self.slow = SafetyState(), SlowRobot()
         self.stops = self.refusals = self.now_ns = 0
 
-    @rule(causes=st.frozensets(st.sampled_from(CONDITIONS), max_size=3), busy=st.booleans())
-    def see(self, causes: frozenset[Cause], busy: bool) -> None:
-        self.apply(InputReport(causes, busy))
-        self.slow.look({str(each) for each in causes})
+    @rule(causes=st.frozensets(st.sampled_from(CONDITIONS), max_size=3), busy=st.booleans(), retracting=st.booleans())
+    def see(self, causes: frozenset[Cause], busy: bool, retracting: bool) -> None:
+        self.apply(InputReport(causes, busy, retracting))
+        self.slow.look({str(each) for each in causes}, retracting=retracting)
         assert self.state.is_busy == busy
 
-    @rule()
-    def see_nothing_wrong(self) -> None:
-        self.see(frozenset(), False)
+    @rule(retracting=st.booleans())
+    def see_nothing_wrong(self, retracting: bool) -> None:
+        self.see(frozenset(), False, retracting)
 
-    @rule(order=st.sampled_from(Order))
-    def order(self, order: Order) -> None:
+    @rule(order=st.sampled_from([*Order, *MotionOrder]), owner=st.sampled_from(Owner))
+    def order(self, order: Order | MotionOrder, owner: Owner) -> None:
         before = self.state.operating
-        self.apply(order)
-        self.slow.ask(str(order))
+        self.apply(order.by(owner))
+        self.slow.ask(str(order), owner.value)
         assert (self.state.operating is F) == (before is F)
 
     @rule()
     def sign_home_and_enable(self) -> None:
         for order in (Order.RESET, Order.HOME, Order.ENABLE):
-            self.order(order)
+            self.order(order, PERSON)
 
-    def apply(self, event: InputReport | Order) -> None:
+    def apply(self, event: InputReport | Ordered) -> None:
         before = self.state
         self.now_ns += 1
         step = advance(before, event, self.now_ns)
         assert step == advance(before, event, self.now_ns)
         self.state = step.state
-        self.stops += len(step.actions)
+        self.stops += GuardAction.STOP in step.actions
         self.refusals += step.refused
         if before.operating is E and self.state.operating is not E:
             assert GuardAction.STOP in step.actions
@@ -218,11 +305,12 @@ class BesideTheSlowModel(RuleBasedStateMachine):
 
     @invariant()
     def agrees(self) -> None:
-        slow = self.slow
-        assert (self.state.operating, self.state.is_homed) == (slow.state, slow.homed)
-        assert self.state.person_paused == slow.held
-        assert {str(each) for each in self.state.present} == slow.there
-        assert {str(each) for each in self.state.latched} == slow.unsigned
+        state, slow = self.state, self.slow
+        assert (state.operating, state.is_homed, state.is_zero_lost) == (slow.state, slow.homed, slow.distrusted)
+        assert (state.held_by.value if state.held_by else "") == slow.holder
+        assert (state.motion.value if state.motion else "") == slow.mover
+        assert {str(each) for each in state.present} == slow.there
+        assert {str(each) for each in state.latched} == slow.unsigned
         assert (self.stops, self.refusals) == (slow.stops, slow.refusals)
 
     @invariant()
@@ -230,6 +318,7 @@ class BesideTheSlowModel(RuleBasedStateMachine):
         if self.state.operating is E:
             assert not self.state.present
             assert self.state.is_homed
+            assert not self.state.retracting
 
 
 TestBesideTheSlowModel = BesideTheSlowModel.TestCase

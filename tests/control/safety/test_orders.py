@@ -8,7 +8,7 @@ from itertools import product
 
 import pytest
 
-from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order
+from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order, Owner
 from needleplan.errors import MotionRefused
 from tests.control.safety.bench import Bench
 
@@ -74,8 +74,8 @@ def enable(bench: ObedientBench) -> None:
         bench.guard.order(order, "anna")
 
 
-def ordered(order: Order) -> Callable[[ObedientBench], object]:
-    return lambda bench: bench.guard.order(order, "anna")
+def ordered(order: Order, by: str | Owner = "anna") -> Callable[[ObedientBench], object]:
+    return lambda bench: bench.guard.order(order, by)
 
 
 def seen_once(what: str, values: dict[str, object]) -> Callable[[ObedientBench], None]:
@@ -95,8 +95,9 @@ ACTIONS: dict[str, Callable[[ObedientBench], object]] = {
     "stop": lambda bench: bench.guard.stop(),
     "pause": ordered(Order.PAUSE),
     "resume": ordered(Order.RESUME),
-    "continue": ordered(Order.CONTINUE),
+    "continue": ordered(Order.RESUME, Owner.LOOP),
     "disable": ordered(Order.DISABLE),
+    "loop stops": ordered(Order.STOP, Owner.LOOP),
     "enable": enable,
     "force": seen_once("force", EXCESSIVE),
     "unseen": seen_once("pose", UNSEEN),
@@ -119,13 +120,13 @@ def after(names: tuple[str, ...]) -> ObedientBench | None:
 
 def state_of(bench: ObedientBench) -> Hashable:
     """Return what decides over the future of guard and stage, without times and places."""
-    guard, motion = bench.guard, bench.guard._motion
+    guard, motion = bench.guard, bench.guard._monitor.motion
     goals = [goal and (goal.end > goal.begin, goal.end > bench.stage.depth_mm) for goal in (motion.depth, motion.roll)]
     flags = {name: each for name, each in vars(guard).items() if isinstance(each, bool)}
     late = (bench.clock.now_ns() - motion.stopped_ns) * 1e-9 > guard.limits.motion_s
     return (
         replace(guard.state, since_ns=0), *goals, late, motion.rest_mm is None, motion.jumped, tuple(flags.items()),
-        guard._repeated_stop.wanted, frozenset(bench.goals), frozenset(bench.harmful),
+        guard._wire.repeated_stop.wanted, frozenset(bench.goals), frozenset(bench.harmful),
     )  # fmt: skip
 
 

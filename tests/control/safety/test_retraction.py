@@ -136,7 +136,7 @@ def test_a_stage_that_goes_the_wrong_way_is_stopped(name: str) -> None:
             break
     assert Cause.WRONG_WAY in bench.guard.state.latched
     assert bench.stage.depth_mm < 42.0
-    assert not bench.guard._motion.retracting
+    assert not bench.guard._monitor.motion.retracting
 
 
 @pytest.mark.parametrize("name", STATES)

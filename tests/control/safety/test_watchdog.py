@@ -117,6 +117,7 @@ def test_a_loop_that_hangs_in_a_command_is_stopped_over_its_head(rig: Rig) -> No
     loop = threading.Thread(target=command, daemon=True)
     loop.start()
     with Watchdog(rig.guard):
+        wait_for(lambda: rig.guard.state.operating is OperatingState.FAULT)
         assert rig.stage.stopped.wait(20)
         assert not rig.stage.inserted
         # The command goes out after all; another stop must follow it.

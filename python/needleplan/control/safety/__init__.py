@@ -1,17 +1,17 @@
 """Safety of a run: operating states, limits, the guard of the stage, and the watchdog thread."""
 
-from needleplan.control.safety._causes import Cause, Severity
+from needleplan.control.safety._causes import Cause, Owner, Severity
+from needleplan.control.safety._events import SafetyEvent, SafetyEventName, SafetyListener
 from needleplan.control.safety._guard import GuardedStage
 from needleplan.control.safety._inputs import Inputs, validate
 from needleplan.control.safety._limits import SafetyLimits
 from needleplan.control.safety._states import (
     GuardAction,
     InputReport,
+    MotionOrder,
     OperatingState,
     Order,
-    SafetyEvent,
-    SafetyEventName,
-    SafetyListener,
+    Ordered,
     SafetyState,
     SafetyTransition,
     advance,
@@ -24,8 +24,11 @@ __all__ = [
     "GuardedStage",
     "InputReport",
     "Inputs",
+    "MotionOrder",
     "OperatingState",
     "Order",
+    "Ordered",
+    "Owner",
     "SafetyEvent",
     "SafetyEventName",
     "SafetyLimits",

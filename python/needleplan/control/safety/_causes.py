@@ -6,9 +6,9 @@ PX4's failsafe flags. No flag reports health, so a wrong flag cannot hide a faul
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import Enum, StrEnum
 
-__all__ = ["Cause", "Severity"]
+__all__ = ["Cause", "Owner", "Severity"]
 
 
 class Severity(StrEnum):
@@ -22,6 +22,15 @@ class Severity(StrEnum):
 
     FAULT = "fault"
     """The motion stops, and the cause is latched: when the cause is gone, a person must reset and enable the guard."""
+
+
+class Owner(Enum):
+    """Who ordered or caused a stop, a pause or a motion; an earlier owner has more authority than a later one."""
+
+    PERSON = "person"
+    ROBOT = "robot"
+    SENSOR = "sensor"
+    LOOP = "loop"
 
 
 class Cause(StrEnum):
@@ -39,6 +48,8 @@ class Cause(StrEnum):
     """Reading the force sensor has raised an error, and no usable sample has followed."""
     FORCE_EXCEEDED = "force_exceeded"
     """The magnitude of the force is larger than `force_n`."""
+    FORCE_RISING = "force_rising"
+    """The magnitude of the force rises faster than `force_rate_n_s`."""
     POSE_STALE = "pose_stale"
     """No pose, usable or not, has arrived within `pose_age_s`."""
     POSE_SUSPECT = "pose_suspect"
@@ -55,7 +66,11 @@ class Cause(StrEnum):
     OUT_OF_PLANE = "out_of_plane"
     """The tip is farther from the plane of the plan than `out_of_plane_mm`."""
     OUT_OF_WORKSPACE = "out_of_workspace"
-    """The tip is outside `workspace_x_mm` or `workspace_y_mm`."""
+    """The tip is outside `workspace_x_mm` or `workspace_y_mm`, or outside the workspace of the plan."""
+    IN_OBSTACLE = "in_obstacle"
+    """The tip is in an obstacle of the plan."""
+    DEADMAN_RELEASED = "deadman_released"
+    """The person does not hold the deadman switch, or its signal does not arrive."""
     STAGE_STALE = "stage_stale"
     """No stage sample, usable or not, has arrived within `stage_age_s`."""
     STAGE_SUSPECT = "stage_suspect"
@@ -64,13 +79,15 @@ class Cause(StrEnum):
     """Reading the stage, or sending a command, a stop or a heartbeat has raised an error, and no usable sample has
     followed."""
     STAGE_JUMPED = "stage_jumped"
-    """The position changed by more than the stage can move, or the stage has restarted. The stage must be homed."""
+    """Depth or roll changed by more than the stage can move, or the stage has restarted. The stage must be homed."""
     DEPTH_EXCEEDED = "depth_exceeded"
     """The depth is outside `shallowest_mm` to `deepest_mm` by more than `following_mm`."""
+    ROLL_EXCEEDED = "roll_exceeded"
+    """The measured roll is beyond `roll_rad` by more than `following_rad`."""
     OVERSPEED = "overspeed"
     """The stage moves faster than 1.5 times the velocity limit of its direction."""
     WRONG_WAY = "wrong_way"
-    """The stage moves against its command, or beyond the goal of its command."""
+    """An axis moves against its command, beyond the goal of its command, or while only the other axis has a command."""
     NO_MOTION = "no_motion"
     """An axis has moved less than a tenth of its way within `motion_s` after its command."""
     STILL_MOVING = "still_moving"
@@ -85,6 +102,8 @@ class Cause(StrEnum):
     """The recorder is late by more than `recording_age_s`, or its disk does not accept data at the moment."""
     RECORDING_LOST = "recording_lost"
     """The recorder has lost a message, has failed or is closed, or the listener of the guard has raised an error."""
+    GUARD_FAILED = "guard_failed"
+    """A validation has raised an unexpected exception, so the inputs are not validated."""
     PLAN_LOST = "plan_lost"
     """The plan has no action for the present pose of the needle."""
     STOP_ORDERED = "stop_ordered"
@@ -92,6 +111,8 @@ class Cause(StrEnum):
 
     NOT_POSSIBLE = "not_possible"
     """The order is not allowed in this state."""
+    NOT_AUTHORIZED = "not_authorized"
+    """Only a person may give the order: a person holds the needle, or the order needs the authority of a person."""
     NOT_ENABLED = "not_enabled"
     """The guard is not in the state ENABLED."""
     NOT_HOMED = "not_homed"
@@ -120,16 +141,25 @@ class Cause(StrEnum):
         """Severity of this cause."""
         return _REFUSALS.get(self) or _PAUSES.get(self) or Severity.FAULT
 
+    @property
+    def owner(self) -> Owner:
+        """Owner of this cause: the robot, a sensor or the loop; a person for STOP_ORDERED."""
+        return _OWNERS.get(self.split("_")[0], Owner.LOOP)
 
+
+# Owner of a cause by the first word of its name; the loop owns all other causes.
+_OWNERS = dict.fromkeys(("force", "pose", "tip", "out", "in", "deadman"), Owner.SENSOR) | dict.fromkeys(
+    ("stage", "depth", "roll", "overspeed", "wrong", "no", "still"), Owner.ROBOT
+) | {"stop": Owner.PERSON}  # fmt: skip
 _REFUSALS = dict.fromkeys(
-    (Cause.NOT_POSSIBLE, Cause.NOT_ENABLED, Cause.NOT_HOMED, Cause.NOT_RESET, Cause.NOT_FINITE, Cause.DEPTH_BEYOND,
-     Cause.VELOCITY_BEYOND, Cause.ROLL_BEYOND, Cause.ROTATION_BEYOND, Cause.SECOND_COMMANDER, Cause.NOT_A_RETRACTION,
-     Cause.LIMITS_IN_USE),
+    (Cause.NOT_POSSIBLE, Cause.NOT_AUTHORIZED, Cause.NOT_ENABLED, Cause.NOT_HOMED, Cause.NOT_RESET, Cause.NOT_FINITE,
+     Cause.DEPTH_BEYOND, Cause.VELOCITY_BEYOND, Cause.ROLL_BEYOND, Cause.ROTATION_BEYOND, Cause.SECOND_COMMANDER,
+     Cause.NOT_A_RETRACTION, Cause.LIMITS_IN_USE),
     Severity.REFUSAL,
 )  # fmt: skip
 # Causes of a pause: the tip is unknown for a moment, or the plan or the disk is late. The robot itself works.
 _PAUSES = dict.fromkeys(
     (Cause.POSE_STALE, Cause.POSE_SUSPECT, Cause.POSE_UNSEEN, Cause.TIP_UNKNOWN, Cause.PLAN_LOST,
-     Cause.RECORDING_BEHIND),
+     Cause.RECORDING_BEHIND, Cause.DEADMAN_RELEASED),
     Severity.PAUSE,
 )  # fmt: skip

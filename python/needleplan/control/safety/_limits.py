@@ -58,6 +58,9 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
     force_n: float = ruled(Number("N", above=0, at_most=200), 10.0)
     """Largest magnitude of the force at the base of the needle."""
 
+    force_rate_n_s: float = ruled(Number("N/s", above=0, at_most=10_000), 100.0)
+    """Fastest rise of the force; the force may rise by 50 ms times this rate within 50 ms."""
+
     shallowest_mm: float = ruled(_DEPTH, -100.0)
     """Smallest stage depth of a command."""
     deepest_mm: float = ruled(_DEPTH, 150.0)
@@ -90,6 +93,9 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
     loop_age_s: float = ruled(_AGE, 0.045)
     """Longest time between two calls of the guard's `tick` by the loop."""
 
+    deadman_age_s: float = ruled(_AGE, 0.2)
+    """Longest time since the last signal of the deadman switch, if the run needs one."""
+
     recording_age_s: float = ruled(_AGE, 0.5)
     """Largest delay of the recorder, and time for which a lost message is reported."""
 
@@ -99,6 +105,8 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
     following_mm: float = ruled(Number("mm", above=0, at_most=100), 0.5)
     """Tolerance of the stage position: largest motion outside the range of a command, beyond the depth limits, and
     after a stop. From one sample to the next, 1.5 times the velocity limit is permitted in addition."""
+    following_rad: float = ruled(Number("rad", above=0, at_most=100), 0.2)
+    """Tolerance of the roll, as `following_mm` of the depth."""
 
     @classmethod
     def from_table(cls, raw: object, source: str = "") -> SafetyLimits:

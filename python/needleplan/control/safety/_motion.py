@@ -1,4 +1,4 @@
-"""The commands and the stop that are in force at the stage, and the validation of its motion against them."""
+"""The commands that are in force at the stage, and the validation of the motion of both axes against them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 from needleplan.control.safety._causes import Cause
 from needleplan.control.safety._limits import SafetyLimits
-from needleplan.devices import Clock, Stage, StageSample
+from needleplan.devices import StageSample
 
-__all__ = ["Goal", "MotionWatch", "RepeatedStop"]
+__all__ = ["Goal", "MotionWatch"]
 
 _NANO = 1e-9
 # longest time, s, that a stage needs to reverse its direction
@@ -21,13 +21,6 @@ _VELOCITY_MARGIN = 1.5
 _STUCK_SHARE = 0.1
 # commanded distances (mm, rad) below which an axis is never reported as stuck
 _LEAST_MM, _LEAST_RAD = 0.1, 0.05
-# time (s) after which a stop that has reached the stage is sent again
-_AGAIN_S = 0.02
-# time (s) after which a stop that has not reached the stage is sent again
-_UNSENT_S = 0.25
-# Wait after a slow stop: 10 times the duration of sending it, at most 1 s. Stops then use at most about a tenth of the
-# time of the link, and heartbeats and samples can pass.
-_WAIT_FACTOR, _LONGEST_WAIT_S = 10.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -58,6 +51,12 @@ class Goal:
             return False
         return abs(position - self.begin) < _STUCK_SHARE * min(distance, self.velocity * motion_s)
 
+    def left(self, position: float, tolerance: float) -> bool:
+        """Return whether the axis is outside its way by more than `tolerance` and the distance to turn round."""
+        margin = tolerance + _REVERSAL_S * (abs(self.begin_velocity) + self.velocity)
+        low, high = sorted((self.begin, self.end))
+        return not low - margin <= position <= high + margin
+
     def waiting_since(self, position: float, least: float, now_ns: int) -> int:
         """Return the start time (ns) for the next goal.
 
@@ -82,7 +81,10 @@ class MotionWatch:
     """Whether the last sample is farther from its predecessor than the stage can move, or has a lower number."""
 
     rest_mm: float | None = None
-    """Depth (mm) at which the stage came to rest after the last stop; None while it may move."""
+    """Depth (mm) at which the stage came to rest after the last stop; None while a command may move it."""
+
+    rest_rad: float | None = None
+    """Roll (rad) at which the stage came to rest after the last stop; None while a command may rotate it."""
 
     @property
     def retracting(self) -> bool:
@@ -108,14 +110,16 @@ class MotionWatch:
     def rotates(self, roll_rad: float, velocity_rad_s: float, now_ns: int) -> MotionWatch:
         """Return the watch after a command to rotate. Call it only after the first sample."""
         assert self.last is not None
-        begin = self.last.roll_rad
-        began_ns = now_ns if self.roll is None else self.roll.waiting_since(begin, _LEAST_RAD, now_ns)
-        return replace(self, roll=Goal(begin, roll_rad, velocity_rad_s, 0.0, began_ns), rest_mm=None)
+        begin, before = self.last.roll_rad, self.roll
+        began_ns = now_ns if before is None else before.waiting_since(begin, _LEAST_RAD, now_ns)
+        goal = Goal(begin, roll_rad, velocity_rad_s, 0.0 if before is None else before.velocity, began_ns)
+        return replace(self, roll=goal, rest_rad=None)
 
     def stops(self, now_ns: int) -> MotionWatch:
         """Return the watch after a stop. `stopped_ns` changes only if a command was being carried out."""
         idle = self.depth is None and self.roll is None
-        return replace(self, depth=None, roll=None, stopped_ns=self.stopped_ns if idle else now_ns, rest_mm=None)
+        stopped_ns = self.stopped_ns if idle else now_ns
+        return replace(self, depth=None, roll=None, stopped_ns=stopped_ns, rest_mm=None, rest_rad=None)
 
     def then(self, sample: StageSample, limits: SafetyLimits) -> MotionWatch:
         """Return the watch after a stage sample; unchanged by a repeated sample, and by a sample that is not finite.
@@ -135,11 +139,20 @@ class MotionWatch:
         passed_s = max(sample.stamp.received_ns - last.stamp.received_ns, 0) * _NANO
         fastest_mm_s = max(limits.insertion_velocity_mm_s, limits.retraction_velocity_mm_s)
         farthest_mm = limits.following_mm + _VELOCITY_MARGIN * fastest_mm_s * passed_s
-        jumped = sample.stamp.sequence < last.stamp.sequence or abs(sample.depth_mm - last.depth_mm) > farthest_mm
-        idle = self.depth is None and self.roll is None
-        settled = idle and (sample.stamp.received_ns - self.stopped_ns) * _NANO > limits.motion_s
-        rest_mm = sample.depth_mm if settled and self.rest_mm is None and not sample.moving else self.rest_mm
-        watch = MotionWatch(self.depth, self.roll, self.stopped_ns, sample, jumped, rest_mm)
+        farthest_rad = limits.following_rad + _VELOCITY_MARGIN * limits.rotation_velocity_rad_s * passed_s
+        jumped = (
+            sample.stamp.sequence < last.stamp.sequence
+            or abs(sample.depth_mm - last.depth_mm) > farthest_mm
+            or abs(sample.roll_rad - last.roll_rad) > farthest_rad
+        )
+        rest_mm, rest_rad = self.rest_mm, self.rest_rad
+        if (sample.stamp.received_ns - self.stopped_ns) * _NANO > limits.motion_s:
+            # `moving` concerns both axes: while one of them has a command, it tells nothing of the other one.
+            if rest_mm is None and self.depth is None and not (sample.moving and self.roll is None):
+                rest_mm = sample.depth_mm
+            if rest_rad is None and self.roll is None and not (sample.moving and self.depth is None):
+                rest_rad = sample.roll_rad
+        watch = MotionWatch(self.depth, self.roll, self.stopped_ns, sample, jumped, rest_mm, rest_rad)
         return watch.stops(sample.stamp.received_ns) if watch._has_retracted(sample, limits) else watch
 
     def _has_retracted(self, sample: StageSample, limits: SafetyLimits) -> bool:
@@ -160,58 +173,28 @@ class MotionWatch:
         limit_mm_s = limits.insertion_velocity_mm_s if velocity_mm_s > 0 else limits.retraction_velocity_mm_s
         if abs(velocity_mm_s) > _VELOCITY_MARGIN * limit_mm_s:
             yield Cause.OVERSPEED
+        if abs(last.roll_rad) > limits.roll_rad + limits.following_rad:
+            yield Cause.ROLL_EXCEEDED
+        idle_mm = self.depth is None and _left(last.depth_mm, self.rest_mm, limits.following_mm)
+        idle_rad = self.roll is None and _left(last.roll_rad, self.rest_rad, limits.following_rad)
         if self.depth is None and self.roll is None:
-            if self._moves_after_stop(last, limits, now_ns):
+            settled = (now_ns - self.stopped_ns) * _NANO > limits.motion_s
+            if settled and (last.moving or idle_mm or idle_rad):
                 yield Cause.STILL_MOVING
             return
+        wrong, stuck = idle_mm or idle_rad, False
         if self.depth is not None:
-            goal = self.depth
-            margin_mm = limits.following_mm + _REVERSAL_S * (abs(goal.begin_velocity) + goal.velocity)
-            low, high = sorted((goal.begin, goal.end))
-            if not low - margin_mm <= last.depth_mm <= high + margin_mm:
-                yield Cause.WRONG_WAY
-            if goal.stuck(last.depth_mm, _LEAST_MM, limits.motion_s, now_ns):
-                yield Cause.NO_MOTION
-        if self.roll is not None and self.roll.stuck(last.roll_rad, _LEAST_RAD, limits.motion_s, now_ns):
+            wrong |= self.depth.left(last.depth_mm, limits.following_mm)
+            stuck |= self.depth.stuck(last.depth_mm, _LEAST_MM, limits.motion_s, now_ns)
+        if self.roll is not None:
+            wrong |= self.roll.left(last.roll_rad, limits.following_rad)
+            stuck |= self.roll.stuck(last.roll_rad, _LEAST_RAD, limits.motion_s, now_ns)
+        if wrong:
+            yield Cause.WRONG_WAY
+        if stuck:
             yield Cause.NO_MOTION
 
-    def _moves_after_stop(self, last: StageSample, limits: SafetyLimits, now_ns: int) -> bool:
-        if (now_ns - self.stopped_ns) * _NANO <= limits.motion_s:
-            return False
-        moved = self.rest_mm is not None and abs(last.depth_mm - self.rest_mm) > limits.following_mm
-        return last.moving or moved
 
-
-class RepeatedStop:
-    """Repeats the stop of one stage. `wanted` is True from `send` until a stop has arrived and the stage is at rest."""
-
-    def __init__(self, stage: Stage, clock: Clock) -> None:
-        self._stage, self._clock = stage, clock
-        self._sent_ns = 0
-        self._arrived = True
-        self._again_ns = 0
-        self.wanted = False
-
-    def send(self) -> int:
-        """Send a stop and return the time (ns) of sending. Raises the DeviceFault of the stage."""
-        self.wanted = True
-        sent_ns = self._clock.now_ns()
-        self._arrived = False
-        try:
-            self._stage.stop()
-            self._arrived = True
-        finally:
-            self._sent_ns = now_ns = self._clock.now_ns()
-            took_s = (now_ns - sent_ns) * _NANO
-            wait_s = max(_AGAIN_S if self._arrived else _UNSENT_S, min(_WAIT_FACTOR * took_s, _LONGEST_WAIT_S))
-            self._again_ns = now_ns + round(wait_s / _NANO)
-        return sent_ns
-
-    def due(self, now_ns: int) -> bool:
-        """Return whether the stop must be sent again now."""
-        return self.wanted and now_ns >= self._again_ns
-
-    def observe(self, sample: StageSample) -> None:
-        """End the repetition if `sample` shows the stage at rest and arrived after the last stop was sent."""
-        if self._arrived and not sample.moving and sample.stamp.received_ns > self._sent_ns:
-            self.wanted = False
+def _left(position: float, rest: float | None, tolerance: float) -> bool:
+    """Return whether an axis without a command has left its place of rest; False if the place is unknown."""
+    return rest is not None and abs(position - rest) > tolerance

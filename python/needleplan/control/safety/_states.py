@@ -1,47 +1,55 @@
-"""Operating states of the robot, the pure function `advance` from one state to the next, and the guard's events.
+"""Operating states of the robot, and the pure function `advance` from one state and one event to the next state.
 
-The names are those of CRTK (Collaborative Robotics Toolkit). In ENABLED the robot follows the loop; in all other states
-only a person can move it, by a retraction. In PAUSED the robot waits for the order RESUME. In FAULT a fault is present.
+The names of the states are those of CRTK (Collaborative Robotics Toolkit). In ENABLED the needle follows the loop; in
+all other states only a person can move the needle, by a retraction. In PAUSED the needle waits for the order RESUME. In
+FAULT a fault is present.
+
+Every order has an owner: a person, the loop, a sensor or the robot. The state contains the owner who holds the needle
+(`held_by`) and the owner of the motion in force (`motion`). The rules:
 
 1. Orders neither cause nor end FAULT. When no cause of the severity FAULT is present, FAULT becomes DISABLED.
-2. ENABLED is entered only by ENABLE from DISABLED and by RESUME or CONTINUE from PAUSED, and only while no cause is
-   present. CONTINUE is the order of the loop; it does not end a pause that a person ordered.
-3. Faults and ordered stops are latched: ENABLE is refused until RESET, and RESET is refused in FAULT.
-4. In DISABLED a cause only prevents enabling. The exceptions are STILL_MOVING and the causes that stop a retraction,
+2. ENABLED is entered only by ENABLE from DISABLED and by RESUME from PAUSED, and only while no cause is present and no
+   retraction is in force.
+3. Only a person ends what a person ordered: ENABLE and RESUME by the loop are refused while a person holds the needle.
+   The loop may end a pause that a cause began, when the cause is gone.
+4. Faults and ordered stops are latched: ENABLE is refused until RESET. Only a person may give RESET, and RESET is
+   refused in FAULT. After STAGE_JUMPED and after UNHOME by a person, only a person may give HOME.
+5. In DISABLED a cause only prevents enabling. The exceptions are STILL_MOVING and the causes that stop a retraction,
    which lead to FAULT.
-5. While a retraction by a person is in force, only WRONG_WAY and STAGE_JUMPED stop the stage, in every state. In
-   ENABLED no retraction is in force.
-6. Every transition out of ENABLED stops the stage. The interrupted command is not continued later.
+6. A retraction is a motion of a person. Every STOP, DISABLE and PAUSE by a person stops it; of the causes, only
+   WRONG_WAY and STAGE_JUMPED do. The loop cannot stop it: STOP and DISABLE by the loop disable the guard
+   and leave the retraction in force.
+7. Every transition out of ENABLED stops the needle. The interrupted command is not continued later.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
-from typing import Any
+from dataclasses import dataclass, replace
+from enum import Enum, StrEnum
 
-from needleplan.control.safety._causes import Cause, Severity
+from needleplan.control.safety._causes import Cause, Owner, Severity
 
 __all__ = [
     "GuardAction",
     "InputReport",
+    "MotionOrder",
     "OperatingState",
     "Order",
-    "SafetyEvent",
-    "SafetyEventName",
-    "SafetyListener",
+    "Ordered",
+    "Owner",
     "SafetyState",
     "SafetyTransition",
     "advance",
-    "begin_retraction",
 ]
 
 _NONE: frozenset[Cause] = frozenset()
+# Causes that stop the stage again in FAULT, because they show that the stage moves in spite of the first stop.
+_OF_MOTION = frozenset({
+    Cause.STILL_MOVING, Cause.WRONG_WAY, Cause.OVERSPEED, Cause.DEPTH_EXCEEDED, Cause.ROLL_EXCEEDED, Cause.STAGE_JUMPED,
+})  # fmt: skip
 # Causes that lead to FAULT even from DISABLED.
 _FAULTS_WHEN_DISABLED = frozenset({Cause.STILL_MOVING})
-# Causes that stop the stage again in FAULT, because they show that the stage moves in spite of the first stop.
-_OF_MOTION = frozenset({Cause.STILL_MOVING, Cause.WRONG_WAY, Cause.OVERSPEED, Cause.DEPTH_EXCEEDED, Cause.STAGE_JUMPED})
 # Causes that stop a retraction by a person.
 _ENDS_RETRACTION = frozenset({Cause.WRONG_WAY, Cause.STAGE_JUMPED})
 # Causes after which the stage must be homed again.
@@ -57,18 +65,16 @@ class OperatingState(StrEnum):
     FAULT = "FAULT"
 
 
-_FAULT = OperatingState.FAULT
+_DISABLED, _ENABLED, _PAUSED, _FAULT = OperatingState
 
 
 class Order(StrEnum):
-    """Order to the guard by a person, or by a program on behalf of a person."""
+    """Order to the guard."""
 
     ENABLE = "enable"
     DISABLE = "disable"
     PAUSE = "pause"
     RESUME = "resume"
-    CONTINUE = "continue"
-    """End a pause that no person ordered. The loop gives this order; all other pauses end by RESUME of a person."""
     RESET = "reset"
     """Confirm that the latched causes have been examined; allows ENABLE again."""
     STOP = "stop"
@@ -77,18 +83,46 @@ class Order(StrEnum):
     UNHOME = "unhome"
     """Declare that the zero of the stage is not known."""
 
+    def by(self, owner: Owner) -> Ordered:
+        """Return the event that `owner` gives this order."""
+        return Ordered(self, owner)
 
-class GuardAction(StrEnum):
-    """Action that a transition requires."""
+
+class MotionOrder(StrEnum):
+    """Order to move the needle. The guard validates depth, roll and speed separately."""
+
+    MOVE = "move"
+    """Insert, withdraw or rotate the needle, by the loop."""
+    RETRACT = "retract"
+    """Pull the needle out, by a person."""
+
+    def by(self, owner: Owner) -> Ordered:
+        """Return the event that `owner` gives this order."""
+        return Ordered(self, owner)
+
+
+@dataclass(frozen=True)
+class Ordered:
+    """The event that `owner` gives the order `what`."""
+
+    what: Order | MotionOrder
+    owner: Owner
+
+
+class GuardAction(Enum):
+    """Action that a transition requires; the guard carries the actions out in their order."""
 
     STOP = "stop"
+    MOVE = "move"
+    RETRACT = "retract"
 
 
 @dataclass(frozen=True)
 class InputReport:
-    """Validation result of all inputs: the present causes, and whether the stage moves (`busy`).
+    """The event of a validation of all inputs: the present causes, and whether the stage moves (`busy`).
 
-    `retracting` tells whether a retraction by a person is the command in force.
+    `retracting` tells whether the stage still carries out a retraction. The value matters only while a retraction is in
+    force.
     """
 
     causes: frozenset[Cause] = _NONE
@@ -98,12 +132,12 @@ class InputReport:
 
 @dataclass(frozen=True)
 class SafetyState:
-    """State of the guard: operating state, `present` causes, causes `latched` until RESET, and two flags of the stage.
+    """State of the guard: operating state, `present` causes, causes `latched` until RESET, and the owners.
 
     `is_homed` tells whether the zero of the stage is known, `is_busy` whether the stage moves.
     """
 
-    operating: OperatingState = OperatingState.DISABLED
+    operating: OperatingState = _DISABLED
     is_homed: bool = False
     is_busy: bool = False
     present: frozenset[Cause] = _NONE
@@ -111,8 +145,29 @@ class SafetyState:
     since_ns: int = 0
     """Time (ns) at which the guard entered the state `operating`."""
 
-    person_paused: bool = False
-    """Whether a person ordered the present pause, or a retraction during the pause."""
+    held_by: Owner | None = None
+    """Owner who stopped, paused or retracted the needle; of several owners, the one with the highest authority. None in
+    ENABLED and before the first order."""
+
+    motion: Owner | None = None
+    """Owner of the motion in force: LOOP, PERSON for a retraction, None without a motion order since the last stop."""
+
+    is_zero_lost: bool = False
+    """Whether only a person may declare the zero of the stage known again."""
+
+    first: frozenset[Cause] = _NONE
+    """Causes of the last transition to FAULT or PAUSED, or of the STOP that ended a run; empty in ENABLED, after RESET,
+    and in a pause that a person ordered."""
+
+    @property
+    def person_paused(self) -> bool:
+        """Whether a person ordered the present pause, or a retraction during the pause."""
+        return self.operating is _PAUSED and self.held_by is Owner.PERSON
+
+    @property
+    def retracting(self) -> bool:
+        """Whether a retraction by a person is in force."""
+        return self.motion is Owner.PERSON
 
 
 @dataclass(frozen=True)
@@ -125,194 +180,185 @@ class SafetyTransition:
     refused: bool = False
 
 
-class SafetyEventName(StrEnum):
-    """Kind of an event of the guard."""
-
-    TRANSITION = "transition"
-    """The operating state has changed from `before` to `state`."""
-
-    RAISED = "raised"
-    """New causes are present; `causes` lists them."""
-
-    CLEARED = "cleared"
-    """Causes are no longer present; `causes` lists them."""
-
-    ORDER = "order"
-    REFUSAL = "refusal"
-    COMMAND = "command"
-    """A motion command with the event's `values` was sent to the stage."""
-
-    RETRACTION = "retraction"
-    """A retraction by a person was sent to the stage."""
-
-    STOP = "stop"
-    """A stop was sent to the stage at `sent_ns`."""
-
-
-@dataclass(frozen=True)
-class SafetyEvent:
-    """One event of the guard. Times (ns) are those of the monotonic clock."""
-
-    name: SafetyEventName
-    time_ns: int
-    state: OperatingState
-    """Operating state after the event."""
-
-    causes: frozenset[Cause] = frozenset()
-    text: str = ""
-    before: OperatingState | None = None
-    """Operating state before a TRANSITION; None for all other events."""
-
-    sent_ns: int | None = None
-    """Time at which a command or a stop was sent to the stage; None for all other events."""
-
-    values: tuple[tuple[str, float], ...] = field(default=())
-    """Names and values of the arguments of a motion command."""
-
-    def entry(self) -> dict[str, Any]:
-        """Return the event as a message for a recording channel of the kind `recording.EVENT`."""
-        entry: dict[str, Any] = {
-            "name": self.name, "cause": ", ".join(sorted(self.causes)), "text": self.text, "state": self.state,
-        }  # fmt: skip
-        if self.before is not None:
-            entry["before"] = self.before
-        if self.sent_ns is not None:
-            entry["sent_ns"] = str(self.sent_ns)  # as text: JSON readers round integers of this size
-        return entry | dict(self.values)
-
-
-SafetyListener = Callable[[SafetyEvent], None]
-
-
-def advance(state: SafetyState, event: Order | InputReport, now_ns: int) -> SafetyTransition:
+def advance(state: SafetyState, event: Ordered | InputReport, now_ns: int) -> SafetyTransition:
     """Return the transition from `state` that an order or a validation result causes at a time (ns)."""
     if isinstance(event, InputReport):
         return _validated(state, event, now_ns)
-    return _ORDERS[event](state, now_ns)
+    return _ORDERS[event.what](state, event.owner, now_ns)
 
 
 def _validated(state: SafetyState, report: InputReport, now_ns: int) -> SafetyTransition:
-    if not report.causes and not state.present and report.busy == state.is_busy and state.operating is not _FAULT:
+    operating, retracting = state.operating, state.retracting and report.retracting
+    if (
+        not report.causes and not state.present and report.busy == state.is_busy and operating is not _FAULT
+        and retracting == state.retracting
+    ):  # fmt: skip
         return SafetyTransition(state)  # fast path if nothing has changed; this function runs a thousand times a second
     present = frozenset(each for each in report.causes if each.severity is not Severity.REFUSAL)
     faults = frozenset(each for each in present if each.severity is Severity.FAULT)
-    homed = state.is_homed and not present & _ZERO_LOST
-    updated = replace(state, present=present, is_busy=report.busy, is_homed=homed)
-    operating = state.operating
-    stopping = _ENDS_RETRACTION if report.retracting and operating is not OperatingState.ENABLED else None
-    if operating is OperatingState.FAULT:
+    motion = None if state.retracting and not retracting else state.motion
+    state, before = replace(state, present=present, is_busy=report.busy, motion=motion), state
+    if present & _ZERO_LOST:
+        state = replace(state, is_homed=False, is_zero_lost=True)
+    if operating is _FAULT:
         if not faults:
-            return SafetyTransition(_to(updated, OperatingState.DISABLED, now_ns))
-        new = faults - state.present
-        return SafetyTransition(_latched(updated, faults), _stop_if(new & (stopping or _OF_MOTION)), new)
-    if operating is OperatingState.DISABLED:
-        faults &= _FAULTS_WHEN_DISABLED | (stopping or _NONE)
+            return SafetyTransition(_to(state, _DISABLED, now_ns))
+        new = faults - before.present
+        return _stopped_if(new & (_ENDS_RETRACTION if retracting else _OF_MOTION), _latched(state, faults), new)
+    if operating is _DISABLED:
+        faults &= _FAULTS_WHEN_DISABLED | (_ENDS_RETRACTION if retracting else _NONE)
     if faults:
-        latched = _latched(_to(updated, OperatingState.FAULT, now_ns), faults)
-        return SafetyTransition(latched, _stop_if(faults if stopping is None else faults & stopping), faults)
-    if operating is OperatingState.ENABLED and present:
-        return SafetyTransition(_to(updated, OperatingState.PAUSED, now_ns), (GuardAction.STOP,), present)
-    return SafetyTransition(updated)
+        state = _latched(replace(state, first=faults), faults)
+        stopping = faults & _ENDS_RETRACTION if retracting else faults
+        return _stopped_if(stopping, _to(_held(state, *(each.owner for each in faults)), _FAULT, now_ns), faults)
+    if operating is _ENABLED and present:
+        paused = _held(_to(replace(state, first=present), _PAUSED, now_ns), *(each.owner for each in present))
+        return _stopped(paused, present)
+    return SafetyTransition(state)
 
 
-def begin_retraction(state: SafetyState, now_ns: int) -> SafetyTransition:
-    """Return the transition that the beginning of a retraction by a person causes: ENABLED becomes PAUSED.
-
-    Only a person can end this pause.
-    """
-    if state.operating is OperatingState.PAUSED:
-        return SafetyTransition(replace(state, person_paused=True))
-    return _pause(state, now_ns) if state.operating is OperatingState.ENABLED else SafetyTransition(state)
-
-
-def _enable(state: SafetyState, now_ns: int) -> SafetyTransition:
-    if state.operating is OperatingState.ENABLED:
+def _enable(state: SafetyState, owner: Owner, now_ns: int) -> SafetyTransition:
+    if state.operating is _ENABLED:
         return SafetyTransition(state)
-    if state.operating is not OperatingState.DISABLED:
+    if state.operating is not _DISABLED:
         return _refused(state, Cause.NOT_POSSIBLE, *state.present)
     against = set(state.present)
     if state.latched:
         against |= {Cause.NOT_RESET, *state.latched}
     if not state.is_homed:
         against.add(Cause.NOT_HOMED)
-    return _refused(state, *against) if against else SafetyTransition(_to(state, OperatingState.ENABLED, now_ns))
+    return _begun(state, owner, against, now_ns)
 
 
-def _disable(state: SafetyState, now_ns: int) -> SafetyTransition:
+def _resume(state: SafetyState, owner: Owner, now_ns: int) -> SafetyTransition:
+    if state.operating is not _PAUSED:
+        return _refused(state, Cause.NOT_POSSIBLE)
+    return _begun(state, owner, set(state.present), now_ns)
+
+
+def _begun(state: SafetyState, owner: Owner, against: set[Cause], now_ns: int) -> SafetyTransition:
+    if not _may_begin(state, owner):
+        against.add(Cause.NOT_AUTHORIZED)
+    if state.retracting:
+        against.add(Cause.NOT_POSSIBLE)
+    if against:
+        return _refused(state, *against)
+    return SafetyTransition(replace(_to(state, _ENABLED, now_ns), held_by=None, first=_NONE))
+
+
+def _may_begin(state: SafetyState, owner: Owner) -> bool:
+    """Return whether `owner` may end the present hold. A fault can be ended only by RESET, so a pause is meant here."""
+    if owner is Owner.LOOP:
+        allowed = {None, Owner.LOOP} if state.operating is _DISABLED else set(Owner) - {Owner.PERSON}
+        return state.held_by in allowed
+    return owner is Owner.PERSON
+
+
+def _disable(state: SafetyState, owner: Owner, now_ns: int) -> SafetyTransition:
     # The order does not end FAULT, but the stop is sent again.
-    kept = state.operating is OperatingState.FAULT
-    return SafetyTransition(state if kept else _to(state, OperatingState.DISABLED, now_ns), (GuardAction.STOP,))
+    state = _held(state if state.operating is _FAULT else _to(state, _DISABLED, now_ns), owner)
+    return _stopped_by(owner, state)
 
 
-def _pause(state: SafetyState, now_ns: int) -> SafetyTransition:
-    if state.operating not in (OperatingState.ENABLED, OperatingState.PAUSED):
-        return _refused(state, Cause.NOT_POSSIBLE)
-    paused = replace(_to(state, OperatingState.PAUSED, now_ns), person_paused=True)
-    return SafetyTransition(paused, (GuardAction.STOP,))
-
-
-def _resume(state: SafetyState, now_ns: int) -> SafetyTransition:
-    if state.operating is not OperatingState.PAUSED:
-        return _refused(state, Cause.NOT_POSSIBLE)
-    if state.present:
-        return _refused(state, *state.present)
-    return SafetyTransition(_to(state, OperatingState.ENABLED, now_ns))
-
-
-def _continue(state: SafetyState, now_ns: int) -> SafetyTransition:
-    return _refused(state, Cause.NOT_POSSIBLE) if state.person_paused else _resume(state, now_ns)
-
-
-def _reset(state: SafetyState, _: int) -> SafetyTransition:
-    if state.operating is OperatingState.FAULT:
-        return _refused(state, Cause.NOT_POSSIBLE, *state.present)
-    return SafetyTransition(replace(state, latched=_NONE))
-
-
-def _stop(state: SafetyState, now_ns: int) -> SafetyTransition:
+def _stop(state: SafetyState, owner: Owner, now_ns: int) -> SafetyTransition:
     cause = frozenset({Cause.STOP_ORDERED})
-    moved = _disable(state, now_ns).state
-    return SafetyTransition(_latched(moved, cause), (GuardAction.STOP,), cause)
+    if state.operating in (_ENABLED, _PAUSED):
+        state = replace(_to(state, _DISABLED, now_ns), first=cause)
+    state = _held(state, owner)
+    return _stopped_by(owner, _latched(state, cause), cause)
 
 
-def _home(state: SafetyState, _: int) -> SafetyTransition:
-    if state.operating is not OperatingState.DISABLED or state.present & _ZERO_LOST:
-        return _refused(state, Cause.NOT_POSSIBLE, *(state.present & _ZERO_LOST))
-    return SafetyTransition(replace(state, is_homed=True))
-
-
-def _unhome(state: SafetyState, _: int) -> SafetyTransition:
-    if state.operating is not OperatingState.DISABLED:
+def _pause(state: SafetyState, owner: Owner, now_ns: int) -> SafetyTransition:
+    if state.operating not in (_ENABLED, _PAUSED):
         return _refused(state, Cause.NOT_POSSIBLE)
-    return SafetyTransition(replace(state, is_homed=False))
+    return _stopped_by(owner, _held(_to(state, _PAUSED, now_ns), owner))
+
+
+def _reset(state: SafetyState, owner: Owner, _: int) -> SafetyTransition:
+    if owner is not Owner.PERSON:
+        return _refused(state, Cause.NOT_AUTHORIZED)
+    if state.operating is _FAULT:
+        return _refused(state, Cause.NOT_POSSIBLE, *state.present)
+    state = replace(state, latched=_NONE, first=_NONE)
+    if state.operating is _DISABLED and state.held_by is not Owner.PERSON:
+        state = replace(state, held_by=None)
+    return SafetyTransition(state)
+
+
+def _home(state: SafetyState, owner: Owner, _: int) -> SafetyTransition:
+    if owner is not Owner.PERSON and (owner is not Owner.LOOP or state.is_zero_lost):
+        return _refused(state, Cause.NOT_AUTHORIZED)
+    if state.operating is not _DISABLED or state.present & _ZERO_LOST:
+        return _refused(state, Cause.NOT_POSSIBLE, *(state.present & _ZERO_LOST))
+    return SafetyTransition(replace(state, is_homed=True, is_zero_lost=False))
+
+
+def _unhome(state: SafetyState, owner: Owner, _: int) -> SafetyTransition:
+    if state.operating is not _DISABLED:
+        return _refused(state, Cause.NOT_POSSIBLE)
+    return SafetyTransition(replace(state, is_homed=False, is_zero_lost=state.is_zero_lost or owner is Owner.PERSON))
+
+
+def _move(state: SafetyState, owner: Owner, _: int) -> SafetyTransition:
+    against = set() if owner is Owner.LOOP else {Cause.NOT_AUTHORIZED}
+    if state.operating is not _ENABLED:
+        against |= {Cause.NOT_ENABLED, *state.present, *state.latched}
+    if against:
+        return _refused(state, *against)
+    return SafetyTransition(replace(state, motion=Owner.LOOP), (GuardAction.MOVE,))
+
+
+def _retract(state: SafetyState, owner: Owner, now_ns: int) -> SafetyTransition:
+    if owner is not Owner.PERSON:
+        return _refused(state, Cause.NOT_AUTHORIZED)
+    enabled = state.operating is _ENABLED
+    state = _held(_to(state, _PAUSED, now_ns) if enabled else state, owner)
+    stop = (GuardAction.STOP,) if enabled else ()
+    return SafetyTransition(replace(state, motion=owner), (*stop, GuardAction.RETRACT))
 
 
 def _to(state: SafetyState, operating: OperatingState, now_ns: int) -> SafetyState:
-    if state.operating is operating:
-        return state
-    return replace(state, operating=operating, since_ns=now_ns, person_paused=False)
+    return state if state.operating is operating else replace(state, operating=operating, since_ns=now_ns)
 
 
-def _stop_if(causes: frozenset[Cause]) -> tuple[GuardAction, ...]:
-    return (GuardAction.STOP,) if causes else ()
+def _held(state: SafetyState, *owners: Owner) -> SafetyState:
+    """Return the state held by the owner with the highest authority among `owners` and the present holder."""
+    holders = {state.held_by, *owners}
+    return replace(state, held_by=next(each for each in Owner if each in holders))
 
 
 def _latched(state: SafetyState, causes: frozenset[Cause]) -> SafetyState:
     return replace(state, latched=state.latched | causes)
 
 
+def _stopped(state: SafetyState, causes: frozenset[Cause] = _NONE) -> SafetyTransition:
+    return SafetyTransition(replace(state, motion=None), (GuardAction.STOP,), causes)
+
+
+def _stopped_if(stopping: frozenset[Cause], state: SafetyState, causes: frozenset[Cause]) -> SafetyTransition:
+    return _stopped(state, causes) if stopping else SafetyTransition(state, (), causes)
+
+
+def _stopped_by(owner: Owner, state: SafetyState, causes: frozenset[Cause] = _NONE) -> SafetyTransition:
+    """Return the transition with a stop; the stop of the loop leaves a retraction by a person in force."""
+    if state.retracting and owner is Owner.LOOP:
+        return SafetyTransition(state, (), causes)
+    return _stopped(state, causes)
+
+
 def _refused(state: SafetyState, *causes: Cause) -> SafetyTransition:
     return SafetyTransition(state, causes=frozenset(causes), refused=True)
 
 
-_ORDERS: dict[Order, Callable[[SafetyState, int], SafetyTransition]] = {
+_ORDERS: dict[Order | MotionOrder, Callable[[SafetyState, Owner, int], SafetyTransition]] = {
     Order.ENABLE: _enable,
     Order.DISABLE: _disable,
     Order.PAUSE: _pause,
     Order.RESUME: _resume,
-    Order.CONTINUE: _continue,
     Order.RESET: _reset,
     Order.STOP: _stop,
     Order.HOME: _home,
     Order.UNHOME: _unhome,
+    MotionOrder.MOVE: _move,
+    MotionOrder.RETRACT: _retract,
 }

@@ -1,0 +1,115 @@
+"""Everything that the guard knows of a run, and the causes that follow from it at a time."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Collection
+from dataclasses import replace
+
+from needleplan.control.safety._causes import Cause
+from needleplan.control.safety._inputs import Inputs, LoopStatus, RecordingStatus, validate
+from needleplan.control.safety._limits import SafetyLimits
+from needleplan.control.safety._motion import MotionWatch
+from needleplan.devices import ForceSample, Health, Sample, StageSample
+
+__all__ = ["ForceRise", "RunMonitor", "TipCheck"]
+
+# time (s) within which the force may rise by `force_rate_n_s` times this time
+_RISE_S = 0.05
+_NONE: frozenset[Cause] = frozenset()
+
+TipCheck = Callable[[float, float], Collection[Cause]]
+"""Function of the tip position x, y (mm, in the plane of the plan) that returns causes, such as IN_OBSTACLE."""
+
+_Tip = tuple[tuple[float, float] | None, float]
+
+
+class ForceRise:
+    """Rise (N) of the magnitude of the force above its minimum of the last 50 ms; only usable samples count."""
+
+    def __init__(self) -> None:
+        self._last: deque[tuple[int, float]] = deque()
+        self.rise_n = 0.0
+
+    def observe(self, sample: ForceSample) -> None:
+        """Update the rise with a sample."""
+        if sample.health is not Health.GOOD:
+            return
+        force_n, time_ns, last = math.hypot(*sample.force_n), sample.stamp.received_ns, self._last
+        if not math.isfinite(force_n):
+            return
+        while last and time_ns - last[0][0] > _RISE_S * 1e9:
+            last.popleft()
+        while last and last[-1][1] >= force_n:  # the queue stays ascending, so its first force is the smallest one
+            last.pop()
+        last.append((time_ns, force_n))
+        self.rise_n = force_n - last[0][1]
+
+    def exceeds(self, limit_n_s: float) -> bool:
+        """Return whether the force rises faster than a limit (N/s)."""
+        return self.rise_n > limit_n_s * _RISE_S
+
+
+class RunMonitor:
+    """Last inputs, commands, loop and recorder of a run. The guard calls all methods with its lock held.
+
+    `check_tip` returns the causes of a tip position, such as IN_OBSTACLE. With `needs_deadman`, DEADMAN_RELEASED is
+    present until a person holds the deadman switch.
+    """
+
+    def __init__(self, now_ns: int, check_tip: TipCheck | None, *, needs_deadman: bool) -> None:
+        self.inputs, self.motion = Inputs(), MotionWatch()
+        self.recording, self.loop = RecordingStatus(), LoopStatus(now_ns)
+        self.force_rise = ForceRise()
+        self.reported = _NONE
+        """Causes that the loop reports."""
+
+        self.passing: set[Cause] = set()
+        """Causes that are present for one validation."""
+
+        self._check_tip, self._needs_deadman = check_tip, needs_deadman
+        self._held_ns: int | None = None
+        self._at_tip: frozenset[Cause] = _NONE
+
+    def observe(self, sample: Sample, tip: _Tip | None, limits: SafetyLimits) -> None:
+        """Update the inputs with a sample; `tip` is as in `Inputs.then`."""
+        self.inputs = self.inputs.then(sample, tip)
+        if isinstance(sample, StageSample):
+            self.motion = self.motion.then(sample, limits)
+        elif isinstance(sample, ForceSample):
+            self.force_rise.observe(sample)
+        elif tip is not None:
+            self._look_at_tip()
+
+    def observe_tip(self, tip_mm: tuple[float, float] | None, out_of_plane_mm: float) -> None:
+        """Update the inputs with an estimate of the tip."""
+        self.inputs = self.inputs.with_tip(tip_mm, out_of_plane_mm)
+        self._look_at_tip()
+
+    def observe_deadman(self, held: bool, now_ns: int) -> None:
+        """Note whether the person holds the deadman switch at a time (ns)."""
+        self._held_ns = now_ns if held else None
+
+    def ticked(self, now_ns: int) -> None:
+        """Note that the loop is running at a time (ns)."""
+        self.loop = replace(self.loop, ticked_ns=now_ns)
+
+    def causes(self, limits: SafetyLimits, now_ns: int, *, running: bool) -> set[Cause]:
+        """Return every cause that is present at a time (ns); `running` tells whether the time of the run counts."""
+        causes = set(validate(self.inputs, limits, now_ns))
+        causes.update(
+            self.reported, self._at_tip, self.passing, self.motion.causes(limits, now_ns),
+            self.recording.causes(limits, now_ns), self.loop.causes(limits, now_ns, running=running),
+        )  # fmt: skip
+        if self.force_rise.exceeds(limits.force_rate_n_s):
+            causes.add(Cause.FORCE_RISING)
+        if self._needs_deadman and (self._held_ns is None or now_ns - self._held_ns > limits.deadman_age_s * 1e9):
+            causes.add(Cause.DEADMAN_RELEASED)
+        self.loop = self.loop.validated(now_ns)
+        self.passing.clear()
+        return causes
+
+    def _look_at_tip(self) -> None:
+        check, tip_mm = self._check_tip, self.inputs.tip_mm
+        self._at_tip = _NONE if check is None or tip_mm is None else frozenset(check(*tip_mm))

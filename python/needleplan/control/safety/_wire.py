@@ -1,0 +1,229 @@
+"""What the guard sends to its stage and its listener: repeated stops, heartbeats, and the events in their order.
+
+The guard decides with its lock held, and sends after it has released the lock, so that a stop that the stage does not
+answer blocks no other thread. Events are emitted in the order of the decisions; the event of a stop or of a command,
+and all later events, are emitted after the stop or the command has been sent.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+from needleplan.control.safety._causes import Cause
+from needleplan.control.safety._events import SafetyEvent, SafetyListener
+from needleplan.devices import Clock, Stage, StageSample
+from needleplan.errors import DeviceFault, MotionRefused
+
+__all__ = ["EventSlot", "GuardWire", "Heartbeat", "MotionCommand", "OrderedEvents", "RepeatedStop"]
+
+_NANO = 1e-9
+# shortest time (s) between two heartbeats: a sixth of the watchdog time of a robot (0.03 s)
+_HEARTBEAT_S = 0.005
+# time (s) after which a stop that has reached the stage is sent again
+_AGAIN_S = 0.02
+# time (s) after which a stop that has not reached the stage is sent again
+_UNSENT_S = 0.25
+# Wait after a slow stop: 10 times the duration of sending it, at most 1 s. Stops then use at most about a tenth of the
+# time of the link, and heartbeats and samples can pass.
+_WAIT_FACTOR, _LONGEST_WAIT_S = 10.0, 1.0
+
+
+@dataclass
+class EventSlot:
+    """Events of one decision; they are emitted when `is_ready` is set and all earlier slots have been emitted."""
+
+    events: list[SafetyEvent] = field(default_factory=list)
+    is_ready: bool = False
+
+
+class OrderedEvents:
+    """Emits slots of events to a listener in the order of their reservation. Any thread may call `emit`."""
+
+    def __init__(self, listener: SafetyListener | None) -> None:
+        self._listener = listener
+        self._slots: deque[EventSlot] = deque()
+        self._emitting = threading.Lock()
+        self.failed = False
+        """Whether the listener has raised an exception, so that an event is lost."""
+
+    def reserve(self, events: list[SafetyEvent], *, is_ready: bool) -> EventSlot:
+        """Append a slot and return it. The caller holds the lock of the guard."""
+        slot = EventSlot(events, is_ready)
+        if self._listener is not None:
+            self._slots.append(slot)
+        return slot
+
+    def emit(self) -> None:
+        """Emit all slots that are ready; if another thread is emitting, that thread emits them."""
+        while self._is_next_ready() and self._emitting.acquire(blocking=False):
+            try:
+                while self._is_next_ready():
+                    for event in self._slots.popleft().events:
+                        self._pass_on(event)
+            finally:
+                self._emitting.release()
+
+    def _is_next_ready(self) -> bool:
+        try:
+            return self._slots[0].is_ready
+        except IndexError:
+            return False
+
+    def _pass_on(self, event: SafetyEvent) -> None:
+        assert self._listener is not None
+        try:
+            self._listener(event)
+        except Exception:  # a failing listener must not prevent a stop; the lost event is reported as RECORDING_LOST
+            self.failed = True
+
+
+class RepeatedStop:
+    """Times at which a stop is repeated. `wanted` is True until a stop has arrived and the stage is at rest."""
+
+    def __init__(self) -> None:
+        self._sent_ns = self._again_ns = self._in_flight = 0
+        self._arrived = True
+        self.wanted = False
+
+    def begin(self, *, repeated: bool) -> None:
+        """Note that a stop is about to be sent, and whether it is to be repeated until the stage is at rest."""
+        self.wanted = self.wanted or repeated
+        self._arrived = False
+        self._in_flight += 1
+
+    def end(self, sent_ns: int, now_ns: int, *, arrived: bool) -> None:
+        """Note that the stop that was sent at `sent_ns` (ns) has arrived or has failed."""
+        self._in_flight -= 1
+        self._arrived, self._sent_ns = arrived, now_ns
+        took_s = (now_ns - sent_ns) * _NANO
+        wait_s = max(_AGAIN_S if arrived else _UNSENT_S, min(_WAIT_FACTOR * took_s, _LONGEST_WAIT_S))
+        self._again_ns = now_ns + round(wait_s / _NANO)
+
+    def due(self, now_ns: int) -> bool:
+        """Return whether the stop must be sent again now; False while a stop is being sent."""
+        return self.wanted and not self._in_flight and now_ns >= self._again_ns
+
+    def observe(self, sample: StageSample) -> None:
+        """End the repetition if `sample` shows the stage at rest and arrived after the last stop was sent."""
+        if self._arrived and not self._in_flight and not sample.moving and sample.stamp.received_ns > self._sent_ns:
+            self.wanted = False
+
+
+class Heartbeat:
+    """Sends the heartbeat to one stage, at most every 5 ms. No other code of the package sends it during a run."""
+
+    def __init__(self, stage: Stage, now_ns: int) -> None:
+        self._stage = stage
+        self._sent_ns = now_ns
+
+    def send(self, now_ns: int) -> DeviceFault | None:
+        """Send a heartbeat if the last one is at least 5 ms old. Return the DeviceFault of the stage, or None."""
+        if (now_ns - self._sent_ns) * _NANO < _HEARTBEAT_S:
+            return None
+        self._sent_ns = now_ns
+        try:
+            self._stage.heartbeat()
+        except DeviceFault as error:
+            return error
+        return None
+
+
+@dataclass(frozen=True)
+class MotionCommand:
+    """A motion command that is decided and not yet sent; `stops` is the number of stops decided before it."""
+
+    values: dict[str, float]
+    event: SafetyEvent
+    slot: EventSlot
+    stops: int
+
+
+class GuardWire:
+    """Sends stops and commands to `stage`, and events to `listener`.
+
+    The guard calls the methods `plan_...` with its `lock` held, and `flush` and `send` without it. For each stop that
+    was sent, `on_stop(failed, took_ns)` is called with the lock held; `took_ns` is the duration of sending.
+    """
+
+    def __init__(
+        self, stage: Stage, clock: Clock, listener: SafetyListener | None, lock: threading.RLock,
+        on_stop: Callable[[bool, int], None],
+    ) -> None:  # fmt: skip
+        self._stage, self._clock, self._lock, self._on_stop = stage, clock, lock, on_stop
+        self.events = OrderedEvents(listener)
+        self.repeated_stop = RepeatedStop()
+        self.stops = 0
+        """Number of stops that were decided so far; repetitions do not count."""
+
+        self.stopping: set[int] = set()
+        """Identifiers of the threads that are sending a stop."""
+
+        self._unsent: list[tuple[EventSlot, SafetyEvent | None]] = []
+
+    def plan_events(self, *events: SafetyEvent) -> None:
+        """Emit the events at the next `flush`, after all earlier ones."""
+        self.events.reserve(list(events), is_ready=True)
+
+    def plan_stop(self, events: Sequence[SafetyEvent], stop: SafetyEvent, *, is_repeated: bool) -> None:
+        """Send a stop at the next `flush`, then emit `events` and the event `stop` of the stop."""
+        self.stops += 1
+        self.repeated_stop.begin(repeated=is_repeated)
+        self._unsent.append((self.events.reserve(list(events), is_ready=False), stop))
+
+    def plan_repetition(self) -> None:
+        """Send a stop once more at the next `flush`."""
+        self.repeated_stop.begin(repeated=True)
+        self._unsent.append((self.events.reserve([], is_ready=False), None))
+
+    def plan_command(self, event: SafetyEvent) -> MotionCommand:
+        """Return a command with the values of its `event`, which keeps its place among the events, for `send`."""
+        return MotionCommand(dict(event.values), event, self.events.reserve([], is_ready=False), self.stops)
+
+    def taken(self) -> list[tuple[EventSlot, SafetyEvent | None]]:
+        """Return the stops that `flush` is to send, and forget them. The caller holds the lock."""
+        unsent, self._unsent = self._unsent, []
+        if unsent:
+            self.stopping.add(threading.get_ident())
+        return unsent
+
+    def flush(self, unsent: Sequence[tuple[EventSlot, SafetyEvent | None]]) -> None:
+        """Send the stops that `taken` returned, and emit all events that are ready."""
+        for slot, event in unsent:
+            self._send_stop(slot, event)
+        if unsent:
+            self.stopping.discard(threading.get_ident())
+        self.events.emit()
+
+    def send(self, command: MotionCommand, send: Callable[..., None]) -> bool:
+        """Send a command, and emit its event. Return whether a stop was decided meanwhile; another stop must follow.
+
+        A command is not sent if a stop was decided before; raises MotionRefused. Raises the DeviceFault of the stage.
+        """
+        try:
+            if self.stops != command.stops:
+                raise MotionRefused(command.event.text, (Cause.STOP_ORDERED,))
+            send(*command.values.values())
+            command.slot.events.append(replace(command.event, sent_ns=self._clock.now_ns()))
+        finally:
+            command.slot.is_ready = True
+            self.events.emit()
+        return self.stops != command.stops
+
+    def _send_stop(self, slot: EventSlot, event: SafetyEvent | None) -> None:
+        sent_ns, arrived, failed = self._clock.now_ns(), False, False
+        try:
+            self._stage.stop()
+            arrived = True
+        except DeviceFault:
+            failed = True
+        finally:
+            with self._lock:
+                now_ns = self._clock.now_ns()
+                self.repeated_stop.end(sent_ns, now_ns, arrived=arrived)
+                self._on_stop(failed, now_ns - sent_ns)
+            if event is not None:
+                slot.events.append(replace(event, sent_ns=sent_ns))
+            slot.is_ready = True
