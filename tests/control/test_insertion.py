@@ -11,14 +11,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from needleplan.control import ExecutedStep, Insertion, InsertionOutcome, Listener, RunEventName
-from needleplan.control.safety import GuardedStage, Order
+from needleplan.control import (
+    CommandKind,
+    ExecutedStep,
+    Insertion,
+    InsertionOutcome,
+    Listener,
+    RunCommand,
+    RunEventName,
+    ScenarioGeometry,
+)
+from needleplan.control.safety import Cause, GuardedStage, Order
 from needleplan.devices import Clock, Sample, SystemClock, VirtualClock
 from needleplan.errors import DeviceFault, InputError, MotionRefused
 from needleplan.models import Torsion
-from needleplan.planning import Action, Outcome
+from needleplan.planning import Action, Outcome, plan
 from needleplan.simulation import Effects, Lab, SimulatedEntry
-from tests.control.scenes import FAST, NOISY, WIDE, a_lab, insertion_in, run_in, small_table, station_of
+from tests.control.scenes import FAST, NOISY, WIDE, a_lab, coil_of, insertion_in, run_in, small_table, station_of
 
 
 def test_a_perfect_needle_goes_where_the_plan_says() -> None:
@@ -106,6 +115,8 @@ class Person(Listener):
         self.began_ns = 0
         self.depths_mm: list[float] = []
         self.states: set[str] = set()
+        self.commands: list[RunCommand] = []
+        self.order = Order.RESUME
 
     def step(self, step: ExecutedStep) -> None:
         self.asked |= step.number == 3
@@ -122,7 +133,10 @@ class Person(Listener):
         self.depths_mm.append(self.lab.plant.insertion.position)
         if (sample.stamp.received_ns - self.began_ns) * 1e-9 > self.absent_s:
             self.asked = False
-            guard.order(Order.RESUME, "anna")
+            guard.order(self.order, "anna")
+
+    def command(self, command: RunCommand) -> None:
+        self.commands.append(command)
 
 
 @pytest.mark.parametrize("how", ["pause", "retract"])
@@ -282,3 +296,67 @@ def test_in_real_time_neither_garbage_nor_another_thread_makes_it_wait(clock: Cl
     assert (report.outcome, report.cause) == (InsertionOutcome.REFUSED, f"frozen: {real}, turns: {turns_ms:.1f} ms")
     assert gc.get_freeze_count() == 0
     assert sys.getswitchinterval() == usual_s
+
+
+def test_an_obstacle_is_noticed_during_a_step_and_ends_the_run_there() -> None:
+    """The table knows nothing of the vessel that the needle meets."""
+    lab = a_lab(entry=SimulatedEntry(0.0, 19.0, 0.0))
+    table = plan(replace(small_table().scenario, obstacles=()))
+    insertion = Insertion(table, station_of(lab), FAST, registration=coil_of(lab), limits=WIDE)
+    insertion._scene = ScenarioGeometry(small_table().scenario)
+    report = insertion.run()
+    assert report.outcome is InsertionOutcome.COLLISION, report.cause
+    assert "in vessel" in report.cause
+    lab.advance(0.5)
+    x, _, _ = lab.plant.tip().position_mm
+    assert 22.0 < x < 23.5
+    assert Cause.IN_OBSTACLE in insertion.guard.state.latched
+    assert report.steps[-1].pose.x_mm < 22.0 < x
+
+
+def test_after_a_retraction_the_loop_does_not_go_back_to_its_old_goal() -> None:
+    lab = a_lab(NOISY, 3)
+    person = Person(lab, 8.0, lambda guard: guard.retract(lab.plant.insertion.position - 3.0, 1.0, "anna"))
+    person.insertion = insertion_in(lab, listeners=[person])
+    report = person.insertion.run()
+    (event,) = [each for each in report.events if each.name is RunEventName.RETRACTED]
+    inserts = [each for each in person.commands if each.time_ns > person.began_ns and each.kind is CommandKind.INSERT]
+    decided = [each for each in report.steps if each.time_ns >= event.time_ns]
+    assert decided[0].path_mm == pytest.approx(person.depths_mm[-1], abs=0.3)
+    assert inserts[0].time_ns >= decided[0].time_ns >= event.time_ns
+    assert inserts[0].goal == pytest.approx(decided[0].path_mm + decided[0].length_mm)
+
+
+def test_a_needle_that_a_person_pulled_out_is_not_inserted_again() -> None:
+    lab = a_lab(NOISY, 3)
+    person = Person(lab, 8.0, lambda guard: guard.retract(-5.0, 20.0, "anna"))
+    person.insertion = insertion_in(lab, listeners=[person])
+    report = person.insertion.run()
+    assert report.outcome is InsertionOutcome.STOPPED
+    assert "pulled the needle out" in report.cause
+    lab.advance(1.0)
+    assert lab.plant.insertion.position == pytest.approx(-5.0, abs=0.3)
+
+
+@pytest.mark.parametrize("stops", [False, True])
+def test_a_slow_retraction_outlives_the_run_unless_a_person_stops_it(stops: bool) -> None:
+    """The time of the run ends during the retraction; the loop keeps the heartbeats going until it is over."""
+    lab = a_lab(NOISY, 3)
+    goal_mm: list[float] = []
+
+    def retract(guard: GuardedStage) -> None:
+        goal_mm.append(lab.plant.insertion.position - 12.0)
+        guard.retract(goal_mm[0], 1.0, "anna")
+
+    person = Person(lab, 6.0 if stops else 1e9, retract)
+    person.order = Order.STOP
+    person.insertion = insertion_in(lab, listeners=[person], limits=replace(WIDE, run_s=5.0))
+    report = person.insertion.run()
+    assert report.outcome is InsertionOutcome.FAULT
+    assert "time_exceeded" in report.cause
+    lab.advance(1.0)
+    reached_mm = lab.plant.insertion.position
+    if stops:
+        assert goal_mm[0] + 5.0 < reached_mm < goal_mm[0] + 8.0
+    else:
+        assert reached_mm == pytest.approx(goal_mm[0], abs=0.3)

@@ -20,7 +20,7 @@ from needleplan.control._preconditions import measured_entry, require_expected
 from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch, rescaled
 from needleplan.control._report import InsertionOutcome, InsertionReport, InsertionTrace
 from needleplan.control._scene import NEARLY_MM, Approach, ScenarioGeometry
-from needleplan.control.safety import GuardedStage, SafetyEvent, SafetyLimits
+from needleplan.control.safety import Cause, GuardedStage, SafetyEvent, SafetyLimits
 from needleplan.devices import Closing, Station, VirtualClock, no_long_collections, short_turns
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
 from needleplan.estimation.registration import Registration
@@ -82,7 +82,9 @@ class Insertion(Closing):
         self._scene = ScenarioGeometry(table.scenario)
         self._trace = InsertionTrace(self.options.force_axis)
         self._listeners = (self._trace, *listeners)
-        self.guard = GuardedStage(station.stage, limits, clock=station.clock, listener=self._on_safety)
+        self.guard = GuardedStage(
+            station.stage, limits, clock=station.clock, listener=self._on_safety, check_tip=self._check_tip
+        )
         self._needle = NeedleState(self.guard, station.clock, self.options, self._listeners)
         self._driver = NeedleDriver(self._needle, self.guard, station.clock, self.options, self._listeners, self._emit)
         self._replanner = replanner or ThreadReplanner(wait=isinstance(station.clock, VirtualClock))
@@ -127,11 +129,29 @@ class Insertion(Closing):
             except KeyboardInterrupt:
                 outcome, cause = InsertionOutcome.STOPPED, "interrupted by the operator"
             except (DeviceFault, InputError) as fault:
-                outcome = InsertionOutcome.FAULT if self._driver.moved else InsertionOutcome.REFUSED
-                cause = str(fault)
+                outcome, cause = self._outcome_of(fault)
             finally:
                 self._halt(outcome, cause)
         return self._trace.report(outcome, cause, self._first_table, self._planned, self._needle.path_mm)
+
+    def _outcome_of(self, fault: Exception) -> tuple[InsertionOutcome, str]:
+        if not self._driver.moved:
+            return InsertionOutcome.REFUSED, str(fault)
+        first = self.guard.state.first
+        tip_mm = self._needle.last_tip_mm
+        if tip_mm is not None and Cause.IN_OBSTACLE in first:
+            return InsertionOutcome.COLLISION, f"{_place(*tip_mm)}, in {self._scene.touches(*tip_mm)}"
+        if tip_mm is not None and Cause.OUT_OF_WORKSPACE in first:
+            return InsertionOutcome.OUTSIDE, f"{_place(*tip_mm)}, outside the workspace"
+        return InsertionOutcome.FAULT, str(fault)
+
+    def _check_tip(self, x_mm: float, y_mm: float) -> frozenset[Cause]:
+        """Return the causes of a tip position; the guard calls this for every estimate. Outside the tissue: none."""
+        if not self._needle.path_mm > 0:
+            return frozenset()
+        if self._scene.outside(x_mm, y_mm):
+            return frozenset({Cause.OUT_OF_WORKSPACE})
+        return frozenset({Cause.IN_OBSTACLE}) if self._scene.touches(x_mm, y_mm) else frozenset()
 
     def _halt(self, outcome: InsertionOutcome, cause: str) -> None:
         self._driver.halt(latch=outcome in _ABORTED)
@@ -202,7 +222,7 @@ class Insertion(Closing):
     def _outcome_at_tip(self) -> tuple[InsertionOutcome, str] | None:
         """Return (outcome, cause) if the position of the tip or the path length ends the insertion, else None."""
         tip, scene, options = self._needle.tip, self._scene, self.options
-        place = f"the tip is at x {tip.x_mm:.2f} mm, y {tip.y_mm:.2f} mm"
+        place = _place(tip.x_mm, tip.y_mm)
         if scene.outside(tip.x_mm, tip.y_mm):
             return InsertionOutcome.OUTSIDE, f"{place}, outside the workspace"
         touched = scene.touches(tip.x_mm, tip.y_mm)
@@ -344,3 +364,7 @@ class Insertion(Closing):
         event = RunEvent(self._station.clock.now_ns(), name, cause, text, self._number, digest)
         for each in self._listeners:
             each.event(event)
+
+
+def _place(x_mm: float, y_mm: float) -> str:
+    return f"the tip is at x {x_mm:.2f} mm, y {y_mm:.2f} mm"

@@ -24,6 +24,8 @@ __all__ = ["NeedleState", "Stopped", "present_causes"]
 _TURN_S = 0.02
 # largest number of waiting samples that are read from the feed to reach the fault that stopped the run
 _MOST_WAITING = 100
+# distance (mm) of the stage after which the predicted tip is validated between two frames of the tracker
+_CHECK_MM = 0.1
 # ns between two calls of the guard's `tick`, which sends the heartbeat to the stage
 _TICK_NS = 10_000_000
 
@@ -47,6 +49,10 @@ class NeedleState:
         """Number of stage samples so far."""
 
         self._guard, self._clock, self._options, self._listeners = guard, clock, options, listeners
+        self.last_tip_mm: tuple[float, float] | None = None
+        """Last tip (x, y in mm) that the guard has validated; None if it is not known."""
+
+        self._checked_mm = -math.inf
         self._filter: TipFilter | None = None
         self._feed: Feed | None = None
         self._stop_cause = ""
@@ -119,13 +125,14 @@ class NeedleState:
 
         Faults of devices are ignored: the guard knows them, and a retraction goes on in spite of them.
         """
-        began_ns = self._clock.now_ns()
-        with contextlib.suppress(DeviceFault):
-            assert self._feed is not None
-            if (sample := self._feed.next(_TURN_S)) is not None:
-                self._publish(sample)
-        if self._clock.now_ns() == began_ns:
+        assert self._feed is not None
+        try:
+            sample = self._feed.next(_TURN_S)
+        except DeviceFault:
+            sample = None
             self._clock.sleep(_TURN_S)
+        if sample is not None:
+            self._publish(sample)
         with contextlib.suppress(DeviceFault):
             self._guard.tick()
 
@@ -155,6 +162,8 @@ class NeedleState:
             self.stage_samples += 1
             if self._filter is not None:
                 self._filter.predict(self._from_entry(sample))
+                if abs(sample.depth_mm - self._checked_mm) >= _CHECK_MM:
+                    self._validate_tip(self._filter.tip)
         elif isinstance(sample, ForceSample):
             self.force = sample
         else:
@@ -170,10 +179,15 @@ class NeedleState:
             self.frames += 1
         tip = self._filter.tip
         if usable:
-            known = tip.status is not TipStatus.LOST
-            self._guard.observe_tip((tip.x_mm, tip.y_mm) if known else None, tip.z_mm)
+            self._validate_tip(tip)
         for each in self._listeners:
             each.tip(sample.stamp.received_ns, self.path_mm, tip)
+
+    def _validate_tip(self, tip: TipEstimate) -> None:
+        """Let the guard validate the estimated tip, at every frame and every 0.1 mm of the motion."""
+        self._checked_mm = math.inf if self.stage is None else self.stage.depth_mm
+        self.last_tip_mm = None if tip.status is TipStatus.LOST else (tip.x_mm, tip.y_mm)
+        self._guard.observe_tip(self.last_tip_mm, tip.z_mm)
 
     def _from_entry(self, sample: StageSample) -> StageSample:
         """Return the sample with its depth relative to the entry and its roll relative to the roll that bends left."""

@@ -56,9 +56,11 @@ class Bench:
         self.clock = VirtualClock(10**12)
         self.stage = NotedStage(self.clock)
         self.events: list[SafetyEvent] = []
+        others = {name: limits.pop(name) for name in ("check_tip", "needs_deadman") if name in limits}
         self.guard = GuardedStage(
-            self.stage, SafetyLimits(**limits), clock=self.clock, listener=lambda event: self.events.append(event)
-        )
+            self.stage, SafetyLimits(**limits), clock=self.clock, listener=lambda event: self.events.append(event),
+            **others,
+        )  # fmt: skip
         self.number = 0
         self.force: dict[str, Any] = {}
         self.pose: dict[str, Any] = {}

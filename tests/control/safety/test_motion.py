@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from needleplan.control.safety import Cause, OperatingState, Order
+from needleplan.control.safety import Cause, OperatingState, Order, Owner
+from needleplan.errors import MotionRefused
 from tests.control.safety.bench import Bench
 
 STEP_S = 0.005
@@ -151,3 +152,108 @@ def test_drifting_at_rest() -> None:
         bench.stage.depth_mm += 0.004
         bench.turn()
     ended(bench, Cause.STILL_MOVING)
+
+
+@pytest.mark.parametrize("told", ["nothing", "insert", "rotate"])
+def test_the_measured_roll_is_watched_like_the_depth(told: str) -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    bench.turns(0.6)
+    if told == "insert":
+        guard.insert(20.0, 5.0)
+    if told == "rotate":
+        guard.rotate(1.0, 6.0)
+    for _ in range(40):
+        bench.stage.roll_rad -= 0.05
+        bench.stage.moving = told != "nothing"
+        bench.turn()
+        if stopped(bench):
+            break
+    ended(bench, Cause.STILL_MOVING if told == "nothing" else Cause.WRONG_WAY)
+    assert abs(bench.stage.roll_rad) < (1.3 if told == "rotate" else 0.3)
+
+
+@pytest.mark.parametrize("jump", [1000.0, -1000.0, 2.0])
+def test_a_roll_that_jumps_without_a_command_is_a_fault(jump: float) -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    bench.turn()
+    bench.stage.roll_rad = jump
+    bench.turn()
+    ended(bench, Cause.STAGE_JUMPED)
+    assert (Cause.ROLL_EXCEEDED in guard.state.latched) == (abs(jump) > 200)
+    assert not guard.state.is_homed
+
+
+def test_a_roll_at_its_limit_may_be_off_by_the_tolerance() -> None:
+    bench = Bench(roll_rad=1.0, following_rad=0.1)
+    guard = bench.enabled()
+    guard.rotate(1.0, 5.0)
+    for roll_rad in (0.2, 0.4, 0.6, 0.8, 1.0, 1.09):
+        bench.stage.roll_rad = roll_rad
+        bench.turn(0.02)
+    assert guard.state.operating is OperatingState.ENABLED
+    bench.stage.roll_rad = 1.11
+    bench.turn()
+    ended(bench, Cause.ROLL_EXCEEDED)
+
+
+@pytest.mark.parametrize(("rise_n", "within_s", "is_fault"), [(5.1, 0.04, True), (4.9, 0.04, False), (8.0, 0.2, False)])
+def test_a_force_that_rises_too_fast(rise_n: float, within_s: float, is_fault: bool) -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    guard.insert(20.0, 5.0)
+    steps = round(within_s / STEP_S)
+    for number in range(1, steps + 1):
+        bench.force = {"force_n": (0.0, 0.0, 1.0 + rise_n * number / steps)}
+        bench.stage.depth_mm += 5 * STEP_S
+        bench.turn()
+    assert (Cause.FORCE_RISING in guard.state.latched) == is_fault
+    assert stopped(bench) == is_fault
+    assert Cause.FORCE_EXCEEDED not in guard.state.latched
+
+
+def test_a_force_that_falls_fast_is_a_puncture_and_no_fault() -> None:
+    bench = Bench()
+    bench.force = {"force_n": (0.0, 0.0, 9.0)}
+    guard = bench.enabled()
+    bench.turns(0.1)
+    bench.force = {"force_n": (0.0, 0.0, 0.5)}
+    bench.turns(0.1)
+    assert guard.state.operating is OperatingState.ENABLED
+
+
+def test_a_tip_in_an_obstacle_stops_the_needle_with_the_sample_that_shows_it() -> None:
+    bench = Bench(check_tip=lambda x_mm, _: {Cause.IN_OBSTACLE} if x_mm > 11.0 else ())
+    guard = bench.enabled()
+    guard.insert(20.0, 5.0)
+    guard.observe_tip((11.0, 5.0), 0.1)
+    assert not stopped(bench)
+    guard.observe_tip((11.1, 5.0), 0.1)
+    ended(bench, Cause.IN_OBSTACLE)
+
+
+def test_a_needed_deadman_switch_pauses_when_it_is_released_or_silent() -> None:
+    bench = Bench(needs_deadman=True)
+    guard = bench.guard
+    bench.turn()
+    guard.order(Order.HOME)
+    with pytest.raises(MotionRefused, match="deadman_released"):
+        guard.order(Order.ENABLE)
+    guard.observe_deadman(held=True)
+    guard.order(Order.ENABLE)
+    guard.insert(50.0, 5.0)
+    bench.turns(0.195)
+    assert not stopped(bench)
+    bench.turns(0.01)
+    assert stopped(bench)
+    assert guard.state.first == {Cause.DEADMAN_RELEASED}
+    guard.observe_deadman(held=True)
+    assert guard.order(Order.RESUME, Owner.LOOP).operating is OperatingState.ENABLED
+    guard.observe_deadman(held=False)
+    assert guard.state.operating is OperatingState.PAUSED
+    # The switch is not a person's resume.
+    guard.observe_deadman(held=True)
+    guard.order(Order.PAUSE, "anna")
+    with pytest.raises(MotionRefused, match="not_authorized"):
+        guard.order(Order.RESUME, Owner.LOOP)

@@ -6,6 +6,7 @@ import re
 from dataclasses import fields
 
 from needleplan.control.safety import Cause, SafetyLimits, Severity
+from needleplan.control.safety._table import transition_table
 from tests import pages
 from tests.control.faults.robot_faults import BORNE, SERIOUS
 from tests.control.faults.sensors import RUNNING, STARTING
@@ -17,6 +18,10 @@ FAULTS = (pages.ROOT / "docs/reference/faults.md").read_text()
 def rows(text: str) -> list[list[str]]:
     """Return the cells of all tables."""
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line.startswith("|")]
+
+
+def test_the_transition_table_is_that_of_the_code() -> None:
+    assert transition_table() in SAFETY
 
 
 def test_every_cause_stands_with_what_it_leads_to() -> None:

@@ -19,8 +19,8 @@ from needleplan.control.safety import (
     SafetyLimits,
     Watchdog,
 )
-from needleplan.devices import ForceSample, PoseSample, Stage, StageSample, Stamp
-from needleplan.errors import MotionRefused
+from needleplan.devices import ForceSample, PoseSample, Source, Stage, StageSample, Stamp
+from needleplan.errors import DeviceFault, MotionRefused
 from tests.recording.samples import wait_for
 
 AGES = {"force_age_s": 10.0, "pose_age_s": 10.0, "stage_age_s": 10.0}
@@ -187,3 +187,53 @@ def test_a_pause_of_the_whole_process_is_seen_by_the_next_command(rig: Rig) -> N
     assert not rig.stage.inserted
     assert rig.stage.stopped.is_set()
     assert rig.guard.state.operating is OperatingState.FAULT
+
+
+class StubbornStage(HangingStage):
+    """A stage that answers no stop for `silent_s`."""
+
+    silent_s = 0.0
+
+    def stop(self) -> None:
+        super().stop()
+        time.sleep(self.silent_s)
+        if self.silent_s:
+            raise DeviceFault("no answer")
+
+
+def test_a_stop_without_an_answer_blocks_nobody_and_its_first_cause_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.control.safety.test_watchdog.HangingStage", StubbornStage)
+    rig = Rig()
+    rig.enable()
+    assert isinstance(rig.stage, StubbornStage)
+    rig.stage.silent_s = 0.4
+    rig.guard.device_failed(Source.FORCE, DeviceFault("its cable is out"))  # the loop itself waits for the answer
+    with Watchdog(rig.guard):
+        assert rig.guard.state.first == {Cause.FORCE_FAULT}
+        assert Cause.LOOP_LATE not in rig.guard.state.latched
+        waiting = threading.Thread(target=rig.guard.order, args=(Order.DISABLE, "anna"))
+        waiting.start()
+        time.sleep(0.05)
+        assert waiting.is_alive()
+        began = time.monotonic()
+        rig.guard.observe_tip((0, 0), 0.0)
+        assert time.monotonic() - began < 0.3  # a loaded machine may be slow, but not as slow as the stop
+        waiting.join(20)
+    rig.stage.silent_s = 0.0
+    rig.guard.close()
+
+
+def test_a_validation_that_fails_stops_the_needle_and_says_so(rig: Rig) -> None:
+    rig.enable()
+    rig.stage.stopped.clear()
+
+    def fail(*_: object, **__: object) -> set[Cause]:
+        raise ZeroDivisionError("by accident")
+
+    rig.guard._monitor.causes = fail  # type: ignore[method-assign]
+    with Watchdog(rig.guard) as watchdog:
+        assert rig.stage.stopped.wait(20)
+        wait_for(lambda: rig.guard.state.operating is OperatingState.FAULT)
+        assert watchdog.alive
+        assert Cause.GUARD_FAILED in rig.guard.state.latched
+        wait_for(lambda: any("by accident" in each.text for each in rig.events))

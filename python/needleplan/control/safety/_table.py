@@ -1,0 +1,84 @@
+"""The transition table of docs/reference/safety.md, computed from the function `advance`.
+
+`python -m needleplan.control.safety._table` prints the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from needleplan.control.safety._causes import Cause
+from needleplan.control.safety._states import (
+    InputReport,
+    MotionOrder,
+    OperatingState,
+    Order,
+    Ordered,
+    Owner,
+    SafetyState,
+    advance,
+)
+
+__all__ = ["transition_table"]
+
+_STALE = frozenset({Cause.FORCE_STALE})
+_DISABLED, _ENABLED, _PAUSED, _FAULT = OperatingState
+_STATES = {
+    "DISABLED": SafetyState(is_homed=True),
+    "DISABLED, latched": SafetyState(is_homed=True, latched=_STALE, held_by=Owner.SENSOR),
+    "ENABLED": SafetyState(_ENABLED, is_homed=True, motion=Owner.LOOP),
+    "PAUSED by a cause": SafetyState(_PAUSED, is_homed=True, held_by=Owner.SENSOR),
+    "PAUSED by a person": SafetyState(_PAUSED, is_homed=True, held_by=Owner.PERSON),
+    "PAUSED, retraction": SafetyState(_PAUSED, is_homed=True, held_by=Owner.PERSON, motion=Owner.PERSON),
+    "FAULT": SafetyState(_FAULT, is_homed=True, present=_STALE, latched=_STALE, held_by=Owner.SENSOR),
+    "FAULT, retraction": SafetyState(
+        _FAULT, is_homed=True, present=_STALE, latched=_STALE, held_by=Owner.PERSON, motion=Owner.PERSON
+    ),
+}
+_REPORTS = {
+    "no cause": frozenset[Cause](),
+    "a cause that pauses": frozenset({Cause.POSE_UNSEEN}),
+    "a cause that is a fault": frozenset({Cause.FORCE_EXCEEDED}),
+    "`wrong_way`, `stage_jumped`": frozenset({Cause.WRONG_WAY}),
+    "`still_moving`": frozenset({Cause.STILL_MOVING}),
+}
+
+
+def transition_table() -> str:
+    """Return the table in Markdown: events as rows, states as columns, what happens in the cells."""
+    rows = [["event", *_STATES], ["---"] * (1 + len(_STATES))]
+    for name, causes in _REPORTS.items():
+        rows.append([name, *(_cell(state, InputReport(causes, retracting=True)) for state in _STATES.values())])
+    for order in (*Order, *MotionOrder):
+        rows += _rows(order)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
+
+
+def _rows(order: Order | MotionOrder) -> Iterator[list[str]]:
+    by = {owner: [_cell(each, order.by(owner)) for each in _STATES.values()] for owner in (Owner.PERSON, Owner.LOOP)}
+    if by[Owner.PERSON] == by[Owner.LOOP]:
+        yield [f"`{order}`", *by[Owner.PERSON]]
+        return
+    for owner, cells in by.items():
+        if any(cells):
+            yield [f"`{order}` by {'a person' if owner is Owner.PERSON else 'the loop'}", *cells]
+
+
+def _cell(state: SafetyState, event: Ordered | InputReport) -> str:
+    """Return what happens: the actions and the next state; "" if the order is refused, "=" if the state stays."""
+    transition = advance(state, event, 0)
+    if transition.refused:
+        return ""
+    after = transition.state
+    words = [each.value for each in transition.actions]
+    if after.operating is not state.operating:
+        words.append(f"{after.operating}")
+    if after.latched - state.latched:
+        words.append("latch")
+    if state.latched and not after.latched:
+        words.append("unlatch")
+    return ", ".join(words) or "="
+
+
+if __name__ == "__main__":
+    print(transition_table())
