@@ -72,6 +72,9 @@ class Outcome:
     disturbed: bool = False
     """Whether the run had ended before the fault, because the machine paused."""
 
+    runs: int = 1
+    """Number of runs, of which this is the last; the others ended otherwise than expected, or were disturbed."""
+
     pause_ms: float = math.nan
     """Longest pause of the thread of the proxy after the fault."""
 
@@ -246,7 +249,7 @@ def _read(folder: Path, found: Outcome) -> None:
     events = [each.values for each in recording.messages(["/event"])]
     samples = sum(1 for _ in recording.messages(["/stage", "/force", "/pose"]))
     left = next((each for each in safety if each["name"] == "transition" and each.get("before") == "ENABLED"), None)
-    if found.code is None and left is not None and "disable" in left["text"]:
+    if found.code is None and left is not None and left["cause"] == "stop_ordered":
         left = None  # the interruption at the end of the observation
     found.state = "ENABLED" if left is None else left["state"]
     found.cause = "" if left is None else left["cause"]

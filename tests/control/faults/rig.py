@@ -51,7 +51,7 @@ class Rig:
         self.channel.put(event.time_ns, event.entry())
 
     def open_force(self) -> NetFt:
-        self.force = NetFt(self.box_link, lambda: parse_configuration(self.box.settings.xml()), clock=self.clock)
+        self.force = NetFt(self.box_link, lambda: parse_configuration(self.box.page()), clock=self.clock)
         return self.force
 
     def open_tracker(self) -> NdiTracker:

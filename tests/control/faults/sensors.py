@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from needleplan.control.safety import Cause, OperatingState
+from needleplan.devices.ati import NetFt
 from needleplan.devices.ati.rdt import RdtCommand, encode_request
 from needleplan.devices.ndi import SimulatedTool
 from needleplan.devices.ndi.frames import NdiVisibility
@@ -69,6 +70,30 @@ def _only_garbage(rig: Rig) -> None:
 
 def _stolen(rig: Rig) -> None:
     rig.box.request(encode_request(RdtCommand.START), ("another", 1))
+
+
+def _about_to_wrap(rig: Rig) -> None:
+    assert isinstance(rig.force, NetFt)
+    watch = rig.force._watch
+    assert watch._last is not None
+    watch._last = replace(watch._last, rdt_sequence=2**32 - 4)
+    rig.box.rdt_sequence = 2**32 - 4
+
+
+def _started_again(rig: Rig) -> None:
+    rig.box_link.send(encode_request(RdtCommand.START))
+
+
+def _foreign_bias(rig: Rig) -> None:
+    rig.box.request(encode_request(RdtCommand.BIAS), ("another", 1))
+
+
+def _foreign_bias_on_page(rig: Rig) -> None:
+    """Nothing is seen in the stream; the page is read every half second."""
+    assert isinstance(rig.force, NetFt)
+    rig.force._bias_watch.see = lambda _: False  # type: ignore[method-assign]
+    _foreign_bias(rig)
+    rig.check_force()
 
 
 def _stuck(rig: Rig) -> None:
@@ -138,7 +163,7 @@ RUNNING = [
     Running(3, "twenty datagrams are lost", _set("box.faults.lose", 20), F, Cause.FORCE_STALE, 0.05),
     Running(4, "duplicates", _set("box.faults.duplicate", 10)),
     Running(5, "reordered", _set("box.faults.reorder", 2)),
-    Running(6, "rdt_sequence wraps", lambda rig: setattr(rig.box, "rdt_sequence", 2**32 - 3)),
+    Running(6, "rdt_sequence wraps", _about_to_wrap),
     Running(7, "ft_sequence stands still", _set("box.faults.freeze", True), F, Cause.FORCE_SUSPECT, 0.05),
     Running(8, "the box restarts, and is silent", lambda rig: rig.box.reboot(), F, Cause.FORCE_STALE, 0.05),
     Running(8, "the box restarts, and sends", _rebooted, F, Cause.FORCE_FAULT, 0.01),
@@ -150,6 +175,9 @@ RUNNING = [
     Running(13, "another status", _set("box.faults.status", 0x8800_0000), F, Cause.FORCE_FAULT, 0.01),
     Running(14, "units changed meanwhile", _other_units, F, Cause.FORCE_FAULT, 0.01),
     Running(15, "another client takes the stream", _stolen, F, Cause.FORCE_STALE, 0.05),
+    Running(15, "another client starts our stream again", _started_again, F, Cause.FORCE_FAULT, 0.01),
+    Running(17, "another client biases the loaded sensor", _foreign_bias, F, Cause.FORCE_FAULT, 0.03),
+    Running(17, "another client biases the unloaded sensor", _foreign_bias_on_page, F, Cause.FORCE_FAULT, 0.01),
     Running(16, "the same counts for ever", _stuck, F, Cause.FORCE_SUSPECT, 0.31),
     Running(16, "a step of 12 N", _step(12.0), F, Cause.FORCE_EXCEEDED, 0.01),
     Running(16, "counts at their end", _step(2.0**40), F, Cause.FORCE_EXCEEDED, 0.01),

@@ -32,5 +32,5 @@ class Bench:
         self.limits = limits
 
     def sensor(self) -> NetFt:
-        configure = lambda: parse_configuration(self.box.settings.xml())  # noqa: E731
+        configure = lambda: parse_configuration(self.box.page())  # noqa: E731
         return NetFt(self.link, configure, limits=self.limits, clock=self.clock)

@@ -11,7 +11,7 @@ import pytest
 
 from needleplan.devices import ForceSensor
 from needleplan.devices.ati import ForceLimits, NetFt, NetFtBox, NetFtServer
-from needleplan.devices.ati.rdt import RdtRecord, encode_records
+from needleplan.devices.ati.rdt import RdtCommand, RdtRecord, encode_records, encode_request
 from needleplan.errors import AddressError, ConfigurationError, DeviceFault
 from tests.devices.ati.bench import Bench, Wrench
 from tests.devices.contract import ForceSensorContract
@@ -64,6 +64,16 @@ def test_15_a_second_client_takes_the_stream_over_real_sockets(server: NetFtServ
         with pytest.raises(DeviceFault, match="another client"):
             deque(iter(lambda: first.read(0.2), None), maxlen=0)
         assert second.read(0.2) is not None
+
+
+def test_17_a_bias_by_another_client_over_real_sockets(server: NetFtServer) -> None:
+    limits = ForceLimits(silence_s=2.0, start_s=2.0, poll_s=0.05)
+    with NetFt.open(server.address, limits=limits) as sensor, socket.socket(type=socket.SOCK_DGRAM) as stranger:
+        sensor.bias()
+        sensor.read(1)
+        stranger.sendto(encode_request(RdtCommand.BIAS), (server.host, server.port))
+        with pytest.raises(DeviceFault, match="another client has biased it"):
+            deque(iter(lambda: sensor.read(0.5), None), maxlen=0)
 
 
 def test_the_units_come_from_the_box(server: NetFtServer) -> None:

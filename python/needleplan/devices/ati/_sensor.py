@@ -18,6 +18,7 @@ from needleplan.devices._base import ForceSample, ForceSensor, Health, Stamp
 from needleplan.devices._clock import Clock, Deadline, SystemClock
 from needleplan.devices._links import Link, UdpLink
 from needleplan.devices._opening import Address, open_link
+from needleplan.devices.ati._bias import BiasWatch, Poll
 from needleplan.devices.ati._configuration import Configuration, fetch_configuration
 from needleplan.devices.ati.rdt import (
     RDT_PORT,
@@ -58,6 +59,7 @@ class ForceLimits:
     bias_samples: int = 20  # number of samples that are averaged before and after a bias
     steady_n: float = 0.1  # standard deviation of a force above which a bias is refused
     unloaded_n: float = 0.5  # force on a biased sensor above which a further bias is refused (needle under load)
+    poll_s: float = 0.5  # time between two readings of the configuration page, which tell a foreign bias
 
 
 @dataclass
@@ -97,6 +99,7 @@ class Plausibility:
 
 
 _ATTEMPTS = 3  # number of times that a start request or a bias command is sent
+_RATE_ERROR = 0.01  # relative error of the count of measurements within which the box has not been switched off
 _SETTLING_S = 1.0  # time (s), over all attempts, in which the force must become zero after a bias
 
 
@@ -119,7 +122,12 @@ class NetFt(ForceSensor):
         self.limits = ForceLimits() if limits is None else limits
         self._pending: deque[tuple[RdtRecord, int]] = deque()
         self._fault: DeviceFault | None = None
-        self._closed = False
+        self._closed = self._biased = self._biasing = False
+        self._last: tuple[RdtRecord, int] | None = None
+        """The last accepted record, and the time (ns) at which it was received."""
+
+        self._poll: Poll | None = None
+        self._configuration: Configuration
         try:
             self.start()
         except BaseException:
@@ -151,7 +159,9 @@ class NetFt(ForceSensor):
         _, http_port = Address("http", host, http_port).network()
         local = {name: value for name, value in parsed.options.items() if name == "local_port"}
         link = open_link(Address("udp", host, port, options=local))
-        return cls(link, lambda: fetch_configuration(host, http_port, None if slot < 0 else slot), limits=limits)
+        sensor = cls(link, lambda: fetch_configuration(host, http_port, None if slot < 0 else slot), limits=limits)
+        sensor._poll = Poll(sensor.check_configuration, sensor.limits.poll_s)
+        return sensor
 
     @property
     def configuration(self) -> Configuration:
@@ -176,15 +186,18 @@ class NetFt(ForceSensor):
     def start(self) -> None:
         """Read the configuration, request the stream (up to three times), and wait for the first record.
 
+        If the box has measured on since the last session, and its bias is the same, a bias of the last session is still
+        in force, and a bias under load is still refused. Otherwise the box may have lost its bias.
+
         Raises ConfigurationError if the configuration cannot be used, DeviceFault if the configuration cannot be read
         or no record arrives.
         """
+        before: tuple[int, ...] | None = self._configuration.bias if self._last is not None else None
         self._fault = None
-        self._biased = False  # the box may have lost its bias since the last session
-        self._malformed = 0
+        self._malformed = self._starts = 0
         self._configuration = now = self._configure()
         self._units = now.newton_per_count, now.newton_mm_per_count
-        self._watch, self._plausible = StreamWatch(), Plausibility(self.limits)
+        self._watch, self._plausible, self._bias_watch = StreamWatch(), Plausibility(self.limits), BiasWatch()
         self._pending.clear()
         self._link.send(encode_request(RdtCommand.STOP))
         while self._link.receive(0):
@@ -192,13 +205,24 @@ class NetFt(ForceSensor):
         self._last_ns = self._clock.now_ns()
         for _ in range(_ATTEMPTS):
             self._link.send(encode_request(RdtCommand.START))
+            self._starts += 1
             deadline = Deadline(self._clock, self.limits.start_s)
             while not self._pending and not deadline.passed:
                 self._take(self._link.receive(deadline.left_s))
             if self._pending:
+                self._biased &= self._continues() and now.bias == before
                 return
         waited_s = _ATTEMPTS * self.limits.start_s
         raise self._give_up(f"no record within {waited_s:g} s of the start request; check the port and the firewall")
+
+    def _continues(self) -> bool:
+        """Return whether the first record of a session shows that the box has measured on since the last session."""
+        if self._last is None:
+            return False
+        (last, last_ns), (first, first_ns) = self._last, self._pending[0]
+        expected = (first_ns - last_ns) / 1e9 * self._configuration.measuring_hz
+        measured = (first.ft_sequence - last.ft_sequence) % (1 << 32)
+        return abs(measured - expected) <= _RATE_ERROR * expected + self._configuration.measuring_hz
 
     def read(self, timeout_s: float) -> ForceSample | None:
         """Return the next sample, or None after `timeout_s`.
@@ -242,6 +266,16 @@ class NetFt(ForceSensor):
             raise DeviceFault(f"bias refused: the force is not steady ({max(deviation_n):.3g} N standard deviation)")
         if self._biased and max(map(abs, mean_n)) > self.limits.unloaded_n:
             raise DeviceFault(f"bias refused: the needle is under load ({max(map(abs, mean_n)):.3g} N)")
+        self._biasing = True
+        try:
+            self._bias()
+            self._configuration = self._configure()
+        finally:
+            self._biasing = False
+            self._bias_watch.forget()
+
+    def _bias(self) -> None:
+        mean_n: list[float] = []
         for _ in range(_ATTEMPTS):
             self._link.send(encode_request(RdtCommand.BIAS))
             deadline = Deadline(self._clock, _SETTLING_S / _ATTEMPTS)
@@ -258,19 +292,25 @@ class NetFt(ForceSensor):
         self._link.send(encode_request(RdtCommand.RESET_LATCH))
 
     def check_configuration(self) -> None:
-        """Read the configuration again.
+        """Read the configuration again; do nothing while `bias` is at work.
 
-        Raises DeviceFault if the configuration has changed since the last `start`, and then `read` raises it too.
-        Raises DeviceFault or ConfigurationError if the configuration cannot be read or used.
+        Raises DeviceFault if the configuration or the bias of the box has changed since the last `start` or `bias`, and
+        then `read` raises it too. Raises DeviceFault or ConfigurationError if the configuration cannot be read or used.
         """
+        before = self._configuration
         now = self._configure()
-        if now != self._configuration:
-            raise self._give_up(f"its configuration has changed from {self._configuration} to {now}")
+        if self._biasing or before is not self._configuration or now == before:
+            return
+        if now.bias != before.bias:
+            raise self._give_up("another client has biased it; examine the force, unload the needle and bias again")
+        raise self._give_up(f"its configuration has changed from {before} to {now}")
 
     def close(self) -> None:
         """Stop the stream and close the link. Closing again does nothing."""
         if not self._closed:
             self._closed = True
+            if self._poll is not None:
+                self._poll.close()
             with contextlib.suppress(LinkClosed):
                 self._link.send(encode_request(RdtCommand.STOP))
             self._link.close()
@@ -323,7 +363,11 @@ class NetFt(ForceSensor):
             raise self._give_up("it was switched off and on: its bias is lost")
         if arrival.order not in (RdtOrder.NEXT, RdtOrder.AFRESH):
             return None
-        self._malformed, self._last_ns = 0, now_ns
+        self._malformed, self._last_ns, self._last = 0, now_ns, (record, now_ns)
+        if arrival.order is RdtOrder.AFRESH:
+            self._starts -= 1  # each start request of this program begins one stream
+            if self._starts <= 0:
+                raise self._give_up("its stream was started again, but not by this program; is there another client?")
         severity, notes = read_status(record.status, self._configuration.product)
         if severity is RdtSeverity.FAULT:
             raise self._give_up(f"status 0x{record.status:08X}: {', '.join(notes)}")
@@ -337,6 +381,8 @@ class NetFt(ForceSensor):
         notes += self._plausible.notes(record, force_n, torque_n_mm)
         if arrival.order is RdtOrder.AFRESH:
             notes += ("the stream was restarted",)
+        if not notes and not self._biasing and self._bias_watch.see((*force_n, *torque_n_mm)):
+            raise self._give_up("all forces became zero within one sample under load; has another client biased it?")
         # A record without a new measurement does not tell the time of the box.
         measured_s = None if arrival.frozen else arrival.measured / self._configuration.measuring_hz
         stamp = Stamp(now_ns, record.rdt_sequence, arrival.lost, measured_s)

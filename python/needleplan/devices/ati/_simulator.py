@@ -43,15 +43,17 @@ class BoxSettings:
     divisor: int = 35
     """The box sends 7000 / `divisor` records per second."""
 
-    def xml(self) -> bytes:
-        """Return the content of the page `netftapi2.xml`."""
+    def xml(self, bias: tuple[int, ...] = ()) -> bytes:
+        """Return the content of the page `netftapi2.xml`, with the bias of the box if given."""
         tags = {
             "prodname": self.product, "setserial": "FT00000", "runstat": "0x00000000", "comrdte": "Enabled",
             "comrdtrate": round(_MEASUREMENTS_PER_S / self.divisor), "comrdtbsiz": 1,
             "cfgcpf": f"{self.counts_per_force:g}" if self.counts_per_force < 1 else f"{self.counts_per_force:.0f}",
             "cfgcpt": f"{self.counts_per_torque:g}" if self.counts_per_torque < 1 else f"{self.counts_per_torque:.0f}",
-            "scfgfu": self.force_unit, "scfgtu": self.torque_unit,
+            "scfgfu": self.force_unit, "scfgtu": self.torque_unit, "runrate": _MEASUREMENTS_PER_S,
         }  # fmt: skip
+        if bias:
+            tags["setbias"] = ";".join(map(str, bias))
         body = "".join(f"<{name}>{value}</{name}>" for name, value in tags.items())
         return f'<?xml version="1.0" encoding="UTF-8"?><netft>{body}</netft>'.encode()
 
@@ -128,6 +130,10 @@ class NetFtBox:
         self.client = None
         self.rdt_sequence = self.ft_sequence = self._latched = 0
         self._bias = (0, 0, 0, 0, 0, 0)
+
+    def page(self) -> bytes:
+        """Return the content of the configuration page, with the present bias."""
+        return self.settings.xml(self._bias)
 
     def skip(self, records: int) -> None:
         """Measure without sending: advance both sequence numbers by the time of `records` records."""
@@ -236,7 +242,7 @@ def _pages(box: NetFtBox) -> type[BaseHTTPRequestHandler]:
     class _Page(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             known = self.path.split("?")[0] == "/netftapi2.xml"
-            body = box.settings.xml() if known else b"not found"
+            body = box.page() if known else b"not found"
             self.send_response(200 if known else 404)
             self.send_header("Content-Type", "text/xml")
             self.send_header("Content-Length", str(len(body)))
