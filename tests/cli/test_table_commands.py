@@ -10,6 +10,7 @@ import pytest
 
 import needleplan as npl
 from tests.cli.commands import needleplan, refused
+from tests.conftest import SMALL
 
 
 def test_path(table: npl.PolicyTable, table_file: Path, tmp_path: Path) -> None:
@@ -120,3 +121,22 @@ def test_a_figure_that_cannot_be_drawn_is_refused_before_the_work(table_file: Pa
     done = needleplan("plan", "four_obstacles", "-o", tmp_path / "t.h5", "--figure", tmp_path / "plan.bmp")
     refused(done, "must end in .png, .pdf, .svg")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_table_is_signed_and_verified(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(SMALL)
+    (tmp_path / "lab.key").write_text("4f1d2c3b4a59687796a5b4c3d2e1f001\n")
+    (tmp_path / "other.key").write_text("another secret of a laboratory\n")
+    (tmp_path / "short.key").write_text("secret\n")
+    done = needleplan("plan", "small.toml", "-o", "table.h5", "--sign-key", "lab.key", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "signature not verified" in needleplan("info", "table.h5", cwd=tmp_path).stdout
+    assert "signature verified" in needleplan("info", "table.h5", "--verify-key", "lab.key", cwd=tmp_path).stdout
+    assert needleplan("path", "table.h5", "--verify-key", "lab.key", cwd=tmp_path).returncode == 0
+    for command in (("path", "table.h5"), ("entry", "table.h5"), ("evaluate", "table.h5"), ("insert", "table.h5")):
+        refused(needleplan(*command, "--verify-key", "other.key", cwd=tmp_path), "is signed with another key")
+    done = needleplan("info", "table.h5", "--verify-key", "other.key", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (1, "")
+    refused(needleplan("path", "table.h5", "--verify-key", "short.key", cwd=tmp_path), "short.key: key = 6 bytes")
+    refused(needleplan("path", "table.h5", "--verify-key", "no.key", cwd=tmp_path), "no.key: cannot be read")
+    refused(needleplan("plan", "small.toml", "--sign-key", "lab.key", cwd=tmp_path), "requires --output")

@@ -10,18 +10,24 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from needleplan.errors import Mistake, OutputError
+from needleplan.errors import InputError, Mistake, OutputError
 
 __all__ = [
     "Parent",
     "digest",
     "move_into_place",
+    "read_key",
     "require_different",
+    "require_key",
     "require_new",
     "require_writable",
     "version",
     "write_whole",
 ]
+
+
+# Smallest length (bytes) of a secret key.
+_LEAST_KEY_BYTES = 16
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,31 @@ def digest(content: str | bytes | memoryview) -> str:
     """Return the SHA-256 digest of a text (as UTF-8) or of bytes: `sha256:` and 64 hexadecimal digits."""
     data = content.encode() if isinstance(content, str) else content
     return f"sha256:{hashlib.sha256(data).hexdigest()}"
+
+
+def read_key(path: str | os.PathLike[str]) -> bytes:
+    """Return the secret key in a file: its bytes without white space at both ends.
+
+    Raises InputError if the file cannot be read or the key is shorter than 16 bytes.
+    """
+    try:
+        with Path(path).open("rb") as stream:
+            key = stream.read(2**16).strip()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot be read: {reason}", os.fspath(path)) from error
+    try:
+        require_key(key)
+    except InputError as error:
+        raise InputError(error.mistakes, os.fspath(path)) from None
+    return key
+
+
+def require_key(key: bytes) -> None:
+    """Raise InputError if a secret key is not bytes, or shorter than 16 bytes."""
+    if not isinstance(key, bytes) or len(key) < _LEAST_KEY_BYTES:
+        found = f"{len(key)} bytes" if isinstance(key, bytes) else type(key).__name__
+        raise InputError(Mistake("key", found, f"must have at least {_LEAST_KEY_BYTES} bytes"))
 
 
 def version() -> str:

@@ -18,6 +18,7 @@ from needleplan.cli.options import (
     add_start,
     add_table,
     numbers,
+    read_table,
     require_outputs,
     start_pose,
 )
@@ -123,7 +124,6 @@ def run(options: argparse.Namespace) -> int:
     0: target reached; 1: not reached, or the recording is incomplete; 2: refused, or a device failed; 130: stopped.
     Raises InputError (OutputError, AddressError and others) for wrong options and files.
     """
-    from needleplan.planning import PolicyTable
     from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station
 
     read = (options.table, options.registration, options.scenario, options.needle, options.limits)
@@ -131,7 +131,7 @@ def run(options: argparse.Namespace) -> int:
     if options.output and not options.output.lower().endswith(_RECORDING):
         rule = f"must end in {_RECORDING}; `needleplan recording export` writes other formats"
         raise OutputError(Mistake("--output", options.output, rule))
-    table = PolicyTable.read(options.table)
+    table = read_table(options)
     _require_table(table, options)
     wanted = start_pose(options.start) if options.start is not None else None
     start = table.start(wanted) if wanted else table.best_entry().pose

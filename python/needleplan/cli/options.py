@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from needleplan.errors import InputError, Mistake, PoseError
 
 if TYPE_CHECKING:
-    from needleplan.planning import Entry, Pose
+    from needleplan.planning import Entry, PolicyTable, Pose
     from needleplan.scenario import Scenario
 
 __all__ = [
@@ -23,10 +23,12 @@ __all__ = [
     "add_output",
     "add_start",
     "add_table",
+    "add_verify_key",
     "entry_record",
     "grid_line",
     "numbers",
     "pose_record",
+    "read_table",
     "require_free",
     "require_outputs",
     "start_pose",
@@ -41,6 +43,21 @@ _FULL_TURN_DEG = 360.0
 def add_table(parser: argparse.ArgumentParser) -> None:
     """Declare the argument for the policy table."""
     parser.add_argument("table", metavar="TABLE.h5", help="a policy table that `needleplan plan` wrote")
+    add_verify_key(parser)
+
+
+def add_verify_key(parser: argparse.ArgumentParser) -> None:
+    """Declare `--verify-key`, the key with which the policy table must be signed."""
+    parser.add_argument("--verify-key", metavar="FILE", help="refuse a table that is not signed with this secret key")
+
+
+def read_table(options: argparse.Namespace) -> PolicyTable:
+    """Return the policy table that the options name. With `--verify-key`, refuse a table without its signature."""
+    from needleplan.artifacts import read_key
+    from needleplan.planning import PolicyTable
+
+    key = read_key(options.verify_key) if options.verify_key else None
+    return PolicyTable.read(options.table, verify_key=key)
 
 
 def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: bool = True) -> None:

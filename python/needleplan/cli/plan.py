@@ -18,7 +18,7 @@ from needleplan.cli.options import (
     grid_line,
     require_outputs,
 )
-from needleplan.errors import Mistake, ScenarioError
+from needleplan.errors import InputError, Mistake, ScenarioError
 
 if TYPE_CHECKING:
     from needleplan.planning import Entry, PolicyTable
@@ -61,6 +61,7 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("scenario", metavar="SCENARIO.toml", help="a scenario file, or the name of a shipped scenario")
     add_output(parser, "TABLE.h5", "write the table")
+    parser.add_argument("--sign-key", metavar="FILE", help="sign the table with this secret key, at least 16 bytes")
     parser.add_argument(
         "--needle",
         metavar="MODEL.toml",
@@ -90,7 +91,9 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.scenario import Scenario
 
     scenario, identified = with_identified(Scenario.read(options.scenario), options)
-    require_outputs(options, [options.scenario, *(each.file for each in identified)], options.output)
+    inputs = [options.scenario, options.sign_key, *(each.file for each in identified)]
+    require_outputs(options, inputs, options.output)
+    key = _sign_key(options)
     from needleplan.planning import Status, plan
 
     note(f"{scenario.title or options.scenario}: {scenario.states:,} states, method {scenario.solver.method}")
@@ -105,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
             raise ScenarioError(error.mistakes, options.scenario) from None
         if options.output:
             tell(f"writing {options.output}")
-            table.write(options.output)
+            table.write(options.output, sign_key=key)
         tell("looking for the best entry")
         best = table.best_entry(options.edge)
         if options.figure:
@@ -156,6 +159,17 @@ def _record(table: PolicyTable, best: Entry, options: argparse.Namespace) -> dic
         "table": options.output,
         "figure": options.figure,
     }
+
+
+def _sign_key(options: argparse.Namespace) -> bytes | None:
+    """Return the key of `--sign-key`, or None. Raises InputError if it cannot be used, or no table is written."""
+    if not options.sign_key:
+        return None
+    if not options.output:
+        raise InputError(Mistake("--sign-key", options.sign_key, "requires --output: a file is signed"))
+    from needleplan.artifacts import read_key
+
+    return read_key(options.sign_key)
 
 
 def _print(table: PolicyTable, best: Entry, identified: Sequence[Replaced], options: argparse.Namespace) -> None:

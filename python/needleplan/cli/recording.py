@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_first, print_json, print_summary, working
-from needleplan.cli.options import add_answer, add_output, require_free, require_outputs
+from needleplan.cli.options import add_answer, add_output, add_verify_key, read_table, require_free, require_outputs
 
 if TYPE_CHECKING:
     from needleplan.recording import Recording
@@ -61,6 +61,7 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     again.add_argument("recording", metavar="RUN.mcap")
     again.add_argument("--table", required=True, metavar="TABLE.h5", help="the policy table of the insertion")
+    add_verify_key(again)
     add_answer(again)
     again.set_defaults(run=run_replay)
 
@@ -158,11 +159,10 @@ def _require_export(options: argparse.Namespace) -> None:
 def run_replay(options: argparse.Namespace) -> int:
     """Replay an insertion and return the exit code: 1 if decisions or commands differ from the recording, else 0."""
     from needleplan.control import replay
-    from needleplan.planning import PolicyTable
     from needleplan.recording import Recording
 
     with working(options, "replaying"):
-        done = replay(Recording.read(options.recording), PolicyTable.read(options.table))
+        done = replay(Recording.read(options.recording), read_table(options))
     if options.json:
         print_json({"same": done.same, "decisions": done.decisions, "recorded": done.recorded,
                     "differences": list(done.differences), "ending": done.report.outcome})  # fmt: skip

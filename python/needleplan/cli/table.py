@@ -15,9 +15,11 @@ from needleplan.cli.options import (
     add_nearest,
     add_start,
     add_table,
+    add_verify_key,
     entry_record,
     grid_line,
     pose_record,
+    read_table,
     require_outputs,
     start_pose,
 )
@@ -52,10 +54,10 @@ def _add_path(commands: Any) -> None:
 def _run_path(options: argparse.Namespace) -> int:
     """Run `path` and return the exit code: 1 if the path does not reach the target, else 0."""
     start = start_pose(options.start) if options.start is not None else None
-    from needleplan.planning import Outcome, PolicyTable, Pose
+    from needleplan.planning import Outcome, Pose
 
     require_outputs(options, [options.table])
-    table = PolicyTable.read(options.table)
+    table = read_table(options)
     path = table.path(start or table.best_entry().pose, nearest=options.nearest)
     decision = table.lookup(*path.start, nearest=options.nearest)
     if options.figure:
@@ -118,9 +120,7 @@ def _add_evaluate(commands: Any) -> None:
 def _run_evaluate(options: argparse.Namespace) -> int:
     """Run `evaluate` and return the exit code: 1 if no execution reached the target, else 0."""
     start = start_pose(options.start) if options.start is not None else None
-    from needleplan.planning import PolicyTable
-
-    table = PolicyTable.read(options.table)
+    table = read_table(options)
     with working(options, f"executing the policy {options.runs:,} times"):
         found = table.rollout(start or table.best_entry().pose, options.runs, options.seed, nearest=options.nearest)
     low, high = found.interval
@@ -176,9 +176,7 @@ def _add_entry(commands: Any) -> None:
 
 def _run_entry(options: argparse.Namespace) -> int:
     """Run `entry` and return the exit code: 1 if the target is unreachable, else 0."""
-    from needleplan.planning import PolicyTable
-
-    table = PolicyTable.read(options.table)
+    table = read_table(options)
     along = "y_mm" if options.edge in ("left", "right") else "x_mm"
     best = table.best_entry(options.edge, **{along: options.at})
     if options.json:
@@ -200,6 +198,7 @@ def _add_info(commands: Any) -> None:
         "Exit code 1: a checksum is wrong, or no combination of the atlas fits.",
     )
     parser.add_argument("table", metavar="FILE", help="a policy table (.h5), an atlas (.toml), or `published`")
+    add_verify_key(parser)
     add_search(parser)
     parser.add_argument("--scenario", action="store_true", help="print the scenario of the table as TOML")
     add_answer(parser)
@@ -211,15 +210,16 @@ def _run_info(options: argparse.Namespace) -> int:
     if is_atlas(options.table):
         return run_info(options)
     require_no_search(options)
-    from needleplan.planning import TABLE_FORMAT, PolicyTable
+    from needleplan.planning import TABLE_FORMAT, is_signed
 
     try:
-        table = PolicyTable.read(options.table)
+        table = read_table(options)
     except ChecksumError as error:
         if options.json:
             print_json({"table": options.table, "verified": False, "reason": str(error)})
         return complain(str(error))
     scenario, stats = table.scenario, table.stats
+    signature = "verified" if options.verify_key else "not verified" if is_signed(options.table) else "none"
     if options.scenario:
         print(scenario.to_toml(), end="")
         return 0
@@ -228,6 +228,7 @@ def _run_info(options: argparse.Namespace) -> int:
             {
                 "table": options.table,
                 "verified": True,
+                "signature": signature,
                 "format": TABLE_FORMAT,
                 "title": scenario.title,
                 "scenario_digest": scenario.digest,
@@ -249,7 +250,8 @@ def _run_info(options: argparse.Namespace) -> int:
             "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, residual {stats.residual:.3g}, "
             f"error at most {stats.error_bound:.3g}",
             "success": f"{percent(float(table.success.mean()))} on average over all states",
-            "digest": f"{table.digest}, checksums verified",
+            "digest": f"{table.digest}, checksums verified"
+            + ("" if signature == "none" else f", signature {signature}"),
         },
         {
             "format": TABLE_FORMAT,

@@ -5,8 +5,9 @@ from needleplan.planning._lattice import Progress, Stats, Status, lattice_of
 from needleplan.planning._lookup import Decision, Decisions, Expectations
 from needleplan.planning._planner import plan
 from needleplan.planning._poses import Action, Edge, Entry, Outcome, Pose
+from needleplan.planning._seal import FORMAT as TABLE_FORMAT
+from needleplan.planning._seal import is_signed
 from needleplan.planning._table import PolicyTable
-from needleplan.planning._table_file import FORMAT as TABLE_FORMAT
 
 __all__ = [
     "MOST_STEPS",
@@ -25,6 +26,7 @@ __all__ = [
     "Rollouts",
     "Stats",
     "Status",
+    "is_signed",
     "lattice_of",
     "plan",
     "wilson",

@@ -115,6 +115,17 @@ class Lookups:
                 rule = f"must be {np.dtype(dtype).name} of the shape {self.scenario.shape} of the scenario"
                 raise TableError(Mistake(name, found, rule))
             array.flags.writeable = False
+        self._require_numbers()
+
+    def _require_numbers(self) -> None:
+        """Raise TableError if a cost is NaN, an action is unknown, or a success is not a probability."""
+        if np.isnan(self.values.min()):
+            raise TableError(Mistake("values", "nan", "must be costs"))
+        if (most := int(self.policy.max())) > Action.ROTATE:
+            raise TableError(Mistake("policy", f"{most}", "must be 0 (insert) or 1 (rotate, then insert)"))
+        low, high = float(self.success.min()), float(self.success.max())
+        if not (low >= 0 and high <= 1):
+            raise TableError(Mistake("success", f"{low:g} to {high:g}", "must be probabilities, from 0 to 1"))
 
     @cached_property
     def lattice(self) -> _ppvi.Lattice:

@@ -52,7 +52,8 @@ class PolicyTable(Lookups):
     Raises
     ------
     TableError
-        If an array does not have the type or the shape that the scenario requires.
+        If an array does not have the type or the shape that the scenario requires, or holds a number that is no cost,
+        action or probability.
 
     Notes
     -----
@@ -80,8 +81,8 @@ class PolicyTable(Lookups):
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the scenario's digest and the three arrays; other files refer to the table by this digest."""
-        tables = (digest(array.data) for array in (self.values, self.policy, self.success))
-        return digest("\n".join([self.scenario.digest, *tables]))
+        arrays = [digest(array.data) for array in (self.values, self.policy, self.success)]
+        return _table_file.table_digest(self.scenario.digest, arrays)
 
     def path(
         self, start: Entry | Pose | Sequence[float], *, nearest: bool = False, noise_seed: int | None = None
@@ -320,13 +321,15 @@ class PolicyTable(Lookups):
             attrs={"title": self.scenario.title, "digest": self.digest, "scenario": self.scenario.to_toml()},
         )
 
-    def write(self, path: str | os.PathLike[str]) -> None:
+    def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None) -> None:
         """Write the table to an HDF5 file. If this fails, an existing file is unchanged.
 
         Parameters
         ----------
         path : str or path
             The file to write.
+        sign_key : bytes, optional
+            Secret key of at least 16 bytes, with which the file is signed (HMAC-SHA256).
 
         Raises
         ------
@@ -343,18 +346,19 @@ class PolicyTable(Lookups):
         ...     npl.PolicyTable.read(Path(folder) / "table.h5").digest == table.digest
         True
         """
-        _table_file.write(
-            path, _table_file.Content(self.values, self.policy, self.success, self.stats, self.scenario), self.digest
-        )
+        content = _table_file.Content(self.values, self.policy, self.success, self.stats, self.scenario)
+        _table_file.write(path, content, self.digest, sign_key)
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> PolicyTable:
+    def read(cls, path: str | os.PathLike[str], *, verify_key: bytes | None = None) -> PolicyTable:
         """Read a table from its HDF5 file and verify every byte.
 
         Parameters
         ----------
         path : str or path
             The file to read.
+        verify_key : bytes, optional
+            Secret key; a table that is not signed with this key is refused.
 
         Returns
         -------
@@ -366,7 +370,7 @@ class PolicyTable(Lookups):
         TableError
             If the file is not a policy table, or only part of one.
         ChecksumError
-            If bytes of the file have changed since it was written.
+            If bytes of the file have changed since it was written, or the file is not signed with `verify_key`.
 
         Examples
         --------
@@ -375,7 +379,7 @@ class PolicyTable(Lookups):
         Traceback (most recent call last):
         needleplan.errors.TableError: no.h5: cannot be read: No such file or directory
         """
-        content = _table_file.read(path)
+        content = _table_file.read(path, verify_key)
         try:
             return cls(content.values, content.policy, content.success, content.stats, content.scenario)
         except TableError as error:

@@ -1,46 +1,47 @@
 """Files of policy tables: HDF5 with a checksum (seal) in front.
 
-The first 512 bytes are an HDF5 user block. It holds the seal: the format, the length of the rest of the file and its
-SHA-256, padded with zeros. The seal is verified before HDF5 parses the file, so changed bytes are always detected.
+The first 512 bytes are an HDF5 user block with the seal (`_seal.py`), which is verified before HDF5 parses the file.
 Readers that ignore the seal, such as MATLAB's `h5read`, open the file like any other HDF5 file.
 
 Contiguous datasets follow: `values`, `policy` and `success` [x, y, heading, bevel] with their units and SHA-256, the
 axes `x_mm`, `y_mm`, `heading_rad`, `bevel`, and `order`. The attributes of the root hold the text and the digest of the
 scenario, the digest of the table, and the numbers of `Stats`. MATLAB shows the axes in reverse: [bevel, heading, y, x].
+
+A sealed file may come from another program. Before data are read, their type, shape and place in the file must be those
+that the scenario requires; afterwards, all digests, units, axes and numbers must agree.
 """
 
 from __future__ import annotations
 
 import io
 import os
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from needleplan.artifacts import digest, version, write_whole
 from needleplan.errors import ChecksumError, InputError, Mistake, TableError
 from needleplan.planning._lattice import Stats, Status
+from needleplan.planning._seal import FORMAT, SEAL_BYTES, seal, verify
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
     import h5py
-    import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["FORMAT", "TABLES", "Content", "read", "write"]
+__all__ = ["TABLES", "Content", "read", "table_digest", "write"]
 
-# First word of a file: format and version.
-FORMAT = "needleplan.table/1"
-
-# Size (bytes) of the seal; the HDF5 user block must have 512 bytes or a larger power of two.
-_SEAL_BYTES = 512
-_HDF5 = b"\x89HDF\r\n\x1a\n"
 # Description and unit of every table.
 TABLES = {
     "values": ("expected cost from the state on, optimal", "cost"),
     "policy": ("0: insert, 1: rotate by half a turn, then insert", "1"),
     "success": ("probability of reaching the target under the policy", "1"),
 }
+_TYPES = {"values": np.float32, "policy": np.uint8, "success": np.float32}
+_RESEALED = "the file has been altered and sealed again"
 
 
 @dataclass(frozen=True)
@@ -54,19 +55,31 @@ class Content:
     scenario: Scenario
 
 
-def write(path: str | os.PathLike[str], content: Content, table_digest: str) -> None:
-    """Write a table file. Raises OutputError if it cannot be written; an existing file is then unchanged."""
+def table_digest(scenario_digest: str, array_digests: list[str]) -> str:
+    """Return the digest of a table from the digests of its scenario and of `values`, `policy` and `success`."""
+    return digest("\n".join([scenario_digest, *array_digests]))
+
+
+def write(path: str | os.PathLike[str], content: Content, its_digest: str, key: bytes | None = None) -> None:
+    """Write a table file, signed with `key` if given.
+
+    Raises OutputError if it cannot be written; an existing file is then unchanged.
+    """
     import h5py
 
     image = io.BytesIO()
-    with h5py.File(image, "w", userblock_size=_SEAL_BYTES) as file:
-        _fill(file, content, table_digest)
-    body = image.getbuffer()[_SEAL_BYTES:]
-    write_whole(path, _seal(body), body)
+    with h5py.File(image, "w", userblock_size=SEAL_BYTES) as file:
+        _fill(file, content, its_digest)
+    body = image.getbuffer()[SEAL_BYTES:]
+    write_whole(path, seal(body, key), body)
 
 
-def read(path: str | os.PathLike[str]) -> Content:
-    """Read a table. Raises ChecksumError if bytes have changed, TableError if the file is not a complete table."""
+def read(path: str | os.PathLike[str], key: bytes | None = None) -> Content:
+    """Read a table, and verify its signature if `key` is given.
+
+    Raises ChecksumError if bytes have changed or the signature is not that of the key, TableError if the file is not a
+    complete table.
+    """
     import h5py
 
     if not isinstance(path, str | os.PathLike):
@@ -77,36 +90,19 @@ def read(path: str | os.PathLike[str]) -> Content:
     except (OSError, ValueError) as error:
         reason = f"cannot be read: {getattr(error, 'strerror', None) or error}"
         raise TableError(reason, source) from error
-    _verify(data, source)
+    verify(data, source, key)
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
-            return _content(file)
+            return _content(file, len(data))
     except TableError as error:
-        raise TableError(error.mistakes, source) from None
-    except (OSError, KeyError, ValueError, TypeError, AttributeError, InputError) as error:
+        raise type(error)(error.mistakes, source) from None
+    except InputError as error:
+        raise TableError(f"is sealed but does not hold a policy table: {error}", source) from error
+    except Exception as error:  # h5py raises many types of exceptions for a file that another program has made
         raise TableError(f"is sealed but does not hold a policy table: {error}", source) from error
 
 
-def _seal(body: memoryview) -> bytes:
-    return f"{FORMAT} {len(body)} bytes {digest(body)}\n".encode().ljust(_SEAL_BYTES, b"\0")
-
-
-def _verify(data: bytes, source: str) -> None:
-    words = data[:_SEAL_BYTES].split(b"\n")[0].split(b" ")
-    if words[0] != FORMAT.encode() or len(words) != 4 or not words[1].isdigit():
-        if words[0].startswith(b"needleplan.table/") and words[0] != FORMAT.encode():
-            name = words[0].decode(errors="replace")
-            raise TableError(Mistake("format", name, f"another version; this needleplan reads {FORMAT}"), source)
-        kind = "an HDF5 file, but not a sealed policy table" if data.startswith(_HDF5) else "not a policy table"
-        raise TableError(f"is {kind}: it must begin with {FORMAT}", source)
-    expected, found = int(words[1]), len(data) - _SEAL_BYTES
-    if found < expected:
-        raise TableError(f"is truncated: {max(found, 0):,} of {expected:,} bytes are there", source)
-    if data[:_SEAL_BYTES] != _seal(memoryview(data)[_SEAL_BYTES:]):
-        raise ChecksumError("has been altered since it was written: its SHA-256 is not that of its seal", source)
-
-
-def _fill(file: h5py.File, content: Content, table_digest: str) -> None:
+def _fill(file: h5py.File, content: Content, its_digest: str) -> None:
     scenario = content.scenario
     root: dict[str, Any] = {
         "format": FORMAT,
@@ -114,7 +110,7 @@ def _fill(file: h5py.File, content: Content, table_digest: str) -> None:
         "title": scenario.title.replace("\0", " "),
         "scenario": scenario.to_toml(),
         "scenario_digest": scenario.digest,
-        "digest": table_digest,
+        "digest": its_digest,
         "axes": "x, y, heading, bevel",
         "origin_mm": (0.0, 0.0),
         "spacing_mm": scenario.grid.spacing_mm,
@@ -126,34 +122,105 @@ def _fill(file: h5py.File, content: Content, table_digest: str) -> None:
         array = getattr(content, name)
         file.create_dataset(name, data=array)
         file[name].attrs.update({"description": description, "units": unit, "sha256": digest(array.data)})
-    axes = {"x_mm": (scenario.x_mm, "mm"), "y_mm": (scenario.y_mm, "mm"), "heading_rad": (scenario.headings_rad, "rad")}
-    for name, (axis, unit) in {**axes, "bevel": ((-1, 1), "1")}.items():
+    for name, (axis, unit) in _axes(scenario).items():
         file.create_dataset(name, data=axis)
         file[name].attrs["units"] = unit
     file.create_dataset("order", data=content.stats.order, dtype="uint32")
     file["order"].attrs["description"] = "partitions ix * py + iy in the order of their first processing"
 
 
-def _require_units(file: h5py.File) -> None:
-    """Raise TableError if the units in the file differ from the units of this package."""
-    units = {name: unit for name, (_, unit) in TABLES.items()} | {"x_mm": "mm", "y_mm": "mm", "heading_rad": "rad"}
-    mistakes = [
-        Mistake(f"{name}.units", str(file[name].attrs.get("units", "")), f'must be "{unit}"')
-        for name, unit in units.items() if file[name].attrs.get("units") != unit
-    ]  # fmt: skip
-    if mistakes:
-        raise TableError(mistakes)
+def _axes(scenario: Scenario) -> dict[str, tuple[Any, str]]:
+    """Return the points and the unit of each axis."""
+    lengths = {"x_mm": (scenario.x_mm, "mm"), "y_mm": (scenario.y_mm, "mm")}
+    return {**lengths, "heading_rad": (scenario.headings_rad, "rad"), "bevel": (np.array([-1, 1]), "1")}
 
 
-def _content(file: h5py.File) -> Content:
-    _require_units(file)
+def _content(file: h5py.File, size: int) -> Content:
+    text = file.attrs["scenario"]
+    if not isinstance(text, str):
+        raise TableError(Mistake("scenario", type(text).__name__, "must be a text"))
+    scenario = Scenario.from_toml(text)
+    axes = _axes(scenario)
+    wanted: dict[str, tuple[tuple[int, ...], str]] = {
+        **{name: (scenario.shape, np.dtype(kind).kind) for name, kind in _TYPES.items()},
+        **{name: (points.shape, points.dtype.kind) for name, (points, _) in axes.items()},
+    }
+    _require(list(_foreign(file, wanted, size)))
+    _require(list(_other_units(file)))
     tables = {name: file[name][()] for name in TABLES}
+    for name, expected in (("spacing_mm", scenario.grid.spacing_mm), ("origin_mm", (0.0, 0.0))):
+        if np.asarray(file.attrs[name]).tolist() != list(expected):
+            raise TableError(Mistake(name, str(file.attrs[name]), f"must be {list(expected)}, as in the scenario"))
+    _require([
+        Mistake(name, "", f"must hold the axis of the scenario, from {points[0]:g} to {points[-1]:g}")
+        for name, (points, _) in axes.items()
+        if not np.allclose(file[name][()], points, rtol=1e-9, atol=1e-9)
+    ])  # fmt: skip
+    _require_digests(file, text, tables)
     names = [each.name for each in fields(Stats) if each.name != "order"]
     # Tables of older versions have no bound on the success.
     numbers: dict[str, Any] = {
         name: file.attrs[name] for name in names if name != "success_error_bound" or name in file.attrs
     }
     plain = {name: getattr(value, "item", lambda value=value: value)() for name, value in numbers.items()}
+    _require([
+        Mistake(name, repr(value), "must be a number")
+        for name, value in plain.items()
+        if name != "status" and (isinstance(value, bool) or not isinstance(value, int | float) or value != value)
+    ])  # fmt: skip
     plain["status"] = Status(plain["status"])
     stats = Stats(**plain, order=tuple(file["order"][()].tolist()))
-    return Content(**tables, stats=stats, scenario=Scenario.from_toml(file.attrs["scenario"]))
+    return Content(**tables, stats=stats, scenario=scenario)
+
+
+def _require(mistakes: list[Mistake]) -> None:
+    if mistakes:
+        raise TableError(mistakes)
+
+
+def _foreign(file: h5py.File, wanted: dict[str, tuple[tuple[int, ...], str]], size: int) -> Iterator[Mistake]:
+    """Yield a mistake for each dataset that is not stored in this file of `size` bytes with the wanted shape and type.
+
+    Without this check, HDF5 would read other files (external storage, links, virtual datasets), follow links in a
+    circle, or allocate what the file only claims to hold.
+    """
+    import h5py
+
+    for name in [*wanted, "order"]:
+        link = file.get(name, getlink=True)
+        if not isinstance(link, h5py.HardLink) or file.get(name, getclass=True) is not h5py.Dataset:
+            yield Mistake(name, "", "must be a dataset of the file, not a link or a group")
+            continue
+        dataset = file[name]
+        if dataset.id.get_create_plist().get_layout() != h5py.h5d.CONTIGUOUS or dataset.external:
+            yield Mistake(name, "", "must be stored in the file itself, in one piece")
+            continue
+        shape, kind = wanted.get(name, (dataset.shape, "u"))
+        if dataset.shape != shape or len(dataset.shape) != len(shape) or dataset.dtype.kind != kind:
+            yield Mistake(name, f"{dataset.dtype} {dataset.shape}", f"must have the shape {shape} of the scenario")
+            continue
+        length = dataset.size * dataset.dtype.itemsize
+        # Both are asked for: the offset of data that were never written is -1 after the user block, not None.
+        if length and (dataset.id.get_storage_size() != length or dataset.id.get_offset() + length > size):
+            yield Mistake(name, f"{dataset.shape}", "must be stored in the file itself: its data are not there")
+
+
+def _other_units(file: h5py.File) -> Iterator[Mistake]:
+    """Yield a mistake for each dataset whose unit differs from the unit of this package."""
+    units = {name: unit for name, (_, unit) in TABLES.items()} | {"x_mm": "mm", "y_mm": "mm", "heading_rad": "rad"}
+    for name, unit in units.items():
+        found = file[name].attrs.get("units")
+        if found != unit:
+            yield Mistake(f"{name}.units", str(found or ""), f'must be "{unit}"')
+
+
+def _require_digests(file: h5py.File, text: str, tables: dict[str, Any]) -> None:
+    """Raise ChecksumError if a digest in the file is not that of the scenario's text, an array or the whole table."""
+    arrays = {name: digest(np.ascontiguousarray(array).data) for name, array in tables.items()}
+    wrong = [name for name, found in arrays.items() if file[name].attrs["sha256"] != found]
+    if file.attrs["scenario_digest"] != digest(text):
+        wrong.append("scenario")
+    if not wrong and file.attrs["digest"] != table_digest(digest(text), [*arrays.values()]):
+        wrong.append("table")
+    if wrong:
+        raise ChecksumError([Mistake(name, "", f"its SHA-256 is not the stored one: {_RESEALED}") for name in wrong])
