@@ -196,6 +196,11 @@ def stored_otherwise(make: Callable[[h5py.File, tuple[int, ...], str], object]) 
     return store_it
 
 
+def moved(scenario: str) -> str:
+    assert "[50.0, 25.0]" in scenario
+    return scenario.replace("[50.0, 25.0]", "[50.0, 26.0]")
+
+
 def virtual(file: h5py.File, shape: tuple[int, ...], source: str) -> None:
     layout = h5py.VirtualLayout(shape, "f4")
     layout[:] = h5py.VirtualSource(source, "values", shape)
@@ -209,7 +214,7 @@ def virtual(file: h5py.File, shape: tuple[int, ...], source: str) -> None:
         (replaced("policy", lambda policy: policy + np.uint8(255)), "table: its SHA-256"),
         (replaced("success", lambda success: success * 0 + 1), "table: its SHA-256"),
         (lambda file: file["policy"].__setitem__((0, 0, 0, 0), 1 - file["policy"][0, 0, 0, 0]), "policy: its SHA-256"),
-        (lambda file: file.attrs.__setitem__("scenario", file.attrs["scenario"].replace("[50.0, 25.0]", "[50.0, 26.0]")),
+        (lambda file: file.attrs.__setitem__("scenario", moved(file.attrs["scenario"])),
          "scenario: its SHA-256"),
         (lambda file: file.attrs.__setitem__("digest", "sha256:0"), "table: its SHA-256"),
         (lambda file: file["x_mm"].__setitem__(3, 7.5), "x_mm: must hold the axis of the scenario, from 0 to 60"),
