@@ -1,0 +1,203 @@
+"""A table that was changed and sealed again is refused; a signature finds what corrected digests hide."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import needleplan as npl
+from needleplan.artifacts import digest
+from needleplan.errors import ChecksumError, TableError
+from needleplan.planning import is_signed
+from needleplan.planning._seal import seal
+
+
+def flipped(data: bytes, place: int, bit: int) -> bytes:
+    altered = bytearray(data)
+    altered[place] ^= 1 << bit
+    return bytes(altered)
+
+
+def resealed(path: Path, change: Callable[[h5py.File], None]) -> None:
+    with h5py.File(path, "r+") as file:
+        change(file)
+    data = path.read_bytes()
+    path.write_bytes(seal(memoryview(data)[512:]) + data[512:])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda file: file.__delitem__("values"),
+        lambda file: file.attrs.__delitem__("scenario"),
+        lambda file: file.attrs.__setitem__("scenario", "nonsense"),
+        lambda file: file.attrs.__setitem__("scenario", 3),
+        lambda file: file.attrs.__setitem__("status", "happy"),
+        lambda file: file.attrs.__delitem__("backups"),
+        lambda file: (file.__delitem__("policy"), file.__setitem__("policy", np.zeros(3, np.uint8))),
+    ],
+)
+def test_a_sealed_file_that_is_no_table_is_refused(
+    table_file: Path, tmp_path: Path, change: Callable[[h5py.File], None]
+) -> None:
+    path = tmp_path / "odd.h5"
+    path.write_bytes(table_file.read_bytes())
+    resealed(path, change)
+    with pytest.raises(TableError, match=r"odd\.h5"):
+        npl.PolicyTable.read(path)
+
+
+def replaced(name: str, change: Callable[[np.ndarray], object]) -> Callable[[h5py.File], None]:
+    """Return a change that replaces a dataset and keeps its attributes; its SHA-256 is made to agree."""
+
+    def replace_it(file: h5py.File) -> None:
+        attributes, data = dict(file[name].attrs), np.asarray(change(file[name][()]))
+        del file[name]
+        file[name] = data
+        file[name].attrs.update(attributes | {"sha256": digest(data.data)})
+
+    return replace_it
+
+
+def stored_otherwise(make: Callable[[h5py.File, tuple[int, ...], str], object]) -> Callable[[h5py.File], None]:
+    """Return a change that keeps the attributes of the values, and stores them in another way."""
+
+    def store_it(file: h5py.File) -> None:
+        attributes, shape = dict(file["values"].attrs), file["values"].shape
+        del file["values"]
+        make(file, shape, file.filename)
+        if isinstance(file.get("values", getlink=True), h5py.HardLink):
+            file["values"].attrs.update(attributes)
+
+    return store_it
+
+
+def moved(scenario: str) -> str:
+    assert "[50.0, 25.0]" in scenario
+    return scenario.replace("[50.0, 25.0]", "[50.0, 26.0]")
+
+
+def virtual(file: h5py.File, shape: tuple[int, ...], source: str) -> None:
+    layout = h5py.VirtualLayout(shape, "f4")
+    layout[:] = h5py.VirtualSource(source, "values", shape)
+    file.create_virtual_dataset("values", layout)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (replaced("policy", lambda policy: 1 - policy), "table: its SHA-256 is not the stored one"),
+        (replaced("policy", lambda policy: policy + np.uint8(255)), "table: its SHA-256"),
+        (replaced("success", lambda success: success * 0 + 1), "table: its SHA-256"),
+        (lambda file: file["policy"].__setitem__((0, 0, 0, 0), 1 - file["policy"][0, 0, 0, 0]), "policy: its SHA-256"),
+        (lambda file: file.attrs.__setitem__("scenario", moved(file.attrs["scenario"])),
+         "scenario: its SHA-256"),
+        (lambda file: file.attrs.__setitem__("digest", "sha256:0"), "table: its SHA-256"),
+        (lambda file: file["x_mm"].__setitem__(3, 7.5), "x_mm: must hold the axis of the scenario, from 0 to 60"),
+        (lambda file: file.attrs.__setitem__("spacing_mm", (2.0, 2.0)), "spacing_mm"),
+        (lambda file: file.attrs.__setitem__("residual", np.nan), "residual = nan: must be a number"),
+        (stored_otherwise(lambda file, _, __: file.create_group("values")), "values: must be a dataset of the file"),
+        (stored_otherwise(lambda file, _, __: file.__setitem__("values", h5py.SoftLink("/values"))),
+         "values: must be a dataset of the file, not a link"),
+        (stored_otherwise(lambda file, _, name: file.__setitem__("values", h5py.ExternalLink(name, "/policy"))),
+         "values: must be a dataset of the file, not a link"),
+        (stored_otherwise(virtual), "values: must be stored in the file itself"),
+        (stored_otherwise(lambda file, shape, _: file.create_dataset(
+            "values", shape, "f4", external=[("/etc/services", 0, 10**6)])), "values: must be stored in the file"),
+        (stored_otherwise(lambda file, shape, _: file.create_dataset("values", shape, "f4", chunks=True)),
+         "values: must be stored in the file itself, in one piece"),
+        (stored_otherwise(lambda file, shape, _: file.create_dataset("values", shape, "f4")), "its data are not there"),
+        (stored_otherwise(lambda file, _, __: file.create_dataset("values", (10**6, 10**6, 60, 2), "f4")),
+         "must have the shape"),
+        (stored_otherwise(lambda file, shape, _: file.create_dataset("values", data=np.zeros(shape, "f8"))),
+         "values: its SHA-256"),
+    ],
+)  # fmt: skip
+def test_what_was_changed_and_sealed_again_is_found(
+    change: Callable[[h5py.File], None], says: str, table_file: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "odd.h5"
+    path.write_bytes(table_file.read_bytes())
+    resealed(path, change)
+    with pytest.raises(TableError) as refused:
+        npl.PolicyTable.read(path)
+    assert says in str(refused.value)
+    assert str(refused.value).startswith(f"{path}: ")
+
+
+def consistent(name: str, number: float) -> Callable[[h5py.File], None]:
+    """Return a change of one number of a table that also corrects all digests."""
+
+    def change(file: h5py.File) -> None:
+        file[name][0, 0, 0, 0] = number
+        arrays = [digest(file[each][()].data) for each in ("values", "policy", "success")]
+        file[name].attrs["sha256"] = digest(file[name][()].data)
+        file.attrs["digest"] = digest("\n".join([file.attrs["scenario_digest"], *arrays]))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "says"),
+    [
+        ("policy", 255, "policy = 255: must be 0 (insert) or 1"),
+        ("success", 7, "success = 0 to 7: must be probabilities"),
+        ("success", -0.1, "must be probabilities"),
+        ("success", np.nan, "must be probabilities"),
+        ("values", np.nan, "values = nan: must be costs"),
+    ],
+)
+def test_numbers_that_no_table_holds_are_refused_with_every_digest_right(
+    name: str, number: float, says: str, table_file: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "odd.h5"
+    path.write_bytes(table_file.read_bytes())
+    resealed(path, consistent(name, number))
+    with pytest.raises(TableError) as refused:
+        npl.PolicyTable.read(path)
+    assert says in str(refused.value)
+
+
+KEY = b"a secret of the laboratory"
+
+
+def test_a_signature_finds_what_a_new_seal_hides(table: npl.PolicyTable, tmp_path: Path) -> None:
+    signed, plain = tmp_path / "signed.h5", tmp_path / "plain.h5"
+    table.write(signed, sign_key=KEY)
+    table.write(plain)
+    assert (is_signed(signed), is_signed(plain)) == (True, False)
+    for path, key in ((signed, KEY), (signed, None), (plain, None)):
+        assert npl.PolicyTable.read(path, verify_key=key).digest == table.digest
+    with pytest.raises(ChecksumError, match=r"plain\.h5: is not signed"):
+        npl.PolicyTable.read(plain, verify_key=KEY)
+    with pytest.raises(ChecksumError, match="is signed with another key, or has been altered"):
+        npl.PolicyTable.read(signed, verify_key=KEY + b"!")
+    with pytest.raises(npl.InputError, match="key = 3 bytes: must have at least 16 bytes"):
+        table.write(signed, sign_key=b"abc")
+    # One number, changed with all digests and the seal, is read without a key and refused with it.
+    data = signed.read_bytes()
+    value = table.values[1, 1, 1, 1]
+    resealed(signed, consistent("values", float(value) + 1))
+    assert npl.PolicyTable.read(signed).digest != table.digest
+    with pytest.raises(ChecksumError, match="is not signed"):
+        npl.PolicyTable.read(signed, verify_key=KEY)
+    body = signed.read_bytes()[512:]
+    signature = data[:512].split(b"\n")[1] + b"\n"
+    kept = (seal(memoryview(body)).rstrip(b"\0") + signature).ljust(512, b"\0")
+    signed.write_bytes(kept + body)
+    with pytest.raises(ChecksumError, match="is signed with another key, or has been altered and sealed again"):
+        npl.PolicyTable.read(signed, verify_key=KEY)
+
+
+def test_every_flipped_bit_of_a_signed_seal_is_found(table: npl.PolicyTable, tmp_path: Path) -> None:
+    path = tmp_path / "signed.h5"
+    table.write(path, sign_key=KEY)
+    data = path.read_bytes()
+    for place in range(512):
+        path.write_bytes(flipped(data, place, place % 8))
+        with pytest.raises(TableError):
+            npl.PolicyTable.read(path, verify_key=KEY)
