@@ -23,7 +23,7 @@ from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
 from needleplan.errors import NeedleplanError, ProtocolError
 from needleplan.estimation.registration import Registration
 from needleplan.planning import PolicyTable, plan
-from needleplan.recording import Recording
+from needleplan.recording import Recording, recover
 from needleplan.scenario import Grid, Needle, Scenario, Target, TipMotion, Workspace
 from needleplan.simulation import Effects, Setup, SimulatedEntry
 from needleplan.simulation.lab_processes import RealTimeLab
@@ -32,6 +32,7 @@ COIL_MM = 2.0
 SPEED_MM_S = 5.0
 DEPTH_MM = 3.0  # depth at which a fault is injected
 BEGIN_S = 30.0  # longest time from the start of `insert` to this depth
+SETTLED_S = 0.3  # time after the early end of `insert` for which the robot is observed
 END_S = 15.0  # longest time from the request to end to the end of `insert`
 
 
@@ -192,6 +193,8 @@ def observed(
         run.proxy.worst_pause_s = 0.0
         inject(run)
         run.wait(lambda: False, observed_s)
+        if run.process is not None and run.process.poll() is not None:
+            time.sleep(SETTLED_S)
         found.pause_ms = 1e3 * run.proxy.worst_pause_s
         _end(run, found, run.fault_s + observed_s)
         stopped_s = _rest(run)
@@ -241,7 +244,11 @@ def _read(folder: Path, found: Outcome) -> None:
         found.state = found.state or f"exit code {found.code}"
         return
     try:
-        recording = Recording.read(folder / files[0])
+        if files[0].endswith(".partial"):
+            recover(folder / files[0], folder / "recovered.mcap")
+            recording = Recording.read(folder / "recovered.mcap")
+        else:
+            recording = Recording.read(folder / files[0])
     except NeedleplanError as error:
         found.recording = f"{files[0]}: {str(error).splitlines()[0]}"
         return

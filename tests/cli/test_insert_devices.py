@@ -145,3 +145,28 @@ def test_a_needle_that_stands_elsewhere(still: Still, folder: Path, capsys: pyte
     assert code == 2, said.err
     assert "from the expected start" in said.err
     assert "refused" in said.out
+
+
+def test_a_needle_that_stands_elsewhere_than_the_best_entry(
+    still: Still, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without `--start`, the best entry of the table is expected."""
+    x, y, _, _ = small_table().best_entry().pose
+    half = 0.5**0.5
+    coil = SimulatedTool("1", lambda _: ((half, 0.0, half, 0.0), (x - 2.0, y - 8.0, 0.0)))
+    with TcpEndpoint(AuroraDevice([coil])) as tracker:
+        code = insert(folder, f"{still.robot.address}?watchdog_s=5", still.force, tracker.address)
+    said = capsys.readouterr()
+    assert code == 2, said.err
+    assert "8.0 mm and" in said.err
+    assert "from the expected start" in said.err
+
+
+def test_a_needle_that_is_far_from_its_entry_depth_is_not_driven_there(
+    still: Still, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = insert(folder, f"{still.robot.address}?watchdog_s=5", still.force, still.tracker, "--entry-depth", "40")
+    said = capsys.readouterr()
+    assert code == 2, said.err
+    assert "stage depth = 0.00 mm" in said.err
+    assert "within 5 mm of the entry depth, 40 mm" in said.err

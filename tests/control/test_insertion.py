@@ -360,3 +360,13 @@ def test_a_slow_retraction_outlives_the_run_unless_a_person_stops_it(stops: bool
         assert goal_mm[0] + 5.0 < reached_mm < goal_mm[0] + 8.0
     else:
         assert reached_mm == pytest.approx(goal_mm[0], abs=0.3)
+
+
+@pytest.mark.parametrize(("entry_mm", "outcome"), [(2.0, "target"), (40.0, "refused"), (-40.0, "refused")])
+def test_only_a_short_way_to_the_entry_is_driven(entry_mm: float, outcome: str) -> None:
+    """A zero of the stage that is wrong by 40 mm does not drive the needle 40 mm inward."""
+    lab = a_lab()
+    report = run_in(lab, replace(FAST, entry_depth_mm=entry_mm, longest_mm=100.0))
+    assert report.outcome == outcome, report.cause
+    if outcome == "refused":
+        assert lab.plant.insertion.measured == pytest.approx(0.0, abs=0.01)

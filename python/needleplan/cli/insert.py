@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from needleplan.control import Insertion, InsertionReport, RunRecorder, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
-    from needleplan.planning import PolicyTable
+    from needleplan.planning import PolicyTable, Pose
 
 __all__ = ["add_to", "run"]
 
@@ -139,7 +139,7 @@ def run(options: argparse.Namespace) -> int:
     given = {address for address in addresses if address and address.startswith(_SIM)} or {_SIM}
     # A simulated lab has all three devices, so the address of one device is also used for devices without an address.
     robot, force, tracker = (address or min(given) for address in addresses)
-    setup = _setup(options, wanted)
+    setup = _setup(options, start)
     if not are_simulated(robot, force, tracker) and not options.registration:
         rule = "is missing: real devices require a registration; see `needleplan register`"
         raise AddressError(Mistake("--registration", "", rule))
@@ -215,11 +215,12 @@ def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
     require_fitting(table, options.table, scenario, needle)
 
 
-def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any:
+def _setup(options: argparse.Namespace, start: Pose) -> Any:
     """Check the options, and return a function that takes the opened devices and returns the setup of the run.
 
     For a simulated lab, the function takes missing values (torsion, needle length, registration) from the lab.
-    `wanted` is the pose of `--start`, or None. Raises InputError.
+    `start` is the pose at which the needle is expected: that of `--start`, else the best entry of the table. Raises
+    InputError.
     """
     from needleplan.control import Options, RunSetup
     from needleplan.control.safety import SafetyLimits
@@ -240,7 +241,7 @@ def _setup(options: argparse.Namespace, wanted: tuple[float, ...] | None) -> Any
         entry_depth_mm=options.entry_depth, roll_left_rad=math.radians(options.roll_left_deg),
         longest_mm=limits.deepest_mm - options.entry_depth, torsion=torsion,
         stops=options.stops, replan=not options.no_replan, force_axis=(x / length, y / length, z / length),
-        expected_start=(wanted[0], wanted[1], wanted[2]) if wanted else None,
+        expected_start=(start.x_mm, start.y_mm, start.heading_rad),
     )  # fmt: skip
 
     def made(station: Station) -> RunSetup:

@@ -200,7 +200,7 @@ class Insertion(Closing):
         needle, driver, options = self._needle, self._driver, self.options
         driver.wait_until(lambda: needle.stage is not None, options.silence_s, "stage: no sample")
         entry = measured_entry(needle, driver, self.registration, _ENTRY_FRAMES, self.guard.limits.pose_age_s)
-        require_expected(entry, options)
+        require_expected(entry, needle.path_mm, options)
         needle.follow(TipFilter.for_scenario(self._scene.scenario, self.registration, entry, self._tip_settings))
         driver.settle(_ENTRY_FRAMES)
         x, y = self._scene.clamped(*entry[:2])

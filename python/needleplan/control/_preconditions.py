@@ -116,11 +116,20 @@ def measured_entry(
     return x, y, math.atan2(dy, dx)
 
 
-def require_expected(entry: tuple[float, float, float], options: Options) -> None:
-    """Raise PoseError if `entry` (x_mm, y_mm, heading_rad) is farther from `expected_start` than the options allow.
+def require_expected(entry: tuple[float, float, float], path_mm: float, options: Options) -> None:
+    """Raise PoseError if the needle is not at its entry before the first motion.
 
-    Without an `expected_start`, every entry is accepted.
+    `path_mm` is the depth of the stage beyond the entry depth. More than `start_within_mm` before or behind the entry,
+    the zero of the stage is wrong or the needle is not where the table begins; the loop would then drive the needle
+    inward without a plan. `entry` (x_mm, y_mm, heading_rad) is the measured entry. It must be close to the
+    `expected_start` of the options; without an `expected_start`, every entry is accepted.
     """
+    if not abs(path_mm) <= options.start_within_mm:
+        rule = (
+            f"must be within {options.start_within_mm:g} mm of the entry depth, {options.entry_depth_mm:g} mm: move "
+            "the needle to its entry, home the stage, or state the depth of the stage at the entry (--entry-depth)"
+        )
+        raise PoseError(Mistake("stage depth", f"{path_mm + options.entry_depth_mm:.2f} mm", rule))
     expected = options.expected_start
     if expected is None:
         return
@@ -128,5 +137,6 @@ def require_expected(entry: tuple[float, float, float], options: Options) -> Non
     off_rad = abs(math.remainder(entry[2] - expected[2], 2 * math.pi))
     if off_mm > options.start_within_mm or off_rad > options.start_within_rad:
         found = f"x {entry[0]:.2f} mm, y {entry[1]:.2f} mm, heading {math.degrees(entry[2]):.2f} deg"
-        rule = f"is {off_mm:.1f} mm and {math.degrees(off_rad):.1f} deg from the expected start"
+        where = f"x {expected[0]:.2f} mm, y {expected[1]:.2f} mm, heading {math.degrees(expected[2]):.2f} deg"
+        rule = f"is {off_mm:.1f} mm and {math.degrees(off_rad):.1f} deg from the expected start, {where}"
         raise PoseError(Mistake("start", found, rule))
