@@ -12,9 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import os
-import resource
 import sys
 import tempfile
 import time
@@ -26,7 +24,7 @@ from typing import Any
 
 import machine
 import numpy as np
-from fault_lab import serve
+from device_traffic import traffic, traffic_lines
 
 from needleplan.control import (
     CommandKind,
@@ -40,12 +38,9 @@ from needleplan.control import (
     RunSetup,
 )
 from needleplan.control.safety import SafetyLimits
-from needleplan.devices import PoseSample, Sample, Station, SystemClock, ThreadedFeed, open_station
-from needleplan.devices.ati import NetFt
-from needleplan.devices.ndi import NdiTracker
-from needleplan.devices.robot import RobotLimits, RobotStage
+from needleplan.devices import PoseSample, Sample, SystemClock, open_station
+from needleplan.devices.robot import RobotLimits
 from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
-from needleplan.errors import DeviceFault
 from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import PolicyTable, plan
 from needleplan.scenario import Scenario
@@ -154,58 +149,6 @@ def percentiles(values_ms: list[float]) -> dict[str, float]:
     return {"number": len(values_ms), "p50_ms": middle, "p99_ms": high, "worst_ms": max(values_ms)}
 
 
-def traffic(seconds: float) -> dict[str, Any]:
-    """Read all samples for `seconds`. Return their numbers and rates, losses, gaps, memory (MB) and interruptions."""
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe()
-    child = context.Process(target=serve, args=(there,))
-    child.start()
-    here.send(("open", ""))
-    force, tracker, robot = here.recv()
-    counts: dict[str, int] = {}
-    lost: dict[str, int] = {}
-    gaps: dict[str, int] = {}
-    last: dict[str, int] = {}
-    memory: list[tuple[float, float]] = []
-    begin = time.monotonic()
-    interrupted: list[str] = []
-    while time.monotonic() < begin + seconds:
-        last.clear()
-        try:
-            with ExitStack() as stack:
-                sensor = stack.enter_context(NetFt.open(force))
-                eyes = stack.enter_context(NdiTracker.open(tracker))
-                stage = stack.enter_context(RobotStage.open(robot))
-                feed = stack.enter_context(ThreadedFeed(Station(stage, sensor, eyes, SystemClock())))
-                while (now := time.monotonic()) < begin + seconds:
-                    if not memory or now - begin > memory[-1][0] + max(seconds / 20, 1.0):
-                        memory.append((now - begin, resident_mb()))
-                    stage.heartbeat()
-                    if (sample := feed.next(0.02)) is None:
-                        continue
-                    name, number = type(sample).__name__, sample.stamp.sequence
-                    lost[name] = lost.get(name, 0) + sample.stamp.lost
-                    if name in last and name != "PoseSample":
-                        gaps[name] = gaps.get(name, 0) + (number - last[name] > 1 + sample.stamp.lost)
-                    counts[name], last[name] = counts.get(name, 0) + 1, number
-        except DeviceFault as fault:
-            interrupted.append(f"after {time.monotonic() - begin:.0f} s: {fault}")
-    memory.append((time.monotonic() - begin, resident_mb()))
-    here.send(("close", ""))
-    here.recv()
-    here.close()
-    child.join()
-    rates = {name: count / seconds for name, count in counts.items()}
-    return {"seconds": seconds, "samples": counts, "rates_hz": rates, "lost": lost, "unexplained_gaps": gaps,
-            "memory_mb": memory, "interrupted": interrupted}  # fmt: skip
-
-
-def resident_mb() -> float:
-    """Return the resident memory of this process (MB)."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * resource.getpagesize() / 2**20
-
-
 def main() -> int:
     """Run both measurements and print the page; with --json, write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -236,7 +179,7 @@ def lines(results: dict[str, Any]) -> Iterator[str]:
     if "latency" in results:
         yield from _latency(results["latency"])
     if "traffic" in results:
-        yield from _traffic(results["traffic"])
+        yield from traffic_lines(results["traffic"])
 
 
 def _latency(found: dict[str, Any]) -> Iterator[str]:
@@ -258,23 +201,6 @@ def _latency(found: dict[str, Any]) -> Iterator[str]:
     yield f"{found['with']['tables']} tables were made and taken meanwhile."
     for failed in found["failed"]:
         yield f"Not counted: {failed}."
-
-
-def _traffic(found: dict[str, Any]) -> Iterator[str]:
-    yield from ("", "## Traffic", "", f"{found['seconds']:.0f} s in real time, servers in a process of their own.", "")
-    yield "| samples | number | per second | lost | gaps that no sample tells of |"
-    yield "|---|--:|--:|--:|--:|"
-    for name, count in found["samples"].items():
-        yield (
-            f"| {name} | {count:,} | {found['rates_hz'][name]:.1f} | {found['lost'][name]} | "
-            f"{found['unexplained_gaps'].get(name, 0)} |"
-        )
-    yield ""
-    yield (
-        "Memory of the process that takes them: "
-        + ", ".join(f"{mb:.1f} MB after {at:.0f} s" for at, mb in found["memory_mb"])
-        + "."
-    )
 
 
 if __name__ == "__main__":
