@@ -320,6 +320,17 @@ CASES = [
     Case("disk: full", _file_limit, (PAUSED, FAULT), ("recording_behind", "recording_lost")),
     Case("disk: the recording is deleted", _folder_vanishes, (ENABLED, FAULT)),
     Case("disk: a file appears at the target", _file_appears, (ENABLED,)),
+    Case("person: stops from another terminal (STOP without a session)", _foreign_stop, (FAULT,), ("stage_fault",)),
+    Case("person: Ctrl-C twice", signalled("insert", (signal.SIGINT, 0), (signal.SIGINT, 0.05)), (DISABLED,)),
+    Case("person: Ctrl-C while the force sensor is silent", lambda run: [
+        filtered("force", lambda _: nothing)(run), signalled("insert", (signal.SIGINT, 0.01))(run)],
+        (DISABLED, FAULT), ("stop_ordered", "force_stale")),
+    Case("person: Ctrl-C while the tracker is silent", lambda run: [
+        filtered("tracker", lambda _: nothing)(run), signalled("insert", (signal.SIGINT, 0.1))(run)],
+        (PAUSED, DISABLED), ("pose_stale", "stop_ordered")),
+    Case("person: Ctrl-C while the robot hears nothing", lambda run: [
+        filtered("robot", lambda _: nothing, to_device=True)(run), signalled("insert", (signal.SIGINT, 0.01))(run)],
+        (FAULT, DISABLED), ("stage_fault", "stage_stale", "stop_ordered")),
     Case("start: another program holds the robot", lambda _: None, ("exit code 2", DISABLED), (), _held_by_another),
     Case("start: tracker silent", lambda _: None, ("exit code 2", DISABLED), (),
          filtered("tracker", lambda _: nothing)),

@@ -77,7 +77,9 @@ def report(rows: list[tuple[Case, Outcome]], about: dict[str, object]) -> str:
 def main() -> int:
     """Provoke the faults, print the report, and return 1 if one does not end as it should."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", default="", help="only faults whose names begin with this text")
+    parser.add_argument(
+        "--only", action="append", metavar="TEXT", help="only faults whose names begin with this text; may be repeated"
+    )
     parser.add_argument("--list", action="store_true", help="print the names of all faults")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
@@ -87,7 +89,7 @@ def main() -> int:
     about = machine.description()
     rows = []
     for case in CASES:
-        if case.name.startswith(options.only):
+        if case.name.startswith(tuple(options.only or [""])):
             rows.append((case, measured(case)))
             print(rows[-1][1], file=sys.stderr, flush=True)
     print(report(rows, about))
