@@ -219,3 +219,19 @@ def test_it_ends_by_itself_after_a_time() -> None:
     assert done.returncode == 0
     assert "--for is now --duration" in done.stderr
     assert [line.split()[0] for line in done.stdout.splitlines()[1:]] == ["--robot", "--force", "--tracker"]
+
+
+@pytest.mark.slow
+def test_a_robot_with_a_key_takes_only_who_has_it(tmp_path: Path) -> None:
+    key = tmp_path / "robot.key"
+    key.write_text("0f" * 32)
+    lab = Running("--key-file", str(key))
+    try:
+        address = lab.said["robot"]
+        with pytest.raises(DeviceFault, match="requires another key"):
+            RobotStage.open(address, timing=RobotTiming(**PATIENT))
+        with RobotStage.open(f"{address}?key_file={key}", timing=RobotTiming(**PATIENT)) as stage:
+            stage.insert(0.5, 5.0)
+            assert stage.read(20.0) is not None
+    finally:
+        assert lab.end(signal.SIGTERM)[0] == 0

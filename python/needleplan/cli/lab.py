@@ -61,6 +61,7 @@ def add_to(commands: Any) -> None:
         "--longest-silence", type=float, default=0.34, metavar="S",
         help="longest time without a heartbeat that a controller may ask the robot to accept, s (0.34)",
     )  # fmt: skip
+    parser.add_argument("--key-file", metavar="FILE", help="shared key that the robot requires, in hexadecimal digits")
     parser.add_argument("--duration", type=float, dest="duration_s", metavar="S", help="end after this time, s")
     add_answer(parser)
     add_old_spelling(parser, "--for", "--duration", convert=float)
@@ -70,7 +71,7 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 1 if all processes of the lab have ended by themselves, else 0."""
-    from needleplan.devices.robot import RobotLimits
+    from needleplan.devices.robot import RobotLimits, read_key
     from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
     from needleplan.simulation import Experiment
     from needleplan.simulation.lab_processes import RealTimeLab
@@ -88,9 +89,12 @@ def run(options: argparse.Namespace) -> int:
         options.host, options.robot_port, options.force_port, options.http_port, TrackerLine(options.tracker),
         options.tracker_port,
     )  # fmt: skip
-    limits = RobotLimits(longest_silence_s=options.longest_silence)
+    # A controller on a busy machine needs long deadlines as well as a long silence.
+    longest_valid_s = max(RobotLimits.longest_valid_s, options.longest_silence)
+    limits = RobotLimits(longest_silence_s=options.longest_silence, longest_valid_s=longest_valid_s)
+    key = read_key(options.key_file) if options.key_file else None
     # The signals are caught before the first process starts, so no process is left behind.
-    with _ended_by_signals() as ending, _started(lambda: RealTimeLab(setup, seed, places, limits)) as lab:
+    with _ended_by_signals() as ending, _started(lambda: RealTimeLab(setup, seed, places, limits, key)) as lab:
         _print(options, experiment, seed, lab)
         all_died = _serve(lab, ending, options.duration_s)
     robot = lab.served.get("robot")

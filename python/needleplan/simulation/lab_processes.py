@@ -106,7 +106,7 @@ def limits_of(lab: Lab) -> DriveLimits:
 
 def serve_robot(
     boss: Connection, setup: Setup, seed: int, places: LabPlaces, limits: RobotLimits,
-    to_force: socket.socket, to_tracker: socket.socket,
+    key: bytes | None, to_force: socket.socket, to_tracker: socket.socket,
 ) -> None:  # fmt: skip
     """Run the process of the robot, which simulates the plant in real time, until the parent ends it.
 
@@ -125,7 +125,7 @@ def serve_robot(
             boss.send(Ready(server.address))
 
     lab = Lab(setup, seed)
-    machine = RobotMachine(PlantDrive(lab, measured), limits, limits_of(lab))
+    machine = RobotMachine(PlantDrive(lab, measured), limits, limits_of(lab), key)
     server = place_or_report(boss, lambda: RobotServer(machine, places.host, places.robot_port))
     if server is None:
         return
@@ -139,12 +139,15 @@ def serve_robot(
 class RealTimeLab(Closing):
     """A lab in three processes, which `close` ends. `addresses` contains the addresses of its devices.
 
+    With a `key`, the robot obeys only datagrams that are authenticated with it.
+
     Raises InputError if a device cannot be opened at its address.
     """
 
     def __init__(
-        self, setup: Setup, seed: int = 0, places: LabPlaces | None = None, limits: RobotLimits | None = None
-    ) -> None:
+        self, setup: Setup, seed: int = 0, places: LabPlaces | None = None, limits: RobotLimits | None = None,
+        key: bytes | None = None,
+    ) -> None:  # fmt: skip
         places = LabPlaces() if places is None else places
         self.served: dict[str, Served] = {}
         """Final message of each process, by the name of the process; filled by `close`."""
@@ -160,7 +163,7 @@ class RealTimeLab(Closing):
             self._start("force sensor", serve_force, places, of_force)
             self._start("tracker", serve_tracker, places, of_tracker)
             force, tracker = (self._address(name, places) for name in ("force sensor", "tracker"))
-            self._start("robot", serve_robot, setup, seed, places, limits, to_force, to_tracker)
+            self._start("robot", serve_robot, setup, seed, places, limits, key, to_force, to_tracker)
             robot = self._address("robot", places)
         except BaseException:
             for process, _ in self._parts.values():

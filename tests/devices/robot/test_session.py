@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleplan.devices.robot import MotionLimits, RobotLimits, RobotState, RobotTiming
-from needleplan.devices.robot._stage import read_key
+from needleplan.devices.robot import MotionLimits, RobotLimits, RobotState, RobotTiming, read_key
 from needleplan.devices.robot.messages import Answer, Head, Hello, Result, RobotCommand, RobotKind, decode, encode
 from needleplan.errors import AddressError, DeviceFault
 from tests.devices.robot.bench import Bench, fault_of, moving, next_of, raw, result_of, stands_still

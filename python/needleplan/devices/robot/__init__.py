@@ -3,7 +3,7 @@
 from needleplan.devices.robot._drives import DriveLimits, RobotDrive, RobotDriveState
 from needleplan.devices.robot._machine import RobotLimits, RobotMachine
 from needleplan.devices.robot._simulator import RobotDriveFaults, RobotLink, RobotNetwork, RobotServer, SteadyDrive
-from needleplan.devices.robot._stage import RobotStage, RobotTiming
+from needleplan.devices.robot._stage import RobotStage, RobotTiming, read_key
 from needleplan.devices.robot.messages import Fault, MotionLimits, RobotState
 
 __all__ = [
@@ -22,4 +22,5 @@ __all__ = [
     "RobotState",
     "RobotTiming",
     "SteadyDrive",
+    "read_key",
 ]
