@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import pty
 import signal
 import subprocess
 import sys
@@ -149,7 +151,7 @@ def test_a_table_for_another_needle_is_refused(file: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_who_stops_it_leaves_the_needle_and_a_whole_recording(
     number: signal.Signals, file: Path, quick: Path, tmp_path: Path
 ) -> None:
@@ -170,4 +172,25 @@ def test_who_stops_it_leaves_the_needle_and_a_whole_recording(
     recording = Recording.read(tmp_path / "run.mcap")
     events = [each.values["name"] for each in recording.messages(["/event"])]
     assert events[-2:] == ["stop", "end"]
+    assert [each.values["kind"] for each in recording.messages(["/command"])][-1] == "stop"
+
+
+@pytest.mark.slow
+def test_a_terminal_that_is_closed_stops_the_needle_and_leaves_a_whole_recording(
+    file: Path, quick: Path, tmp_path: Path
+) -> None:
+    """Everything that is printed afterwards fails, and must not end the program before the recording is finished."""
+    command = [sys.executable, "-m", "needleplan", "insert", str(file), "--robot", f"sim://{quick}", "--speed", "1"]
+    process, terminal = pty.fork()
+    if not process:
+        os.execv(sys.executable, [*command, "-o", str(tmp_path / "run.mcap")])
+    shown = b""
+    while b"action" not in shown:
+        shown += os.read(terminal, 1000)
+    os.close(terminal)
+    os.waitpid(process, 0)
+    recording = Recording.read(tmp_path / "run.mcap")
+    events = [each.values for each in recording.messages(["/event"])]
+    assert [each["name"] for each in events][-2:] == ["stop", "end"]
+    assert "the terminal was closed" in json.dumps(events[-2:])
     assert [each.values["kind"] for each in recording.messages(["/command"])][-1] == "stop"

@@ -144,3 +144,34 @@ def test_an_interrupt_that_a_library_turns_into_an_error_is_one() -> None:
     """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stderr) == (130, "needleplan: interrupted\n")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_sigterm_and_a_closed_terminal_end_a_command_like_an_interrupt(number: signal.Signals, folder: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "needleplan", "plan", "slow.toml", "-o", "table.h5"],
+        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stderr is not None
+    process.stderr.readline()
+    process.send_signal(number)
+    _, said = process.communicate(timeout=60)
+    assert (process.returncode, said) == (128 + number, "needleplan: interrupted\n")
+    assert [each.name for each in folder.iterdir()] == ["slow.toml"]
+
+
+def test_a_signal_that_the_process_ignores_stays_ignored(folder: Path) -> None:
+    """As under nohup."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "needleplan", "plan", "slow.toml"],
+        cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
+    )  # fmt: skip
+    assert process.stderr is not None
+    process.stderr.readline()
+    process.send_signal(signal.SIGHUP)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(0.5)
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=60)
+    assert process.returncode == 128 + signal.SIGTERM

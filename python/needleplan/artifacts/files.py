@@ -126,6 +126,7 @@ def require_writable(path: str | os.PathLike[str]) -> None:
 
     Call this before a long computation, so that its result is not lost when it is written.
     """
+    _require_path(path)
     folder = Path(path).parent
     for wrong, reason in (
         (not folder.is_dir(), "no such folder"),
@@ -171,6 +172,7 @@ def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> No
     """
     if not isinstance(path, str | os.PathLike):
         raise OutputError(Mistake("path", repr(path), "must be the path of a file"))
+    _require_path(path)
     try:
         target = Path(path).resolve()
         if target.exists() and not target.is_file():
@@ -192,6 +194,17 @@ def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> No
             raise
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise OutputError(Mistake("", "", f"cannot be written: {reason}"), os.fspath(path)) from error
+
+
+def _require_path(path: str | os.PathLike[str]) -> None:
+    """Raise OutputError if no file can have this path, as with a circle of symbolic links or too long a name."""
+    try:
+        os.stat(path)  # noqa: PTH116  an error other than "not found" is wanted, which Path.exists hides
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise OutputError(Mistake("", "", f"cannot be written: {reason}"), os.fspath(path)) from error
 
 

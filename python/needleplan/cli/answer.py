@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from needleplan.cli.streams import one_line, printable, terminal
+
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
@@ -70,9 +72,9 @@ def print_summary(
     options: argparse.Namespace, title: str, lines: Mapping[str, str], more: Mapping[str, str] | None = None
 ) -> None:
     """Print a title and the lines of `lines`, each with its name; with `--verbose` also the lines of `more`."""
-    print(title)
+    print(one_line(title))
     for name, text in {**lines, **(more or {} if options.verbose else {})}.items():
-        print(f"  {name:<12} {text}")
+        print(f"  {one_line(name):<12} {one_line(text)}")
 
 
 def print_first(options: argparse.Namespace, lines: Sequence[str]) -> None:
@@ -84,7 +86,7 @@ def print_first(options: argparse.Namespace, lines: Sequence[str]) -> None:
         left = len(lines) - SUMMARY_LINES + 1
         lines = [*lines[: SUMMARY_LINES - 1], f"  ... {left} more lines with --verbose"]
     for line in lines:
-        print(line)
+        print(one_line(line))
 
 
 def percent(probability: float) -> str:
@@ -117,7 +119,7 @@ class Working:
         with self._lock:
             if self._display is None:
                 return False
-            self._display.console.print(text, markup=False, highlight=False, soft_wrap=True)
+            self._display.console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
             return True
 
     def close(self) -> None:
@@ -142,7 +144,7 @@ class Working:
                 BarColumn(),
                 TimeElapsedColumn(),
             )
-            self._display = Progress(*columns, console=Console(file=sys.stderr), transient=True, redirect_stdout=False)
+            self._display = Progress(*columns, console=Console(file=terminal()), transient=True, redirect_stdout=False)
             self._task = self._display.add_task("", total=None)
             self._update()
             self._display.start()
@@ -150,7 +152,9 @@ class Working:
     def _update(self) -> None:
         if self._display and self._task is not None:
             total = None if self._fraction is None else 1.0
-            self._display.update(self._task, description=self._text, total=total, completed=self._fraction or 0.0)
+            self._display.update(
+                self._task, description=printable(self._text), total=total, completed=self._fraction or 0.0
+            )
 
 
 @contextmanager

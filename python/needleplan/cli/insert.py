@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary
+from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import (
     add_answer,
     add_figure,
@@ -28,7 +27,7 @@ from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, Ou
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from needleplan.control import Insertion, InsertionReport, RunRecorder, RunSetup
+    from needleplan.control import InsertionReport, RunRecorder, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
     from needleplan.planning import PolicyTable, Pose
@@ -188,21 +187,9 @@ def _insert(
         )  # fmt: skip
         if not isinstance(station, SimulatedStation):
             stack.enter_context(Watchdog(insertion.guard))
-        with _stopped_by_signals(insertion):
+        with handled_signals(insertion.stop):
             report = insertion.run()
     return report, recorder
-
-
-@contextmanager
-def _stopped_by_signals(insertion: Insertion) -> Iterator[None]:
-    """Within the context, stop the insertion on Ctrl-C (SIGINT) and on SIGTERM. Restores the handlers at the end."""
-    names = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "asked to end"}
-    before = {number: signal.signal(number, lambda n, _: insertion.stop(names[signal.Signals(n)])) for number in names}
-    try:
-        yield
-    finally:
-        for number, action in before.items():
-            signal.signal(number, action)
 
 
 def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needleplan.cli.streams import printable, terminal
 from needleplan.control import ExecutedStep, Listener, Options, RunEvent, RunEventName, drawn, path_distances_mm
 from needleplan.control.safety import SafetyEvent
 from needleplan.devices import ForceSample, PoseSample, Sample, StageSample
@@ -118,7 +119,7 @@ class LiveView(PlainView):
         return rows
 
     def _say(self, text: str) -> None:
-        self._live.console.print(text)
+        self._live.console.print(printable(text), markup=False)
 
 
 @contextmanager
@@ -127,17 +128,17 @@ def view(table: PolicyTable, options: Options, command: argparse.Namespace) -> I
 
     The listener shows nothing with `--quiet`, nor with `--json` if standard error is a terminal.
     """
-    terminal = sys.stderr.isatty()
-    if command.quiet or (terminal and command.json):
+    interactive = sys.stderr.isatty()
+    if command.quiet or (interactive and command.json):
         yield Listener()
         return
-    if not terminal:
+    if not interactive:
         yield PlainView()
         return
     from rich.console import Console
     from rich.live import Live
 
-    live = Live(console=Console(stderr=True), auto_refresh=False, transient=True)
+    live = Live(console=Console(file=terminal()), auto_refresh=False, transient=True)
     try:
         yield LiveView(live, table, options)
     finally:

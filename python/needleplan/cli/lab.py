@@ -7,11 +7,11 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary
+from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import add_answer, add_output, add_start, require_outputs, start_pose
 from needleplan.cli.parser import add_old_spelling, whole
 from needleplan.errors import InputError, Mistake
@@ -94,7 +94,11 @@ def run(options: argparse.Namespace) -> int:
     limits = RobotLimits(longest_silence_s=options.longest_silence, longest_valid_s=longest_valid_s)
     key = read_key(options.key_file) if options.key_file else None
     # The signals are caught before the first process starts, so no process is left behind.
-    with _ended_by_signals() as ending, _started(lambda: RealTimeLab(setup, seed, places, limits, key)) as lab:
+    ending = threading.Event()
+    with (
+        handled_signals(lambda _: ending.set()),
+        _started(lambda: RealTimeLab(setup, seed, places, limits, key)) as lab,
+    ):
         _print(options, experiment, seed, lab)
         all_died = _serve(lab, ending, options.duration_s)
     robot = lab.served.get("robot")
@@ -119,19 +123,6 @@ def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
     start = table.start(start_pose(options.start)) if options.start is not None else table.best_entry().pose
     with simulated_station(experiment, table, start) as station:
         return station.lab.plant.setup
-
-
-@contextmanager
-def _ended_by_signals() -> Iterator[threading.Event]:
-    """Yield an event that Ctrl-C (SIGINT), SIGTERM and SIGHUP set. Restores the signal handlers at the end."""
-    ending = threading.Event()
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, lambda *_: ending.set()) for number in numbers}
-    try:
-        yield ending
-    finally:
-        for number, action in before.items():
-            signal.signal(number, action)
 
 
 def _started(start: Callable[[], RealTimeLab]) -> RealTimeLab:

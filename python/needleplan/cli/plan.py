@@ -18,6 +18,7 @@ from needleplan.cli.options import (
     grid_line,
     require_outputs,
 )
+from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
     key = _sign_key(options)
     from needleplan.planning import Status, plan
 
-    note(f"{scenario.title or options.scenario}: {scenario.states:,} states, method {scenario.solver.method}")
+    note(f"{one_line(scenario.title or options.scenario)}: {scenario.states:,} states, method {scenario.solver.method}")
     with working(options, "solving") as tell:
         try:
             table = plan(

@@ -1,7 +1,7 @@
 """Parse the command line, run the command and return the exit code.
 
 Exit codes: 0 done; 1 the job ran and the answer is no; 2 the input is wrong. As in shells, the exit code is 130 after
-an interrupt, and 141 if the program that reads the output has ended.
+Ctrl-C, 143 after SIGTERM, 129 after SIGHUP, and 141 if the program that reads the output has ended.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import argparse
 import contextlib
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from typing import Any, TextIO, cast
+from collections.abc import Sequence
+from typing import TextIO, cast
 
 from needleplan.cli import (
     completion,
@@ -29,6 +29,7 @@ from needleplan.cli import (
 )
 from needleplan.cli.answer import set_quiet
 from needleplan.cli.parser import Parser
+from needleplan.cli.streams import AnswerStream, OutputFault, RemarkStream
 from needleplan.errors import InputError
 
 __all__ = ["make_parser", "run_command"]
@@ -44,58 +45,27 @@ def run_command(arguments: Sequence[str] | None = None) -> int:
     Returns 141 if the program that reads standard output has ended. Raises SystemExit for `--help`, `--version` and
     wrong usage, and KeyboardInterrupt after Ctrl-C.
     """
-    options = make_parser().parse_args(arguments)
-    set_quiet(getattr(options, "quiet", False))
-    try:
-        with contextlib.redirect_stdout(cast("TextIO", _Output(sys.stdout))):
-            code: int = options.run(options)
-            sys.stdout.flush()
-    except InputError as error:
-        why = str(error)
-    except BrokenPipeError:
-        _drop_output()
-        return _NOBODY_READS
-    except _OutputFault as fault:
-        _drop_output()
-        why = f"standard output: cannot be written: {fault.strerror}"
-    except OSError as error:
-        why = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error)
-    else:
-        return code
-    print(f"needleplan: {why}", file=sys.stderr)
-    return _WRONG_INPUT
-
-
-class _OutputFault(OSError):
-    """Standard output cannot be written."""
-
-
-class _Output:
-    """Passes text on to `stream`. Raises _OutputFault if it cannot be written, BrokenPipeError if nobody reads it."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def write(self, text: str) -> int:
-        with _faults():
-            return self._stream.write(text)
-
-    def flush(self) -> None:
-        with _faults():
-            self._stream.flush()
-
-
-@contextlib.contextmanager
-def _faults() -> Iterator[None]:
-    try:
-        yield
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        raise _OutputFault(error.errno, error.strerror) from error
+    with contextlib.redirect_stderr(cast("TextIO", RemarkStream(sys.stderr))):
+        options = make_parser().parse_args(arguments)
+        set_quiet(getattr(options, "quiet", False))
+        try:
+            with contextlib.redirect_stdout(cast("TextIO", AnswerStream(sys.stdout))):
+                code: int = options.run(options)
+                sys.stdout.flush()
+        except InputError as error:
+            why = str(error)
+        except BrokenPipeError:
+            _drop_output()
+            return _NOBODY_READS
+        except OutputFault as fault:
+            _drop_output()
+            why = f"standard output: cannot be written: {fault.strerror}"
+        except OSError as error:
+            why = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error)
+        else:
+            return code
+        print(f"needleplan: {why}", file=sys.stderr)
+        return _WRONG_INPUT
 
 
 def make_parser() -> Parser:

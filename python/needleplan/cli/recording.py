@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_first, print_json, print_summary, working
 from needleplan.cli.options import add_answer, add_output, add_verify_key, read_table, require_free, require_outputs
+from needleplan.cli.streams import one_line
 
 if TYPE_CHECKING:
     from needleplan.recording import Recording
@@ -200,4 +201,6 @@ def _print_events(recording: Recording) -> None:
     topics = [topic for topic in recording.counts if recording.kinds[topic].name == EVENT.name]
     for message in recording.messages(topics):
         words = [str(message.values.get(name) or "") for name in ("name", "cause", "text")]
-        print(f"{(message.time_ns - recording.start_ns) * 1e-9:10.3f} s  " + "  ".join(word for word in words if word))
+        print(
+            f"{(message.time_ns - recording.start_ns) * 1e-9:10.3f} s  " + "  ".join(map(one_line, filter(None, words)))
+        )

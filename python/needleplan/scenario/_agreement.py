@@ -29,6 +29,9 @@ __all__ = ["BETWEEN"]
 # Largest number of different radii, limited by memory: the solver stores 2 displacements per heading and radius.
 _MOST_RADII = 200
 
+# Largest number of grid points along one axis; below 2^31, so that the points can be numbered.
+_MOST_POINTS = 1_000_000_000
+
 
 def _target_in_workspace(workspace: Workspace, target: Target) -> Iterator[Mistake]:
     x, y = target.center_mm
@@ -80,6 +83,11 @@ def _spacing_in_workspace(workspace: Workspace, grid: Grid) -> Iterator[Mistake]
     if any(spacing > size for spacing, size in zip(grid.spacing_mm, sizes, strict=True)):
         rule = f"must not exceed the workspace, {workspace.width_mm:g} x {workspace.height_mm:g} mm"
         yield Mistake("grid.spacing_mm", shown(grid.spacing_mm), rule)
+    elif any(spacing * _MOST_POINTS < size for spacing, size in zip(grid.spacing_mm, sizes, strict=True)):
+        rule = (
+            f"must be at least {max(sizes) / _MOST_POINTS:.3g}: a grid has at most {_MOST_POINTS:,} points along x or y"
+        )
+        yield Mistake("grid.spacing_mm", shown(grid.spacing_mm), rule)
 
 
 def _target_on_grid(workspace: Workspace, target: Target, grid: Grid) -> Iterator[Mistake]:
@@ -100,9 +108,9 @@ def _target_on_grid(workspace: Workspace, target: Target, grid: Grid) -> Iterato
 
 
 def _partitions_hold_points(workspace: Workspace, grid: Grid, solver: Solver) -> Iterator[Mistake]:
-    points = grid.points(workspace)
-    if solver.method is not Method.PPVI or not solver.partitions:
+    if solver.method is not Method.PPVI or not solver.partitions or any(_spacing_in_workspace(workspace, grid)):
         return
+    points = grid.points(workspace)
     if any(number > most for number, most in zip(solver.partitions, points, strict=True)):
         rule = f"must not exceed the grid, {points[0]} x {points[1]} points"
         yield Mistake("solver.partitions", shown(solver.partitions), rule)

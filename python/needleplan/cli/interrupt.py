@@ -1,0 +1,108 @@
+"""Signals that end a command: Ctrl-C (SIGINT), SIGTERM, and SIGHUP, which a closed terminal sends.
+
+All three are handled alike: the first raises KeyboardInterrupt, so that files are closed and devices are stopped, and
+the second ends the process at once. Commands that end in their own way while they run, such as `insert`, use
+`handled_signals`. A signal that the process already ignores stays ignored: SIGHUP under `nohup`, SIGINT in a background
+job of a shell. Only `handled_signals` takes SIGINT also then, because a moving needle must be stoppable.
+
+This module imports nothing that takes long.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from types import FrameType, TracebackType
+from typing import Never
+
+__all__ = ["INTERRUPTED", "MESSAGE", "Interrupt", "handled_signals"]
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C; after another signal, the exit code is 128 and the number of the signal."""
+
+MESSAGE = "needleplan: interrupted"
+
+
+def _caught_signals() -> list[signal.Signals]:
+    """Return the signals that end a command, without those that the process ignores."""
+    names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP
+    found = [signal.Signals(getattr(signal, name)) for name in names if hasattr(signal, name)]
+    return [each for each in found if signal.getsignal(each) is not signal.SIG_IGN]
+
+
+@contextlib.contextmanager
+def handled_signals(handle: Callable[[str], object]) -> Iterator[None]:
+    """Within the context, call `handle` with the reason when a signal asks the command to end.
+
+    The reason is "Ctrl-C", "asked to end" or "the terminal was closed". Restores the handlers at the end.
+    """
+    reasons = {"SIGINT": "Ctrl-C", "SIGTERM": "asked to end", "SIGHUP": "the terminal was closed"}
+    caught = {signal.SIGINT, signal.SIGTERM, *_caught_signals()}
+    before = {each: signal.signal(each, lambda number, _: handle(reasons[signal.Signals(number).name]))
+              for each in caught}  # fmt: skip
+    try:
+        yield
+    finally:
+        for each, action in before.items():
+            signal.signal(each, action)
+
+
+class Interrupt:
+    """Handler of the signals that end a command, installed by the constructor.
+
+    The first signal raises KeyboardInterrupt, so that files are closed; the second ends the process at once. A forked
+    child process is ended at once by the first signal.
+    """
+
+    def __init__(self) -> None:
+        self.received = 0
+        """Number of the first received signal, or 0."""
+        self._process = os.getpid()
+        self._caught = _caught_signals()
+        for each in self._caught:
+            signal.signal(each, self._receive)
+        if self._caught:
+            sys.unraisablehook = self._unraisable
+            sys.excepthook = self._uncaught
+
+    def end(self) -> None:
+        """Let signals end the process without Python: Python would print a traceback for Ctrl-C during its shutdown."""
+        for each in self._caught:
+            signal.signal(each, signal.SIG_DFL)
+
+    def _receive(self, number: int, _: FrameType | None) -> None:
+        first, self.received = self.received, self.received or number
+        if first or os.getpid() != self._process:
+            self.exit()
+        raise KeyboardInterrupt
+
+    def _unraisable(self, what: sys.UnraisableHookArgs) -> None:
+        """End the process if KeyboardInterrupt was raised in a destructor or callback, where Python cannot pass it on.
+
+        Other exceptions are reported as usual.
+        """
+        if what.exc_type is KeyboardInterrupt:
+            self.exit()
+        sys.__unraisablehook__(what)
+
+    def _uncaught(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        """End the process without traceback if the uncaught exception is the KeyboardInterrupt of a signal.
+
+        C code, such as `import_array` of numpy, may report the exception here. Others are reported as usual.
+        """
+        if self.received and issubclass(kind, KeyboardInterrupt):
+            self.exit()
+        sys.__excepthook__(kind, error, trace)
+
+    def exit(self) -> Never:
+        """Print "interrupted" (not in a forked child) and end the process at once with the exit code of the signal.
+
+        `sys.exit` is not used, because a further signal during the shutdown could change the exit code.
+        """
+        if os.getpid() == self._process:
+            with contextlib.suppress(OSError):  # the terminal may be gone
+                os.write(2, f"{MESSAGE}\n".encode())
+        os._exit(128 + self.received if self.received else INTERRUPTED)
