@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 import shapely
 from hypothesis import assume, given, settings
-from oracle_arc import FREE, GOAL, GOES_ON, TARGET, bilinear_corners, edge_distance, follow_pieces
+from numpy.typing import NDArray
+from oracle_arc import (
+    FREE,
+    GOAL,
+    GOES_ON,
+    TARGET,
+    Floats,
+    Problem,
+    bilinear_corners,
+    edge_distance,
+    follow_pieces,
+)
 from oracle_mdp import build
 from oracle_rollout import at_heading, corner_values, greedy_q
 
@@ -48,18 +59,48 @@ def test_it_is_the_look_ahead_of_the_oracle(scenario: dict[str, Any]) -> None:
     reached = np.where((mdp.kind == GOAL)[:, :, None, None], 1.0, reached)
     rows = reached.reshape(problem.nx * problem.ny, problem.headings, 2)
     rows = np.concatenate([rows, np.zeros((1, problem.headings, 2))])
-    arriving = np.where(found.action == Action.ROTATE, -bevel, bevel)
-    ending, x_end, y_end, turned = follow_pieces(problem, x, y, theta, arriving)
-    corner, weight = bilinear_corners(problem, x_end, y_end)
-    onward = sum(
-        p * at_heading(problem, rows, corner, weight, turned + m * problem.alpha, arriving)
-        for m, p in problem.noise.items()
-    )
-    expected = np.where(ending == GOES_ON, onward, np.where(ending == TARGET, 1.0, 0.0))
+    expected = followed(problem, (cells, rows), (x, y, theta, bevel), found.action == Action.ROTATE)
     np.testing.assert_allclose(found.success, expected, atol=1e-5)
 
 
-def test_on_the_grid_of_an_interpolated_table_it_is_the_table(small: npl.Scenario) -> None:
+STEPS, DOUBT = 8, 0.005
+
+
+def followed(
+    problem: Problem, tables: tuple[Floats, Floats], poses: tuple[Floats, ...], rotates: NDArray[np.bool_]
+) -> Floats:
+    """The success of executions, all at once; poses that an interpolation leaves in doubt are followed."""
+    cells, rows = tables
+    x, y, theta, bevel = poses
+    root, likely, total = np.arange(len(x)), np.ones(len(x)), np.zeros(len(x))
+    for step in range(STEPS):
+        new = np.where(rotates, -bevel, bevel).astype(int)
+        ending, x_end, y_end, turned = follow_pieces(problem, x, y, theta, new)
+        np.add.at(total, root, likely * (ending == TARGET))
+        on = ending == GOES_ON
+        branches = [
+            np.broadcast_arrays(root[on], likely[on] * p, x_end[on], y_end[on], turned[on] + m * problem.alpha, new[on])
+            for m, p in problem.noise.items()
+        ]
+        root, likely, x, y, theta, bevel = (np.concatenate(parts) for parts in zip(*branches, strict=True))
+        corner, weight = bilinear_corners(problem, x, y)
+        success = at_heading(problem, rows, corner, weight, theta, bevel)
+        low = np.floor(theta / problem.alpha).astype(int)
+        side = (bevel[:, None] + 1) // 2
+        read = np.stack([rows[corner, (low + k)[:, None] % problem.headings, side] for k in (0, 1)])
+        share = np.stack([1 - (theta / problem.alpha - low), theta / problem.alpha - low])[:, :, None] * weight
+        spread = np.where(share > 1e-9, read, 0).max(axis=(0, 2)) - np.where(share > 1e-9, read, 1).min(axis=(0, 2))
+        doubtful = (likely * spread > DOUBT) & (step < STEPS - 1)
+        np.add.at(total, root[~doubtful], (likely * success)[~doubtful])
+        root, likely, x, y, theta, bevel = (each[doubtful] for each in (root, likely, x, y, theta, bevel))
+        if not len(root):
+            break
+        q = greedy_q(problem, cells, x, y, theta, bevel)
+        rotates = q[:, 1] < q[:, 0]
+    return total
+
+
+def test_on_the_grid_of_an_interpolated_table_values_are_those_of_the_table(small: npl.Scenario) -> None:
     grid = replace(small.grid, transition="interpolated")
     table = npl.plan(replace(small, grid=grid, solver=replace(small.solver, tolerance=1e-6)))
     poses = np.array(
@@ -67,7 +108,8 @@ def test_on_the_grid_of_an_interpolated_table_it_is_the_table(small: npl.Scenari
     )
     exact, nearest = table.lookup_many(poses), table.lookup_many(poses, nearest=True)
     np.testing.assert_allclose(exact.value, nearest.value, rtol=1e-5)
-    np.testing.assert_allclose(exact.success, nearest.success, atol=1e-5)
+    # The success of executions, which look ahead from the exact pose, and not of the actions at grid points.
+    assert np.abs(exact.success - nearest.success).mean() < 0.05
 
 
 def test_inside_an_obstacle_and_inside_the_target_nothing_is_left_to_do(table: npl.PolicyTable) -> None:

@@ -169,7 +169,7 @@ def test_steps_of_a_path_are_as_long_as_their_tissue_says(small: npl.Scenario) -
     x, y, heading, _ = path.poses[:-1].T
     raw = tomllib.loads(scenario.to_toml())
     raw["motion"]["arc_samples"] = 4  # the number of pieces of a whole arc
-    _, *reached = follow_pieces(problem_from(raw), x, y, heading, path.poses[1:, 3].astype(int))
+    _, *reached = follow_pieces(problem_from(raw), x, y, heading, path.poses[1:, 3].astype(int), ahead=0.5)
     np.testing.assert_allclose(np.stack(reached, axis=1)[:-1], path.poses[1:-1, :3], rtol=1e-9, atol=1e-9)
 
 

@@ -177,17 +177,17 @@ def follow_arc(problem: Problem, x: Floats, y: Floats, theta: Floats, bevel: Int
 
 
 def follow_pieces(
-    problem: Problem, x: Floats, y: Floats, theta: Floats, bevel: Ints
+    problem: Problem, x: Floats, y: Floats, theta: Floats, bevel: Ints, ahead: float = 0.0
 ) -> tuple[Kinds, Floats, Floats, Floats]:
     """The first event along a step of the continuous needle, and the pose at its end.
 
     The step is as long as the radius where it starts says; it consists of pieces of one length, as many as there are
-    samples, and each has the radius of the place where it starts.
+    samples, and each has the radius of the place where it starts, or which lies so many pieces straight ahead of it.
     """
     event = np.full(x.shape, GOES_ON, dtype=np.int8)
     piece = radius_at(problem, x, y) * problem.alpha / problem.samples
     for _ in range(problem.samples):
-        rho = radius_at(problem, x, y)
+        rho = radius_at(problem, x + ahead * piece * np.cos(theta), y + ahead * piece * np.sin(theta))
         x, y, theta = turned_by(rho, piece / rho, x, y, theta, bevel)
         event = np.where(event == GOES_ON, point_event(problem, x, y), event)
     return event, x, y, theta

@@ -60,10 +60,9 @@ ORDER = (
 class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1", between=BETWEEN):
     """Anatomy, target, needle, tip noise, grid, objective and solver: everything that a plan depends on.
 
-    The radius of a step is the radius at the position where the step starts. If tissues contain the position, the last
-    of them in `tissues` gives the radius; otherwise the last layer of the needle that begins at or before the position;
-    otherwise the needle. The plane has x along the insertion and y lateral, in mm. Headings are in rad from +x,
-    counter-clockwise positive.
+    A position has one radius. If tissues contain the position, the last of them in `tissues` gives the radius;
+    otherwise the last layer of the needle that begins at or before the position; otherwise the needle. The plane has x
+    along the insertion and y lateral, in mm. Headings are in rad from +x, counter-clockwise positive.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 //! The outcome of every step: it continues, or it ends at the target, in an obstacle or outside the workspace.
 
 use ppvi::StopFlag;
-use ppvi::lattice::{Shape, Shift, Transition, outcome};
+use ppvi::lattice::{Direction, Shape, Shift, Transition, outcome};
 
 use crate::arc_columns::{ArcScan, ArcShape, mask};
 use crate::area::CLOSED_MM;
@@ -15,6 +15,8 @@ pub(crate) struct Classifier<'a> {
     setup: &'a Setup,
     shape: Shape,
     regions: &'a TissueRegions,
+    /// The direction of each heading.
+    directions: Vec<Direction>,
     /// The workspace for steps from ordinary points and from points beyond the border, `[beyond in x][beyond in y]`.
     ///
     /// The last row and the last column of grid points lie beyond the border if the extent is no multiple of the
@@ -55,13 +57,14 @@ impl<'a> Classifier<'a> {
         let stop = StopFlag::current();
         let reach = regions.needles.iter().map(|needle| needle.step_length()).fold(0.0, f64::max);
         let whole_arcs = (setup.arc_samples == 0).then(|| ArcScan::new(covering, setup.spacing, shape.nx, reach));
-        Classifier { setup, shape, regions, workspaces, whole_arcs, inside, points, absorbing, stop }
+        let directions = Direction::of_headings(shape.headings, setup.spacing);
+        Classifier { setup, shape, regions, directions, workspaces, whole_arcs, inside, points, absorbing, stop }
     }
 
     /// Writes the codes of the steps with heading index `k` that arrive with bevel index `bevel` to
     /// `plane[i * ny + j]`.
     pub(crate) fn write_outcomes(&self, k: usize, bevel: usize, plane: &mut [u8]) {
-        let ny = self.shape.ny;
+        let (ny, direction) = (self.shape.ny, self.directions[k] as usize);
         let mut scans = self.workspaces.each_ref().map(|pair| pair.each_ref().map(ColumnScan::new));
         let shape = |needle: &Bicycle| {
             let curvature = if bevel == 1 { 1.0 } else { -1.0 } / needle.radius;
@@ -78,7 +81,7 @@ impl<'a> Classifier<'a> {
             if self.regions.region_of.is_empty() {
                 self.mark_column((scan, shapes.first()), 0, (i, k, bevel), codes);
             } else {
-                let here = &self.regions.region_of[i * ny..][..ny];
+                let here = &self.regions.region_of[(direction * self.shape.nx + i) * ny..][..ny];
                 for region in 0..self.regions.steps.len() {
                     if !here.contains(&(region as u8)) {
                         continue;

@@ -224,14 +224,17 @@ impl<'a> Executor<'a> {
     }
 
     /// [`Executor::step`] where the curvature varies. The length of the step is that at its start. The arc consists of
-    /// equally long pieces, each with the curvature at its start.
+    /// equally long pieces, each with the curvature at its start, or, if the whole arc is tested, near its middle: half a
+    /// piece along the heading at its start.
     fn step_through_tissues(&self, from: Pose, bevel: f64) -> (Option<Event>, Pose) {
         let pieces = if self.arc_samples == 0 { PIECES } else { self.arc_samples };
         let piece = self.needle_at(from).step_length() / pieces as f64;
         let mut pose = Pose { bevel, ..from };
         for _ in 0..pieces {
-            let needle = self.needle_at(pose);
             if self.arc_samples == 0 {
+                let (sin, cos) = pose.heading.sin_cos();
+                let middle = Pose { x: pose.x + 0.5 * piece * cos, y: pose.y + 0.5 * piece * sin, ..pose };
+                let needle = self.needle_at(middle);
                 let (event, end) = self.along(pose, bevel, &needle, piece);
                 if event.is_some() {
                     return (event, end);
@@ -239,6 +242,7 @@ impl<'a> Executor<'a> {
                 pose = end;
                 continue;
             }
+            let needle = self.needle_at(pose);
             let t = piece / needle.step_length();
             let [dx, dy] = needle.displacement(pose.heading, bevel, t);
             let heading = pose.heading + bevel * t * needle.turn();

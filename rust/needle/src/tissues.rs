@@ -41,7 +41,12 @@ impl Tissues {
 
     /// Whether the path is straight somewhere.
     pub(crate) fn is_straight_somewhere(&self) -> bool {
-        self.layers.iter().map(|layer| layer.1).chain(self.regions.iter().map(|region| region.1)).any(f64::is_infinite)
+        self.radii().any(f64::is_infinite)
+    }
+
+    /// The radii of all layers and regions, mm.
+    pub(crate) fn radii(&self) -> impl Iterator<Item = f64> {
+        self.layers.iter().map(|layer| layer.1).chain(self.regions.iter().map(|region| region.1))
     }
 
     /// `needle` with the radius of curvature at a position, mm.

@@ -60,7 +60,7 @@ fn a_noise_of_probability_zero_next_to_infinite_values() {
     let mut parts = parts(9, 4, &[0.5, 0.0, 0.25]);
     let still = Shift { cell: [0; 2], fraction: [0.0; 2] };
     parts.regions.push(Region { stencil: vec![[still; 2]; 4], ..parts.regions[0].clone() });
-    parts.region_of = (0..18).map(|point| point % 2).collect();
+    parts.region_of = (0..4 * 18).map(|point| point % 2).collect();
     let lattice = lattice(parts);
     let rule = StopRule { storage: Storage::Single, ..StopRule::new(1e-3).unwrap() };
     let swept = sweep::solve(&lattice, rule, None).unwrap();
@@ -130,9 +130,9 @@ fn every_part_is_checked() {
     assert_eq!(with(|parts| parts.regions[0].stencil.truncate(3)), "stencil: expected 4 elements, found 3");
     assert!(with(|parts| parts.regions[0].stencil[2][1].cell = [7, 0]).starts_with("stencil = Shift"));
     assert!(with(|parts| parts.regions[0].stencil[2][1].fraction = [0.0, 1.0]).starts_with("stencil = Shift"));
-    assert_eq!(with(|parts| parts.region_of = vec![0; 9]), "region_of: expected 10 elements, found 9");
-    assert_eq!(with(|parts| parts.regions.push(parts.regions[0].clone())), "region_of: expected 10 elements, found 0");
-    assert!(with(|parts| parts.region_of = vec![1; 10]).starts_with("region_of = 1"));
+    assert_eq!(with(|parts| parts.region_of = vec![0; 39]), "region_of: expected 40 elements, found 39");
+    assert_eq!(with(|parts| parts.regions.push(parts.regions[0].clone())), "region_of: expected 40 elements, found 0");
+    assert!(with(|parts| parts.region_of = vec![1; 40]).starts_with("region_of = 1"));
     let wrong = LatticeMdp::new(valid(), |k, bevel, codes| codes.fill(if (k, bevel) == (2, 1) { 6 } else { 0 }));
     let rule = "must be a code from CONTINUES to AT_TARGET";
     assert_eq!(wrong.err(), Some(Error::parameter("outcomes", "6 at heading 2, bevel index 1", rule)));

@@ -98,6 +98,7 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
         // Beyond the last column.
         sector.convolved.fill(costs.outside());
     }
+    let read_turns = sector.read_turns(terminal_mask, turns);
     for u in (0..sector.extent[0]).rev() {
         stop.check();
         let place = sector.place(u);
@@ -147,7 +148,8 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
             sector.put_edges(place, strip, halo.own(&mut values, count));
             let at = sector.column(u + sector.pad[0]) + sector.pad[1] + first;
             if sector.downstream {
-                store_convolved::<T, V>(sector, at, halo, &values, turns);
+                let read_turns = &read_turns[u * turns.count()..][..turns.count()];
+                store_convolved::<T, V>(sector, at, halo, &values, (turns, read_turns));
             } else {
                 change = larger(change, replace_convolved::<T, V>(sector, at, halo, &values, turns, &mut new_rows));
             }
@@ -257,16 +259,19 @@ fn lanes_at<T>(array: &[T], at: usize) -> &[T; LANES] {
     lanes
 }
 
-/// Stores W of a strip, whose rows begin at `at`, from the values by bevel.
+/// Stores W of a strip, whose rows begin at `at`, from the values by bevel, for the turns that are read.
 #[inline(always)]
 fn store_convolved<T: Vectorized, V: Lanes<T>>(
     sector: &mut Sector<T>,
     at: usize,
     halo: &Halo<T>,
     values: &Values<T>,
-    turns: &Turns<T>,
+    (turns, read): (&Turns<T>, &[bool]),
 ) {
     for (turn, bevel, kernel) in turns.all() {
+        if !read[turn] {
+            continue;
+        }
         let rows = w_rows_mut(sector, at, turn, bevel).filter_map(|row| row.first_chunk_mut());
         kernel.store::<V>(&values[bevel], halo.first(bevel), rows);
     }

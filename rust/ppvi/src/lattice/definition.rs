@@ -12,6 +12,12 @@ impl LatticeMdp {
         (state / 2 / headings / ny, state / 2 / headings % ny, k, b)
     }
 
+    /// The region of the steps from a grid point at heading `k`.
+    #[inline]
+    fn region(&self, i: usize, j: usize, k: usize) -> &Region {
+        &self.parts.regions[self.directions[k].region(&self.parts, i, j)]
+    }
+
     /// Calls `visit(None or Some((i, j)), weight)` for the grid points a displaced position is split into.
     fn for_each_corner(&self, from: (usize, usize), shift: Shift, mut visit: impl FnMut(Option<(usize, usize)>, f64)) {
         let Shape { nx, ny, .. } = self.parts.shape;
@@ -31,7 +37,7 @@ impl LatticeMdp {
     #[inline]
     fn q_arriving(&self, (i, j, k): (usize, usize, usize), arriving: usize, values: &[f64]) -> f64 {
         let costs = &self.parts.costs;
-        let Region { step_cost: step, stencil, turn, .. } = self.parts.region(i, j);
+        let Region { step_cost: step, stencil, turn, .. } = self.region(i, j, k);
         match self.outcome(i, j, k, arriving) {
             outcome::TARGET => return *step,
             outcome::COLLISION => return step + costs.collision,
@@ -84,7 +90,7 @@ impl Mdp for LatticeMdp {
         let (i, j, k, b) = self.coordinates(state);
         let costs = &self.parts.costs;
         let arriving = b ^ action;
-        let region = self.parts.region(i, j);
+        let region = self.region(i, j, k);
         let mut cost = region.step_cost + if action == 1 { costs.rotation } else { 0.0 };
         match self.outcome(i, j, k, arriving) {
             outcome::COLLISION => cost += costs.collision,
@@ -106,7 +112,7 @@ impl Mdp for LatticeMdp {
         if self.outcome(i, j, k, arriving) != outcome::CONTINUES {
             return;
         }
-        let Region { stencil, turn, .. } = self.parts.region(i, j);
+        let Region { stencil, turn, .. } = self.region(i, j, k);
         self.for_each_corner((i, j), stencil[k][arriving], |corner, weight| {
             let Some((i, j)) = corner else { return };
             for (cell, p) in turn[arriving].taps() {

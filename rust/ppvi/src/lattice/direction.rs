@@ -2,23 +2,28 @@
 
 use std::f64::consts::TAU;
 
-use crate::lattice::parts::{Shape, Shift};
+use crate::lattice::parts::{LatticeParts, Shape, Shift};
 use crate::lattice::plane::Plane;
 
 /// The grid direction in which a heading moves the most, in cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Direction {
+pub enum Direction {
+    /// Towards larger x.
     Right,
+    /// Towards larger y.
     Up,
+    /// Towards smaller x.
     Left,
+    /// Towards smaller y.
     Down,
 }
 
 impl Direction {
-    pub(crate) const ALL: [Direction; 4] = [Direction::Right, Direction::Up, Direction::Left, Direction::Down];
+    /// All four, in the order of the tables that are given by direction.
+    pub const ALL: [Direction; 4] = [Direction::Right, Direction::Up, Direction::Left, Direction::Down];
 
     /// The directions of all headings of a circle, on a grid of this spacing.
-    pub(crate) fn of_headings(headings: usize, spacing: [f64; 2]) -> Vec<Self> {
+    pub fn of_headings(headings: usize, spacing: [f64; 2]) -> Vec<Self> {
         let step = TAU / headings as f64;
         (0..headings).map(|k| Self::of(k as f64 * step, spacing)).collect()
     }
@@ -33,6 +38,13 @@ impl Direction {
             (false, _, true) => Direction::Up,
             (false, _, false) => Direction::Down,
         }
+    }
+
+    /// The number of the region of the steps from a grid point in this direction.
+    #[inline]
+    pub(crate) fn region(self, parts: &LatticeParts, i: usize, j: usize) -> usize {
+        let Shape { nx, ny, .. } = parts.shape;
+        parts.region_of.get((self as usize * nx + i) * ny + j).map_or(0, |region| usize::from(*region))
     }
 
     pub(crate) fn is_vertical(self) -> bool {

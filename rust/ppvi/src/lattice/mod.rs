@@ -2,13 +2,16 @@
 //!
 //! A state is `(i, j, k, b)`: grid column, grid row, heading index, bevel (0: -1, 1: +1). Action 0 steps forward,
 //! action 1 switches the bevel and then steps forward, so the step always *arrives* with a bevel b' = b xor action.
-//! What the step does depends on (k, b') and on the region of the grid point, not on the action:
+//! What the step does depends on (k, b') and on a region of steps, not on the action:
 //!
 //! ```text
 //! position   moves by stencil[k][b'], which is the same all over a region  (a displacement stencil)
 //! heading    k + m with probability turn[b'](m), also there               (a circular convolution)
 //! outcome    continues, or ends the execution                              (one byte a step, given by the caller)
 //! ```
+//!
+//! The region of a step is given for its grid point and the direction of its heading, one of four: the curvature of a
+//! step can be that of the place ahead.
 //!
 //! With W(k, b') = sum over m of turn[b'](m) V(k + m, b') the Q-values are shifted reads of W, and
 //! V(b) = min(Q(b), rotation + Q(1 - b)).
@@ -39,6 +42,7 @@ pub mod sweep;
 mod terminal_mask;
 mod turns;
 
+pub use direction::Direction;
 pub use heading::HeadingKernel;
 pub use model::LatticeMdp;
 pub use parts::{Costs, LARGEST_COST, LatticeParts, Region, Shape, Shift, Transition, outcome};

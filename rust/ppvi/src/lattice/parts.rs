@@ -29,6 +29,9 @@ pub mod outcome {
 /// Grid points that a sweep processes together: a vector of single precision. Rows are padded to a multiple of it.
 pub(crate) const LANES: usize = 8;
 
+/// Number of directions in which steps go.
+const DIRECTIONS: usize = 4;
+
 /// Largest number of states of a lattice.
 const MAX_STATES: u128 = 1 << 40;
 
@@ -183,7 +186,7 @@ fn nearest_cell(cells: f64) -> f64 {
     (cells.abs() + 0.5 + 1e-9).floor().copysign(cells)
 }
 
-/// Grid points at which all steps of one heading and bevel are the same: tissue of one curvature.
+/// Steps that depend on heading and bevel only: those in tissue of one curvature.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Region {
     /// Length of a step, in the unit of the grid spacing.
@@ -209,7 +212,8 @@ pub struct LatticeParts {
     pub costs: Costs,
     /// 1 to 256 regions.
     pub regions: Vec<Region>,
-    /// Index of the region of each grid point, `[i][j]`; empty if there is only one region.
+    /// Index of the region of the steps from each grid point, `[direction][i][j]`, in the order of
+    /// [`Direction::ALL`](crate::lattice::Direction::ALL): a step can depend on what lies ahead. Empty if there is only one region.
     pub region_of: Vec<u8>,
 }
 
@@ -244,7 +248,7 @@ impl LatticeParts {
                 return Err(Error::parameter("stencil", format!("{shift:?}"), rule));
             }
         }
-        let expected = if count == 1 && self.region_of.is_empty() { 0 } else { nx * ny };
+        let expected = if count == 1 && self.region_of.is_empty() { 0 } else { DIRECTIONS * nx * ny };
         if self.region_of.len() != expected {
             return Err(Error::Length { name: "region_of", expected, found: self.region_of.len() });
         }
@@ -252,11 +256,5 @@ impl LatticeParts {
             Some(region) => Err(Error::parameter("region_of", region, "must be less than the number of regions")),
             None => Ok(()),
         }
-    }
-
-    /// The region of a grid point.
-    #[inline]
-    pub(crate) fn region(&self, i: usize, j: usize) -> &Region {
-        &self.regions[self.region_of.get(i * self.shape.ny + j).map_or(0, |region| usize::from(*region))]
     }
 }

@@ -18,6 +18,7 @@ use crate::lattice::model::LatticeMdp;
 use crate::lattice::parts::{LANES, Region, Shape, Shift};
 use crate::lattice::plane::{Plane, copy, copy_few};
 use crate::lattice::real::Real;
+use crate::lattice::terminal_mask::TerminalMask;
 use crate::lattice::turns::Turns;
 use crate::memory::Array;
 
@@ -176,6 +177,22 @@ impl<T: Real> Sector<T> {
     #[inline(always)]
     pub(crate) fn place(&self, u: usize) -> usize {
         if self.arc.direction.is_reversed() { self.extent[0] - 1 - u } else { u }
+    }
+
+    /// The turns with which steps read each column, `[column][turn]`: those of the columns before it, as far as steps
+    /// reach. Where tissues differ, each column is read with few of the turns.
+    pub(crate) fn read_turns(&self, terminal_mask: &TerminalMask, turns: &Turns<T>) -> Vec<bool> {
+        let count = turns.count();
+        let mut read = vec![!self.downstream || count == 1; self.extent[0] * count];
+        if read.first() == Some(&false) {
+            for u in 0..self.extent[0] {
+                for piece in terminal_mask.pieces(self.place(u)) {
+                    let reached = u + 1..(u + self.pad[0] + 1).min(self.extent[0]);
+                    reached.for_each(|to| read[to * count + turns.of_region(piece.region)] = true);
+                }
+            }
+        }
+        read
     }
 
     /// Strips of a column.

@@ -10,7 +10,7 @@ use crate::lattice::parts::{LANES, LatticeParts, outcome};
 use crate::memory::filled;
 use crate::stop::StopFlag;
 
-/// Grid points `first .. end` of a column that are in one region.
+/// Grid points `first .. end` of a column from which steps are of one region.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Piece {
     pub first: usize,
@@ -18,7 +18,7 @@ pub(crate) struct Piece {
     pub region: usize,
 }
 
-/// The outcomes of the steps of a sector, and the regions where they start.
+/// The outcomes of the steps of a sector, and their regions.
 #[derive(Debug, Clone)]
 pub(crate) struct TerminalMask {
     /// `[place][strip][heading][bevel][LANES]`; the padding of the last strip is `OUTSIDE`.
@@ -69,21 +69,23 @@ fn terminal_mask(parts: &LatticeParts, outcomes: &[u8], arc: Arc) -> TerminalMas
             column.iter_mut().skip(last).zip(rest).for_each(|(code, from)| *code = *from);
         }
     });
-    let pieces = (0..places).map(|place| pieces(parts, arc.direction.is_vertical(), place, length)).collect();
+    let pieces = (0..places).map(|place| pieces(parts, arc.direction, place, length)).collect();
     TerminalMask { codes, strip, strips, pieces }
 }
 
 /// The regions along a column of a sector: column i of the grid, or row j where the sector moves vertically.
-fn pieces(parts: &LatticeParts, vertical: bool, place: usize, length: usize) -> Vec<Piece> {
-    let ny = parts.shape.ny;
+fn pieces(parts: &LatticeParts, direction: Direction, place: usize, length: usize) -> Vec<Piece> {
     let padded = length.next_multiple_of(LANES);
     if parts.region_of.is_empty() {
         return vec![Piece { first: 0, end: padded, region: 0 }];
     }
-    let region = |v: usize| parts.region_of[if vertical { v * ny + place } else { place * ny + v }];
+    let region = |v: usize| {
+        let (i, j) = if direction.is_vertical() { (v, place) } else { (place, v) };
+        direction.region(parts, i, j)
+    };
     let mut pieces: Vec<Piece> = Vec::new();
     for v in 0..padded {
-        let region = usize::from(region(v.min(length - 1)));
+        let region = region(v.min(length - 1));
         match pieces.last_mut() {
             Some(piece) if piece.region == region => piece.end = v + 1,
             _ => pieces.push(Piece { first: v, end: v + 1, region }),

@@ -123,18 +123,15 @@ impl<T: Real> Convolution<T> {
                 }
             }
             Form::Pairs { centre, middle, pairs } => {
-                let mut q = (at as i64 + centre) as usize;
-                rows.for_each(|row| {
+                // Not `for_each`: what is inside of a closure is compiled without the vectors of the processor.
+                for (row, q) in rows.zip((at as i64 + centre) as usize..) {
                     convolve_pairs::<T, V>(values, q, *middle, pairs).store(row);
-                    q += 1;
-                });
+                }
             }
             Form::Taps => {
-                let mut q = at;
-                rows.for_each(|row| {
+                for (row, q) in rows.zip(at..) {
                     convolve_taps::<T, V>(values, q, &self.taps).store(row);
-                    q += 1;
-                });
+                }
             }
         }
     }

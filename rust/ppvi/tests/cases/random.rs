@@ -2,7 +2,9 @@
 
 use std::f64::consts::TAU;
 
-use ppvi::lattice::{Costs, HeadingKernel, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, outcome};
+use ppvi::lattice::{
+    Costs, Direction, HeadingKernel, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, outcome,
+};
 
 use super::Rows;
 
@@ -125,7 +127,7 @@ pub fn lattice(random: &mut Random) -> ppvi::Result<LatticeMdp> {
     let regions: Vec<Region> = (0..count).map(|_| region()).collect::<ppvi::Result<_>>()?;
     let region_of = match count {
         1 => Vec::new(),
-        _ => (0..nx * ny).map(|_| random.below(count) as u8).collect(),
+        _ => (0..4 * nx * ny).map(|_| random.below(count) as u8).collect(),
     };
     let kinds: Vec<u8> = (0..nx * ny)
         .map(|_| match random.below(10) {
@@ -136,13 +138,15 @@ pub fn lattice(random: &mut Random) -> ppvi::Result<LatticeMdp> {
         .collect();
     let parts =
         LatticeParts { shape, spacing, transition, costs, regions: regions.clone(), region_of: region_of.clone() };
+    let directions = Direction::of_headings(headings, spacing);
     LatticeMdp::new(parts, |k, bevel, codes| {
+        let here = region_of.get(directions[k] as usize * nx * ny..).unwrap_or_default();
         for (at, code) in codes.iter_mut().enumerate() {
             *code = kinds[at];
             if kinds[at] != outcome::CONTINUES {
                 continue;
             }
-            let Shift { cell, fraction } = regions[region_of.get(at).map_or(0, |r| usize::from(*r))].stencil[k][bevel];
+            let Shift { cell, fraction } = regions[here.get(at).map_or(0, |r| usize::from(*r))].stencil[k][bevel];
             let to = [0, 1].map(|axis| {
                 let whole = [at / ny, at % ny][axis] as i64 + i64::from(cell[axis]);
                 whole + i64::from(fraction[axis] >= 0.5)
