@@ -121,6 +121,10 @@ def test_without_a_way_to_the_target_it_does_not_begin(file: Path, quick: Path) 
         (["--scenario", "four_obstacles"], ["workspace.width_mm = 60.0", "must be equal to that of the scenario, 120.0",
                                             "grid.spacing_mm"]),
         (["--limits", "none.toml"], ["none.toml", "cannot be read"]),
+        (["--limits", "lax.toml"], ["lax.toml", "safety.force_n = 200: is laxer than the default, 10",
+                                    "safety.stage_age_s = 10", "--accept-limits REASON"]),
+        (["--limits", "lax.toml", "--accept-limits", ""], ["--accept-limits", "must be a reason"]),
+        (["--deadman", "key"], ["--deadman = key", "needs real time"]),
         (["--registration", "none.toml"], ["none.toml", "cannot be read"]),
         (["-o", "/nowhere/run.mcap"], ["/nowhere"]),
     ],
@@ -133,12 +137,21 @@ def test_what_is_refused(
     monkeypatch.chdir(tmp_path)
     Registration().write("REG")
     Path("old.mcap").write_text("")
+    Path("lax.toml").write_text("[safety]\nforce_n = 200.0\nstage_age_s = 10.0\n")
     assert main(["insert", str(file), *arguments]) == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert "step" not in said.err
     for word in words:
         assert word in said.err
+
+
+def test_the_reason_for_lax_limits_is_recorded(file: Path, quick: Path, tmp_path: Path) -> None:
+    (tmp_path / "lax.toml").write_text("[safety]\nout_of_plane_mm = 6.0\n")
+    words = ("--robot", f"sim://{quick}", "--start=0,39,85", "--json", "-o", tmp_path / "run.mcap")
+    done = needleplan("insert", file, *words, "--limits", tmp_path / "lax.toml", "--accept-limits", "a soft phantom")
+    assert json.loads(done.stdout)["accepted_limits"] == "a soft phantom"
+    assert Recording.read(tmp_path / "run.mcap").session.texts["accepted_limits.txt"] == "a soft phantom"
 
 
 def test_a_table_for_another_needle_is_refused(file: Path) -> None:

@@ -48,7 +48,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def insert(folder: Path, robot: str, force: str, tracker: str, *more: str) -> int:
     return main(
         ["insert", str(folder / "table.h5"), "--robot", robot, "--force", force, "--tracker", tracker,
-         "--registration", str(folder / "registration.toml"), "--limits", str(folder / "limits.toml"), *more]
+         "--registration", str(folder / "registration.toml"), "--limits", str(folder / "limits.toml"),
+         "--accept-limits", "a busy machine", *more]
     )  # fmt: skip
 
 

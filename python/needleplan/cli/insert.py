@@ -13,12 +13,14 @@ from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import (
     add_answer,
     add_figure,
+    add_limits,
     add_output,
     add_start,
     add_table,
     numbers,
     read_table,
     require_outputs,
+    safety_limits,
     start_pose,
 )
 from needleplan.cli.parser import add_old_spelling
@@ -69,7 +71,11 @@ def add_to(commands: Any) -> None:
     add_start(parser)
     parser.add_argument("--scenario", metavar="SCENARIO.toml", help="refuse a table of another scenario")
     parser.add_argument("--needle", metavar="MODEL.toml", help="refuse a table for a needle of another radius")
-    parser.add_argument("--limits", metavar="FILE", help="limits of the run, in a table [safety]")
+    add_limits(parser)
+    parser.add_argument(
+        "--deadman", metavar="SWITCH",
+        help="move only while a person holds a switch: key, udp://HOST:PORT or evdev:///dev/input/eventN",
+    )  # fmt: skip
     parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="speed of insertion, mm/s (5)")
     parser.add_argument(
         "--rotation-speed-deg",
@@ -139,9 +145,13 @@ def run(options: argparse.Namespace) -> int:
     # A simulated lab has all three devices, so the address of one device is also used for devices without an address.
     robot, force, tracker = (address or min(given) for address in addresses)
     setup = _setup(options, start)
-    if not are_simulated(robot, force, tracker) and not options.registration:
+    simulated = are_simulated(robot, force, tracker)
+    if not simulated and not options.registration:
         rule = "is missing: real devices require a registration; see `needleplan register`"
         raise AddressError(Mistake("--registration", "", rule))
+    if simulated and options.deadman:
+        rule = "needs real time: the simulated lab of sim:// has its own time; see `needleplan lab`"
+        raise InputError(Mistake("--deadman", options.deadman, rule))
     try:
         with open_insertion_station(robot, force, tracker, table, start) as station:
             report, recorder = _insert(table, station, setup(station), options)
@@ -162,7 +172,7 @@ def _insert(
 ) -> tuple[InsertionReport, RunRecorder | None]:
     """Run the insertion; return its report and the closed recorder, or None if nothing is recorded."""
     from needleplan.cli.insert_view import view
-    from needleplan.control import Insertion, Listener, RunRecorder
+    from needleplan.control import DeadmanThread, Insertion, Listener, RunRecorder, open_deadman
     from needleplan.control.safety import Watchdog
     from needleplan.control.slicer import SlicerView
     from needleplan.devices.igtl import SlicerServer
@@ -171,6 +181,7 @@ def _insert(
     recorder: RunRecorder | None = None
     with ExitStack() as stack:
         listeners: list[Listener] = []
+        deadman = open_deadman(options.deadman) if options.deadman else None
         if options.output:
             recorder = stack.enter_context(
                 RunRecorder(options.output, table, setup, station.clock, overwrite=options.overwrite)
@@ -183,8 +194,13 @@ def _insert(
             Insertion(
                 table, station, setup.options, registration=setup.registration,
                 tip_settings=setup.tip_settings, limits=setup.limits, listeners=listeners,
+                needs_deadman=deadman is not None,
             )
         )  # fmt: skip
+        if deadman is not None:
+            guard = insertion.guard
+            stack.enter_context(DeadmanThread(deadman, lambda held: guard.observe_deadman(held=held)))
+            note("hold the deadman switch: the needle moves only while a person holds it")
         if not isinstance(station, SimulatedStation):
             stack.enter_context(Watchdog(insertion.guard))
         with handled_signals(insertion.stop):
@@ -210,13 +226,12 @@ def _setup(options: argparse.Namespace, start: Pose) -> Any:
     InputError.
     """
     from needleplan.control import Options, RunSetup
-    from needleplan.control.safety import SafetyLimits
     from needleplan.estimation.registration import Registration
     from needleplan.models import Torsion
     from needleplan.simulation import SimulatedStation
 
     registration = Registration.read(options.registration) if options.registration else None
-    limits = SafetyLimits.read(options.limits) if options.limits else SafetyLimits()
+    limits = safety_limits(options)
     torsion = Torsion(*numbers("--torsion", options.torsion, 2)) if options.torsion else None
     x, y, z = numbers("--force-axis", options.force_axis, 3)
     length = math.hypot(x, y, z)
@@ -235,7 +250,8 @@ def _setup(options: argparse.Namespace, start: Pose) -> Any:
         lab = station if isinstance(station, SimulatedStation) else None
         length = options.needle_length or (lab.needle_length_mm if lab else how.needle_length_mm)
         complete = replace(how, torsion=torsion or (lab.torsion if lab else None), needle_length_mm=length)
-        return RunSetup(complete, limits, registration or (lab.registration if lab else Registration()))
+        placed = registration or (lab.registration if lab else Registration())
+        return RunSetup(complete, limits, placed, accepted=options.accept_limits or "")
 
     return made
 

@@ -6,11 +6,13 @@ import argparse
 import math
 import os
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.errors import InputError, Mistake, PoseError
+from needleplan.errors import InputError, Mistake, PoseError, SafetyError
 
 if TYPE_CHECKING:
+    from needleplan.control.safety import SafetyLimits
     from needleplan.planning import Entry, PolicyTable, Pose
     from needleplan.scenario import Scenario
 
@@ -19,6 +21,7 @@ __all__ = [
     "add_answer",
     "add_edge",
     "add_figure",
+    "add_limits",
     "add_nearest",
     "add_output",
     "add_start",
@@ -31,6 +34,7 @@ __all__ = [
     "read_table",
     "require_free",
     "require_outputs",
+    "safety_limits",
     "start_pose",
 ]
 
@@ -99,6 +103,31 @@ def add_start(parser: argparse.ArgumentParser) -> None:
         help="position in mm, heading in degrees, bevel -1 or +1 (the better bevel; the best entry on the left edge); "
         "write --start=-1,... if it begins with a minus",
     )
+
+
+def add_limits(parser: argparse.ArgumentParser) -> None:
+    """Declare `--limits`, a file of safety limits, and `--accept-limits`, without which lax limits are refused."""
+    parser.add_argument("--limits", metavar="FILE", help="safety limits, in a table [safety]")
+    parser.add_argument(
+        "--accept-limits", metavar="REASON", help="why limits laxer than the defaults are accepted; a run records it"
+    )
+
+
+def safety_limits(options: argparse.Namespace) -> SafetyLimits:
+    """Return the limits of the file of `--limits`, by default those of `SafetyLimits`.
+
+    Raises SafetyError if the file is wrong, or if limits are laxer than the defaults and no reason is given.
+    """
+    from needleplan.control.safety import SafetyLimits
+
+    limits = SafetyLimits.read(options.limits) if options.limits else SafetyLimits()
+    reason = options.accept_limits
+    if reason is not None and not reason.strip():
+        raise InputError(Mistake("--accept-limits", "", "must be a reason, as a text"))
+    if limits.lax and reason is None:
+        rule = "; give the reason with --accept-limits REASON"
+        raise SafetyError([replace(each, rule=each.rule + rule) for each in limits.lax], options.limits)
+    return limits
 
 
 def add_nearest(parser: argparse.ArgumentParser) -> None:

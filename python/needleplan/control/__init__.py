@@ -1,5 +1,6 @@
 """Control of a run: the insertion loop, its recorder and its replay. The safety guard is in `control.safety`."""
 
+from needleplan.control._deadman import Deadman, DeadmanThread, KeyDeadman, PedalDeadman, UdpDeadman, open_deadman
 from needleplan.control._events import (
     CommandKind,
     ExecutedStep,
@@ -15,19 +16,27 @@ from needleplan.control._recorder import RunRecorder
 from needleplan.control._replanning import Replanner, ThreadReplanner
 from needleplan.control._replay import RecordedStation, ReplayComparison, replay
 from needleplan.control._report import InsertionOutcome, InsertionReport, drawn, path_distances_mm
+from needleplan.control._retraction import Retraction, RetractionOutcome, RetractionReport, open_stage_patiently
 from needleplan.control._scene import ScenarioGeometry
 
 __all__ = [
     "CommandKind",
+    "Deadman",
+    "DeadmanThread",
     "ExecutedStep",
     "Insertion",
     "InsertionOutcome",
     "InsertionReport",
+    "KeyDeadman",
     "Listener",
     "Options",
+    "PedalDeadman",
     "RecordedStation",
     "Replanner",
     "ReplayComparison",
+    "Retraction",
+    "RetractionOutcome",
+    "RetractionReport",
     "RunCommand",
     "RunEvent",
     "RunEventName",
@@ -35,7 +44,10 @@ __all__ = [
     "RunSetup",
     "ScenarioGeometry",
     "ThreadReplanner",
+    "UdpDeadman",
     "drawn",
+    "open_deadman",
+    "open_stage_patiently",
     "path_distances_mm",
     "replay",
     "require_fitting",

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from needleplan.control._events import CommandKind, Listener, RunCommand, RunEventName
 from needleplan.control._needle import NeedleState, present_causes
 from needleplan.control._options import Options
-from needleplan.control.safety import GuardedStage, OperatingState, Order, Owner
+from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order, Owner
 from needleplan.devices import Clock
 from needleplan.errors import DeviceFault, MotionRefused
 
@@ -57,11 +57,14 @@ class NeedleDriver:
     def enable(self) -> None:
         """Declare the stage homed, wait at most `silence_s` until no cause is present, and enable the guard.
 
-        Raises MotionRefused if the guard refuses an order.
+        The wait for a person to hold the deadman switch has no limit. Raises MotionRefused if the guard refuses an
+        order.
         """
         self._guard.order(Order.HOME, Owner.LOOP)
         end_ns = self._clock.now_ns() + round(self._options.silence_s * 1e9)
-        while self._guard.state.present and self._clock.now_ns() < end_ns:
+        while (present := self._guard.state.present) and (
+            self._clock.now_ns() < end_ns or present == {Cause.DEADMAN_RELEASED}
+        ):
             self._receive()
         self._guard.order(Order.ENABLE, Owner.LOOP)
         self._enabled = True
@@ -170,6 +173,14 @@ class NeedleDriver:
         """Receive at most one sample. Raises DeviceFault, with the cause, if the guard has stopped the run."""
         self._needle.receive()
         self._require_running()
+        if not self._paused:
+            self._require_goal()
+
+    def _require_goal(self) -> None:
+        """Raise Retracted if a person has retracted the needle since the last call."""
+        if self._enabled and self._guard.retractions != self._retractions:
+            self._retractions = self._guard.retractions
+            raise Retracted
 
     def _require_running(self) -> None:
         if self._enabled and self._guard.state.operating in (OperatingState.FAULT, OperatingState.DISABLED):
@@ -182,7 +193,8 @@ class NeedleDriver:
         cause is present and the stage rests. Raises DeviceFault if such a pause lasts `resume_s`, and Retracted at the
         end of a pause in which a person has retracted the needle.
         """
-        began_ns, guard = self._clock.now_ns(), self._guard
+        guard, began_ns = self._guard, self._clock.now_ns()
+        counted_ns = began_ns
         causes = "ordered by a person" if guard.state.person_paused else present_causes(guard)
         self._on_pause(RunEventName.PAUSED, causes, "the needle has stopped")
         while self._paused:
@@ -193,15 +205,15 @@ class NeedleDriver:
                     with contextlib.suppress(MotionRefused):
                         guard.order(Order.RESUME, Owner.LOOP)
                     continue
-                if (self._clock.now_ns() - began_ns) * 1e-9 >= self._options.resume_s:
+                if Cause.DEADMAN_RELEASED in state.present:
+                    counted_ns = self._clock.now_ns()  # a person may release the switch for as long as the run lasts
+                elif (self._clock.now_ns() - counted_ns) * 1e-9 >= self._options.resume_s:
                     raise DeviceFault(f"paused for {self._options.resume_s:g} s: {present_causes(guard) or causes}")
             self._receive()
         self._require_running()
         self._resumed = True
         self._on_pause(RunEventName.RESUMED, "", "the insertion continues")
-        if guard.retractions != self._retractions:
-            self._retractions = guard.retractions
-            raise Retracted
+        self._require_goal()
         return self._clock.now_ns() - began_ns
 
     def _rotate_base(self, goal_rad: float) -> None:

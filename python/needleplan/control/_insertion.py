@@ -59,6 +59,9 @@ class Insertion(Closing):
         Source of new tables; a `ThreadReplanner` by default.
     listeners
         Receivers of samples, estimates, commands, decisions and events.
+    needs_deadman
+        Whether the needle moves only while a person holds a deadman switch, whose signals `guard.observe_deadman`
+        receives.
 
     Raises
     ------
@@ -74,6 +77,7 @@ class Insertion(Closing):
         limits: SafetyLimits | None = None,
         replanner: Replanner | None = None,
         listeners: Sequence[Listener] = (),
+        needs_deadman: bool = False,
     ) -> None:  # fmt: skip
         self.table = table
         self.options = options or Options()
@@ -83,8 +87,9 @@ class Insertion(Closing):
         self._trace = InsertionTrace(self.options.force_axis)
         self._listeners = (self._trace, *listeners)
         self.guard = GuardedStage(
-            station.stage, limits, clock=station.clock, listener=self._on_safety, check_tip=self._check_tip
-        )
+            station.stage, limits, clock=station.clock, listener=self._on_safety, check_tip=self._check_tip,
+            needs_deadman=needs_deadman,
+        )  # fmt: skip
         self._needle = NeedleState(self.guard, station.clock, self.options, self._listeners)
         self._driver = NeedleDriver(self._needle, self.guard, station.clock, self.options, self._listeners, self._emit)
         self._replanner = replanner or ThreadReplanner(wait=isinstance(station.clock, VirtualClock))

@@ -149,7 +149,7 @@ class NeedleState:
                     self._publish(sample)
         except DeviceFault as fault:
             return f"{fault}; {causes}"
-        return causes
+        return f"{self._guard.reason}; {causes}" if self._guard.reason else causes
 
     def _publish(self, sample: Sample) -> None:
         for each in self._listeners:

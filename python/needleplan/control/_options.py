@@ -20,6 +20,7 @@ _POSITIVE = (
     "velocity_mm_s", "velocity_rad_s", "longest_mm", "needle_length_mm", "silence_s", "replan_deviations",
 )  # fmt: skip
 _OPTIONS, _LIMITS, _TIP, _REGISTRATION = "options.json", "limits.json", "tip_settings.json", "registration.toml"
+_ACCEPTED = "accepted_limits.txt"
 
 
 @dataclass(frozen=True)
@@ -116,12 +117,16 @@ class Options:
 
 @dataclass(frozen=True)
 class RunSetup:
-    """Everything besides the table that an insertion depends on: options, limits, registration, tip settings."""
+    """Everything besides the table that an insertion depends on: options, limits, registration, tip settings.
+
+    `accepted` is the reason for which a person accepts limits that are laxer than the defaults; empty without one.
+    """
 
     options: Options = field(default_factory=Options)
     limits: SafetyLimits = field(default_factory=SafetyLimits)
     registration: Registration = field(default_factory=Registration)
     tip_settings: TipSettings = field(default_factory=TipSettings)
+    accepted: str = ""
 
     @property
     def digests(self) -> dict[str, str]:
@@ -133,6 +138,7 @@ class RunSetup:
         """The setup as texts for a recording, by file name: JSON, and TOML for the registration."""
         parts = {_OPTIONS: asdict(self.options), _LIMITS: asdict(self.limits), _TIP: asdict(self.tip_settings)}
         texts = {name: json.dumps(part, indent=1) for name, part in parts.items()}
+        texts |= {_ACCEPTED: self.accepted} if self.accepted else {}
         return texts | {_REGISTRATION: self.registration.to_toml()}
 
     @classmethod
@@ -149,6 +155,7 @@ class RunSetup:
                 SafetyLimits(**json.loads(texts[_LIMITS])),
                 Registration.from_toml(texts[_REGISTRATION]),
                 TipSettings(**json.loads(texts[_TIP])),
+                texts.get(_ACCEPTED, ""),
             )
         except KeyError as error:
             raise DataError(f"is not the recording of an insertion: it has no {error}", source) from error

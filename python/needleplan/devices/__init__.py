@@ -24,9 +24,11 @@ from needleplan.devices._station import (
     Station,
     ThreadedFeed,
     TurnFeed,
+    open_stage,
     open_station,
     read_directly,
     require_schemes,
+    stop_stage,
 )
 
 __all__ = [
@@ -61,8 +63,10 @@ __all__ = [
     "memory_pair",
     "no_long_collections",
     "open_link",
+    "open_stage",
     "open_station",
     "read_directly",
     "require_schemes",
     "short_turns",
+    "stop_stage",
 ]

@@ -26,9 +26,11 @@ __all__ = [
     "Station",
     "ThreadedFeed",
     "TurnFeed",
+    "open_stage",
     "open_station",
     "read_directly",
     "require_schemes",
+    "stop_stage",
 ]
 
 Sample = StageSample | ForceSample | PoseSample
@@ -214,6 +216,41 @@ def require_schemes(robot: str, force: str, tracker: str, *, also: Collection[st
     if mistakes:
         raise AddressError(mistakes)
     return schemes
+
+
+def open_stage(address: str) -> Stage:
+    """Open the stage at an address and take control of it; nothing moves.
+
+    Raises AddressError if the address is wrong, ConfigurationError if the configuration of the stage cannot be used,
+    and DeviceFault if the stage cannot be used.
+    """
+    return _ROBOTS[_scheme_of_robot(address)](address)
+
+
+def stop_stage(address: str) -> None:
+    """Stop both axes of the stage at an address, whoever controls it.
+
+    A robot (`udp://`) is stopped without taking control. Drives (`canopen://`) are opened for the stop. Raises the same
+    errors as `open_stage`, and DeviceFault if the stop is not confirmed.
+    """
+    if _scheme_of_robot(address) == "udp":
+        from needleplan.devices.robot import stop_robot
+
+        stop_robot(address)
+        return
+    with open_stage(address) as stage:
+        stage.stop()
+
+
+def _scheme_of_robot(address: str) -> str:
+    try:
+        scheme = Address.parse(address).scheme
+    except AddressError as error:
+        raise AddressError([replace(mistake, key="--robot") for mistake in error.mistakes]) from None
+    if scheme not in _ROBOTS:
+        rule = f"must begin with {', '.join(f'{each}://' for each in _ROBOTS)}"
+        raise AddressError(Mistake("--robot", address, rule))
+    return scheme
 
 
 def _opened(openers: Mapping[str, Callable[[str], _Opened]], address: str, opened: ExitStack) -> _Opened:

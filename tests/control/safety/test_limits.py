@@ -59,3 +59,15 @@ def test_a_file_without_limits_is_refused(tmp_path: Path, text: str, rule: str) 
         SafetyLimits.read(file)
     with pytest.raises(SafetyError, match="cannot be read"):
         SafetyLimits.read(tmp_path / "no.toml")
+
+
+def test_limits_that_are_wider_than_the_defaults_are_lax() -> None:
+    assert SafetyLimits().lax == ()
+    strict = SafetyLimits(force_n=4.0, shallowest_mm=-50.0, deepest_mm=100.0, workspace_x_mm=(0.0, 60.0))
+    assert strict.lax == ()
+    lax = SafetyLimits(force_n=10.1, shallowest_mm=-100.1, stage_age_s=10.0)
+    assert [str(each) for each in lax.lax] == [
+        "safety.force_n = 10.1: is laxer than the default, 10",
+        "safety.shallowest_mm = -100.1: is laxer than the default, -100",
+        "safety.stage_age_s = 10: is laxer than the default, 0.03",
+    ]

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
-from needleplan.control.safety import Cause, OperatingState, Order, Owner
+from needleplan.control.safety import Cause, OperatingState, Order, Owner, SafetyLimits
+from needleplan.control.safety._motion import MotionWatch
+from needleplan.devices import StageSample, Stamp
 from needleplan.errors import MotionRefused
 from tests.control.safety.bench import Bench
 
@@ -183,6 +186,19 @@ def test_a_roll_that_jumps_without_a_command_is_a_fault(jump: float) -> None:
     ended(bench, Cause.STAGE_JUMPED)
     assert (Cause.ROLL_EXCEEDED in guard.state.latched) == (abs(jump) > 200)
     assert not guard.state.is_homed
+
+
+@pytest.mark.parametrize(("gap_s", "jumps"), [(None, True), (0.001, True), (0.3, False), (50.0, True)])
+def test_after_lost_samples_the_clock_of_the_stage_tells_how_far_it_can_have_moved(
+    gap_s: float | None, jumps: bool
+) -> None:
+    """Samples that waited while this machine was busy arrive together; those in between are lost."""
+    times_s = (None, None) if gap_s is None else (7.0, 7.0 + gap_s)
+    stamps = [Stamp(10**12 + number, number, device_time_s=time_s) for number, time_s in enumerate(times_s)]
+    first = StageSample(stamps[0], 40.0, -20.0, 0.0, True)
+    watch = MotionWatch().then(first, SafetyLimits())
+    depth_mm = 40.0 - 20.0 * (1.7 if gap_s == 50.0 else 0.3)
+    assert watch.then(replace(first, stamp=stamps[1], depth_mm=depth_mm), SafetyLimits()).jumped == jumps
 
 
 def test_a_roll_at_its_limit_may_be_off_by_the_tolerance() -> None:

@@ -60,6 +60,9 @@ class GuardCore:
         self._ticker: int | None = None
         self._heartbeat = Heartbeat(stage, self._state.since_ns)
         self._stop_waits = False
+        self.reason = ""
+        """Text of the last transition: an order, or the message of the device that failed."""
+
         self.retractions = 0
         """Number of retractions that the stage has accepted so far."""
 
@@ -176,6 +179,7 @@ class GuardCore:
         if cleared:
             found.append(self._event(SafetyEventName.CLEARED, now_ns, cleared))
         if transition.state.operating is not before.operating:
+            self.reason = text
             event = self._event(SafetyEventName.TRANSITION, now_ns, transition.causes, text)
             found.append(replace(event, before=before.operating))
         if GuardAction.STOP not in transition.actions:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from needleplan.config import (
@@ -107,6 +107,21 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
     after a stop. From one sample to the next, 1.5 times the velocity limit is permitted in addition."""
     following_rad: float = ruled(Number("rad", above=0, at_most=100), 0.2)
     """Tolerance of the roll, as `following_mm` of the depth."""
+
+    @property
+    def lax(self) -> tuple[Mistake, ...]:
+        """The limits that are wider than their defaults, with the default as the rule; empty if there are none.
+
+        A workspace is narrower than its default, which has no limit, so it is never listed.
+        """
+        found = []
+        for each in fields(self):
+            value, usual = getattr(self, each.name), each.default
+            if usual is None:
+                continue
+            if value < usual if each.name == "shallowest_mm" else value > usual:
+                found.append(Mistake(f"{self.key}.{each.name}", f"{value:g}", f"is laxer than the default, {usual:g}"))
+        return tuple(found)
 
     @classmethod
     def from_table(cls, raw: object, source: str = "") -> SafetyLimits:

@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 
 from needleplan.control.safety._causes import Cause
 from needleplan.control.safety._limits import SafetyLimits
-from needleplan.devices import StageSample
+from needleplan.devices import StageSample, Stamp
 
 __all__ = ["Goal", "MotionWatch"]
 
 _NANO = 1e-9
 # longest time, s, that a stage needs to reverse its direction
 _REVERSAL_S = 0.15
+# longest time (s) between two samples that the clock of the stage may show; a longer one is an error of the clock
+_LONGEST_GAP_S = 1.0
 # ratio to the velocity limit above which a measured velocity is not explained by noise
 _VELOCITY_MARGIN = 1.5
 # share of the commanded distance that an axis must have moved after `motion_s`; below, it counts as stuck
@@ -136,7 +138,7 @@ class MotionWatch:
             return replace(self, depth=depth, last=sample)
         if sample.stamp.sequence == last.stamp.sequence:
             return self
-        passed_s = max(sample.stamp.received_ns - last.stamp.received_ns, 0) * _NANO
+        passed_s = _passed_s(last.stamp, sample.stamp)
         fastest_mm_s = max(limits.insertion_velocity_mm_s, limits.retraction_velocity_mm_s)
         farthest_mm = limits.following_mm + _VELOCITY_MARGIN * fastest_mm_s * passed_s
         farthest_rad = limits.following_rad + _VELOCITY_MARGIN * limits.rotation_velocity_rad_s * passed_s
@@ -193,6 +195,17 @@ class MotionWatch:
             yield Cause.WRONG_WAY
         if stuck:
             yield Cause.NO_MOTION
+
+
+def _passed_s(before: Stamp, now: Stamp) -> float:
+    """Return the time (s) between two samples: the longer one of the times by arrival and by the clock of the stage.
+
+    If samples were lost while this machine was busy, the next ones arrive together, and only the stage knows the time.
+    """
+    arrived_s = max(now.received_ns - before.received_ns, 0) * _NANO
+    if now.device_time_s is None or before.device_time_s is None:
+        return arrived_s
+    return max(arrived_s, min(now.device_time_s - before.device_time_s, _LONGEST_GAP_S))
 
 
 def _left(position: float, rest: float | None, tolerance: float) -> bool:

@@ -1,5 +1,6 @@
 """The needleplan robot protocol over UDP: a stage for the controller, and the robot side with simulated drives."""
 
+from needleplan.devices.robot._bystander import stop_robot
 from needleplan.devices.robot._drives import DriveLimits, RobotDrive, RobotDriveState
 from needleplan.devices.robot._machine import RobotLimits, RobotMachine
 from needleplan.devices.robot._simulator import RobotDriveFaults, RobotLink, RobotNetwork, RobotServer, SteadyDrive
@@ -23,4 +24,5 @@ __all__ = [
     "RobotTiming",
     "SteadyDrive",
     "read_key",
+    "stop_robot",
 ]

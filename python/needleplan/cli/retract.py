@@ -1,0 +1,150 @@
+"""`needleplan retract` and `needleplan stop`: a person moves the needle out, or stops it, without an insertion."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import complain, note, print_json, print_summary
+from needleplan.cli.options import add_answer, add_limits, safety_limits
+from needleplan.errors import DeviceFault, InputError, Mistake, MotionRefused
+
+if TYPE_CHECKING:
+    from needleplan.control import Retraction
+    from needleplan.control.safety import SafetyLimits
+
+__all__ = ["add_to", "run", "run_stop"]
+
+# Exit codes: refused before anything moved, or the stage cannot be reached; stopped, for example by Ctrl-C.
+_REFUSED, _INTERRUPTED = 2, 130
+
+
+def add_to(commands: Any) -> None:
+    """Declare both commands."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "retract",
+        help="pull the needle out, by order of a person",
+        description="Pull the needle out to a depth, also after a fault or a crash of `insert`, without force sensor "
+        "and tracker. Ctrl-C stops the needle. Exit code 1: it stopped before the depth; 2: refused, nothing moved.",
+    )
+    parser.add_argument("--robot", required=True, metavar="URL", help="udp:// or canopen://, as for `insert`")
+    parser.add_argument("--depth", type=float, default=0.0, metavar="MM", help="depth to retract to, mm (0)")
+    parser.add_argument("--speed", type=float, default=5.0, metavar="MM_S", help="speed, mm/s (5)")
+    add_limits(parser)
+    parser.add_argument(
+        "--hold-to-run", nargs="?", const="key", metavar="SWITCH",
+        help="move only while a key of this terminal is held, or a switch: udp://HOST:PORT, evdev:///dev/input/eventN",
+    )  # fmt: skip
+    parser.add_argument("--by", default="", metavar="NAME", help="name of the person who gives the order")
+    parser.add_argument(
+        "--wait", type=float, default=10.0, metavar="S",
+        help="longest time to wait until the robot accepts a controller, s (10); after a crash it takes about 5 s",
+    )  # fmt: skip
+    add_answer(parser)
+    parser.set_defaults(run=run)
+    parser = commands.add_parser(
+        "stop",
+        help="stop the needle, whoever moves it",
+        description="Stop both axes of the robot at once, whoever controls it. A run that controls it ends with a "
+        "fault. This is no emergency stop: it needs the computer, the network and the robot's program.",
+    )
+    parser.add_argument("--robot", required=True, metavar="URL", help="udp:// or canopen://, as for `insert`")
+    add_answer(parser)
+    parser.set_defaults(run=run_stop)
+
+
+def run_stop(options: argparse.Namespace) -> int:
+    """Run `needleplan stop`. Returns 0 if the robot has confirmed the stop, else 2; raises InputError."""
+    import time
+
+    from needleplan.devices import stop_stage
+
+    began_s = time.monotonic()
+    try:
+        stop_stage(options.robot)
+    except DeviceFault as fault:
+        complain(str(fault))
+        return _REFUSED
+    took_s = time.monotonic() - began_s
+    if options.json:
+        print_json({"stopped": True, "took_s": took_s})
+    else:
+        print_summary(options, options.robot, {"stopped": f"the robot confirmed it after {1e3 * took_s:.1f} ms"})
+    return 0
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run `needleplan retract` and return the exit code.
+
+    0: the depth is reached; 1: stopped by a fault; 2: refused, or the stage cannot be used; 130: stopped by a person.
+    Raises InputError (AddressError and others) for wrong options and files.
+    """
+    from needleplan.control import Retraction, RetractionOutcome, open_deadman, open_stage_patiently
+
+    limits = safety_limits(options)
+    _require_numbers(options, limits)
+    try:
+        with ExitStack() as stack:
+            switch = options.hold_to_run
+            deadman = stack.enter_context(open_deadman(switch, "--hold-to-run")) if switch else None
+            stage = open_stage_patiently(options.robot, options.wait, lambda why: note(f"waiting for the robot: {why}"))
+            stack.callback(stage.close)
+            retraction = Retraction(
+                stage, options.depth, options.speed, limits=limits, by=options.by, deadman=deadman
+            )  # fmt: skip
+            if deadman is not None:
+                note("hold the switch to move; Ctrl-C ends the retraction")
+            with _ended_by_signals(retraction):
+                report = retraction.run()
+    except MotionRefused as refusal:
+        complain(f"{refusal}; nothing was moved")
+        return _REFUSED
+    except DeviceFault as fault:
+        complain(str(fault))
+        return _REFUSED
+    if options.json:
+        print_json(
+            {"ending": report.outcome, "cause": report.cause, "began_mm": report.began_mm, "ended_mm": report.ended_mm}
+        )
+    else:
+        way = f"from {_depth(report.began_mm)} to {_depth(report.ended_mm)}"
+        print_summary(options, options.robot, {"ended": f"{report.outcome}: {report.cause}", "path": way})
+    if report.outcome is RetractionOutcome.REACHED:
+        return 0
+    complain(f"{report.outcome}: {report.cause}")
+    return _INTERRUPTED if report.outcome is RetractionOutcome.STOPPED else 1
+
+
+@contextmanager
+def _ended_by_signals(retraction: Retraction) -> Iterator[None]:
+    """Within the context, stop the retraction on Ctrl-C, SIGTERM and SIGHUP. Restores the handlers at the end."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda *_: retraction.stop()) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, action in before.items():
+            signal.signal(number, action)
+
+
+def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
+    """Raise InputError for numbers that the guard would refuse only after the stage is opened."""
+    mistakes = []
+    if not limits.shallowest_mm <= options.depth <= limits.deepest_mm:
+        rule = f"must be within the limits, from {limits.shallowest_mm:g} to {limits.deepest_mm:g} mm"
+        mistakes.append(Mistake("--depth", f"{options.depth:g}", rule))
+    if not 0 < options.speed <= limits.retraction_velocity_mm_s:
+        rule = f"must be above 0 and at most the limit, {limits.retraction_velocity_mm_s:g} mm/s"
+        mistakes.append(Mistake("--speed", f"{options.speed:g}", rule))
+    if not 0 <= options.wait < math.inf:
+        mistakes.append(Mistake("--wait", f"{options.wait:g}", "must be a number of seconds from 0"))
+    if mistakes:
+        raise InputError(mistakes)
+
+
+def _depth(depth_mm: float | None) -> str:
+    return "an unknown depth" if depth_mm is None else f"{depth_mm:.2f} mm"

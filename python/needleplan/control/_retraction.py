@@ -1,0 +1,135 @@
+"""A retraction by a person without an insertion loop: after a fault, and after the end or a crash of a run."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from needleplan.control._deadman import Deadman
+from needleplan.control.safety import GuardedStage, SafetyLimits, Watchdog
+from needleplan.devices import Stage, open_stage
+from needleplan.errors import DeviceFault
+
+__all__ = ["Retraction", "RetractionOutcome", "RetractionReport", "open_stage_patiently"]
+
+# longest wait (s) for the first stage sample, and for a sample in the loop
+_FIRST_S, _TURN_S = 1.0, 0.01
+# time (s) between two attempts to take control of a stage
+_AGAIN_S = 0.5
+
+
+class RetractionOutcome(StrEnum):
+    """How a retraction ended."""
+
+    REACHED = "reached"
+    """The needle rests at the commanded depth."""
+
+    STOPPED = "stopped"
+    """A person has stopped the needle."""
+
+    FAULT = "fault"
+    """The stage or its motion has failed; the needle was stopped."""
+
+
+@dataclass(frozen=True)
+class RetractionReport:
+    """Outcome of a retraction, its cause, and the depths (mm) at its begin and end; None if they are not known."""
+
+    outcome: RetractionOutcome
+    cause: str
+    began_mm: float | None
+    ended_mm: float | None
+
+
+def open_stage_patiently(address: str, wait_s: float, on_wait: Callable[[str], None]) -> Stage:
+    """Open the stage at an address; while it cannot be used, try again for `wait_s`.
+
+    After a crash of its controller, a robot accepts another one only after some seconds. `on_wait` is called once with
+    the reason. Raises the last DeviceFault, and AddressError or ConfigurationError at once.
+    """
+    end_s, told = time.monotonic() + wait_s, False
+    while True:
+        try:
+            return open_stage(address)
+        except DeviceFault as fault:
+            if time.monotonic() > end_s:
+                raise
+            if not told:
+                on_wait(str(fault))
+            told = True
+        time.sleep(_AGAIN_S)
+
+
+class Retraction:
+    """One retraction of `stage` to a depth (mm) at a speed (mm/s), through a guard of its own.
+
+    No force sensor and no tracker is needed. With a `deadman`, the needle moves only while a person holds the switch.
+    """
+
+    def __init__(
+        self, stage: Stage, depth_mm: float, velocity_mm_s: float, *, limits: SafetyLimits | None = None,
+        by: str = "", deadman: Deadman | None = None,
+    ) -> None:  # fmt: skip
+        self._depth_mm, self._velocity_mm_s, self._by, self._deadman = depth_mm, velocity_mm_s, by, deadman
+        self._guard = GuardedStage(stage, limits)
+        self._ending = threading.Event()
+        self._last_mm: float | None = None
+
+    def stop(self) -> None:
+        """End the retraction; any thread and any signal handler may call this method. `run` stops the needle."""
+        self._ending.set()
+
+    def run(self) -> RetractionReport:
+        """Retract the needle, wait for the end, stop it, and return the report.
+
+        Raises MotionRefused if the depth is not outward or a value is beyond a limit.
+        """
+        guard, began_mm = self._guard, None
+        with guard, Watchdog(guard):
+            try:
+                self._wait_for_sample()
+                began_mm = self._last_mm
+                outcome, cause = self._move()
+            except DeviceFault as fault:
+                if not guard.retractions:
+                    raise
+                outcome, cause = RetractionOutcome.FAULT, str(fault)
+            guard.stop()
+        return RetractionReport(outcome, cause, began_mm, self._last_mm)
+
+    def _wait_for_sample(self) -> None:
+        end_s = time.monotonic() + _FIRST_S
+        while self._last_mm is None and time.monotonic() < end_s:
+            self._turn()
+
+    def _move(self) -> tuple[RetractionOutcome, str]:
+        guard, deadman = self._guard, self._deadman
+        if deadman is None:
+            guard.retract(self._depth_mm, self._velocity_mm_s, self._by)
+        while not self._ending.is_set():
+            held = deadman is None or deadman.is_held(0.0)
+            if deadman is not None and held != guard.state.retracting:
+                if not held:
+                    guard.stop()
+                elif not self._arrived:
+                    guard.retract(self._depth_mm, self._velocity_mm_s, self._by)
+            self._turn()
+            if self._arrived and not guard.state.retracting:
+                return RetractionOutcome.REACHED, f"the needle rests at {self._last_mm:.2f} mm"
+            if deadman is None and not guard.state.retracting:
+                causes = ", ".join(sorted(guard.state.first or guard.state.latched)) or "it rests before its goal"
+                return RetractionOutcome.FAULT, causes
+        return RetractionOutcome.STOPPED, "a person has stopped the needle"
+
+    @property
+    def _arrived(self) -> bool:
+        return self._last_mm is not None and self._last_mm <= self._depth_mm + self._guard.limits.following_mm
+
+    def _turn(self) -> None:
+        sample = self._guard.read(_TURN_S)
+        if sample is not None:
+            self._last_mm = sample.depth_mm
+        self._guard.tick()

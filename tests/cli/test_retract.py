@@ -1,0 +1,272 @@
+"""`needleplan retract` and `needleplan stop`, on the sockets of a simulated robot."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from needleplan.control import KeyDeadman, PedalDeadman, UdpDeadman
+from needleplan.devices import stop_stage
+from needleplan.devices.robot import Fault, RobotLimits, RobotMachine, RobotServer, RobotStage, RobotState, SteadyDrive
+from needleplan.errors import DeviceFault
+from tests.cli.commands import Done, needleplan, refused
+from tests.recording.samples import wait_for
+
+PATIENT = "watchdog_s=5&valid_s=1"
+
+
+@dataclass(frozen=True)
+class Inserted:
+    """A robot whose needle is 20 mm deep, and that nobody controls."""
+
+    server: RobotServer
+    drive: SteadyDrive
+
+    @property
+    def address(self) -> str:
+        return f"{self.server.address}?{PATIENT}"
+
+    @property
+    def depth_mm(self) -> float:
+        return self.drive.advance(time.monotonic()).depth_mm
+
+
+@pytest.fixture
+def robot() -> Iterator[Inserted]:
+    drive = SteadyDrive()
+    limits = RobotLimits(longest_silence_s=10.0, release_s=2.0)
+    with RobotServer(RobotMachine(drive, limits)) as server:
+        found = Inserted(server, drive)
+        with RobotStage.open(found.address) as stage:
+            stage.insert(20.0, 40.0)
+            wait_for(lambda: found.depth_mm > 19.9)
+        yield found
+
+
+@pytest.fixture
+def insecure(tmp_path: Path) -> tuple[str, ...]:
+    """Options with limits that a busy machine meets."""
+    path = tmp_path / "limits.toml"
+    path.write_text("[safety]\nstage_age_s = 5.0\nmotion_s = 5.0\nfollowing_mm = 1.0\n")
+    return "--limits", str(path), "--accept-limits", "a busy machine"
+
+
+def retract(robot: Inserted, *words: str) -> Done:
+    """Retract, again and again where a busy machine is too slow for the link to the robot."""
+    for _ in range(5):
+        done = needleplan("retract", "--robot", robot.address, *words)
+        if done.returncode != 1 or "silent" not in done.stderr:
+            break
+    return done
+
+
+def later(seconds: float, what: Callable[[], object]) -> threading.Timer:
+    timer = threading.Timer(seconds, what)
+    timer.start()
+    return timer
+
+
+def test_it_pulls_the_needle_to_the_depth(robot: Inserted, insecure: tuple[str, ...]) -> None:
+    done = retract(robot, "--depth", "5", "--speed", "20", *insecure, "--json")
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert answer["ending"] == "reached"
+    assert answer["began_mm"] == pytest.approx(20.0, abs=0.3)
+    assert robot.depth_mm == pytest.approx(5.0, abs=0.1)
+
+
+def test_after_a_fault_of_the_robot(robot: Inserted, insecure: tuple[str, ...]) -> None:
+    assert needleplan("stop", "--robot", robot.server.address).returncode == 0
+    with RobotStage.open(robot.address):
+        assert needleplan("stop", "--robot", robot.server.address, "--json").returncode == 0
+        wait_for(lambda: robot.server.machine.state is RobotState.FAULT)
+        assert robot.server.machine.faults & Fault.FOREIGN_STOP
+    done = retract(robot, "--speed", "20", *insecure)
+    assert done.returncode == 0, done.stderr
+    assert robot.depth_mm == pytest.approx(0.0, abs=0.1)
+
+
+def test_after_a_crash_of_its_controller_it_waits_until_the_robot_is_free(
+    robot: Inserted, insecure: tuple[str, ...]
+) -> None:
+    crashed = RobotStage.open(robot.address)
+    crashed._link.close()  # nothing says goodbye
+    began_s = time.monotonic()
+    done = retract(robot, "--speed", "20", *insecure)
+    assert done.returncode == 0, done.stderr
+    assert "waiting for the robot" in done.stderr
+    assert "another controller" in done.stderr
+    assert time.monotonic() - began_s > 1.0
+    assert robot.depth_mm == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_slow_retraction_is_no_shorter_than_it_must_be(robot: Inserted, insecure: tuple[str, ...]) -> None:
+    done = retract(robot, "--depth", "13.5", "--speed", "1", *insecure)
+    assert done.returncode == 0, done.stderr
+    assert robot.depth_mm == pytest.approx(13.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--depth", "25"), "not_a_retraction"),
+        (("--depth", "-101"), "--depth = -101: must be within the limits"),
+        (("--speed", "21"), "--speed = 21: must be above 0 and at most the limit, 20 mm/s"),
+        (("--speed", "nan"), "--speed = nan"),
+        (("--wait", "-1"), "--wait = -1"),
+        (("--hold-to-run", "voice"), "--hold-to-run = voice: must be key"),
+        (("--hold-to-run", "evdev:///dev/input/none"), "No such file"),
+    ],
+)
+def test_what_is_refused(robot: Inserted, words: tuple[str, ...], message: str) -> None:
+    refused(retract(robot, *words), message)
+    assert robot.depth_mm == pytest.approx(20.0, abs=0.1)
+
+
+@pytest.mark.parametrize("command", ["retract", "stop"])
+@pytest.mark.parametrize(
+    ("address", "message"), [("sim://", "must begin with udp://, canopen://"), ("robot", "--robot")]
+)
+def test_a_wrong_address(command: str, address: str, message: str) -> None:
+    refused(needleplan(command, "--robot", address), message)
+
+
+def test_lax_limits_need_a_reason(tmp_path: Path) -> None:
+    (tmp_path / "limits.toml").write_text("[safety]\nretraction_velocity_mm_s = 40.0\nforce_n = 4.0\n")
+    words = ("retract", "--robot", "udp://127.0.0.1:9", "--limits", tmp_path / "limits.toml")
+    refused(needleplan(*words), "safety.retraction_velocity_mm_s = 40: is laxer than the default, 20; give the reason")
+    refused(needleplan(*words, "--accept-limits", " "), "--accept-limits: must be a reason")
+
+
+def test_without_a_robot_both_end() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        address = f"udp://127.0.0.1:{silent.getsockname()[1]}"
+        refused(needleplan("stop", "--robot", address), "use the emergency stop")
+        refused(needleplan("retract", "--robot", address, "--wait", "0"), "robot")
+
+
+def test_ctrl_c_stops_it(robot: Inserted, insecure: tuple[str, ...]) -> None:
+    timer = later(1.0, lambda: os.kill(os.getpid(), signal.SIGINT))
+    done = retract(robot, "--speed", "2", *insecure)
+    timer.join()
+    assert done.returncode == 130, done.stderr
+    depth_mm = robot.depth_mm
+    assert 5.0 < depth_mm < 20.0
+    time.sleep(0.2)
+    assert robot.depth_mm == depth_mm
+
+
+def test_a_stop_by_another_program_ends_it(robot: Inserted, insecure: tuple[str, ...]) -> None:
+    timer = later(1.0, lambda: stop_stage(robot.server.address))
+    done = retract(robot, "--speed", "2", *insecure)
+    timer.join()
+    assert done.returncode == 1, done.stderr
+    assert robot.depth_mm > 5.0
+    # It may be ordered again.
+    assert retract(robot, "--speed", "20", *insecure).returncode == 0
+
+
+def test_it_moves_only_while_the_switch_is_held(robot: Inserted, insecure: tuple[str, ...]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
+        found.bind(("127.0.0.1", 0))
+        port = found.getsockname()[1]
+    stopping, at_mm = threading.Event(), []
+
+    def hold(seconds: float) -> None:
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s and not stopping.is_set():
+            sender.sendto(b"1", ("127.0.0.1", port))
+            time.sleep(0.02)
+
+    def person() -> None:
+        time.sleep(1.0)
+        at_mm.append(robot.depth_mm)
+        hold(0.6)
+        time.sleep(0.6)
+        at_mm.append(robot.depth_mm)
+        time.sleep(0.3)
+        at_mm.append(robot.depth_mm)
+        hold(30.0)
+
+    with ExitStack() as stack:
+        sender = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        thread = threading.Thread(target=person)
+        thread.start()
+        done = retract(
+            robot, "--speed", "10", *insecure,
+            "--hold-to-run", f"udp://127.0.0.1:{port}",
+        )  # fmt: skip
+        stopping.set()
+        thread.join()
+    assert done.returncode == 0, done.stderr
+    before_mm, between_mm, still_mm = at_mm
+    assert before_mm == pytest.approx(20.0, abs=0.1)
+    assert 1.0 < between_mm < 19.0
+    assert still_mm == between_mm
+    assert robot.depth_mm == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_key_is_held_while_the_terminal_repeats_it() -> None:
+    master, terminal = pty.openpty()
+    with KeyDeadman(terminal) as switch:
+        assert not switch.is_held(0.0)
+        os.write(master, b" ")
+        assert switch.is_held(1.0)
+        time.sleep(0.4)
+        assert switch.is_held(0.0)  # a terminal waits before it repeats
+        os.write(master, b" ")
+        assert switch.is_held(1.0)
+        time.sleep(0.3)
+        assert not switch.is_held(0.0)
+    os.close(master)
+    os.close(terminal)
+    with Path(os.devnull).open() as file, pytest.raises(DeviceFault, match="not a terminal"):
+        KeyDeadman(file.fileno())
+
+
+def test_a_pedal_is_held_from_press_to_release(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "event5")
+    reader = os.open(tmp_path / "event5", os.O_RDONLY | os.O_NONBLOCK)
+    pedal = os.open(tmp_path / "event5", os.O_WRONLY)
+    with PedalDeadman(str(tmp_path / "event5")) as switch:
+        os.close(reader)
+        for value, kind, held in [(1, 1, True), (2, 1, True), (0, 0, True), (0, 1, False), (1, 1, True)]:
+            event = struct.pack("qqHHi", 0, 0, kind, 256, value)
+            os.write(pedal, event[:10])
+            switch.is_held(0.5)
+            os.write(pedal, event[10:])
+            assert switch.is_held(0.5) == held
+        os.close(pedal)  # the cable is out
+        assert not switch.is_held(0.01)
+
+
+def test_heartbeats_count_from_one_sender_and_for_a_short_time() -> None:
+    with UdpDeadman("127.0.0.1", 0) as switch, ExitStack() as stack:
+        one, other = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
+        at = ("127.0.0.1", switch.port)
+        assert not switch.is_held(0.01)
+        one.sendto(b"1", at)
+        assert switch.is_held(1.0)
+        other.sendto(b"0", at)
+        assert switch.is_held(0.05)
+        one.sendto(b"0", at)
+        assert not switch.is_held(1.0)
+        other.sendto(b"1\n", at)
+        assert switch.is_held(1.0)
+        time.sleep(0.25)
+        assert not switch.is_held(0.0)
+        with pytest.raises(DeviceFault, match="cannot be used"):
+            UdpDeadman(*at)
