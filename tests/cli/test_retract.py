@@ -83,7 +83,8 @@ def test_it_pulls_the_needle_to_the_depth(robot: Inserted, insecure: tuple[str, 
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
     assert answer["ending"] == "reached"
-    assert answer["began_mm"] == pytest.approx(20.0, abs=0.3)
+    assert 5.0 < answer["began_mm"] < 20.3  # less than 20 if a busy machine needed two attempts
+    assert answer["ended_mm"] == pytest.approx(5.0, abs=1.0)
     assert robot.depth_mm == pytest.approx(5.0, abs=0.1)
 
 
