@@ -41,6 +41,7 @@ STARTS = {
     "lab": ("nowhere",), "insert": ("nowhere.h5",), "diagnose": ("nowhere.toml", "nowhere.csv", "-o", "found"),
     "recording info": ("nowhere.mcap",), "recording recover": ("nowhere.mcap", "-o", "again.mcap"),
     "recording export": ("nowhere.mcap", "--to", "csv", "-o", "run.csv"),
+    "retract": ("--robot", "nowhere"), "stop": ("--robot", "nowhere"),
     "recording replay": ("nowhere.mcap", "--table", "table.h5"), "reproduce": ("ch7",), "completion": ("tcsh",),
 }  # fmt: skip
 
