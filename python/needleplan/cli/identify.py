@@ -91,6 +91,8 @@ def run(options: argparse.Namespace) -> int:
             options if found.ok else argparse.Namespace(verbose=True)
         )  # all lines, because the remarks say why nothing was identified
         print_first(shown, [*_lines(found)])
+        for line in found.prediction.lines() if found.prediction else ():
+            print(line)
         for line in _part_lines(part):
             print(line)
     return 0 if found.ok else complain("nothing could be identified from these data; the remarks say why")
@@ -166,7 +168,8 @@ def _lines(found: Identification) -> Iterator[str]:
         yield f"  {'parameter':<{width}}  {'value':>10}  {'95 % interval':^24}  unit"
         for name, each in found.estimates.items():
             interval = f"{_number(each.low):>10} to {_number(each.high):<10}" if each.identified else "not identified"
-            yield f"  {name:<{width}}  {_number(each.value):>10}  {interval:^24}  {each.unit}".rstrip()
+            scatter = "" if each.between_sd is None else f"; scatter between trials {_number(each.between_sd)}"
+            yield f"  {name:<{width}}  {_number(each.value):>10}  {interval:^24}  {each.unit}{scatter}".rstrip()
     if found.scores:
         width = max(len(name) for name, _, _ in found.scores)
         yield "scores"
@@ -197,6 +200,7 @@ def _record(
         "scores": [{"name": name, "value": value, "unit": unit} for name, value, unit in found.scores],
         "findings": [asdict(each) for each in found.findings],
         "remarks": found.remarks,
+        "prediction": asdict(found.prediction) if found.prediction else None,
         "trials": [
             {"trial": each.trial, "role": each.role, "samples": len(each), "digest": each.digest} for each in records
         ],

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from needleplan.errors import DataError, Mistake
+from needleplan.identification._entry_population import TipPrediction
 from needleplan.models import Estimate, Finding, Model
 from needleplan.signals import Record, Role
 
@@ -27,6 +28,7 @@ class Identification:
     - `findings`: results of tests, for example on the residuals.
     - `remarks`: sentences about the data, and about parameters that the data do not determine.
     - `draw`: function that draws data, model and residuals on a figure.
+    - `prediction`: predicted tip of the next insertion; None for kinds without a path.
     """
 
     kind: str
@@ -36,6 +38,7 @@ class Identification:
     findings: tuple[Finding, ...]
     remarks: tuple[str, ...]
     draw: Callable[[Figure], None]
+    prediction: TipPrediction | None = None
 
     @property
     def ok(self) -> bool:

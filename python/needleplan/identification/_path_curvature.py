@@ -16,7 +16,8 @@ from enum import StrEnum
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.identification._circle import arc_distance, checked_points, fit_circle
+from needleplan.identification._arc_chain import ArcChain, along_circle
+from needleplan.identification._circle import checked_points, fit_circle
 from needleplan.identification._correlated_noise import Marginal, marginalise
 from needleplan.models import arc_step
 from needleplan.signals import Array
@@ -193,30 +194,28 @@ def path_curvature(
         As for `arc_curvature`; or `position_mm` is not one finite number for each point, the edges do not increase
         inside the path, or a segment has fewer than 5 points.
     """
-    from scipy.optimize import least_squares
-
     points = checked_points(points_mm)
-    path = _Path(points, edges_mm, position_mm, form, entry)
-    found = least_squares(path.distance, path.start, x_scale=path.scale, jac="3-point", method="trf", xtol=1e-12)
-    jacobian = path.jacobian(found.x)
+    path = _chain(points, edges_mm, position_mm, form, entry)
+    found = path.solve()
+    jacobian = path.jacobian(found)
     said = marginalise(
-        path.distance(found.x),
+        path.distance(found),
         -jacobian,
         path.position,
         correlated=noise is TrackerNoise.CORRELATED,
         correlation=correlation_mm,
     )
-    estimate = found.x + said.mean
+    estimate = found + said.mean
     rms = float(np.sqrt(np.mean(path.distance(estimate) ** 2)))
-    first = found.x.size - path.segments
+    first = found.size - path.size
     segments, changes = [], []
-    for number in range(path.segments):
-        segments.append(_segment(path, said, found.x, first, number, rms))
+    for number in range(path.size):
+        segments.append(_segment(path, said, found, first, number, rms))
         if number:
-            direction = np.zeros(found.x.size)
+            direction = np.zeros(found.size)
             direction[first + number], direction[first + number - 1] = 1, -1
             low, high = said.interval(direction)
-            base = float(direction @ found.x)
+            base = float(direction @ found)
             below = said.below(-base, direction)
             changes.append(
                 CurvatureChange(float(direction @ estimate), base + low, base + high, 2 * min(below, 1 - below))
@@ -251,80 +250,40 @@ def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
     return Heterogeneity(q, p_value, float(np.sqrt(between)), mean, sd, mean - reach, mean + reach)
 
 
-class _Path:
-    """A chain of tangent arcs, and the distances of given points from the chain as a function of the unknowns.
+def _chain(
+    points: Array,
+    edges_mm: Sequence[float],
+    position_mm: Array | None,
+    form: PathForm,
+    entry: tuple[float, float, float] | None,
+) -> ArcChain:
+    """Return the chain of arcs with one curvature for each segment.
 
-    The unknowns are the curvatures of the segments; for the form FREE, they follow lateral shift and turn at the entry.
     Raises DataError for wrong positions, edges or segments, and if the form TANGENT has no entry.
     """
-
-    def __init__(
-        self,
-        points: Array,
-        edges_mm: Sequence[float],
-        position_mm: Array | None,
-        form: PathForm,
-        entry: tuple[float, float, float] | None,
-    ) -> None:
-        circle = fit_circle(points)
-        self.points, self.free = points, form is PathForm.FREE
-        along = _along(points, circle.point_mm, circle.heading_rad, circle.curvature_per_mm)
-        self.position = along - along.min() if position_mm is None else np.asarray(position_mm, float)
-        if self.position.shape != (len(points),) or not np.isfinite(self.position).all():
-            raise DataError(Mistake("position_mm", "", f"must be {len(points)} finite numbers"))
-        self.begin, self.end = float(self.position.min()), float(self.position.max())
-        self.edges = np.array([self.begin, *edges_mm, self.end])
-        if (np.diff(self.edges) <= 0).any():
-            rule = f"must increase between {self.begin:.4g} and {self.end:.4g} mm, the range of the points"
-            raise DataError(Mistake("edges_mm", ", ".join(f"{each:g}" for each in edges_mm), rule))
-        self.segments = len(self.edges) - 1
-        self.index = np.clip(np.searchsorted(self.edges, self.position, side="right") - 1, 0, self.segments - 1)
-        self._require_points()
-        if not self.free:
-            if entry is None:
-                raise DataError(Mistake("entry", "", "is needed for the form tangent"))
-            self.pose = entry
-        else:
-            first = float(along.min())
-            pose = arc_step(*circle.point_mm, circle.heading_rad, circle.curvature_per_mm, first)
-            self.pose = (float(pose[0]), float(pose[1]), float(pose[2]))
-        extent = self.end - self.begin
-        bend = np.full(self.segments, circle.curvature_per_mm)
-        bends = np.full(self.segments, 1 / extent)
-        self.start = np.concatenate([[0.0, 0.0], bend]) if self.free else bend
-        self.scale = np.concatenate([[1.0, 1 / extent], bends / extent]) if self.free else bends / extent
-        self.steps = np.concatenate([[1e-3, 1e-4], bends * 1e-3]) if self.free else bends * 1e-3
-
-    def _require_points(self) -> None:
-        counts = np.bincount(self.index, minlength=self.segments)
-        for number in np.flatnonzero(counts < 5):
-            where = f"{self.edges[number]:.4g} to {self.edges[number + 1]:.4g} mm"
-            raise DataError(Mistake("edges_mm", where, f"holds {counts[number]} points; a segment needs at least 5"))
-
-    def distance(self, unknown: Array) -> Array:
-        """Return the signed distances of the points from the path, shape (n,)."""
-        x, y, heading = self.pose
-        if self.free:
-            x, y = x - unknown[0] * np.sin(heading), y + unknown[0] * np.cos(heading)
-            heading = heading + unknown[1]
-        distance = np.empty(len(self.points))
-        for number, bend in enumerate(unknown[-self.segments :]):
-            here = self.index == number
-            distance[here] = arc_distance(self.points[here], float(x), float(y), float(heading), float(bend))
-            x, y, heading = arc_step(x, y, heading, bend, self.edges[number + 1] - self.edges[number])
-        return distance
-
-    def jacobian(self, unknown: Array) -> Array:
-        """Return d(distance)/d(unknown) by central differences, shape (n, unknowns)."""
-        columns = []
-        for number, step in enumerate(self.steps):
-            shift = np.zeros(unknown.size)
-            shift[number] = step
-            columns.append((self.distance(unknown + shift) - self.distance(unknown - shift)) / (2 * step))
-        return np.column_stack(columns)
+    circle = fit_circle(points)
+    along = along_circle(points, circle)
+    position = along - along.min() if position_mm is None else np.asarray(position_mm, float)
+    if position.shape != (len(points),) or not np.isfinite(position).all():
+        raise DataError(Mistake("position_mm", "", f"must be {len(points)} finite numbers"))
+    begin, end = float(position.min()), float(position.max())
+    edges = np.array([begin, *edges_mm, end])
+    if (np.diff(edges) <= 0).any():
+        rule = f"must increase between {begin:.4g} and {end:.4g} mm, the range of the points"
+        raise DataError(Mistake("edges_mm", ", ".join(f"{each:g}" for each in edges_mm), rule))
+    if form is PathForm.FREE:
+        x, y, heading = arc_step(*circle.point_mm, circle.heading_rad, circle.curvature_per_mm, float(along.min()))
+        pose = (float(x), float(y), float(heading))
+    elif entry is None:
+        raise DataError(Mistake("entry", "", "is needed for the form tangent"))
+    else:
+        pose = entry
+    chain = ArcChain(points, position, edges, pose, circle.curvature_per_mm, free=form is PathForm.FREE)
+    chain.require_points()
+    return chain
 
 
-def _segment(path: _Path, said: Marginal, base: Array, first: int, number: int, rms: float) -> Curvature:
+def _segment(path: ArcChain, said: Marginal, base: Array, first: int, number: int, rms: float) -> Curvature:
     direction = np.zeros(base.size)
     direction[first + number] = 1
     low, high = said.interval(direction)
@@ -334,16 +293,3 @@ def _segment(path: _Path, said: Marginal, base: Array, first: int, number: int, 
         centre + float(said.mean[first + number]), sd, centre + low, centre + high, rms, said.correlation,
         int((path.index == number).sum()), float(path.edges[number]), float(path.edges[number + 1]),
     )  # fmt: skip
-
-
-def _along(points: Array, place: tuple[float, float], heading: float, bend: float) -> Array:
-    """Return the positions of points along a circle, shape (n,): arc lengths (mm) from `place` to their projections.
-
-    `place` is a point of the circle, `heading` the heading at this point, and `bend` the curvature (1/mm).
-    """
-    away = points - np.array(place)
-    along = away @ np.array([np.cos(heading), np.sin(heading)])
-    across = away @ np.array([-np.sin(heading), np.cos(heading)])
-    if abs(bend) < 1e-12:
-        return np.asarray(along)
-    return np.asarray(np.arctan2(bend * along, 1 - bend * across) / bend)

@@ -1,18 +1,23 @@
-"""`identify curvature`: curvature of each insertion from tip positions, agreement of trials, change with depth."""
+"""`identify curvature`: entry pose and curvature of insertions from tip positions, and the predicted tip.
+
+Further results are the agreement of trials and the change of the curvature with depth.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
 
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._circle import fit_circle
+from needleplan.identification._curvature_figure import draw
+from needleplan.identification._entry_population import MeanPath, mean_path, predict_tip
 from needleplan.identification._identification import Identification, trials_by_role
+from needleplan.identification._insertion_path import EntryPath, PathShape, entry_path
 from needleplan.identification._path_curvature import (
     Curvature,
     CurvatureChange,
@@ -24,9 +29,6 @@ from needleplan.identification._path_curvature import (
 from needleplan.models import Bicycle, Estimate, Finding, findings_of
 from needleplan.signals import Array, Motion, Record
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["CurvatureTrial", "identify", "insertion_of"]
 
 # Number of points per segment below which a trial is not divided into segments.
@@ -34,6 +36,9 @@ _POINTS_A_SEGMENT = 10
 
 # Retraction (mm) from the greatest depth beyond which samples are left out.
 _BACK = 1.0
+
+# Largest heading (rad) at entry that a model stores; at larger ones the path does not advance along +x.
+_STEEPEST_RAD = 1.5
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,15 @@ class CurvatureTrial:
     motion: Motion
     """Motion of the needle, one sample per point."""
 
+    depth_mm: Array | None
+    """Depth of each point, shape (n,); None if the record has no depths."""
+
+    other_mm: Array | None
+    """Points in the other plane, shape (m, 2); None if they were not tracked."""
+
+    other_depth_mm: Array | None
+    """Depth of the points in the other plane, shape (m,)."""
+
     remarks: tuple[str, ...]
 
 
@@ -62,6 +76,7 @@ def identify(
     skip_mm: float = 0.0,
     noise: TrackerNoise = TrackerNoise.CORRELATED,
     correlation_mm: float | None = None,
+    at_mm: float | None = None,
 ) -> Identification:
     """Identify the curvature of insertions without rotation from tip positions.
 
@@ -80,17 +95,23 @@ def identify(
         Assumption about the noise of the tracker.
     correlation_mm
         Correlation length of the noise along the path, if known.
+    at_mm
+        Length of the path (mm) at which the tip of the next insertion is predicted. None: the length that all
+        training trials reach.
 
     Returns
     -------
     Identification
-        The model is a `Bicycle`. The estimate `curvature_per_mm` (1/mm) is the mean over the training trials.
+        The model is a `Bicycle`. The estimates `curvature_per_mm` (1/mm), `heading_rad` and `offset_mm` are means over
+        the training trials, with the scatter between trials. `prediction` is the predicted tip.
 
     Raises
     ------
     DataError
         No trial has the role train, a record lacks a column or has too few points, or an option is out of range.
     """
+    if at_mm is not None and not 0 < at_mm < np.inf:
+        raise DataError(Mistake("at_mm", f"{at_mm:g}", "must be a length above 0 mm"))
     if plane not in ("xy", "xz") or not 1 <= segments <= 10:
         raise DataError(Mistake("plane, segments", f"{plane}, {segments}", "must be xy or xz, and 1 to 10"))
     trials = trials_by_role(records)
@@ -100,14 +121,21 @@ def identify(
         for some in (trials.train, trials.holdout)
     )
     together = agreement([each.whole for each in found]) if len(found) > 1 else None
-    estimate = _estimate(found[0].whole, together)
+    paths, across = _entry_paths(found, noise, correlation_mm)
+    mean = mean_path(paths)
+    estimates = _estimates(mean, mean_path(across) if across else None)
+    estimate = estimates["curvature_per_mm"]
+    depth = min(each.deepest_mm for each in paths) if at_mm is None else at_mm
+    prediction = predict_tip(paths, across, depth)
     remarks = [*trials.remarks, *(remark for each in (*found, *held) for remark in each.remarks)]
     remarks += _remarks(found, together, estimate)
+    if depth > 1.001 * min(each.deepest_mm for each in paths):
+        remarks.append(f"the predicted tip at {depth:.4g} mm is deeper than a trial reached: it is an extrapolation")
     left = findings_of([_distances(each) for each in found], [each.motion for each in found], "mm")
     return Identification(
-        "curvature", Bicycle(estimate.value), {"curvature_per_mm": estimate}, tuple(_scores([*found, *held], together)),
+        "curvature", _model(estimates), estimates, tuple(_scores([*found, *held], together)),
         (*_findings(found, together), *(_validated(each, estimate, together) for each in held), *left), tuple(remarks),
-        partial(_draw, found=[*found, *held], plane=plane),
+        partial(draw, found=[*found, *held], plane=plane, mean=mean, prediction=prediction), prediction,
     )  # fmt: skip
 
 
@@ -126,6 +154,7 @@ def insertion_of(
     the trial, if a column is missing or the points cannot be used.
     """
     points, motion, remarks = _points(record, plane, skip_mm)
+    other, other_depth = _other_plane(record, plane, skip_mm)
     options = {"noise": noise, "correlation_mm": correlation_mm}
     try:
         (whole,), _ = path_curvature(points, **options)  # type: ignore[arg-type]
@@ -139,7 +168,11 @@ def insertion_of(
     except DataError as error:
         raise DataError(error.mistakes, record.trial) from None
     prefix = f"{record.trial}: " if record.trial else ""
-    return CurvatureTrial(record.trial, points, whole, parts, changes, motion, tuple(prefix + each for each in remarks))
+    depth = motion.depth_mm if "depth_mm" in record.columns else None
+    return CurvatureTrial(
+        record.trial, points, whole, parts, changes, motion, depth, other, other_depth,
+        tuple(prefix + each for each in remarks),
+    )  # fmt: skip
 
 
 def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, Motion, list[str]]:
@@ -173,13 +206,47 @@ def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, Motion, 
     return np.column_stack([along[kept], across[kept]]), motion, remarks
 
 
-def _estimate(first: Curvature, together: Heterogeneity | None) -> Estimate:
-    if together is None:
-        return Estimate(
-            first.curvature_per_mm, first.sd_per_mm, first.low_per_mm, first.high_per_mm, "1/mm", first.bends
-        )
-    low, high = together.low_per_mm, together.high_per_mm
-    return Estimate(together.mean_per_mm, together.sd_per_mm, low, high, "1/mm", low > 0 or high < 0)
+def _other_plane(record: Record, plane: str, skip_mm: float) -> tuple[Array | None, Array | None]:
+    """Return points (mm), shape (m, 2), and depths, shape (m,), in the other plane; None if it was not tracked."""
+    other = "xz" if plane == "xy" else "xy"
+    column = f"{other[1]}_mm"
+    if column not in record.columns or "depth_mm" not in record.columns:
+        return None, None
+    across = record[column][np.isfinite(record[column])]
+    if len(across) < 2 * _POINTS_A_SEGMENT or not np.ptp(across):
+        return None, None
+    points, motion, _ = _points(record, other, skip_mm)
+    return points, motion.depth_mm
+
+
+def _entry_paths(
+    found: Sequence[CurvatureTrial], noise: TrackerNoise, correlation_mm: float | None
+) -> tuple[list[EntryPath], list[EntryPath]]:
+    """Return the paths of the trials in the plane, and in the other plane if all trials were tracked there."""
+    correlated = noise is TrackerNoise.CORRELATED
+    options = {"correlated": correlated, "correlation": correlation_mm}
+    shape = PathShape()
+    paths = [entry_path(each.points_mm, each.depth_mm, shape, each.name, **options) for each in found]  # type: ignore[arg-type]
+    across = [
+        entry_path(each.other_mm, each.other_depth_mm, shape, each.name, **options)  # type: ignore[arg-type]
+        for each in found
+        if each.other_mm is not None
+    ]
+    return paths, across if len(across) == len(paths) else []
+
+
+def _estimates(mean: MeanPath, across: MeanPath | None) -> dict[str, Estimate]:
+    """Return the estimates of the mean path by name; `elevation_rad` is the heading in the other plane."""
+    curvature = mean.estimate(2, "1/mm")
+    curvature = replace(curvature, identified=curvature.low > 0 or curvature.high < 0)
+    found = {"curvature_per_mm": curvature, "heading_rad": mean.estimate(1, "rad"), "offset_mm": mean.estimate(0, "mm")}
+    return found | ({"elevation_rad": across.estimate(1, "rad")} if across else {})
+
+
+def _model(estimates: dict[str, Estimate]) -> Bicycle:
+    """Return the model with the estimated entry pose, or without a pose if the path does not advance along +x."""
+    bend, heading, offset = (estimates[name].value for name in ("curvature_per_mm", "heading_rad", "offset_mm"))
+    return Bicycle(bend, heading, offset) if abs(heading) < _STEEPEST_RAD else Bicycle(bend)
 
 
 def _scores(found: Sequence[CurvatureTrial], together: Heterogeneity | None) -> list[tuple[str, float, str]]:
@@ -253,39 +320,3 @@ def _remarks(found: Sequence[CurvatureTrial], together: Heterogeneity | None, es
             "path may not be an arc, or the field of the tracker may be distorted"
         )
     return remarks
-
-
-def _draw(figure: Figure, found: Sequence[CurvatureTrial], plane: str) -> None:
-    from needleplan.plotting.canvas import BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, title
-
-    colours = (BLUE, VERMILLION, GREEN, ORANGE, SKY, GREY)
-    paths, left, bends = figure.subplots(3, 1, gridspec_kw={"height_ratios": (3, 2, 2)})
-    for number, each in enumerate(found):
-        colour = colours[number % len(colours)]
-        circle = fit_circle(each.points_mm)
-        order = np.argsort(each.points_mm[:, 0], kind="stable")
-        x, y = each.points_mm[order].T
-        distance = circle.distances(each.points_mm)[order]
-        normal = (-np.sin(circle.heading_rad), np.cos(circle.heading_rad))
-        paths.plot(x, y, ".", color=colour, markersize=3, alpha=0.6, label=each.name or "trial")
-        paths.plot(x, y - distance * normal[1], "-", color=colour, linewidth=1)
-        left.plot(x, distance, ".-", color=colour, markersize=3, linewidth=0.6)
-        _draw_interval(bends, each.whole, number, colour)
-    title(paths, f"Tip positions and fitted circles ({plane} plane)")
-    paths.set_ylabel(f"{plane[1]} (mm)")
-    if len(found) <= len(colours):
-        paths.legend(fontsize=7, loc="best")
-    title(left, "Distance of the points from the circle")
-    left.axhline(0, color=GREY, linewidth=0.8)
-    left.set_xlabel("x (mm)")
-    left.set_ylabel("distance (mm)")
-    title(bends, "Curvature with 95 % interval")
-    bends.axvline(0, color=GREY, linewidth=0.8)
-    bends.set_yticks(range(len(found)), [each.name or "trial" for each in found], fontsize=7)
-    bends.set_ylim(len(found) - 0.5, -0.5)
-    bends.set_xlabel("curvature (1/mm)")
-
-
-def _draw_interval(axes: object, bend: Curvature, row: int, colour: str) -> None:
-    reach = [[bend.curvature_per_mm - bend.low_per_mm], [bend.high_per_mm - bend.curvature_per_mm]]
-    axes.errorbar([bend.curvature_per_mm], [row], xerr=reach, fmt="o", color=colour, capsize=3)  # type: ignore[attr-defined]

@@ -49,6 +49,8 @@ class Estimate:
     identified : bool
         Whether the data determine the parameter. For `fit`: whether the standard deviation of the coordinate, ln(p) or
         p / typical, is below 1. `Intervals` has another criterion.
+    between_sd : float or None
+        Standard deviation of the fitted values of the recordings, in `unit`; None if it was not estimated.
 
     Examples
     --------
@@ -63,6 +65,7 @@ class Estimate:
     high: float
     unit: str
     identified: bool
+    between_sd: float | None = None
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@
     low = 0.00079
     high = 0.00087
     identified = true
+    between_sd = 3e-5         # standard deviation of the fitted values of the recordings
 
     [options]                 # choices of the model that are not parameters
     profile = "constant"
@@ -102,6 +103,7 @@ class _ParameterRule:
             "sd": number,
             "low": number,
             "high": number,
+            "between_sd": number,
         }
         needed = ("value", "sd", "low", "high") if "sd" in value else ("value",)
         required = {"unit": f"must be {rules['unit']}"} | dict.fromkeys(needed, "")
@@ -112,7 +114,10 @@ class _ParameterRule:
         if self.ordered and not (low <= read["value"] <= high and read["sd"] >= 0):
             rule = "must enclose the value, and sd must be 0 or more"
             raise Violation([Mistake("low, high", f"{low:g}, {high:g}", rule)])
-        return read["value"], Estimate(read["value"], read["sd"], low, high, unit, read.get("identified", True))
+        if self.ordered and read.get("between_sd", 0) < 0:
+            raise Violation([Mistake("between_sd", f"{read['between_sd']:g}", "must be 0 or more")])
+        known, between = read.get("identified", True), read.get("between_sd")
+        return read["value"], Estimate(read["value"], read["sd"], low, high, unit, known, between)
 
 
 @dataclass(frozen=True)
@@ -290,6 +295,8 @@ def _raw_parameters(
             each = estimates[name]
             raw[name] |= {"sd": float(each.sd), "low": float(each.low), "high": float(each.high)}
             raw[name]["identified"] = bool(each.identified)
+            if each.between_sd is not None:
+                raw[name]["between_sd"] = float(each.between_sd)
     return raw
 
 

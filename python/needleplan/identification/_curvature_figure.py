@@ -1,0 +1,70 @@
+"""The figure of `identify curvature`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.identification._circle import fit_circle
+from needleplan.identification._entry_population import MeanPath, TipPrediction
+from needleplan.identification._insertion_path import trace
+from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, title
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from needleplan.identification._path_curvature import Curvature
+    from needleplan.identification.curvature import CurvatureTrial
+
+__all__ = ["draw"]
+
+
+def draw(
+    figure: Figure, found: Sequence[CurvatureTrial], plane: str, mean: MeanPath, prediction: TipPrediction
+) -> None:
+    """Draw points, fitted circles, the mean path from the entry on, the region of the predicted tip, and curvatures."""
+    colours = (BLUE, VERMILLION, GREEN, ORANGE, SKY, GREY)
+    paths, left, bends = figure.subplots(3, 1, gridspec_kw={"height_ratios": (3, 2, 2)})
+    for number, each in enumerate(found):
+        colour = colours[number % len(colours)]
+        circle = fit_circle(each.points_mm)
+        order = np.argsort(each.points_mm[:, 0], kind="stable")
+        x, y = each.points_mm[order].T
+        distance = circle.distances(each.points_mm)[order]
+        normal = (-np.sin(circle.heading_rad), np.cos(circle.heading_rad))
+        paths.plot(x, y, ".", color=colour, markersize=3, alpha=0.6, label=each.name or "trial")
+        paths.plot(x, y - distance * normal[1], "-", color=colour, linewidth=1)
+        left.plot(x, distance, ".-", color=colour, markersize=3, linewidth=0.6)
+        _draw_interval(bends, each.whole, number, colour)
+    along = np.linspace(0.0, prediction.depth_mm, 60)
+    x, y, _ = trace(mean.shape, mean.x_mm, mean.values, along)
+    paths.plot(x, y, "--", color=BLACK, linewidth=1.2, label="mean path")
+    heading = 1e3 * mean.values[1]
+    paths.annotate(
+        f"entry heading {heading:.0f} mrad", (x[0], y[0]), xytext=(8, -12), textcoords="offset points", fontsize=7
+    )
+    if prediction.y_region_mm:
+        low, high = prediction.y_region_mm
+        reach = [[prediction.y_mm - low], [high - prediction.y_mm]]
+        label = "predicted tip, 95 %"
+        paths.errorbar([prediction.x_mm], [prediction.y_mm], reach, color=BLACK, capsize=4, label=label)
+    title(paths, f"Tip positions and fitted circles ({plane} plane)")
+    paths.set_ylabel(f"{plane[1]} (mm)")
+    if len(found) <= len(colours):
+        paths.legend(fontsize=7, loc="best")
+    title(left, "Distance of the points from the circle")
+    left.axhline(0, color=GREY, linewidth=0.8)
+    left.set_xlabel("x (mm)")
+    left.set_ylabel("distance (mm)")
+    title(bends, "Curvature with 95 % interval")
+    bends.axvline(0, color=GREY, linewidth=0.8)
+    bends.set_yticks(range(len(found)), [each.name or "trial" for each in found], fontsize=7)
+    bends.set_ylim(len(found) - 0.5, -0.5)
+    bends.set_xlabel("curvature (1/mm)")
+
+
+def _draw_interval(axes: object, bend: Curvature, row: int, colour: str) -> None:
+    reach = [[bend.curvature_per_mm - bend.low_per_mm], [bend.high_per_mm - bend.curvature_per_mm]]
+    axes.errorbar([bend.curvature_per_mm], [row], xerr=reach, fmt="o", color=colour, capsize=3)  # type: ignore[attr-defined]
