@@ -48,7 +48,10 @@ def test_the_table_says_what_was_found(data: Path, capsys: pytest.CaptureFixture
     assert main(["identify", "curvature", str(data), "--verbose"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "curvature: bicycle"
-    assert short == [*lines[:4], f"  ... {len(lines) - 4} more lines with --verbose"]
+    predicted = next(number for number, line in enumerate(lines) if line.startswith("predicted tip"))
+    assert short == [*lines[:4], f"  ... {predicted - 4} more lines with --verbose", *lines[predicted:]]
+    assert "95 % region" in lines[predicted + 1]
+    assert lines[predicted + 2].startswith("  each insertion predicted from the others: mean error 0.")
     assert any(line.startswith("  curvature_per_mm") and line.endswith("1/mm") for line in lines)
     assert any("agreement of trials" in line and "agree with one curvature" in line for line in lines)
 

@@ -165,11 +165,14 @@ def _lines(found: Identification) -> Iterator[str]:
     yield f"{found.kind}: {kind}"
     if found.estimates:
         width = max(map(len, found.estimates))
-        yield f"  {'parameter':<{width}}  {'value':>10}  {'95 % interval':^24}  unit"
+        scattered = any(each.between_sd is not None for each in found.estimates.values())
+        column = f"{'sd of trials':>12}  " if scattered else ""
+        yield f"  {'parameter':<{width}}  {'value':>10}  {'95 % interval':^24}  {column}unit"
         for name, each in found.estimates.items():
             interval = f"{_number(each.low):>10} to {_number(each.high):<10}" if each.identified else "not identified"
-            scatter = "" if each.between_sd is None else f"; scatter between trials {_number(each.between_sd)}"
-            yield f"  {name:<{width}}  {_number(each.value):>10}  {interval:^24}  {each.unit}{scatter}".rstrip()
+            between = "" if each.between_sd is None else _number(each.between_sd)
+            unit = f"{between:>12}  {each.unit}" if scattered else each.unit
+            yield f"  {name:<{width}}  {_number(each.value):>10}  {interval:^24}  {unit}".rstrip()
     if found.scores:
         width = max(len(name) for name, _, _ in found.scores)
         yield "scores"

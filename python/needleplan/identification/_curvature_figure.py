@@ -40,10 +40,8 @@ def draw(
         _draw_interval(bends, each.whole, number, colour)
     along = np.linspace(0.0, prediction.depth_mm, 60)
     x, y, _ = trace(mean.shape, mean.x_mm, mean.values, along)
-    paths.plot(x, y, "--", color=BLACK, linewidth=1.2, label="mean path")
-    heading = 1e3 * mean.values[1]
-    paths.annotate(
-        f"entry heading {heading:.0f} mrad", (x[0], y[0]), xytext=(8, -12), textcoords="offset points", fontsize=7
+    paths.plot(
+        x, y, "--", color=BLACK, linewidth=1.2, label=f"mean path, entry heading {1e3 * mean.values[1]:.0f} mrad"
     )
     if prediction.y_region_mm:
         low, high = prediction.y_region_mm

@@ -23,7 +23,7 @@ from needleplan.identification._insertion_path import EntryPath, PathShape, trac
 from needleplan.models import Estimate
 from needleplan.signals import Array
 
-__all__ = ["LeftOutTip", "MeanPath", "TipPrediction", "mean_path", "predict_tip"]
+__all__ = ["LeftOutTip", "MeanPath", "TipPrediction", "mean_path", "predict_tip", "predicted"]
 
 # Probability of the region of the predicted tip, and of the intervals of the parameters.
 _LEVEL = 0.95
@@ -160,12 +160,12 @@ def predict_tip(paths: Sequence[EntryPath], across: Sequence[EntryPath], along_m
     """
     planes = [each for each in (paths, across) if each]
     level = _LEVEL ** (1 / len(planes))
-    found = [_predicted(each, along_mm, level) for each in planes]
+    found = [predicted(each, along_mm, level) for each in planes]
     left_out = []
     for number, path in enumerate(paths if len(paths) > 1 else ()):
         errors, inside = [], []
         for plane in planes:
-            middle, reach = _predicted([*plane[:number], *plane[number + 1 :]], along_mm, level)
+            middle, reach = predicted([*plane[:number], *plane[number + 1 :]], along_mm, level)
             errors.append(middle - plane[number].measured(along_mm))
             inside.append(abs(errors[-1]) <= reach if reach is not None else None)
         outcome = None if None in inside else all(inside)
@@ -178,7 +178,7 @@ def predict_tip(paths: Sequence[EntryPath], across: Sequence[EntryPath], along_m
     )  # fmt: skip
 
 
-def _predicted(paths: Sequence[EntryPath], along_mm: float, level: float) -> tuple[float, float | None]:
+def predicted(paths: Sequence[EntryPath], along_mm: float, level: float) -> tuple[float, float | None]:
     """Return the predicted y (mm) and the half width (mm) of its region, which is None for a single insertion.
 
     The variance is that of the fitted tips, which contains the errors of the fits, plus the error of the mean.

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from scipy import stats
 
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._arc_chain import ArcChain, along_circle
 from needleplan.identification._circle import Circle, fit_circle
-from needleplan.identification._correlated_noise import marginalise
+from needleplan.identification._correlated_noise import Marginal, marginalise
 from needleplan.models import arc_step
 from needleplan.signals import Array
 
@@ -112,8 +113,9 @@ class EntryPath:
     """The fitted path of one insertion.
 
     `values` holds offset (mm), heading (rad) and the coefficients of the curvature (1/mm), shape (2 + size,), and
-    `covariance` their covariance with the correlation of the noise integrated out. `x_mm` is the x of the entry,
-    `first_mm` and `deepest_mm` are the positions along the path of its first and last point.
+    `covariance` their covariance with the correlation of the noise integrated out, matched to the 95 % intervals.
+    `x_mm` is the x of the entry, `first_mm` and `deepest_mm` the positions along the path of its first
+    and last point.
     """
 
     name: str
@@ -202,7 +204,18 @@ def entry_path(
     values = best.copy()
     values[:2] += (y, heading)
     rms = float(np.sqrt(np.mean(chain.distance(best) ** 2)))
-    return EntryPath(name, shape, x, values, said.covariance, chain, rms)
+    return EntryPath(name, shape, x, values, _central(said), chain, rms)
+
+
+def _central(said: Marginal) -> Array:
+    """Return the covariance that has the correlations of a marginal and the widths of its 95 % intervals.
+
+    The covariance itself is dominated by the tails of few candidates with long correlation lengths.
+    """
+    sd = np.sqrt(np.diagonal(said.covariance))
+    reach = [high - low for low, high in (said.interval(each) for each in np.eye(sd.size))]
+    scale = np.array(reach) / (2 * stats.norm.ppf(0.975)) / sd
+    return np.asarray(said.covariance * np.outer(scale, scale))
 
 
 def _at_x(circle: Circle, points: Array) -> float:
