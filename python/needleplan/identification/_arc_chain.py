@@ -7,8 +7,6 @@ circle, and hat functions on many short arcs give a curvature that is piecewise 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
@@ -104,7 +102,7 @@ class ArcChain:
             columns.append((self.distance(unknown + shift) - self.distance(unknown - shift)) / (2 * step))
         return np.column_stack(columns)
 
-    def solve(self, fixed: Sequence[float] | None = None) -> Array:
+    def solve(self, fixed: Array | None = None) -> Array:
         """Return the unknowns with the least sum of squared distances.
 
         With `fixed`, the coefficients of the curvature have these values, and only shift and turn are solved for.
@@ -115,9 +113,12 @@ class ArcChain:
             return np.asarray(
                 least_squares(self.distance, self.start, x_scale=self.scale, jac="3-point", method="trf", xtol=1e-12).x
             )
-        held = np.asarray(fixed, float)
-        found = least_squares(lambda pose: self.distance(np.concatenate([pose, held])), [0.0, 0.0], xtol=1e-10)
-        return np.concatenate([found.x, held])
+
+        def held(pose: Array) -> Array:
+            return self.distance(np.concatenate([pose, fixed]))
+
+        found = least_squares(held, [0.0, 0.0], xtol=1e-10)
+        return np.concatenate([found.x, fixed])
 
 
 def along_circle(points: Array, circle: Circle) -> Array:

@@ -15,8 +15,8 @@ from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VE
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from needleplan.identification._curvature_trial import CurvatureTrial
     from needleplan.identification._path_curvature import Curvature
-    from needleplan.identification.curvature import CurvatureTrial
 
 __all__ = ["draw"]
 

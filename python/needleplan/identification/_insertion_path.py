@@ -104,7 +104,8 @@ def trace(shape: PathShape, x_mm: float, values: Array, along_mm: Array) -> Arra
     for number, bend in enumerate(bends):
         here = index == number
         found[:, here] = np.array(np.broadcast_arrays(*arc_step(*pose, bend, along[here] - edges[number])))
-        pose = tuple(float(each) for each in arc_step(*pose, bend, edges[number + 1] - edges[number]))
+        x, y, heading = arc_step(*pose, bend, edges[number + 1] - edges[number])
+        pose = (float(x), float(y), float(heading))
     return found
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from needleplan.config import raw_of, toml_text
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._circle import fit_circle
+from needleplan.identification._curvature_trial import insertion_of
 from needleplan.identification._path_curvature import Curvature, agreement, path_curvature
 from needleplan.identification._tip_noise import TipNoise, headings_at, tip_noise
-from needleplan.identification.curvature import insertion_of
 from needleplan.models import arc_step
 from needleplan.scenario import Scenario
 from needleplan.signals import Array, Record, Role
