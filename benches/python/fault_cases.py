@@ -48,7 +48,7 @@ from fault_filters import (
     with_more,
 )
 from fault_relays import Sent, as_it_is, nothing
-from fault_run import Run
+from fault_run import STOPPED, Run
 
 from needleplan.devices.ati.rdt import RdtCommand, encode_request
 from needleplan.devices.ndi.frames import NdiVisibility
@@ -317,8 +317,8 @@ CASES = [
     Case("process: tracker suspended", signalled("tracker", (signal.SIGSTOP, 0)), (PAUSED,), ("pose_stale",)),
     Case("process: everything suspended for 0.5 s", signalled("all", (signal.SIGSTOP, 0), (signal.SIGCONT, 0.5)),
          (FAULT,)),
-    Case("disk: full", _file_limit, (PAUSED, FAULT), ("recording_behind", "recording_lost")),
-    Case("disk: the recording is deleted", _folder_vanishes, (ENABLED, FAULT)),
+    Case("disk: full", _file_limit, (STOPPED,), ("recording_behind", "recording_lost")),
+    Case("disk: the recording is deleted", _folder_vanishes, (ENABLED,)),
     Case("disk: a file appears at the target", _file_appears, (ENABLED,)),
     Case("person: stops from another terminal (STOP without a session)", _foreign_stop, (FAULT,), ("stage_fault",)),
     Case("person: Ctrl-C twice", signalled("insert", (signal.SIGINT, 0), (signal.SIGINT, 0.05)), (DISABLED,)),

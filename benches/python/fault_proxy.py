@@ -20,7 +20,7 @@ from pathlib import Path
 
 import machine
 from fault_cases import CASES, STANDS, Case
-from fault_run import Outcome, as_json, observed
+from fault_run import Outcome, as_json, from_json, observed
 
 ATTEMPTS = 3  # largest number of runs of a fault that does not end as expected
 
@@ -74,6 +74,18 @@ def report(rows: list[tuple[Case, Outcome]], about: dict[str, object]) -> str:
     return "\n".join(lines)
 
 
+def reference(rows: list[tuple[Case, Outcome]]) -> str:
+    """Return the table of the reference: fault, state, cause, who stopped the needle, and the time (ms)."""
+    lines = ["| fault | ends in | cause | stopped by | ms |", "|---|---|---|---|--:|"]
+    for _, each in rows:
+        causes = ", ".join(
+            f"`{cause}`" for cause in each.cause.split(", ") if cause and "_" in cause and " " not in cause
+        )
+        stop = "" if math.isnan(each.stop_ms) else f"{each.stop_ms:.0f}"
+        lines.append(f"| {each.name} | {each.state} | {causes} | {each.by} | {stop} |")
+    return "\n".join(lines)
+
+
 def main() -> int:
     """Provoke the faults, print the report, and return 1 if one does not end as it should."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -81,18 +93,27 @@ def main() -> int:
         "--only", action="append", metavar="TEXT", help="only faults whose names begin with this text; may be repeated"
     )
     parser.add_argument("--list", action="store_true", help="print the names of all faults")
+    parser.add_argument(
+        "--known", action="append", type=Path, default=[], metavar="FILE",
+        help="take the outcomes in this file of --json instead of provoking their faults; later files replace earlier",
+    )  # fmt: skip
+    parser.add_argument("--reference", action="store_true", help="print the table of docs/reference/faults.md")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     if options.list:
         print("\n".join(case.name for case in CASES))
         return 0
     about = machine.description()
+    known: dict[str, Outcome] = {}
+    for file in options.known:
+        known |= from_json(file.read_text(encoding="utf-8"))
     rows = []
     for case in CASES:
         if case.name.startswith(tuple(options.only or [""])):
-            rows.append((case, measured(case)))
-            print(rows[-1][1], file=sys.stderr, flush=True)
-    print(report(rows, about))
+            found = known.get(case.name) or measured(case)
+            rows.append((case, found))
+            print(found, file=sys.stderr, flush=True)
+    print(reference(rows) if options.reference else report(rows, about))
     if options.json:
         options.json.write_text(as_json([each for _, each in rows]) + "\n", encoding="utf-8")
     return 0 if all(as_expected(*row) for row in rows) else 1

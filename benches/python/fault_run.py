@@ -33,6 +33,7 @@ SPEED_MM_S = 5.0
 DEPTH_MM = 3.0  # depth at which a fault is injected
 BEGIN_S = 30.0  # longest time from the start of `insert` to this depth
 SETTLED_S = 0.3  # time after the early end of `insert` for which the robot is observed
+STOPPED = "stopped, not recorded"  # state of a run whose stop the recording does not contain
 END_S = 15.0  # longest time from the request to end to the end of `insert`
 
 
@@ -53,7 +54,10 @@ class Outcome:
 
     name: str
     state: str = ""
-    """First state of the guard after ENABLED; ENABLED if the run continued; the exit code without a recording."""
+    """First state of the guard after ENABLED in the recording, or ENABLED if the run continued until it was observed.
+
+    `STOPPED` if the guard stopped the run but the recording does not contain it, else the exit code of `insert`.
+    """
 
     cause: str = ""
     message: str = ""
@@ -166,11 +170,11 @@ def start(run: Run) -> None:
         sys.executable, "-m", "needleplan", "insert", "table.h5", "--robot", f"udp://127.0.0.1:{run.robot.port}",
         "--force", f"udp://127.0.0.1:{run.force.port}?http_port={http}",
         "--tracker", f"tcp://127.0.0.1:{run.tracker.port}", "--registration", "registration.toml",
-        "--speed", f"{SPEED_MM_S:g}", "-o", "run.mcap",
+        "--speed", f"{SPEED_MM_S:g}", "-o", "run.mcap", "--json",
     ]  # fmt: skip
+    answer, errors = ((run.folder / name).open("w") for name in ("answer.json", "stderr"))
     run.process = subprocess.Popen(
-        command, cwd=run.folder, stdout=subprocess.DEVNULL, stderr=(run.folder / "stderr").open("w"), text=True,
-        start_new_session=True,
+        command, cwd=run.folder, stdout=answer, stderr=errors, text=True, start_new_session=True
     )  # fmt: skip
 
 
@@ -191,7 +195,8 @@ def observed(
         begin_mm = run.last.depth_mm if run.last is not None else math.nan
         run.fault_s = time.monotonic()
         run.proxy.worst_pause_s = 0.0
-        inject(run)
+        if deep:
+            inject(run)
         run.wait(lambda: False, observed_s)
         if run.process is not None and run.process.poll() is not None:
             time.sleep(SETTLED_S)
@@ -238,19 +243,23 @@ def _read(folder: Path, found: Outcome) -> None:
     """Read the messages and the recording of a run."""
     lines = (folder / "stderr").read_text(errors="replace").strip().splitlines()
     found.message = lines[-1] if lines else ""
-    files = sorted(each.name for each in folder.iterdir() if each.name.startswith("run.mcap"))
-    if not files:
+    with contextlib.suppress(ValueError):
+        found.cause = json.loads((folder / "answer.json").read_text())["cause"]
+    # Without a readable recording, the state follows from what was seen outside.
+    interrupted = found.code is None and not found.by
+    found.state = "ENABLED" if interrupted else STOPPED if found.by == "guard" else f"exit code {found.code}"
+    file = next((each for each in (folder / "run.mcap.partial", folder / "run.mcap") if each.exists()), None)
+    if file is None:
         found.recording = "none"
-        found.state = found.state or f"exit code {found.code}"
         return
     try:
-        if files[0].endswith(".partial"):
-            recover(folder / files[0], folder / "recovered.mcap")
+        if file.suffix == ".partial":
+            recover(file, folder / "recovered.mcap")
             recording = Recording.read(folder / "recovered.mcap")
         else:
-            recording = Recording.read(folder / files[0])
+            recording = Recording.read(file)
     except NeedleplanError as error:
-        found.recording = f"{files[0]}: {str(error).splitlines()[0]}"
+        found.recording = f"{file.name}: {str(error).splitlines()[0]}"
         return
     safety = [each.values for each in recording.messages(["/safety"])]
     events = [each.values for each in recording.messages(["/event"])]
@@ -258,10 +267,19 @@ def _read(folder: Path, found: Outcome) -> None:
     left = next((each for each in safety if each["name"] == "transition" and each.get("before") == "ENABLED"), None)
     if found.code is None and left is not None and left["cause"] == "stop_ordered":
         left = None  # the interruption at the end of the observation
-    found.state = "ENABLED" if left is None else left["state"]
-    found.cause = "" if left is None else left["cause"]
+    if left is not None:
+        found.state, found.cause = left["state"], left["cause"]
+    elif interrupted:
+        found.cause = ""
     last = events[-1]["name"] if events else "no event"
-    found.recording = f"{files[0]}: {samples} samples, {len(safety)} events of the guard, last {last}"
+    found.recording = f"{file.name}: {samples} samples, {len(safety)} events of the guard, last {last}"
+
+
+def from_json(text: str) -> dict[str, Outcome]:
+    """Return the outcomes in a text of `as_json`, by the names of the faults."""
+    rows = [{key: math.nan if each is None and key != "code" else each for key, each in row.items()}
+            for row in json.loads(text)]  # fmt: skip
+    return {row["name"]: Outcome(**row) for row in rows}
 
 
 def as_json(outcomes: list[Outcome]) -> str:

@@ -152,6 +152,7 @@ def read_status(status: int, product: str) -> tuple[RdtSeverity, tuple[str, ...]
 
 _WRAP = 1 << 32
 _MEASUREMENTS_PER_S = 7000
+_DELAYED_S = 3.0  # delay (s) of a record that is not taken for a restart of the box
 _REMEMBERED = 4096  # largest number of lost records that are remembered, to recognise them if they arrive late
 
 
@@ -221,8 +222,8 @@ class StreamWatch:
         if last is None:
             return self._accept(record, now_ns, 0)
         # Largest plausible difference of the numbers: twice the measurements in the time since the last record, plus
-        # one second for records that were delayed on the way.
-        most = 2 * _MEASUREMENTS_PER_S * (1.0 + max(now_ns - self._last_ns, 0) / 1e9)
+        # some seconds for records that were delayed on the way, or while this process was suspended.
+        most = 2 * _MEASUREMENTS_PER_S * (_DELAYED_S + max(now_ns - self._last_ns, 0) / 1e9)
         ahead = (record.rdt_sequence - last.rdt_sequence) % _WRAP
         measured = (record.ft_sequence - last.ft_sequence) % _WRAP
         follows, near = 0 < measured <= most, min(measured, _WRAP - measured) <= most
