@@ -116,7 +116,7 @@ class GuardedStage(GuardCore, Stage):
     def tick(self) -> SafetyState:
         """Report that the loop is running, validate all inputs, and return the state. The loop calls `tick` regularly.
 
-        Only this method sends heartbeats to the stage, at most one in 5 ms. If the loop ends or hangs, the heartbeats
+        Only this method sends heartbeats to the stage, at most one in 4.5 ms. If the loop ends or hangs, the heartbeats
         cease, and the watchdog of the stage stops the motion. If a heartbeat cannot be sent, the stage has failed.
         """
         with self._held() as now_ns:

@@ -20,8 +20,9 @@ from needleplan.errors import DeviceFault, MotionRefused
 __all__ = ["EventSlot", "GuardWire", "Heartbeat", "MotionCommand", "OrderedEvents", "RepeatedStop"]
 
 _NANO = 1e-9
-# shortest time (s) between two heartbeats: a sixth of the watchdog time of a robot (0.03 s)
-_HEARTBEAT_S = 0.005
+# shortest time (s) between two heartbeats: less than the period of the loop (0.005 s), so that its jitter does not skip
+# every second heartbeat; at most a sixth of the watchdog time of a robot (0.03 s)
+_HEARTBEAT_S = 0.0045
 # time (s) after which a stop that has reached the stage is sent again
 _AGAIN_S = 0.02
 # time (s) after which a stop that has not reached the stage is sent again
@@ -113,14 +114,14 @@ class RepeatedStop:
 
 
 class Heartbeat:
-    """Sends the heartbeat to one stage, at most every 5 ms. No other code of the package sends it during a run."""
+    """Sends the heartbeat to one stage, at most every 4.5 ms. No other code of the package sends it during a run."""
 
     def __init__(self, stage: Stage, now_ns: int) -> None:
         self._stage = stage
         self._sent_ns = now_ns
 
     def send(self, now_ns: int) -> DeviceFault | None:
-        """Send a heartbeat if the last one is at least 5 ms old. Return the DeviceFault of the stage, or None."""
+        """Send a heartbeat if the last one is at least 4.5 ms old. Return the DeviceFault of the stage, or None."""
         if (now_ns - self._sent_ns) * _NANO < _HEARTBEAT_S:
             return None
         self._sent_ns = now_ns
