@@ -10,6 +10,8 @@ import shutil
 import signal
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 import zlib
@@ -179,6 +181,17 @@ def signalled(process: str, *signals: tuple[signal.Signals, float]) -> Inject:
     return send
 
 
+def commanded(command: str) -> Inject:
+    """Run another command of needleplan at the robot itself, as a person does in another terminal."""
+
+    def run_it(run: Run) -> None:
+        host, port = run.robot.device
+        where = [sys.executable, "-m", "needleplan", command, "--robot", f"udp://{host}:{port}"]
+        subprocess.Popen(where, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    return run_it
+
+
 def _file_limit(run: Run) -> None:
     """Let every further write of the recording fail, as on a full disk."""
     size = (run.folder / "run.mcap.partial").stat().st_size if (run.folder / "run.mcap.partial").exists() else 1
@@ -317,10 +330,13 @@ CASES = [
     Case("process: tracker suspended", signalled("tracker", (signal.SIGSTOP, 0)), (PAUSED,), ("pose_stale",)),
     Case("process: everything suspended for 0.5 s", signalled("all", (signal.SIGSTOP, 0), (signal.SIGCONT, 0.5)),
          (FAULT,)),
-    Case("disk: full", _file_limit, (STOPPED,), ("recording_behind", "recording_lost")),
+    Case("disk: full", _file_limit, (STOPPED,)),
     Case("disk: the recording is deleted", _folder_vanishes, (ENABLED,)),
     Case("disk: a file appears at the target", _file_appears, (ENABLED,)),
     Case("person: stops from another terminal (STOP without a session)", _foreign_stop, (FAULT,), ("stage_fault",)),
+    Case("person: needleplan stop (from the start of the program)", commanded("stop"), (FAULT,), ("stage_fault",),
+         observed_s=6.0),
+    Case("person: needleplan retract during the run", commanded("retract"), (ENABLED,), observed_s=5.0),
     Case("person: Ctrl-C twice", signalled("insert", (signal.SIGINT, 0), (signal.SIGINT, 0.05)), (DISABLED,)),
     Case("person: Ctrl-C while the force sensor is silent", lambda run: [
         filtered("force", lambda _: nothing)(run), signalled("insert", (signal.SIGINT, 0.01))(run)],

@@ -247,6 +247,8 @@ def _read(folder: Path, found: Outcome) -> None:
         found.cause = json.loads((folder / "answer.json").read_text())["cause"]
     # Without a readable recording, the state follows from what was seen outside.
     interrupted = found.code is None and not found.by
+    if interrupted:
+        found.cause = ""
     found.state = "ENABLED" if interrupted else STOPPED if found.by == "guard" else f"exit code {found.code}"
     file = next((each for each in (folder / "run.mcap.partial", folder / "run.mcap") if each.exists()), None)
     if file is None:
@@ -265,12 +267,10 @@ def _read(folder: Path, found: Outcome) -> None:
     events = [each.values for each in recording.messages(["/event"])]
     samples = sum(1 for _ in recording.messages(["/stage", "/force", "/pose"]))
     left = next((each for each in safety if each["name"] == "transition" and each.get("before") == "ENABLED"), None)
-    if found.code is None and left is not None and left["cause"] == "stop_ordered":
+    if interrupted and left is not None and left["cause"] == "stop_ordered":
         left = None  # the interruption at the end of the observation
     if left is not None:
         found.state, found.cause = left["state"], left["cause"]
-    elif interrupted:
-        found.cause = ""
     last = events[-1]["name"] if events else "no event"
     found.recording = f"{file.name}: {samples} samples, {len(safety)} events of the guard, last {last}"
 

@@ -171,3 +171,15 @@ def test_a_needle_that_is_far_from_its_entry_depth_is_not_driven_there(
     assert code == 2, said.err
     assert "stage depth = 0.00 mm" in said.err
     assert "within 5 mm of the entry depth, 40 mm" in said.err
+
+
+def test_the_robot_gets_the_limits_of_the_run(still: Still, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The robot of this lab goes to 200 mm; a run whose limits are wider is refused by the robot itself."""
+    wide = folder / "wide.toml"
+    wide.write_text(PATIENT + "deepest_mm = 250.0\n")
+    code = main(
+        ["insert", str(folder / "table.h5"), "--robot", still.robot.address, "--force", still.force, "--tracker",
+         still.tracker, "--registration", str(folder / "registration.toml"), "--limits", str(wide),
+         "--accept-limits", "a test"]
+    )  # fmt: skip
+    refused(capsys, code, "hello", "the depth is outside the limits of the robot", "narrow the limits of the run")

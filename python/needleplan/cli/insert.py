@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from needleplan.control import InsertionReport, RunRecorder, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
+    from needleplan.devices.robot import MotionLimits
     from needleplan.planning import PolicyTable, Pose
 
 __all__ = ["add_to", "run"]
@@ -153,7 +154,8 @@ def run(options: argparse.Namespace) -> int:
         rule = "needs real time: the simulated lab of sim:// has its own time; see `needleplan lab`"
         raise InputError(Mistake("--deadman", options.deadman, rule))
     try:
-        with open_insertion_station(robot, force, tracker, table, start) as station:
+        motion = _motion_limits(safety_limits(options))
+        with open_insertion_station(robot, force, tracker, table, start, motion) as station:
             report, recorder = _insert(table, station, setup(station), options)
             true_tip = station.true_tip_mm if isinstance(station, SimulatedStation) else None
     except DeviceFault as fault:
@@ -165,6 +167,16 @@ def run(options: argparse.Namespace) -> int:
         complain(f"{file or options.output}: the recording is incomplete: {recorder.missing}")
         return code or 1
     return code
+
+
+def _motion_limits(limits: SafetyLimits) -> MotionLimits:
+    """Return the limits of the run in the form in which the robot takes them for its session."""
+    from needleplan.devices.robot import MotionLimits
+
+    fastest_mm_s = max(limits.insertion_velocity_mm_s, limits.retraction_velocity_mm_s)
+    return MotionLimits(
+        limits.shallowest_mm, limits.deepest_mm, fastest_mm_s, limits.roll_rad, limits.rotation_velocity_rad_s
+    )  # fmt: skip
 
 
 def _insert(

@@ -10,12 +10,15 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from needleplan.devices._base import Closing, Device, ForceSample, ForceSensor, PoseSample, Stage, StageSample, Tracker
 from needleplan.devices._clock import Clock, SystemClock, VirtualClock
 from needleplan.devices._opening import Address
 from needleplan.errors import AddressError, DeviceFault, Mistake
+
+if TYPE_CHECKING:
+    from needleplan.devices.robot import MotionLimits
 
 __all__ = [
     "Feed",
@@ -177,10 +180,11 @@ def _received(sample: Sample) -> int:
 _Opened = TypeVar("_Opened", bound=Device)
 
 
-def open_station(robot: str, force: str, tracker: str) -> Station:
+def open_station(robot: str, force: str, tracker: str, motion: MotionLimits | None = None) -> Station:
     """Open the real devices at three addresses and return them as a station.
 
-    Raises AddressError if an address is wrong, ConfigurationError if the configuration of a device cannot be used, and
+    A robot (`udp://`) is asked for the limits `motion` for its session; None: the limits of the robot. Raises
+    AddressError if an address is wrong, ConfigurationError if the configuration of a device cannot be used, and
     DeviceFault if a device cannot be used; devices that were already opened are then closed.
     """
     require_schemes(robot, force, tracker)
@@ -188,7 +192,8 @@ def open_station(robot: str, force: str, tracker: str) -> Station:
         # The stage is opened last, so that no device that can move is enabled while another one is being opened.
         force_sensor = _opened(_FORCES, force, opened)
         opened_tracker = _opened(_TRACKERS, tracker, opened)
-        stage = _opened(_ROBOTS, robot, opened)
+        robots = {**_ROBOTS, "udp": lambda address: _robot(address, motion)}
+        stage = _opened(robots, robot, opened)
         opened.pop_all()
     return Station(stage, force_sensor, opened_tracker, SystemClock())
 
@@ -264,10 +269,10 @@ def _close(device: Device) -> None:
         device.close()
 
 
-def _robot(address: str) -> Stage:
+def _robot(address: str, motion: MotionLimits | None = None) -> Stage:
     from needleplan.devices.robot import RobotStage
 
-    return RobotStage.open(address)
+    return RobotStage.open(address, limits=motion)
 
 
 def _drives(address: str) -> Stage:

@@ -14,6 +14,7 @@ from needleplan.simulation._lab import Lab
 from needleplan.simulation._setup import SimulatedEntry
 
 if TYPE_CHECKING:
+    from needleplan.devices.robot import MotionLimits
     from needleplan.estimation.registration import Registration
 
 __all__ = ["SimulatedStation", "are_simulated", "open_insertion_station", "simulated_station"]
@@ -60,16 +61,19 @@ def are_simulated(robot: str, force: str, tracker: str) -> bool:
     return False
 
 
-def open_insertion_station(robot: str, force: str, tracker: str, table: PolicyTable, start: Pose) -> Station:
+def open_insertion_station(
+    robot: str, force: str, tracker: str, table: PolicyTable, start: Pose, motion: MotionLimits | None = None
+) -> Station:
     """Open the three devices of an insertion, real or simulated, at their addresses.
 
     If all three addresses are the same `sim://[EXPERIMENT][?seed=N]`, a simulated lab is opened in which the needle
     enters at `start`, and the result is a SimulatedStation. By default, the experiment is `steering` and the seed is
-    that of the experiment. Raises AddressError if an address is invalid or the addresses cannot be used together,
-    ExperimentError if the experiment is invalid, and the errors of `open_station`.
+    that of the experiment. A real robot is asked for the limits `motion`. Raises AddressError if an address is invalid
+    or the addresses cannot be used together, ExperimentError if the experiment is invalid, and the errors of
+    `open_station`.
     """
     if not are_simulated(robot, force, tracker):
-        return open_station(robot, force, tracker)
+        return open_station(robot, force, tracker, motion)
     address = Address.parse(robot)
     address.only(("seed",))
     seed = address.option("seed", int, -1)

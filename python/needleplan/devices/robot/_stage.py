@@ -35,6 +35,8 @@ _REFUSED_MOTION = frozenset({
     Result.LATE, Result.SUPERSEDED, Result.OUT_OF_RANGE, Result.NOT_ENABLED, Result.DEPTH_BEYOND, Result.SPEED_BEYOND,
     Result.ROLL_BEYOND, Result.ROTATION_BEYOND, Result.DEADLINE_BEYOND, None,
 })  # fmt: skip
+# Results of a HELLO that asks for wider limits than those of the robot
+_TOO_WIDE = (Result.DEPTH_BEYOND, Result.SPEED_BEYOND, Result.ROLL_BEYOND, Result.ROTATION_BEYOND)
 _REASONS = {
     Result.BUSY: "the robot has another controller",
     Result.OLD_SESSION: "the robot has ended this session: it was restarted, or received nothing for too long",
@@ -182,7 +184,8 @@ class RobotStage(Stage):
         for kind in (RobotKind.HELLO, RobotKind.RESET, RobotKind.ENABLE):
             result, _ = self._conversation.command(kind, timing.answer_s, timely=kind is not RobotKind.HELLO)
             if result is not Result.ACCEPTED:
-                raise self._give_up(f"{kind.name.lower()}: {self._why(result, timing.answer_s)}")
+                hint = "; narrow the limits of the run to those of the robot" if result in _TOO_WIDE else ""
+                raise self._give_up(f"{kind.name.lower()}: {self._why(result, timing.answer_s)}{hint}")
         # Statuses received so far describe the robot before it was enabled.
         self._conversation.statuses.clear()
         self._since = self._begun = self._conversation.last_number
