@@ -67,7 +67,7 @@ def main() -> int:
     verdict = "met" if times.max() <= LIMIT_MS else "missed"
     print(
         f"\nkill -9 at 1,000 Hz, {times.size} times: lost {np.median(times):.0f} ms in the median, "
-        f"{times.max():.0f} ms at most (goal: {LIMIT_MS:g} ms: {verdict}); messages missing between others: "
+        f"{times.max():.0f} ms at most (goal: {LIMIT_MS:g} ms: {verdict}); messages missing: "
         f"{sum(each['missing'] for each in lost)}."
     )
     if options.json:

@@ -77,6 +77,16 @@ def memory_pair() -> tuple[MemoryLink, MemoryLink]:
     return MemoryLink(there, back), MemoryLink(back, there)
 
 
+def _own_address(family: int, peer: tuple[str, int]) -> str:
+    """Return the address of this machine from which datagrams to `peer` leave; "" (all) if there is no way to it."""
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(peer)  # of a datagram socket: chooses the way, sends nothing
+            return str(probe.getsockname()[0])
+        except OSError:
+            return ""
+
+
 _LONGEST = 65_536  # bytes that one call of `receive` reads at most
 
 
@@ -84,7 +94,9 @@ class UdpLink(Link):
     """Datagrams to and from one peer. Datagrams from other senders are dropped and counted in `unknown_senders`.
 
     `connect` is not called on the socket, because the operating system would then drop these datagrams uncounted.
-    Raises AddressError if the host is unknown, DeviceFault if the local port cannot be used.
+    Without `local_host`, the socket receives only at the address of this machine from which the peer is reached: for a
+    peer on this machine, nothing from a network. Raises AddressError if the host is unknown, DeviceFault if the local
+    port cannot be used.
     """
 
     def __init__(self, host: str, port: int, local_port: int = 0, local_host: str = "") -> None:
@@ -92,7 +104,7 @@ class UdpLink(Link):
         self.unknown_senders = 0
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
-            self._socket.bind((local_host, local_port))
+            self._socket.bind((local_host or _own_address(family, self.peer), local_port))
         except OSError as error:
             self._socket.close()
             raise DeviceFault(f"UDP port {local_port} of this machine cannot be used: {error.strerror}") from error

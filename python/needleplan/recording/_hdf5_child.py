@@ -27,9 +27,14 @@ def limit(cpu_s: int, memory_bytes: int) -> None:
         import resource
     except ImportError:  # Windows; the parent limits the time
         return
-    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 1))
-    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    for which, value, room in (
+        (resource.RLIMIT_CPU, cpu_s, 1),
+        (resource.RLIMIT_AS, memory_bytes, 0),
+        (resource.RLIMIT_CORE, 0, 0),
+    ):
+        most = resource.getrlimit(which)[1]  # a limit that the user has set can only be lowered
+        ends = value if most == resource.RLIM_INFINITY else min(value, most)
+        resource.setrlimit(which, (ends, ends + room if most == resource.RLIM_INFINITY else min(ends + room, most)))
 
 
 def read(content: bytes, most: int, numbers: list[str], texts: list[str]) -> tuple[dict[str, Any], list[bytes]]:
