@@ -87,6 +87,16 @@ class Histories(RuleBasedStateMachine):
             self.order(order, Owner.LOOP)
         self.insert(self.bench.stage.depth_mm + 5.0, 5.0)
 
+    @rule(order=st.sampled_from([Order.PAUSE, Order.DISABLE, Order.STOP]), turns=st.integers(0, 4))
+    def a_person_interrupts(self, order: Order, turns: int) -> None:
+        """A person stops the needle, and the loop wants to go on."""
+        self.begin_again()
+        self.order(order, "anna")
+        for _ in range(turns):
+            self.turn()
+        self.the_loop_goes_on()
+        self.what_harms_is_enabled_and_wanted()
+
     @rule(turns=st.integers(1, 150))
     def wait(self, turns: int) -> None:
         for _ in range(turns):
