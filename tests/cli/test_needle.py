@@ -96,10 +96,8 @@ def test_insertions_become_a_scenario(folder: Path, capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            ["curvature", "x.csv", "--layers", "2"],
-            "--scenario: is missing: --layers and --scenario-out require it",
-        ),
+        (["force", "x.csv", "--layers", "2"], "--layers = force: is for curvature only"),
+        (["curvature", "x.csv", "--layers", "auto", "--scenario", "small.toml"], "--layers = auto: must be a number"),
         (["curvature", "x.csv", "--scenario-out", "y.toml"], "--scenario: is missing"),
         (["force", "x.csv", "--scenario", "small.toml"], "--scenario = force: must be curvature"),
         (["curvature", "x.csv", "--for", "smal.toml"], "smal.toml: no such file"),

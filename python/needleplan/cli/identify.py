@@ -46,7 +46,11 @@ def add_to(commands: Any) -> None:
         help="curvature only: print the identified tables [needle] and [motion] for this scenario",
     )
     parser.add_argument(
-        "--layers", type=whole, default=1, metavar="N", help="with --scenario: number of layers of equal depth (1)"
+        "--layers",
+        type=_layers,
+        default=1,
+        metavar="N",
+        help="curvature only: number of layers of equal depth (1); auto: insertions that are left out choose",
     )
     parser.add_argument(
         "--scenario-out", metavar="FILE.toml", help="with --scenario: write the scenario with these tables"
@@ -68,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0, or 1 if nothing could be identified."""
     from needleplan.recording import read_records
 
-    known = knowledge(options)
+    known = knowledge(options) | _layers_of(options)
     require_outputs(options, [*options.data, options.scenario], options.output, options.scenario_out)
     scenario, atlas = _scenario(options), require_atlas(options)
     with working(options, f"identifying {options.kind}") as tell:
@@ -112,15 +116,18 @@ def _draw(found: Identification, file: str) -> None:
 def _scenario(options: argparse.Namespace) -> Scenario | None:
     """Return the scenario of `--scenario`, or None without the option.
 
-    Raises InputError if `--scenario` is given and the kind is not curvature, or if `--scenario-out` or `--layers`
-    other than 1 is given without `--scenario`.
+    Raises InputError if `--scenario` is given and the kind is not curvature, or `--layers` is `auto`; or if
+    `--scenario-out` is given without `--scenario`.
     """
     from needleplan.scenario import Scenario
 
     if options.scenario is None:
-        if options.scenario_out or options.layers != 1:
-            raise InputError(Mistake("--scenario", "", "is missing: --layers and --scenario-out require it"))
+        if options.scenario_out:
+            raise InputError(Mistake("--scenario", "", "is missing: --scenario-out requires it"))
         return None
+    if options.layers is None:
+        rule = "must be a number with --scenario; without it, write a model with -o and plan with --needle"
+        raise InputError(Mistake("--layers", "auto", rule))
     if options.kind != "curvature":
         raise InputError(
             Mistake("--scenario", options.kind, "must be curvature: a scenario uses no other identified values")
@@ -128,10 +135,29 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
     return Scenario.read(options.scenario)
 
 
+def _layers(text: str) -> int | None:
+    """Return the number of layers, or None for `auto`."""
+    return None if text == "auto" else whole(text)
+
+
+def _layers_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the keyword argument of `identify` for `--layers`; with `--scenario`, the layers are only for it.
+
+    Raises InputError if the kind is not curvature and the number of layers is not 1.
+    """
+    if options.layers == 1:
+        return {}
+    if options.kind != "curvature":
+        raise InputError(Mistake("--layers", options.kind, "is for curvature only"))
+    return {} if options.scenario else {"layers": options.layers}
+
+
 def _part(scenario: Scenario, records: Sequence[Record], options: argparse.Namespace) -> ScenarioPart:
     from needleplan.identification.scenario_part import scenario_part
 
-    part = scenario_part(records, scenario, layers=options.layers)
+    part = scenario_part(
+        records, scenario, layers=options.layers, plane=options.plane or "xy", skip_mm=options.skip_mm or 0.0
+    )
     if options.scenario_out:
         part.scenario.write(options.scenario_out)
         note(f"wrote {options.scenario_out}")
@@ -222,9 +248,11 @@ def _part_lines(part: ScenarioPart | None) -> Iterator[str]:
         return
     yield "scenario"
     for piece in part.pieces:
-        low, high = sorted((1 / abs(piece.high_per_mm), 1 / abs(piece.low_per_mm)))
-        radius = 1 / abs(piece.curvature_per_mm)
-        yield f"  from x = {piece.low_mm:.4g} mm on: radius {radius:.4g} mm (95 % interval {low:.4g} to {high:.4g})"
+        ends = sorted((abs(piece.high_per_mm), abs(piece.low_per_mm)))
+        radius = f"radius {1 / abs(piece.curvature_per_mm):.4g} mm" if piece.curvature_per_mm else "straight"
+        straight = piece.low_per_mm <= 0 <= piece.high_per_mm
+        reach = f"at least {1 / ends[1]:.4g}" if straight else f"{1 / ends[1]:.4g} to {1 / ends[0]:.4g}"
+        yield f"  from x = {piece.low_mm:.4g} mm on: {radius} (95 % interval {reach})"
     yield from (f"  {remark}" for remark in part.remarks)
     yield ""
     yield from part.lines()

@@ -6,7 +6,6 @@ Further results are the agreement of trials and the change of the curvature with
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -24,13 +23,20 @@ from needleplan.identification._path_curvature import (
     TrackerNoise,
     agreement,
 )
-from needleplan.models import Bicycle, Estimate, Finding, findings_of
+from needleplan.identification._shape_choice import (
+    ShapeChoice,
+    choose_shape,
+    curvature_estimates,
+    layered,
+    model_of,
+)
+from needleplan.models import Estimate, Finding, findings_of
 from needleplan.signals import Array, Record
 
 __all__ = ["CurvatureTrial", "identify", "insertion_of"]
 
-# Largest heading (rad) at entry that a model stores; at larger ones the path does not advance along +x.
-_STEEPEST_RAD = 1.5
+# Largest number of layers that a model file holds.
+_MOST_LAYERS = 4
 
 
 def identify(
@@ -42,6 +48,7 @@ def identify(
     noise: TrackerNoise = TrackerNoise.CORRELATED,
     correlation_mm: float | None = None,
     at_mm: float | None = None,
+    layers: int | None = 1,
 ) -> Identification:
     """Identify the curvature of insertions without rotation from tip positions.
 
@@ -63,12 +70,16 @@ def identify(
     at_mm
         Length of the path (mm) at which the tip of the next insertion is predicted. None: the length that all
         training trials reach.
+    layers
+        Number of layers of equal depth with a curvature each, 1 to 4. None: insertions that are left out choose among
+        one to three layers and a smooth curvature.
 
     Returns
     -------
     Identification
-        The model is a `Bicycle`. The estimates `curvature_per_mm` (1/mm), `heading_rad` and `offset_mm` are means over
-        the training trials, with the scatter between trials. `prediction` is the predicted tip.
+        The model is a `Bicycle`, or a `BicycleByDepth` if the curvature depends on the depth. The estimates
+        `curvature_per_mm` (1/mm), `heading_rad` and `offset_mm` are means over the training trials, with the scatter
+        between trials. `prediction` is the predicted tip.
 
     Raises
     ------
@@ -77,6 +88,8 @@ def identify(
     """
     if at_mm is not None and not 0 < at_mm < np.inf:
         raise DataError(Mistake("at_mm", f"{at_mm:g}", "must be a length above 0 mm"))
+    if layers is not None and not 1 <= layers <= _MOST_LAYERS:
+        raise DataError(Mistake("layers", f"{layers}", f"must be 1 to {_MOST_LAYERS}, or None"))
     if plane not in ("xy", "xz") or not 1 <= segments <= 10:
         raise DataError(Mistake("plane, segments", f"{plane}, {segments}", "must be xy or xz, and 1 to 10"))
     trials = trials_by_role(records)
@@ -86,7 +99,8 @@ def identify(
         for some in (trials.train, trials.holdout)
     )
     together = agreement([each.whole for each in found]) if len(found) > 1 else None
-    paths, across = _entry_paths(found, noise, correlation_mm)
+    choice = _shaped(found, layers, noise, correlation_mm)
+    paths, across = choice.paths, _across(found, noise, correlation_mm)
     mean = mean_path(paths)
     estimates = _estimates(mean, mean_path(across) if across else None)
     estimate = estimates["curvature_per_mm"]
@@ -94,44 +108,59 @@ def identify(
     prediction = predict_tip(paths, across, depth)
     remarks = [*trials.remarks, *(remark for each in (*found, *held) for remark in each.remarks)]
     remarks += _remarks(found, together, estimate)
+    remarks += [choice.remark] * bool(choice.remark)
     if depth > 1.001 * min(each.deepest_mm for each in paths):
         remarks.append(f"the predicted tip at {depth:.4g} mm is deeper than a trial reached: it is an extrapolation")
     left = findings_of([_distances(each) for each in found], [each.motion for each in found], "mm")
     return Identification(
-        "curvature", _model(estimates), estimates, tuple(_scores([*found, *held], together)),
+        "curvature", model_of(mean), estimates,
+        (*_scores([*found, *held], together), *((f"left out, RMS: {name}", rms, "mm") for name, rms in choice.scores)),
         (*_findings(found, together), *(_validated(each, estimate, together) for each in held), *left), tuple(remarks),
         partial(draw, found=[*found, *held], plane=plane, mean=mean, prediction=prediction), prediction,
     )  # fmt: skip
 
 
-def _entry_paths(
-    found: Sequence[CurvatureTrial], noise: TrackerNoise, correlation_mm: float | None
-) -> tuple[list[EntryPath], list[EntryPath]]:
-    """Return the paths of the trials in the plane, and in the other plane if all trials were tracked there."""
+def _fit(
+    found: Sequence[CurvatureTrial], shape: PathShape, noise: TrackerNoise, correlation_mm: float | None
+) -> list[EntryPath]:
+    """Return the paths of the trials in the plane."""
     correlated = noise is TrackerNoise.CORRELATED
-    options = {"correlated": correlated, "correlation": correlation_mm}
-    shape = PathShape()
-    paths = [entry_path(each.points_mm, each.depth_mm, shape, each.name, **options) for each in found]  # type: ignore[arg-type]
-    across = [
-        entry_path(each.other_mm, each.other_depth_mm, shape, each.name, **options)  # type: ignore[arg-type]
+    return [
+        entry_path(each.points_mm, each.depth_mm, shape, each.name, correlated=correlated, correlation=correlation_mm)
         for each in found
-        if each.other_mm is not None
     ]
-    return paths, across if len(across) == len(paths) else []
+
+
+def _across(found: Sequence[CurvatureTrial], noise: TrackerNoise, correlation_mm: float | None) -> list[EntryPath]:
+    """Return the paths of the trials in the other plane, or [] if a trial was not tracked there."""
+    correlated = noise is TrackerNoise.CORRELATED
+    tracked = [(each.name, each.other_mm, each.other_depth_mm) for each in found if each.other_mm is not None]
+    if len(tracked) < len(found):
+        return []
+    return [
+        entry_path(points, depth, PathShape(), name, correlated=correlated, correlation=correlation_mm)
+        for name, points, depth in tracked
+    ]
+
+
+def _shaped(
+    found: Sequence[CurvatureTrial], layers: int | None, noise: TrackerNoise, correlation_mm: float | None
+) -> ShapeChoice:
+    """Return the paths with the given number of layers, or with the shape that the insertions left out choose."""
+    if layers is None:
+        return choose_shape(lambda shape: _fit(found, shape, noise, correlation_mm))
+    paths = tuple(_fit(found, PathShape(), noise, correlation_mm))
+    if layers > 1:
+        shape = layered(layers, max(each.first_mm for each in paths), min(each.deepest_mm for each in paths))
+        paths = tuple(_fit(found, shape, noise, correlation_mm))
+    return ShapeChoice(paths[0].shape, paths, (), "")
 
 
 def _estimates(mean: MeanPath, across: MeanPath | None) -> dict[str, Estimate]:
     """Return the estimates of the mean path by name; `elevation_rad` is the heading in the other plane."""
-    curvature = mean.estimate(2, "1/mm")
-    curvature = replace(curvature, identified=curvature.low > 0 or curvature.high < 0)
-    found = {"curvature_per_mm": curvature, "heading_rad": mean.estimate(1, "rad"), "offset_mm": mean.estimate(0, "mm")}
+    found = curvature_estimates(mean)
+    found |= {"heading_rad": mean.estimate(1, "rad"), "offset_mm": mean.estimate(0, "mm")}
     return found | ({"elevation_rad": across.estimate(1, "rad")} if across else {})
-
-
-def _model(estimates: dict[str, Estimate]) -> Bicycle:
-    """Return the model with the estimated entry pose, or without a pose if the path does not advance along +x."""
-    bend, heading, offset = (estimates[name].value for name in ("curvature_per_mm", "heading_rad", "offset_mm"))
-    return Bicycle(bend, heading, offset) if abs(heading) < _STEEPEST_RAD else Bicycle(bend)
 
 
 def _scores(found: Sequence[CurvatureTrial], together: Heterogeneity | None) -> list[tuple[str, float, str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,8 +62,9 @@ def scenario_part(
     `records`, `plane` and `skip_mm` are used as in `curvature.identify`; x is along the insertion, with the entry at
     x = 0. The range of x that all insertions cover is cut into `layers` equal parts, 1 to 10, with one radius each. The
     last layer extends to the end of the workspace. The tip noise is computed for the number of headings of the scenario
-    and the radius of the whole path. Raises DataError if records or `layers` cannot be used or a part of the path may
-    be straight, and ScenarioError if the identified values violate a rule of the scenario.
+    and the radius of the whole path. A layer may be straight if another layer bends and the scenario has
+    `motion.step_mm`. Raises DataError if records or `layers` cannot be used or a layer may be straight
+    otherwise, and ScenarioError if the identified values violate a rule of the scenario.
     """
     used = [record for record in records if record.role is not Role.NOISE]
     if not used:
@@ -77,9 +78,10 @@ def scenario_part(
         raise DataError(Mistake("x_mm", "", "the insertions have no common range of depth"))
     whole = _mean([each.whole for each in insertions], 0.0)
     edges = np.linspace(low, high, layers + 1)[1:-1]
-    pieces = _pieces(paths, edges) if layers > 1 else (whole,)
+    pieces, straight = _plannable(_pieces(paths, edges) if layers > 1 else (whole,), scenario)
     changed = scenario.with_curvature(pieces)
     remarks = ["the layers of the scenario were replaced"] if scenario.needle.layers else []
+    remarks += straight
     if scenario.tissues:
         remarks.append("the radii of the tissues of the scenario stay what they were")
     noise = _noise(used, paths, (low, high), scenario, 1 / abs(whole.curvature_per_mm))
@@ -101,21 +103,37 @@ def _pieces(paths: Sequence[Array], edges_mm: Array) -> tuple[PathPiece, ...]:
 
 
 def _mean(trials: Sequence[Curvature], low_mm: float) -> PathPiece:
-    """Return the mean curvature of one piece over the trials; `low_mm` is the x at which the piece begins.
-
-    Raises DataError if the interval of the mean contains 0.
-    """
+    """Return the mean curvature of one piece over the trials; `low_mm` is the x at which the piece begins."""
     if len(trials) == 1:
         only = trials[0]
-        piece = PathPiece(only.curvature_per_mm, only.low_per_mm, only.high_per_mm, low_mm)
-    else:
-        together = agreement(trials)
-        piece = PathPiece(together.mean_per_mm, together.low_per_mm, together.high_per_mm, low_mm)
-    if piece.low_per_mm <= 0 <= piece.high_per_mm:
-        value = f"{piece.low_per_mm:.3g} to {piece.high_per_mm:.3g} from x = {low_mm:.4g} mm on"
-        rule = "contains a straight path, and a plan needs a radius; take fewer layers, or longer insertions"
-        raise DataError(Mistake("curvature_per_mm", value, rule))
-    return piece
+        return PathPiece(only.curvature_per_mm, only.low_per_mm, only.high_per_mm, low_mm)
+    together = agreement(trials)
+    return PathPiece(together.mean_per_mm, together.low_per_mm, together.high_per_mm, low_mm)
+
+
+def _plannable(pieces: Sequence[PathPiece], scenario: Scenario) -> tuple[tuple[PathPiece, ...], list[str]]:
+    """Return the pieces for the scenario, and remarks on pieces that may be straight.
+
+    A piece that may be straight keeps its curvature if it bends to the side of the other pieces, else its curvature is
+    set to 0. Raises DataError if no piece surely bends, or a piece may be straight and the scenario has no `step_mm`.
+    """
+    bent = [each for each in pieces if not each.low_per_mm <= 0 <= each.high_per_mm]
+    found: list[PathPiece] = []
+    remarks: list[str] = []
+    for piece in pieces:
+        if piece in bent:
+            found.append(piece)
+            continue
+        value = f"{piece.low_per_mm:.3g} to {piece.high_per_mm:.3g} from x = {piece.low_mm:.4g} mm on"
+        if not bent or scenario.motion.step_mm is None:
+            rule = "contains a straight path, and a plan needs a radius; take fewer layers, or longer insertions"
+            rule += "; with motion.step_mm in the scenario, a layer may be straight" if bent else ""
+            raise DataError(Mistake("curvature_per_mm", value, rule))
+        same = piece.curvature_per_mm * bent[0].curvature_per_mm > 0
+        found.append(piece if same else replace(piece, curvature_per_mm=0.0))
+        used = f"radius {1 / abs(piece.curvature_per_mm):.4g} mm" if same else "a straight layer"
+        remarks.append(f"the curvature {value} contains a straight path; planned with {used}")
+    return tuple(found), remarks
 
 
 def _along(path: Array, x_mm: Array) -> list[float]:

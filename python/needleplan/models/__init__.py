@@ -40,7 +40,16 @@ from needleplan.models.friction import (
     into_fresh_tissue,
 )
 from needleplan.models.model_file import ModelFile
-from needleplan.models.path import Bicycle, SpatialBicycle, SteeredModel, TipFrame, Torsion, arc_step
+from needleplan.models.path import (
+    BetweenDepths,
+    Bicycle,
+    BicycleByDepth,
+    SpatialBicycle,
+    SteeredModel,
+    TipFrame,
+    Torsion,
+    arc_step,
+)
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, fit_on_tissue, tune_slow_observer
 
 __all__ = [
@@ -48,7 +57,9 @@ __all__ = [
     "AveragedLuGre",
     "AveragedOnTissue",
     "Beta",
+    "BetweenDepths",
     "Bicycle",
+    "BicycleByDepth",
     "Channel",
     "Estimate",
     "Finding",

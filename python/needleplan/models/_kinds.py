@@ -11,7 +11,7 @@ from needleplan.models._base import Model
 from needleplan.models.deflection import InsertionForce, SpatialBeam, TipPath
 from needleplan.models.force import ForceModel1, ForceModel2
 from needleplan.models.friction import AveragedLuGre, Karnopp, LumpedLuGre, QuasiStatic, ShaftAndTip
-from needleplan.models.path import Bicycle, SpatialBicycle
+from needleplan.models.path import Bicycle, BicycleByDepth, SpatialBicycle
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue
 
 __all__ = ["KINDS", "MEMBERS", "kind_of"]
@@ -20,6 +20,7 @@ MEMBERS: tuple[type[Model], ...] = (
     AveragedLuGre,
     AveragedOnTissue,
     Bicycle,
+    BicycleByDepth,
     ForceModel1,
     ForceModel2,
     InsertionForce,

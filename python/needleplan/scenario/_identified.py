@@ -13,7 +13,7 @@ from needleplan.errors import Mistake, ModelError, ScenarioError
 from needleplan.scenario._parts import Layer, Needle, Tissue
 
 if TYPE_CHECKING:
-    from needleplan.models import ModelFile
+    from needleplan.models import BicycleByDepth, ModelFile
     from needleplan.signals import Array
 
 __all__ = [
@@ -31,6 +31,8 @@ __all__ = [
 _DEEPEST_MM = 200.0
 # Shortest piece of constant curvature (mm).
 _SHORTEST_MM = 2.0
+# Largest number of pieces into which a curvature that is linear between depths is divided.
+_MOST_PIECES = 8
 # Relative difference from the median curvature above which a sample counts as different from its piece.
 _WITHIN = 0.02
 
@@ -72,7 +74,8 @@ class Identified:
     pieces: tuple[CurvaturePiece, ...] = ()
     """The pieces of constant curvature if the curvature changes along the path, else empty.
 
-    If there are pieces, `curvature_per_mm` is the curvature of the first piece.
+    If there are pieces, `curvature_per_mm` is the curvature of the first piece, or of the piece that bends most if it
+    was identified by depth. A straight piece has the curvature 0.
     """
 
     @property
@@ -94,9 +97,11 @@ class Identified:
 
 
 def identified(file: ModelFile, source: str | os.PathLike[str] = "", velocity_mm_s: float = 5.0) -> Identified:
-    """Return the curvature of the path that a model of the kind `bicycle`, `tip_path` or `spatial_bicycle` predicts.
+    """Return the curvature of the path that a model of the tip's path predicts.
 
     - `bicycle`: the curvature of the model.
+    - `bicycle_by_depth`: at most `_MOST_PIECES` pieces. A piece that bends to the other side than the whole path is
+      straight.
     - `tip_path`: the curvature far behind the entry. The interval has the same relative limits as the interval of the
       cutting force, to which the curvature is proportional.
     - `spatial_bicycle`, with or without effects: the curvature in the plane for an insertion at `velocity_mm_s`
@@ -105,12 +110,14 @@ def identified(file: ModelFile, source: str | os.PathLike[str] = "", velocity_mm
     `source` is the name of the file in messages. Raises ModelError for other kinds, for a path that cannot bend to both
     sides or becomes straight, and if the curvature is 0, is not identified, or has an interval that contains 0.
     """
-    from needleplan.models import Bicycle, Channel, SpatialBicycle, TipPath, in_plane
+    from needleplan.models import Bicycle, BicycleByDepth, Channel, SpatialBicycle, TipPath, in_plane
 
     model = file.model
     pieces: tuple[CurvaturePiece, ...] = ()
     if isinstance(model, Bicycle):
         name, value = "curvature_per_mm", model.curvature_per_mm
+    elif isinstance(model, BicycleByDepth):
+        return _by_depth(model, file, os.fspath(source))
     elif isinstance(model, TipPath):
         name, value = "cutting_force", model.curvature_1_mm
         if model.anchoring < 1:
@@ -121,7 +128,7 @@ def identified(file: ModelFile, source: str | os.PathLike[str] = "", velocity_mm
         pieces = pieces_of(bends.along_mm, bends.curvature_per_mm)
         name, value = "curvature_per_mm", pieces[0].curvature_per_mm
     else:
-        kinds = f"{Bicycle.name}, {TipPath.name} or {SpatialBicycle.name}"
+        kinds = f"{Bicycle.name}, {BicycleByDepth.name}, {TipPath.name} or {SpatialBicycle.name}"
         rule = f"must be {kinds}: no curvature of a path follows from other models"
         raise ModelError(Mistake("kind", file.model.name, rule), os.fspath(source))
     estimate = file.estimates.get(name)
@@ -133,6 +140,40 @@ def identified(file: ModelFile, source: str | os.PathLike[str] = "", velocity_mm
     low, high = sorted(abs(value) * end for end in ends) if ends else (math.nan, math.nan)
     trials = len(file.parents)
     return Identified(abs(value), low, high, model.name, trials, file.digest, pieces if len(pieces) > 1 else ())
+
+
+def _by_depth(model: BicycleByDepth, file: ModelFile, source: str) -> Identified:
+    """Return the pieces of a curvature that changes with the depth, and the interval of the piece that bends most.
+
+    Raises ModelError if no piece bends: every interval that the file has for a curvature contains 0.
+    """
+    import numpy as np
+
+    from needleplan.models import BetweenDepths, arc_step
+
+    edges, bends = model.knots
+    if model.between is BetweenDepths.LINEAR and len(edges) > 1:
+        grid = np.linspace(0.0, edges[-1], _MOST_PIECES + 1)
+        edges = grid[:-1]
+        bends = model.curvature_at((grid[1:] + grid[:-1]) / 2)
+    names = [name for name in model.parameters() if name.startswith("curvature")]
+    known = [file.estimates[name] for name in names if name in file.estimates]
+    sure = [each for each in known if each.low > 0 or each.high < 0]
+    if not np.any(bends) or (known and not sure):
+        rule = "is not identified at any depth: a straight path is possible, and a plan needs a radius"
+        raise ModelError(Mistake("parameters.curvature_per_mm", f"{bends.max():.4g}", rule), source)
+    side = np.sign(max((each.value for each in sure), key=abs) if sure else bends[np.argmax(np.abs(bends))])
+    places, pose = [], (0.0, 0.0, model.heading_rad)
+    for bend, length in zip(bends, np.diff(edges, append=edges[-1]), strict=True):
+        places.append(float(pose[0]))
+        pose = arc_step(*pose, bend, length)
+    pieces = tuple(
+        CurvaturePiece(place, max(float(side * bend), 0.0)) for place, bend in zip(places, bends, strict=True)
+    )
+    most = max(pieces, key=lambda each: each.curvature_per_mm).curvature_per_mm
+    best = max(sure, key=lambda each: abs(each.value)) if sure else None
+    low, high = sorted((abs(best.low), abs(best.high))) if best else (math.nan, math.nan)
+    return Identified(most, low, high, model.name, len(file.parents), file.digest, pieces if len(pieces) > 1 else ())
 
 
 def pieces_of(along_mm: Array, curvature_per_mm: Array) -> tuple[CurvaturePiece, ...]:
@@ -177,15 +218,21 @@ def _cut(along: Array, bend: Array, first: int, last: int) -> Iterator[tuple[int
 def needle_with(curvature_per_mm: float | Sequence[HasCurvature], entry_mm: float) -> Needle:
     """Return a needle with the radius of a curvature (1/mm, either sign), or with layers made from pieces of a path.
 
-    The first piece gives the radius of the needle; each other piece gives a layer from x = `entry_mm` + `low_mm`.
-    Raises ScenarioError if there is no piece, a curvature is 0 or not finite, or a layer violates a rule.
+    The first piece gives the radius of the needle; each other piece gives a layer from x = `entry_mm` + `low_mm`. A
+    straight piece, with curvature 0, gives a layer with infinite radius; if it is the first, the radius of the needle
+    is that of the first piece that bends. Raises ScenarioError if there is no piece, no piece bends, a curvature is not
+    finite, or a layer violates a rule.
     """
     if not isinstance(curvature_per_mm, Sequence):
         return Needle(_radius_mm(curvature_per_mm))
     if not curvature_per_mm:
         raise ScenarioError(Mistake("curvature_per_mm", "[]", "must be a number or at least one piece of a path"))
     first, *others = curvature_per_mm
-    layers = tuple(Layer(entry_mm + each.low_mm, _radius_mm(each.curvature_per_mm)) for each in others)
+    radii = [_radius_mm(each.curvature_per_mm) if each.curvature_per_mm else math.inf for each in others]
+    layers = tuple(Layer(entry_mm + each.low_mm, radius) for each, radius in zip(others, radii, strict=True))
+    bent = next((radius for radius in radii if math.isfinite(radius)), None)
+    if not first.curvature_per_mm and bent:
+        return Needle(bent, (Layer(entry_mm, math.inf), *layers))
     return Needle(_radius_mm(first.curvature_per_mm), layers)
 
 

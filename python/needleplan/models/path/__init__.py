@@ -3,6 +3,7 @@
 | name | meaning |
 |---|---|
 | `Bicycle`, `arc_step` | the path in a plane as a model, and one exact arc of it |
+| `BicycleByDepth` | the path in a plane with a curvature that changes with the depth |
 | `TipFrame` | position and orientation of the tip in space; takes exact arcs |
 | `SteeredModel`, `SpatialBicycle` | the path in space as a model: the abstract base class, and circular arcs |
 | `path_displacement` | displacement of a path in space by a small additional curvature |
@@ -10,13 +11,16 @@
 """
 
 from needleplan.models.path._bicycle import Bicycle, arc_step
+from needleplan.models.path._by_depth import BetweenDepths, BicycleByDepth
 from needleplan.models.path._displacement import bevel_direction, fixed_direction, path_displacement
 from needleplan.models.path._frame import TipFrame, Vector, axes_of, quaternion_of, quaternions_along
 from needleplan.models.path._steered import SpatialBicycle, SteeredModel
 from needleplan.models.path._torsion import Torsion, dragged
 
 __all__ = [
+    "BetweenDepths",
     "Bicycle",
+    "BicycleByDepth",
     "SpatialBicycle",
     "SteeredModel",
     "TipFrame",
