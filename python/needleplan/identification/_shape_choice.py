@@ -1,10 +1,10 @@
 """Choice of the curvature by depth: uniform, layered or smooth, by insertions that are left out.
 
 For each candidate, each insertion is left out in turn. The mean curvature of the others is its predicted curvature; its
-own entry pose is fitted. The score is the mean squared distance of its points from this path. The candidate with the
-fewest coefficients (layers before knots) is chosen whose mean score is not above the smallest one by more than the standard error of the
-difference, or by more than 5 % (one-standard-error rule: Hastie, Tibshirani, Friedman, The Elements of Statistical
-Learning, 7.10).
+own entry pose is fitted. The score is the mean squared distance of its points from this path. Candidates are equal to
+the best if their score exceeds the smallest one by at most the standard error of the difference
+(one-standard-error rule: Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 7.10) or by at most 5 %.
+The one with the fewest coefficients is chosen, and layers rather than a smooth curvature.
 """
 
 from __future__ import annotations
