@@ -28,7 +28,8 @@ from needleplan.errors import DeviceFault, MotionRefused
 
 __all__ = ["GuardCore"]
 
-# longest wait (s) for the lock of the guard, which no thread holds while it waits for a device
+# Longest wait (s) for the lock of the guard, which no thread holds while it waits for a device. The wait is made twice:
+# if this whole process was suspended, the first wait ends at once although the lock is about to be released.
 _LOCK_TIMEOUT_S = 0.02
 
 _RUNNING = (OperatingState.ENABLED, OperatingState.PAUSED)
@@ -80,10 +81,10 @@ class GuardCore:
     def _held(self) -> Iterator[int]:
         """Hold the lock of the guard, and yield the time (ns); afterwards send the stops that were decided meanwhile.
 
-        If another thread holds the lock for more than 20 ms, stop the stage without the lock and raise MotionRefused.
+        If another thread holds the lock for more than 40 ms, stop the stage without the lock and raise MotionRefused.
         A command of that thread may arrive after this stop, so the next validation stops again (LOOP_LATE).
         """
-        if not self._lock.acquire(timeout=_LOCK_TIMEOUT_S):
+        if not any(self._lock.acquire(timeout=_LOCK_TIMEOUT_S) for _ in range(2)):
             self._monitor.passing.add(Cause.LOOP_LATE)
             with contextlib.suppress(DeviceFault):
                 self._stage.stop()

@@ -45,7 +45,7 @@ class GuardedStage(GuardCore, Stage):
     `listener` receives every event, in order; a stop is sent before its event. The listener must return at once and
     must not call the guard; its exception is the cause RECORDING_LOST. After each stop, the first thread that calls
     `insert` or `rotate` is the only one that may do so. Any thread may call all other methods. If another thread blocks
-    the guard for more than 20 ms, a call sends a stop and raises MotionRefused; `stop`, `close` and successful reads
+    the guard for more than 40 ms, a call sends a stop and raises MotionRefused; `stop`, `close` and successful reads
     do not raise.
     """
 
