@@ -12,7 +12,8 @@ from needleplan.errors import DataError, ScenarioError
 from needleplan.identification import NoiseStatus
 from needleplan.identification.scenario_part import scenario_part
 from needleplan.models import arc_step
-from needleplan.scenario import Layer, Needle, Scenario, TipMotion, Tissue
+from needleplan.planning import plan
+from needleplan.scenario import Layer, Needle, Scenario, Target, TipMotion, Tissue, Workspace
 from needleplan.signals import Record, Role
 
 PIECE_MM, PIECES = 0.25, 280
@@ -53,6 +54,41 @@ def test_the_radius_and_the_noise_of_a_wandering_heading_are_found_again() -> No
     lines = part.lines()
     assert [line for line in lines if line.startswith("[")] == ["[needle]", "[motion]"]
     assert f"tip_noise = {list(part.noise.probabilities)}" in lines
+
+
+@pytest.mark.parametrize(
+    ("step_mm", "noise_step_deg", "headings"),
+    [
+        (3.0, 2.0, 40),
+        pytest.param(None, None, 72, marks=pytest.mark.slow),
+        pytest.param(2.0, None, 120, marks=pytest.mark.slow),
+        pytest.param(None, 1.5, 60, marks=pytest.mark.slow),
+    ],
+)
+def test_executions_of_the_plan_scatter_like_the_insertions(
+    step_mm: float | None, noise_step_deg: float | None, headings: int
+) -> None:
+    """Step, noise step and grid of headings are independent: the variance of the heading per mm is the needle's."""
+    sd_rad = 0.004
+    motion = TipMotion(headings=headings, step_mm=step_mm, tip_noise_step_deg=noise_step_deg)
+    workspace, target = Workspace(120.0, 80.0), Target((110, 40), 2.0)
+    before = replace(Scenario.read("brain"), motion=motion, obstacles=(), workspace=workspace, target=target)
+    part = scenario_part(insertions(8, sd_rad=sd_rad), before)
+    assert part.noise is not None
+    assert part.noise.ok, part.noise.says
+    found = part.scenario
+    table = plan(replace(found, grid=replace(found.grid, spacing_mm=(2.0, 2.0), refinement=None)))
+    length_mm = found.step_mm
+    variances = []
+    for seed in range(200):
+        path = table.path((10.0, 40.0, 0.0), noise_seed=seed)
+        turned = np.diff(np.unwrap(path.poses[:, 2]))
+        turn_rad = length_mm / found.needle.curvature_radius_mm
+        noise = turned[:-1] - np.where(path.poses[1:-1, 3] > 0, turn_rad, -turn_rad)
+        variances.append(noise**2)
+    per_mm = np.concatenate(variances).mean() / length_mm
+    assert part.noise.low_rad**2 / length_mm < sd_rad**2 / PIECE_MM < part.noise.high_rad**2 / length_mm
+    assert per_mm == pytest.approx(part.noise.sd_rad**2 / length_mm, rel=0.1)
 
 
 @pytest.mark.parametrize("incline_rad", [0.0, -0.5])

@@ -1,11 +1,12 @@
 """Tip noise of a plan from replicate insertions.
 
-In a plan, every insertion step of length delta = 2 pi R / N is followed by an independent disturbance of the heading by
-0, +-1, +-2 ... steps of alpha = 2 pi / N, with variance s^2. The headings of replicates without rotation diverge with
-the variance s^2 / delta per length. The estimate uses heading increments between depths: they are independent for a
-random walk, and differences of the entry cancel. The variance of the tracker is subtracted. Of all distributions over
-heading steps with the estimated variance, the distribution of largest entropy is used: the discrete Gaussian
-p_k ~ exp(-c k^2).
+In a plan, every insertion step of length delta is followed by an independent disturbance of the heading by 0, +-1, +-2
+... noise steps of alpha, with variance s^2. The headings of replicates without rotation diverge with the variance
+s^2 / delta per length. Step length and noise step are `[motion] step_mm` and `tip_noise_step_deg` of the scenario;
+without them, delta = 2 pi R / N and alpha = 2 pi / N for N headings and the radius R. The estimate uses heading
+increments between depths: they are independent for a random walk, and differences of the entry cancel. The variance of
+the tracker is subtracted. Of all distributions over noise steps with the estimated variance, the distribution of
+largest entropy is used: the discrete Gaussian p_k ~ exp(-c k^2).
 """
 
 from __future__ import annotations
@@ -75,7 +76,14 @@ class TipNoise:
 
 
 def tip_noise(
-    headings_rad: Array, depths_mm: Array, *, headings: int, radius_mm: float, measurement_sd_rad: float = 0.0
+    headings_rad: Array,
+    depths_mm: Array,
+    *,
+    headings: int,
+    radius_mm: float,
+    measurement_sd_rad: float = 0.0,
+    step_mm: float | None = None,
+    noise_step_rad: float | None = None,
 ) -> TipNoise:
     """Estimate the tip noise from the headings of replicates at common depths.
 
@@ -91,6 +99,10 @@ def tip_noise(
         Radius R of the needle path in the scenario.
     measurement_sd_rad
         Standard deviation of the measurement error of a heading.
+    step_mm
+        Length of an insertion step of the scenario (mm); default 2 pi R / N.
+    noise_step_rad
+        Heading difference between neighbouring values of the tip noise (rad); default 2 pi / N.
 
     Raises
     ------
@@ -101,10 +113,14 @@ def tip_noise(
 
     values, depths = np.asarray(headings_rad, float), np.asarray(depths_mm, float)
     _require(values, depths, headings, radius_mm, measurement_sd_rad)
+    length_mm = 2 * math.pi * radius_mm / headings if step_mm is None else step_mm
+    step_rad = 2 * math.pi / headings if noise_step_rad is None else noise_step_rad
+    for key, given in (("step_mm", length_mm), ("noise_step_rad", step_rad)):
+        if not 0 < given < math.inf:
+            raise DataError(Mistake(key, f"{given:g}", "must be above 0 and finite"))
     replicates = len(values)
-    step_mm, step_rad = 2 * math.pi * radius_mm / headings, 2 * math.pi / headings
     moved = np.diff(values - values.mean(axis=0), axis=1)
-    steps = np.diff(depths) / step_mm
+    steps = np.diff(depths) / length_mm
     degrees = (replicates - 1) * steps.size
     noise = 2 * measurement_sd_rad**2
     # Every increment has the variance steps s^2 + 2 m^2; the weight 1/steps gives all increments equal influence.
@@ -154,7 +170,7 @@ def probabilities_of(sd_rad: float, step_rad: float) -> tuple[float, ...]:
     kept = int(np.flatnonzero(found > 0.5 * 10**-_DECIMALS)[-1]) + 1
     if kept > _TERMS and 2 * found[_TERMS:].sum() > 1e-3:
         raise DataError(
-            Mistake("sd_rad", f"{sd_rad:.3g}", f"needs more than {_TERMS} probabilities; take fewer headings")
+            Mistake("sd_rad", f"{sd_rad:.3g}", f"needs more than {_TERMS} probabilities; take larger steps")
         )
     rounded = [round(float(each), _DECIMALS) for each in found[: min(kept, _TERMS)]]
     return (round(1 - 2 * math.fsum(rounded[1:]), _DECIMALS), *rounded[1:])
@@ -215,7 +231,7 @@ def _says(status: NoiseStatus, sizes: Sequence[float], step_rad: float, replicat
     if status is NoiseStatus.TOO_WIDE:
         return (
             f"{size}, too much for eight probabilities in steps of {math.degrees(step_rad):.3g} degrees: "
-            "take fewer headings"
+            "take fewer headings, or a larger motion.tip_noise_step_deg"
         )
     if status is NoiseStatus.NOT_SEPARABLE:
         return f"{size}, which the noise of the tracker alone can explain"

@@ -61,10 +61,11 @@ def scenario_part(
 
     `records`, `plane` and `skip_mm` are used as in `curvature.identify`; x is along the insertion, with the entry at
     x = 0. The range of x that all insertions cover is cut into `layers` equal parts, 1 to 10, with one radius each. The
-    last layer extends to the end of the workspace. The tip noise is computed for the number of headings of the scenario
-    and the radius of the whole path. A layer may be straight if another layer bends and the scenario has
-    `motion.step_mm`. Raises DataError if records or `layers` cannot be used or a layer may be straight
-    otherwise, and ScenarioError if the identified values violate a rule of the scenario.
+    last layer extends to the end of the workspace. The tip noise is computed for the step length and the noise step of
+    the scenario, `[motion] step_mm` and `tip_noise_step_deg`; without them, for one heading of the grid per step at the
+    radius of the whole path. A layer may be straight if another layer bends and the scenario has `motion.step_mm`.
+    Raises DataError if records or `layers` cannot be used or a layer may be straight otherwise, and ScenarioError if
+    the identified values violate a rule of the scenario.
     """
     used = [record for record in records if record.role is not Role.NOISE]
     if not used:
@@ -163,7 +164,11 @@ def _noise(
     edges = np.linspace(*ends_mm, _windows(paths, ends_mm) + 1)
     middles, width = (edges[1:] + edges[:-1]) / 2, float(edges[1] - edges[0]) * (1 - 1e-9)
     headings, sd = headings_at(tracked, middles, width)
-    return tip_noise(headings, middles, headings=scenario.motion.headings, radius_mm=radius_mm, measurement_sd_rad=sd)
+    motion = scenario.motion
+    return tip_noise(
+        headings, middles, headings=motion.headings, radius_mm=radius_mm, measurement_sd_rad=sd,
+        step_mm=motion.step_length_mm(radius_mm), noise_step_rad=motion.noise_step_rad,
+    )  # fmt: skip
 
 
 def _windows(paths: Sequence[Array], ends_mm: tuple[float, float]) -> int:

@@ -314,8 +314,8 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         Parameters
         ----------
         probabilities : sequence of float
-            P(0), P(+-1) ...: probabilities that the noise of an insertion step changes the heading by so many heading
-            steps. `needleplan.identification.tip_noise` identifies them for the headings and radius of a scenario.
+            P(0), P(+-1) ...: probabilities that the noise of an insertion step changes the heading by so many noise
+            steps. `needleplan.identification.tip_noise` identifies them for the steps of a scenario.
 
         Returns
         -------
