@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleplan.errors import DataError
@@ -18,6 +18,7 @@ STEP_RAD = 2 * math.pi / HEADINGS
 STEP_MM = RADIUS_MM * STEP_RAD
 
 
+@settings(deadline=None)  # the first example imports scipy
 @given(st.floats(1e-4, 2.0))
 def test_probabilities_have_the_variance_and_the_scenario_takes_them(steps: float) -> None:
     noise = probabilities_of(steps * STEP_RAD, STEP_RAD)
