@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,27 @@ def test_a_plan_takes_the_needle_and_a_tissue_from_models(folder: Path, capsys: 
     assert (needle["place"], tissue["place"], needle["radius_mm"]) == ("needle", "tissue tumour", 50.0)
     assert needle["interval_mm"] == pytest.approx([1 / 0.021, 1 / 0.0195])
     assert needle["digest"] == ModelFile.read("needle.toml").digest
+
+
+def test_a_needle_with_an_entry_pose_says_where_the_guide_is(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    estimates = {
+        "curvature_per_mm": Estimate(0.02, 0.001, 0.0195, 0.021, "1/mm", True),
+        "heading_rad": Estimate(0.06, 0.01, 0.04, 0.08, "rad", True, 0.02),
+        "offset_mm": Estimate(0.5, 0.1, 0.3, 0.7, "mm", True, 0.2),
+    }
+    ModelFile(Bicycle(0.02, 0.06, 0.5), estimates).write(folder / "entered.toml")
+    assert main(["plan", "small.toml", "--needle", "entered.toml", "-o", "entered.h5", "--json"]) == 0
+    planned = json.loads(capsys.readouterr().out)
+    assert main(["entry", "entered.h5", "--needle", "entered.toml", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    guide = answer["guide"]
+    assert planned["guide"] == guide
+    assert guide["heading_rad"] == pytest.approx(answer["heading_rad"] - 0.06 * answer["bevel"], abs=1e-9)
+    apart = math.hypot(guide["x_mm"] - answer["x_mm"], guide["y_mm"] - answer["y_mm"])
+    assert apart == pytest.approx(0.5)
+    assert 0 < guide["success"] <= answer["success"] + 0.01
+    assert main(["entry", "entered.h5", "--needle", "needle.toml"]) == 0
+    assert "success" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("folder")

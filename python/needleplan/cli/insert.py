@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
     from needleplan.devices.robot import MotionLimits
+    from needleplan.estimation.tip import TipSettings
     from needleplan.planning import PolicyTable, Pose
 
 __all__ = ["add_to", "run"]
@@ -71,7 +72,11 @@ def add_to(commands: Any) -> None:
     )
     add_start(parser)
     parser.add_argument("--scenario", metavar="SCENARIO.toml", help="refuse a table of another scenario")
-    parser.add_argument("--needle", metavar="MODEL.toml", help="refuse a table for a needle of another radius")
+    parser.add_argument(
+        "--needle",
+        metavar="MODEL.toml",
+        help="refuse a table for a needle of another radius; its entry scatter widens the start of the tip filter",
+    )
     add_limits(parser)
     parser.add_argument(
         "--deadman", metavar="SWITCH",
@@ -263,9 +268,26 @@ def _setup(options: argparse.Namespace, start: Pose) -> Any:
         length = options.needle_length or (lab.needle_length_mm if lab else how.needle_length_mm)
         complete = replace(how, torsion=torsion or (lab.torsion if lab else None), needle_length_mm=length)
         placed = registration or (lab.registration if lab else Registration())
-        return RunSetup(complete, limits, placed, accepted=options.accept_limits or "")
+        return RunSetup(complete, limits, placed, _tip_settings(options), accepted=options.accept_limits or "")
 
     return made
+
+
+def _tip_settings(options: argparse.Namespace) -> TipSettings:
+    """Return the settings of the tip filter: the scatter of the entry of `--needle` where it exceeds the default."""
+    from needleplan.estimation.tip import TipSettings
+    from needleplan.models import ModelFile
+    from needleplan.scenario import identified
+
+    settings = TipSettings()
+    entry = identified(ModelFile.read(options.needle), options.needle).entry if options.needle else None
+    if entry is None:
+        return settings
+    return replace(
+        settings,
+        entry_sd_mm=max(settings.entry_sd_mm, entry.offset_sd_mm),
+        entry_sd_rad=max(settings.entry_sd_rad, entry.heading_sd_rad),
+    )
 
 
 def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:

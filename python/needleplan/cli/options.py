@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from needleplan.cli.answer import percent
 from needleplan.errors import InputError, Mistake, PoseError, SafetyError
 
 if TYPE_CHECKING:
@@ -181,6 +182,17 @@ def _split(text: str) -> list[float]:
     except ValueError:
         return []
     return found if all(map(math.isfinite, found)) else []
+
+
+def guide_line(guide: Pose, success: float) -> str:
+    """Return the text on the guide for the best entry: its pose, and the success with the scatter of the entry."""
+    return f"{guide}, for this entry of the tip; success {percent(success)} with the scatter of the entry"
+
+
+def guide_record(guide: Pose, success: float) -> dict[str, Any]:
+    """Return the JSON record of the guide for the best entry."""
+    place = {"x_mm": guide.x_mm, "y_mm": guide.y_mm, "heading_rad": guide.heading_rad, "bevel": guide.bevel}
+    return {"guide": {**place, "success": success}}
 
 
 def require_outputs(options: argparse.Namespace, inputs: Iterable[str | None], *outputs: str | None) -> None:

@@ -16,13 +16,15 @@ from needleplan.cli.options import (
     add_output,
     entry_record,
     grid_line,
+    guide_line,
+    guide_record,
     require_outputs,
 )
 from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake, ScenarioError
 
 if TYPE_CHECKING:
-    from needleplan.planning import Entry, PolicyTable
+    from needleplan.planning import Entry, PolicyTable, Pose
     from needleplan.scenario import Identified, Scenario
 
 __all__ = ["UNREACHABLE_SUCCESS", "Replaced", "add_to", "run", "with_identified"]
@@ -95,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
     inputs = [options.scenario, options.sign_key, *(each.file for each in identified)]
     require_outputs(options, inputs, options.output)
     key = _sign_key(options)
-    from needleplan.planning import Status, plan
+    from needleplan.planning import Status, guide_pose, plan, success_over_entries
 
     note(f"{one_line(scenario.title or options.scenario)}: {scenario.states:,} states, method {scenario.solver.method}")
     with working(options, "solving") as tell:
@@ -115,10 +117,13 @@ def run(options: argparse.Namespace) -> int:
         if options.figure:
             tell(f"drawing {options.figure}")
             _draw(table, best, options.figure)
+    entry = next((each.found.entry for each in identified if each.place == "needle"), None)
+    guide = (guide_pose(best.pose, entry), success_over_entries(table, best.pose, entry)) if entry else None
     if options.json:
-        print_json(_record(table, best, options) | {"identified": [each.record() for each in identified]})
+        more = {"identified": [each.record() for each in identified]} | (guide_record(*guide) if guide else {})
+        print_json(_record(table, best, options) | more)
     else:
-        _print(table, best, identified, options)
+        _print(table, best, identified, options, guide)
     if table.stats.status is not Status.CONVERGED:
         return complain(f"not converged: {table.stats.status.replace('_', ' ')}, residual {table.stats.residual:.3g}")
     if best.success < UNREACHABLE_SUCCESS:
@@ -173,10 +178,17 @@ def _sign_key(options: argparse.Namespace) -> bytes | None:
     return read_key(options.sign_key)
 
 
-def _print(table: PolicyTable, best: Entry, identified: Sequence[Replaced], options: argparse.Namespace) -> None:
+def _print(
+    table: PolicyTable,
+    best: Entry,
+    identified: Sequence[Replaced],
+    options: argparse.Namespace,
+    guide: tuple[Pose, float] | None,
+) -> None:
     scenario, stats = table.scenario, table.stats
     lines = {
         "best entry": f"{best.pose}; success {percent(best.success)}, cost {best.value:.4g}",
+        **({"guide": guide_line(*guide)} if guide else {}),
         "grid": grid_line(scenario),
         "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, error at most {stats.error_bound:.3g}, "
         f"{stats.seconds:.3f} s",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
 from needleplan.cli.atlas import add_search, is_atlas, require_no_search, run_info
@@ -18,6 +18,8 @@ from needleplan.cli.options import (
     add_verify_key,
     entry_record,
     grid_line,
+    guide_line,
+    guide_record,
     pose_record,
     read_table,
     require_outputs,
@@ -26,6 +28,9 @@ from needleplan.cli.options import (
 from needleplan.cli.parser import whole
 from needleplan.cli.plan import UNREACHABLE_SUCCESS
 from needleplan.errors import ChecksumError
+
+if TYPE_CHECKING:
+    from needleplan.planning import PolicyTable, Pose
 
 __all__ = ["add_to"]
 
@@ -170,6 +175,9 @@ def _add_entry(commands: Any) -> None:
     add_table(parser)
     add_edge(parser)
     parser.add_argument("--at", type=float, metavar="MM", help="search only at this position on the edge")
+    parser.add_argument(
+        "--needle", metavar="MODEL.toml", help="also print the pose of the guide from which this needle enters there"
+    )
     add_answer(parser)
     parser.set_defaults(run=_run_entry)
 
@@ -179,14 +187,32 @@ def _run_entry(options: argparse.Namespace) -> int:
     table = read_table(options)
     along = "y_mm" if options.edge in ("left", "right") else "x_mm"
     best = table.best_entry(options.edge, **{along: options.at})
+    guide = _guide(table, best.pose, options.needle)
     if options.json:
-        print_json({"edge": options.edge, **entry_record(best)})
+        print_json({"edge": options.edge, **entry_record(best)} | (guide_record(*guide) if guide else {}))
     else:
         lines = {"best entry": str(best.pose), "success": f"{percent(best.success)}, cost {best.value:.4g}"}
+        if guide:
+            lines["guide"] = guide_line(*guide)
         print_summary(options, table.scenario.title or options.table, lines)
     if best.success < UNREACHABLE_SUCCESS:
         return complain(f"the target cannot be reached from the {options.edge} edge")
     return 0
+
+
+def _guide(table: PolicyTable, tip: Pose, file: str | None) -> tuple[Pose, float] | None:
+    """Return the pose of the guide for an entry of the tip, and the success with the scatter of the entry.
+
+    Returns None without a model file. Raises ModelError if the file is wrong or has no curvature.
+    """
+    if not file:
+        return None
+    from needleplan.models import ModelFile
+    from needleplan.planning import guide_pose, success_over_entries
+    from needleplan.scenario import EntryPose, identified
+
+    entry = identified(ModelFile.read(file), file).entry or EntryPose()
+    return guide_pose(tip, entry), success_over_entries(table, tip, entry)
 
 
 def _add_info(commands: Any) -> None:

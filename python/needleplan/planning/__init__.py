@@ -1,6 +1,7 @@
 """Planning: computing a policy table from a scenario, and looking up and executing its policy."""
 
 from needleplan.planning._execution import MOST_STEPS, Path, Rollouts, wilson
+from needleplan.planning._guide import guide_pose, success_over_entries
 from needleplan.planning._lattice import Progress, Stats, Status, lattice_of
 from needleplan.planning._lookup import Decision, Decisions, Expectations
 from needleplan.planning._planner import plan
@@ -26,8 +27,10 @@ __all__ = [
     "Rollouts",
     "Stats",
     "Status",
+    "guide_pose",
     "is_signed",
     "lattice_of",
     "plan",
+    "success_over_entries",
     "wilson",
 ]

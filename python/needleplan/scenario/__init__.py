@@ -1,6 +1,6 @@
 """The scenario: anatomy, target, needle, tip noise, grid, objective and solver, stored as TOML."""
 
-from needleplan.scenario._identified import CurvaturePiece, Identified, identified, pieces_of, within
+from needleplan.scenario._identified import CurvaturePiece, EntryPose, Identified, identified, pieces_of, within
 from needleplan.scenario._obstacle import Obstacle
 from needleplan.scenario._parts import (
     Grid,
@@ -22,6 +22,7 @@ from needleplan.scenario._template import shipped, template
 
 __all__ = [
     "CurvaturePiece",
+    "EntryPose",
     "Grid",
     "Identified",
     "Layer",

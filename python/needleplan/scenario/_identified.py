@@ -58,6 +58,33 @@ class CurvaturePiece:
 
 
 @dataclass(frozen=True)
+class EntryPose:
+    """Pose of the tip at the entry relative to the guide, with its scatter between insertions.
+
+    Parameters
+    ----------
+    heading_rad, offset_mm : float
+        Heading and lateral offset of the tip, positive to the left, for the bevel side `side`.
+    heading_sd_rad, offset_sd_mm : float
+        Standard deviations between insertions; 0 if unknown.
+    side : int
+        Bevel side of the identification, +1 if the path bends to the left.
+
+    Examples
+    --------
+    >>> from needleplan.scenario import EntryPose
+    >>> EntryPose(heading_rad=0.05).side
+    1
+    """
+
+    heading_rad: float = 0.0
+    offset_mm: float = 0.0
+    heading_sd_rad: float = 0.0
+    offset_sd_mm: float = 0.0
+    side: int = 1
+
+
+@dataclass(frozen=True)
 class Identified:
     """An identified curvature (1/mm, positive) with the 95 % interval from `low_per_mm` to `high_per_mm`.
 
@@ -74,9 +101,12 @@ class Identified:
     pieces: tuple[CurvaturePiece, ...] = ()
     """The pieces of constant curvature if the curvature changes along the path, else empty.
 
-    If there are pieces, `curvature_per_mm` is the curvature of the first piece, or of the piece that bends most if it
-    was identified by depth. A straight piece has the curvature 0.
+    If there are pieces, `curvature_per_mm` is the curvature of the first piece that bends. A straight piece has the
+    curvature 0.
     """
+
+    entry: EntryPose | None = None
+    """Pose of the tip at the entry relative to the guide; None if the file says that there is no deviation."""
 
     @property
     def radius_mm(self) -> float:
@@ -139,11 +169,25 @@ def identified(file: ModelFile, source: str | os.PathLike[str] = "", velocity_mm
         raise ModelError(Mistake(f"parameters.{name}", interval, rule), os.fspath(source))
     low, high = sorted(abs(value) * end for end in ends) if ends else (math.nan, math.nan)
     trials = len(file.parents)
-    return Identified(abs(value), low, high, model.name, trials, file.digest, pieces if len(pieces) > 1 else ())
+    found = Identified(abs(value), low, high, model.name, trials, file.digest, pieces if len(pieces) > 1 else ())
+    return replace(found, entry=_entry(file, 1 if value > 0 else -1))
+
+
+def _entry(file: ModelFile, side: int) -> EntryPose | None:
+    """Return the pose of the tip at the entry that a model file has, or None if heading, offset and scatter are 0."""
+    values = file.model.values()
+    pairs = []
+    for names in (("heading_rad", "slope"), ("offset_mm", "offset")):
+        name = next((each for each in names if each in values), "")
+        estimate = file.estimates.get(name)
+        pairs.append((values.get(name, 0.0), (estimate.between_sd if estimate else None) or 0.0))
+    (heading, heading_sd), (offset, offset_sd) = pairs
+    known = any((heading, offset, heading_sd, offset_sd))
+    return EntryPose(heading, offset, heading_sd, offset_sd, side) if known else None
 
 
 def _by_depth(model: BicycleByDepth, file: ModelFile, source: str) -> Identified:
-    """Return the pieces of a curvature that changes with the depth, and the interval of the piece that bends most.
+    """Return the pieces of a curvature that changes with the depth, and the interval of the first that bends.
 
     Raises ModelError if no piece bends: every interval that the file has for a curvature contains 0.
     """
@@ -170,10 +214,12 @@ def _by_depth(model: BicycleByDepth, file: ModelFile, source: str) -> Identified
     pieces = tuple(
         CurvaturePiece(place, max(float(side * bend), 0.0)) for place, bend in zip(places, bends, strict=True)
     )
-    most = max(pieces, key=lambda each: each.curvature_per_mm).curvature_per_mm
-    best = max(sure, key=lambda each: abs(each.value)) if sure else None
-    low, high = sorted((abs(best.low), abs(best.high))) if best else (math.nan, math.nan)
-    return Identified(most, low, high, model.name, len(file.parents), file.digest, pieces if len(pieces) > 1 else ())
+    first = next(number for number, each in enumerate(pieces) if each.curvature_per_mm)
+    most, estimate = pieces[first].curvature_per_mm, file.estimates.get(names[min(first, len(names) - 1)])
+    layered = model.between is BetweenDepths.CONSTANT and estimate in sure
+    low, high = sorted((abs(estimate.low), abs(estimate.high))) if estimate and layered else (math.nan, math.nan)
+    found = Identified(most, low, high, model.name, len(file.parents), file.digest, pieces if len(pieces) > 1 else ())
+    return replace(found, entry=_entry(file, 1 if side > 0 else -1))
 
 
 def pieces_of(along_mm: Array, curvature_per_mm: Array) -> tuple[CurvaturePiece, ...]:
