@@ -30,6 +30,8 @@ __all__ = [
     "add_verify_key",
     "entry_record",
     "grid_line",
+    "guide_line",
+    "guide_record",
     "numbers",
     "pose_record",
     "read_table",
