@@ -14,7 +14,7 @@ from dataclasses import replace
 from needleplan.control._events import Listener
 from needleplan.control._options import Options
 from needleplan.control.safety import GuardedStage
-from needleplan.devices import Clock, Feed, ForceSample, Health, PoseSample, Sample, StageSample
+from needleplan.devices import Clock, Feed, ForceSample, Health, PoseSample, Sample, StageSample, VirtualClock
 from needleplan.errors import DeviceFault
 from needleplan.estimation.tip import PoseUse, TipEstimate, TipFilter, TipStatus
 
@@ -26,8 +26,9 @@ _TURN_S = 0.02
 _MOST_WAITING = 100
 # distance (mm) of the stage after which the predicted tip is validated between two frames of the tracker
 _CHECK_MM = 0.1
-# ns between two calls of the guard's `tick`, which sends the heartbeat to the stage
-_TICK_NS = 10_000_000
+# ns between two calls of the guard's `tick`, which sends the heartbeat to the stage: in real time a sixth of the
+# watchdog time of a robot (30 ms), so that four heartbeats in succession may be lost; in simulated time none is lost
+_TICK_NS, _SIMULATED_TICK_NS = 5_000_000, 10_000_000
 
 
 class Stopped(Exception):
@@ -57,6 +58,7 @@ class NeedleState:
         self._feed: Feed | None = None
         self._stop_cause = ""
         self._received_ns = self._ticked_ns = clock.now_ns()
+        self._tick_ns = _SIMULATED_TICK_NS if isinstance(clock, VirtualClock) else _TICK_NS
 
     def open(self, feed: Feed) -> None:
         """Receive samples from `feed` from now on."""
@@ -113,7 +115,7 @@ class NeedleState:
             self._take(sample)
         elif (now_ns - self._received_ns) * 1e-9 >= self._options.silence_s:
             raise DeviceFault(f"no device has sent a sample for {self._options.silence_s:g} s")
-        if now_ns - self._ticked_ns >= _TICK_NS:
+        if now_ns - self._ticked_ns >= self._tick_ns:
             self._ticked_ns = now_ns
             for each in self._listeners:
                 if (status := each.status()) is not None:
