@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import socket
 import subprocess
 import sys
@@ -36,6 +37,13 @@ def test_there_are_at_least_sixty_faults_of_different_names(cases: list[Any]) ->
     assert {name.split(":")[0] for name in names} == {
         "force", "robot", "tracker", "process", "disk", "start", "person"
     }  # fmt: skip
+
+
+def test_the_reference_lists_them_all(cases: list[Any]) -> None:
+    page = (ROOT / "docs" / "reference" / "faults.md").read_text()
+    section = page[page.index("## Provoked from outside") :]
+    listed = re.findall(r"^\| ([a-z]+: [^|]+) \|", section, re.MULTILINE)
+    assert listed == [case.name for case in cases]
 
 
 @pytest.fixture
