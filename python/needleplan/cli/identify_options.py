@@ -43,7 +43,7 @@ _OPTIONS = (
             "number of equal parts of the path, each with its own curvature (2)", {"type": whole, "metavar": "N"}),
     _Option("--skip", "skip_mm", ("curvature", "deflection"),
             "samples at smaller depths are left out (curvature 0, deflection 20)", {"type": float, "metavar": "MM"}),
-    _Option("--at", "at_mm", ("curvature",),
+    _Option("--at", "at_mm", ("curvature", "deflection"),
             "length of the path at which the tip of the next insertion is predicted (the length that all trials reach)",
             {"type": float, "metavar": "MM"}),
     _Option("--geometry", "needle", ("deflection",),

@@ -14,7 +14,7 @@ from needleplan.models import Estimate, Fit, InsertionForce, NeedleShaft, TipPat
 from needleplan.models.deflection import AxialOffset, ElasticTissue, march
 from needleplan.signals import Array, Motion, Record
 
-__all__ = ["PathFit", "axial_estimates", "beyond", "depth_factor", "mean_of", "path_fit"]
+__all__ = ["PathFit", "axial_estimates", "beyond", "depth_factor", "mean_of", "path_fit", "pose_estimate"]
 
 # Shortest range of depth (mm) that determines a curvature.
 _SHORTEST_MM = 10.0
@@ -128,6 +128,20 @@ def mean_of(estimates: Sequence[Estimate]) -> tuple[Estimate, float, float | Non
     reach = spread * float(stats.t.ppf(0.975, freedom) if chi_square > freedom else stats.norm.ppf(0.975))
     known = Estimate(mean, spread, mean - reach, mean + reach, estimates[0].unit, abs(mean) > reach)
     return known, chi_square, float(stats.chi2.sf(chi_square, freedom))
+
+
+def pose_estimate(paths: Sequence[PathFit], name: str) -> Estimate:
+    """Return the plain mean of `slope` or `offset` over two or more records, with its scatter between records.
+
+    The standard deviation is that of the scatter, or that of the fits if it is larger.
+    """
+    each = [path.fit.estimates[name] for path in paths]
+    values, count = np.array([one.value for one in each]), len(each)
+    between = float(values.std(ddof=1))
+    sd = max(between, math.sqrt(float(np.mean([one.sd**2 for one in each])))) / math.sqrt(count)
+    reach = sd * float(stats.t.ppf(0.975, count - 1))
+    mean = float(values.mean())
+    return Estimate(mean, sd, mean - reach, mean + reach, each[0].unit, True, between)
 
 
 def _within(model: TipPath, cutting_force: float, slope: float, offset: float) -> TipPath:

@@ -25,7 +25,17 @@ import numpy as np
 from scipy import stats
 
 from needleplan.errors import DataError
-from needleplan.identification._bent_path import PathFit, axial_estimates, beyond, depth_factor, mean_of, path_fit
+from needleplan.identification._bent_path import (
+    PathFit,
+    axial_estimates,
+    beyond,
+    depth_factor,
+    mean_of,
+    path_fit,
+    pose_estimate,
+)
+from needleplan.identification._curvature_trial import entry_paths_of
+from needleplan.identification._entry_population import TipPrediction, predict_tip
 from needleplan.identification._identification import Finding, Identification, trials_by_role
 from needleplan.models import Estimate, Fit, NeedleShaft, TipPath, findings_of, fit, simulate
 from needleplan.models.deflection import AxialOffset, ElasticTissue
@@ -54,6 +64,7 @@ def identify(
     axial_offset: AxialOffset | None = None,
     tracked_mm: float = 0.0,
     skip_mm: float = 20.0,
+    at_mm: float | None = None,
 ) -> Identification:
     """Identify curvature and cutting force and, if the records determine them, kf, F0 and friction.
 
@@ -72,6 +83,9 @@ def identify(
         Distance (mm) of the tracked point behind the tip.
     skip_mm
         Depth (mm) above which samples are left out.
+    at_mm
+        Length of the path (mm) at which the tip of the next insertion is predicted, as in `identify curvature`. None:
+        the length that all training trials reach.
 
     Returns
     -------
@@ -106,8 +120,8 @@ def identify(
     g, sd = factor(start.stiffness)
     model = _model(paths, replace(start, depth_factor=g), curvature)
     estimates["cutting_force"] = _force(model, curvature, sd / g)
-    if len(paths) == 1:
-        estimates |= {name: paths[0].fit.estimates[name] for name in ("slope", "offset")}
+    for name in ("slope", "offset"):
+        estimates[name] = paths[0].fit.estimates[name] if len(paths) == 1 else pose_estimate(paths, name)
     with_force = [each.record for each in paths if "force_n" in each.record.columns]
     axial: Fit | None = None
     if with_force:
@@ -126,7 +140,20 @@ def identify(
     )
     left = findings_of([each.fit.residuals[0] for each in paths], [each.record.motion() for each in paths], "mm")
     figure = partial(_draw, paths=paths, axial=axial, records=with_force, skip_mm=skip_mm)
-    return Identification("deflection", model, estimates, scores, (*findings, *left), tuple(remarks), figure)
+    prediction = _prediction(paths, tracked_mm, skip_mm, at_mm)
+    return Identification(
+        "deflection", model, estimates, scores, (*findings, *left), tuple(remarks), figure, prediction
+    )
+
+
+def _prediction(
+    paths: Sequence[PathFit], tracked_mm: float, skip_mm: float, at_mm: float | None
+) -> TipPrediction | None:
+    """Return the predicted tip as in `identify curvature`; None if the base was turned or the tip was not tracked."""
+    if tracked_mm or any(each.turned for each in paths):
+        return None
+    arcs = entry_paths_of([each.record for each in paths], skip_mm)
+    return predict_tip(arcs, [], min(each.deepest_mm for each in arcs) if at_mm is None else at_mm)
 
 
 def _paths(records: Sequence[Record], start: TipPath, skip_mm: float) -> tuple[list[PathFit], list[str]]:
