@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needleplan.errors import DataError
-from needleplan.identification import curvature
+from needleplan.identification import curvature, deflection
 from needleplan.identification._entry_population import mean_path, predicted
 from needleplan.identification._insertion_path import EntryPath, PathShape, ShapeKind, entry_path, trace
 from needleplan.models import Bicycle
@@ -89,3 +89,15 @@ def test_the_region_has_its_probability() -> None:
         inside += abs(new.tip(100.0) - middle) < reach
     assert 0.92 < inside / runs < 0.98
     assert mean_path(train).degrees == 2
+
+
+def test_deflection_predicts_the_same_tip() -> None:
+    random = np.random.default_rng(5)
+    records = [insertion(random, HEADING + turn) for turn in (-0.004, 0.0, 0.004)]
+    by_arc = curvature.identify(records, segments=1, skip_mm=20.0).prediction
+    found = deflection.identify(records, skip_mm=20.0)
+    assert found.prediction == by_arc
+    slope = found.estimates["slope"]
+    assert found.model is not None
+    assert slope.value == pytest.approx(found.model.values()["slope"])
+    assert slope.between_sd == pytest.approx(0.004, rel=0.7)
