@@ -199,7 +199,7 @@ def test_a_model_file_of_a_tip_path() -> None:
         (model(-0.03, -0.01, identified=False), "a straight path is possible"),
         (ModelFile(Bicycle(0.0)), "a straight path is possible"),
         (ModelFile(TipPath(0.2, 3e4, 0.05, 0.5, anchoring=0.5)), r"anchoring.value = 0.5: must be 1"),
-        (ModelFile(PUBLISHED_FORCES[0].model), "kind = .*: must be bicycle, bicycle_by_depth, tip_path or spatial_bicycle"),
+        (ModelFile(PUBLISHED_FORCES[0].model), "kind = .*: must be bicycle, bicycle_by_depth, tip_path or spatial"),
     ],
 )
 def test_models_without_a_radius_are_refused(file: ModelFile, message: str) -> None:
