@@ -14,7 +14,7 @@ endif
 export PATH := $(abspath $(VENV))/bin:$(abspath $(VENV))/rust/cargo/bin:$(PATH)
 export PYO3_PYTHON := $(abspath $(VENV))/bin/python
 
-.PHONY: plan test test-slow processors rust msrv python guard install install-test clean
+.PHONY: plan test test-slow processors rust msrv python guard track install install-test clean
 
 plan: install
 	mkdir -p $(OUT)
@@ -24,8 +24,8 @@ test: install-test
 	$(MAKE) rust
 	$(MAKE) python
 
-# The tests marked slow, error bounds on thousands of random problems, instruction counts, and the numerical tests once
-# for each kind of processor.
+# The tests marked slow, error bounds on thousands of random problems, instruction counts, the numerical tests once for
+# each kind of processor, and a line of the history of times.
 test-slow: install-test
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal
 	$(BIN)/python -m pytest -m realtime
@@ -33,6 +33,7 @@ test-slow: install-test
 	$(MAKE) processors
 	$(MAKE) guard
 	$(MAKE) msrv
+	-$(MAKE) track
 
 rust:
 	cargo fmt --all --check
@@ -46,6 +47,10 @@ python:
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
 	$(BIN)/python -m pytest -m "not slow and not realtime" -n 2 --dist worksteal
+
+# A line of times and instruction counts for benches/history.jsonl. Noise is no failure, so nothing depends on it.
+track:
+	$(BIN)/python benches/python/track.py
 
 # The crates with the oldest Rust that Cargo.toml promises, and `ppvi` packed and built alone, as a registry would.
 MSRV = $(shell sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)

@@ -27,6 +27,16 @@ LATTICE = Contestant("lattice-1", "needleplan lattice, 1 thread", ours.lattice(1
 OURS = (
     LATTICE,
     Contestant("lattice-2", "needleplan lattice, 2 threads", ours.lattice(2), repeats=25, warm_up=3),
+    *(
+        Contestant(
+            f"strips-{threads}",
+            f"needleplan lattice, PPVI on strips, {threads} thread{'s'[: threads - 1]}",
+            ours.lattice(threads, "ppvi", priority="bound"),
+            repeats=25,
+            warm_up=3,
+        )
+        for threads in (1, 2)
+    ),
     Contestant("whole-way", "needleplan, scenario file to table", ours.whole_way, repeats=9, warm_up=1),
     Contestant("tabular-1", "needleplan tabular, 1 thread", ours.tabular(1), repeats=5, warm_up=1),
     Contestant("tabular-2", "needleplan tabular, 2 threads", ours.tabular(2), repeats=5, warm_up=1),

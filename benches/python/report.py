@@ -22,7 +22,7 @@ def text(record: Record) -> str:
     claims = [f"| {each.claim} | {each.measured} | {words[each.holds]} |" for each in verdicts(results)]
     parts = [
         _heading(record),
-        "\n".join(_table(results)),
+        "\n".join(_table(results, record["states"])),
         "Ratio: the best run of the fastest of mdpsolver, QuantEcon and pymdptoolbox, over the median of the row.",
         "\n".join(["| claim | measured | holds |", "|---|--:|---|", *claims]),
         f"Does prioritization pay? {does_prioritization_pay(results)}",
@@ -57,23 +57,24 @@ def _heading(record: Record) -> str:
     )
 
 
-def _table(results: Mapping[str, Result]) -> list[str]:
+def _table(results: Mapping[str, Result], states: int) -> list[str]:
     peer = fastest_library(results)
     lines = [
-        "| solver | build s | solve s, median | best | runs | ratio | backups / n | error | peak GB |",
-        "|---|--:|--:|--:|--:|--:|--:|--:|--:|",
+        "| solver | build s | solve s, median | best | runs | ratio | backups / n | 1e6 backups / s | error | peak GB |",
+        "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for name, each in results.items():
         if name == AGAIN:
             continue
         label = each.label + (f" ({each.note})" if each.note else "")
         if each.failure:
-            lines.append(f"| {label} | {each.failure.replace('|', '/')} | | | | | | | |")
+            lines.append(f"| {label} | {each.failure.replace('|', '/')} | | | | | | | | |")
             continue
         ratio = f"{peer.least / each.median:.3g}" if peer else ""
-        sweeps = f"{each.facts['sweeps']:.4g}" if "sweeps" in each.facts else ""
+        done = each.facts.get("sweeps")
+        sweeps = "" if done is None else f"{done:.4g} | {states * done / each.median / 1e6:.4g}"
         times = f"{each.build:.3g} | {each.median:.4g} | {each.least:.4g} | {len(each.solves)}"
-        lines.append(f"| {label} | {times} | {ratio} | {sweeps} | {each.error:.1e} | {each.peak_gb:.2f} |")
+        lines.append(f"| {label} | {times} | {ratio} | {sweeps or "|"} | {each.error:.1e} | {each.peak_gb:.2f} |")
     return lines
 
 

@@ -186,14 +186,15 @@ def assert_identical(one: Any, other: Any) -> None:
         assert np.array_equal(getattr(one, name), getattr(other, name)), name
 
 
+PRIORITIES = st.sampled_from(["H1", "H2", "bound"])
 PARTITIONS = st.sampled_from([[1, 1], [2, 2], [3, 2], [4, 1], [1, 4], [4, 4]])
 
 
-@given(scenario=scenarios(), method=st.sampled_from(METHODS), partitions=PARTITIONS, heuristic=st.sampled_from("12"))
+@given(scenario=scenarios(), method=st.sampled_from(METHODS), partitions=PARTITIONS, priority=PRIORITIES)
 @random_cases
-def test_random_scenarios(scenario: dict[str, Any], method: str, partitions: list[int], heuristic: str) -> None:
+def test_random_scenarios(scenario: dict[str, Any], method: str, partitions: list[int], priority: str) -> None:
     mdp, solution = oracle_of(scenario)
-    table = planned(scenario, method=method, partitions=partitions, priority=f"H{heuristic}")
+    table = planned(scenario, method=method, partitions=partitions, priority=priority)
     assert table.values.dtype == np.float32
     assert table.policy.dtype == np.uint8
     assert table.success.dtype == np.float32
@@ -208,10 +209,13 @@ def test_the_order_of_obstacles_changes_nothing(scenario: dict[str, Any], method
     assert_identical(planned(scenario, method=method), planned(shuffled, method=method))
 
 
-@given(scenario=scenarios(), method=st.sampled_from(METHODS), threads=st.sampled_from([2, 3]))
+@given(scenario=scenarios(), method=st.sampled_from(METHODS), priority=PRIORITIES, threads=st.sampled_from([2, 3, 7]))
 @random_cases
-def test_the_number_of_threads_changes_nothing(scenario: dict[str, Any], method: str, threads: int) -> None:
-    assert_identical(planned(scenario, method=method, threads=1), planned(scenario, method=method, threads=threads))
+def test_the_number_of_threads_changes_nothing(
+    scenario: dict[str, Any], method: str, priority: str, threads: int
+) -> None:
+    one, many = (planned(scenario, method=method, priority=priority, threads=number) for number in (1, threads))
+    assert_identical(one, many)
 
 
 @pytest.mark.slow

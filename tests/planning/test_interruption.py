@@ -64,6 +64,7 @@ WORK = {
     "sweep": lambda: repeated(lambda: lattice.solve(method="sweep", **LIMITS)),
     "vi": lambda: repeated(lambda: lattice.solve(method="vi", **LIMITS)),
     "ppvi": lambda: repeated(lambda: lattice.solve(method="ppvi", **LIMITS)),
+    "ppvi, bound": lambda: repeated(lambda: lattice.solve(method="ppvi", **LIMITS | dict(priority="bound"))),
     "success": lambda: repeated(lambda: lattice.success(insert, threads=threads)),
     "expectations": lambda: straight.expectations(insert, threads=threads),
     "rollout": lambda: lattice.rollout(
@@ -97,7 +98,7 @@ except KeyboardInterrupt:
 """
 
 KINDS = [
-    "sweep", "vi", "ppvi", "success", "expectations", "rollout", "path", "geometry", "tabular",
+    "sweep", "vi", "ppvi", "ppvi, bound", "success", "expectations", "rollout", "path", "geometry", "tabular",
     "rows, sweep", "rows, vi", "rows, ppvi", "free steps",
 ]  # fmt: skip
 

@@ -17,7 +17,7 @@ import needleplan as npl
 from needleplan.errors import ScenarioError
 from needleplan.planning import Status
 from needleplan.planning import _planner as planner
-from needleplan.scenario import Grid, Layer, Method, Obstacle, Scenario, Tissue, Transition
+from needleplan.scenario import Grid, Layer, Method, Obstacle, Priority, Scenario, Tissue, Transition
 
 
 def test_a_table_is_what_the_house_promises(small: Scenario, table: npl.PolicyTable) -> None:
@@ -59,7 +59,9 @@ def test_every_method_gives_the_same_values(small: Scenario, method: Method, tra
 
 def test_only_partitions_without_free_points_are_left_out(small: Scenario) -> None:
     columns, rows = 12, 8
-    solver = replace(small.solver, method=Method.PPVI, partitions=(columns, rows), tolerance=0.1)
+    solver = replace(
+        small.solver, method=Method.PPVI, partitions=(columns, rows), priority=Priority.H2, tolerance=0.1
+    )
     table = npl.plan(replace(small, solver=solver, objective=replace(small.objective, discount=0.9)))
     in_obstacle = table.lattice.outcomes()[:, :, 0, 0] == 4
     left_out = set(range(columns * rows)) - set(table.stats.order)

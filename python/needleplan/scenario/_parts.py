@@ -80,14 +80,19 @@ class Method(StrEnum):
     """Gauss-Seidel sweeps over the lattice, in the direction opposite to the needle's motion; the fastest method."""
 
     PPVI = "ppvi"
-    """Prioritized-partitioned value iteration as in section 6.3 of the thesis."""
+    """Prioritized-partitioned value iteration: only states whose inputs have changed are backed up. `Priority` chooses
+    between parallel sweeps on the lattice and the scheme of section 6.3 of the thesis."""
 
     VALUE_ITERATION = "vi"
     """Plain value iteration: the simple reference for the other methods."""
 
 
 class Priority(StrEnum):
-    """Priority by which `Method.PPVI` chooses the next partition."""
+    """Priority by which `Method.PPVI` chooses the states of the next backups.
+
+    With `BOUND` it makes parallel sweeps on the lattice. `H1` and `H2` are the scheme of the thesis, on one thread: the
+    partition of the highest priority is iterated alone until it converges.
+    """
 
     H1 = "H1"
     """The Bellman residual, equation (6.7) of the thesis."""
@@ -96,7 +101,7 @@ class Priority(StrEnum):
     """The Bellman residual plus the value, equation (6.8) of the thesis."""
 
     BOUND = "bound"
-    """An upper bound on the Bellman residual, accumulated from the value changes of the neighbouring partitions."""
+    """An upper bound on the Bellman residual, accumulated from the changes of the values that a backup reads."""
 
 
 def _points(size_mm: float, spacing_mm: float) -> int:
@@ -325,12 +330,12 @@ class Solver(ConfigTable, key="solver", error=ScenarioError):
     """
 
     method: Method = ruled(
-        Choice(Method), Method.SWEEP, about='"sweep": fastest; "ppvi": the thesis; "vi": plain value iteration'
+        Choice(Method), Method.SWEEP, about='"sweep": fastest; "ppvi": fewest backups; "vi": plain value iteration'
     )
     partitions: tuple[int, int] | None = ruled(
         Maybe(Pair(Integer(1, 65_536))), None, about='partitions along x and y, for "ppvi"'
     )
-    priority: Priority = ruled(Choice(Priority), Priority.H2, about='which partition is next, for "ppvi"')
+    priority: Priority = ruled(Choice(Priority), Priority.BOUND, about='"bound"; "H1", "H2": as in the thesis; for "ppvi"')
     tolerance: float = ruled(Number(above=0, at_most=1e9), 0.01, about="largest admissible error of the values")
     max_sweeps: int | None = ruled(Maybe(Integer(1, 1_000_000_000)), None, about="end the solve after so many sweeps")
     time_limit_s: float | None = ruled(Maybe(Number("s", above=0, at_most=1e9)), None, about="end the solve then")

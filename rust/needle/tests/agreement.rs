@@ -205,10 +205,12 @@ proptest! {
         let solve = || {
             let solution: LatticeSolution = sweep::solve(lattice, rule(1e-2), None).unwrap();
             let success: Evaluation = evaluation::success(lattice, &solution.policy).unwrap();
-            (solution.values, solution.policy, solution.report.residual.to_bits(), success.values)
+            let strips: LatticeSolution = sweep::prioritized(lattice, [1, 1], rule(1e-2), None).unwrap();
+            let strips = (strips.values, strips.policy, strips.report.residual.to_bits(), strips.report.backups);
+            (solution.values, solution.policy, solution.report.residual.to_bits(), success.values, strips)
         };
         let one = on_threads(1, solve);
-        for threads in [2, 3, 5] {
+        for threads in [2, 3, 7] {
             prop_assert!(one == on_threads(threads, solve));
         }
     }

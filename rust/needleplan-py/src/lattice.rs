@@ -9,14 +9,14 @@ use numpy::{
 };
 use ppvi::lattice::evaluation::{self, Evaluation, OptimalValues};
 use ppvi::lattice::{Costs, LatticeMdp, Shape, Transition, sweep};
-use ppvi::{Mdp, PrioritizedOptions, StopRule, Storage, TabularMdp, prioritized, value_iteration};
+use ppvi::{Mdp, PrioritizedOptions, Priority, StopRule, Storage, TabularMdp, prioritized, value_iteration};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{contiguous, elements};
 use crate::lookup::{FEW, Looked};
-use crate::solve::{narrow, report_dict, stop_rule};
+use crate::solve::{in_parts, narrow, report_dict, stop_rule};
 use crate::work::{at_once, exception, run, watch};
 
 /// Rings of vertices, mm.
@@ -163,19 +163,18 @@ impl Lattice {
         let rule = StopRule { storage: Storage::Single, ..stop_rule(tolerance, max_sweeps, time_limit_s)? };
         let lattice = self.lattice();
         let (values, policy, report) = match method {
-            "sweep" => {
-                let solved =
-                    watch(py, threads, progress, |reports| sweep::solve(lattice, rule, Some(&mut reports.observer())))?;
-                (solved.values, solved.policy, solved.report)
-            }
+            "sweep" => watch(py, threads, progress, |reports| {
+                sweep::solve(lattice, rule, Some(&mut reports.observer())).map(in_parts)
+            })?,
+            "ppvi" if priority == Priority::Bound.name() => watch(py, threads, progress, |reports| {
+                sweep::prioritized(lattice, partitions, rule, Some(&mut reports.observer())).map(in_parts)
+            })?,
             "vi" => watch(py, threads, progress, |reports| {
                 value_iteration(lattice, rule, Some(&mut reports.observer())).map(narrow)
             })?,
             "ppvi" => {
-                let options = PrioritizedOptions {
-                    priority: priority.parse().map_err(exception)?,
-                    ..PrioritizedOptions::default()
-                };
+                let priority = priority.parse().map_err(exception)?;
+                let options = PrioritizedOptions { priority, ..PrioritizedOptions::default() };
                 watch(py, threads, progress, |reports| {
                     let partition = lattice.partition(partitions)?;
                     prioritized(lattice, &partition, options, rule, Some(&mut reports.observer())).map(narrow)

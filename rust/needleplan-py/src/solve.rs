@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use numpy::PyArray1;
+use ppvi::lattice::sweep::LatticeSolution;
 use ppvi::{Report, Solution, StopRule};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -43,6 +44,11 @@ pub(crate) fn report_dict<'py>(py: Python<'py>, report: Report, states: usize) -
     dict.set_item("seconds_solving", report.seconds_solving)?;
     dict.set_item("seconds_priorities", report.seconds_priorities)?;
     Ok(dict)
+}
+
+/// Values, actions, and the report.
+pub(crate) fn in_parts(solved: LatticeSolution) -> (Vec<f32>, Vec<u8>, Report) {
+    (solved.values, solved.policy, solved.report)
 }
 
 /// Values in single precision, actions, and the report.

@@ -65,14 +65,7 @@ impl Partition {
         partitions: [usize; 2],
         place: impl Fn(usize) -> [usize; 2],
     ) -> Result<Self> {
-        if partitions[0] == 0 || partitions[1] == 0 || partitions[0] > points[0] || partitions[1] > points[1] {
-            let found = format!("{partitions:?} over {points:?} points");
-            return Err(Error::parameter(
-                "partitions",
-                found,
-                "must be between 1 and the number of grid points along each axis",
-            ));
-        }
+        Self::check_grid(points, partitions)?;
         let mut labels = Vec::with_capacity(states);
         let stop = StopFlag::current();
         for state in 0..states {
@@ -85,6 +78,19 @@ impl Partition {
             labels.push((column * partitions[1] + row) as u32);
         }
         Self::from_labels(labels, partitions[0] * partitions[1])
+    }
+
+    /// Checks that a grid of points can be cut into `partitions` along its axes.
+    pub(crate) fn check_grid(points: [usize; 2], partitions: [usize; 2]) -> Result<()> {
+        if partitions[0] == 0 || partitions[1] == 0 || partitions[0] > points[0] || partitions[1] > points[1] {
+            let found = format!("{partitions:?} over {points:?} points");
+            return Err(Error::parameter(
+                "partitions",
+                found,
+                "must be between 1 and the number of grid points along each axis",
+            ));
+        }
+        Ok(())
     }
 
     /// Number of states.

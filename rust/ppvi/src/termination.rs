@@ -306,6 +306,19 @@ impl<'a> LimitMonitor<'a> {
         self.sufficient(check.max_value) > self.certificate.hidden(check.max_value) / EXHAUSTED
     }
 
+    /// The smallest residual that is worth a try where [`LimitMonitor::is_within_reach`], for values up to `max_value`.
+    pub(crate) fn least_aim(&self, max_value: f64) -> f64 {
+        self.sufficient(max_value).max(self.certificate.hidden(max_value) / EXHAUSTED)
+    }
+
+    /// Asks for a residual that allows for rounding and storage, if values with this check would prove the tolerance
+    /// without. Returns false if the present residual does so already.
+    pub(crate) fn becomes_strict(&mut self, check: Check) -> bool {
+        let before = self.strict;
+        self.strict |= self.is_close(check);
+        self.strict != before
+    }
+
     /// Whether values with this check prove the tolerance.
     pub(crate) fn is_proven(&self, check: Check) -> bool {
         self.bounds(check).1 <= self.rule.tolerance

@@ -8,7 +8,7 @@ use cases::exact::{fixed_point, optimum};
 use cases::random::{self, Random};
 use cases::{Rows, tabular};
 use ppvi::lattice::evaluation::{self, OptimalValues};
-use ppvi::lattice::{LatticeMdp, outcome, sweep};
+use ppvi::lattice::{LatticeMdp, outcome, sweep, sweep::LatticeSolution};
 use ppvi::{
     Mdp, Partition, PrioritizedOptions, Priority, Progress, Report, Status, StopRule, Storage, TabularMdp, prioritized,
     proper_states, tabular_sweep, value_iteration,
@@ -131,8 +131,14 @@ fn lattice_case(seed: u64) -> Option<Vec<Option<String>>> {
         (solution.values.iter().map(|value| f64::from(*value as f32)).collect(), solution.report)
     };
     let (iterated, report) = narrow(stop.observed(|observer| value_iteration(&lattice, rule, observer)));
+    let of_lattice = |solver, solved: LatticeSolution| {
+        let values = solved.values.into_iter().map(f64::from).collect();
+        Outcome { solver, values, report: solved.report }
+    };
+    let strips = stop.observed(|observer| sweep::prioritized(&lattice, [1, 1], stop.rule, observer));
     let mut outcomes = vec![
-        Outcome { solver: "sweep", values: swept.values.into_iter().map(f64::from).collect(), report: swept.report },
+        of_lattice("sweep", swept),
+        of_lattice("sweep::prioritized", strips),
         Outcome { solver: "value_iteration", values: iterated, report },
     ];
     let partition = lattice.partition([1, 1]).unwrap();

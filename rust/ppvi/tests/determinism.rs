@@ -2,7 +2,9 @@
 
 mod cases;
 
+use cases::random::{self, Random};
 use cases::{grid_world, tabular};
+use ppvi::lattice::sweep;
 use ppvi::{
     Partition, PrioritizedOptions, Priority, Report, Solution, StopRule, TabularMdp, prioritized, tabular_sweep,
     value_iteration,
@@ -17,7 +19,7 @@ fn problem(discount: f64) -> TabularMdp<'static> {
     tabular(&rows, discount).unwrap()
 }
 
-fn on_threads(threads: usize, solve: impl Fn() -> Solution + Send + Sync) -> Solution {
+fn on_threads<R: Send>(threads: usize, solve: impl Fn() -> R + Send + Sync) -> R {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(solve)
 }
 
@@ -59,5 +61,24 @@ fn the_prioritized_solver_is_deterministic() {
     for priority in [Priority::H1, Priority::H2, Priority::Bound] {
         let options = PrioritizedOptions { priority, ..PrioritizedOptions::default() };
         assert_same(|| prioritized(&mdp, &partition, options, StopRule::new(1.0).unwrap(), None).unwrap());
+    }
+}
+
+#[test]
+fn prioritized_sweeps_of_a_lattice_are_deterministic() {
+    for seed in 0..40 {
+        let lattice = random::lattice(&mut Random(seed)).unwrap();
+        for max_sweeps in [3, 50] {
+            let rule = StopRule { max_sweeps, ..StopRule::new(1e-3).unwrap() };
+            let solve = || {
+                let solved = sweep::prioritized(&lattice, [1, 1], rule, None).unwrap();
+                let bits: Vec<u32> = solved.values.iter().map(|value| value.to_bits()).collect();
+                (bits, solved.policy, Report { seconds_solving: 0.0, ..solved.report })
+            };
+            let first = on_threads(1, solve);
+            for threads in [2, 3, 7] {
+                assert!(on_threads(threads, solve) == first, "seed {seed}, {threads} threads");
+            }
+        }
     }
 }

@@ -94,6 +94,15 @@ impl Lanes<f32> for Single {
     }
 
     #[inline(always)]
+    fn larger_change(self, old: Self, most: Self) -> Self {
+        // SAFETY: see the module.
+        Single(unsafe {
+            let change = _mm256_andnot_ps(_mm256_set1_ps(-0.0), _mm256_sub_ps(self.0, old.0));
+            _mm256_max_ps(change, most.0)
+        })
+    }
+
+    #[inline(always)]
     fn narrow(self) -> Single {
         self
     }
@@ -230,6 +239,14 @@ impl Lanes<f64> for Double {
     }
 
     #[inline(always)]
+    fn larger_change(self, old: Self, most: Self) -> Self {
+        // SAFETY: see the module.
+        let change = self.halves(old, |a, b| unsafe { _mm256_andnot_pd(_mm256_set1_pd(-0.0), _mm256_sub_pd(a, b)) });
+        // SAFETY: see the module.
+        change.halves(most, |a, b| unsafe { _mm256_max_pd(a, b) })
+    }
+
+    #[inline(always)]
     fn narrow(self) -> Single {
         // SAFETY: see the module.
         Single(unsafe { _mm256_set_m128(_mm256_cvtpd_ps(self.0[1]), _mm256_cvtpd_ps(self.0[0])) })
@@ -297,6 +314,11 @@ mod tests {
         same(u.min_with_argmin(v), a.min_with_argmin(b));
         same(u.or_terminal(&codes, &terminal), a.or_terminal(&codes, &terminal));
         same(u.or_rotated(v, &mask), a.or_rotated(b, &mask));
+        // The difference of infinities is no number, which no sweep has.
+        let (low, high) = (T::of(0.25), T::of(0.5));
+        let finite = |x: T| if x.widen() < f64::INFINITY { x } else { high };
+        let (p, q, most) = (a.map(finite), b.map(finite), [low; LANES]);
+        same(V::load(&p).larger_change(V::load(&q), V::load(&most)), p.larger_change(q, most));
         let mut narrow = [0.0; LANES];
         u.narrow().store(&mut narrow);
         assert_eq!(narrow, a.narrow());

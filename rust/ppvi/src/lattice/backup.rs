@@ -6,6 +6,7 @@
 
 use std::ops::Range;
 
+use crate::bellman::larger;
 use crate::lattice::halo::{Halo, Values};
 use crate::lattice::kernel::{StepCosts, Vectorized, blend, q_values};
 use crate::lattice::lanes::Lanes;
@@ -21,17 +22,24 @@ use crate::stop::StopFlag;
 pub(crate) struct SweepContext<'a, T: Copy> {
     pub inputs: PassInputs<'a, T>,
     pub terminal_mask: &'a TerminalMask,
-    pub halo: &'a Halo<T>,
-    /// If present, the sweep writes all values to it, and the better actions unless there is a policy.
+    pub halo: &'a mut Halo<T>,
+    /// Strips whose inputs have changed by no more than this are left out; None leaves out nothing.
+    pub level: Option<f64>,
+    /// If present, the sweep writes all values to it, and the better actions unless there is a policy. It needs a level
+    /// of None.
     pub table: Option<TableWriter<'a>>,
+    /// Whether the sweep repeats the last one, for the table: then it changes nothing.
+    pub again: bool,
     /// Checked at every column.
     pub stop: &'a StopFlag,
 }
 
 /// Results of a sweep.
 pub(crate) struct Swept {
-    /// Largest change during the sweep of the values that it reads: zero if all reads are downstream.
-    pub change: f64,
+    /// Bound on the changes of what strips read since they were backed up; see [`crate::lattice::pending`].
+    pub pending: f64,
+    /// Number of states that were backed up.
+    pub backups: u64,
     /// The largest finite value written to a table.
     pub largest: f64,
 }
@@ -87,29 +95,48 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
     sector: &mut Sector<T>,
     context: SweepContext<'_, T>,
 ) -> Swept {
-    let SweepContext { inputs: PassInputs { turns, costs, .. }, terminal_mask, halo, mut table, stop } = context;
+    let SweepContext { inputs: PassInputs { turns, costs, .. }, terminal_mask, halo, level, mut table, again, stop } =
+        context;
     let count = sector.arc.count;
     let mut values = halo.strip_buffer(count);
     let mut staging = StagingBuffer::new(count);
     let mut reads = Vec::new();
-    let mut new_rows = vec![[T::default(); LANES]; count];
-    let mut change = T::default();
-    if INTERPOLATED && sector.downstream {
+    let mut backups = 0;
+    if INTERPOLATED && !sector.whole {
         // Beyond the last column.
         sector.convolved.fill(costs.outside());
     }
     let read_turns = sector.read_turns(terminal_mask, turns);
+    sector.pending.begin();
     for u in (0..sector.extent[0]).rev() {
         stop.check();
         let place = sector.place(u);
         let pieces = terminal_mask.pieces(place);
         reads.clear();
-        for piece in pieces {
-            reads.extend((0..count).map(|q| [0, 1].map(|bevel| read(sector, turns, u, piece.region, q, bevel))));
-        }
         for strip in 0..sector.strips() {
+            match level {
+                Some(level) => {
+                    let due = sector.pending.is_due(u, strip, level) || halo.is_due(place, strip, level);
+                    let number = place * sector.strips() + strip;
+                    sector.swept[number] = due;
+                    if !due {
+                        continue;
+                    }
+                    halo.take(place, strip, &mut values);
+                }
+                // The W of the strip is there.
+                None if again && sector.whole => {}
+                None if again => halo.take_again(place, strip, &mut values),
+                None => halo.take_one_of_all(place, strip, &mut values),
+            }
+            if reads.is_empty() {
+                for piece in pieces {
+                    reads
+                        .extend((0..count).map(|q| [0, 1].map(|bevel| read(sector, turns, u, piece.region, q, bevel))));
+                }
+            }
             let first = strip * LANES;
-            halo.copy_to(place, strip, &mut values);
+            backups += (sector.extent[1] - first).min(LANES) * count * 2;
             for (piece, reads) in pieces.iter().zip(reads.chunks_exact(count)) {
                 let lanes = piece.first.max(first)..piece.end.min(first + LANES);
                 if lanes.is_empty() {
@@ -126,36 +153,38 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
                     rotation: costs.rotation,
                 };
                 let lanes = lanes.start - first..lanes.end - first;
+                let (own, staging) = (halo.own(&mut values, count), staging.rows(count));
                 if table.is_some() {
-                    back_up::<T, V, INTERPOLATED, POLICY, true>(
-                        work,
-                        lanes,
-                        halo.own(&mut values, count),
-                        staging.rows(count),
-                    );
+                    back_up::<T, V, INTERPOLATED, POLICY, true>(work, lanes, own, staging);
                 } else {
-                    back_up::<T, V, INTERPOLATED, POLICY, false>(
-                        work,
-                        lanes,
-                        halo.own(&mut values, count),
-                        staging.rows(count),
-                    );
+                    back_up::<T, V, INTERPOLATED, POLICY, false>(work, lanes, own, staging);
                 }
             }
+            let at = sector.column(u + sector.pad[0]) + sector.pad[1] + first;
             if let Some(table) = &mut table {
                 staging.write::<V::Narrow>(table, place, first);
             }
-            sector.put_edges(place, strip, halo.own(&mut values, count));
-            let at = sector.column(u + sector.pad[0]) + sector.pad[1] + first;
-            if sector.downstream {
-                let read_turns = &read_turns[u * turns.count()..][..turns.count()];
-                store_convolved::<T, V>(sector, at, halo, &values, (turns, read_turns));
+            if again && sector.whole {
+                continue;
+            }
+            if !again {
+                sector.put_edges(place, strip, halo.own(&mut values, count));
+            }
+            let turns = (turns, &read_turns[u * turns.count()..][..turns.count()]);
+            if sector.whole {
+                let change = convolve::<T, V, true>(sector, at, halo, &values, turns);
+                sector.pending.record(u, strip, change);
             } else {
-                change = larger(change, replace_convolved::<T, V>(sector, at, halo, &values, turns, &mut new_rows));
+                convolve::<T, V, false>(sector, at, halo, &values, turns);
             }
         }
     }
-    Swept { change: change.widen(), largest: staging.largest() }
+    if !again && level.is_none() {
+        sector.swept.fill(true);
+        halo.end_of_all();
+    }
+    let pending = if sector.whole && !again { sector.pending.end() } else { 0.0 };
+    Swept { pending, backups: backups as u64, largest: staging.largest() }
 }
 
 /// Index and weights of the W that a step from the first grid point of a column reads.
@@ -259,22 +288,31 @@ fn lanes_at<T>(array: &[T], at: usize) -> &[T; LANES] {
     lanes
 }
 
-/// Stores W of a strip, whose rows begin at `at`, from the values by bevel, for the turns that are read.
+/// Stores W of a strip, whose rows begin at `at`, from the values by bevel, for the turns that are read. With `COMPARE`
+/// returns the largest change.
 #[inline(always)]
-fn store_convolved<T: Vectorized, V: Lanes<T>>(
+fn convolve<T: Vectorized, V: Lanes<T>, const COMPARE: bool>(
     sector: &mut Sector<T>,
     at: usize,
     halo: &Halo<T>,
     values: &Values<T>,
     (turns, read): (&Turns<T>, &[bool]),
-) {
+) -> f64 {
+    let mut most = V::splat(T::default());
     for (turn, bevel, kernel) in turns.all() {
         if !read[turn] {
             continue;
         }
         let rows = w_rows_mut(sector, at, turn, bevel).filter_map(|row| row.first_chunk_mut());
-        kernel.store::<V>(&values[bevel], halo.first(bevel), rows);
+        most = kernel.store::<V, COMPARE>(&values[bevel], halo.first(bevel), rows, most);
     }
+    let mut changes = [T::default(); LANES];
+    most.store(&mut changes);
+    let mut largest = 0.0;
+    for change in changes {
+        largest = larger(largest, change.widen());
+    }
+    largest
 }
 
 /// The rows of W for steps with a turn that arrive with a bevel, by heading.
@@ -282,33 +320,6 @@ fn store_convolved<T: Vectorized, V: Lanes<T>>(
 fn w_rows_mut<T: Real>(sector: &mut Sector<T>, at: usize, turn: usize, bevel: usize) -> impl Iterator<Item = &mut [T]> {
     let (width, count) = (sector.width(), sector.arc.count);
     sector.convolved[at + (turn * count * 2 + bevel) * width..].chunks_mut(2 * width).take(count)
-}
-
-/// Does what [`store_convolved`] does, and returns the largest change; `new` has a row for each heading.
-#[inline(always)]
-fn replace_convolved<T: Vectorized, V: Lanes<T>>(
-    sector: &mut Sector<T>,
-    at: usize,
-    halo: &Halo<T>,
-    values: &Values<T>,
-    turns: &Turns<T>,
-    new: &mut [[T; LANES]],
-) -> T {
-    let mut change = T::default();
-    for (turn, bevel, kernel) in turns.all() {
-        kernel.store::<V>(&values[bevel], halo.first(bevel), new.iter_mut());
-        for (new, row) in new.iter().zip(w_rows_mut(sector, at, turn, bevel)) {
-            for (new, old) in new.iter().zip(row) {
-                change = larger(change, (*new - *old).magnitude());
-                *old = *new;
-            }
-        }
-    }
-    change
-}
-
-fn larger<T: Real>(a: T, b: T) -> T {
-    if b > a { b } else { a }
 }
 
 #[cfg(test)]

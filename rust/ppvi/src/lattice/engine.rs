@@ -8,6 +8,7 @@ use crate::lattice::direction::{Arc, Direction};
 use crate::lattice::halo::Halo;
 use crate::lattice::kernel::{StageCosts, Vectorized};
 use crate::lattice::model::LatticeMdp;
+use crate::lattice::parts::{LANES, Shape};
 use crate::lattice::real::Real;
 use crate::lattice::sector::{PassInputs, Sector};
 use crate::lattice::store::{Store, TableWriter};
@@ -23,22 +24,44 @@ pub(crate) struct Engine<'a, T: Copy> {
     halos: Vec<Halo<T>>,
     turns: Turns<T>,
     costs: StageCosts<T>,
-    /// By sector.
+    /// By sector: the numbers A and H of [`crate::lattice::pending`].
     changes: Vec<Change>,
+    /// Whether sweeps leave out strips.
+    skips: bool,
     /// The tables that sweeps write.
     store: Option<Store>,
     /// By sector: the largest finite value that its last sweep staged; None if it did not stage values.
     kept: Vec<Option<f64>>,
+    /// Number of states that were backed up so far.
+    backups: u64,
 }
 
-/// Largest change in the inputs of a sector.
-#[derive(Clone, Copy, Default)]
+/// The largest changes in the inputs of the strips of a sector, since they were backed up.
+#[derive(Clone, Copy)]
 struct Change {
-    /// During the last sweep of the sector.
-    during: f64,
-    /// Since then, at the interfaces between sectors.
-    since: f64,
+    /// Within the sector.
+    pending: f64,
+    /// In other sectors, as it would change W.
+    halo: f64,
 }
+
+/// What a sweep does.
+#[derive(Clone, Copy)]
+struct Sweep {
+    /// Strips whose inputs have changed by no more than this are left out; None leaves out nothing.
+    level: Option<f64>,
+    /// Whether it writes tables.
+    keep: bool,
+    /// Whether it only repeats the last sweep.
+    again: bool,
+}
+
+/// Part of the residual that is asked for, up to which changes of the inputs of a strip are ignored. The bound is the
+/// sum of two such changes.
+const SKIP: f64 = 0.4;
+
+/// Factor on bounds, for the rounding of the changes that they are made of.
+const UPWARD: f64 = 1.0 + 1e-6;
 
 /// Values and actions in table layout.
 pub(crate) struct Tables {
@@ -49,18 +72,18 @@ pub(crate) struct Tables {
     pub largest: f64,
     /// Bound on the residual, but for rounding.
     pub seen: f64,
-    /// Whether every state was backed up once more for them.
-    pub again: bool,
 }
 
 impl<'a, T: Vectorized> Engine<'a, T> {
-    /// `terminal_masks` are those of the lattice, or others of the same shape.
+    /// `terminal_masks` are those of the lattice, or others of the same shape. With `skips`, sweeps leave out the strips
+    /// whose inputs have not changed.
     pub(crate) fn new(
         lattice: &'a LatticeMdp,
         terminal_masks: &'a [TerminalMask],
         costs: &StageCosts<f64>,
         start: f64,
         policy: Option<&[u8]>,
+        skips: bool,
     ) -> Self {
         let costs = costs.cast::<T>();
         let turns = Turns::new(&lattice.parts.regions);
@@ -69,14 +92,15 @@ impl<'a, T: Vectorized> Engine<'a, T> {
         let (sectors, halos): (Vec<_>, Vec<_>) = Arc::all(&lattice.directions)
             .into_par_iter()
             .map(|arc| {
-                let sector = Sector::new(inputs, arc, start, policy);
-                let halo = Halo::new(&sector, turns.beyond, start, costs.outside());
+                let sector = Sector::new(inputs, arc, start, policy, skips);
+                let halo = Halo::new(&sector, &turns, start, costs.outside());
                 (sector, halo)
             })
             .unzip();
-        let changes = sectors.iter().map(|_| Change::default()).collect();
+        let changes = vec![Change { pending: f64::INFINITY, halo: 0.0 }; sectors.len()];
         let kept = vec![None; sectors.len()];
-        Engine { lattice, terminal_masks, sectors, halos, turns, costs, changes, store: None, kept }
+        let (store, backups) = (None, 0);
+        Engine { lattice, terminal_masks, sectors, halos, turns, costs, changes, skips, store, kept, backups }
     }
 
     /// Number of sectors.
@@ -88,25 +112,56 @@ impl<'a, T: Vectorized> Engine<'a, T> {
     pub(crate) fn load<S: Real>(&mut self, other: &Engine<'_, S>) {
         self.sectors.par_iter_mut().zip(&other.sectors).for_each(|(sector, other)| sector.load(other));
         let (sectors, headings) = (&self.sectors, self.lattice.parts.shape.headings);
-        self.halos.par_iter_mut().enumerate().for_each(|(of, halo)| halo.pull(sectors, of, headings));
+        self.halos.par_iter_mut().enumerate().for_each(|(of, halo)| {
+            halo.pull(sectors, of, headings, 0.0);
+        });
     }
 
-    /// Backs up every state of a wave once, and returns a bound on the Bellman residual of all values, but for
-    /// rounding.
+    /// Number of states that were backed up so far.
+    pub(crate) fn backups(&self) -> u64 {
+        self.backups
+    }
+
+    /// Number of visits of the last wave to the partitions of a regular grid over the grid points: one for each
+    /// direction in which strips of the partition were backed up. A strip belongs to the partition of its first point.
+    pub(crate) fn visits(&self, [columns, rows]: [usize; 2]) -> u64 {
+        let Shape { nx, ny, .. } = self.lattice.parts.shape;
+        let of_sector = |sector: &Sector<T>| {
+            let mut visited = vec![false; columns * rows];
+            for number in (0..sector.swept.len()).filter(|number| sector.swept[*number]) {
+                let (place, first) = (number / sector.strips(), number % sector.strips() * LANES);
+                let (i, j) = if sector.arc.direction.is_vertical() { (first, place) } else { (place, first) };
+                visited[i * columns / nx * rows + j * rows / ny] = true;
+            }
+            visited.into_iter().filter(|visited| *visited).count() as u64
+        };
+        self.sectors.iter().map(of_sector).sum()
+    }
+
+    /// Backs up the strips of a wave whose inputs have changed, and returns a bound on the Bellman residual of all
+    /// values, but for rounding; [`crate::lattice::pending`] has the proof.
     ///
     /// There are two waves: right and left (`vertical` is false), up and down. The sectors of a wave read only
-    /// themselves and their halos. A value is the exact backup of what it has read; its residual is at most the
-    /// discount times what that has changed since: the halos (the *interface change*, computed when they are
-    /// refreshed), and W of sectors in which steps read columns that are swept later. Interface changes far above
-    /// `threshold` are computed roughly. With `keep` the values are written for the tables.
+    /// themselves and their halos. If nothing is left to do, the bound is below `threshold`. A bound above it may be an
+    /// estimate: large changes between sectors are not computed to the end. With `keep` the values are written for the
+    /// tables, if no strip is left out.
     pub(crate) fn wave(&mut self, vertical: bool, threshold: f64, keep: bool) -> f64 {
-        self.sweep(|sector| sector.arc.direction.is_vertical() == vertical, keep);
+        let of_wave = |sector: &Sector<T>| sector.arc.direction.is_vertical() == vertical;
+        let level = self.skips.then_some(SKIP * threshold);
+        self.sweep(of_wave, Sweep { level, keep: keep && !self.skips, again: false });
         // The halos of the other wave are outdated now. So are those of this wave if they read sectors of this wave:
         // beyond a short sector, or next to them where a direction has no headings.
         let reach = self.turns.reach();
         let reads_own_wave =
             self.sectors.len() < Direction::ALL.len() || self.sectors.iter().any(|sector| sector.arc.count < reach);
-        self.pull(|sector| reads_own_wave || sector.arc.direction.is_vertical() != vertical, threshold)
+        let Engine { lattice, sectors, halos, costs, changes, .. } = self;
+        let stale = |of: usize| reads_own_wave || sectors[of].arc.direction.is_vertical() != vertical;
+        let enough = UPWARD * threshold / costs.discount.widen();
+        let stale = halos.par_iter_mut().zip(changes).enumerate().filter(|(of, _)| stale(*of));
+        stale.for_each(|(of, (halo, change))| {
+            change.halo = halo.pull(sectors, of, lattice.parts.shape.headings, enough);
+        });
+        self.bound()
     }
 
     /// Both waves.
@@ -116,8 +171,8 @@ impl<'a, T: Vectorized> Engine<'a, T> {
     }
 
     /// Sweeps some sectors, side by side.
-    fn sweep(&mut self, chosen: impl Fn(&Sector<T>) -> bool + Sync, keep: bool) {
-        let Engine { lattice, terminal_masks, sectors, halos, turns, costs, changes, store, kept } = self;
+    fn sweep(&mut self, chosen: impl Fn(&Sector<T>) -> bool + Sync, Sweep { level, keep, again }: Sweep) {
+        let Engine { lattice, terminal_masks, sectors, halos, turns, costs, changes, store, kept, backups, .. } = self;
         let inputs = PassInputs { lattice, turns, costs };
         let arcs = sectors.iter().map(|sector| sector.arc);
         let tables: Vec<Option<TableWriter<'_>>> = if keep {
@@ -127,30 +182,34 @@ impl<'a, T: Vectorized> Engine<'a, T> {
         };
         let results = changes.par_iter_mut().zip(kept);
         let stop = &StopFlag::current();
-        let all = sectors.par_iter_mut().zip(&*halos).zip(*terminal_masks).zip(tables).zip(results);
-        let chosen = all.filter(|((((sector, _), _), _), _)| chosen(sector));
-        chosen.for_each(|((((sector, halo), terminal_mask), table), (change, kept))| {
-            let swept = backup::sweep(sector, SweepContext { inputs, terminal_mask, halo, table, stop });
-            *change = Change { during: swept.change, since: 0.0 };
+        let all = sectors.par_iter_mut().zip(halos).zip(*terminal_masks).zip(tables).zip(results);
+        let swept = all.map(|((((sector, halo), terminal_mask), table), (change, kept))| {
+            if !chosen(sector) {
+                sector.swept.fill(false);
+                return 0;
+            }
+            let context = SweepContext { inputs, terminal_mask, halo, level, table, again, stop };
+            let swept = backup::sweep(sector, context);
+            if !again {
+                *change = Change { pending: swept.pending, halo: 0.0 };
+            }
             *kept = keep.then_some(swept.largest);
+            swept.backups
         });
-    }
-
-    /// Pulls the halos of some sectors; returns the bound of [`Engine::wave`].
-    fn pull(&mut self, stale: impl Fn(&Sector<T>) -> bool + Sync, threshold: f64) -> f64 {
-        let Engine { lattice, sectors, halos, turns, changes, .. } = self;
-        let stale = halos.par_iter_mut().zip(&mut *changes).enumerate().filter(|(of, _)| stale(&sectors[*of]));
-        stale.for_each(|(of, (halo, change))| {
-            halo.pull(sectors, of, lattice.parts.shape.headings);
-            change.since += halo.interface_change(sectors[of].arc.count, turns, threshold);
-        });
-        self.bound()
+        *backups += swept.sum::<u64>();
     }
 
     /// The bound of [`Engine::wave`].
     fn bound(&self) -> f64 {
-        let largest = self.changes.iter().fold(0.0, |max, change| larger(max, change.during + change.since));
-        largest * self.costs.discount.widen()
+        let most = |change: fn(&Change) -> f64| self.changes.iter().map(change).fold(0.0, larger);
+        UPWARD * self.costs.discount.widen() * (most(|change| change.pending) + most(|change| change.halo))
+    }
+
+    /// The bound of [`Engine::wave`], with no change in it estimated.
+    pub(crate) fn exact_bound(&mut self) -> f64 {
+        let all = self.halos.par_iter_mut().zip(&mut self.changes);
+        all.for_each(|(halo, change)| change.halo = halo.change());
+        self.bound()
     }
 
     /// Approximate largest finite value.
@@ -158,23 +217,20 @@ impl<'a, T: Vectorized> Engine<'a, T> {
         self.sectors.iter().map(Sector::max).fold(0.0, f64::max)
     }
 
-    /// Returns values, better actions, and the bound of [`Engine::wave`] on their residual.
+    /// Returns values, better actions, and the bound of [`Engine::wave`] on their residual. Both waves must have been
+    /// swept.
     ///
-    /// Where the last sweep of a sector did not keep its values, every state is backed up once more, each sector with
-    /// the halos that it has. For the wave that was swept last they are those of its last sweep, so that nothing
-    /// changes; the other wave has new ones, and so the last wave finds another interface change. With an infinite
-    /// threshold this is always done, so that no change in the bound is computed roughly.
-    pub(crate) fn tables(&mut self, threshold: f64) -> Tables {
-        let again = threshold == f64::INFINITY || self.kept.iter().any(Option::is_none);
-        if again {
-            self.sweep(|_| true, true);
-            self.pull(|_| true, threshold);
+    /// Where the last sweep of a sector did not keep its values, every state is backed up once more, each from what its
+    /// last backup has read or from what has replaced it since.
+    pub(crate) fn tables(&mut self) -> Tables {
+        let seen = self.exact_bound();
+        if self.kept.iter().any(Option::is_none) {
+            self.sweep(|_| true, Sweep { level: None, keep: true, again: true });
         }
-        let seen = self.bound();
         let largest = self.kept.iter_mut().filter_map(Option::take).fold(0.0, f64::max);
         let Some(store) = self.store.take() else { unreachable!("every sector has kept its values") };
         // SAFETY: the last sweep of every sector has written all its headings at all grid points.
         let (values, policy) = unsafe { store.finish() };
-        Tables { values, policy, largest, seen, again }
+        Tables { values, policy, largest, seen }
     }
 }

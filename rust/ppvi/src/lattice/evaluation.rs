@@ -121,13 +121,13 @@ fn expected_steps(lattice: &LatticeMdp, policy: &[u8]) -> Result<f64> {
     terminal[outcome::TARGET as usize..=outcome::EXIT as usize].fill(1.0);
     let costs = evaluation_costs(lattice, 0.0, |_| StepCosts { cost: 1.0, terminal });
     check_length("policy", lattice, policy.len())?;
-    let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, &costs, 0.0, Some(policy));
+    let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, &costs, 0.0, Some(policy), false);
     let changes = (0..MAX_STEP_PASSES).map(|_| engine.pass(STEP_RESIDUAL));
     if changes.skip(1).all(|change| change > STEP_RESIDUAL) {
         return Ok(f64::INFINITY);
     }
     let certificate = Certificate { discount: 1.0, ..certificate::<f32>(lattice) };
-    let tables = engine.tables(f64::INFINITY);
+    let tables = engine.tables();
     let hidden = certificate.hidden(tables.largest) + tables.seen * (1.0 + certificate.rounding);
     Ok(if hidden < 1.0 { tables.largest / (1.0 - hidden) } else { f64::INFINITY })
 }
@@ -187,7 +187,7 @@ fn evaluate(
 ) -> Result<Evaluation> {
     let costs = &evaluation_costs(lattice, rotation, step);
     check_length("policy", lattice, policy.len())?;
-    let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, costs, 0.0, Some(policy));
+    let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, costs, 0.0, Some(policy), false);
     let terminal = costs.steps.iter().flat_map(|step| step.terminal);
     let largest = terminal.fold(costs.rotation, f64::max);
     let mut converged = false;
@@ -201,8 +201,7 @@ fn evaluate(
             break;
         }
     }
-    // The tables take another pass, after which all changes are computed.
-    let tables = engine.tables(f64::INFINITY);
+    let tables = engine.tables();
     Ok(Evaluation { values: tables.values, change: tables.seen, converged })
 }
 

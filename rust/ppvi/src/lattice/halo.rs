@@ -1,10 +1,11 @@
-//! Copies of the headings next to a sector, taken from their owners before the sector is swept.
+//! Copies of the headings next to a sector, taken from their owners after these are swept.
 //!
 //! A sector never reads another one during a sweep, only its halo; that is what makes the sectors of a wave independent
 //! and the result the same for any number of threads.
 
 use multiversion::multiversion;
 
+use crate::bellman::larger;
 use crate::lattice::kernel::Vectorized;
 use crate::lattice::lanes::Lanes;
 use crate::lattice::parts::LANES;
@@ -23,34 +24,56 @@ pub(crate) struct Halo<T: Copy> {
     strips: usize,
     /// The value of the padding.
     padding: T,
-    /// `[place][strip][plane][LANES]`.
-    values: Array<T>,
-    /// The values before the last refresh.
-    before: Array<T>,
+    /// The present values of the owners, `[place][strip][plane][LANES]`.
+    fresh: Array<T>,
+    /// The values with which the W of each strip was computed.
+    used: Array<T>,
+    /// For each W that reads the halo: the planes that it reads, with their weights.
+    rows: Vec<Vec<(usize, T)>>,
+    /// `[place][strip]`: the change of the W of a strip if it were computed from the present values. Some may be too
+    /// small, but not below `enough`.
+    changes: Vec<f64>,
+    /// Changes above this number are not computed to the end.
+    enough: f64,
+    /// Whether a sweep of all strips has used `fresh`, and `used` is outdated.
+    all_taken: bool,
 }
 
 /// V of a strip by bevel: the halo below, the sector, the halo above.
 pub(crate) type Values<T> = [Vec<[T; LANES]>; 2];
 
 impl<T: Vectorized> Halo<T> {
-    /// A halo of `start` values; `beyond` are the headings that the sector reads below and above its own, by bevel.
-    pub(crate) fn new(sector: &Sector<T>, beyond: [[usize; 2]; 2], start: T, padding: T) -> Self {
+    /// A halo of `start` values.
+    pub(crate) fn new(sector: &Sector<T>, turns: &Turns<T>, start: T, padding: T) -> Self {
         let count = sector.arc.count as i64;
         let of_bevel = |(bevel, [below, above]): (usize, [usize; 2])| {
             (-(below as i64)..0).chain(count..count + above as i64).map(move |q| (q, bevel))
         };
-        let planes: Vec<_> = beyond.into_iter().enumerate().flat_map(of_bevel).collect();
+        let planes: Vec<_> = turns.beyond.into_iter().enumerate().flat_map(of_bevel).collect();
         let strips = sector.strips();
-        let mut values = Array::filled(start, sector.extent[0] * strips * planes.len() * LANES);
+        let mut fresh = Array::filled(start, sector.extent[0] * strips * planes.len() * LANES);
         // Without turns there are no planes.
-        for column in values.chunks_exact_mut((strips * planes.len() * LANES).max(1)) {
+        for column in fresh.chunks_exact_mut((strips * planes.len() * LANES).max(1)) {
             for plane in column[(strips - 1) * planes.len() * LANES..].chunks_exact_mut(LANES) {
                 plane[sector.extent[1] - (strips - 1) * LANES..].fill(padding);
             }
         }
-        // The first pull writes all of it.
-        let before = Array::any(values.len());
-        Halo { planes, beyond, strips, padding, values, before }
+        let mut used = Array::any(fresh.len());
+        used.copy_from_slice(&fresh);
+        let rows = rows(&planes, sector.arc.count, turns);
+        let changes = vec![0.0; sector.extent[0] * strips];
+        Halo {
+            planes,
+            beyond: turns.beyond,
+            strips,
+            padding,
+            fresh,
+            used,
+            rows,
+            changes,
+            enough: f64::INFINITY,
+            all_taken: false,
+        }
     }
 
     /// Room for the values of a strip.
@@ -71,11 +94,44 @@ impl<T: Vectorized> Halo<T> {
         self.beyond[bevel][0]
     }
 
-    /// Copies a strip to where it belongs.
+    /// Whether present values would change the W of a strip by more than `level`.
     #[inline(always)]
-    pub(crate) fn copy_to(&self, place: usize, strip: usize, values: &mut Values<T>) {
+    pub(crate) fn is_due(&self, place: usize, strip: usize, level: f64) -> bool {
+        self.changes[place * self.strips + strip] > level
+    }
+
+    /// Copies the present values of a strip to where they belong.
+    #[inline(always)]
+    pub(crate) fn take(&mut self, place: usize, strip: usize, values: &mut Values<T>) {
+        let (number, size) = (place * self.strips + strip, self.planes.len() * LANES);
+        let range = number * size..(number + 1) * size;
+        self.used[range.clone()].copy_from_slice(&self.fresh[range]);
+        self.changes[number] = 0.0;
+        self.copy_to(&self.fresh, number, values);
+    }
+
+    /// Copies the present values of a strip to where they belong, in a sweep that takes all strips.
+    #[inline(always)]
+    pub(crate) fn take_one_of_all(&self, place: usize, strip: usize, values: &mut Values<T>) {
+        self.copy_to(&self.fresh, place * self.strips + strip, values);
+    }
+
+    /// Ends a sweep that has taken all strips.
+    pub(crate) fn end_of_all(&mut self) {
+        self.changes.fill(0.0);
+        self.all_taken = true;
+    }
+
+    /// Copies the values of a strip that were used last to where they belong.
+    #[inline(always)]
+    pub(crate) fn take_again(&self, place: usize, strip: usize, values: &mut Values<T>) {
+        self.copy_to(if self.all_taken { &self.fresh } else { &self.used }, place * self.strips + strip, values);
+    }
+
+    #[inline(always)]
+    fn copy_to(&self, from: &[T], number: usize, values: &mut Values<T>) {
         let size = self.planes.len() * LANES;
-        let mut from = self.values[(place * self.strips + strip) * size..][..size].as_chunks::<LANES>().0;
+        let mut from = from[number * size..][..size].as_chunks::<LANES>().0;
         for (values, [below, above]) in values.iter_mut().zip(self.beyond) {
             let high = values.len() - above;
             copy_few(&mut values[..below], &from[..below]);
@@ -84,13 +140,19 @@ impl<T: Vectorized> Halo<T> {
         }
     }
 
-    /// Refreshes the halo of `sectors[of]` from the owners of its headings.
-    pub(crate) fn pull(&mut self, sectors: &[Sector<T>], of: usize, headings: usize) {
+    /// Refreshes the halo of `sectors[of]` from the strips that the last sweeps of other sectors have backed up.
+    /// Returns the largest change of W that this would make; a change above `enough` may be larger.
+    pub(crate) fn pull(&mut self, sectors: &[Sector<T>], of: usize, headings: usize, enough: f64) -> f64 {
         if self.planes.is_empty() {
-            return;
+            return 0.0;
         }
-        std::mem::swap(&mut self.values, &mut self.before);
+        self.enough = enough;
+        let all = std::mem::take(&mut self.all_taken);
+        if all {
+            std::mem::swap(&mut self.fresh, &mut self.used);
+        }
         let target = &sectors[of].arc;
+        let mut pulled = vec![false; self.changes.len()];
         for source in sectors {
             let plane = |(plane, (q, bevel)): (usize, &(i64, usize))| {
                 let heading = (target.first as i64 + q).rem_euclid(headings as i64) as usize;
@@ -101,62 +163,99 @@ impl<T: Vectorized> Halo<T> {
                 })
             };
             let pairs: Vec<(usize, usize)> = self.planes.iter().enumerate().filter_map(plane).collect();
-            let to = To { planes: self.planes.len(), strips: self.strips, padding: self.padding };
+            if pairs.is_empty() {
+                continue;
+            }
+            let (planes, strips, padding) = (self.planes.len(), self.strips, self.padding);
+            let to = To { planes, strips, padding, all, pulled: &mut pulled };
             if target.direction.is_vertical() == source.arc.direction.is_vertical() {
-                copy_planes(source, &mut self.values, to, &pairs);
+                copy_planes(source, &mut self.fresh, to, &pairs);
             } else {
-                transpose_planes(source, &mut self.values, to, &pairs);
+                transpose_planes(source, &mut self.fresh, to, &pairs);
             }
         }
+        if all {
+            // While changes are large, those of one column will do.
+            let first = self.changes.len() / self.strips / 2 * self.strips;
+            let column = first..first + self.strips;
+            self.changes.fill(0.0);
+            let rough = self.compare(|number| column.contains(&number), enough);
+            if rough > enough {
+                self.changes.fill(rough);
+                return rough;
+            }
+        }
+        self.compare(|number| all || pulled[number], enough)
     }
 
-    /// Largest change that the last refresh made to the W that a sector with `count` headings reads. A change above
-    /// `threshold` is computed from one column only, as a lower bound.
-    pub(crate) fn interface_change(&self, count: usize, turns: &Turns<T>, threshold: f64) -> f64 {
-        let mut rows = Vec::new();
-        for (_, bevel, kernel) in turns.all() {
-            for row in 0..count as i64 {
-                let planes = self.planes.iter().enumerate().filter(|(_, (_, of))| *of == bevel);
-                let weight = |q: i64| kernel.taps.iter().find(|(cell, _)| row + cell == q).map(|(_, weight)| *weight);
-                let taps: Vec<(usize, T)> = planes.filter_map(|(plane, (q, _))| Some((plane, weight(*q)?))).collect();
-                if !taps.is_empty() {
-                    rows.push(taps);
-                }
+    /// The largest change of W that present values would make.
+    pub(crate) fn change(&mut self) -> f64 {
+        let rough: Vec<bool> = self.changes.iter().map(|change| *change > self.enough).collect();
+        self.compare(|number| rough[number], f64::INFINITY)
+    }
+
+    /// Computes the changes of chosen strips, up to `enough`, and returns the largest of all.
+    fn compare(&mut self, chosen: impl Fn(usize) -> bool, enough: f64) -> f64 {
+        let size = (self.planes.len() * LANES).max(1);
+        let strips = self.fresh.chunks_exact(size).zip(self.used.chunks_exact(size));
+        for (number, ((fresh, used), change)) in strips.zip(&mut self.changes).enumerate() {
+            if chosen(number) {
+                *change = largest_change(fresh, used, &self.rows, enough);
             }
         }
-        if rows.is_empty() {
-            return 0.0;
-        }
-        let planes = self.planes.len();
-        let column = self.strips * planes * LANES;
-        let sample = self.values.len() / column / 2 * column;
-        let sample = sample..sample + column;
-        let rough = largest_change(&self.values[sample.clone()], &self.before[sample], planes, &rows);
-        if rough > threshold { rough } else { largest_change(&self.values, &self.before, planes, &rows) }
+        self.changes.iter().copied().fold(0.0, larger)
     }
+}
+
+/// For each W of a sector with `count` headings that reads its halo: the planes that it reads, with their weights.
+fn rows<T: Real>(planes: &[(i64, usize)], count: usize, turns: &Turns<T>) -> Vec<Vec<(usize, T)>> {
+    let mut rows = Vec::new();
+    for (_, bevel, kernel) in turns.all() {
+        for row in 0..count as i64 {
+            let planes = planes.iter().enumerate().filter(|(_, (_, of))| *of == bevel);
+            let weight = |q: i64| kernel.taps.iter().find(|(cell, _)| row + cell == q).map(|(_, weight)| *weight);
+            let taps: Vec<(usize, T)> = planes.filter_map(|(plane, (q, _))| Some((plane, weight(*q)?))).collect();
+            if !taps.is_empty() {
+                rows.push(taps);
+            }
+        }
+    }
+    rows
 }
 
 /// The layout of a halo.
-#[derive(Clone, Copy)]
-struct To<T> {
+struct To<'a, T> {
     planes: usize,
     strips: usize,
     padding: T,
+    /// Whether all strips are copied, also those that the last sweep of the source has left out.
+    all: bool,
+    /// `[place][strip]`: whether something was copied to the strip.
+    pulled: &'a mut [bool],
 }
 
 /// Copies edges of a sector to a halo of the same orientation; `pairs` are planes from and to.
-fn copy_planes<T: Real>(source: &Sector<T>, to: &mut [T], To { planes, .. }: To<T>, pairs: &[(usize, usize)]) {
+fn copy_planes<T: Real>(
+    source: &Sector<T>,
+    to: &mut [T],
+    To { planes, all, pulled, .. }: To<'_, T>,
+    pairs: &[(usize, usize)],
+) {
     let from = source.edges.chunks_exact(source.ends.planes() * LANES);
-    for (from, to) in from.zip(to.chunks_exact_mut(planes * LANES)) {
-        for (edge, plane) in pairs {
-            to[plane * LANES..][..LANES].copy_from_slice(&from[edge * LANES..][..LANES]);
+    let flags = source.swept.iter().zip(pulled);
+    for ((from, to), (swept, pulled)) in from.zip(to.chunks_exact_mut(planes * LANES)).zip(flags) {
+        if all || *swept {
+            *pulled = true;
+            for (edge, plane) in pairs {
+                to[plane * LANES..][..LANES].copy_from_slice(&from[edge * LANES..][..LANES]);
+            }
         }
     }
 }
 
 /// Copies edges of a sector to a halo in which its places are the grid points of strips; `pairs` are planes from and
 /// to.
-fn transpose_planes<T: Vectorized>(source: &Sector<T>, to: &mut [T], layout: To<T>, pairs: &[(usize, usize)]) {
+fn transpose_planes<T: Vectorized>(source: &Sector<T>, to: &mut [T], layout: To<'_, T>, pairs: &[(usize, usize)]) {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") {
         // SAFETY: the processor has AVX2.
@@ -167,7 +266,7 @@ fn transpose_planes<T: Vectorized>(source: &Sector<T>, to: &mut [T], layout: To<
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn transpose_avx2<T: Vectorized>(source: &Sector<T>, to: &mut [T], layout: To<T>, pairs: &[(usize, usize)]) {
+fn transpose_avx2<T: Vectorized>(source: &Sector<T>, to: &mut [T], layout: To<'_, T>, pairs: &[(usize, usize)]) {
     transpose_squares::<T, T::Vector>(source, to, layout, pairs);
 }
 
@@ -176,7 +275,7 @@ fn transpose_avx2<T: Vectorized>(source: &Sector<T>, to: &mut [T], layout: To<T>
 fn transpose_squares<T: Real, V: Lanes<T>>(
     source: &Sector<T>,
     to: &mut [T],
-    To { planes, strips, padding }: To<T>,
+    To { planes, strips, padding, all, pulled }: To<'_, T>,
     pairs: &[(usize, usize)],
 ) {
     let [places, length] = source.extent;
@@ -186,8 +285,13 @@ fn transpose_squares<T: Real, V: Lanes<T>>(
     let to = to.as_chunks_mut::<LANES>().0;
     for place in 0..strips {
         for strip in 0..source.strips() {
+            let (row, column) = (place * LANES, strip * LANES);
+            let swept = |place: usize| source.swept[place * source.strips() + strip];
+            if !all && !(row..places.min(row + LANES)).any(swept) {
+                continue;
+            }
+            (column..length.min(column + LANES)).for_each(|column| pulled[column * strips + place] = true);
             for (edge, plane) in pairs {
-                let (row, column) = (place * LANES, strip * LANES);
                 let mut rows = [V::splat(padding); LANES];
                 for l in 0..LANES {
                     if row + l < places {
@@ -205,24 +309,27 @@ fn transpose_squares<T: Real, V: Lanes<T>>(
     }
 }
 
-/// The largest change, over `rows`, of sums of weighted planes in `[strip][planes][LANES]` arrays.
+/// The largest change, over `rows`, of sums of weighted planes of a strip. A change above `enough` may be larger.
 #[multiversion(targets("x86_64+avx+avx2"))]
-fn largest_change<T: Real>(new: &[T], old: &[T], planes: usize, rows: &[Vec<(usize, T)>]) -> f64 {
-    let mut largest = [T::default(); LANES];
+fn largest_change<T: Real>(new: &[T], old: &[T], rows: &[Vec<(usize, T)>], enough: f64) -> f64 {
     let (new, old) = (new.as_chunks::<LANES>().0, old.as_chunks::<LANES>().0);
-    for (new, old) in new.chunks_exact(planes).zip(old.chunks_exact(planes)) {
-        for taps in rows {
-            let mut sum = [T::default(); LANES];
-            for (plane, weight) in taps {
-                for l in 0..LANES {
-                    sum[l] = sum[l] + *weight * (new[*plane][l] - old[*plane][l]);
-                }
-            }
+    let mut most = 0.0;
+    for taps in rows {
+        let mut sum = [T::default(); LANES];
+        for (plane, weight) in taps {
             for l in 0..LANES {
-                let change = sum[l].magnitude();
-                largest[l] = if change > largest[l] { change } else { largest[l] };
+                sum[l] = sum[l] + *weight * (new[*plane][l] - old[*plane][l]);
             }
         }
+        let mut largest = T::default();
+        for change in sum {
+            let change = change.magnitude();
+            largest = if change > largest { change } else { largest };
+        }
+        most = larger(most, largest.widen());
+        if most > enough {
+            break;
+        }
     }
-    largest.iter().fold(0.0, |max, change| f64::max(max, change.widen()))
+    most
 }

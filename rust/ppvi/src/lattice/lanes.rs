@@ -22,6 +22,8 @@ pub(crate) trait Lanes<T>: Copy {
     fn or_terminal(self, codes: &[u8; LANES], terminal: &[T; outcome::CODES]) -> Self;
     /// `rotated` where `mask` is not zero, otherwise `self`.
     fn or_rotated(self, rotated: Self, mask: &[u8; LANES]) -> Self;
+    /// The larger of |self - old| and `most`.
+    fn larger_change(self, old: Self, most: Self) -> Self;
     /// In single precision.
     fn narrow(self) -> Self::Narrow;
     type Narrow: Narrow;
@@ -91,6 +93,14 @@ impl<T: Real> Lanes<T> for [T; LANES] {
     #[inline(always)]
     fn or_rotated(self, rotated: Self, mask: &[u8; LANES]) -> Self {
         std::array::from_fn(|l| if mask[l] != 0 { rotated[l] } else { self[l] })
+    }
+
+    #[inline(always)]
+    fn larger_change(self, old: Self, most: Self) -> Self {
+        std::array::from_fn(|l| {
+            let change = (self[l] - old[l]).magnitude();
+            if change > most[l] { change } else { most[l] }
+        })
     }
 
     #[inline(always)]

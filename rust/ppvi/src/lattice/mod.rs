@@ -34,6 +34,7 @@ mod kernel;
 mod lanes;
 mod model;
 mod parts;
+mod pending;
 mod plane;
 mod real;
 mod sector;

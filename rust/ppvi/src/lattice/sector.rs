@@ -4,11 +4,11 @@
 //! reversed as well. Rows are contiguous in v and padded, so that a step is a read of a shifted row. What does not move
 //! along is stored by *place*, the grid column or row: u, or its reverse.
 //!
-//! A sweep against the motion computes all values of a sector from its halo alone; it reads no value of the previous
-//! sweep. A sector therefore stores only its values at the end headings, which are the halos of other sectors, and W,
-//! its values convolved with the heading noise. W is stored for the last few columns only, which fit into the cache. W
-//! is stored whole if the grid is so coarse that steps do not leave their column. `Store` takes the values of a whole
-//! sector on request.
+//! A sector stores its values at the end headings, which are the halos of other sectors, and W, its values convolved
+//! with the heading noise. A sweep against the motion computes all values of a sector from its halo alone, so W is
+//! stored for the last few columns only, which fit into the cache. W is stored whole if the grid is so coarse that steps
+//! do not leave their column, and if sweeps leave out strips ([`crate::lattice::pending`]), which read what earlier
+//! sweeps have computed. `Store` takes the values of a whole sector on request.
 
 use std::ops::Range;
 
@@ -16,13 +16,14 @@ use crate::lattice::direction::Arc;
 use crate::lattice::kernel::StageCosts;
 use crate::lattice::model::LatticeMdp;
 use crate::lattice::parts::{LANES, Region, Shape, Shift};
+use crate::lattice::pending::Pending;
 use crate::lattice::plane::{Plane, copy, copy_few};
 use crate::lattice::real::Real;
 use crate::lattice::terminal_mask::TerminalMask;
 use crate::lattice::turns::Turns;
 use crate::memory::Array;
 
-/// W of the last columns, the values at the ends, and the steps of the headings of a sector.
+/// W, the values at the ends, and the steps of the headings of a sector.
 pub(crate) struct Sector<T: Copy> {
     pub arc: Arc,
     /// Extent along u and v.
@@ -36,7 +37,7 @@ pub(crate) struct Sector<T: Copy> {
     pub convolved: Array<T>,
     /// Rows of a column of W.
     rows: usize,
-    /// Columns of W: a power of two less one, or all ones where W is kept whole.
+    /// Columns of W: a power of two less one, or all ones where W is stored whole.
     mask: usize,
     /// V of the headings at the ends, `[place][strip][plane][LANES]`; see [`Ends`].
     pub edges: Array<T>,
@@ -46,7 +47,12 @@ pub(crate) struct Sector<T: Copy> {
     /// `[region][count][bevel]`, along (u, v).
     pub shifts: Vec<[Shift; 2]>,
     /// Whether every step reads only columns further downstream, as it does unless the grid is coarse for the step.
-    pub downstream: bool,
+    downstream: bool,
+    /// Whether W is stored whole.
+    pub whole: bool,
+    pub pending: Pending,
+    /// `[place][strip]`: whether the last sweep backed up the strip.
+    pub swept: Vec<bool>,
 }
 
 /// Inputs of a whole pass.
@@ -58,8 +64,8 @@ pub(crate) struct PassInputs<'a, T> {
 }
 
 impl<T: Real> Sector<T> {
-    /// A sector with values `start` everywhere; a policy makes its sweeps follow it.
-    pub(crate) fn new(inputs: PassInputs<'_, T>, arc: Arc, start: T, policy: Option<&[u8]>) -> Self {
+    /// A sector with values `start` everywhere; a policy makes its sweeps follow it. With `skips` W is stored whole.
+    pub(crate) fn new(inputs: PassInputs<'_, T>, arc: Arc, start: T, policy: Option<&[u8]>, skips: bool) -> Self {
         let PassInputs { lattice, turns, costs } = inputs;
         let headings = lattice.parts.shape.headings;
         let extent = arc.extent(lattice.parts.shape);
@@ -69,12 +75,13 @@ impl<T: Real> Sector<T> {
         let by_heading = |region| (0..arc.count).map(move |q| oriented(region, q));
         let shifts: Vec<[Shift; 2]> = lattice.parts.regions.iter().flat_map(by_heading).collect();
         let downstream = shifts.iter().flatten().all(|shift| shift.cell[0] > 0);
+        let whole = skips || !downstream;
         let reach = |axis: usize| {
             shifts.iter().flatten().map(|shift| shift.cell[axis].unsigned_abs() as usize + 1).max().unwrap_or(1)
         };
         let pad = [reach(0), reach(1)];
         let lanes = extent[1].next_multiple_of(LANES);
-        let columns = if downstream { (pad[0] + 1).next_power_of_two() } else { extent[0] + 2 * pad[0] };
+        let columns = if whole { extent[0] + 2 * pad[0] } else { (pad[0] + 1).next_power_of_two() };
         let ends = Ends::new(arc.count, turns.beyond);
         let rows = turns.count() * arc.count * 2;
         let mut sector = Sector {
@@ -84,12 +91,15 @@ impl<T: Real> Sector<T> {
             pad,
             convolved: Array::filled(costs.outside(), columns * rows * (lanes + 2 * pad[1])),
             rows,
-            mask: if downstream { columns - 1 } else { usize::MAX },
+            mask: if whole { usize::MAX } else { columns - 1 },
             edges: Array::filled(start, extent[0] * lanes * ends.planes()),
             ends,
             policy_mask: Array::filled(0, if policy.is_some() { extent[0] * arc.count * 2 * lanes } else { 0 }),
+            pending: Pending::new([extent[0], lanes / LANES], &shifts),
+            swept: vec![false; extent[0] * lanes / LANES],
             shifts,
             downstream,
+            whole,
         };
         if !downstream {
             sector.fill_convolved(start);
@@ -133,6 +143,7 @@ impl<T: Real> Sector<T> {
             to.iter_mut().zip(from).for_each(|(to, from)| *to = T::of(from.widen()));
         };
         convert(&mut self.edges, &other.edges);
+        self.swept.fill(true);
         if !self.downstream {
             let (width, column) = (self.width(), self.column_size());
             let inside = self.pad[0] * column..(self.pad[0] + self.extent[0]) * column;

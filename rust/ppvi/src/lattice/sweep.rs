@@ -7,16 +7,18 @@
 //! headings beyond its ends (`halo`). Nothing else is shared, so the result does not depend on the number of threads.
 //!
 //! A pass is n backups, and about five passes are enough where Jacobi sweeps need eighty; see the benches. The last
-//! sweeps write the tables as they go.
+//! sweeps write the tables as they go. [`prioritized`] makes the same sweeps, but backs up only the strips whose inputs
+//! have changed, and writes the tables at the end.
 //!
 //! *Start.* V = the cheaper of the two failures, since that is what most of a hard workspace is worth.
 //!
 //! *Stop.* A value is the backup of what it has read, so its residual is at most the discount times the change of that
-//! since: within a sector there is none (steps lead downstream), and at the interfaces between sectors it is computed
-//! when the halos are refreshed. So a pass knows a bound on the residual of its values for next to nothing, and no pass
-//! is spent on proving what the others have done. The rounding of a backup is added, and the rounding of the numbers of
-//! the problem to the precision of the sweep. While the solve goes on, large changes are computed from a sample. A solve
-//! that a limit ends makes one more pass, which writes the tables and computes all changes.
+//! since: within a sector there is none if steps lead downstream, and at the interfaces between sectors it is computed
+//! when the halos are refreshed ([`crate::lattice`]'s `pending` has the proof). So a pass knows a bound on the residual of
+//! its values for next to nothing, and no pass is spent on proving what the others have done. The rounding of a backup is
+//! added, and the rounding of the numbers of the problem to the precision of the sweep. While the solve goes on, large
+//! changes are computed from a sample. Before a solve ends, all changes are computed; if a limit ends it, one more pass
+//! writes the tables.
 //!
 //! *Precision.* Single precision, and double precision from where rounding hides what the tolerance asks for.
 //!
@@ -30,10 +32,11 @@ use crate::error::Result;
 use crate::lattice::engine::{Engine, Tables};
 use crate::lattice::kernel::{StageCosts, StepCosts, Vectorized};
 use crate::lattice::model::LatticeMdp;
-use crate::lattice::parts::{LatticeParts, Region, Shift, outcome};
+use crate::lattice::parts::{LatticeParts, Region, Shape, Shift, outcome};
 use crate::lattice::terminal_mask::{TerminalMask, terminal_masks};
 use crate::lattice::turns::Turns;
 use crate::mdp::Mdp;
+use crate::partition::Partition;
 use crate::proper::proper_states;
 use crate::solution::Report;
 use crate::stop::StopFlag;
@@ -136,8 +139,42 @@ pub(crate) fn certificate<T: Vectorized>(lattice: &LatticeMdp) -> Certificate {
     Certificate { rounding: operations * unit / (1.0 - operations * unit), underflow, ..Certificate::of(lattice) }
 }
 
-/// Solves the lattice by directional sweeps.
+/// Solves the lattice by directional sweeps over all states.
+///
+/// # Errors
+/// Those of [`StopRule::validate`].
 pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>>) -> Result<LatticeSolution> {
+    run(lattice, rule, observer, None)
+}
+
+/// Solves the lattice by prioritized partitions: directional sweeps that back up only the strips of eight grid points
+/// whose priority is high.
+///
+/// The priority is [`Priority::Bound`](crate::Priority::Bound): an upper bound on the residual, accumulated from the
+/// changes of what a strip reads. It needs no backups. Sweeps save backups in this way, but not always time, because
+/// they have to store more; the result has the same bits on any number of threads. The report counts visits to the
+/// partitions of a regular grid of `[px, py]` blocks of grid points, as in the thesis.
+///
+/// # Errors
+/// [`Error::Parameter`] if the number of partitions along an axis is zero or larger than the number of points; those of
+/// [`StopRule::validate`].
+pub fn prioritized(
+    lattice: &LatticeMdp,
+    partitions: [usize; 2],
+    rule: StopRule,
+    observer: Option<Observer<'_>>,
+) -> Result<LatticeSolution> {
+    let Shape { nx, ny, .. } = lattice.shape();
+    Partition::check_grid([nx, ny], partitions)?;
+    run(lattice, rule, observer, Some(partitions))
+}
+
+fn run(
+    lattice: &LatticeMdp,
+    rule: StopRule,
+    observer: Option<Observer<'_>>,
+    partitions: Option<[usize; 2]>,
+) -> Result<LatticeSolution> {
     // Values of the first engine are stored as they are.
     let rule = StopRule { storage: Storage::Double, ..rule };
     let mut monitor = LimitMonitor::start(rule, certificate::<f32>(lattice), observer)?;
@@ -151,17 +188,19 @@ pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>
     let mut run = Run {
         lattice,
         monitor,
+        partitions,
         has_improper: improper.is_some(),
-        waves: 0,
-        tables: 0,
+        backups: 0,
+        visits: 0,
         largest: costs.exit.max(costs.collision) + dearest_step,
     };
-    let mut single = Engine::<f32>::new(lattice, terminal_masks, &stage_costs, start, None);
+    let mut single = Engine::<f32>::new(lattice, terminal_masks, &stage_costs, start, None, partitions.is_some());
     let sectors = single.sectors();
     let end = match run.iterate(&mut single) {
         Some(end) => end,
         None => {
-            let mut double = Engine::<f64>::new(lattice, terminal_masks, &stage_costs, start, None);
+            let mut double =
+                Engine::<f64>::new(lattice, terminal_masks, &stage_costs, start, None, partitions.is_some());
             double.load(&single);
             drop(single);
             run.monitor.change_precision(certificate::<f64>(lattice), Storage::Single);
@@ -175,11 +214,14 @@ pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>
 struct Run<'a, 'o> {
     lattice: &'a LatticeMdp,
     monitor: LimitMonitor<'o>,
+    /// The numbers of partitions along x and y, if sweeps leave out strips.
+    partitions: Option<[usize; 2]>,
     /// Whether some values stand for infinity; see [`NEVER`].
     has_improper: bool,
-    waves: u64,
-    /// Number of tables that took another pass.
-    tables: u64,
+    /// Number of states that earlier engines have backed up.
+    backups: u64,
+    /// Number of visits to partitions.
+    visits: u64,
     /// Approximate largest value.
     largest: f64,
 }
@@ -192,45 +234,58 @@ struct End {
 }
 
 impl Run<'_, '_> {
-    /// Makes passes until the residual is small enough, a limit is reached, or the precision exhausted: then None, if
+    /// Makes waves until the residual is small enough, a limit is reached, or the precision exhausted: then None, if
     /// there is a better one.
     fn iterate<T: Vectorized>(&mut self, engine: &mut Engine<'_, T>) -> Option<End> {
-        let first = self.waves;
         // Of the last two waves.
         let mut last = [f64::INFINITY; 2];
-        loop {
+        // Whether a residual below the rounding of a backup is tried.
+        let mut deeper = false;
+        for wave in 0u64.. {
             let threshold = self.monitor.threshold(self.largest);
-            let seen = engine.wave(self.waves % 2 == 1, threshold, last[1] < KEEP_BELOW * threshold);
+            let aim = if deeper { self.monitor.least_aim(self.largest).min(threshold) } else { threshold };
+            // Single precision writes no values if it cannot prove the tolerance.
+            let proves = T::EPSILON <= f64::EPSILON
+                || self.monitor.is_within_reach(Check { residual: 0.0, max_value: self.largest });
+            let seen = engine.wave(wave % 2 == 1, aim, proves && last[1] < KEEP_BELOW * threshold);
+            if let Some(partitions) = self.partitions {
+                self.visits += engine.visits(partitions);
+            }
             let falls = seen < last[0] / 2.0;
             last = [last[1], seen];
-            self.waves += 1;
-            if self.waves == first + 1 {
+            if wave == 0 {
                 // Half of the states have not been looked at in this precision.
                 continue;
             }
-            let stopped = self.monitor.check(&Progress { sweeps: self.sweeps(), residual: seen, threshold });
+            let sweeps = self.sweeps(engine.backups());
+            let stopped = self.monitor.check(&Progress { sweeps, residual: seen, threshold });
             let check = Check { residual: seen, max_value: self.largest };
-            if stopped.is_none() && !self.monitor.is_final(check) {
+            let is_open = stopped.is_none() && !self.monitor.is_final(check);
+            if is_open && (seen >= aim || self.monitor.becomes_strict(check)) {
                 continue;
             }
             if stopped.is_none() && T::EPSILON > f64::EPSILON && !self.monitor.is_proven(check) {
                 // Rounding is mostly far below its bound.
                 if falls && self.monitor.is_within_reach(check) {
+                    deeper = true;
                     continue;
                 }
-                return None;
+                break;
             }
-            // The changes are known exactly if they are below the threshold.
-            let tables = engine.tables(if stopped.is_some() { f64::INFINITY } else { threshold });
-            self.tables += u64::from(tables.again);
+            let tables = engine.tables();
             self.largest = self.largest(&tables);
             let check = Check { residual: tables.seen, max_value: self.largest };
             match self.monitor.conclude(check, stopped) {
-                Some(Status::PrecisionLimit) if T::EPSILON > f64::EPSILON => return None,
-                Some(status) => return Some(End { status, check, tables }),
+                Some(Status::PrecisionLimit) if T::EPSILON > f64::EPSILON => break,
+                Some(status) => {
+                    self.backups += engine.backups();
+                    return Some(End { status, check, tables });
+                }
                 None => {}
             }
         }
+        self.backups += engine.backups();
+        None
     }
 
     /// The largest finite value.
@@ -242,9 +297,9 @@ impl Run<'_, '_> {
         finite.fold(0.0, f64::max)
     }
 
-    /// Backups so far, in units of n.
-    fn sweeps(&self) -> f64 {
-        self.waves as f64 / 2.0 + self.tables as f64
+    /// Backups so far, in units of n, with those of the present engine.
+    fn sweeps(&self, present: u64) -> f64 {
+        (self.backups + present) as f64 / self.lattice.states() as f64
     }
 
     fn conclude(self, end: End, sectors: usize) -> LatticeSolution {
@@ -255,14 +310,22 @@ impl Run<'_, '_> {
             let improper = tables.values.iter_mut().filter(|value| **value >= NEVER as f32 / 2.0);
             improper.for_each(|value| *value = f32::INFINITY);
         }
+        let (order, partitions_processed) = match self.partitions {
+            // The first sweep visits all partitions, from right to left.
+            Some([columns, rows]) => {
+                let column = |a: usize| (0..rows).map(move |b| (a * rows + b) as u32);
+                ((0..columns).rev().flat_map(column).collect(), self.visits)
+            }
+            None => ((0..sectors as u32).collect::<Vec<u32>>(), (sectors as f64 * self.sweeps(0)) as u64),
+        };
         let report = Report {
             status,
             residual,
             error_bound,
-            backups: (self.sweeps() * self.lattice.states() as f64) as u64,
-            partitions: sectors,
-            partitions_processed: (sectors as f64 * self.sweeps()) as u64,
-            order: (0..sectors as u32).collect(),
+            backups: self.backups,
+            partitions: order.len(),
+            partitions_processed,
+            order,
             seconds_solving: self.monitor.seconds(),
             seconds_priorities: 0.0,
         };

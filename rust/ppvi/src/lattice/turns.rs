@@ -93,14 +93,16 @@ impl<T: Real> Convolution<T> {
     }
 
     /// Stores in each of `rows` the sum over the taps of weight times value; `at` is the index in `values` of the
-    /// heading of the first row.
+    /// heading of the first row. With `COMPARE` returns the larger of `most` and the largest change of a row.
     #[inline(always)]
-    pub(crate) fn store<'a, V: Lanes<T>>(
+    pub(crate) fn store<'a, V: Lanes<T>, const COMPARE: bool>(
         &self,
         values: &[[T; LANES]],
         at: usize,
         rows: impl Iterator<Item = &'a mut [T; LANES]>,
-    ) where
+        mut most: V,
+    ) -> V
+    where
         T: 'a,
     {
         let from = |cell: i64| &values[(at as i64 + cell) as usize..];
@@ -111,30 +113,39 @@ impl<T: Real> Convolution<T> {
                     // The noise of the thesis. Windows compile to a third fewer instructions than five slices.
                     for (row, taps) in rows.zip(from(centre - 2).windows(5)) {
                         if let [a, b, c, d, e] = taps {
-                            convolve_five::<T, V>([a, b, c, d, e], noise).store(row);
+                            most = put::<T, V, COMPARE>(row, convolve_five::<T, V>([a, b, c, d, e], noise), most);
                         }
                     }
-                    return;
+                    return most;
                 }
                 let [a, b, c, d, e] = [-2, -1, 0, 1, 2].map(|side| from(centre + side * distance));
                 let taps = a.iter().zip(b).zip(c).zip(d).zip(e);
                 for (row, ((((a, b), c), d), e)) in rows.zip(taps) {
-                    convolve_five::<T, V>([a, b, c, d, e], noise).store(row);
+                    most = put::<T, V, COMPARE>(row, convolve_five::<T, V>([a, b, c, d, e], noise), most);
                 }
             }
             Form::Pairs { centre, middle, pairs } => {
                 // Not `for_each`: what is inside of a closure is compiled without the vectors of the processor.
                 for (row, q) in rows.zip((at as i64 + centre) as usize..) {
-                    convolve_pairs::<T, V>(values, q, *middle, pairs).store(row);
+                    most = put::<T, V, COMPARE>(row, convolve_pairs::<T, V>(values, q, *middle, pairs), most);
                 }
             }
             Form::Taps => {
                 for (row, q) in rows.zip(at..) {
-                    convolve_taps::<T, V>(values, q, &self.taps).store(row);
+                    most = put::<T, V, COMPARE>(row, convolve_taps::<T, V>(values, q, &self.taps), most);
                 }
             }
         }
+        most
     }
+}
+
+/// Stores a row. With `COMPARE` returns the larger of `most` and its change.
+#[inline(always)]
+fn put<T: Real, V: Lanes<T>, const COMPARE: bool>(row: &mut [T; LANES], new: V, most: V) -> V {
+    let most = if COMPARE { new.larger_change(V::load(row), most) } else { most };
+    new.store(row);
+    most
 }
 
 impl<T: Real> Form<T> {
