@@ -60,7 +60,7 @@ def _heading(record: Record) -> str:
 def _table(results: Mapping[str, Result], states: int) -> list[str]:
     peer = fastest_library(results)
     lines = [
-        "| solver | build s | solve s, median | best | runs | ratio | backups / n | 1e6 backups / s | error | peak GB |",
+        "| solver | build s | solve s, median | best | runs | ratio | backups / n | 1e6 backups/s | error | peak GB |",
         "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for name, each in results.items():
@@ -72,9 +72,9 @@ def _table(results: Mapping[str, Result], states: int) -> list[str]:
             continue
         ratio = f"{peer.least / each.median:.3g}" if peer else ""
         done = each.facts.get("sweeps")
-        sweeps = "" if done is None else f"{done:.4g} | {states * done / each.median / 1e6:.4g}"
+        sweeps = "|" if done is None else f"{done:.4g} | {states * done / each.median / 1e6:.4g}"
         times = f"{each.build:.3g} | {each.median:.4g} | {each.least:.4g} | {len(each.solves)}"
-        lines.append(f"| {label} | {times} | {ratio} | {sweeps or "|"} | {each.error:.1e} | {each.peak_gb:.2f} |")
+        lines.append(f"| {label} | {times} | {ratio} | {sweeps} | {each.error:.1e} | {each.peak_gb:.2f} |")
     return lines
 
 

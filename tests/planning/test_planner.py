@@ -59,9 +59,7 @@ def test_every_method_gives_the_same_values(small: Scenario, method: Method, tra
 
 def test_only_partitions_without_free_points_are_left_out(small: Scenario) -> None:
     columns, rows = 12, 8
-    solver = replace(
-        small.solver, method=Method.PPVI, partitions=(columns, rows), priority=Priority.H2, tolerance=0.1
-    )
+    solver = replace(small.solver, method=Method.PPVI, partitions=(columns, rows), priority=Priority.H2, tolerance=0.1)
     table = npl.plan(replace(small, solver=solver, objective=replace(small.objective, discount=0.9)))
     in_obstacle = table.lattice.outcomes()[:, :, 0, 0] == 4
     left_out = set(range(columns * rows)) - set(table.stats.order)

@@ -335,7 +335,9 @@ class Solver(ConfigTable, key="solver", error=ScenarioError):
     partitions: tuple[int, int] | None = ruled(
         Maybe(Pair(Integer(1, 65_536))), None, about='partitions along x and y, for "ppvi"'
     )
-    priority: Priority = ruled(Choice(Priority), Priority.BOUND, about='"bound"; "H1", "H2": as in the thesis; for "ppvi"')
+    priority: Priority = ruled(
+        Choice(Priority), Priority.BOUND, about='"bound"; "H1", "H2": as in the thesis; for "ppvi"'
+    )
     tolerance: float = ruled(Number(above=0, at_most=1e9), 0.01, about="largest admissible error of the values")
     max_sweeps: int | None = ruled(Maybe(Integer(1, 1_000_000_000)), None, about="end the solve after so many sweeps")
     time_limit_s: float | None = ruled(Maybe(Number("s", above=0, at_most=1e9)), None, about="end the solve then")
