@@ -110,7 +110,18 @@ fn every_part_is_checked() {
         change(&mut parts);
         message(parts)
     };
-    assert!(LatticeMdp::new(valid(), |_, _, codes| codes.fill(0)).is_ok());
+    let last_leaves = |codes: &mut [u8]| {
+        codes.fill(outcome::CONTINUES);
+        codes[8..].fill(outcome::EXIT);
+    };
+    assert!(LatticeMdp::new(valid(), |_, _, codes| last_leaves(codes)).is_ok());
+    let beyond = LatticeMdp::new(valid(), |k, bevel, codes| {
+        last_leaves(codes);
+        codes[9] = if (k, bevel) == (3, 0) { outcome::CONTINUES } else { outcome::EXIT };
+    });
+    let rule = "must be another code, such as EXIT, where a step ends beyond the grid";
+    let found = "CONTINUES at point (4, 1), heading 3, bevel index 0";
+    assert_eq!(beyond.err(), Some(Error::parameter("outcomes", found, rule)));
     assert!(with(|parts| parts.shape.ny = 0).starts_with("shape = "));
     assert!(with(|parts| parts.shape.nx = 1 << 40).contains("more than 2^40 states"));
     assert!(with(|parts| parts.spacing[1] = 0.0).starts_with("spacing_mm = 0"));
@@ -133,7 +144,7 @@ fn every_part_is_checked() {
     assert_eq!(with(|parts| parts.region_of = vec![0; 39]), "region_of: expected 40 elements, found 39");
     assert_eq!(with(|parts| parts.regions.push(parts.regions[0].clone())), "region_of: expected 40 elements, found 0");
     assert!(with(|parts| parts.region_of = vec![1; 40]).starts_with("region_of = 1"));
-    let wrong = LatticeMdp::new(valid(), |k, bevel, codes| codes.fill(if (k, bevel) == (2, 1) { 6 } else { 0 }));
+    let wrong = LatticeMdp::new(valid(), |k, bevel, codes| codes.fill(if (k, bevel) == (2, 1) { 6 } else { 3 }));
     let rule = "must be a code from CONTINUES to AT_TARGET";
     assert_eq!(wrong.err(), Some(Error::parameter("outcomes", "6 at heading 2, bevel index 1", rule)));
 }

@@ -356,7 +356,7 @@ mod tests {
         let code = |i: usize, j: usize| match (i, j) {
             (9..12, 7..10) => outcome::AT_TARGET,
             (3..6, 4..15) => outcome::AT_OBSTACLE,
-            (0 | 1 | 19 | 20, _) => outcome::EXIT,
+            (0..=2 | 18..=20, _) | (_, 0..=2 | 15..=17) => outcome::EXIT, // nearest steps of up to three cells
             (6, _) => outcome::COLLISION,
             (12, _) => outcome::TARGET,
             _ => outcome::CONTINUES,

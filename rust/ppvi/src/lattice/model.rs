@@ -70,7 +70,7 @@ impl LatticeMdp {
     pub fn new(parts: LatticeParts, write_outcomes: impl Fn(usize, usize, &mut [u8]) + Sync) -> Result<Self> {
         parts.validate()?;
         let directions = Direction::of_headings(parts.shape.headings, parts.spacing);
-        let outcomes = gather_outcomes(parts.shape, &directions, write_outcomes)?;
+        let outcomes = gather_outcomes(&parts, &directions, write_outcomes)?;
         let terminal_masks = terminal_masks(&parts, &directions, &outcomes);
         Ok(LatticeMdp { parts, directions, outcomes, terminal_masks })
     }
@@ -142,11 +142,11 @@ impl LatticeMdp {
 
 /// All outcome codes, laid out as [`LatticeMdp::outcomes`] says.
 fn gather_outcomes(
-    shape: Shape,
+    parts: &LatticeParts,
     directions: &[Direction],
     write_outcomes: impl Fn(usize, usize, &mut [u8]) + Sync,
 ) -> Result<Vec<u8>> {
-    let Shape { nx, ny, headings } = shape;
+    let Shape { nx, ny, headings } = parts.shape;
     let mut outcomes = filled(0u8, headings * 2 * nx * ny);
     let stop = StopFlag::current();
     outcomes.par_chunks_mut(nx * ny).enumerate().try_for_each_init(
@@ -161,6 +161,7 @@ fn gather_outcomes(
                 let found = format!("{largest} at heading {k}, bevel index {bevel}");
                 return Err(Error::parameter("outcomes", found, "must be a code from CONTINUES to AT_TARGET"));
             }
+            require_ends_on_grid(parts, directions[k], [k, bevel], plane)?;
             let vertical = directions[k].is_vertical();
             let from = Plane { start: 0, stride: ny };
             let into = Plane { start: 0, stride: if vertical { nx } else { ny } };
@@ -169,4 +170,37 @@ fn gather_outcomes(
         },
     )?;
     Ok(outcomes)
+}
+
+/// Checks that no nearest step of heading `k` and arriving bevel index `bevel` continues beyond the grid: the sweep and
+/// the definition would read different values there. Interpolated steps read the cost of an exit.
+fn require_ends_on_grid(
+    parts: &LatticeParts,
+    direction: Direction,
+    [k, bevel]: [usize; 2],
+    codes: &[u8],
+) -> Result<()> {
+    if parts.transition == Transition::Interpolated {
+        return Ok(());
+    }
+    let Shape { nx, ny, .. } = parts.shape;
+    let cells = |axis: usize| parts.regions.iter().map(move |region| region.stencil[k][bevel].cell[axis]);
+    let reach = [0, 1].map(|axis| cells(axis).map(|cell| cell.unsigned_abs() as usize).max().unwrap_or(0));
+    let near = |at: usize, points: usize, axis: usize| at < reach[axis] || at + reach[axis] >= points;
+    for i in 0..nx {
+        for j in 0..ny {
+            if !(near(i, nx, 0) || near(j, ny, 1)) || codes[i * ny + j] != outcome::CONTINUES {
+                continue;
+            }
+            let [dx, dy] = parts.regions[direction.region(parts, i, j)].stencil[k][bevel].cell;
+            let on_grid =
+                |at: usize, cell: i32, points: usize| (0..points as i64).contains(&(at as i64 + i64::from(cell)));
+            if !(on_grid(i, dx, nx) && on_grid(j, dy, ny)) {
+                let found = format!("CONTINUES at point ({i}, {j}), heading {k}, bevel index {bevel}");
+                let rule = "must be another code, such as EXIT, where a step ends beyond the grid";
+                return Err(Error::parameter("outcomes", found, rule));
+            }
+        }
+    }
+    Ok(())
 }
