@@ -337,8 +337,10 @@ def _answer(
         save(insertion_figure(table, report, true_tip), options.figure)
         note(f"drew {options.figure}")
     if options.json:
-        print_json({**report.record(), "true_error_mm": true_error, "true_tip_mm": true_tip and list(true_tip),
-                    "recording": recording and str(recording), "figure": options.figure})  # fmt: skip
+        accepted = {"accepted_limits": options.accept_limits} if options.accept_limits else {}
+        print_json({**report.record(), **accepted, "true_error_mm": true_error,
+                    "true_tip_mm": true_tip and list(true_tip), "recording": recording and str(recording),
+                    "figure": options.figure})  # fmt: skip
     else:
         lines = {
             "ended": f"{report.outcome}: {report.cause}",
