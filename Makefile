@@ -25,7 +25,7 @@ test: install-test
 	$(MAKE) python
 
 # The tests marked slow, error bounds on thousands of random problems, instruction counts, the numerical tests once for
-# each kind of processor, and a line of the history of times.
+# each kind of processor.
 test-slow: install-test
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal
 	$(BIN)/python -m pytest -m realtime
@@ -33,7 +33,6 @@ test-slow: install-test
 	$(MAKE) processors
 	$(MAKE) guard
 	$(MAKE) msrv
-	-$(MAKE) track
 
 rust:
 	cargo fmt --all --check
@@ -48,7 +47,8 @@ python:
 	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
 	$(BIN)/python -m pytest -m "not slow and not realtime" -n 2 --dist worksteal
 
-# A line of times and instruction counts for benches/history.jsonl. Noise is no failure, so nothing depends on it.
+# A line of times and instruction counts for benches/history.jsonl: some minutes on an idle machine, more than the slow set has
+# to spare. Noise is no failure, so nothing depends on it.
 track:
 	$(BIN)/python benches/python/track.py
 
