@@ -39,7 +39,7 @@ def test_the_published_tables_are_copied_right() -> None:
 
 
 def test_states_of_processed_partitions_are_counted(small: Scenario) -> None:
-    solver = replace(small.solver, method=Method.PPVI, partitions=(6, 4))
+    solver = replace(small.solver, method=Method.PPVI, priority="H2", partitions=(6, 4))
     table = npl.plan(replace(small, solver=solver))
     # Column 2 of 6, row 0 of 4: x 21 to 30, y 0 to 10, wholly within the rod.
     assert in_obstacles(table) == {8} == set(range(24)) - set(table.stats.order)
