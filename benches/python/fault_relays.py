@@ -13,6 +13,7 @@ import select
 import socket
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 
 from needleplan.devices import Closing
@@ -32,7 +33,7 @@ def nothing(_: bytes) -> Sent:
     return []
 
 
-class Relay:
+class Relay(ABC):
     """One link through the proxy. `to_device` and `to_client` are the filters of its two directions.
 
     `tap_to_device` and `tap_to_client` are called with everything that arrives from the client or from the device, and
@@ -45,21 +46,21 @@ class Relay:
         self.tap_to_device: Tap = lambda *_: None
         self.tap_to_client: Tap = lambda *_: None
 
+    @abstractmethod
     def sockets(self) -> list[socket.socket]:
         """Return the sockets that are read now."""
-        raise NotImplementedError
 
+    @abstractmethod
     def serve(self, which: socket.socket) -> tuple[bytes, bool] | None:
         """Receive from a socket; return the data and whether they are for the device, or None."""
-        raise NotImplementedError
 
+    @abstractmethod
     def send(self, data: bytes, to_device: bool) -> None:
         """Send data to the device or to the client."""
-        raise NotImplementedError
 
+    @abstractmethod
     def close(self) -> None:
         """Close all sockets."""
-        raise NotImplementedError
 
 
 class UdpRelay(Relay):

@@ -28,7 +28,7 @@
 use std::time::Duration;
 
 use crate::bellman::{Check, larger};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::lattice::engine::{Engine, Tables};
 use crate::lattice::kernel::{StageCosts, StepCosts, Vectorized};
 use crate::lattice::model::LatticeMdp;
@@ -36,6 +36,7 @@ use crate::lattice::parts::{LatticeParts, Region, Shape, Shift, outcome};
 use crate::lattice::terminal_mask::{TerminalMask, terminal_masks};
 use crate::lattice::turns::Turns;
 use crate::mdp::Mdp;
+use crate::memory::is_granted;
 use crate::partition::Partition;
 use crate::proper::proper_states;
 use crate::solution::Report;
@@ -156,8 +157,8 @@ pub fn solve(lattice: &LatticeMdp, rule: StopRule, observer: Option<Observer<'_>
 /// partitions of a regular grid of `[px, py]` blocks of grid points, as in the thesis.
 ///
 /// # Errors
-/// [`Error::Parameter`] if the number of partitions along an axis is zero or larger than the number of points; those of
-/// [`StopRule::validate`].
+/// [`Error::Parameter`] if the number of partitions along an axis is zero or larger than the number of points,
+/// [`Error::TooLarge`] if the memory does not hold W of all states; those of [`StopRule::validate`].
 pub fn prioritized(
     lattice: &LatticeMdp,
     partitions: [usize; 2],
@@ -166,6 +167,13 @@ pub fn prioritized(
 ) -> Result<LatticeSolution> {
     let Shape { nx, ny, .. } = lattice.shape();
     Partition::check_grid([nx, ny], partitions)?;
+    // W of every kernel is stored for all states, in single precision and then in double precision beside it.
+    let (states, kernels) = (lattice.states() as u128, Turns::<f32>::new(&lattice.parts.regions).count() as u128);
+    let needed_bytes = states * kernels * 12;
+    if !is_granted(needed_bytes) {
+        let rule = "more than the memory with this method; use sweeps over all states or a coarser grid";
+        return Err(Error::TooLarge { states, needed_bytes, rule });
+    }
     run(lattice, rule, observer, Some(partitions))
 }
 
