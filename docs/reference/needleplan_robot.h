@@ -12,6 +12,7 @@
 #ifndef NEEDLEPLAN_ROBOT_H
 #define NEEDLEPLAN_ROBOT_H
 
+#include <float.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
@@ -70,7 +71,8 @@ enum {
     NPL_FAULT_LIMIT = 0x10,
     NPL_FAULT_ENCODER = 0x20,
     NPL_FAULT_NO_MOTION = 0x40,
-    NPL_FAULT_FOREIGN_STOP = 0x80
+    NPL_FAULT_FOREIGN_STOP = 0x80,
+    NPL_FAULT_BEYOND = 0x100
 };
 
 typedef struct {
@@ -170,6 +172,37 @@ static inline size_t npl_seal_tagged(const void *message, size_t size, const uin
     memcpy(out + size - 4, tag, NPL_TAG);
     npl_seal(out, tagged);
     return tagged;
+}
+
+/* Range of one axis in a session, for the capture side; `allowed` is the allowed distance beyond the range. */
+typedef struct {
+    double least;
+    double most;
+    double allowed;
+} npl_range;
+
+/* Begin a range: after HELLO with the limits of the session, and after RESET. The axis may be beyond the range now. */
+static inline void npl_range_begin(npl_range *range, double least, double most) {
+    range->least = least;
+    range->most = most;
+    range->allowed = DBL_MAX;
+}
+
+/* Return 1 if the measured position is no number, or is farther beyond the range than the smallest distance since
+ * npl_range_begin plus the tolerance: then stop both axes with NPL_FAULT_BEYOND. Call it in every servo tick, whatever
+ * was commanded. */
+static inline int npl_range_beyond(npl_range *range, double measured, double tolerance) {
+    double below = range->least - measured, above = measured - range->most;
+    double distance = below > above ? below : above;
+    int beyond;
+    if (measured - measured != 0)
+        return 1;
+    if (distance < 0)
+        distance = 0;
+    beyond = distance > range->allowed + tolerance;
+    if (distance < range->allowed)
+        range->allowed = distance;
+    return beyond;
 }
 
 /* Return 0 where a datagram is a sound one of a kind and its size; else what is wrong: 1 not of this protocol, or

@@ -91,6 +91,7 @@ class Fault(IntFlag):
     ENCODER = 0x20
     NO_MOTION = 0x40
     FOREIGN_STOP = 0x80
+    BEYOND = 0x100
 
 
 NAMES_OF_FAULTS = {
@@ -102,4 +103,5 @@ NAMES_OF_FAULTS = {
     Fault.ENCODER: "an encoder has jumped or counts in the wrong direction",
     Fault.NO_MOTION: "an axis does not move",
     Fault.FOREIGN_STOP: "another sender ordered a stop",
+    Fault.BEYOND: "the measured depth or roll is beyond the limits of the session",
 }

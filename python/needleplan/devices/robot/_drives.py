@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from needleplan.devices.robot.messages import Fault
+from needleplan.devices.robot.messages import Fault, MotionLimits
 
-__all__ = ["DriveLimits", "DriveWatch", "RobotDrive", "RobotDriveState"]
+__all__ = ["DriveLimits", "DriveWatch", "RangeWatch", "RobotDrive", "RobotDriveState"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +49,8 @@ class RobotDrive(Protocol):
 class DriveLimits:
     """Limits at which the monitoring of the axes reports a fault.
 
-    - `following_mm`, `following_rad`: largest permitted difference between commanded and measured position.
+    - `following_mm`, `following_rad`: largest permitted difference between commanded and measured position, and largest
+      permitted distance of a measured position beyond the range of the session.
     - `fastest_mm_s`, `fastest_rad_s`: measured speed above which the encoder is assumed to have jumped.
     - `still`: an axis counts as not moving if its measured motion is less than this share of the commanded motion.
     """
@@ -60,24 +62,63 @@ class DriveLimits:
     still: float = 0.1
 
 
+class RangeWatch:
+    """Compares the measured position of an axis with the range of the session, apart from any command.
+
+    Let `e` be the distance (mm or rad) of the axis beyond its range; 0 within. A session may begin beyond its range:
+    a needle that lies too deep must be pulled out in a session. So the allowed distance is the smallest `e` since
+    `forget`. The axis may return into its range, but may not move outward again by more than the tolerance.
+    """
+
+    def __init__(self, tolerance: float) -> None:
+        self._tolerance = tolerance
+        self._allowed = math.inf
+
+    def forget(self) -> None:
+        """Allow the distance beyond the range at which the axis is next seen."""
+        self._allowed = math.inf
+
+    def beyond(self, measured: float, least: float, most: float) -> bool:
+        """Record a measured position, and return whether it is beyond its range by more than is allowed, or no number."""
+        if not math.isfinite(measured):
+            return True
+        distance = max(least - measured, measured - most, 0.0)
+        is_beyond = distance > self._allowed + self._tolerance
+        self._allowed = min(self._allowed, distance)
+        return is_beyond
+
+
 class DriveWatch:
-    """Compares the measured positions of both axes with the commanded positions and with the previous ones."""
+    """Compares the measured positions of both axes with the commanded, the previous and the permitted ones."""
 
     def __init__(self, limits: DriveLimits | None = None) -> None:
         limits = DriveLimits() if limits is None else limits
         self._insertion = _AxisWatch(limits.following_mm, limits.fastest_mm_s, limits.still)
         self._roll = _AxisWatch(limits.following_rad, limits.fastest_rad_s, limits.still)
+        self._depths, self._rolls = RangeWatch(limits.following_mm), RangeWatch(limits.following_rad)
 
     def forget(self) -> None:
         """Forget the previous positions, so that the next state may have any position."""
         self._insertion.begin = self._insertion.last = self._roll.begin = self._roll.last = None
+        self.begin_session()
 
-    def see(self, state: RobotDriveState, time_s: float) -> Fault:
-        """Record a state and return its faults: those reported by the drives and those found by the comparison."""
+    def begin_session(self) -> None:
+        """Allow the next positions, even beyond the range of a new session; from there, both axes may only return."""
+        self._depths.forget()
+        self._rolls.forget()
+
+    def see(self, state: RobotDriveState, time_s: float, motion: MotionLimits) -> Fault:
+        """Record a state and return its faults: those reported by the drives and those found by the comparisons.
+
+        `motion` has the ranges of depth and roll that are in force.
+        """
+        depth_beyond = self._depths.beyond(state.depth_mm, motion.least_mm, motion.most_mm)
+        roll_beyond = self._rolls.beyond(state.roll_rad, -motion.roll_rad, motion.roll_rad)
         return (
             state.faults
             | self._insertion.see(state.wanted_depth_mm, state.depth_mm, time_s)
             | self._roll.see(state.wanted_roll_rad, state.roll_rad, time_s)
+            | (Fault.BEYOND if depth_beyond or roll_beyond else Fault(0))
         )
 
 

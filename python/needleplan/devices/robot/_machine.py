@@ -2,7 +2,7 @@
 
 The robot obeys one controller in one session, within the limits that the session has agreed in HELLO. The robot stops
 if it receives nothing from the controller during a motion, if another sender orders a stop, if a drive or the emergency
-stop reports a fault, or if an axis is not at its commanded position. Faults latch: after the cause is gone, RESET and
+stop reports a fault, if an axis is not at its commanded position, or if a measured position leaves the limits. Faults latch: after the cause is gone, RESET and
 then ENABLE permit motion again. The robot then waits for a new motion command.
 """
 
@@ -203,13 +203,14 @@ class RobotMachine:
         self._now_ns = now_ns
         before, state = self._last, self.drive.advance(now_ns / _NANO)
         self._last = state
-        found = self._watch.see(state, now_ns / _NANO)
+        session = self._session
+        motion = self.limits.motion if session is None else session.limits
+        found = self._watch.see(state, now_ns / _NANO, motion)
         if before is not None and Fault.LIMIT in state.faults & before.faults:
             # The axis may move away from the limit switch; `_move` refuses the other direction.
             found &= ~Fault.LIMIT
         elif Fault.LIMIT in state.faults:
             self._limited = math.copysign(1.0, state.velocity_mm_s)
-        session = self._session
         if session is not None:
             silent_ns = now_ns - session.received_ns
             if state.moving and self.state is RobotState.ENABLED and silent_ns > session.silence_ns:
@@ -244,6 +245,7 @@ class RobotMachine:
         if isinstance(limits, Result):
             return limits
         self._session = _Session(hello, limits, sender, self._now_ns)
+        self._watch.begin_session()
         self._renew(self._session, hello)
         return Result.ACCEPTED
 

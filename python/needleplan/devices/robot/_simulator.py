@@ -45,6 +45,9 @@ class RobotDriveFaults:
     jump_mm: float = 0.0
     """Jump of the measured depth at the next `advance`, which sets this field back to 0."""
 
+    runaway: tuple[float, float] = (0.0, 0.0)
+    """Speeds (mm/s, rad/s) at which a faulty drive moves its axes, with their commanded positions, by itself."""
+
 
 class SteadyDrive(RobotDrive):
     """Two simulated axes that reach the commanded speed at once."""
@@ -71,6 +74,10 @@ class SteadyDrive(RobotDrive):
             self._wanted[axis] += step
             self._measured[axis] += share * step
             self._velocities[axis] = share * step / passed_s if passed_s else 0.0
+            astray = faults.runaway[axis] * passed_s
+            self._wanted[axis] += astray
+            self._measured[axis] += astray
+            self._goals[axis] += astray
         self._measured[0] += faults.jump_mm
         faults.jump_mm = 0.0
         depth_mm, roll_rad = self._measured
