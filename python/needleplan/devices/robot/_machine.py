@@ -2,8 +2,9 @@
 
 The robot obeys one controller in one session, within the limits that the session has agreed in HELLO. The robot stops
 if it receives nothing from the controller during a motion, if another sender orders a stop, if a drive or the emergency
-stop reports a fault, if an axis is not at its commanded position, or if a measured position leaves the limits. Faults latch: after the cause is gone, RESET and
-then ENABLE permit motion again. The robot then waits for a new motion command.
+stop reports a fault, if an axis is not at its commanded position, or if a measured position leaves the limits. Faults
+latch: after the cause is gone, RESET and then ENABLE permit motion again. The robot then waits for a new motion
+command.
 """
 
 from __future__ import annotations
