@@ -119,7 +119,6 @@ def test_insertions_become_a_scenario(folder: Path, capsys: pytest.CaptureFixtur
     ("arguments", "message"),
     [
         (["force", "x.csv", "--layers", "2"], "--layers = force: is for curvature only"),
-        (["curvature", "x.csv", "--layers", "auto", "--scenario", "small.toml"], "--layers = auto: must be a number"),
         (["curvature", "x.csv", "--scenario-out", "y.toml"], "--scenario: is missing"),
         (["force", "x.csv", "--scenario", "small.toml"], "--scenario = force: must be curvature"),
         (["curvature", "x.csv", "--for", "smal.toml"], "smal.toml: no such file"),

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from needleplan.models import Torsion, arc_step, simulate
 from needleplan.models.friction import Profile
 from needleplan.models.tissue import LumpedOnTissue
+from needleplan.scenario import EntryPose, Needle, Scenario
 from needleplan.scenario import Layer as ScenarioLayer
-from needleplan.scenario import Needle, Scenario
 from needleplan.signals import Array, Motion, lspb
 from needleplan.simulation import Effects, Plant, Robot, Setup, Shaft, SimulatedEntry, SimulatedLayer, SimulatedTissue
 from needleplan.simulation._axis import Trapezoid
@@ -223,3 +223,24 @@ def test_half_the_servo_step_changes_little(seed: int) -> None:
         plant = inserted(setup, 40.0, 20.0, seed)
         ends.append(plant.tip().position_mm)
     assert math.dist(*ends) < 0.002
+
+
+def test_the_entry_of_the_needle_scatters_around_its_pose_relative_to_the_guide() -> None:
+    needle = EntryPose(heading_rad=0.05, offset_mm=0.4, heading_sd_rad=0.01, offset_sd_mm=0.2, side=1)
+    entry = SimulatedEntry(0.0, 20.0, 0.1, depth_mm=-3.0, needle=needle, elevation_sd_rad=0.02)
+    frames = []
+    for seed in range(200):
+        plant = Plant(Setup(0.01, entry=entry), seed)
+        plant.step()
+        assert plant.tip().tangent == pytest.approx((math.cos(0.1), math.sin(0.1), 0.0))
+        frames.append(plant._path.start)
+    heading = np.array([math.atan2(each.tangent[1], each.tangent[0]) for each in frames])
+    aside = np.array(
+        [(each.position_mm[1] - 20.0) * math.cos(0.1) - each.position_mm[0] * math.sin(0.1) for each in frames]
+    )
+    raised = np.array([math.asin(each.tangent[2]) for each in frames])
+    for values, mean, sd in ((heading, 0.15, 0.01), (aside, 0.4, 0.2), (raised, 0.0, 0.02)):
+        assert values.mean() == pytest.approx(mean, abs=4 * sd / math.sqrt(200))
+        assert values.std() == pytest.approx(sd, rel=0.2)
+    mirrored = SimulatedEntry(roll_rad=math.pi, needle=EntryPose(heading_rad=0.05)).tip_frame([0.0, 0.0, 0.0])
+    assert mirrored.tangent[1] == pytest.approx(-math.sin(0.05))

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = ["KINDS", "add_to", "run"]
 
+# Largest number of layers that a model file holds; a scenario holds more.
+_MOST_LAYERS = 4
+
 KINDS = ("force", "friction", "tissue-motion", "deflection", "curvature")
 
 
@@ -48,9 +51,9 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--layers",
         type=_layers,
-        default=1,
+        default="auto",
         metavar="N",
-        help="curvature only: number of layers of equal depth (1); auto: insertions that are left out choose",
+        help="curvature only: number of layers of equal depth; auto, the default: insertions that are left out choose",
     )
     parser.add_argument(
         "--scenario-out", metavar="FILE.toml", help="with --scenario: write the scenario with these tables"
@@ -79,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
         records = read_records(options.data, accept_units=options.accept_units)
         note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
         found: Identification = _identifier(options.kind).identify(records, **known)
-        file = _model_file(found, records, options.kind)
+        file = found.model_file(records)
         if file and options.output:
             file.write(options.output)
             note(f"wrote {options.output}")
@@ -116,8 +119,8 @@ def _draw(found: Identification, file: str) -> None:
 def _scenario(options: argparse.Namespace) -> Scenario | None:
     """Return the scenario of `--scenario`, or None without the option.
 
-    Raises InputError if `--scenario` is given and the kind is not curvature, or `--layers` is `auto`; or if
-    `--scenario-out` is given without `--scenario`.
+    Raises InputError if `--scenario` is given and the kind is not curvature, or if `--scenario-out` is given without
+    `--scenario`.
     """
     from needleplan.scenario import Scenario
 
@@ -125,9 +128,6 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
         if options.scenario_out:
             raise InputError(Mistake("--scenario", "", "is missing: --scenario-out requires it"))
         return None
-    if options.layers is None:
-        rule = "must be a number with --scenario; without it, write a model with -o and plan with --needle"
-        raise InputError(Mistake("--layers", "auto", rule))
     if options.kind != "curvature":
         raise InputError(
             Mistake("--scenario", options.kind, "must be curvature: a scenario uses no other identified values")
@@ -141,15 +141,15 @@ def _layers(text: str) -> int | None:
 
 
 def _layers_of(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the keyword argument of `identify` for `--layers`; with `--scenario`, the layers are only for it.
+    """Return the keyword argument of `identify` for `--layers`, empty for `auto`.
 
-    Raises InputError if the kind is not curvature and the number of layers is not 1.
+    Raises InputError if a number of layers is given and the kind is not curvature.
     """
-    if options.layers == 1:
+    if options.layers is None:
         return {}
     if options.kind != "curvature":
         raise InputError(Mistake("--layers", options.kind, "is for curvature only"))
-    return {} if options.scenario else {"layers": options.layers}
+    return {} if options.scenario and options.layers > _MOST_LAYERS else {"layers": options.layers}
 
 
 def _part(scenario: Scenario, records: Sequence[Record], options: argparse.Namespace) -> ScenarioPart:
@@ -173,17 +173,6 @@ def _identifier(kind: str) -> Any:
         if error.name != name:
             raise
         raise InputError(Mistake("KIND", kind, "is not yet available")) from None
-
-
-def _model_file(found: Identification, records: Sequence[Record], kind: str) -> ModelFile | None:
-    from needleplan.models import ModelFile, Parent
-
-    if found.model is None:
-        return None
-    parents = tuple(Parent(record.trial, record.digest) for record in records)
-    names = found.model.parameters()
-    estimates = {name: each for name, each in found.estimates.items() if name in names}
-    return ModelFile(found.model, estimates, parents, found.remarks, f"{kind} identified from {len(records)} trials")
 
 
 def _lines(found: Identification) -> Iterator[str]:

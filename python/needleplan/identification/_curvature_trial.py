@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.identification._insertion_path import EntryPath, PathShape, entry_path
 from needleplan.identification._path_curvature import Curvature, CurvatureChange, TrackerNoise, path_curvature
 from needleplan.signals import Array, Motion, Record
 
-__all__ = ["CurvatureTrial", "entry_paths_of", "insertion_of"]
+__all__ = ["CurvatureTrial", "insertion_of"]
 
 # Number of points per segment below which a trial is not divided into segments.
 _POINTS_A_SEGMENT = 10
@@ -82,16 +80,6 @@ def insertion_of(
         record.trial, points, whole, parts, changes, motion, depth, other, other_depth,
         tuple(prefix + each for each in remarks),
     )  # fmt: skip
-
-
-def entry_paths_of(records: Sequence[Record], skip_mm: float) -> list[EntryPath]:
-    """Return the paths of records in the plane xy, with one curvature each. Raises DataError as `insertion_of`."""
-    found = []
-    for record in records:
-        points, motion, _ = _points(record, "xy", skip_mm)
-        depth = motion.depth_mm if "depth_mm" in record.columns else None
-        found.append(entry_path(points, depth, PathShape(), record.trial))
-    return found
 
 
 def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, Motion, list[str]]:

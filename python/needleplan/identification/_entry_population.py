@@ -14,7 +14,7 @@ of T, which few insertions hardly determine.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -113,11 +113,16 @@ class MeanPath:
 
     def estimate(self, number: int, unit: str) -> Estimate:
         """Return the estimate of the parameter `number` with its 95 % interval and the scatter between insertions."""
-        value, sd = float(self.values[number]), float(np.sqrt(self.covariance[number, number]))
-        quantile = stats.t.ppf((1 + _LEVEL) / 2, self.degrees) if self.degrees else stats.norm.ppf((1 + _LEVEL) / 2)
-        low, high = value - float(quantile) * sd, value + float(quantile) * sd
+        found = self.combination(np.eye(self.values.size)[number], unit)
         between = float(self.between_sd[number])
-        return Estimate(value, sd, low, high, unit, True, None if np.isnan(between) else between)
+        return replace(found, between_sd=None if np.isnan(between) else between)
+
+    def combination(self, weights: Array, unit: str) -> Estimate:
+        """Return a weighted sum of the parameters with its 95 % interval, without the scatter between insertions."""
+        value, sd = float(weights @ self.values), float(np.sqrt(weights @ self.covariance @ weights))
+        quantile = stats.t.ppf((1 + _LEVEL) / 2, self.degrees) if self.degrees else stats.norm.ppf((1 + _LEVEL) / 2)
+        reach = float(quantile) * sd
+        return Estimate(value, sd, value - reach, value + reach, unit, True)
 
 
 def mean_path(paths: Sequence[EntryPath]) -> MeanPath:

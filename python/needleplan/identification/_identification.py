@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._entry_population import TipPrediction
-from needleplan.models import Estimate, Finding, Model
+from needleplan.models import Estimate, Finding, Model, ModelFile, Parent
 from needleplan.signals import Record, Role
 
 if TYPE_CHECKING:
@@ -44,6 +44,16 @@ class Identification:
     def ok(self) -> bool:
         """Whether there is a model to write."""
         return self.model is not None
+
+    def model_file(self, records: Sequence[Record]) -> ModelFile | None:
+        """Return the model file of the result, with the digests of the records; None without a model."""
+        if self.model is None:
+            return None
+        parents = tuple(Parent(record.trial, record.digest) for record in records)
+        names = self.model.parameters()
+        estimates = {name: each for name, each in self.estimates.items() if name in names}
+        about = f"{self.kind} identified from {len(records)} trials"
+        return ModelFile(self.model, estimates, parents, self.remarks, about)
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.identification._curvature_trial import CurvatureTrial
 from needleplan.identification._entry_population import MeanPath, mean_path
-from needleplan.identification._insertion_path import EntryPath, PathShape, ShapeKind
+from needleplan.identification._insertion_path import EntryPath, PathShape, ShapeKind, entry_path
+from needleplan.identification._path_curvature import TrackerNoise
 from needleplan.models import BetweenDepths, Bicycle, BicycleByDepth, Estimate
 
-__all__ = ["ShapeChoice", "choose_shape", "curvature_estimates", "layered", "model_of"]
+__all__ = ["ShapeChoice", "choose_shape", "curvature_estimates", "layered", "model_of", "shaped_paths"]
 
 # Smallest number of insertions that can choose: with fewer, the standard error has no degree of freedom.
 _FEWEST = 3
@@ -47,6 +49,36 @@ def layered(number: int, first_mm: float, last_mm: float) -> PathShape:
         return PathShape()
     inner = np.linspace(first_mm, last_mm, number + 1)[1:-1]
     return PathShape(ShapeKind.LAYERED, tuple(float(each) for each in inner))
+
+
+def shaped_paths(
+    trials: Sequence[CurvatureTrial],
+    layers: int | None,
+    noise: TrackerNoise = TrackerNoise.CORRELATED,
+    correlation_mm: float | None = None,
+) -> ShapeChoice:
+    """Return the paths of trials with a number of layers, or with the shape that the insertions left out choose.
+
+    `identify curvature`, `identify deflection`, `--scenario` and `diagnose` all take their path from here.
+    """
+    correlated = noise is TrackerNoise.CORRELATED
+
+    def fit(shape: PathShape) -> list[EntryPath]:
+        return [
+            entry_path(
+                each.points_mm, each.depth_mm, shape, each.name, correlated=correlated, correlation=correlation_mm
+            )
+            for each in trials
+        ]
+
+    if layers is None:
+        return choose_shape(fit)
+    paths = tuple(fit(PathShape()))
+    if layers > 1:
+        paths = tuple(
+            fit(layered(layers, max(each.first_mm for each in paths), min(each.deepest_mm for each in paths)))
+        )
+    return ShapeChoice(paths[0].shape, paths, (), "")
 
 
 def choose_shape(fit: Callable[[PathShape], Sequence[EntryPath]]) -> ShapeChoice:

@@ -23,13 +23,7 @@ from needleplan.identification._path_curvature import (
     TrackerNoise,
     agreement,
 )
-from needleplan.identification._shape_choice import (
-    ShapeChoice,
-    choose_shape,
-    curvature_estimates,
-    layered,
-    model_of,
-)
+from needleplan.identification._shape_choice import curvature_estimates, model_of, shaped_paths
 from needleplan.models import Estimate, Finding, findings_of
 from needleplan.signals import Array, Record
 
@@ -48,7 +42,7 @@ def identify(
     noise: TrackerNoise = TrackerNoise.CORRELATED,
     correlation_mm: float | None = None,
     at_mm: float | None = None,
-    layers: int | None = 1,
+    layers: int | None = None,
 ) -> Identification:
     """Identify the curvature of insertions without rotation from tip positions.
 
@@ -72,7 +66,7 @@ def identify(
         training trials reach.
     layers
         Number of layers of equal depth with a curvature each, 1 to 4. None: insertions that are left out choose among
-        one to three layers and a smooth curvature.
+        one to three layers and a smooth curvature; fewer than three insertions have one curvature.
 
     Returns
     -------
@@ -99,7 +93,7 @@ def identify(
         for some in (trials.train, trials.holdout)
     )
     together = agreement([each.whole for each in found]) if len(found) > 1 else None
-    choice = _shaped(found, layers, noise, correlation_mm)
+    choice = shaped_paths(found, layers, noise, correlation_mm)
     paths, across = choice.paths, _across(found, noise, correlation_mm)
     mean = mean_path(paths)
     estimates = _estimates(mean, mean_path(across) if across else None)
@@ -120,17 +114,6 @@ def identify(
     )  # fmt: skip
 
 
-def _fit(
-    found: Sequence[CurvatureTrial], shape: PathShape, noise: TrackerNoise, correlation_mm: float | None
-) -> list[EntryPath]:
-    """Return the paths of the trials in the plane."""
-    correlated = noise is TrackerNoise.CORRELATED
-    return [
-        entry_path(each.points_mm, each.depth_mm, shape, each.name, correlated=correlated, correlation=correlation_mm)
-        for each in found
-    ]
-
-
 def _across(found: Sequence[CurvatureTrial], noise: TrackerNoise, correlation_mm: float | None) -> list[EntryPath]:
     """Return the paths of the trials in the other plane, or [] if a trial was not tracked there."""
     correlated = noise is TrackerNoise.CORRELATED
@@ -141,19 +124,6 @@ def _across(found: Sequence[CurvatureTrial], noise: TrackerNoise, correlation_mm
         entry_path(points, depth, PathShape(), name, correlated=correlated, correlation=correlation_mm)
         for name, points, depth in tracked
     ]
-
-
-def _shaped(
-    found: Sequence[CurvatureTrial], layers: int | None, noise: TrackerNoise, correlation_mm: float | None
-) -> ShapeChoice:
-    """Return the paths with the given number of layers, or with the shape that the insertions left out choose."""
-    if layers is None:
-        return choose_shape(lambda shape: _fit(found, shape, noise, correlation_mm))
-    paths = tuple(_fit(found, PathShape(), noise, correlation_mm))
-    if layers > 1:
-        shape = layered(layers, max(each.first_mm for each in paths), min(each.deepest_mm for each in paths))
-        paths = tuple(_fit(found, shape, noise, correlation_mm))
-    return ShapeChoice(paths[0].shape, paths, (), "")
 
 
 def _estimates(mean: MeanPath, across: MeanPath | None) -> dict[str, Estimate]:

@@ -25,6 +25,7 @@ import numpy as np
 from scipy import stats
 
 from needleplan.errors import DataError
+from needleplan.identification import curvature as whole_path
 from needleplan.identification._bent_path import (
     PathFit,
     axial_estimates,
@@ -34,8 +35,7 @@ from needleplan.identification._bent_path import (
     path_fit,
     pose_estimate,
 )
-from needleplan.identification._curvature_trial import entry_paths_of
-from needleplan.identification._entry_population import TipPrediction, predict_tip
+from needleplan.identification._entry_population import TipPrediction
 from needleplan.identification._identification import Finding, Identification, trials_by_role
 from needleplan.models import Estimate, Fit, NeedleShaft, TipPath, findings_of, fit, simulate
 from needleplan.models.deflection import AxialOffset, ElasticTissue
@@ -52,6 +52,9 @@ _COLOURS = (BLUE, ORANGE, GREEN, VERMILLION, SKY, BLACK)
 # Default needle: the 22-gauge needle of chapter 5 of the thesis.
 NEEDLE = NeedleShaft(0.718, 0.413, 203.0, math.radians(24.8))
 
+# Depth (mm) above which the path law does not hold, because the cutting force still rises.
+_SKIP_MM = 20.0
+
 # Default tissue: the soft gel of chapter 5 of the thesis.
 TISSUE = ElasticTissue(3.87e-3, 123.9e-6)
 
@@ -63,7 +66,7 @@ def identify(
     tissue: ElasticTissue | None = None,
     axial_offset: AxialOffset | None = None,
     tracked_mm: float = 0.0,
-    skip_mm: float = 20.0,
+    skip_mm: float | None = None,
     at_mm: float | None = None,
 ) -> Identification:
     """Identify curvature and cutting force and, if the records determine them, kf, F0 and friction.
@@ -82,7 +85,8 @@ def identify(
     tracked_mm
         Distance (mm) of the tracked point behind the tip.
     skip_mm
-        Depth (mm) above which samples are left out.
+        Depth (mm) above which samples are left out. None: 20 mm for the path law, which does not hold at the entry, and
+        0 for the predicted tip, as in `identify curvature`.
     at_mm
         Length of the path (mm) at which the tip of the next insertion is predicted, as in `identify curvature`. None:
         the length that all training trials reach.
@@ -97,10 +101,10 @@ def identify(
     DataError
         No trial has the role train, or no record can be used.
     """
-    trials = trials_by_role(records)
+    trials, law_mm = trials_by_role(records), _SKIP_MM if skip_mm is None else skip_mm
     own, gel = needle or NEEDLE, tissue or TISSUE
     start = replace(TipPath.of(own, gel.stiffness_n_mm2, 0.05), tracked=tracked_mm)
-    paths, remarks = _paths(trials.train, start, skip_mm)
+    paths, remarks = _paths(trials.train, start, law_mm)
     curvature, chi_square, p_value = mean_of([each.curvature for each in paths])
     estimates = {"curvature": curvature}
     findings = [_bends_evenly(paths)]
@@ -126,7 +130,7 @@ def identify(
     axial: Fit | None = None
     if with_force:
         more, axial = axial_estimates(
-            with_force, model, estimates["cutting_force"], curvature, factor, skip_mm, axial_offset
+            with_force, model, estimates["cutting_force"], curvature, factor, law_mm, axial_offset
         )
         estimates |= more
         if "stiffness" in more and more["stiffness"].identified:
@@ -136,11 +140,11 @@ def identify(
     remarks += _what_it_rests_on(needle, tissue, bool(turned), bool(with_force), axial_offset, curvature)
     scores = (
         ("RMSE", math.sqrt(np.mean([each.fit.rmse**2 for each in paths])), "mm"),
-        *_held_out(trials.holdout, model, skip_mm),
+        *_held_out(trials.holdout, model, law_mm),
     )
     left = findings_of([each.fit.residuals[0] for each in paths], [each.record.motion() for each in paths], "mm")
-    figure = partial(_draw, paths=paths, axial=axial, records=with_force, skip_mm=skip_mm)
-    prediction = _prediction(paths, tracked_mm, skip_mm, at_mm)
+    figure = partial(_draw, paths=paths, axial=axial, records=with_force, skip_mm=law_mm)
+    prediction = _prediction(paths, tracked_mm, skip_mm or 0.0, at_mm)
     return Identification(
         "deflection", model, estimates, scores, (*findings, *left), tuple(remarks), figure, prediction
     )
@@ -152,8 +156,8 @@ def _prediction(
     """Return the predicted tip as in `identify curvature`; None if the base was turned or the tip was not tracked."""
     if tracked_mm or any(each.turned for each in paths):
         return None
-    arcs = entry_paths_of([each.record for each in paths], skip_mm)
-    return predict_tip(arcs, [], min(each.deepest_mm for each in arcs) if at_mm is None else at_mm)
+    records = [each.record for each in paths]
+    return whole_path.identify(records, segments=1, skip_mm=skip_mm, at_mm=at_mm).prediction
 
 
 def _paths(records: Sequence[Record], start: TipPath, skip_mm: float) -> tuple[list[PathFit], list[str]]:

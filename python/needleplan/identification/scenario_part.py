@@ -9,11 +9,11 @@ import numpy as np
 
 from needleplan.config import raw_of, toml_text
 from needleplan.errors import DataError, Mistake
-from needleplan.identification._circle import fit_circle
 from needleplan.identification._curvature_trial import insertion_of
-from needleplan.identification._path_curvature import Curvature, agreement, path_curvature
+from needleplan.identification._entry_population import MeanPath, mean_path
+from needleplan.identification._insertion_path import ShapeKind
+from needleplan.identification._shape_choice import shaped_paths
 from needleplan.identification._tip_noise import TipNoise, headings_at, tip_noise
-from needleplan.models import arc_step
 from needleplan.scenario import Scenario
 from needleplan.signals import Array, Record, Role
 
@@ -23,11 +23,13 @@ __all__ = ["PathPiece", "ScenarioPart", "scenario_part"]
 _MOST_WINDOWS = 6
 # Number of points of each path that a window must exceed.
 _POINTS_A_WINDOW = 4
+# Number of pieces of constant curvature that stand for a smooth curvature, as in `plan --needle`.
+_SMOOTH_PIECES = 8
 
 
 @dataclass(frozen=True)
 class PathPiece:
-    """Mean curvature (1/mm) over all insertions, with 95 % interval, of the piece of the path from x = `low_mm` on."""
+    """Mean curvature (1/mm) over the insertions, with 95 % interval, of the piece of the path from x = `low_mm` on."""
 
     curvature_per_mm: float
     low_per_mm: float
@@ -55,15 +57,17 @@ class ScenarioPart:
 
 
 def scenario_part(
-    records: Sequence[Record], scenario: Scenario, *, layers: int = 1, plane: str = "xy", skip_mm: float = 0.0
+    records: Sequence[Record], scenario: Scenario, *, layers: int | None = 1, plane: str = "xy", skip_mm: float = 0.0
 ) -> ScenarioPart:
     """Identify curvature and tip noise from repeated insertions without rotation, and set them in a scenario.
 
-    `records`, `plane` and `skip_mm` are used as in `curvature.identify`; x is along the insertion, with the entry at
-    x = 0. The range of x that all insertions cover is cut into `layers` equal parts, 1 to 10, with one radius each. The
-    last layer extends to the end of the workspace. The tip noise is computed for the step length and the noise step of
-    the scenario, `[motion] step_mm` and `tip_noise_step_deg`; without them, for one heading of the grid per step at the
-    radius of the whole path. A layer may be straight if another layer bends and the scenario has `motion.step_mm`.
+    `records`, `layers`, `plane` and `skip_mm` are used as in `curvature.identify`, and the path is the same. x is along
+    the insertion, with the entry at x = 0. `layers` is 1 to 10, or None for the choice by insertions left out. The last
+    layer extends to the end of the workspace. The tip noise is computed from all trials but those of noise, for the
+    step length and the noise step of the scenario, `[motion] step_mm` and `tip_noise_step_deg`; without them, for one
+    heading of the grid per step at the radius of the whole path. A layer may be straight if another layer bends and the
+    scenario has `motion.step_mm`; a chosen shape that the scenario does not permit is replaced by one curvature.
+
     Raises DataError if records or `layers` cannot be used or a layer may be straight otherwise, and ScenarioError if
     the identified values violate a rule of the scenario.
     """
@@ -71,21 +75,30 @@ def scenario_part(
     if not used:
         raise DataError(Mistake("role", "", "there is no trial to identify from"))
     insertions = [insertion_of(record, segments=1, plane=plane, skip_mm=skip_mm) for record in used]
-    paths = [each.points_mm for each in insertions]
-    if not 1 <= layers <= 10:
+    points = [each.points_mm for each in insertions]
+    if layers is not None and not 1 <= layers <= 10:
         raise DataError(Mistake("layers", f"{layers}", "must be 1 to 10"))
-    low, high = max(path[:, 0].min() for path in paths), min(path[:, 0].max() for path in paths)
+    low, high = max(path[:, 0].min() for path in points), min(path[:, 0].max() for path in points)
     if low >= high:
         raise DataError(Mistake("x_mm", "", "the insertions have no common range of depth"))
-    whole = _mean([each.whole for each in insertions], 0.0)
-    edges = np.linspace(low, high, layers + 1)[1:-1]
-    pieces, straight = _plannable(_pieces(paths, edges) if layers > 1 else (whole,), scenario)
-    changed = scenario.with_curvature(pieces)
+    training = [each for each, record in zip(insertions, used, strict=True) if record.role is Role.TRAIN] or insertions
+    whole = mean_path(shaped_paths(training, 1).paths)
+    choice = shaped_paths(training, layers)
     remarks = ["the layers of the scenario were replaced"] if scenario.needle.layers else []
+    try:
+        pieces, straight = _plannable(_pieces(mean_path(choice.paths)), scenario)
+    except DataError:
+        if layers is not None:
+            raise
+        pieces, straight = _plannable(_pieces(whole), scenario)
+        straight = [f"{choice.remark}; the scenario cannot hold it: one curvature", *straight]
+    else:
+        straight += [choice.remark] * bool(choice.remark)
+    changed = scenario.with_curvature(pieces)
     remarks += straight
     if scenario.tissues:
         remarks.append("the radii of the tissues of the scenario stay what they were")
-    noise = _noise(used, paths, (low, high), scenario, 1 / abs(whole.curvature_per_mm))
+    noise = _noise(used, points, (low, high), scenario, 1 / abs(float(whole.values[2])))
     if noise is None:
         remarks.append("one insertion says nothing about the tip noise, which stays that of the scenario")
     elif noise.ok:
@@ -96,20 +109,21 @@ def scenario_part(
     return ScenarioPart(changed, pieces, noise, tuple(remarks))
 
 
-def _pieces(paths: Sequence[Array], edges_mm: Array) -> tuple[PathPiece, ...]:
-    """Return one piece for each layer, with the mean curvature over the paths. `edges_mm` are the inner layer edges."""
-    found = [path_curvature(path, _along(path, edges_mm))[0] for path in paths]
-    starts = [0.0, *edges_mm.tolist()]
-    return tuple(_mean(each, start) for each, start in zip(zip(*found, strict=True), starts, strict=True))
-
-
-def _mean(trials: Sequence[Curvature], low_mm: float) -> PathPiece:
-    """Return the mean curvature of one piece over the trials; `low_mm` is the x at which the piece begins."""
-    if len(trials) == 1:
-        only = trials[0]
-        return PathPiece(only.curvature_per_mm, only.low_per_mm, only.high_per_mm, low_mm)
-    together = agreement(trials)
-    return PathPiece(together.mean_per_mm, together.low_per_mm, together.high_per_mm, low_mm)
+def _pieces(mean: MeanPath) -> tuple[PathPiece, ...]:
+    """Return the pieces of a mean path, with the x at which each begins; a smooth curvature in equal pieces."""
+    shape = mean.shape
+    if shape.kind is ShapeKind.SMOOTH:
+        places = np.linspace(0.0, shape.places_mm[-1], _SMOOTH_PIECES + 1)[:-1]
+        middle = places + places[1] / 2
+        weights = np.column_stack([np.interp(middle, shape.places_mm, row) for row in np.eye(shape.size)])
+    else:
+        places, weights = np.array([0.0, *shape.places_mm]), np.eye(shape.size)
+    found = []
+    for place, weight in zip(places, weights, strict=True):
+        value = mean.combination(np.concatenate([[0.0, 0.0], weight]), "1/mm")
+        low_mm = 0.0 if shape.kind is ShapeKind.UNIFORM else mean.tip(float(place))[0]
+        found.append(PathPiece(value.value, value.low, value.high, low_mm))
+    return tuple(found)
 
 
 def _plannable(pieces: Sequence[PathPiece], scenario: Scenario) -> tuple[tuple[PathPiece, ...], list[str]]:
@@ -135,17 +149,6 @@ def _plannable(pieces: Sequence[PathPiece], scenario: Scenario) -> tuple[tuple[P
         used = f"radius {1 / abs(piece.curvature_per_mm):.4g} mm" if same else "a straight layer"
         remarks.append(f"the curvature {value} contains a straight path; planned with {used}")
     return tuple(found), remarks
-
-
-def _along(path: Array, x_mm: Array) -> list[float]:
-    """Return the distances (mm) along the fitted circle from the smallest x of a path to each of `x_mm`."""
-    circle = fit_circle(path)
-    reach = np.hypot(*np.ptp(path, axis=0))
-    distance = np.linspace(-2 * reach, 2 * reach, 4001)
-    x, _, heading = arc_step(*circle.point_mm, circle.heading_rad, circle.curvature_per_mm, distance)
-    forward = np.abs(heading) < np.pi / 2
-    at = np.interp([path[:, 0].min(), *x_mm], x[forward], distance[forward])
-    return [float(each) for each in at[1:] - at[0]]
 
 
 def _noise(

@@ -122,6 +122,7 @@ class Stream(IntEnum):
     TRACKER_ANGLE = 7
     TRACKER_DROPOUT = 8
     TRACKER_FIELD = 9
+    ENTRY = 10
 
 
 def random_for(seed: int, stream: Stream) -> np.random.Generator:

@@ -75,10 +75,13 @@ class Plant:
         self._places = PlannedCurvature(setup.scenario) if setup.scenario and by_place else None
         heading_noise = RandomHeading(effects.heading_noise_rad_sqrt_mm, random_for(seed, Stream.HEADING))
         self._line = TipFrame.planar(entry.x_mm, entry.y_mm, entry.heading_rad)
-        self._model = ModelledPath(setup.path, self._line) if setup.path else None
-        self._start = self._model.start if self._model else self._line
+        entered = entry.tip_frame(random_for(seed, Stream.ENTRY).standard_normal(3).tolist())
+        self._model = ModelledPath(setup.path, entered) if setup.path else None
+        self._start = self._model.start if self._model else entered
         odd = effects.pre_bend_per_mm or effects.sag_per_mm or self._model
-        self._path = TipPath3D(self._start, self._bend, heading_noise, self._aside if odd else None)
+        # Outside of the tissue the needle lies in the guide; a model of the path has its own pose at the entry.
+        guide = None if self._model else self._line
+        self._path = TipPath3D(self._start, self._bend, heading_noise, self._aside if odd else None, guide)
         self._force_model = ModelledForce(setup.force) if setup.force else None
         self._force_ticks = robot.servo_hz // FORCE_HZ
         self._shaft = ShaftForce(

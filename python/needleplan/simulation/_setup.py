@@ -5,15 +5,16 @@ Lengths in mm, forces in N, times in s, angles in rad.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from needleplan.config import ConfigTable, Integer, Maybe, Number, ruled
-from needleplan.errors import ExperimentError, Mistake
-from needleplan.models import Channel, Model
+from needleplan.config import ConfigTable, Integer, Maybe, Number, Violation, ruled
+from needleplan.errors import ExperimentError, InputError, Mistake
+from needleplan.models import Channel, Model, ModelFile, TipFrame
 from needleplan.models.friction import LuGre
-from needleplan.scenario import Scenario
+from needleplan.scenario import EntryPose, Scenario, identified
 from needleplan.simulation._effects import Effects
 from needleplan.simulation._modelled import require_simulated
 
@@ -41,12 +42,29 @@ _FORCE = Number("N", at_least=0, at_most=100)
 _DEPTH = Number("mm", at_least=-100, at_most=1000)
 
 
+class _NeedleRule:
+    """Rule for the name of a model file whose entry pose is used."""
+
+    def read(self, value: object) -> EntryPose | None:
+        """Return the entry pose of the model file, or of the value itself. Raises Violation."""
+        if value is None or isinstance(value, EntryPose):
+            return value
+        if not isinstance(value, str):
+            raise Violation("must be the name of a model file", value)
+        try:
+            return identified(ModelFile.read(value), value).entry or EntryPose()
+        except InputError as error:
+            raise Violation([Mistake(each.key, each.value or value, each.rule) for each in error.mistakes]) from None
+
+
 @dataclass(frozen=True)
 class SimulatedEntry(ConfigTable, key="entry", error=ExperimentError):
-    """Pose of the needle at the start. The line of the needle meets the surface of the tissue at `x_mm`, `y_mm`.
+    """Pose of the guide at the start. The line of the guide meets the surface of the tissue at `x_mm`, `y_mm`.
 
     `depth_mm` is the depth of the tip relative to the surface (negative outside). `roll_rad` is the roll of the base:
-    at 0 the needle bends to the left, at pi to the right.
+    at 0 the needle bends to the left, at pi to the right. `needle` is the pose of the tip in the tissue relative to the
+    guide, with its scatter between insertions; in a file, the name of a model file of `identify`. `elevation_rad` and
+    `elevation_sd_rad` are mean and scatter of the direction of the tip out of the plane.
     """
 
     x_mm: float = ruled(Number("mm", at_least=-1000, at_most=1000), 0.0)
@@ -54,6 +72,22 @@ class SimulatedEntry(ConfigTable, key="entry", error=ExperimentError):
     heading_rad: float = ruled(Number("rad", at_least=-1.6, at_most=1.6), 0.0)
     depth_mm: float = ruled(Number("mm", at_least=-100, at_most=0), 0.0)
     roll_rad: float = ruled(Number("rad", at_least=-7, at_most=7), 0.0)
+    needle: EntryPose | None = ruled(_NeedleRule(), None)
+    elevation_rad: float = ruled(Number("rad", at_least=-0.5, at_most=0.5), 0.0)
+    elevation_sd_rad: float = ruled(Number("rad", at_least=0, at_most=0.5), 0.0)
+
+    def tip_frame(self, drawn: Sequence[float]) -> TipFrame:
+        """Return the frame of the tip where it enters the tissue. `drawn` holds three standard normal numbers.
+
+        For the bevel side that was not identified, heading and offset of `needle` are mirrored.
+        """
+        needle = self.needle or EntryPose()
+        side = needle.side if math.cos(self.roll_rad) >= 0 else -needle.side
+        heading = self.heading_rad + side * needle.heading_rad + needle.heading_sd_rad * drawn[0]
+        offset = side * needle.offset_mm + needle.offset_sd_mm * drawn[1]
+        elevation = self.elevation_rad + self.elevation_sd_rad * drawn[2]
+        x, y = self.x_mm - offset * math.sin(self.heading_rad), self.y_mm + offset * math.cos(self.heading_rad)
+        return TipFrame.planar(x, y, heading).raised(elevation)
 
 
 @dataclass(frozen=True)

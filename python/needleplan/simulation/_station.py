@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from needleplan.devices import Address, Station, open_station, require_schemes
 from needleplan.errors import AddressError, Mistake
 from needleplan.models import Torsion
-from needleplan.planning import PolicyTable, Pose
+from needleplan.planning import PolicyTable, Pose, guide_pose
 from needleplan.simulation._experiment import Experiment
 from needleplan.simulation._lab import Lab
-from needleplan.simulation._setup import SimulatedEntry
 
 if TYPE_CHECKING:
     from needleplan.devices.robot import MotionLimits
@@ -99,7 +99,7 @@ def simulated_station(
     table
         Policy table whose scenario determines the curvature of the needle at each position.
     start
-        Pose at which the needle enters the tissue.
+        Pose at which the needle enters the tissue; with `needle` in the table `[entry]`, the mean pose.
     seed
         Seed of all random effects; None: the seed of the experiment.
     """
@@ -107,7 +107,13 @@ def simulated_station(
     from needleplan.estimation.registration import Registration
 
     setup = experiment.setup
-    entry = SimulatedEntry(start.x_mm, start.y_mm, start.heading_rad, setup.entry.depth_mm, setup.entry.roll_rad)
+    needle, guide = setup.entry.needle, start
+    if needle:
+        guide = guide_pose(start, needle)
+        # The bevel has the side of `start` when the tip enters; the roll of the experiment is that before the start.
+        before = 1 if math.cos(setup.entry.roll_rad) >= 0 else -1
+        needle = replace(needle, side=needle.side * start.bevel * before)
+    entry = replace(setup.entry, x_mm=guide.x_mm, y_mm=guide.y_mm, heading_rad=guide.heading_rad, needle=needle)
     planned = replace(
         setup, entry=entry, scenario=table.scenario,
         plan_curvature_per_mm=1 / table.scenario.needle.curvature_radius_mm,

@@ -53,7 +53,8 @@ class TipPath3D:
     """Path of the tip in tissue at rest, from the surface on.
 
     `bend` returns the curvature (1/mm) that the bevel causes at a frame. `aside` returns, for a frame and a roll, the
-    additional curvatures along the normal n and the binormal b of the frame that do not depend on the bevel.
+    additional curvatures along the normal n and the binormal b of the frame that do not depend on the bevel. `guide`
+    is the frame of the guide on the surface, from which the path may start at an angle; None: that of the start.
     """
 
     def __init__(
@@ -62,10 +63,12 @@ class TipPath3D:
         bend: Callable[[TipFrame], float],
         noise: RandomHeading,
         aside: Callable[[TipFrame, float], tuple[float, float]] | None = None,
+        guide: TipFrame | None = None,
     ) -> None:
         self._bend = bend
         self._aside = aside
         self._noise = noise
+        self._guide = guide
         self._length_mm = 0.0
         self.begin(start)
 
@@ -99,9 +102,11 @@ class TipPath3D:
         return self._newest if self._length_mm == self._cut_mm else self.frame_at(self._length_mm)
 
     def frame_at(self, length_mm: float) -> TipFrame:
-        """Return the frame at a path length; for negative lengths, on the straight line before the surface."""
-        if length_mm <= 0:
-            return self.start.arc(0.0, 0.0, length_mm)
+        """Return the frame at a path length; for negative lengths, on the line of the guide before the surface."""
+        if length_mm < 0:
+            return (self._guide or self.start).arc(0.0, 0.0, length_mm)
+        if length_mm == 0:
+            return self.start
         number = bisect_right(self._lengths, length_mm) - 1
         n, b = self._bends[number]
         return self._frames[number].arc(n, b, length_mm - self._lengths[number])

@@ -106,6 +106,26 @@ class TipFrame:
             (cb * gx + cn * ex, cb * gy + cn * ey, cb * gz + cn * ez),
         )
 
+    def raised(self, elevation_rad: float) -> TipFrame:
+        """Return the frame turned about n, so that the tangent rises toward b.
+
+        Parameters
+        ----------
+        elevation_rad : float
+            Angle of the turn.
+
+        Returns
+        -------
+        TipFrame
+            The turned frame, at the same position.
+        """
+        cos, sin = math.cos(elevation_rad), math.sin(elevation_rad)
+        (tx, ty, tz), (bx, by, bz) = self.tangent, self.binormal
+        return TipFrame(
+            self.position_mm, (cos * tx + sin * bx, cos * ty + sin * by, cos * tz + sin * bz), self.normal,
+            (cos * bx - sin * tx, cos * by - sin * ty, cos * bz - sin * tz),
+        )  # fmt: skip
+
     def moved(self, shift_mm: Vector) -> TipFrame:
         """Return the frame shifted by a vector.
 

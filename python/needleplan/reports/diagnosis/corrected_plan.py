@@ -3,25 +3,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from needleplan.artifacts import write_whole
 from needleplan.diagnosis import Diagnosis, Verdict
-from needleplan.errors import Mistake, ModelError
+from needleplan.errors import InputError, Mistake, ModelError
+from needleplan.identification import curvature
 from needleplan.models import Channel, InPlane, Model, Torsion, in_plane
-from needleplan.scenario import Scenario, pieces_of, within
+from needleplan.scenario import Identified, Scenario, identified, pieces_of, within
 from needleplan.signals import Record
 
-__all__ = ["CorrectedPlan", "along_mm", "corrected_plan", "corrected_plan_lines", "require_path", "write_scenario"]
+__all__ = [
+    "CorrectedPlan",
+    "along_mm",
+    "corrected_plan",
+    "corrected_plan_lines",
+    "identified_path",
+    "require_path",
+    "write_scenario",
+]
 
 # Torque per length (N) below which the torsional lag of the needle is ignored.
 _NOTHING_N = 1e-12
 # Angle (rad) up to which a correction is not reported, because robots do not resolve it.
 _TURNED_RAD = 1e-4
+# Roll angle (rad) up to which an insertion counts as one without rotation, in the plane.
+_UNTURNED_RAD = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,16 +40,20 @@ class CorrectedPlan:
     """A scenario for the diagnosed tissue, and the corrections that the robot needs.
 
     `bends` holds, by inserted length, the roll angles at which the needle bends to the left and right. `torsion` is the
-    torsion that makes the tip's roll lag behind the base, to be compensated; None if the lag is negligible.
+    torsion that makes the tip's roll lag behind the base, to be compensated; None if the lag is negligible. `path` is
+    the path of `identify curvature` from the same records, if the scenario has its curvature; else None.
     """
 
     scenario: Scenario
     bends: InPlane
     torsion: Torsion | None = None
+    path: Identified | None = None
 
     @property
     def heading_rad(self) -> float:
         """Initial heading (rad) of the path relative to the commanded direction, in the plane, positive to the left."""
+        if self.path is not None:
+            return self.path.entry.heading_rad if self.path.entry else 0.0
         return self.bends.heading_rad
 
     @property
@@ -142,6 +157,22 @@ def _torsion(bends: InPlane, stiffness_n_mm2: float, shaft_mm: float) -> Torsion
     return Torsion(stiffness_n_mm2, size) if size > _NOTHING_N else None
 
 
+def identified_path(records: Sequence[Record]) -> Identified | None:
+    """Return the path that `identify curvature` finds in the records.
+
+    None if a needle was rotated or bends out of the plane, or if the records do not determine a path that bends.
+    """
+    for each in records:
+        rolls = each.columns.get("angle_rad", np.zeros(1))
+        if np.nanmax(np.abs(np.sin(rolls))) > _UNTURNED_RAD or np.ptp(np.sign(np.cos(rolls))):
+            return None
+    try:
+        file = curvature.identify(records, segments=1).model_file(records)
+        return identified(file) if file else None
+    except InputError:
+        return None
+
+
 def require_path(channel: Channel) -> None:
     """Raise ModelError if the channel is not the position of the tip."""
     if channel is not Channel.TIP:
@@ -155,11 +186,18 @@ def write_scenario(
     """Write `scenario.toml` into a folder, and return the path of the file and the corrected plan.
 
     The corrected plan is computed from `Diagnosis.model`: the base model with the named effects, or the calibrated base
-    model if no effect is named. The first line of the file states whether effects are included. Raises ModelError and
-    ScenarioError as `corrected_plan` and `along_mm`, and OutputError if the file cannot be written.
+    model if no effect is named. Without a named effect, curvature and entry pose are those that `identify curvature`
+    finds in the same records, if these are insertions without rotation (`identified_path`). The first line of the file
+    states whether effects are included. Raises ModelError and ScenarioError as `corrected_plan` and `along_mm`, and
+    OutputError if the file cannot be written.
     """
     require_path(found.given.channel)
-    what = corrected_plan(found.model, scenario, velocity_mm_s=velocity_mm_s, places=along_mm(found.checked.training))
+    training = found.checked.training
+    what = corrected_plan(found.model, scenario, velocity_mm_s=velocity_mm_s, places=along_mm(training))
+    path = None if found.verdict is Verdict.NAMED else identified_path(training)
+    if path is not None:
+        needle = scenario.with_curvature(within(path.pieces, scenario.workspace.width_mm) or path.curvature_per_mm)
+        what = replace(what, scenario=needle, path=path)
     place = Path(folder) / "scenario.toml"
     write_whole(place, f"# {_said(found)} Diagnosis {found.digest}.\n{what.scenario.to_toml()}".encode())
     return str(place), what
