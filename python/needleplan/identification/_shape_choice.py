@@ -10,7 +10,8 @@ The one with the fewest coefficients is chosen, and layers rather than a smooth 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -63,21 +64,21 @@ def shaped_paths(
     """
     correlated = noise is TrackerNoise.CORRELATED
 
-    def fit(shape: PathShape) -> list[EntryPath]:
-        return [
+    def fit(shape: PathShape, *, correlated: bool = correlated) -> tuple[EntryPath, ...]:
+        return tuple(
             entry_path(
                 each.points_mm, each.depth_mm, shape, each.name, correlated=correlated, correlation=correlation_mm
             )
             for each in trials
-        ]
+        )
 
     if layers is None:
-        return choose_shape(fit)
-    paths = tuple(fit(PathShape()))
+        # The scores use the fitted values only, so the fast fit for white noise is enough for the candidates.
+        choice = choose_shape(partial(fit, correlated=False))
+        return replace(choice, paths=fit(choice.shape))
+    paths = fit(PathShape())
     if layers > 1:
-        paths = tuple(
-            fit(layered(layers, max(each.first_mm for each in paths), min(each.deepest_mm for each in paths)))
-        )
+        paths = fit(layered(layers, max(each.first_mm for each in paths), min(each.deepest_mm for each in paths)))
     return ShapeChoice(paths[0].shape, paths, (), "")
 
 
