@@ -55,6 +55,8 @@ PATIENT = SafetyLimits(
 )  # fmt: skip
 """Limits that a busy machine does not exceed: a stop by the guard would end the measurement."""
 
+BUSY = "a stop on a busy machine would end the measurement"
+
 
 class Timed(Listener):
     """Records the time from the arrival of a sample to the tip estimate and to the resulting command."""
@@ -105,11 +107,12 @@ def insertion(table: PolicyTable, experiment: Experiment, seed: int, folder: Pat
         lab = stack.enter_context(RealTimeLab(setup, seed, places, RobotLimits(longest_silence_s=5.0)))
         at = lab.addresses
         devices = stack.enter_context(open_station(f"{at.robot}?watchdog_s=3&valid_s=1", at.force, at.tracker))
-        run = RunSetup(options, PATIENT, registration)
+        run = RunSetup(options, PATIENT, registration, accepted=BUSY)
         recorder = stack.enter_context(RunRecorder(folder / f"{time.monotonic_ns()}.mcap", table, run, SystemClock()))
         loop = Insertion(
-            table, devices, options, registration=registration, limits=PATIENT, listeners=[recorder, timed]
-        )
+            table, devices, options, registration=registration, limits=PATIENT, listeners=[recorder, timed],
+            accepted_limits=BUSY,
+        )  # fmt: skip
         report = stack.enter_context(loop).run()
     return timed if report.outcome == "target" else f"{report.outcome}: {report.cause}"
 

@@ -54,7 +54,8 @@ def coil_of(lab: Lab) -> Registration:
 
 
 def insertion_in(lab: Lab, options: Options = FAST, **others: Any) -> Insertion:
-    return Insertion(small_table(), station_of(lab), options, registration=coil_of(lab), **{"limits": WIDE} | others)
+    others = {"limits": WIDE, "accepted_limits": "a fast lab"} | others
+    return Insertion(small_table(), station_of(lab), options, registration=coil_of(lab), **others)
 
 
 def run_in(lab: Lab, options: Options = FAST, **others: Any) -> InsertionReport:

@@ -305,7 +305,9 @@ def test_an_obstacle_is_noticed_during_a_step_and_ends_the_run_there() -> None:
     """The table knows nothing of the vessel that the needle meets."""
     lab = a_lab(entry=SimulatedEntry(0.0, 19.0, 0.0))
     table = plan(replace(small_table().scenario, obstacles=()))
-    insertion = Insertion(table, station_of(lab), FAST, registration=coil_of(lab), limits=WIDE)
+    insertion = Insertion(
+        table, station_of(lab), FAST, registration=coil_of(lab), limits=WIDE, accepted_limits="a fast lab"
+    )
     insertion._scene = ScenarioGeometry(small_table().scenario)
     report = insertion.run()
     assert report.outcome is InsertionOutcome.COLLISION, report.cause

@@ -211,7 +211,7 @@ def _insert(
             Insertion(
                 table, station, setup.options, registration=setup.registration,
                 tip_settings=setup.tip_settings, limits=setup.limits, listeners=listeners,
-                needs_deadman=deadman is not None,
+                needs_deadman=deadman is not None, accepted_limits=setup.accepted,
             )
         )  # fmt: skip
         if deadman is not None:

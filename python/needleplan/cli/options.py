@@ -6,7 +6,6 @@ import argparse
 import math
 import os
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import percent
@@ -127,9 +126,10 @@ def safety_limits(options: argparse.Namespace) -> SafetyLimits:
     reason = options.accept_limits
     if reason is not None and not reason.strip():
         raise InputError(Mistake("--accept-limits", "", "must be a reason, as a text"))
-    if limits.lax and reason is None:
-        rule = "; give the reason with --accept-limits REASON"
-        raise SafetyError([replace(each, rule=each.rule + rule) for each in limits.lax], options.limits)
+    try:
+        limits.require_accepted(reason or "", "with --accept-limits REASON")
+    except SafetyError as error:
+        raise SafetyError(error.mistakes, options.limits) from None
     return limits
 
 

@@ -94,7 +94,8 @@ def run(options: argparse.Namespace) -> int:
             stage = open_stage_patiently(options.robot, options.wait, lambda why: note(f"waiting for the robot: {why}"))
             stack.callback(stage.close)
             retraction = Retraction(
-                stage, options.depth, options.speed, limits=limits, by=options.by, deadman=deadman
+                stage, options.depth, options.speed, limits=limits, by=options.by, deadman=deadman,
+                accepted_limits=options.accept_limits or "",
             )  # fmt: skip
             if deadman is not None:
                 note("hold the switch to move; Ctrl-C ends the retraction")

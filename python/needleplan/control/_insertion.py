@@ -55,6 +55,9 @@ class Insertion(Closing):
     limits
         Limits of the safety guard `insertion.guard`, through which a person can also retract the needle; the
         defaults of `SafetyLimits` if None.
+    accepted_limits
+        Why limits laxer than the defaults are accepted; needed if there are any. A recording contains the reason if
+        `RunSetup.accepted` has it too.
     replanner
         Source of new tables; a `ThreadReplanner` by default.
     listeners
@@ -67,6 +70,8 @@ class Insertion(Closing):
     ------
     MotionRefused
         If the stage already has a guard.
+    SafetyError
+        If limits are laxer than their defaults and no reason is given.
 
     """
 
@@ -78,6 +83,7 @@ class Insertion(Closing):
         replanner: Replanner | None = None,
         listeners: Sequence[Listener] = (),
         needs_deadman: bool = False,
+        accepted_limits: str = "",
     ) -> None:  # fmt: skip
         self.table = table
         self.options = options or Options()
@@ -88,7 +94,7 @@ class Insertion(Closing):
         self._listeners = (self._trace, *listeners)
         self.guard = GuardedStage(
             station.stage, limits, clock=station.clock, listener=self._on_safety, check_tip=self._check_tip,
-            needs_deadman=needs_deadman,
+            needs_deadman=needs_deadman, accepted_limits=accepted_limits,
         )  # fmt: skip
         self._needle = NeedleState(self.guard, station.clock, self.options, self._listeners)
         self._driver = NeedleDriver(self._needle, self.guard, station.clock, self.options, self._listeners, self._emit)

@@ -248,6 +248,7 @@ def replay(recording: Recording, table: PolicyTable) -> ReplayComparison:
     insertion = Insertion(
         table, station, setup.options, registration=setup.registration, tip_settings=setup.tip_settings,
         limits=setup.limits, replanner=ThreadReplanner(wait=True, at=swapped), listeners=[listener],
+        accepted_limits=setup.accepted or "the recorded run had them",
     )  # fmt: skip
     with insertion:
         report = insertion.run()

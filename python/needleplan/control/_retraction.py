@@ -67,14 +67,15 @@ class Retraction:
     """One retraction of `stage` to a depth (mm) at a speed (mm/s), through a guard of its own.
 
     No force sensor and no tracker is needed. With a `deadman`, the needle moves only while a person holds the switch.
+    Limits laxer than the defaults need a reason in `accepted_limits`; without it, SafetyError is raised.
     """
 
     def __init__(
         self, stage: Stage, depth_mm: float, velocity_mm_s: float, *, limits: SafetyLimits | None = None,
-        by: str = "", deadman: Deadman | None = None,
+        by: str = "", deadman: Deadman | None = None, accepted_limits: str = "",
     ) -> None:  # fmt: skip
         self._depth_mm, self._velocity_mm_s, self._by, self._deadman = depth_mm, velocity_mm_s, by, deadman
-        self._guard = GuardedStage(stage, limits)
+        self._guard = GuardedStage(stage, limits, accepted_limits=accepted_limits)
         self._ending = threading.Event()
         self._last_mm: float | None = None
 

@@ -49,7 +49,7 @@ def main() -> None:
             ring.append(ring)
             garbage.append(ring)
     with RobotStage.open(f"{sys.argv[1]}?watchdog_s=0.1&valid_s=0.1") as stage:
-        guard = GuardedStage(stage, limits, listener=say)
+        guard = GuardedStage(stage, limits, listener=say, accepted_limits="a busy machine")
         with Watchdog(guard):
             number, enabled, collected, refused = 0, False, False, 0
             while refused < PATIENCE:

@@ -29,7 +29,8 @@ WIDE = SafetyLimits(insertion_velocity_mm_s=50.0, pose_age_s=0.5)
 )
 def test_36_a_plan_beyond_a_limit_ends_the_run_where_it_would_be_passed(limits: SafetyLimits, cause: Cause) -> None:
     lab = a_lab()
-    with Insertion(small_table(), station_of(lab), FAST, limits=limits) as insertion:
+    station = station_of(lab)
+    with Insertion(small_table(), station, FAST, limits=limits, accepted_limits="a fast lab") as insertion:
         report = insertion.run()
         assert report.outcome in (InsertionOutcome.FAULT, InsertionOutcome.REFUSED)
         assert cause in report.cause

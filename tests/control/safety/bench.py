@@ -59,7 +59,7 @@ class Bench:
         others = {name: limits.pop(name) for name in ("check_tip", "needs_deadman") if name in limits}
         self.guard = GuardedStage(
             self.stage, SafetyLimits(**limits), clock=self.clock, listener=lambda event: self.events.append(event),
-            **others,
+            accepted_limits="a test", **others,
         )  # fmt: skip
         self.number = 0
         self.force: dict[str, Any] = {}

@@ -43,8 +43,8 @@ def test_inward_begins_where_the_stage_is() -> None:
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_rotations(side: int) -> None:
-    assert against_rotation(LIMITS, side * 200.0, 12.0) == frozenset()
-    assert against_rotation(LIMITS, side * beyond(200.0, UP), 12.0) == {Cause.ROLL_BEYOND}
+    assert against_rotation(LIMITS, side * 25.0, 12.0) == frozenset()
+    assert against_rotation(LIMITS, side * beyond(25.0, UP), 12.0) == {Cause.ROLL_BEYOND}
     assert against_rotation(LIMITS, side * 1.0, beyond(12.0, UP)) == {Cause.ROTATION_BEYOND}
     assert against_rotation(LIMITS, side * 1.0, 0.0) == {Cause.ROTATION_BEYOND}
     assert against_rotation(LIMITS, side * 1.0, beyond(0.0, UP)) == frozenset()
@@ -77,15 +77,15 @@ def inputs(**changed: Any) -> Inputs:
 @pytest.mark.parametrize(
     ("name", "at", "after", "cause"),
     [
-        ("force_n", 10.0, beyond(10.0, UP), Cause.FORCE_EXCEEDED),
-        ("force_n", -10.0, beyond(-10.0, DOWN), Cause.FORCE_EXCEEDED),
+        ("force_n", 5.0, beyond(5.0, UP), Cause.FORCE_EXCEEDED),
+        ("force_n", -5.0, beyond(-5.0, DOWN), Cause.FORCE_EXCEEDED),
         ("force_ns", NOW_NS - 30_000_000, NOW_NS - 30_000_001, Cause.FORCE_STALE),
         ("pose_ns", NOW_NS - 45_000_000, NOW_NS - 45_000_001, Cause.POSE_STALE),
         ("stage_ns", NOW_NS - 30_000_000, NOW_NS - 30_000_001, Cause.STAGE_STALE),
         ("force_ns", NOW_NS + 5_000_000, NOW_NS + 5_000_001, Cause.CLOCK_MISMATCH),
         ("pose_ns", NOW_NS + 5_000_000, NOW_NS + 5_000_001, Cause.CLOCK_MISMATCH),
         ("stage_ns", NOW_NS + 5_000_000, NOW_NS + 5_000_001, Cause.CLOCK_MISMATCH),
-        ("step_mm", 5.0, beyond(5.0, UP), Cause.POSE_JUMPED),
+        ("step_mm", 3.0, beyond(3.0, UP), Cause.POSE_JUMPED),
         ("plane_mm", 5.0, beyond(5.0, UP), Cause.OUT_OF_PLANE),
         ("plane_mm", -5.0, beyond(-5.0, DOWN), Cause.OUT_OF_PLANE),
         ("tip_mm", (60.0, 20.0), (beyond(60.0, UP), 20.0), Cause.OUT_OF_WORKSPACE),

@@ -117,7 +117,7 @@ BROKEN: dict[str, tuple[dict[str, Any], OperatingState, Cause]] = {
 @pytest.mark.parametrize("name", BROKEN)
 def test_an_input_that_fails_stops_the_stage(name: str) -> None:
     change, operating, cause = BROKEN[name]
-    bench = Bench(workspace_x_mm=(0.0, 60.0), force_rate_n_s=10_000.0)
+    bench = Bench(workspace_x_mm=(0.0, 60.0), force_rate_n_s=1000.0)
     guard = bench.enabled()
     guard.insert(50.0, 5.0)
     bench.turns(0.02)

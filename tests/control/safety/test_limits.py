@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from needleplan.control.safety import SafetyLimits
+from needleplan.control.safety import GuardedStage, SafetyLimits
 from needleplan.errors import SafetyError
+from tests.control.safety.bench import Bench
 
 NUMBERS = [each.name for each in fields(SafetyLimits) if not each.name.startswith("workspace")]
 
@@ -65,9 +66,44 @@ def test_limits_that_are_wider_than_the_defaults_are_lax() -> None:
     assert SafetyLimits().lax == ()
     strict = SafetyLimits(force_n=4.0, shallowest_mm=-50.0, deepest_mm=100.0, workspace_x_mm=(0.0, 60.0))
     assert strict.lax == ()
-    lax = SafetyLimits(force_n=10.1, shallowest_mm=-100.1, stage_age_s=10.0)
+    lax = SafetyLimits(force_n=5.1, shallowest_mm=-100.1, stage_age_s=10.0)
     assert [str(each) for each in lax.lax] == [
-        "safety.force_n = 10.1: is laxer than the default, 10",
+        "safety.force_n = 5.1: is laxer than the default, 5",
         "safety.shallowest_mm = -100.1: is laxer than the default, -100",
         "safety.stage_age_s = 10: is laxer than the default, 0.03",
     ]
+
+
+@pytest.mark.parametrize("reason", ["", " ", "\n"])
+def test_lax_limits_need_a_reason_in_python_too(reason: str) -> None:
+    stage, lax = Bench().stage, SafetyLimits(force_n=5.1, run_s=901.0)
+    with pytest.raises(SafetyError, match="accepted_limits") as error:
+        GuardedStage(stage, lax, accepted_limits=reason)
+    assert [each.key for each in error.value.mistakes] == ["safety.force_n", "safety.run_s"]
+
+
+def test_limits_that_are_exchanged_need_a_reason_too_and_nothing_changes_without_it() -> None:
+    guard = Bench().guard
+    with pytest.raises(SafetyError, match=r"safety\.force_n = 6"):
+        guard.exchange_limits(SafetyLimits(force_n=6.0))
+    assert guard.limits == SafetyLimits()
+    guard.exchange_limits(SafetyLimits(force_n=6.0), "a phantom of wood")
+    assert guard.limits.force_n == 6.0
+
+
+def test_a_refused_guard_leaves_the_stage_free_for_another() -> None:
+    bench = Bench()
+    bench.guard.close()
+    with pytest.raises(SafetyError):
+        GuardedStage(bench.stage, SafetyLimits(force_n=6.0))
+    GuardedStage(bench.stage).close()
+
+
+@pytest.mark.parametrize(("name", "value"), [
+    ("force_n", 200.0), ("force_rate_n_s", 2000.0), ("insertion_velocity_mm_s", 1000.0), ("run_s", 86_400.0),
+    ("retraction_velocity_mm_s", 101.0), ("rotation_velocity_rad_s", 101.0), ("roll_rad", 201.0), ("deepest_mm", 501.0),
+    ("following_mm", 5.1), ("following_rad", 3.1), ("pose_jump_mm", 51.0),
+])  # fmt: skip
+def test_no_reason_allows_what_no_needle_robot_does(name: str, value: float) -> None:
+    with pytest.raises(SafetyError, match=rf"safety\.{name}"):
+        SafetyLimits(**{name: value})

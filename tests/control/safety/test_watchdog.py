@@ -56,7 +56,9 @@ class Rig:
     def __init__(self) -> None:
         self.stage = HangingStage()
         self.events: list[SafetyEvent] = []
-        self.guard = GuardedStage(self.stage, SafetyLimits(**AGES), listener=self.events.append)
+        self.guard = GuardedStage(
+            self.stage, SafetyLimits(**AGES), listener=self.events.append, accepted_limits="a busy machine"
+        )
         stamp = Stamp(time.monotonic_ns(), 1)
         self.guard.observe(ForceSample(stamp, (0, 0, 1), (0, 0, 0)))
         self.guard.observe(PoseSample(stamp, (0, 0, 0), (1, 0, 0, 0), 0.1), tip_mm=(0, 0), out_of_plane_mm=0)

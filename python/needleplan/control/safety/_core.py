@@ -33,12 +33,16 @@ __all__ = ["GuardCore"]
 _LOCK_TIMEOUT_S = 0.02
 
 _RUNNING = (OperatingState.ENABLED, OperatingState.PAUSED)
+_AS_ARGUMENT = 'as accepted_limits="..."'
 _STOPPER = "stop()"  # originator of the orders of `stop`, as events name it
 _GUARDED: WeakSet[Stage] = WeakSet()
 
 
 class GuardCore:
-    """State of a guard, and the decisions about it. Raises MotionRefused if `stage` already has a guard.
+    """State of a guard, and the decisions about it.
+
+    Raises MotionRefused if `stage` already has a guard, and SafetyError if limits are laxer than their defaults and
+    `accepted_limits`, the reason, is empty.
 
     Every method with the parameter `now_ns` is called with the lock held, within `_held`.
     """
@@ -46,12 +50,15 @@ class GuardCore:
     def __init__(
         self, stage: Stage, limits: SafetyLimits | None = None, *, clock: Clock | None = None,
         listener: SafetyListener | None = None, check_tip: TipCheck | None = None, needs_deadman: bool = False,
+        accepted_limits: str = "",
     ) -> None:  # fmt: skip
+        limits = SafetyLimits() if limits is None else limits
+        limits.require_accepted(accepted_limits, _AS_ARGUMENT)
         if stage in _GUARDED or isinstance(stage, GuardCore):
             raise MotionRefused("guard the stage", (Cause.SECOND_COMMANDER,))
         _GUARDED.add(stage)
         self._stage = stage
-        self._limits = SafetyLimits() if limits is None else limits
+        self._limits = limits
         self._clock: Clock = SystemClock() if clock is None else clock
         self._lock = threading.RLock()
         self._wire = GuardWire(stage, self._clock, listener, self._lock, self._on_stop)

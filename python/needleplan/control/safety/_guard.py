@@ -28,7 +28,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from needleplan.control.safety._causes import Cause, Owner
-from needleplan.control.safety._core import GuardCore
+from needleplan.control.safety._core import _AS_ARGUMENT, GuardCore
 from needleplan.control.safety._events import SafetyEventName
 from needleplan.control.safety._limits import SafetyLimits, against_insertion, against_retraction, against_rotation
 from needleplan.control.safety._states import InputReport, MotionOrder, OperatingState, Order, SafetyState, advance
@@ -41,6 +41,8 @@ __all__ = ["GuardedStage"]
 
 class GuardedStage(GuardCore, Stage):
     """A stage whose `insert` and `rotate` require that all checks pass. Raises MotionRefused if `stage` has a guard.
+
+    Limits laxer than the defaults need a reason in `accepted_limits`; without it, SafetyError is raised.
 
     `listener` receives every event, in order; a stop is sent before its event. The listener must return at once and
     must not call the guard; its exception is the cause RECORDING_LOST. After each stop, the first thread that calls
@@ -58,8 +60,9 @@ class GuardedStage(GuardCore, Stage):
         way_mm = (self._limits.deepest_mm if last is None else last.depth_mm) - goal.end
         return 2 * max(way_mm, 0.0) / goal.velocity + 2.0
 
-    def exchange_limits(self, limits: SafetyLimits) -> None:
-        """Replace the limits; raises MotionRefused unless the state is DISABLED."""
+    def exchange_limits(self, limits: SafetyLimits, accepted_limits: str = "") -> None:
+        """Replace the limits; raises MotionRefused unless the state is DISABLED, SafetyError as the constructor."""
+        limits.require_accepted(accepted_limits, _AS_ARGUMENT)
         with self._held() as now_ns:
             if self._state.operating is not OperatingState.DISABLED:
                 self._refuse("exchange the limits", (Cause.LIMITS_IN_USE,), now_ns)

@@ -1,16 +1,17 @@
 """The safety limits of a run, their validation, and the validation of commands against them.
 
-The defaults suit a needle robot in a phantom. The age limits follow from the rates of the sensors and from the
-requirement that a stop is sent at most 50 ms after a fault. With the defaults, five samples of a force sensor at 200 Hz
-may be missing, but no pose of a tracker at 40 Hz. If the tracker loses the coil for a moment, the run pauses until the
-coil is tracked again.
+The defaults are strict for a flexible needle in a phantom; docs/reference/safety.md has the reason of each. A guard
+takes laxer limits only with a reason, and a value beyond the range of its field not at all. The age limits follow from
+the rates of the sensors and from the requirement that a stop is sent at most 50 ms after a fault. With the defaults,
+five samples of a force sensor at 200 Hz may be missing, but no pose of a tracker at 40 Hz. If the tracker loses the
+coil for a moment, the run pauses until the coil is tracked again.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from needleplan.config import (
@@ -34,7 +35,7 @@ __all__ = ["SafetyLimits", "against_insertion", "against_retraction", "against_r
 
 Range = tuple[float, float]
 
-_DEPTH = Number("mm", at_least=-1000, at_most=1000)
+_DEPTH = Number("mm", at_least=-500, at_most=500)
 _AGE = Number("s", above=0, at_most=10)
 _NOT_FINITE = frozenset({Cause.NOT_FINITE})
 _PLACE = Maybe(Pair(Number("mm", at_least=-10_000, at_most=10_000)))
@@ -55,23 +56,23 @@ def _workspace_ranges(workspace_x_mm: Range | None, workspace_y_mm: Range | None
 class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth_range, _workspace_ranges)):
     """Limits of a run; a table `[safety]` has the same keys. Raises SafetyError with every invalid limit."""
 
-    force_n: float = ruled(Number("N", above=0, at_most=200), 10.0)
+    force_n: float = ruled(Number("N", above=0, at_most=50), 5.0)
     """Largest magnitude of the force at the base of the needle."""
 
-    force_rate_n_s: float = ruled(Number("N/s", above=0, at_most=10_000), 100.0)
+    force_rate_n_s: float = ruled(Number("N/s", above=0, at_most=1000), 50.0)
     """Fastest rise of the force; the force may rise by 50 ms times this rate within 50 ms."""
 
     shallowest_mm: float = ruled(_DEPTH, -100.0)
     """Smallest stage depth of a command."""
     deepest_mm: float = ruled(_DEPTH, 150.0)
     """Largest stage depth of a command."""
-    insertion_velocity_mm_s: float = ruled(Number("mm/s", above=0, at_most=1000), 10.0)
-    retraction_velocity_mm_s: float = ruled(Number("mm/s", above=0, at_most=1000), 20.0)
-    rotation_velocity_rad_s: float = ruled(Number("rad/s", above=0, at_most=1000), 12.0)
-    roll_rad: float = ruled(Number("rad", above=0, at_most=1000), 200.0)
+    insertion_velocity_mm_s: float = ruled(Number("mm/s", above=0, at_most=100), 10.0)
+    retraction_velocity_mm_s: float = ruled(Number("mm/s", above=0, at_most=100), 20.0)
+    rotation_velocity_rad_s: float = ruled(Number("rad/s", above=0, at_most=100), 12.0)
+    roll_rad: float = ruled(Number("rad", above=0, at_most=200), 25.0)
     """Largest roll of the base to either side."""
 
-    pose_jump_mm: float = ruled(Number("mm", above=0, at_most=1000), 5.0)
+    pose_jump_mm: float = ruled(Number("mm", above=0, at_most=50), 3.0)
     """Largest distance of the coil between successive usable poses, in addition to the motion that the stage can
     cause."""
 
@@ -81,7 +82,7 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
     """Permitted range (least, most) of the tip's x in the plane of the plan; None for no limit."""
     workspace_y_mm: Range | None = ruled(_PLACE, None)
     """Permitted range (least, most) of the tip's y in the plane of the plan; None for no limit."""
-    run_s: float = ruled(Number("s", above=0, at_most=86_400), 900.0)
+    run_s: float = ruled(Number("s", above=0, at_most=7200), 900.0)
     """Longest duration of a run, from enabling the guard."""
 
     force_age_s: float = ruled(_AGE, 0.03)
@@ -102,10 +103,10 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
     motion_s: float = ruled(_AGE, 0.5)
     """Longest time from a command until the stage moves, and from a stop until the stage is at rest."""
 
-    following_mm: float = ruled(Number("mm", above=0, at_most=100), 0.5)
+    following_mm: float = ruled(Number("mm", above=0, at_most=5), 0.5)
     """Tolerance of the stage position: largest motion outside the range of a command, beyond the depth limits, and
     after a stop. From one sample to the next, 1.5 times the velocity limit is permitted in addition."""
-    following_rad: float = ruled(Number("rad", above=0, at_most=100), 0.2)
+    following_rad: float = ruled(Number("rad", above=0, at_most=3), 0.2)
     """Tolerance of the roll, as `following_mm` of the depth."""
 
     @property
@@ -122,6 +123,11 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
             if value < usual if each.name == "shallowest_mm" else value > usual:
                 found.append(Mistake(f"{self.key}.{each.name}", f"{value:g}", f"is laxer than the default, {usual:g}"))
         return tuple(found)
+
+    def require_accepted(self, reason: str, how: str) -> None:
+        """Raise SafetyError with every lax limit if there are any and `reason` is blank; `how` tells how to give it."""
+        if not reason.strip() and (lax := self.lax):
+            raise SafetyError([replace(each, rule=f"{each.rule}; give the reason {how}") for each in lax], "limits")
 
     @classmethod
     def from_table(cls, raw: object, source: str = "") -> SafetyLimits:
