@@ -1,4 +1,4 @@
-"""The safety case names its evidence by test: each one exists, is collected by pytest, and is linked from where one looks."""
+"""The safety case names its evidence by test: each test is collected by pytest; other pages link to the case."""
 
 from __future__ import annotations
 
