@@ -52,6 +52,12 @@ class TipSettings(ConfigTable, error=ModelError):
     factor_sd_sqrt_mm: float = _size("1/sqrt(mm)", 0.5, 0.01)
     """Random walk of the ratio of the curvature to the planned curvature, per root of the path length."""
 
+    change_sd_per_mm: float = _size("1/mm", 0.1, 0.002)
+    """Standard deviation of the change of this ratio per length; 0: the ratio does not change except at random."""
+
+    change_mm: float = _positive("mm", 1e4, 50.0)
+    """Length of the path over which the change decays, in the mean, to 1/e."""
+
     roll_sd_rad: float = _size("rad", 1, 0.03)
     """Standard deviation of the initial difference between the roll of the bevel and the roll of the base."""
 
@@ -129,7 +135,7 @@ class TipEstimate:
     x is along the insertion, y lateral to the left, z out of the plane. `heading_rad` is the direction of the tip in
     the plane, counter-clockwise from +x; `elevation_rad` is the angle of the direction towards +z. At `roll_rad` 0 the
     tip bends to the left, at pi to the right. `curvature_factor` is the ratio of the curvature to the planned
-    curvature. Names with `_sd` are standard deviations.
+    curvature, `curvature_factor_change_per_mm` its change per length. Names with `_sd` are standard deviations.
     """
 
     time_ns: int
@@ -155,6 +161,9 @@ class TipEstimate:
 
     pose_age_s: float
     """Age of the last used pose; infinite before the first used pose."""
+
+    curvature_factor_change_per_mm: float = 0.0
+    curvature_factor_change_sd_per_mm: float = 0.0
 
     @property
     def bevel(self) -> int:

@@ -24,6 +24,7 @@ from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration._registration import Registration
 from needleplan.estimation.tip._estimate import PoseUse, TipEstimate, TipSettings, TipStatus
 from needleplan.estimation.tip._path import (
+    CHANGE,
     ELEVATION,
     FACTOR,
     HEADING,
@@ -32,6 +33,7 @@ from needleplan.estimation.tip._path import (
     WANDER,
     ChannelPiece,
     CutChannel,
+    mean_gained,
     moved,
     tangent,
 )
@@ -77,7 +79,8 @@ class TipFilter:
     registration
         Distance from coil to tip, and the motion from the frame of the tracker to the frame of the plan.
     entry
-        Pose on the surface of the tissue, at stage depth zero, in the plane of the plan: x_mm, y_mm, heading_rad.
+        Pose on the surface of the tissue, at stage depth zero: x_mm, y_mm, heading_rad in the plane of the plan, and, if
+        known, z_mm and elevation_rad out of it (0).
     planned_per_mm
         Curvature of the plan (1/mm): a positive number, or a function of x_mm and y_mm.
     settings
@@ -92,12 +95,13 @@ class TipFilter:
     def __init__(
         self,
         registration: Registration,
-        entry: tuple[float, float, float],
+        entry: tuple[float, ...],
         planned_per_mm: float | Callable[[float, float], float],
         settings: TipSettings | None = None,
     ) -> None:
-        if len(entry) != 3 or not all(map(math.isfinite, entry)):
-            raise DataError(Mistake("entry", str(entry), "must be three finite numbers: x_mm, y_mm, heading_rad"))
+        if len(entry) not in (3, 5) or not all(map(math.isfinite, entry)):
+            rule = "must be finite numbers: x_mm, y_mm, heading_rad, and, if known, z_mm, elevation_rad"
+            raise DataError(Mistake("entry", str(entry), rule))
         if not callable(planned_per_mm) and not 0 < planned_per_mm < math.inf:
             raise DataError(Mistake("planned_per_mm", f"{planned_per_mm}", "must be a number above 0, in 1/mm"))
         self.registration = registration
@@ -129,7 +133,7 @@ class TipFilter:
         cls,
         scenario: Scenario,
         registration: Registration,
-        entry: tuple[float, float, float],
+        entry: tuple[float, ...],
         settings: TipSettings | None = None,
     ) -> Self:
         """Return a filter whose planned curvature is that of a scenario with its layers and tissues."""
@@ -171,26 +175,48 @@ class TipFilter:
         return self._cached
 
     def tip_state(self) -> tuple[Array, Array]:
-        """Return state, shape (10,), and covariance, shape (10, 10), of the tip; `tip._path` defines the state.
+        """Return state, shape (11,), and covariance, shape (11, 11), of the tip; `tip._path` defines the state.
 
         Raises DataError before the first stage sample.
         """
+        return self.ahead(0.0)
+
+    def ahead(self, length_mm: float) -> tuple[Array, Array]:
+        """Return state and covariance that the tip will have after a further insertion without rotation.
+
+        The change of the curvature counts: with the length it fades as `change_mm` says. Shapes and errors as for
+        `tip_state`.
+        """
         if self._channel is None:
             raise DataError("the tip filter has not had a stage sample yet")
-        _, state, covariance = self._path_at(self._channel.length_mm)
+        _, state, covariance = self._path_at(self._channel.length_mm + length_mm)
         forward = tangent(state)
         covariance = covariance.copy()
         covariance[:3, :3] += self.registration.coil_offset_sd_mm**2 * np.outer(forward, forward)
         return state, covariance
 
+    def mean_factor(self, length_mm: float) -> tuple[float, float]:
+        """Return the expected mean of the curvature factor over the next length (mm), and its standard deviation.
+
+        Raises DataError before the first stage sample.
+        """
+        state, covariance = self.tip_state()
+        weights = np.zeros(SIZE)
+        weights[FACTOR], weights[CHANGE] = 1.0, mean_gained(length_mm, self.settings.change_mm)
+        return float(weights @ state), math.sqrt(float(weights @ covariance @ weights))
+
     def _begin(self, at_mm: float) -> None:
         """Set state and covariance at the path length `at_mm`, from the entry pose and its standard deviations."""
         settings = self.settings
-        x, y, heading = self._entry
-        self._state = np.array([x, y, 0, heading, 0, 1, 0, 0, 0, 0], float)
+        x, y, heading = self._entry[:3]
+        self._state = np.zeros(SIZE)
+        self._state[[0, 1, HEADING, FACTOR]] = x, y, heading, 1.0
+        if len(self._entry) == 5:
+            self._state[[2, ELEVATION]] = self._entry[3:]
         self._state[:3] += at_mm * tangent(self._state)
         sd = np.array([settings.entry_sd_mm] * 3 + [settings.entry_sd_rad] * 2)
-        spread = np.array([*sd, settings.factor_sd, settings.roll_sd_rad, *[settings.wander_sd_mm] * 3])
+        wander, change = [settings.wander_sd_mm] * 3, settings.change_sd_per_mm
+        spread = np.array([*sd, settings.factor_sd, settings.roll_sd_rad, *wander, change])
         self._covariance = np.diag(spread**2)
         self._at = at_mm
         self._past = [(at_mm, self._state, self._covariance)]
@@ -321,6 +347,7 @@ class TipFilter:
         pending = abs(self._base_roll - self._channel.last_roll_rad)
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
         x, y, z, heading, elevation, factor, offset = state[:7].tolist()
+        change = float(state[CHANGE])
         planned = self._planned(x, y) if callable(self._planned) else self._planned
         now, depth, _ = self._stage[-1]
         age = math.inf if self._used_ns is None else max(now - self._used_ns, 0) / _NANO
@@ -339,4 +366,5 @@ class TipFilter:
             elevation_sd_rad=sd[ELEVATION],
             roll_sd_rad=math.hypot(sd[ROLL], settings.roll_sd_sqrt_rad * math.sqrt(pending)),
             curvature_sd_per_mm=sd[FACTOR] * planned, curvature_factor_sd=sd[FACTOR], depth_mm=depth, pose_age_s=age,
+            curvature_factor_change_per_mm=change, curvature_factor_change_sd_per_mm=sd[CHANGE],
         )  # fmt: skip

@@ -1,8 +1,9 @@
 """The path of the needle: the channel that the tip has cut, and the prediction of state and covariance along it.
 
-The state of a point of the path has the shape (10,): position (3), heading and elevation of the tangent, ratio of the
+The state of a point of the path has the shape (11,): position (3), heading and elevation of the tangent, ratio f of the
 curvature to the planned curvature, difference between the roll of the bevel and the roll of the base, drift of the
-tracker (3). With the roll phi of the bevel, the tangent turns by k cos(phi) to the left and by k sin(phi) upwards per
+tracker (3), change r of the ratio per length. Along fresh path, f' = r + white noise, and r is a first-order
+Gauss-Markov process with the length a, r' = -r/a + white noise. With the roll phi of the bevel, the tangent turns by k cos(phi) to the left and by k sin(phi) upwards per
 length. Heading and elevation are angles to a fixed plane, whereas the roll of a needle without twist is measured from
 a direction that is transported along the path (Bishop's frame). Per change d(heading), the roll relative to the fixed
 plane changes by -sin(elevation) d(heading); the roll in the state contains this change.
@@ -21,6 +22,7 @@ from needleplan.estimation.tip._estimate import TipSettings
 from needleplan.signals import Array
 
 __all__ = [
+    "CHANGE",
     "ELEVATION",
     "FACTOR",
     "HEADING",
@@ -30,6 +32,7 @@ __all__ = [
     "ChannelPiece",
     "CutChannel",
     "along",
+    "mean_gained",
     "moved",
     "tangent",
 ]
@@ -37,8 +40,9 @@ __all__ = [
 # Columns of the state; 0 to 2 hold the position.
 HEADING, ELEVATION, FACTOR, ROLL = 3, 4, 5, 6
 WANDER = slice(7, 10)
+CHANGE = 10
 # Number of columns.
-SIZE = 10
+SIZE = 11
 
 # Columns on which the next state depends nonlinearly, and the steps of their central differences.
 _VARIED = (
@@ -46,8 +50,9 @@ _VARIED = (
     ELEVATION,
     FACTOR,
     ROLL,
+    CHANGE,
 )
-_STEP = np.array([1e-5, 1e-5, 1e-4, 1e-5])
+_STEP = np.array([1e-5, 1e-5, 1e-4, 1e-5, 1e-5])
 _SHIFTS = np.zeros((2 * len(_VARIED) + 1, SIZE))
 for _row, (_column, _size) in enumerate(zip(_VARIED, _STEP, strict=True)):
     _SHIFTS[1 + _row, _column], _SHIFTS[1 + len(_VARIED) + _row, _column] = _size, -_size
@@ -160,13 +165,27 @@ def tangent(state: Array) -> Array:
     return np.array([level * math.cos(heading), level * math.sin(heading), math.sin(elevation)])
 
 
-def along(states: Array, piece: ChannelPiece, planned_per_mm: float) -> Array:
-    """Return the states, shape (n, 10), at the end of a piece of the path that begins at `states`.
+def gained(length_mm: float, change_mm: float) -> float:
+    """Return the length by which a change of the ratio counts: the integral of exp(-s/a) over a length (mm)."""
+    return change_mm * -math.expm1(-length_mm / change_mm)
 
-    The result is exact for a constant roll and any length.
+
+def mean_gained(length_mm: float, change_mm: float) -> float:
+    """Return the mean of `gained` over a length (mm)."""
+    if length_mm < 1e-6 * change_mm:
+        return length_mm / 2
+    return change_mm * (1 - gained(length_mm, change_mm) / length_mm)
+
+
+def along(states: Array, piece: ChannelPiece, planned_per_mm: float, change_mm: float) -> Array:
+    """Return the states, shape (n, 11), at the end of a piece of the path that begins at `states`.
+
+    The curvature of a piece is its mean. The result is exact for a constant roll, without a change of the ratio, for
+    any length.
     """
-    heading, elevation, factor, roll = (states[:, column] for column in _VARIED)
-    bend = factor * planned_per_mm if piece.fresh else np.zeros(len(states))
+    heading, elevation, factor, roll, change = (states[:, column] for column in _VARIED)
+    mean = factor + change * mean_gained(piece.length_mm, change_mm)
+    bend = mean * planned_per_mm if piece.fresh else np.zeros(len(states))
     cos_r, sin_r = np.cos(roll), np.sin(roll)
     left, up = piece.cos * cos_r - piece.sin * sin_r, piece.sin * cos_r + piece.cos * sin_r
     size = np.hypot(left, up)
@@ -186,17 +205,20 @@ def along(states: Array, piece: ChannelPiece, planned_per_mm: float) -> Array:
     after[:, HEADING] += turned
     after[:, ELEVATION] = np.arcsin(np.clip(cos_t * sin_e + sin_t * up * cos_e, -1.0, 1.0))
     after[:, ROLL] -= turned * np.sin((elevation + after[:, ELEVATION]) / 2)
+    if piece.fresh:
+        after[:, FACTOR] += change * gained(piece.length_mm, change_mm)
+        after[:, CHANGE] *= math.exp(-piece.length_mm / change_mm)
     return after
 
 
 def moved(
     state: Array, covariance: Array, piece: ChannelPiece, planned_per_mm: float, settings: TipSettings
 ) -> tuple[Array, Array]:
-    """Return state, shape (10,), and covariance, shape (10, 10), at the end of a piece of the path."""
+    """Return state, shape (11,), and covariance, shape (11, 11), at the end of a piece of the path."""
     if piece.turned_rad:
         covariance = covariance.copy()
         covariance[ROLL, ROLL] += settings.roll_sd_sqrt_rad**2 * piece.turned_rad
-    rows = along(state + _SHIFTS, piece, planned_per_mm)
+    rows = along(state + _SHIFTS, piece, planned_per_mm, settings.change_mm)
     count = len(_VARIED)
     change = np.eye(SIZE)
     change[:, _VARIED] = ((rows[1 : count + 1] - rows[count + 1 :]) / (2 * _STEP[:, None])).T
@@ -205,7 +227,7 @@ def moved(
 
 
 def _noise(before: Array, after: Array, piece: ChannelPiece, settings: TipSettings) -> Array:
-    """Return the process noise of a piece: slip, and random walks of the tangent and of the curvature factor.
+    """Return the process noise of a piece: slip, random walks of the tangent and the curvature factor, and its change.
 
     A piece that is not `fresh` has only slip.
     """
@@ -233,4 +255,6 @@ def _noise(before: Array, after: Array, piece: ChannelPiece, settings: TipSettin
     noise[ELEVATION, ROLL] = noise[ROLL, ELEVATION] = variance * turn * length / 2
     noise[ROLL, ROLL] = variance * turn**2 * length / 3
     noise[FACTOR, FACTOR] = settings.factor_sd_sqrt_mm**2 * length
+    # The noise of the change within a piece hardly moves the ratio in the same piece, so only its own variance counts.
+    noise[CHANGE, CHANGE] = settings.change_sd_per_mm**2 * -math.expm1(-2 * length / settings.change_mm)
     return noise
