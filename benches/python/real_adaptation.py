@@ -3,12 +3,13 @@
 python benches/python/real_adaptation.py ../shared/data/real_insertions --json benches/results/real_adaptation.json \
     > benches/results/real_adaptation.md
 
-The insertions are those of `real_insertions.py`. For each, `identify curvature` finds entry pose and curvature by depth
-in the others of its tissue; the filter gets these as its plan, as in `insert --needle`. It then takes the poses of the
-insertion up to half of its depth. Its path is extrapolated to the depth that all insertions of the tissue reach. The
-files have positions only, so the direction of each pose has a standard deviation of 2 rad: it counts for nothing.
-Noise of the tracker, from the description of the data: 0.15 mm white, and 0.3 mm that drifts over 10 s, because points
-in motion lie 0.3 mm beside points at rest. All other settings are the defaults.
+The insertions are those of `real_insertions.py`. For each, `identify curvature` finds entry pose and curvature in the
+two others of its tissue (two insertions do not choose the shape of the curvature, so the default is one curvature); the
+filter gets these as its plan, as in `insert --needle`. It then takes the poses of the insertion up to half of its
+depth. Its path is extrapolated to the depth that all insertions of the tissue reach. The files have positions only, so
+the direction of each pose has a standard deviation of 2 rad: it counts for nothing. Noise of the tracker, from the
+description of the data: 0.15 mm white, and 0.3 mm that drifts over 10 s, because points in motion lie 0.3 mm beside
+points at rest. All other settings are the defaults.
 """
 
 from __future__ import annotations
@@ -29,13 +30,15 @@ from needleplan.identification import Identification, curvature
 from needleplan.models import BicycleByDepth
 from needleplan.signals import Record, Role
 
-SETTINGS = TipSettings(position_sd_mm=0.15, angle_sd_rad=2.0, wander_sd_mm=0.3, wander_s=10.0)
+SETTINGS = TipSettings(angle_sd_rad=2.0)
 # Shares of the depth at which the end is predicted.
 SHARES = (0.25, 0.5, 0.75)
+# Entry pose (x, y, heading, z, elevation), roll of the bending (rad), curvature by depth.
+Plan = tuple[tuple[float, ...], float, Callable[[float], float]]
 _NANO = 1e9
 
 
-def plan_of(train: Sequence[Record], layers: int | None) -> tuple[tuple[float, ...], float, Callable[[float], float]]:
+def plan_of(train: Sequence[Record], layers: int | None) -> Plan:
     """Return entry pose (x, y, heading, z, elevation), roll of the bending, and curvature by depth, from insertions.
 
     The roll is the direction of the mean curvature, as a calibration of the base would find it.
@@ -46,13 +49,8 @@ def plan_of(train: Sequence[Record], layers: int | None) -> tuple[tuple[float, .
     y, z = _pose(flat), _pose(raised)
     sideways, upwards = (_mean_bend(each) for each in (flat, raised))
     roll = math.atan2(upwards, sideways)
-    side = 1.0 if sideways >= 0 else -1.0
-    scale = side * math.hypot(sideways, upwards) / sideways
-
-    def bend(depth_mm: float) -> float:
-        return side * scale * side * _bend(flat, depth_mm) if sideways else 0.0
-
-    return (0.0, *y, *z), roll, bend
+    scale = math.hypot(sideways, upwards) / sideways if sideways else 1.0
+    return (0.0, *y, *z), roll, lambda depth_mm: scale * _bend(flat, depth_mm)
 
 
 def _pose(found: Identification) -> tuple[float, float]:
@@ -70,9 +68,9 @@ def _mean_bend(found: Identification) -> float:
     return float(np.mean([_bend(found, each) for each in np.linspace(0, 100, 101)]))
 
 
-def predicted(train: Sequence[Record], held: Record, end_mm: float, share: float, layers: int | None) -> np.ndarray:
+def predicted(plan: Plan, held: Record, end_mm: float, share: float) -> np.ndarray:
     """Return the predicted end (y, z in mm), and its standard deviations, from the first share of an insertion."""
-    entry, roll, bend = plan_of(train, layers)
+    entry, roll, bend = plan
     found = TipFilter(Registration(), entry, lambda x_mm, _: bend(x_mm), SETTINGS)
     depth = np.maximum.accumulate(held["depth_mm"])
     rows = np.flatnonzero(np.isfinite(held["y_mm"]) & (depth <= share * end_mm))
@@ -94,22 +92,23 @@ def main() -> int:
     options = parser.parse_args()
     record: dict[str, dict[str, list[list[float]]]] = {}
     print("Distance of the predicted from the measured end of the path, mean over twelve insertions (largest).\n")
-    print("| curvature by depth in the plan | share of the path | in plane, mm | out of plane, mm | in space, mm | tissues |")
+    print("| plan | share of the path | in plane, mm | out of plane, mm | in space, mm | tissues, in space, mm |")
     print("|---|--:|--:|--:|--:|---|")
-    for name, layers in (("chosen by insertions left out", None), ("one curvature", 1)):
-        for share in SHARES:
-            rows: dict[str, list[list[float]]] = {}
-            for tissue in TISSUES:
-                trials = [read(path) for path in sorted(options.folder.glob(f"{tissue}_openloop_*.csv"))]
-                end = min(float(each["depth_mm"].max()) for each in trials)
-                rows[tissue] = []
-                for number, held in enumerate(trials):
-                    train = [replace(each, role=Role.TRAIN) for k, each in enumerate(trials) if k != number]
-                    found = predicted(train, held, end, share, layers)
-                    off = found[:2] - np.array(tip(held, end))
-                    rows[tissue].append([round(float(each), 4) for each in (*off, *found[2:])])
-            record[f"{name}, {share:g}"] = rows
-            print(line(name, share, rows), flush=True)
+    for name, layers in (("one curvature", 1), ("two layers", 2)):
+        rows: dict[float, dict[str, list[list[float]]]] = {share: {} for share in SHARES}
+        for tissue in TISSUES:
+            trials = [read(path) for path in sorted(options.folder.glob(f"{tissue}_openloop_*.csv"))]
+            end = min(float(each["depth_mm"].max()) for each in trials)
+            for number, held in enumerate(trials):
+                train = [replace(each, role=Role.TRAIN) for k, each in enumerate(trials) if k != number]
+                plan, measured = plan_of(train, layers), np.array(tip(held, end))
+                for share, of in rows.items():
+                    found = predicted(plan, held, end, share)
+                    off = [*(found[:2] - measured), *found[2:]]
+                    of.setdefault(tissue, []).append([round(float(each), 4) for each in off])
+        for share, of in rows.items():
+            record[f"{name}, {share:g}"] = of
+            print(line(name, share, of), flush=True)
     if options.json:
         options.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     return 0

@@ -16,7 +16,8 @@ from tests.estimation.needle_walk import Walk, stage, unseen
 RADIUS_MM, COIL_MM, FRAME_NS = 40.0, 9.3, 25_000_000
 SETTINGS = TipSettings(
     position_sd_mm=0.2, angle_sd_rad=0.01, heading_sd_rad_sqrt_mm=0.003, slip_sd_mm_sqrt_mm=0.001,
-    factor_sd_sqrt_mm=1e-4, roll_sd_rad=0.03, roll_sd_sqrt_rad=0.0, entry_sd_mm=0.3, entry_sd_rad=0.01,
+    factor_sd_sqrt_mm=1e-4, change_sd_per_mm=0.0, roll_sd_rad=0.03, roll_sd_sqrt_rad=0.0, entry_sd_mm=0.3,
+    entry_sd_rad=0.01,
 )  # fmt: skip
 
 
@@ -101,6 +102,47 @@ def test_a_curvature_off_the_plan_is_found() -> None:
         assert abs(found.curvature_factor - 1) > 3 * found.curvature_factor_sd
         assert found.curvature_per_mm == pytest.approx(found.curvature_factor / RADIUS_MM)
         assert found.status is TipStatus.TRACKING
+
+
+def test_a_curvature_that_fades_is_found_with_its_change_and_extrapolated() -> None:
+    random = np.random.default_rng(4)
+    settings = replace(SETTINGS, change_sd_per_mm=0.01, change_mm=200.0, heading_sd_rad_sqrt_mm=5e-4)
+    walk = Walk(random, 1.2 / RADIUS_MM, 0.0)
+    tip = TipFilter(Registration(coil_offset_mm=COIL_MM), (0.0, 0.0, 0.0), 1 / RADIUS_MM, settings)
+    now = 0
+    tip.predict(stage(now, 0.0, 0.0))
+    for number in range(240):
+        now += FRAME_NS
+        depth = 0.25 * (number + 1)
+        walk.curvature_per_mm = (1.2 - 0.008 * depth) / RADIUS_MM
+        walk.go(0.25, 0.0)
+        tip.predict(stage(now, depth, 0.0))
+        tip.update(walk.pose_of_coil(depth - COIL_MM, now, now, 0.1, 0.005))
+    found = tip.tip
+    assert found.curvature_factor == pytest.approx(1.2 - 0.008 * 60, abs=3 * found.curvature_factor_sd)
+    change, sd = found.curvature_factor_change_per_mm, found.curvature_factor_change_sd_per_mm
+    assert change == pytest.approx(-0.008, abs=3 * sd)
+    assert change < -sd
+    mean, mean_sd = tip.mean_curvature(20.0)
+    assert mean * RADIUS_MM == pytest.approx(1.2 - 0.008 * 70, abs=3 * mean_sd * RADIUS_MM)
+    assert mean < found.curvature_per_mm
+    assert tip.mean_curvature(0.0)[0] == pytest.approx(found.curvature_per_mm)
+    for _ in range(80):
+        walk.curvature_per_mm -= 0.008 * 0.25 / RADIUS_MM
+        walk.go(0.25, 0.0)
+    ahead, covariance = tip.ahead(20.0)
+    off = ahead[:3] - walk.at(80.0)[0]
+    assert np.all(np.abs(off) < 4 * np.sqrt(np.diag(covariance)[:3]))
+    assert np.linalg.norm(off) < 0.5
+
+
+def test_an_entry_out_of_the_plane_is_a_start_of_the_path() -> None:
+    tip = TipFilter(Registration(), (0.0, 1.0, 0.1, 2.0, 0.05), 1 / RADIUS_MM)
+    tip.predict(stage(0, 0.0, 0.0))
+    found = tip.tip
+    assert (found.y_mm, found.z_mm, found.heading_rad, found.elevation_rad) == (1.0, 2.0, 0.1, 0.05)
+    with pytest.raises(DataError, match="must be finite numbers"):
+        TipFilter(Registration(), (0.0, 1.0, 0.1, 2.0), 1 / RADIUS_MM)
 
 
 def test_late_poses_correct_the_path_where_the_coil_was() -> None:

@@ -30,13 +30,13 @@ def test_arcs_are_those_of_a_frame_that_does_not_twist(
 ) -> None:
     # The bend out of the plane is small: half a turn out of it is no needle of this planner.
     frame = TipFrame.planar(3.0, -2.0, heading)
-    state = np.array([3, -2, 0, heading, 0, factor, off, 0, 0, 0], float)
+    state = np.array([3, -2, 0, heading, 0, factor, off, 0, 0, 0, 0], float)
     for length, roll in legs:
         bend = factor / 200
         parts = 40
         for _ in range(parts):
             frame = frame.arc(bend * math.cos(roll + off), bend * math.sin(roll + off), length / parts)
-            state = along(state[None], piece(length / parts, roll), 1 / 200)[0]
+            state = along(state[None], piece(length / parts, roll), 1 / 200, 50.0)[0]
     np.testing.assert_allclose(state[:3], frame.position_mm, atol=2e-3)
     np.testing.assert_allclose(tangent(state), frame.tangent, atol=1e-4)
 
@@ -45,8 +45,8 @@ def test_arcs_are_those_of_a_frame_that_does_not_twist(
 @given(st.floats(0.5, 5), st.floats(-3, 3), st.floats(-0.2, 0.2))
 def test_one_long_piece_spreads_like_many_short_ones(length: float, roll: float, elevation: float) -> None:
     allowed = TipSettings(heading_sd_rad_sqrt_mm=0.01)
-    state = np.array([0, 0, 0, 0.3, elevation, 1.1, 0.02, 0, 0, 0], float)
-    start = np.diag([0.1, 0.1, 0.1, 0.01, 0.01, 0.1, 0.03, 0.2, 0.2, 0.2]) ** 2
+    state = np.array([0, 0, 0, 0.3, elevation, 1.1, 0.02, 0, 0, 0, 0.002], float)
+    start = np.diag([0.1, 0.1, 0.1, 0.01, 0.01, 0.1, 0.03, 0.2, 0.2, 0.2, 0.002]) ** 2
     whole, spread = moved(state, start, piece(length, roll), 1 / 40, allowed)
     at, by_parts = state, start
     for _ in range(30):
@@ -57,16 +57,19 @@ def test_one_long_piece_spreads_like_many_short_ones(length: float, roll: float,
 
 
 def test_spread_is_that_of_many_needles() -> None:
-    allowed = TipSettings(heading_sd_rad_sqrt_mm=0.01, factor_sd_sqrt_mm=0.0, slip_sd_mm_sqrt_mm=0.0)
+    allowed = TipSettings(
+        heading_sd_rad_sqrt_mm=0.01, factor_sd_sqrt_mm=0.0, slip_sd_mm_sqrt_mm=0.0, change_sd_per_mm=0.0
+    )
     random = np.random.default_rng(0)
-    state = np.array([0, 0, 0, 0, 0, 1, 0, 0, 0, 0], float)
+    state = np.zeros(SIZE)
+    state[FACTOR] = 1.0
     start = np.zeros((SIZE, SIZE))
     start[FACTOR, FACTOR] = 0.2**2
     _, spread = moved(state, start, piece(10.0, 0.4), 1 / 40, allowed)
     many = np.tile(state, (20_000, 1))
     many[:, FACTOR] += random.normal(0, 0.2, len(many))
     for _ in range(100):
-        many = along(many, piece(0.1, 0.4), 1 / 40)
+        many = along(many, piece(0.1, 0.4), 1 / 40, 50.0)
         many[:, HEADING : HEADING + 2] += random.normal(0, 0.01 * math.sqrt(0.1), (len(many), 2))
     for row in (1, 2, 3, 4):
         assert spread[row, row] == pytest.approx(many[:, row].var(), rel=0.06)

@@ -13,13 +13,14 @@ from needleplan.control._insertion import Insertion
 from needleplan.control._options import Options, RunSetup
 from needleplan.control._preconditions import require_fitting
 from needleplan.control._recorder import RunRecorder
-from needleplan.control._replanning import Replanner, ThreadReplanner
+from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch, rescaled
 from needleplan.control._replay import RecordedStation, ReplayComparison, replay
 from needleplan.control._report import InsertionOutcome, InsertionReport, drawn, path_distances_mm
 from needleplan.control._retraction import Retraction, RetractionOutcome, RetractionReport, open_stage_patiently
-from needleplan.control._scene import ScenarioGeometry
+from needleplan.control._scene import Approach, ScenarioGeometry
 
 __all__ = [
+    "Approach",
     "CommandKind",
     "Deadman",
     "DeadmanThread",
@@ -45,10 +46,12 @@ __all__ = [
     "ScenarioGeometry",
     "ThreadReplanner",
     "UdpDeadman",
+    "curvature_mismatch",
     "drawn",
     "open_deadman",
     "open_stage_patiently",
     "path_distances_mm",
     "replay",
     "require_fitting",
+    "rescaled",
 ]

@@ -338,16 +338,16 @@ class Insertion(Closing):
         return round(pose.x_mm / dx), round(pose.y_mm / dy), turn, (pose.bevel + 1) // 2
 
     def _replan_if_needed(self, pose: Pose) -> None:
-        """Request a new table if the estimated curvature differs too much from the planned curvature at `pose`."""
+        """Request a new table if the curvature expected on the way differs too much from the planned one at `pose`."""
         if not self.options.replan or self._replanner.busy:
             return
-        tip = self._needle.tip
         planned = 1 / self._scene.radius_mm(pose.x_mm, pose.y_mm)
-        cause = curvature_mismatch(tip, planned, self.options)
+        expected, sd = self._needle.curvature_ahead(self._scene.target_distance_mm(pose.x_mm, pose.y_mm))
+        cause = curvature_mismatch(expected, sd, planned, self.options) if planned else ""
         if not cause:
             return
         try:
-            scenario = rescaled(self.table.scenario, tip.curvature_per_mm / planned)
+            scenario = rescaled(self.table.scenario, expected / planned)
         except InputError as error:
             self._emit(RunEventName.REPLAN_REFUSED, cause, str(error))
             return

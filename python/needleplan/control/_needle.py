@@ -99,6 +99,11 @@ class NeedleState:
             )
         return tip
 
+    def curvature_ahead(self, length_mm: float) -> tuple[float, float]:
+        """Return the expected mean curvature (1/mm) over the next length of path, and its standard deviation."""
+        assert self._filter is not None
+        return self._filter.mean_curvature(length_mm)
+
     def receive(self) -> None:
         """Wait at most 20 ms for the next sample, process it, and call the guard's `tick` if that is due.
 

@@ -1,9 +1,10 @@
 """Replanning during an insertion: when to replan, for which scenario, and the thread that computes the new table.
 
-A plan assumes a curvature. The controller replans if the estimated curvature differs from the planned curvature by more
-than `replan_deviations` standard deviations and by more than `replan_share` of the planned curvature. The new plan uses
-the estimated curvature. In a scenario with layers or tissues, all radii are multiplied by the same factor, because only
-the curvature in the layer around the tip can be estimated.
+A plan assumes a curvature. The controller replans if the curvature that the tip filter expects on the way to the target
+differs from the planned curvature by more than `replan_deviations` standard deviations and by more than `replan_share`
+of the planned curvature. The expected curvature is the mean over the remaining length, with the estimated change of the
+curvature per length. The new plan uses it. In a scenario with layers or tissues, all radii are multiplied by the same
+factor, because only the curvature in the layer around the tip can be estimated.
 """
 
 from __future__ import annotations
@@ -16,22 +17,23 @@ from dataclasses import replace
 from needleplan.control._options import Options
 from needleplan.devices import Closing
 from needleplan.errors import NeedleplanError
-from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import PolicyTable, plan
 from needleplan.scenario import Scenario
 
 __all__ = ["Replanner", "ThreadReplanner", "curvature_mismatch", "rescaled"]
 
 
-def curvature_mismatch(tip: TipEstimate, planned_per_mm: float, options: Options) -> str:
-    """Return a text about the curvature mismatch if it requires replanning, else an empty text."""
-    off = tip.curvature_per_mm - planned_per_mm
-    sd = tip.curvature_sd_per_mm
+def curvature_mismatch(expected_per_mm: float, sd: float, planned_per_mm: float, options: Options) -> str:
+    """Return a text about the curvature mismatch if it requires replanning, else an empty text.
+
+    `sd` is the standard deviation of the expected curvature.
+    """
+    off = expected_per_mm - planned_per_mm
     if abs(off) <= options.replan_deviations * sd or abs(off) <= options.replan_share * planned_per_mm:
         return ""
     deviations = f" and {abs(off) / sd:.1f} standard deviations" if sd else ""
     return (
-        f"the curvature is {tip.curvature_per_mm:.4g} +- {sd:.2g} per mm, but {planned_per_mm:.4g} per mm was planned: "
+        f"the curvature is {expected_per_mm:.4g} +- {sd:.2g} per mm, but {planned_per_mm:.4g} per mm was planned: "
         f"a difference of {off / planned_per_mm:+.1%}{deviations}"
     )
 

@@ -79,8 +79,8 @@ class TipFilter:
     registration
         Distance from coil to tip, and the motion from the frame of the tracker to the frame of the plan.
     entry
-        Pose on the surface of the tissue, at stage depth zero: x_mm, y_mm, heading_rad in the plane of the plan, and, if
-        known, z_mm and elevation_rad out of it (0).
+        Pose on the surface of the tissue, at stage depth zero: x_mm, y_mm, heading_rad in the plane of the plan, and,
+        if known, z_mm and elevation_rad out of it (0).
     planned_per_mm
         Curvature of the plan (1/mm): a positive number, or a function of x_mm and y_mm.
     settings
@@ -195,15 +195,19 @@ class TipFilter:
         covariance[:3, :3] += self.registration.coil_offset_sd_mm**2 * np.outer(forward, forward)
         return state, covariance
 
-    def mean_factor(self, length_mm: float) -> tuple[float, float]:
-        """Return the expected mean of the curvature factor over the next length (mm), and its standard deviation.
+    def mean_curvature(self, length_mm: float) -> tuple[float, float]:
+        """Return the expected mean curvature (1/mm) over the next length (mm) of path, and its standard deviation.
 
-        Raises DataError before the first stage sample.
+        The plan counts with its curvature at the tip. Raises DataError before the first stage sample.
         """
         state, covariance = self.tip_state()
         weights = np.zeros(SIZE)
         weights[FACTOR], weights[CHANGE] = 1.0, mean_gained(length_mm, self.settings.change_mm)
-        return float(weights @ state), math.sqrt(float(weights @ covariance @ weights))
+        planned = self._planned_at(float(state[0]), float(state[1]))
+        return float(weights @ state) * planned, math.sqrt(float(weights @ covariance @ weights)) * planned
+
+    def _planned_at(self, x_mm: float, y_mm: float) -> float:
+        return self._planned(x_mm, y_mm) if callable(self._planned) else self._planned
 
     def _begin(self, at_mm: float) -> None:
         """Set state and covariance at the path length `at_mm`, from the entry pose and its standard deviations."""
@@ -326,8 +330,7 @@ class TipFilter:
             return until_mm, state, covariance
         for piece in self._channel.pieces(at, until_mm):
             for part in self._parts(piece):
-                x, y = float(state[0]), float(state[1])
-                planned = self._planned(x, y) if callable(self._planned) else self._planned
+                planned = self._planned_at(float(state[0]), float(state[1]))
                 state, covariance = moved(state, covariance, part, planned, self.settings)
         return until_mm, state, covariance
 
@@ -348,7 +351,7 @@ class TipFilter:
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
         x, y, z, heading, elevation, factor, offset = state[:7].tolist()
         change = float(state[CHANGE])
-        planned = self._planned(x, y) if callable(self._planned) else self._planned
+        planned = self._planned_at(x, y)
         now, depth, _ = self._stage[-1]
         age = math.inf if self._used_ns is None else max(now - self._used_ns, 0) / _NANO
         forward = tangent(state)

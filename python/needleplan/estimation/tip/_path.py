@@ -3,10 +3,11 @@
 The state of a point of the path has the shape (11,): position (3), heading and elevation of the tangent, ratio f of the
 curvature to the planned curvature, difference between the roll of the bevel and the roll of the base, drift of the
 tracker (3), change r of the ratio per length. Along fresh path, f' = r + white noise, and r is a first-order
-Gauss-Markov process with the length a, r' = -r/a + white noise. With the roll phi of the bevel, the tangent turns by k cos(phi) to the left and by k sin(phi) upwards per
-length. Heading and elevation are angles to a fixed plane, whereas the roll of a needle without twist is measured from
-a direction that is transported along the path (Bishop's frame). Per change d(heading), the roll relative to the fixed
-plane changes by -sin(elevation) d(heading); the roll in the state contains this change.
+Gauss-Markov process with the length a, r' = -r/a + white noise. With the roll phi of the bevel, the tangent turns by k
+cos(phi) to the left and by k sin(phi) upwards per length. Heading and elevation are angles to a fixed plane, whereas
+the roll of a needle without twist is measured from a direction that is transported along the path (Bishop's frame). Per
+change d(heading), the roll relative to the fixed plane changes by -sin(elevation) d(heading); the roll in the state
+contains this change.
 """
 
 from __future__ import annotations
