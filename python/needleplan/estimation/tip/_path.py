@@ -166,16 +166,16 @@ def tangent(state: Array) -> Array:
     return np.array([level * math.cos(heading), level * math.sin(heading), math.sin(elevation)])
 
 
-def gained(length_mm: float, change_mm: float) -> float:
+def _gained(length_mm: float, change_mm: float) -> float:
     """Return the length by which a change of the ratio counts: the integral of exp(-s/a) over a length (mm)."""
     return change_mm * -math.expm1(-length_mm / change_mm)
 
 
 def mean_gained(length_mm: float, change_mm: float) -> float:
-    """Return the mean of `gained` over a length (mm)."""
+    """Return the mean of `_gained` over a length (mm)."""
     if length_mm < 1e-6 * change_mm:
         return length_mm / 2
-    return change_mm * (1 - gained(length_mm, change_mm) / length_mm)
+    return change_mm * (1 - _gained(length_mm, change_mm) / length_mm)
 
 
 def along(states: Array, piece: ChannelPiece, planned_per_mm: float, change_mm: float) -> Array:
@@ -207,7 +207,7 @@ def along(states: Array, piece: ChannelPiece, planned_per_mm: float, change_mm: 
     after[:, ELEVATION] = np.arcsin(np.clip(cos_t * sin_e + sin_t * up * cos_e, -1.0, 1.0))
     after[:, ROLL] -= turned * np.sin((elevation + after[:, ELEVATION]) / 2)
     if piece.fresh:
-        after[:, FACTOR] += change * gained(piece.length_mm, change_mm)
+        after[:, FACTOR] += change * _gained(piece.length_mm, change_mm)
         after[:, CHANGE] *= math.exp(-piece.length_mm / change_mm)
     return after
 
